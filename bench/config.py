@@ -14,6 +14,7 @@ import re
 import tomllib
 import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
@@ -199,6 +200,15 @@ def located(path: Path, text: str, found: Iterable[tuple[KeyPath, str, bool]]) -
         text_of = f"{_dotted(key_path)}: {message}"
         faults.append(Fault(place.line, start, max(1, width), text_of))
     return ConfigError(path, sorted(faults, key=lambda fault: (fault.line, fault.column)), text)
+
+
+@contextmanager
+def writing(place: Path) -> Iterator[None]:
+    """Raises ConfigError where ``place`` can't be written."""
+    try:
+        yield
+    except OSError as error:
+        raise ConfigError.plain(f"{place}: can't be written: {error}") from error
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

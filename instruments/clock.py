@@ -51,7 +51,7 @@ def load_per_processor() -> float | None:
     return os.getloadavg()[0] / (os.cpu_count() or 1) if hasattr(os, "getloadavg") else None
 
 
-PATIENCE_S = 10.0  # real time that an emulator's thread gets to take bytes before it is called hung
+HUNG_S = 10.0  # real time that an emulator's thread gets to take bytes before it is called hung
 
 
 class RealClock:
@@ -78,8 +78,8 @@ class RealClock:
             time.sleep(seconds)
 
     def subscribe(self, looked: Callable[[float], None] | None) -> None:
-        """Call ``looked`` with the coming sleep, on every thread that uses the clock: a sign of
-        life.
+        """Call ``looked`` with the coming sleep on every thread that uses the clock: a
+        heartbeat.
         """
         self._looked = looked
 
@@ -135,11 +135,9 @@ class VirtualClock:
             heapq.heappush(self._planned, (when_s, next(self._order), action))
 
     def step(self, limit_s: float) -> bool:
-        """Run the next planned action, or move to ``limit_s``; False at the limit. Bytes to
-        emulators are taken first.
-        """
+        """Run the next planned action, or move to ``limit_s`` (False), once all bytes are taken."""
         for wire in list(self._wires.values()):
-            wire.wait_taken(PATIENCE_S)
+            wire.wait_taken(HUNG_S)
         with self._lock:
             due = bool(self._planned) and self._planned[0][0] <= limit_s
             when, _, action = heapq.heappop(self._planned) if due else (limit_s, 0, None)
@@ -161,12 +159,9 @@ class VirtualClock:
 
 
 class Wire:
-    """Counts the bytes between a link and an emulator, so that time stands still while any is in
-    flight.
-
-    Otherwise "nothing to say" and "its thread has not run yet" look alike, and time depends on
-    load. Ctrl-C may strike anywhere: only the interpreter's own locks are used, which `with` always
-    releases.
+    """Counts the bytes between a link and an emulator: time stands still while any is in flight,
+    and so doesn't depend on load. Ctrl-C may come anywhere: only the interpreter's own locks are
+    used, which `with` always releases.
     """
 
     def __init__(self) -> None:
@@ -182,20 +177,20 @@ class Wire:
         """The emulator has the connection and has said what it says unasked."""
         with self._lock:
             self._accepted = True
-            self._tell()
+            self._notify()
 
     def closed(self) -> None:
         """The emulator has hung up; nothing more will come."""
         with self._lock:
             self._closed = True
-            self._tell()
+            self._notify()
 
     def add(self, *, to_device: int = 0, to_host: int = 0) -> None:
         """Bytes sent (positive) or taken (negative) in either direction."""
         with self._lock:
             self._to_device += to_device
             self._to_host += to_host
-            self._tell()
+            self._notify()
 
     def send(self, count: int, write: Callable[[], None]) -> None:
         """The emulator's ``write`` of ``count`` bytes, counted first, so the host waits for it."""
@@ -206,16 +201,14 @@ class Wire:
         finally:
             self.sending = False
 
-    def settle(self, patience_s: float) -> bool:
-        """Wait for bytes for the host (True) or nothing in flight (False). Raises TimeoutError when
-        the emulator's thread hangs for ``patience_s`` of real time.
-        """
-        self._wait_for(self._settled, patience_s)
+    def settle(self, timeout_s: float) -> bool:
+        """Wait for bytes for the host (True) or nothing in flight (False). Raises TimeoutError."""
+        self._wait_for(self._settled, timeout_s)
         return self._to_host > 0 or self._closed
 
-    def wait_taken(self, patience_s: float) -> None:
+    def wait_taken(self, timeout_s: float) -> None:
         """Wait until the emulator took all bytes. Raises TimeoutError as ``settle``."""
-        self._wait_for(self._taken, patience_s)
+        self._wait_for(self._taken, timeout_s)
 
     def before_write(self) -> None:
         """Forget bytes that were taken and never counted: an interrupt came between the two."""
@@ -228,8 +221,8 @@ class Wire:
         with self._lock:
             self._to_host = 0
 
-    def _wait_for(self, done: Callable[[], bool], patience_s: float) -> None:
-        deadline = time.monotonic() + patience_s
+    def _wait_for(self, done: Callable[[], bool], timeout_s: float) -> None:
+        deadline = time.monotonic() + timeout_s
         while True:
             with self._lock:
                 if done():
@@ -237,9 +230,9 @@ class Wire:
                 waiter = self._waiter = threading.Lock()
                 waiter.acquire()
             if not waiter.acquire(timeout=max(0.0, deadline - time.monotonic())):
-                raise TimeoutError(f"{self._to_device} bytes stayed untaken for {patience_s} s")
+                raise TimeoutError(f"{self._to_device} bytes stayed untaken for {timeout_s} s")
 
-    def _tell(self) -> None:
+    def _notify(self) -> None:
         if self._waiter is not None:
             waiter, self._waiter = self._waiter, None
             waiter.release()

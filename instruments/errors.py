@@ -11,10 +11,8 @@ def hex_bytes(data: bytes) -> str:
 
 
 class InstrumentError(Exception):
-    """Any fault of an instrument; raise a subclass.
-
-    ``who``: instrument and link; ``what``: the sentence; ``asked``, ``seen``: bytes are shown as
-    hex; ``seconds`` waited; ``hint``: what to try.
+    """Any fault of an instrument; raise a subclass. ``who``: instrument and link; ``what``: the
+    sentence; ``asked``, ``seen``: bytes are shown as hex; ``hint``: what to try.
     """
 
     def __init__(

@@ -9,27 +9,49 @@ byte a call and sleeps 0.3 s when it closes.
 from __future__ import annotations
 
 import contextlib
+import re
 import select
 import socket
 import sys
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
 from time import monotonic, sleep
+from typing import Any
 from urllib.parse import urlsplit
 
 import serial
 from serial.tools import list_ports
 
-from instruments.clock import PATIENCE_S, Clock, VirtualClock, Wire
+from instruments.clock import HUNG_S, Clock, VirtualClock, Wire
 from instruments.errors import LinkError
 from instruments.port_settings import PortSettings, with_lines
-from instruments.tap import Tap
 
 SLICE_S = 1.0
 LOOK_S = 0.002
 EIGHT_N_ONE = PortSettings()
 SOCKETS = ("socket://", "tcp://", "rtu+tcp://")
 COUNTED_S = 2.0  # real time until bytes that an emulator has counted must have come over loopback
+
+SYSFS = Path("/sys")
+FTDI_DEVICES = r"SYSTEM\CurrentControlSet\Enum\FTDIBUS"  # in the registry
+WANTED_MS = 1  # of an adapter's latency timer
+
+
+class Tap:
+    """Gets every byte of a link in order and changes none; this one drops them."""
+
+    def opened(self, url: str) -> None:
+        """The link was opened, or opened again."""
+
+    def sent(self, data: bytes) -> None:
+        """The host sent these bytes."""
+
+    def received(self, data: bytes) -> None:
+        """These bytes came from the instrument."""
+
+    def closed(self, why: str = "") -> None:
+        """The host closed the link, or it broke because of ``why``. Called once a link."""
 
 
 class Link:
@@ -62,9 +84,7 @@ class Link:
         self._open()
 
     def set_baud(self, baud: int) -> None:
-        """Change the rate; a link that is no serial port only notes it. Raises LinkError where the
-        port can't; it keeps its rate then.
-        """
+        """Change the rate, of a serial port only. Raises LinkError where the port can't."""
         self._refuse_closed()
         try:
             self._port.set_baud(baud)
@@ -198,7 +218,7 @@ class Link:
                 clock.step(deadline)
             # or what the emulator's thread counted but had no time to send
             data = self._receive_really(COUNTED_S) or self._receive_really(
-                PATIENCE_S if wire.sending else 0.0
+                HUNG_S if wire.sending else 0.0
             )
             if data:
                 wire.add(to_host=-len(data))
@@ -207,7 +227,7 @@ class Link:
 
     def _settle(self, wire: Wire) -> bool:
         try:
-            return wire.settle(PATIENCE_S)
+            return wire.settle(HUNG_S)
         except TimeoutError as error:
             raise LinkError(self.who, f"the emulator hangs: {error}") from error
 
@@ -362,3 +382,52 @@ def _group(url: str) -> str:
     # no such file any more, a group without a name, or Windows
     except (OSError, KeyError, NotImplementedError):
         return "dialout"
+
+
+def latency_warning(port: str, sysfs: Path = SYSFS) -> str | None:
+    """Advice about a slow adapter behind a port's path, link or name; None when fine or unknown."""
+    if re.fullmatch(r"COM\d+", port):
+        latency_ms, name = _windows_latency_ms(port), port
+        how = (
+            f"in Device Manager, Ports, {port}, Port Settings, Advanced: Latency Timer {WANTED_MS}"
+        )
+    elif port.startswith("/"):
+        name = Path(port).resolve().name
+        timer = sysfs / "bus" / "usb-serial" / "devices" / name / "latency_timer"
+        try:
+            latency_ms = int(timer.read_text(encoding="ascii"))
+        except (OSError, ValueError):  # no USB adapter, one without a timer, or no Linux
+            return None
+        how = f"with: echo {WANTED_MS} | sudo tee {timer.as_posix()} (until it is plugged in again)"
+    else:
+        return None
+    if latency_ms is None or latency_ms <= WANTED_MS:
+        return None
+    return (
+        f"the USB adapter {name} holds bytes back for {latency_ms} ms, which every poll waits for."
+        f" Set it {how}, or stream instead of polling"
+    )
+
+
+def _windows_latency_ms(port: str) -> int | None:
+    """What FTDI's driver keeps in the registry for ``port``; None for another adapter."""
+    try:
+        registry: Any = import_module("winreg")
+    except ImportError:
+        return None
+    with contextlib.suppress(OSError):
+        for device in _subkeys(registry, FTDI_DEVICES):
+            for instance in _subkeys(registry, f"{FTDI_DEVICES}\\{device}"):
+                path = f"{FTDI_DEVICES}\\{device}\\{instance}\\Device Parameters"
+                with (
+                    contextlib.suppress(OSError),
+                    registry.OpenKey(registry.HKEY_LOCAL_MACHINE, path) as key,
+                ):
+                    if registry.QueryValueEx(key, "PortName")[0] == port:
+                        return int(registry.QueryValueEx(key, "LatencyTimer")[0])
+    return None
+
+
+def _subkeys(registry: Any, path: str) -> list[str]:
+    with registry.OpenKey(registry.HKEY_LOCAL_MACHINE, path) as key:
+        return [registry.EnumKey(key, at) for at in range(registry.QueryInfoKey(key)[0])]

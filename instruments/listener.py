@@ -33,9 +33,7 @@ class Device(Protocol):
 
 
 class Connection:
-    """One host's connection to a device: the device's way to answer. ``pace``: baud and latency,
-    as of `Listener`.
-    """
+    """One host's connection to a device. ``pace``: baud and latency, as of `Listener`."""
 
     def __init__(
         self,
@@ -137,10 +135,9 @@ class Connection:
 
 
 class Listener:
-    """Serves ``device`` until closed. ``url`` is what a driver opens.
-
-    ``baud``: real time of 10 bits a byte, as a serial line; ``latency_s``: of an adapter. Raises
-    OSError for a taken address, ValueError for a pace under virtual time.
+    """Serves ``device`` at ``url`` until closed. ``baud``: real time of a serial line;
+    ``latency_s``: of an adapter. Raises OSError for a taken address, ValueError for a pace under
+    virtual time.
     """
 
     def __init__(

@@ -44,7 +44,7 @@ class Port(Protocol):
         """Hand all of ``data`` to the host. Raises OSError when it has gone."""
 
     def hang_up(self) -> None:
-        """Break the cable: wakes whoever reads. Called from any thread, more than once too."""
+        """Break the cable, which ends a read. Called from any thread, more than once too."""
 
     def baud(self) -> int | None:
         """The rate that the host has set its end to; None where that can't be known."""
@@ -88,8 +88,8 @@ class Pacer:
         self._piece = max(1, int(PIECE_S / byte_s)) if byte_s else 65536
         self._to_device, self._to_host = Line(byte_s), Line(byte_s)
         self._for_host: collections.deque[tuple[float, bytes]] = collections.deque()
-        self._heard = b""  # on its way to the device
-        self._heard_s = math.inf  # when the last byte of it is through
+        self._received = b""  # on its way to the device
+        self._received_s = math.inf  # when the last byte of it is through
         # the line's time of the byte that the device gets just now
         self._moment_s: float | None = None
         self._hung_up = self._aborted = False
@@ -128,7 +128,7 @@ class Pacer:
         """Serve until the connection ends; ``receive`` gets each byte once it is through."""
         self._thread = threading.get_ident()
         try:
-            if self._port.ready() and not self._hear(self._clock.now()):
+            if self._port.ready() and not self._receive(self._clock.now()):
                 return
             while True:
                 self._hand_over()
@@ -146,15 +146,15 @@ class Pacer:
 
     def _turn(self, receive: Callable[[bytes], None]) -> bool:
         """Hand over what is through, or wait for the next; False when the host has gone."""
-        if not self._heard:
-            return not self._wait(listen=True) or self._hear(self._clock.now())
-        if self._clock.now() < self._heard_s:
+        if not self._received:
+            return not self._wait(listen=True) or self._receive(self._clock.now())
+        if self._clock.now() < self._received_s:
             self._wait(listen=False)
             return True
-        self._tell(receive)
+        self._deliver(receive)
         # What waits by now followed without a gap: it began when the last byte ended, not when this
         # thread looked.
-        return not self._port.ready() or self._hear(self._heard_s)
+        return not self._port.ready() or self._receive(self._received_s)
 
     def _hand_over(self) -> None:
         now, data = self._clock.now(), b""
@@ -164,22 +164,22 @@ class Pacer:
             with contextlib.suppress(OSError):  # the host has gone: the next read says so
                 self._port.write(data)
 
-    def _hear(self, from_s: float) -> bool:
+    def _receive(self, from_s: float) -> bool:
         try:
-            self._heard = self._port.take(self._piece)
+            self._received = self._port.take(self._piece)
         except BlockingIOError:
             return True
         except OSError:
             return False
-        self._heard_s = self._to_device.carry(len(self._heard), from_s)
-        return bool(self._heard)
+        self._received_s = self._to_device.carry(len(self._received), from_s)
+        return bool(self._received)
 
-    def _tell(self, receive: Callable[[bytes], None]) -> None:
-        """Tell of each byte by itself, so that each answer starts where its question ended."""
-        data, self._heard = self._heard, b""
+    def _deliver(self, receive: Callable[[bytes], None]) -> None:
+        """Give each byte by itself, so that each answer starts where its question ended."""
+        data, self._received = self._received, b""
         step = 1 if self._to_device.byte_s else len(data)
         for end in range(step, len(data) + 1, step):
-            self._moment_s = self._heard_s - (len(data) - end) * self._to_device.byte_s
+            self._moment_s = self._received_s - (len(data) - end) * self._to_device.byte_s
             if not (self._hung_up or self._aborted):
                 receive(data[end - step : end])
         self._moment_s = None
@@ -187,7 +187,7 @@ class Pacer:
     def _wait(self, *, listen: bool) -> bool:
         """Wait for the next due time or a wake; True when the host has sent something."""
         due_s = min(
-            self._heard_s if self._heard else math.inf,
+            self._received_s if self._received else math.inf,
             self._for_host[0][0] if self._for_host else math.inf,
         )
         sleep_s = None if due_s == math.inf else max(0.0, due_s - self._clock.now() - SPIN_S)
@@ -201,6 +201,6 @@ class Pacer:
         return port in ready
 
     def _wake(self) -> None:
-        # full: a wake is on its way already; closed: no thread is asleep
+        # full: a wake is on its way already; closed: no thread waits
         with contextlib.suppress(OSError):
             self._wake_far.send(b"w")

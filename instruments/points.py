@@ -29,7 +29,7 @@ from instruments.errors import (
     TouchAgainError,
 )
 from instruments.microscribe.configuration import Identity
-from instruments.microscribe.stream import Reading
+from instruments.microscribe.driver import Reading
 from instruments.operators.console import Console
 from instruments.operators.operator import Coordinates, Operator
 from instruments.operators.prompted import PromptedOperator
@@ -50,9 +50,8 @@ USB_ARMS = (
 
 @dataclass(frozen=True, slots=True)
 class PointsUrl:
-    """Where points come from: a ``path`` (None: typed), how they are told, and whose they are.
-
-    ``unit``: "" where the file's heads have it; ``columns``: "" where the file has heads.
+    """Where points come from: a ``path`` (None: typed), their ``unit`` and ``columns``, "" where
+    the file's heads have them.
     """
 
     path: Path | None
@@ -93,9 +92,7 @@ def points_url(url: str) -> PointsUrl | None:
 
 @dataclass(frozen=True, slots=True)
 class _Point:
-    """mm; ``written`` as such, to ``digit_mm``; ``u_mm`` as the row states it; the stylus's
-    direction where the row has it.
-    """
+    """mm; ``written`` to ``digit_mm``; ``u_mm`` and ``axis`` where the row has them."""
 
     tip_mm: Floats
     written: str
@@ -105,8 +102,8 @@ class _Point:
 
 
 class PointArm:
-    """A measuring arm by its points. ``most_u_mm`` and ``resolution_mm``: what the rig states of a
-    point; a row that states more, or is written to less, is refused. `asked_of` says who touches.
+    """A measuring arm by its points. A point that states more than ``most_u_mm``, or is written to
+    less than ``resolution_mm``, is refused.
     """
 
     moves: ClassVar[bool] = False
@@ -135,9 +132,7 @@ class PointArm:
         self._operator: Operator | None = None
 
     def asked_of(self, operator: Operator | None) -> None:
-        """From now on it is ``operator`` who touches. At a terminal or in a browser a new row is
-        as good as Enter.
-        """
+        """Have ``operator`` touch; with a console a new row is as good as Enter."""
         self._operator = operator
         if isinstance(operator, PromptedOperator) and self._path is not None:
             operator.before_touch = self._pass_over
@@ -168,8 +163,8 @@ class PointArm:
         }
 
     def sign_on(self) -> Identity:
-        """Pass over the points that are there. Raises LinkError without the file, ProtocolError
-        where it doesn't say what its columns are, or their unit.
+        """Pass over the points that are there. Raises LinkError without the file, ProtocolError for
+        heads without columns or unit.
         """
         self._ready = False
         if self._path is not None:
@@ -195,8 +190,8 @@ class PointArm:
     close = safe
 
     def read(self, n: int = 1, max_spread_mm: float = 0.0) -> Reading:  # noqa: ARG002 - one point
-        """The point touched last. Raises TouchAgainError for none, more than one, and one that
-        can't be used; LinkError and ProtocolError for a file that has gone or was changed.
+        """The point touched last. Raises TouchAgainError for none, several or an unusable one;
+        LinkError and ProtocolError for a file that has gone or was changed.
         """
         point = self._typed() if self._path is None else self._next()
         if not all(abs(v) <= FARTHEST_MM for v in point.tip_mm):
@@ -225,7 +220,9 @@ class PointArm:
         )
         cells = self._operator.ask(Coordinates(text)).point if self._operator else None
         if cells is None:
-            raise LimitError(self.who, "nobody is there to type points", hint="Use a terminal")
+            raise LimitError(
+                self.who, "there is no terminal to type points at", hint="Use a terminal"
+            )
         factor = UNITS[self._url.unit]
         tip_mm = np.array(cells[:3], dtype=np.float64) * factor
         digit_mm = min(map(_digit, cells[:3])) * factor

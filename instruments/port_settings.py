@@ -8,8 +8,8 @@ from typing import Literal
 
 @dataclass(frozen=True, slots=True)
 class PortSettings:
-    """``dtr`` and ``rts``: the lines while the port is open; None leaves them to the system, which
-    raises both. With ``rs485`` RTS is up while bytes go out, and down while we listen.
+    """``dtr``, ``rts``: the lines while the port is open; None: as the system sets them. With
+    ``rs485`` RTS is up while bytes go out.
     """
 
     parity: Literal["N", "E", "O"] = "N"
@@ -30,9 +30,7 @@ LINES = {"on": True, "off": False}
 
 
 def with_lines(url: str, settings: PortSettings) -> tuple[str, PortSettings]:
-    """The port without its keys, and ``settings`` with ``?dtr=off&rts=off`` of ``url``. Raises
-    ValueError that names a key or word that isn't allowed.
-    """
+    """The port, and ``settings`` with the ``?dtr=off&rts=off`` of ``url``. Raises ValueError."""
     place, asked, query = url.partition("?")
     lines: dict[str, bool] = {}
     for pair in query.split("&") if asked else ():

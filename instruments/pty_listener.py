@@ -22,9 +22,7 @@ _FLAGS = os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0)
 
 
 def _watch_closings(path: str) -> int:
-    """A descriptor that is readable when the file was closed at ``path``. Raises OSError
-    without inotify.
-    """
+    """A descriptor that is readable once the file was closed. Raises OSError without inotify."""
     try:
         libc = ctypes.CDLL(None, use_errno=True)
         end = int(libc.inotify_init1(_FLAGS))
@@ -43,8 +41,8 @@ RATES = (9600, 14400, 19200, 28800, 38400, 57600, 115200)
 
 
 class PtyListener:
-    """Serves ``device`` until closed. ``url`` is the terminal's path; ``baud`` and ``latency_s`` as
-    for `Listener`. Raises OSError without pseudo-terminals, ValueError under virtual time.
+    """Serves ``device`` at the terminal ``url`` until closed, as `Listener`. Raises OSError without
+    pseudo-terminals, ValueError under virtual time.
     """
 
     def __init__(
@@ -139,7 +137,7 @@ class _Terminal:
         return self._either.fileno() if self._either else self._master
 
     def has_host(self) -> bool:
-        """Whether anybody has the far end open. What it has said already is kept for ``read``."""
+        """Whether the far end is open. What it has sent already is kept for ``read``."""
         try:
             data = os.read(self._master, 65536)
         except BlockingIOError:
@@ -197,7 +195,7 @@ class _Terminal:
                 data = data[os.write(self._master, data) :]
 
     def hang_up(self) -> None:
-        """As `Port.hang_up`: the terminal itself goes once whoever reads has noticed."""
+        """As `Port.hang_up`: the terminal itself goes once its reader has noticed."""
         with self._lock:
             if not self.hung_up:
                 self.hung_up = True

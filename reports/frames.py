@@ -100,9 +100,8 @@ MOST_DETECTORS = len(MARKS) ** 2  # that marks and colours tell apart
 
 @dataclass(frozen=True, slots=True)
 class Overlay:
-    """One layer: `tone` picks colour and switch, `name` is in the legend of every frame.
-
-    `who`: of several detectors the place of the one whose it is, from 1; it picks the colour then.
+    """One layer: `tone` picks colour and switch, `name` is in the legend. `who`: of several
+    detectors the place of its own, from 1, which picks the colour.
     """
 
     tone: LayerTone
@@ -125,11 +124,8 @@ class Overlay:
 
 @dataclass(frozen=True, slots=True)
 class ImageView:
-    """An image file beside the page, or the part of it that `view_box` (x, y, width, height in
-    whole pixels) cuts out.
-
-    `src`, and `original` (what a click on the picture opens; `src` where empty), are paths relative
-    to the page's folder. `width`, `height` are the pixels of the image that the overlays count in.
+    """An image file beside the page, or the part `view_box` (x, y, width, height); a click opens
+    `original`. `width` and `height` are those that the overlays count in.
     """
 
     label: str

@@ -18,7 +18,7 @@ class Term:
     """A technical term, what it means, and how else it is spelt in texts."""
 
     name: str
-    says: str
+    meaning: str
     also: tuple[str, ...] = ()
 
     @property
@@ -28,9 +28,7 @@ class Term:
 
 
 class Explained:
-    """Texts with their terms as links to the list, which stands in the file `base`; a word that is
-    one of `names` is no term.
-    """
+    """Texts with links to the terms in the file `base`; one of `names` is no term."""
 
     def __init__(self, terms: Sequence[Term], base: str = "", names: Sequence[str] = ()) -> None:
         self._base = base
@@ -67,5 +65,5 @@ class Explained:
 def style_rules(terms: Sequence[Term]) -> str:
     """What the terms' links show: each text once in a file, however often it is shown."""
     escapes = str.maketrans({"\\": r"\5c ", '"': r"\22 ", "<": r"\3c "})
-    tips = ((term.id, sanitized(term.says).translate(escapes)) for term in terms)
+    tips = ((term.id, sanitized(term.meaning).translate(escapes)) for term in terms)
     return "".join(f'.{name}::after{{--tip:"{text}"}}\n' for name, text in tips)

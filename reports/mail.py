@@ -18,11 +18,8 @@ _TYPES = {".jpg": "image/jpeg", ".png": "image/png"}
 
 
 def write_single_file(page: Page, folder: Path, target: Path, most_bytes: int = MOST_BYTES) -> Path:
-    """Writes `page` with its images, which stand in `folder`, as the one file `target` of at most
-    `most_bytes`.
-
-    Raises PageError where an image is missing or of another kind than JPEG and PNG, or where the
-    page is too large without any trial.
+    """Write `page` and its images, from `folder`, as one file. Raises PageError for an image that
+    is missing or no JPEG or PNG, or a page too large without any trial.
     """
     by_id = {trial.id: trial for trial in page.trials}
     trials = [by_id[name] for name in dict.fromkeys((*page.worst, *by_id))][:MOST_TRIALS]

@@ -79,10 +79,8 @@ class Score:
 
 @dataclass(frozen=True, slots=True)
 class Scoreboard:
-    """Requirement by detector: a row is name, limit and a score of each of `detectors`.
-
-    A score without a verdict has no sign. `heads` stand over names and limits; `hints`, by name,
-    explain a row on hovering.
+    """Requirement by detector: rows of name, limit and scores. `heads` stand over names and limits;
+    `hints` explain a row by its name.
     """
 
     caption: str
@@ -130,9 +128,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows of cells. `searchable` adds a filter box and sorting; rows whose first link is a trial's
-    then hide that trial with them.
-    """
+    """Rows of cells; `searchable` adds a filter, which also hides the trials of hidden rows."""
 
     caption: str
     columns: tuple[Column, ...]
@@ -151,9 +147,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A drawing of `reports.figures`, with a caption and the words that stand for it where it can't
-    be seen. `wide` fills the page.
-    """
+    """A drawing of `reports.figures`, its caption and text alternative; `wide` fills the page."""
 
     svg: str
     caption: str
@@ -239,9 +233,8 @@ class Fold:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A chapter of the page, or of a chapter; `id` is its anchor; `folded`: closed at first.
-
-    `about` stands beside a folded chapter's title: what is in it, in a few words.
+    """A chapter of the page or of a chapter; `id` is its anchor. `folded` ones are closed at first,
+    with `about` beside the title.
     """
 
     id: str
@@ -272,9 +265,8 @@ Part = (
 
 @dataclass(frozen=True, slots=True)
 class Banner:
-    """The first screen: what was tested, the verdict, why, how sure it is, what to do next.
-
-    `each`: several detectors' own verdicts by name; they stand in place of the run's one.
+    """The first screen: what was tested, the verdict, why, how sure it is, what to do next. `each`:
+    the verdicts of several detectors.
     """
 
     kind: Kind
@@ -331,13 +323,8 @@ class TrialPart:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A whole report; `worst` names the trials to look at first, by their ids: they come first
-    where not all find room.
-
-    `detectors` are told apart where they are several. `trials_in`: the id of the section that ends
-    with the trials; a chapter of their own where empty. `alarm` stays at the top of each file,
-    however far one scrolls. Raises PageError where two parts share an id, a link leads nowhere, or
-    the banner claims more than its rows.
+    """A whole report. `worst`: ids of the trials to look at first; `trials_in`: the section that
+    ends with the trials. Raises PageError for an id twice, a dead link, a banner above its rows.
     """
 
     title: str

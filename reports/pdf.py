@@ -60,9 +60,8 @@ def print_pdf(
     *,
     appendix: bool = False,
 ) -> Path:
-    """Print the HTML file `page` to `target`, what is folded with the `appendix` only.
-
-    Raises PageError with the browser's own words.
+    """Print the HTML file `page`, with `appendix` also what is folded. Raises PageError with the
+    browser's output.
     """
     draft = target.with_name(target.name + ".part")
     draft.unlink(missing_ok=True)
@@ -73,7 +72,7 @@ def print_pdf(
         if not made.startswith(b"%PDF-"):
             raise PageError(
                 f"{target}: {browser} ended with code {code} and printed nothing:"
-                f" {said or 'no word of it'}"
+                f" {said or 'no output'}"
             )
         draft.write_bytes(travelling(made, target.resolve().parent))
         draft.replace(target)
@@ -85,7 +84,7 @@ def print_pdf(
 
 
 def _printed(browser: str, address: str, draft: Path, time_limit_s: float) -> tuple[int, str]:
-    """The browser's exit code and its last words."""
+    """The browser's exit code and its last lines of output."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         command = [browser, *SWITCHES, f"--user-data-dir={profile}"]
         if hasattr(os, "geteuid") and os.geteuid() == 0:
@@ -104,11 +103,8 @@ def _printed(browser: str, address: str, draft: Path, time_limit_s: float) -> tu
 
 
 def travelling(pdf: bytes, folder: Path) -> bytes:
-    """`pdf` signed by us and without this machine's paths in its links: they become paths from
-    `folder`.
-
-    Every part stays as long as it was, since a PDF's table of contents counts bytes (ISO 32000-1,
-    7.5.4).
+    """`pdf` signed by us, its links relative to `folder`. Every part keeps its length: a PDF's
+    table of contents counts bytes (ISO 32000-1, 7.5.4).
     """
 
     def link(found: re.Match[bytes]) -> bytes:

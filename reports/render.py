@@ -60,9 +60,7 @@ View = tuple[int, int, int, int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a file stands and what it holds: the trials in it; images by their data (`src` to data
-    URI) where it travels alone.
-    """
+    """Where a file stands, the trials in it, and its images' data where it stands alone."""
 
     trials: tuple[TrialPart, ...]
     base: str = ""  # from this file to the report's folder
@@ -192,11 +190,8 @@ def render(page: Page) -> str:
 
 
 def write_report(page: Page, folder: Path) -> Path:
-    """Writes `folder/index.html`, whole or not at all, and returns its path; many trials get files
-    in `folder/trials` before.
-
-    The images must already stand where their `src` says. Raises PageError that lists the images
-    which are not there; OSError where the folder can't be written.
+    """Write `folder/index.html` whole or not at all; many trials get files of their own before.
+    Raises PageError for images that are not there, OSError.
     """
     folder.mkdir(parents=True, exist_ok=True)
     refuse_missing(page.images(), folder)
@@ -295,10 +290,7 @@ def _lone(parts: Sequence[Part]) -> set[int]:
 
 @cache
 def environment() -> Environment:
-    """Jinja2 as all pages use it: every text is escaped and sanitized.
-
-    One for the process, so that each template is compiled once.
-    """
+    """Jinja2 as all pages use it, made once: every text is escaped and sanitized."""
     made = Environment(
         loader=FileSystemLoader(_TEMPLATES, encoding="utf-8"),
         autoescape=True,

@@ -51,9 +51,8 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A run that could be read; ``damage`` says what isn't as it was written, ``note`` what holds
-    it back. ``report``: its page's path from the folder of runs, empty where there is none;
-    ``thumbnails``: what each shows, and JPEG data.
+    """A run that could be read: ``damage`` to its record, a ``note`` on what is missing, its
+    ``report``'s path, ``thumbnails`` as text and JPEG.
     """
 
     folder: Path

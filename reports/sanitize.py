@@ -54,9 +54,7 @@ def _is_number(text: str) -> bool:
 
 
 class SanitizedStream:
-    """``stream``, on which all text is sanitized; ``stream`` itself is for what makes control
-    sequences of its own.
-    """
+    """``stream`` with all text sanitized; write control sequences to ``stream`` itself."""
 
     def __init__(self, stream: TextIO) -> None:
         self.stream = stream

@@ -46,11 +46,8 @@ def checked_slug(value: str, what: str) -> str:
 
 
 def address(value: str, what: str) -> str:
-    """The URL text of `value`, which is `#id` or the relative path of a file beside the page.
+    """The URL of `#id` or of a relative file path, which may lead out of the page's folder by `..`.
     Raises PageError.
-
-    A path is a plain file path with forward slashes, not yet percent-encoded; `..` may lead out of
-    the page's folder.
     """
     if value.startswith("#"):
         return "#" + checked_slug(value[1:], what)

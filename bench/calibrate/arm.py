@@ -14,7 +14,6 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,18 +40,16 @@ from bench.rig.model import Arm, Baud
 from bench.rig.opening import open_instruments, pedal_watch, rig_of
 from bench.rig.urls import EMULATED, arm_url
 from bench.script.model import ArmRequirement, find_script, load_script
-from instruments.captures.capture import Captures
-from instruments.clock import RealClock, wall_time
+from instruments.captures.capture import CaptureFile
+from instruments.clock import Clock, RealClock, wall_time
 from instruments.errors import TouchAgainError
-from instruments.microscribe.driver import MicroScribe
-from instruments.microscribe.stream import Reading
+from instruments.microscribe.driver import MicroScribe, Reading
 from instruments.operators.console import Console
 from instruments.operators.operator import Task
 from instruments.points import PointArm
 
 Floats = NDArray[np.float64]
 
-PEG = "Put the arm's stylus on its peg"
 HOMED = (
     "Was the stylus on its peg when the arm was last switched on, or the arm homed since"
     " ('teatbench arm home')?"
@@ -74,20 +71,12 @@ DIRECTIONS = (
 )
 
 
-class Person(Protocol):
-    """Who brings the tip where it is asked for. Methods return then, or raise OperatorAbort."""
-
-    def ask(self, text: str) -> None: ...
-    def touch(self, step: Step) -> None: ...
-    def say(self, text: str) -> None: ...
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass
 class ArmSession:
-    """A signed-on arm and the `Person` beside it."""
+    """A signed-on arm and the person beside it. Questions raise OperatorAbort."""
 
     arm: AnyArm
-    clock: RealClock
+    clock: Clock
     console: Console
     trying: TryingArm | None
 
@@ -113,7 +102,11 @@ class ArmSession:
 
 @contextmanager
 def open_arm(
-    port: str, baud: Baud, answer_s: float, capture: Captures, length_mm: float | None = None
+    port: str,
+    baud: Baud,
+    answer_s: float,
+    capture: CaptureFile | None,
+    length_mm: float | None = None,
 ) -> Iterator[ArmSession]:
     """The arm at ``port``, signed on; ``length_mm``: an emulated arm's bar. Raises ConfigError."""
     try:
@@ -156,9 +149,8 @@ def limits_of(script: str | None) -> Limits:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Divots at 1 to 3 ``distances``, ``touches`` each, and a ``length_mm`` in ``directions``;
-    ``length_u_mm`` and ``gauge`` are of its certificate. ``spheres``: it is between the centres of
-    two spheres, each touched at the places of `ROUND`; else between two cones.
+    """Divots at 1 to 3 ``distances``, ``touches`` each, and a ``length_mm`` in ``directions``, with
+    ``length_u_mm`` and ``gauge`` of its certificate, between ``spheres`` or cones.
     """
 
     distances: int = 3
@@ -180,13 +172,11 @@ ROUND: tuple[tuple[str, Triple], ...] = (
 )
 
 
-def touch_frame(
-    arm: AnyArm, person: Person, checks: Sequence[Triple | None], made: datetime
-) -> TableFrame:
+def touch_frame(session: ArmSession, checks: Sequence[Triple | None], made: datetime) -> TableFrame:
     """A frame from three touches and one for each of ``checks`` (None: anywhere in the plane)."""
 
     def touched(step: Step, name: str) -> TouchedPoint:
-        reading = read_touch(arm, person, step)
+        reading = read_touch(session, step)
         x, y, z = (float(v) for v in reading.tip_mm)
         return TouchedPoint(name, (x, y, z), float(reading.spread_mm), step.world_mm)
 
@@ -206,34 +196,34 @@ def touch_frame(
             world_from_arm([origin.arm_mm, on_x.arm_mm, in_plane.arm_mm])
             break
         except FrameError as error:
-            person.say(f"{error}. Once more, the second and the third point.")
+            session.say(f"{error}. Once more, the second and the third point.")
     points = [origin, on_x, in_plane]
     for number, place in enumerate(checks):
         where = f"the point {mm(place)} (world)" if place else "another point of the table's plane,"
         where += "" if place else " well away from the three"
         text = f"Check point {number + 1} of {len(checks)}: touch {where}."
         points.append(touched(Step("check", number, text, place), f"check {number + 1}"))
-    frame = TableFrame.from_touches(made, arm.identity.serial_number, points)
+    frame = TableFrame.from_touches(made, session.arm.identity.serial_number, points)
     if frame.hangs:
-        person.ask(
+        session.ask(
             "In this frame the arm stands upside down. That is right only where it hangs; otherwise"
             " the third point was on the wrong side of the x axis: abort, and begin again."
         )
     return frame
 
 
-def verify(arm: AnyArm, person: Person, plan: Plan, made: datetime) -> Verification:
-    """The readings that ``plan`` asks for, as a verification. Raises as person and driver do."""
+def verify(session: ArmSession, plan: Plan, made: datetime) -> Verification:
+    """The readings that ``plan`` asks for, as a verification. Raises as its touches do."""
     names = {1: ("middle",), 2: ("near", "far"), 3: ("near", "middle", "far")}[plan.distances]
     locations = []
     for name in names:
-        person.ask(
+        session.ask(
             f"Fix the divot {DIVOTS[name]}. It must not move until its {plan.touches} touches are"
             " done."
         )
-        test = _divot(arm, person, name, plan.touches)
+        test = _divot(session, name, plan.touches)
         locations.append(test)
-        person.say(
+        session.say(
             f"{name}: within {test.largest_mm:.2f} mm of the mean, 2 sd {test.two_sd_mm:.2f} mm,"
             f" {swing_text(test)}."
         )
@@ -242,32 +232,30 @@ def verify(arm: AnyArm, person: Person, plan: Plan, made: datetime) -> Verificat
         if plan.length_mm is None:
             break
         where = DIRECTIONS[number % len(DIRECTIONS)]
-        person.ask(
+        session.ask(
             f"Fix the calibrated length {where}. It must not move until both its ends are touched."
         )
         a, b = (
-            _end(arm, person, f"length {end}", number, f"Length {where}: touch its {nth} end", plan)
+            _end(session, f"length {end}", number, f"Length {where}: touch its {nth} end", plan)
             for end, nth in (("a", "first"), ("b", "second"))
         )
         length = LengthTest(where, a, b, plan.length_mm, plan.length_u_mm)
         lengths.append(length)
-        person.say(f"{where}: {length.measured_mm:.2f} mm, error {length.error_mm:+.2f} mm.")
-    serial_number = arm.identity.serial_number
+        session.say(f"{where}: {length.measured_mm:.2f} mm, error {length.error_mm:+.2f} mm.")
+    serial_number = session.arm.identity.serial_number
     return Verification(made, serial_number, tuple(locations), tuple(lengths), plan.gauge)
 
 
-def _end(arm: AnyArm, person: Person, what: str, number: int, text: str, plan: Plan) -> Floats:
+def _end(session: ArmSession, what: str, number: int, text: str, plan: Plan) -> Floats:
     """An end of a length, (3,): as touched, or a sphere's centre by touches round it."""
     if not plan.spheres:
-        return read_touch(arm, person, Step(what, number, f"{text}.")).tip_mm
+        return read_touch(session, Step(what, number, f"{text}.")).tip_mm
     steps = (Step(what, number, f"{text}, {where}.", off=off) for where, off in ROUND)
-    return sphere_centre(np.array([read_touch(arm, person, step).tip_mm for step in steps]))
+    return sphere_centre(np.array([read_touch(session, step).tip_mm for step in steps]))
 
 
 def sphere_centre(points_mm: Floats) -> Floats:
-    """Centre (3,) of the sphere of any radius through points (n, 3), n at least 4, by least squares
-    of |p|^2 = 2 c.p + k (Coope, 1993).
-    """
+    """Centre (3,) of the sphere through points (n, 3), n >= 4: |p|^2 = 2 c.p + k (Coope, 1993)."""
     middle = points_mm.mean(axis=0)
     off = points_mm - middle
     columns = np.column_stack([2.0 * off, np.ones(len(off))])
@@ -275,7 +263,7 @@ def sphere_centre(points_mm: Floats) -> Floats:
     return np.asarray(middle + found[:3])
 
 
-def _divot(arm: AnyArm, person: Person, name: str, touches: int) -> LocationTest:
+def _divot(session: ArmSession, name: str, touches: int) -> LocationTest:
     readings = []
     for number in range(touches):
         again = number >= len(LEANS)
@@ -284,22 +272,22 @@ def _divot(arm: AnyArm, person: Person, name: str, touches: int) -> LocationTest
             f"Divot {name}, touch {number + 1} of {touches}: tip in the divot, the stylus"
             f" {LEANS[number % len(LEANS)]}{further}."
         )
-        readings.append(read_touch(arm, person, Step(name, number, text)))
+        readings.append(read_touch(session, Step(name, number, text)))
     axes = axes_of([one.axis for one in readings])
     return LocationTest(name, np.array([one.tip_mm for one in readings]), axes)
 
 
-def read_touch(arm: AnyArm, person: Person, step: Step) -> Reading:
+def read_touch(session: ArmSession, step: Step) -> Reading:
     """One reading of what ``step`` asks for; asked again while the arm moves."""
     while True:
-        person.touch(step)
+        session.touch(step)
         try:
-            reading = arm.read()
+            reading = session.arm.read()
         except TouchAgainError as refused:
-            person.say(str(refused))
+            session.say(str(refused))
             continue
         spread = f", spread {reading.spread_mm:.2f} mm" if reading.n > 1 else ""
-        person.say(f"  read {mm(reading.tip_mm)} (arm){spread}")
+        session.say(f"  read {mm(reading.tip_mm)} (arm){spread}")
         return reading
 
 

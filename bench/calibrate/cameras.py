@@ -111,9 +111,7 @@ class CamerasResult:
         return [*lines, "intervals: 95 %; that of the reprojection error by the views' scatter"]
 
     def good_to_mm(self, depths_mm: Array) -> Array:
-        """Expanded uncertainty (k = 2) (n,) mm along a point's worst direction, midway before the
-        pair at these distances, with pixels as noisy as the corners were.
-        """
+        """Expanded uncertainty (k = 2) (n,) mm along the worst direction, before the pair."""
         axis = self.pair.right_from_left.T / 2.0
         points = np.array([[axis[0], axis[1], depth] for depth in np.asarray(depths_mm)])
         found = covariance_of_points(self.pair, self.covariance, points, self.joint.fit.sigma_px)
@@ -140,9 +138,7 @@ def _covariance(found: Calibrated, pose: str) -> ParameterCovariance:
 def calibrate_pair(
     views: BoardViews, *, model: str = "k1 k2 p1 p2", square_pixels: bool = False
 ) -> CamerasResult:
-    """The whole job, with a lens ``model`` of `detector.calibration.cameras.LENS_MODELS`. Raises
-    BundleError (a sentence) for views that can't fix the cameras.
-    """
+    """The whole job, with a lens ``model`` of `LENS_MODELS`. Raises BundleError."""
     seen = {camera: views.views(camera) for camera in PAIR}
     size = views.image_size
     lens: dict[str, Any] = {"model": model, "square_pixels": square_pixels}

@@ -2,7 +2,7 @@
 camera_info.
 
 Strategy: each format gives and takes a `Part`: lenses, and the stereo motion where the format has
-one. What a format can't hold is not written, and told by `lacks`. Sources: OpenCV FileStorage (the
+one. What a format can't hold is not written, and named by `lacks`. Sources: OpenCV FileStorage (the
 keys of its stereo_calib sample: M1 D1 M2 D2 in intrinsics.yml, R T in extrinsics.yml); Bouguet's
 toolbox, Calib_Results_stereo.mat (om, T, fc_left ...); ROS sensor_msgs/CameraInfo as
 camera_calibration_parsers writes it, P[0,3] = -fx B for the right camera of a rectified pair.
@@ -28,9 +28,7 @@ SIDES = ("left", "right")
 
 
 def read_opencv(path: Path, image_size: tuple[int, int] | None = None) -> Part:
-    """OpenCV's M1 D1 M2 D2 and, if there, R T. Raises ConfigError. ``image_size`` (columns, rows)
-    px is for files without one, as OpenCV's own sample.
-    """
+    """OpenCV's M1 D1 M2 D2 and, if there, R T; ``image_size`` for files without. ConfigError."""
     if not path.is_file():
         raise ConfigError.plain(f"{path}: no such file")
     try:

@@ -39,9 +39,7 @@ LEAN_RAD = np.radians(38.0)
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One touch: the place ``what``, which of several, and ``world_mm`` where known; ``off``: where
-    on a sphere there, as a unit vector outwards.
-    """
+    """One touch at the place ``what``; ``off``: where on a sphere there, outwards."""
 
     what: str
     number: int

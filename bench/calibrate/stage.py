@@ -15,30 +15,28 @@ from bench.script.phantom import find_layout, load_layout
 from bench.truth.registration import Registration, RegistrationError
 from bench.truth.stage_registration import around, register
 from bench.truth.touching import TipReader, Toucher, end_u_mm
-from instruments.captures.capture import NO_CAPTURE, Captures
+from instruments.captures.capture import CaptureFile
 from instruments.errors import InstrumentError
 from instruments.operators.operator import Arrangement, Homing
 from instruments.world.phantom import PlatePose
 
-PEG = "Put the arm's stylus on its peg, switch the arm on, and leave the stylus there."
 SPAN_MM = 200.0  # of the positions where none are named
 
 
 def calibrate_stage(
     rig: LoadedRig,
     made: datetime,
-    tell: Callable[[str], None],
+    report: Callable[[str], None],
     *,
     layout: str,
     teat: int,
     at_mm: Sequence[tuple[float, float]],
     readings: int | None,
     seed: int,
-    capture: Captures = NO_CAPTURE,
+    capture: CaptureFile | None = None,
 ) -> Registration:
-    """The stage's registration: ``teat`` of ``layout`` touched at places (x, y mm from the
-    reference; none: corners and middle). Raises ConfigError before anything moves, and as
-    instruments do.
+    """The stage's registration: ``teat`` of ``layout`` touched at ``at_mm`` (none: corners and
+    middle). Raises ConfigError before anything moves.
     """
     settings = rig.rig.stage
     if settings is None:
@@ -67,7 +65,7 @@ def calibrate_stage(
         try:
             arm.sign_on()
             tip.refuse_other_arm()
-            operator.ask(Homing(PEG))
+            operator.ask(Homing(arm.homing))
             arm.confirm_homed()
             stage.connect()
             stage.home()
@@ -87,7 +85,7 @@ def calibrate_stage(
                 u_mm=hypot(end_u_mm(rig.rig.arm, toucher.readings), settings.repeatability_mm),
                 made=made,
                 serial_number=arm.identity.serial_number,
-                tell=tell,
+                tell=report,
             )
         except RegistrationError as error:
             raise ConfigError.plain(f"no registration: {error}") from error
@@ -96,4 +94,4 @@ def calibrate_stage(
                 try:
                     rest()
                 except InstrumentError as error:
-                    tell(f"{name} could not be made safe: {error}")
+                    report(f"{name} could not be made safe: {error}")

@@ -143,9 +143,8 @@ def find_views(
     max_views: int | None = None,
     mirrored: frozenset[str] = frozenset(),
 ) -> BoardViews:
-    """The board in every picture; at most ``max_views``, spread over the set; ``mirrored`` cameras
-    are turned first. ``report`` gets how many pictures are done, of how many. Raises ConfigError
-    for unreadable pictures or mixed sizes.
+    """The board in every picture, or in ``max_views`` spread over the set; ``mirrored`` cameras are
+    turned first. Raises ConfigError.
     """
     chosen_views = {camera: _spread(views, max_views) for camera, views in pictures.items()}
     done, total = 0, sum(map(len, chosen_views.values()))
@@ -194,7 +193,7 @@ def _spread(views: Mapping[str, Path], most: int | None) -> dict[str, Path]:
 
 
 MOST_VIEWS = 60
-TOLD = 3  # of what is missing, in one instruction
+SHOWN = 3  # of what is missing, in one instruction
 GUIDE = "guide.png"
 HEIGHT_PX = 480  # of each camera's part of the guide's picture
 COVERED, MISSING, CORNER = (90, 170, 60), (60, 60, 200), (0, 200, 255)  # blue, green, red
@@ -203,9 +202,7 @@ TINT = 0.25
 
 @dataclass(frozen=True, slots=True)
 class ViewsRequest:
-    """Cameras that see the board, cameras that it must cover (none: ``most`` views are taken),
-    whether it is heated, and cameras that come mirrored.
-    """
+    """Cameras that see the board, and those that it must cover (none: ``most`` views)."""
 
     cameras: tuple[str, ...] = ("left", "right")
     guided: tuple[str, ...] = ("left", "right")
@@ -220,7 +217,7 @@ def gather(
     board: Board,
     wanted: ViewsRequest,
     folder: Path,
-    tell: Callable[[str], None],
+    report: Callable[[str], None],
 ) -> int:
     """Keep views as CAMERA/NN.png; returns how many. Raises OperatorAbort, ConfigError."""
     guide = Guide(board, wanted.guided)
@@ -228,14 +225,14 @@ def gather(
     for number in range(1, wanted.most + 1):
         missing = guide.missing
         if wanted.guided and not missing:
-            tell("Nothing is missing any more.")
+            report("Nothing is missing any more.")
             return number - 1
         text = _instruction(wanted, missing)
         asked = BoardAsked(pattern, text, number, wanted.cameras, wanted.heated)
         try:
             operator.ask(asked)
         except OperatorEnough as enough:
-            tell(f"Enough: {enough}. Still missing: {'; '.join(missing) or 'nothing'}.")
+            report(f"Enough: {enough}. Still missing: {'; '.join(missing) or 'nothing'}.")
             return number - 1
         seen = look()
         for camera in wanted.cameras:
@@ -249,9 +246,11 @@ def gather(
         said = guide.add(
             {c: p[:, ::-1].copy() if c in wanted.mirrored else p for c, p in pictures.items()}
         )
-        tell(f"view {number}: " + "; ".join(f"{camera} {text}" for camera, text in said.items()))
+        report(f"view {number}: " + "; ".join(f"{camera} {text}" for camera, text in said.items()))
         write_picture(folder / GUIDE, guide.picture())
-    tell(f"{wanted.most} views are enough. Still missing: {'; '.join(guide.missing) or 'nothing'}.")
+    report(
+        f"{wanted.most} views are enough. Still missing: {'; '.join(guide.missing) or 'nothing'}."
+    )
     return wanted.most
 
 
@@ -279,8 +278,8 @@ def _instruction(wanted: ViewsRequest, missing: tuple[str, ...]) -> str:
     hold = f"Hold the {'heated ' * wanted.heated}board still where {who} all of it"
     if not missing:
         return f"{hold}, another way each time: {wanted.most} views."
-    more = f"; and {len(missing) - TOLD} more" if len(missing) > TOLD else ""
-    return f"{hold}. Missing: {'; '.join(missing[:TOLD])}{more}."
+    more = f"; and {len(missing) - SHOWN} more" if len(missing) > SHOWN else ""
+    return f"{hold}. Missing: {'; '.join(missing[:SHOWN])}{more}."
 
 
 class Guide:

@@ -30,7 +30,7 @@ from detector.calibration.values import covariance_of_points
 from detector.geometry import Array
 from instruments.camera.frame import Grey
 from instruments.errors import DeviceError, TouchAgainError
-from instruments.microscribe.stream import Reading
+from instruments.microscribe.driver import Reading
 from instruments.operators.operator import BoardAsked, BoardTouch, Operator, Release
 
 
@@ -86,7 +86,7 @@ class TouchedPoints:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WorldResult:
-    """The fit, and what it tells of the pair."""
+    """The fit, and what it shows of the pair."""
 
     fit: WorldFit
     findings: tuple[Finding, ...]
@@ -212,13 +212,11 @@ class Asking:
     operator: Operator
     tip: TipReader
     tip_radius_mm: float
-    tell: Callable[[str], None]
+    report: Callable[[str], None]
 
 
 def gather_points(asking: Asking, board: Board, folder: Path) -> TouchedPoints:
-    """All points; numbered pictures and the points' table are kept in ``folder``. Raises
-    OperatorAbort, DeviceError where a board or a point fails too often, and as cameras and arm do.
-    """
+    """All points; pictures and table are kept in ``folder``. Raises OperatorAbort, DeviceError."""
     parts = []
     for position in range(1, POSITIONS + 1):
         seen = _fixed(asking, board, position, folder)
@@ -257,7 +255,7 @@ def _fixed(asking: Asking, board: Board, position: int, folder: Path) -> tuple[A
         try:
             pixels = _looked(pictures, board)
         except ViewRefusedError as why:
-            asking.tell(f"position {position}: refused: {why}")
+            asking.report(f"position {position}: refused: {why}")
             again = f"Not found ({why}) "
             continue
         for camera, points in zip(("left", "right"), pixels, strict=True):
@@ -268,7 +266,7 @@ def _fixed(asking: Asking, board: Board, position: int, folder: Path) -> tuple[A
                 font = cv2.FONT_HERSHEY_SIMPLEX
                 cv2.putText(image, str(number), (x + 10, y - 8), font, 0.8, COLOUR, 2, cv2.LINE_AA)
             write_picture(folder / f"position-{position}-{camera}-numbered.png", image)
-        asking.tell(
+        asking.report(
             f"position {position}: found; the points to touch are numbered in"
             f" {folder / f'position-{position}-left-numbered.png'}"
         )
@@ -318,15 +316,13 @@ def _touched(asking: Asking, board: Board, at: int, before: list[Reading]) -> Re
         if not wrong:
             return reading
         again = wrong
-        asking.tell(again)
+        asking.report(again)
     what = f"point {at + 1} of the board was not touched well, {TRIES} times; the last one: {again}"
     raise DeviceError("arm", what)
 
 
 def under_ball(centres_mm: list[Array], axes: Array | None, radius_mm: float) -> Array:
-    """Points (n, 3) of a plane touched with a ball tip, from its centres and the stylus's axes.
-    Raises DeviceError for a ball whose axes are not known.
-    """
+    """Points (n, 3) of a plane from the ball tip's centres. Raises DeviceError without axes."""
     points = np.array(centres_mm, dtype=np.float64)
     if radius_mm == 0.0:
         return points

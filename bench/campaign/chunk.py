@@ -57,7 +57,7 @@ class Scene:
 @dataclass(frozen=True, slots=True, eq=False)
 class Bench:
     """What is the same for all scenes; made once a process. ``exact``: the cameras are drawn by the
-    calibration, which states no uncertainty, so detectors are told that it is exact.
+    calibration, which states no uncertainty, so detectors get it as exact.
     """
 
     renderer: Renderer
@@ -71,16 +71,8 @@ class Bench:
 
 @dataclass(frozen=True, slots=True)
 class SceneRow:
-    """One scene and detector. Counts are of teat ends: ``visible`` ones were found or missed.
-
-    ``failure`` is the gravest that applies, empty for a success: `ASIDE`, the outcome where there
-    was no answer, "false", "missed", "error" (above the limit). Errors are of found teats, None
-    without. ``frames`` is the start of the SHA-256 of all pictures' pixels, in hex.
-
-    ``sure_wrong``: teats beyond `WRONG_MM` and `WRONG_SD` of their stated standard deviations, and
-    false ones that state less than `FALSE_SD_MM`. ``stated``: found ones with a covariance,
-    ``nees`` their mean, ``inside`` those within their stated 95 % region. ``shares`` of their
-    ranges, in 255ths, are the family's ``parameters``, whose names a comma parts.
+    """One scene and detector, in counts of teat ends (docs/campaigns.md). ``failure`` is the
+    gravest: `ASIDE`, an outcome without an answer, one of `WRONG`, or empty.
     """
 
     family: str
@@ -103,17 +95,11 @@ class SceneRow:
     parameters: str = ""
     shares: Sequence[int] = ()
 
-    @property
-    def no_answer(self) -> bool:
-        """The detector failed to answer, or was too late."""
-        return self.failure not in ("", ASIDE, *WRONG)
-
 
 @dataclass(frozen=True, slots=True)
 class TeatRow:
-    """One teat of a scene, or one false finding (``teat`` 0). ``status``: "found", "missed",
-    "false", "hidden", or "hidden found". Errors are found - truth, none of a false one; sd the
-    detector's own, both along world axes in mm; nees is e' C^-1 e, 3 on average where C is true.
+    """One teat of a scene, or a false finding (``teat`` 0): found, missed, false, hidden, or hidden
+    found. Errors are found - truth; nees is e' C^-1 e, 3 on average where C is true.
     """
 
     family: str
@@ -143,9 +129,7 @@ class Taken:
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """What some scenes gave. ``taken`` belongs to ``scenes``, row by row. ``cpu_s`` and ``seconds``
-    are of all of it, drawing included.
-    """
+    """The rows of some scenes; ``taken`` belongs to ``scenes``. Times include drawing."""
 
     scenes: tuple[SceneRow, ...] = ()
     teats: tuple[TeatRow, ...] = ()
@@ -159,8 +143,8 @@ class Rows:
 
 
 def run_scene(bench: Bench, scene: Scene, found: Situation | None = None) -> Rows:
-    """The rows of one scene; ``found`` is its situation where it isn't the family's own member.
-    Raises ValueError for one that can't be drawn before these cameras.
+    """The rows of one scene, ``found`` its situation where it isn't the member's. Raises
+    ValueError.
     """
     started_s, used_before_s = stopwatch_s(), processor_s()
     parameters: Mapping[str, Parameter] = {}
@@ -190,8 +174,8 @@ def run_scene(bench: Bench, scene: Scene, found: Situation | None = None) -> Row
 
 
 def draw_scene(bench: Bench, scene: Scene, found: Situation) -> tuple[Drawn, Calibration]:
-    """What detectors get of a scene, all perturbations done to it, with its truth; and what they
-    are told of the cameras. Raises ValueError for one that can't be drawn before these cameras.
+    """The frames of a scene, perturbed, with its truth; and the calibration that detectors get.
+    Raises ValueError for one that can't be drawn before these cameras.
     """
     seeds = (bench.seed, scene.member, *scene.family.encode())
     stated = bench.calibration

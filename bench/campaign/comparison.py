@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from bench.campaign.chunk import ASIDE, Scene
-from bench.campaign.plan import Plan, read_plan
-from bench.campaign.run import PLAN
+from bench.campaign.plan import Plan
+from bench.campaign.run import plan_of
 from bench.campaign.shards import Shards
 from bench.config import ConfigError
 from bench.record.reader import RunRecord
@@ -42,10 +42,8 @@ def compare_campaigns(
     margin_rate: float = MARGIN_RATE,
     confidence: float = 0.95,
 ) -> tuple[Comparison, ...]:
-    """Each later campaign with the first, or the detectors of one with its first. Raises
-    ConfigError where nothing can be compared.
-    """
-    plans = {folder: _plan(folder) for folder in folders}
+    """Each later campaign with the first, or the detectors of one. Raises ConfigError."""
+    plans = {folder: plan_of(folder) for folder in folders}
     runs = [_as_run(folder, plan) for folder, plan in plans.items()]
     found = []
     for old, new in sides(runs, detectors):
@@ -81,15 +79,6 @@ def compare_campaigns(
         )
         found.append(Comparison(old, new, pairs, same.count(True), *alone, compared))
     return tuple(found)
-
-
-def _plan(folder: Path) -> Plan:
-    if not (folder / PLAN).is_file():
-        raise ConfigError.plain(
-            f"{folder}: no campaign is there; name the folder that 'teatbench campaign run --out'"
-            " was given"
-        )
-    return read_plan(folder / PLAN)
 
 
 def _as_run(folder: Path, plan: Plan) -> RunRecord:

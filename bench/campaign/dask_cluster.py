@@ -1,9 +1,9 @@
-"""Chunks on a Dask cluster. Each of its workers does them in a process of its own (`pool`), so that
-a scene kills neither that worker nor the worker's other tasks.
+"""Chunks on a Dask cluster. Each Dask worker runs them in a process of its own (`pool`), so that a
+scene ends neither that worker nor its other tasks.
 
-Dask would run a task again itself when a worker is lost, up to a number of times that counts its
-neighbours' deaths too; then the task has failed. Here such a chunk is halved, and a single scene
-that is left set aside. A cluster that does nothing any more is reached anew.
+Dask retries the tasks of a lost worker itself, and counts losses by other tasks too. Here it
+retries nothing: a chunk that lost its workers is halved, and a single scene that is left is set
+aside. A cluster that has stopped is connected to again.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from distributed import TimeoutError as DaskTimeoutError
 
 from bench.campaign.chunk import Rows, set_aside
 from bench.campaign.plan import Chunk, Job, of_program
-from bench.campaign.pool import AHEAD, REMEMBERED, LocalPool, PoolError, Say, Whole, patience_s
+from bench.campaign.pool import AHEAD, REMEMBERED, LocalPool, PoolError, Say, Whole, silence_limit_s
 from instruments.clock import stopwatch_s
 
 LOST = 2  # of a chunk's workers, until it is halved
 RENEWALS = 3  # of the connection, one after the other without a result
 CONNECT_S = 30.0
-# a worker settles a scene that never ends by itself, which takes it three of its limits
+# a worker handles a scene that never ends itself, which takes three of its limits
 PATIENCE = 4
 LOOK_S = 2.0
 
@@ -42,15 +42,13 @@ class Done:
     program: dict[str, str]
 
 
-# of a Dask worker's process: pools that have nothing to do, by client
+# of a Dask worker's process: idle pools by client
 _IDLE: defaultdict[str, list[LocalPool]] = defaultdict(list)
 _LOCK = threading.Lock()
 
 
-def work(key: str, job: Job, chunk: Chunk, chunk_scenes: int, limit_s: float) -> Done:
-    """What is run on a Dask worker: a chunk in a process beside it, which waits for the next one of
-    this client.
-    """
+def work(key: str, job: Job, chunk: Chunk) -> Done:
+    """The task of a Dask worker: runs a chunk in a process that stays for the client's next one."""
     said: list[str] = []
     with _LOCK:
         gone = [one for other in list(_IDLE) if other != key for one in _IDLE.pop(other)]
@@ -58,7 +56,7 @@ def work(key: str, job: Job, chunk: Chunk, chunk_scenes: int, limit_s: float) ->
     for one in gone:
         one.close()
     if pool is None:
-        pool = LocalPool(job, 1, say=said.append, chunk_scenes=chunk_scenes, limit_s=limit_s)
+        pool = LocalPool(job, 1, say=said.append)
     pool.say = said.append
     try:
         ((_, rows),) = pool.results(iter([chunk]))
@@ -75,7 +73,7 @@ def work(key: str, job: Job, chunk: Chunk, chunk_scenes: int, limit_s: float) ->
 
 
 def clear(key: str) -> None:
-    """End the pools of a client that has gone; run on each Dask worker."""
+    """The task that ends a client's pools, on each Dask worker."""
     with _LOCK:
         ended = _IDLE.pop(key, [])
     for pool in ended:
@@ -83,15 +81,10 @@ def clear(key: str) -> None:
 
 
 class DaskPool:
-    """The cluster of a scheduler at ``address``; to be closed. As `LocalPool`. Raises PoolError
-    where none answers.
-    """
+    """The cluster of a scheduler at ``address``, as `LocalPool`. Raises PoolError for none."""
 
-    def __init__(
-        self, job: Job, address: str, *, say: Say, chunk_scenes: int, limit_s: float = 0.0
-    ) -> None:
+    def __init__(self, job: Job, address: str, *, say: Say) -> None:
         self._job, self._address, self._say = job, address, say
-        self._chunk_scenes, self._limit_s = chunk_scenes, limit_s
         self._key = uuid.uuid4().hex
         self._client: Client | None = None
         self._given: dict[Future[Done], Chunk] = {}
@@ -100,7 +93,7 @@ class DaskPool:
         self._lost: Counter[Chunk] = Counter()
         self._chunk_s: deque[float] = deque(maxlen=REMEMBERED)
         self._renewed = 0
-        self._heard_s = stopwatch_s()
+        self._last_result_s = stopwatch_s()
         self._connect()
 
     def close(self) -> None:
@@ -111,10 +104,8 @@ class DaskPool:
         self._disconnect()
 
     def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:
-        """The rows of each chunk, as they are done. ``chunks`` is asked for one when there is room.
-        Raises PoolError where the cluster can't be reached or can't work.
-        """
-        self._heard_s, told = stopwatch_s(), False
+        """As `LocalPool.results`. Raises PoolError where the cluster can't be used."""
+        self._last_result_s, warned = stopwatch_s(), False
         while True:
             self._fill(chunks)
             if not self._given and not self._again:
@@ -124,17 +115,17 @@ class DaskPool:
                 part = self._given.pop(future)
                 yield from self._take(part, future)
             if ended:
-                self._heard_s, self._renewed, told = stopwatch_s(), 0, False
+                self._last_result_s, self._renewed, warned = stopwatch_s(), 0, False
                 continue
-            silent_s = stopwatch_s() - self._heard_s
-            limit_s = patience_s(self._limit_s, self._chunk_s)
+            silent_s = stopwatch_s() - self._last_result_s
+            limit_s = silence_limit_s(self._job.plan, self._chunk_s)
             dead = self._client is None or self._client.status != "running" or not self._threads()
-            if silent_s > limit_s and not told:
-                told = True
+            if silent_s > limit_s and not warned:
+                warned = True
                 self._say(f"no chunk was done for {silent_s:.0f} s by the cluster {self._address}")
             if silent_s > limit_s * (1 if dead else PATIENCE):
                 self._renew(limit_s)
-                told = False
+                warned = False
 
     def _fill(self, chunks: Iterator[Chunk]) -> None:
         room = AHEAD * max(1, self._threads())
@@ -146,11 +137,10 @@ class DaskPool:
                 self._open[chunk.name] = Whole(chunk)
             else:
                 return
-            limits = self._chunk_scenes, self._limit_s
             name = f"teatbench-{uuid.uuid4().hex}-{part.name}"
             try:
                 future = self._client.submit(
-                    work, self._key, self._job, part, *limits, key=name, pure=False, retries=0
+                    work, self._key, self._job, part, key=name, pure=False, retries=0
                 )
             except Exception:  # whatever a closed connection raises: it is reached anew
                 self._again.appendleft(part)
@@ -202,7 +192,7 @@ class DaskPool:
             )
         for text in found.said:
             self._say(text)
-        self._chunk_s.append(found.rows.seconds / len(part.members) * self._chunk_scenes)
+        self._chunk_s.append(found.rows.seconds / len(part.members) * self._job.plan.chunk_scenes)
         whole = self._open[part.name]
         whole.done.append(found.rows)
         if rows := whole.rows:
@@ -245,7 +235,7 @@ class DaskPool:
         self._disconnect()
         with suppress(PoolError):
             self._connect()
-        self._heard_s = stopwatch_s()
+        self._last_result_s = stopwatch_s()
 
     def _connect(self) -> None:
         try:

@@ -23,7 +23,7 @@ from bench.campaign.search import (
     family_rate,
     search,
 )
-from bench.config import ConfigError, read_text
+from bench.config import ConfigError, read_text, writing
 from bench.files import write_synced
 from bench.results.answers import close_detectors
 from bench.rig.loading import find_rig, load_rig
@@ -140,7 +140,7 @@ class Searching:
         write_found(found, self._folder)
 
 
-def write_found(found: Found, folder: Path) -> Path:
+def write_found(found: Found, folder: Path) -> None:
     """Write `SEARCH` in ``folder``. Raises ConfigError where it can't be written."""
     plan = found.plan.model_dump(mode="json", exclude={"made_by"}, exclude_none=True)
     table = {
@@ -155,12 +155,8 @@ def write_found(found: Found, folder: Path) -> Path:
         "scenes of their own. Of [[failures]], worst first in each member, point says what it is in"
         " shares of the\nparameters' ranges; values are the parameters in their own units."
     )
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
+    with writing(folder):
         write_synced(folder / SEARCH, toml_text(table, heading).encode("utf-8"))
-    except OSError as error:
-        raise ConfigError.plain(f"{folder}: can't be written: {error}") from error
-    return folder / SEARCH
 
 
 def read_failures(folder: Path) -> tuple[Plan, dict[int, Failure]]:
@@ -180,9 +176,7 @@ def read_failures(folder: Path) -> tuple[Plan, dict[int, Failure]]:
 
 
 def keep(folder: Path, number: int, recording: Path, name: str | None = None) -> str:
-    """Add failure ``number`` of the search in ``folder`` to a recording, which may be there; gives
-    back the frame's name. Raises ConfigError, with nothing written.
-    """
+    """Add a failure of a search to a recording; gives back the frame's name. Raises ConfigError."""
     plan, failures = read_failures(folder)
     if (one := failures.get(number)) is None:
         known = f"1 to {len(failures)}" if failures else "none"
@@ -190,9 +184,9 @@ def keep(folder: Path, number: int, recording: Path, name: str | None = None) ->
     frame = name or f"{one.family}-{one.member:04d}-{number}"
     job, _ = open_plan(plan)
     rig = load_rig(find_rig(plan.rig))
-    told = read_text(Path(plan.calibration) if plan.calibration else rig.calibration_path)
+    stated = read_text(Path(plan.calibration) if plan.calibration else rig.calibration_path)
     there = recording / "calibration.toml"
-    if there.exists() and read_text(there) != told:
+    if there.exists() and read_text(there) != stated:
         raise ConfigError.plain(
             f"{recording} has another calibration than {folder}: name another --into"
         )
@@ -212,14 +206,13 @@ def keep(folder: Path, number: int, recording: Path, name: str | None = None) ->
         )
     new = not recording.exists()
     try:
-        writer = RecordingWriter(recording)
-        writer.add(frame, shot.frames)
-        writer.add_calibration(told)
-        writer.add_truth(frame, shot.truth)
+        with writing(recording):
+            writer = RecordingWriter(recording)
+            writer.add(frame, shot.frames)
+            writer.add_calibration(stated)
+            writer.add_truth(frame, shot.truth)
     except RecordingError as error:
         if new:
             shutil.rmtree(recording)
         raise ConfigError.plain(f"{error}; give another --name") from error
-    except OSError as error:
-        raise ConfigError.plain(f"{recording}: can't be written: {error}") from error
     return frame

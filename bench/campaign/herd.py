@@ -51,9 +51,8 @@ FIRST = 3  # visits that only make the history
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """One unseen end at one visit, or one that was invented (``teat`` 0). Errors in mm, None
-    without a prediction: by own history, by the last visit alone, by another cow's history.
-    ``inside`` its 95 % region, whose volume is ``volume_ml``; ``found``: the detector saw it.
+    """One unseen end at one visit, or an invented one (``teat`` 0). Errors are by own history, by
+    the last visit, by another cow's history; ``inside`` its 95 % region.
     """
 
     cow: int
@@ -126,7 +125,7 @@ class Cow:
         return replace(usual, base_mm=(float(base_mm[0]), float(base_mm[1])), shape=shape)
 
 
-def tell(store: VisitStore, name: str, cow: Cow, chance: np.random.Generator) -> None:
+def record_visits(store: VisitStore, name: str, cow: Cow, chance: np.random.Generator) -> None:
     """Add a cow's confirmed ends: those that were attached, hidden ones only now and then."""
     sure = ATTACHED_MM**2 * np.eye(3)
     for stand in cow.stands:
@@ -146,15 +145,13 @@ def run_herd(
     workers: int | None = None,
     shown: Callable[[int, int], None] = lambda _done, _of: None,
 ) -> tuple[Guess, ...]:
-    """The guesses of a herd; ``folder`` gets the visits and a row a guess. ``shown`` is told of the
-    visits that are done. Raises ConfigError.
-    """
+    """The guesses of a herd; ``folder`` gets the visits and a row a guess. Raises ConfigError."""
     if folder.exists() and any(folder.iterdir()):
         raise ConfigError.plain(f"{folder} is there already. Name a new folder.")
     folder.mkdir(parents=True, exist_ok=True)
     store, chance = VisitStore(folder / VISITS), np.random.default_rng([seed, *b"attached"])
     for number in range(cows):
-        tell(store, str(number), Cow(seed, number, visits), chance)
+        record_visits(store, str(number), Cow(seed, number, visits), chance)
     jobs = [(folder, seed, number, cows, visits) for number in range(cows)]
     guesses: list[Guess] = []
     with ExitStack() as stack:
@@ -222,9 +219,7 @@ def judged(
     swapped: Detection,
     context: Context,
 ) -> Iterator[Guess]:
-    """What became of each unseen end, and predictions of no teat at all. A prediction never counts
-    as found.
-    """
+    """What became of each unseen end, and predictions of no teat at all."""
     ends = stand.ends_mm
     answered = [
         any(np.linalg.norm(teat.world_mm - end) < NEAR_MM / 2 for teat in answer.teats)

@@ -27,9 +27,8 @@ ORDER = "false_teats DESC, missed DESC, max_mm DESC NULLS FIRST, family, member"
 
 @dataclass(frozen=True, slots=True)
 class FamilyRate:
-    """Scenes of a family that a detector was asked about, how many failed and how; then teats, as
-    in a `SceneRow`, summed. ``nees`` is their mean; ``spread_mm`` are quantiles (5, 25, 50, 75,
-    95 %) of each scene's largest error. None where nothing was found, or stated.
+    """Scenes of a family and detector, failures by kind, and sums over teats as in `SceneRow`.
+    ``spread_mm``: quantiles (5, 25, 50, 75, 95 %) of each scene's largest error.
     """
 
     family: str
@@ -94,9 +93,8 @@ FROM (
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """How a detector's failures in a family depend on one parameter: failures and scenes in each
-    quarter of its range, and the chance of so uneven ones (chi-square, adjusted after Holm for all
-    parameters of the family).
+    """Failures and scenes in each quarter of a parameter's range, and the chance of such counts
+    (chi-square, adjusted after Holm over the family).
     """
 
     family: str
@@ -108,9 +106,7 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Map:
-    """The scenes and failures of a family in cells of the two ``parameters`` that matter most, rows
-    along the second.
-    """
+    """Scenes and failures of a family in cells of two ``parameters``, rows along the second."""
 
     parameters: tuple[Parameter, Parameter]
     scenes: list[list[int]]
@@ -119,9 +115,7 @@ class Map:
 
 @dataclass(frozen=True, slots=True)
 class Numbers:
-    """All that a page says of a campaign's rows; ``worst`` rows as `WORST_OF` has them, by detector
-    (the plan's order).
-    """
+    """The figures of a campaign's page; ``worst`` are rows of `WORST_OF` by detector."""
 
     rates: list[FamilyRate]
     aside: Mapping[str, str]
@@ -211,9 +205,7 @@ def _parameters(db: duckdb.DuckDBPyConnection, plan: Plan) -> list[Parameter]:
 def _map(
     db: duckdb.DuckDBPyConnection, plan: Plan, detector: str, parameters: Sequence[Parameter]
 ) -> Iterator[Map]:
-    """Of the family in which a detector's failures depend most on a parameter; none where all of it
-    may be chance.
-    """
+    """The family whose failures depend most on a parameter; none where it may be chance."""
     mine = [one for one in parameters if one.detector == detector and one.p_value < ALPHA]
     if not mine:
         return

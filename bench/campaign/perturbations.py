@@ -1,6 +1,6 @@
 """What a cowshed does to cameras, as a table: each perturbation is a name, an amount and a pure
 change of the scene before it is drawn, of the pictures that the detectors get, or of the
-calibration that they are told. The scene's truth stays.
+calibration that they are given. The scene's truth stays.
 
 Chance (where dirt lies, noise, which quarter is cool) comes from the scene's seeds and the
 perturbation's name, so that a scene is perturbed alike in every campaign of the same seed.
@@ -19,14 +19,13 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict
 
 from bench.config import did_you_mean
+from bench.scoring.errors import Floats
 from detector.calibration import Calibration
 from detector.geometry import Motion
-from instruments.camera.frame import FrameSet
+from instruments.camera.frame import FrameSet, Grey
 from instruments.world.shading import Lighting
 from instruments.world.state import SceneState
 
-Grey = NDArray[np.uint8]
-Floats = NDArray[np.float64]
 Chance = np.random.Generator
 Of = Literal["scene", "frames", "optical", "stated"]  # optical: left and right, one after the other
 Change = Callable[[Any, float, Chance], Any]
@@ -55,9 +54,7 @@ class Kind:
 
 @dataclass(frozen=True, slots=True)
 class Applied:
-    """A perturbation of a plan. Raises ValueError for a name that isn't in the table, or an amount
-    that makes no sense.
-    """
+    """A perturbation of a plan. Raises ValueError for an unknown name or amount out of range."""
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 

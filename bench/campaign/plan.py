@@ -1,5 +1,5 @@
-"""The plan of a campaign: which scenes, which detectors, what they are told; its chunks; and what
-has to be the same for a campaign to go on.
+"""The plan of a campaign: its scenes, detectors and their calibration; its chunks; and what has to
+be the same for a campaign to go on.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ import hashlib
 import importlib.metadata
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
@@ -57,9 +57,8 @@ SomePlan = TypeVar("SomePlan", bound="Plan")
 
 
 class Plan(Section):
-    """A file of a campaign. ``scenes`` are of each family: so many, or with ``half_width`` (of the
-    95 % interval of the failure rate) at most. Files are named from the plan's folder. Without
-    ``chunk_scenes`` (0) chunks suit the number of scenes.
+    """A file of a campaign. ``scenes`` are of each family, with ``half_width`` at most so many.
+    Files are named from the plan's folder; 0 ``chunk_scenes`` suit the number of scenes.
     """
 
     title: str = ""
@@ -115,9 +114,7 @@ class Plan(Section):
         return len(self.families) * self.chunks_a_family
 
     def interval(self, failures: int, scenes: int) -> tuple[float, float] | None:
-        """Of a failure rate, 95 %: exact for a number of scenes, one that holds at every look where
-        the plan stops by it; None of nothing.
-        """
+        """The 95 % interval of a failure rate, with ``half_width`` one that holds at every look."""
         if self.half_width is not None and scenes:
             return confidence_sequence(failures, scenes)
         return Rate(failures, scenes).interval()
@@ -161,33 +158,28 @@ class Chunk:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Job:
-    """What a process needs for any chunk of a plan, without a file: the table of the calibration
-    that the cameras are made of, the calibration that detectors are told, and sensors' settings.
+    """A plan opened, without a file: ``cameras`` is the table that frames are drawn by, ``stated``
+    the detectors' calibration (``exact``: the same); the plan's sensors are whole.
     """
 
+    plan: Plan
     cameras: Mapping[str, Any]
     stated: Calibration
-    optical: EmulatedOptical
-    thermal: EmulatedThermal
-    detectors: tuple[str, ...]
     detector_names: tuple[str, ...]
-    seed: int
-    limit_mm: float
-    perturbations: tuple[Applied, ...] = ()
-    depth: EmulatedDepth = field(default_factory=EmulatedDepth)
-    exact: bool = False  # detectors are told of the cameras what these are drawn by
+    exact: bool = False
 
     def renderer(self) -> Renderer:
-        return make_renderer(self.cameras, self.seed, self.optical, self.thermal, self.depth)
+        plan = self.plan
+        return make_renderer(self.cameras, plan.seed, plan.optical, plan.thermal, plan.depth)
 
     def make_detectors(self) -> list[Detector]:
         """New ones: what a program did in one chunk changes nothing in another."""
-        return make_detectors(self.detectors, gives_up=False)
+        return make_detectors(self.plan.detectors, gives_up=False)
 
     def bench(self, renderer: Renderer, detectors: list[Detector]) -> Bench:
-        changes = self.perturbations
+        plan, changes = self.plan, self.plan.perturbations
         return Bench(
-            renderer, self.stated, detectors, self.seed, self.limit_mm, changes, self.exact
+            renderer, self.stated, detectors, plan.seed, plan.limit_mm, changes, self.exact
         )
 
 
@@ -211,9 +203,8 @@ def with_whole_paths(plan: SomePlan, folder: Path) -> SomePlan:
 
 
 def open_plan(plan: Plan, members: int | None = None) -> tuple[Job, dict[str, str]]:
-    """What a plan's processes need, and the identity of the rows that they make. ``members`` of
-    each family are worked on, else as many as scenes. Raises ConfigError for a rig, calibration or
-    detector that isn't there or is wrong, and for scenes that a detector was trained on.
+    """The plan's job, and the identity of the rows that it makes, for so many ``members`` of a
+    family. Raises ConfigError, also for scenes that a detector was trained on.
     """
     rig = load_rig(find_rig(plan.rig))
     if plan.calibration and not plan.calibration.endswith(FILE):
@@ -223,33 +214,28 @@ def open_plan(plan: Plan, members: int | None = None) -> tuple[Job, dict[str, st
     detectors = make_detectors(plan.detectors)
     with introduced(detectors, plan.asked_of(members)):
         devices = {one.name: getattr(one, "device", "") for one in detectors}
-    optical, thermal, depth = (
-        getattr(rig.rig.emulation, sensor).model_copy(
-            update=getattr(plan, sensor).model_dump(exclude_none=True)
+    sensors = {
+        name: getattr(rig.rig.emulation, name).model_copy(
+            update=getattr(plan, name).model_dump(exclude_none=True)
         )
-        for sensor in ("optical", "thermal", "depth")
-    )
+        for name in ("optical", "thermal", "depth")
+    }
     cameras = read_text(rig.calibration_path)
-    told = read_text(Path(plan.calibration)) if plan.calibration else cameras
+    stated_text = read_text(Path(plan.calibration)) if plan.calibration else cameras
     job = Job(
+        plan.model_copy(update=sensors),
         tomllib.loads(cameras),
         stated,
-        optical,
-        thermal,
-        plan.detectors,
         tuple(one.name for one in detectors),
-        plan.seed,
-        plan.limit_mm,
-        plan.perturbations,
-        depth,
         exact=not plan.calibration and true.covariance is None,
     )
-    sensors = optical.model_dump_json() + thermal.model_dump_json()
-    sensors += depth.model_dump_json() if true.depth else ""
+    used = "".join(
+        one.model_dump_json() for name, one in sensors.items() if name != "depth" or true.depth
+    )
     same = {
         **of_program(),
-        "rig": f"{Path(plan.rig).stem} {digest_of(cameras, sensors)}",
-        "calibration": digest_of(told),
+        "rig": f"{Path(plan.rig).stem} {digest_of(cameras, used)}",
+        "calibration": digest_of(stated_text),
         "detectors": ", ".join(
             f"{one.name} {one.version} {digest_of(repr(sorted(one.parameters.items())))}"
             + (f" on {devices[one.name]}" if devices[one.name] else "")

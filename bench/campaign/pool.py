@@ -1,9 +1,9 @@
-"""Processes of this machine that work on chunks. One that dies or stops is replaced, and its chunk
-goes on from the scene on which it did so. A scene with two deaths is cut out of its chunk and tried
-in a new process that does nothing else; one that dies there too is set aside.
+"""Processes of this machine that work on chunks. One that ends or is silent for too long is
+replaced, and its chunk continues at that scene. A scene at which two processes ended is tried alone
+in a new process; where that ends too, the scene is set aside.
 
-A pool of the standard library won't do: `ProcessPoolExecutor` is broken as a whole by one death,
-and `multiprocessing.Pool` waits for ever for what a killed process had taken.
+The standard library's pools can't do this: one lost process breaks a `ProcessPoolExecutor`, and
+`multiprocessing.Pool` waits without end for the work of a killed one.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 from typing import IO, Any, cast
 
 from bench.campaign.chunk import Rows, Scene, set_aside
-from bench.campaign.plan import Chunk, Job
+from bench.campaign.plan import Chunk, Job, Plan
 from bench.campaign.worker import ONE_THREAD
 from instruments.clock import stopwatch_s
 
@@ -45,10 +45,10 @@ class PoolError(Exception):
     """No worker can be started; the message says why."""
 
 
-def patience_s(limit_s: float, chunk_s: Sequence[float]) -> float:
-    """How long nothing may be heard: ``limit_s``, where that is 0 ten times what a chunk took."""
-    if limit_s:
-        return limit_s
+def silence_limit_s(plan: Plan, chunk_s: Sequence[float]) -> float:
+    """The plan's ``chunk_limit_s``; where that is 0, ten times what a chunk took."""
+    if plan.chunk_limit_s:
+        return plan.chunk_limit_s
     if not chunk_s:
         return FIRST_LIMIT_S
     return max(LEAST_LIMIT_S, USUAL_TIMES * statistics.median(chunk_s))
@@ -85,16 +85,16 @@ class _Part:
 
 
 class _Worker:
-    """A process, and a thread that passes on what it says; ``None`` is its end."""
+    """A process, and a thread that passes on its messages; ``None`` is its end."""
 
     def __init__(
-        self, job: Job, number: int, heard: queue.SimpleQueue[tuple[_Worker, Any]]
+        self, job: Job, number: int, messages: queue.SimpleQueue[tuple[_Worker, Any]]
     ) -> None:
         self.number = number
         self.parts: deque[_Part] = deque()
         self.ready, self.killed = False, ""
-        self.heard_s = stopwatch_s()
-        self._heard = heard
+        self.last_message_s = stopwatch_s()
+        self._messages = messages
         self._process = subprocess.Popen(
             [sys.executable, "-m", "bench.campaign.worker"],
             stdin=subprocess.PIPE,
@@ -118,13 +118,13 @@ class _Worker:
 
     def give(self, part: _Part) -> None:
         if not self.parts:
-            self.heard_s = stopwatch_s()
+            self.last_message_s = stopwatch_s()
         self.parts.append(part)
         # a few bytes however large the chunk is: a stopped one's pipe doesn't fill up
         self.ask(replace(part.whole.chunk, members=part.left[:1] if part.alone else part.left))
 
     def ask(self, value: object) -> None:
-        with suppress(OSError):  # a dead one says so itself
+        with suppress(OSError):  # its end is a message of its own
             pickle.dump(value, self._requests)
             self._requests.flush()
 
@@ -154,24 +154,21 @@ class _Worker:
             while True:
                 try:
                     value = pickle.load(source)  # noqa: S301 - of a process that we started
-                except Exception:  # cut by its death, or garbage of one that went wrong
+                except Exception:  # cut off at its end, or damaged
                     break
-                self._heard.put((self, value))
-        self._heard.put((self, None))
+                self._messages.put((self, value))
+        self._messages.put((self, None))
 
 
 class LocalPool:
     """``workers`` processes, until it is closed. ``say`` gets a sentence for whatever went wrong.
-    ``limit_s``: seconds without a word after which a worker is killed; 0: ten usual chunk times.
+    A worker that is silent for longer than `silence_limit_s` is killed.
     """
 
-    def __init__(
-        self, job: Job, workers: int, *, say: Say, chunk_scenes: int, limit_s: float = 0.0
-    ) -> None:
+    def __init__(self, job: Job, workers: int, *, say: Say) -> None:
         self.say = say
         self._job, self._count = job, workers
-        self._chunk_scenes, self._limit_s = chunk_scenes, limit_s
-        self._heard: queue.SimpleQueue[tuple[_Worker, Any]] = queue.SimpleQueue()
+        self._messages: queue.SimpleQueue[tuple[_Worker, Any]] = queue.SimpleQueue()
         self._workers: list[_Worker] = []
         self._again: deque[_Part] = deque()
         self._waiting: deque[_Part] = deque()  # a chunk a worker, so that the end is seen before
@@ -198,16 +195,14 @@ class LocalPool:
         return [worker.pid for worker in self._workers]
 
     def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:
-        """The rows of each chunk, as they are done. ``chunks`` is asked for one when there is room.
-        Raises PoolError where no worker can be started.
-        """
+        """The rows of each chunk, as they are done. Raises PoolError where no worker starts."""
         self._ending = False
         while True:
             self._fill(chunks)
             if not any(worker.parts for worker in self._workers) and not self._again:
                 return
             try:
-                worker, value = self._heard.get(timeout=LOOK_S)
+                worker, value = self._messages.get(timeout=LOOK_S)
             except queue.Empty:
                 self._kill_silent()
                 continue
@@ -218,7 +213,7 @@ class LocalPool:
             else:
                 worker.ready = self._began = True
                 self._starts_failed, part = 0, None
-                worker.heard_s = stopwatch_s()
+                worker.last_message_s = stopwatch_s()
             if part and (rows := part.whole.rows):
                 yield part.whole.chunk, rows
             self._kill_silent()
@@ -236,9 +231,7 @@ class LocalPool:
                     (worker or self._start()).give(part)
 
     def _next(self, chunks: Iterator[Chunk], *, new: bool) -> _Part | None:
-        """What is to be done next. One to be tried alone is for a ``new`` process; it waits for the
-        place of the one that it killed, so there is one.
-        """
+        """What to do next; a part that is tried alone needs a ``new`` process."""
         fitting = (part for part in self._again if new or not part.alone)
         # those first: a place is left for each
         if part := max(fitting, key=lambda one: one.alone, default=None):
@@ -263,14 +256,14 @@ class LocalPool:
 
     def _start(self) -> _Worker:
         self._started += 1
-        worker = _Worker(self._job, self._started, self._heard)
+        worker = _Worker(self._job, self._started, self._messages)
         self._workers.append(worker)
         return worker
 
     def _take(self, worker: _Worker, rows: Rows) -> _Part:
         now_s = stopwatch_s()
-        self._chunk_s.append((now_s - worker.heard_s) * self._chunk_scenes)
-        worker.heard_s = now_s
+        self._chunk_s.append((now_s - worker.last_message_s) * self._job.plan.chunk_scenes)
+        worker.last_message_s = now_s
         part = worker.parts[0]
         part.left = part.left[1:]
         part.whole.done.append(rows)
@@ -319,13 +312,13 @@ class LocalPool:
         return current
 
     def _kill_silent(self) -> None:
-        if not self._heard.empty():  # who said something while the rows were written is heard first
+        if not self._messages.empty():  # came while rows were written; taken first
             return
         now_s = stopwatch_s()
+        usual_s = silence_limit_s(self._job.plan, self._chunk_s)
         for worker in self._workers:
-            # to begin takes its time on a busy machine
-            limit_s = patience_s(self._limit_s, self._chunk_s) if worker.ready else START_LIMIT_S
-            if worker.parts and not worker.killed and now_s - worker.heard_s > limit_s:
+            limit_s = usual_s if worker.ready else START_LIMIT_S
+            if worker.parts and not worker.killed and now_s - worker.last_message_s > limit_s:
                 worker.kill(f"gave no sign of life for {limit_s:.0f} s and was killed")
 
 

@@ -49,8 +49,8 @@ def true_calibration(_value: float, _seed: int, calibration: Calibration) -> Cal
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One quantity. ``set_up`` gives the scene of a value and a member's seed, ``optics`` the
-    sensors, ``told`` the calibration that detectors get. ``thermal``: with the limit of nomination.
+    """One quantity: ``set_up`` gives the scene of a value and a member's seed, ``optics`` the
+    sensors, ``stated`` the detectors' calibration. ``thermal``: with the limit of nomination.
     """
 
     name: str
@@ -234,7 +234,7 @@ QUANTITIES = {
         Quantity(
             "calibration",
             "calibration error (px of the principal points)",
-            "Standard deviation of each principal point that detectors are told; the stereo turn"
+            "Standard deviation of each principal point that detectors are given; the stereo turn"
             " is off by as many pixels' angle about each axis, the baseline by"
             f" {BASELINE_MM_PER_PX:g} mm a pixel along each. The thesis states 1.2 px, 3 mrad and"
             " 0.2 mm, as three standard deviations.",

@@ -18,13 +18,20 @@ from filelock import FileLock, Timeout
 
 from bench.campaign.chunk import ASIDE, Rows
 from bench.campaign.plan import Chunk, Plan, differences, open_plan, plan_text, read_plan
-from bench.campaign.shards import SHARDS, Shards
-from bench.config import ConfigError
+from bench.campaign.shards import SHARDS, Shards, no_campaign
+from bench.config import ConfigError, writing
 from bench.files import write_synced
 from bench.scoring.rates import Rate
 from bench.scoring.sequential import tight_enough
 
 PLAN, LOCK = "plan.toml", "campaign.lock"
+
+
+def plan_of(folder: Path) -> Plan:
+    """The plan of the campaign in ``folder``. Raises ConfigError where there is none."""
+    if not (folder / PLAN).is_file():
+        raise no_campaign(folder)
+    return read_plan(folder / PLAN)
 
 
 class OtherCampaignError(ConfigError):
@@ -49,9 +56,7 @@ class Status:
 
 @dataclass(slots=True)
 class _Family:
-    """Chunks of a family that are done, with failures and scenes by detector; from ``stopped`` on
-    none is wanted. ``whole`` and ``done`` are the sums of all.
-    """
+    """A family's chunks with failures and scenes by detector; none is needed from ``stopped``."""
 
     stopped: int
     chunks: dict[int, dict[str, Rate]] = field(default_factory=dict)
@@ -76,9 +81,7 @@ def _add(sums: dict[str, Rate], rates: Mapping[str, Rate]) -> None:
 
 
 class Campaign:
-    """A campaign in ``folder``, new or gone on with. Raises ConfigError for a plan that can't be
-    opened, and for a folder whose rows were made by something else.
-    """
+    """A campaign in ``folder``, new or continued. Raises ConfigError for another one's rows."""
 
     def __init__(self, plan: Plan, folder: Path) -> None:
         self.plan, self.folder = plan, folder
@@ -102,7 +105,7 @@ class Campaign:
 
     def begin(self) -> None:
         """Write the plan, where it isn't there. Raises ConfigError where it can't be written."""
-        try:
+        with writing(self.folder):
             (self.folder / SHARDS).mkdir(parents=True, exist_ok=True)
             if not (self.folder / PLAN).exists():
                 text = plan_text(self.plan, self.made_by)
@@ -110,8 +113,6 @@ class Campaign:
                 new = self.folder / f"plan-{uuid.uuid4().hex}"
                 write_synced(new, text.encode("utf-8"))
                 new.replace(self.folder / PLAN)
-        except OSError as error:
-            raise ConfigError.plain(f"{self.folder}: can't be written: {error}") from error
 
     def run(self, executor: Executor, report: Callable[[Status], None]) -> Status:
         """Do what is not done yet; ``report`` gets how far it is after each chunk."""
@@ -165,9 +166,7 @@ class Campaign:
         return families
 
     def _look(self, name: str, family: _Family) -> None:
-        """Count the chunks from the first on, one by one, until the interval is tight enough: which
-        chunk ended first changes nothing.
-        """
+        """Count chunks in order until the interval is tight enough, whichever ended first."""
         width = self.plan.half_width
         while family.looked_at in family.chunks and family.looked_at < family.stopped:
             _add(family.sums, family.chunks[family.looked_at])

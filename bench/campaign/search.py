@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from bench.campaign.chunk import Bench, Rows, Scene, SceneRow, run_scene
+from bench.scoring.errors import Floats
 from bench.scoring.weighted import Proposal, WeightedRate, weighted_rate
 from instruments.world.setups import Situation
 from instruments.world.situations import ATTEMPTS, Around, drawn
-
-Floats = NDArray[np.float64]
 
 APART = 0.2  # of the parameters' ranges, root mean square; two even points are 0.41 apart
 EVEN_SHARE = 0.3  # of a search's scenes, before it goes uphill
@@ -39,9 +38,7 @@ GATE_MM = 25.0  # a missed or false teat is as bad as an error so large
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tried:
-    """A scene that was scored: its point (d,), in shares of the parameters' ranges, and its grade,
-    which is above the limit where the detector failed.
-    """
+    """A scored scene: its point (d,) in shares of the ranges; a grade above the limit failed."""
 
     point: Floats
     grade_mm: float
@@ -58,11 +55,8 @@ class NothingFitsError(Exception):
 
 
 def grade_mm(rows: Rows, detector: str, limit_mm: float) -> tuple[float, bool]:
-    """How near a detector came to failing on one scene, and whether it did.
-
-    For a success the worst of its teats' errors and of their standard deviations by the detector's
-    own account, at most the limit. A failure is the limit, and `GATE_MM` for each teat missed or
-    false, and the worst error above the limit.
+    """How near a detector came to failing, and whether it did. A success: the worst of errors and
+    stated deviations; a failure: the limit, `GATE_MM` a lost teat, and the excess error.
     """
     row: SceneRow = next(one for one in rows.scenes if one.detector == detector)
     worst = row.max_mm or 0.0
@@ -97,9 +91,7 @@ def search(
 
 
 class _Kind:
-    """Failures of one origin. ``redrawn`` and ``kept`` count (d,): how often a parameter was drawn
-    anew, and how often it failed all the same.
-    """
+    """Failures of one origin; (d,) counts of parameters drawn anew, and of these failures."""
 
     def __init__(self, first: Tried) -> None:
         self.failures = [first]
@@ -158,9 +150,7 @@ class _Search:
         return new
 
     def _spread(self) -> Iterator[Tried]:
-        """From known failures to others beside them, until `BARREN` scenes bring none, or `LEG` are
-        done: other kinds are to be found too, by a generation of a climb.
-        """
+        """Draw beside known failures until `BARREN` scenes bring no new one, or `LEG` are done."""
         barren = done = 0
         while self._kinds and barren < BARREN and done < LEG:
             done += 1
@@ -186,9 +176,7 @@ class _Search:
             yield one
 
     def _beside(self, kind: _Kind) -> tuple[Floats, NDArray[np.intp]]:
-        """A failure with parameters drawn anew until it is apart from what it was, and which ones;
-        those first that seem not to matter to it.
-        """
+        """A failure with parameters drawn anew, least important first, until it is apart."""
         whole = kind.failures[self._chance.integers(len(kind.failures))].point
         matters_not = (1.0 + kind.kept) / (2.0 + kind.redrawn)
         order = np.argsort(-SURE * np.log(matters_not) - self._chance.gumbel(size=len(whole)))
@@ -209,7 +197,7 @@ class _Search:
         best, stale = start.grade_mm, 0
         while stale < STALE:
             asked = (steps.ask() for _ in count())
-            told, better = [], False
+            graded, better = [], False
             for _ in range(steps.population_size):
                 try:
                     one = next(_tried(self._evaluate, asked))
@@ -223,8 +211,8 @@ class _Search:
                 worth = 0.0 if one.failed else one.grade_mm
                 better |= worth > best
                 best = max(best, worth)
-                told.append((one.point, -worth))
-            steps.tell(told)
+                graded.append((one.point, -worth))
+            steps.tell(graded)
             stale = 0 if better else stale + 1
 
 

@@ -39,15 +39,11 @@ class Study(Plan):
 
 @dataclass(frozen=True, slots=True)
 class Tally:
-    """What one detector did at one value: distances of the ends it found, and counts that add."""
+    """What one detector did at one value: distances of the ends it found, and counts."""
 
     distances_mm: tuple[float, ...] = ()
     false: int = 0
     failures: int = 0
-
-    def __add__(self, other: Tally) -> Tally:
-        distances = self.distances_mm + other.distances_mm
-        return Tally(distances, self.false + other.false, self.failures + other.failures)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +57,7 @@ class Measured:
 
 
 def opened(plan: Study, folder: Path) -> Campaign:
-    """The study's campaign in a folder: gone on with, or new in place of another study's. Raises
-    ConfigError as `Campaign`.
-    """
+    """The study's campaign: continued, or new in place of another study's. Raises ConfigError."""
     try:
         return Campaign(plan, folder)
     except OtherCampaignError:
@@ -73,9 +67,7 @@ def opened(plan: Study, folder: Path) -> Campaign:
 
 
 def measured(campaign: Campaign, quantity: Quantity) -> Iterator[Measured]:
-    """What every detector did at each value, one by one. Raises ConfigError for a scene that was
-    set aside.
-    """
+    """What every detector did at each value. Raises ConfigError for a scene set aside."""
     plan, job = campaign.plan, campaign.job
     members, renderer = range(plan.first, plan.first + plan.most_scenes), job.renderer()
     for value in quantity.values:

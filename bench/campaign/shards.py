@@ -103,9 +103,7 @@ class Shards:
         self._store(f"{family}-{number:06d}")
 
     def merge(self, *, rest: bool) -> None:
-        """Merge each whole block of chunks of a family into one file; with ``rest``, what remains
-        too.
-        """
+        """Merge each whole block of chunks of a family; with ``rest``, the others too."""
         blocks: dict[tuple[str, int], list[Shard]] = {}
         for shard in self.files():
             blocks.setdefault((shard.family, shard.first // MERGED), []).append(shard)
@@ -125,9 +123,7 @@ class Shards:
             shard.path.unlink(missing_ok=True)
 
     def connect(self) -> duckdb.DuckDBPyConnection:
-        """A database with the views `scenes`, `teats` and `parameters`. Raises ConfigError for no
-        shards.
-        """
+        """A database with the views `scenes`, `teats` and `parameters`."""
         paths = [shard.path for shard in self.files()]
         db = duckdb.connect()
         if paths:
@@ -200,15 +196,19 @@ def quoted(path: Path) -> str:
     return "'" + str(path).replace("'", "''") + "'"
 
 
+def no_campaign(folder: Path) -> ConfigError:
+    return ConfigError.plain(
+        f"{folder}: no campaign is there; name the folder that 'teatbench campaign run --out' was"
+        " given"
+    )
+
+
 def query(folder: Path, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
     """The columns' names and the rows that ``sql`` asks for of `scenes` and `teats`. Raises
     ConfigError for a folder without shards, and with the database's own words.
     """
     if not (folder / SHARDS).is_dir():
-        raise ConfigError.plain(
-            f"{folder}: no campaign is there; name the folder that 'teatbench campaign run --out'"
-            " was given"
-        )
+        raise no_campaign(folder)
     with Shards(folder).connect() as db:
         try:
             # nothing at all for nothing asked

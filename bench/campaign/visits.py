@@ -82,9 +82,7 @@ class VisitStore:
         ends: Mapping[int, Confirmed],
         days_in_milk: float | None = None,
     ) -> None:
-        """A visit's confirmed ends by teat, all or none. Raises ValueError for a visit that is
-        there, and for a time without a zone.
-        """
+        """Add a visit's confirmed ends by teat. Raises ValueError for a known visit, or no zone."""
         when = _text(at)
         rows = [
             (

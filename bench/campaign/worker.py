@@ -21,7 +21,7 @@ from bench.campaign.chunk import Bench, Rows, Scene, run_scene, set_aside
 from bench.campaign.plan import Job
 from bench.results.answers import close_detectors
 
-# of numeric libraries, which read them when they are loaded; OpenCV is told
+# of numeric libraries, which read them when they are loaded; OpenCV has a call
 ONE_THREAD = dict.fromkeys(
     (
         "OMP_NUM_THREADS",

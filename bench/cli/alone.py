@@ -106,7 +106,7 @@ def show(given: argparse.Namespace) -> int:
         if alone.frame_set is None:
             taken = alone.look()
         else:
-            frames = rig_alone.patient(alone.frame_set.capture)()
+            frames = rig_alone.with_retries(alone.frame_set.capture)()
             taken = rig_alone.pictures(frames)
             faults = [str(one) for one in alone.checks.notice(frames)]
         seen = {name: rig_alone.figures(picture) for name, picture in taken.items()}

@@ -52,9 +52,7 @@ def complain(text: str, code: int) -> int:
 def refuse_existing(
     out: Path, *, replace: bool, option: str = "--out", makes_folder: bool = False
 ) -> None:
-    """Raises ConfigError before anybody has worked for a file that can't be written. With
-    ``makes_folder`` the command makes the folder when it writes.
-    """
+    """Raises ConfigError for a file that can't be written; with ``makes_folder`` into a new one."""
     from bench.config import ConfigError
 
     parents = out.resolve().parents
@@ -80,10 +78,8 @@ def print_values(values: Mapping[str, object]) -> None:
 
 
 def call(given: argparse.Namespace) -> int:
-    """Call the command; gives back its exit code, which is 0 for one that gives none.
-
-    One with ``--capture FILE`` asks ``given.capture.tap(name, clock)`` for each link's tap; the
-    file is opened before the command and closed behind it.
+    """Call the command; gives back its exit code, 0 for one that gives none. With ``--capture
+    FILE``, ``given.capture`` has the taps of its links, and is open while it works.
     """
     module, name = given.command
     work: Callable[[argparse.Namespace], int | None]
@@ -96,13 +92,10 @@ def call(given: argparse.Namespace) -> int:
             option=f"--{out.replace('_', '-')}",
             makes_folder="makes_folder" in given,
         )
-    if "capture" not in given:
+    if getattr(given, "capture", None) is None:
         return work(given) or CODES.met
-    from instruments.captures.capture import NO_CAPTURE, CaptureFile
+    from instruments.captures.capture import CaptureFile
 
-    if given.capture is None:
-        given.capture = NO_CAPTURE
-        return work(given) or CODES.met
     facts = {
         "teatbench": __version__,
         "command": command_line(),
@@ -137,9 +130,8 @@ def option(
     many: bool = False,
     **more: Any,
 ) -> Argument:
-    """An option with a value, ``name`` with how help calls that; without ``--``, an argument by its
-    place. ``many`` may be given several times. What help calls one of `PATHS` is a path. Help names
-    the default where ``what`` doesn't.
+    """An option with a value, or an argument without ``--``; ``name`` ends with its metavar, which
+    for `PATHS` is a path. Help names the default where ``what`` doesn't.
     """
     word, _, metavar = name.partition(" ")
     kind = kind or (Path if metavar in PATHS else str)

@@ -12,7 +12,6 @@ from dataclasses import fields
 from typing import Any
 
 from bench.calibrate.arm import (
-    PEG,
     ArmSession,
     Plan,
     limits_of,
@@ -31,7 +30,7 @@ from bench.rig.arm_files import frame_text, load_frame, verification_text, write
 from bench.rig.model import Arm
 from bench.scoring.stated_u import refuted
 from instruments.microscribe.driver import MicroScribe
-from instruments.microscribe.stream import Pedal
+from instruments.microscribe.pedals import Pedal
 from instruments.points import points_url
 
 SHOW_S = 0.2
@@ -39,10 +38,10 @@ SHOW_S = 0.2
 
 @contextmanager
 def _homed(given: argparse.Namespace, length_mm: float | None = None) -> Iterator[ArmSession]:
-    """The arm, its homing confirmed. Raises ConfigError where nobody can confirm it."""
+    """The arm, its homing confirmed. Raises ConfigError without a terminal to confirm it at."""
     if not given.homed and not sys.stdin.isatty():
         raise ConfigError.plain(
-            "no positions before homing is confirmed, and nobody is at a terminal to confirm it."
+            "no positions before homing is confirmed, and there is no terminal to confirm it at."
             " Give --homed where the stylus was on its peg when the arm was last switched on, or"
             " the arm was homed since: otherwise positions are wrong, with no sign of it."
         )
@@ -61,7 +60,7 @@ def read(given: argparse.Namespace) -> None:
             reading = session.arm.read(given.packets)
         else:
             step = Step("point", 0, "Touch the point that is to be read.")
-            reading = read_touch(session.arm, session, step)
+            reading = read_touch(session, step)
     line: dict[str, Any] = {"serial_number": serial_number, "tip_mm": reading.tip_mm.tolist()}
     if frame:
         line["world_mm"] = frame.world_from_arm.apply(reading.tip_mm).tolist()
@@ -129,7 +128,8 @@ def home(given: argparse.Namespace) -> None:
         arm = _microscribe(session)
         if not given.on_peg:
             session.ask(
-                f"{PEG} and let go of it. Anywhere else, homing makes every position wrong."
+                "Put the arm's stylus on its peg and let go of it. Anywhere else, homing makes"
+                " every position wrong."
             )
         arm.home()
         reading = arm.read()
@@ -142,7 +142,7 @@ def home(given: argparse.Namespace) -> None:
 def frame(given: argparse.Namespace) -> int:
     with _homed(given) as session:
         checks = [*given.check, *[None] * given.plane_checks]
-        found = touch_frame(session.arm, session, checks, today())
+        found = touch_frame(session, checks, today())
     for name, residual in found.residuals_mm.items():
         print(f"{name}: {residual:.2f} mm off")
     if found.residual_mm is not None and found.residual_mm > given.residual_limit_mm:
@@ -170,7 +170,7 @@ def verify(given: argparse.Namespace) -> int:
     u_mm = given.accuracy_mm or Arm.model_fields["accuracy_mm"].default
     plan = Plan(**{field.name: getattr(given, field.name) for field in fields(Plan)})
     with _homed(given, given.length_mm) as session:
-        found = verify_arm(session.arm, session, plan, today())
+        found = verify_arm(session, plan, today())
     write_file(given.out, verification_text(found, limits))
     print(f"Articulated location error {found.location_mm:.2f} mm, limit {limits.location_mm:g} mm")
     if found.length_mm is not None:

@@ -33,10 +33,11 @@ from bench.safety.latch import latch_path, read_latch
 from bench.safety.stability import StabilityGate, State
 from instruments.bath.access import NOT_READ
 from instruments.bath.driver import Bath
-from instruments.bath.profile import Profile, ProfileError, load_profile, profile_names
+from instruments.bath.profile import Profile, load_profile, profile_names
 from instruments.bath.reading import BathReading
-from instruments.captures.capture import NO_CAPTURE, Captures
+from instruments.captures.capture import CaptureFile
 from instruments.clock import Clock
+from instruments.device_file import DeviceFileError
 from instruments.errors import InstrumentError, LimitError
 
 PERIOD_S = 1.0
@@ -69,7 +70,9 @@ def read(given: argparse.Namespace) -> None:
     if given.json:
         print(json.dumps(values))
     else:
-        print_values({key: "not told" if value is None else value for key, value in values.items()})
+        print_values(
+            {key: "not reported" if value is None else value for key, value in values.items()}
+        )
 
 
 def learn(given: argparse.Namespace) -> int:
@@ -147,7 +150,7 @@ def profile_of(name: str) -> Profile:
         )
     try:
         return load_profile(Path(name) if name.endswith(".toml") else name)
-    except ProfileError as error:
+    except DeviceFileError as error:
         raise ConfigError.plain(str(error)) from error
 
 
@@ -158,7 +161,7 @@ def open_bath(
     *,
     allow_inferred: bool = False,
     identify: bool = True,
-    capture: Captures = NO_CAPTURE,
+    capture: CaptureFile | None = None,
 ) -> Iterator[tuple[Bath, Clock]]:
     """The bath at ``url`` in real time, and its clock. Raises InstrumentError."""
     table = BathTable.model_construct(url=url, profile="", allow_inferred=allow_inferred)
@@ -168,11 +171,8 @@ def open_bath(
 
 
 def seconds_to_stable(gate: StabilityGate, rate_k_per_s: float | None) -> float | None:
-    """How long at the least until the gate opens; None where the bath doesn't come nearer to its
-    set point.
-
-    While heating that is the way at the present rate, and a window behind it; while settling what
-    is missing of the window.
+    """The least time until the gate opens: the way at the present rate and a window, or what is
+    left of the window. None where the bath doesn't approach its set point.
     """
     if gate.state is State.STABLE:
         return 0.0
@@ -214,7 +214,7 @@ def plot(samples: Sequence[BathReading], set_point_c: float) -> list[str]:
 
 
 def output_strip(samples: Sequence[BathReading]) -> str:
-    """The heater's output over the same time, a bar a column; empty where it isn't told."""
+    """The heater's output over the same time, a bar a column; empty where it isn't reported."""
     bars = [" "] * WIDTH
     for column, sample in zip(_columns(samples)[0], samples, strict=True):
         if sample.power_percent is not None:
@@ -260,7 +260,9 @@ class BathView:
         reading = self._samples[-1]
         gate = self._gate
         left_s = seconds_to_stable(gate, rate_k_per_s(self._samples))
-        output = "not told" if reading.power_percent is None else f"{reading.power_percent:.0f} %"
+        output = (
+            "not reported" if reading.power_percent is None else f"{reading.power_percent:.0f} %"
+        )
         parts = [
             f"{reading.temp_c:.2f} degC",
             f"set point {gate.set_point_c:.2f} degC",

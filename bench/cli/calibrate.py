@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,7 +29,7 @@ from bench.calibrate.cameras import (
 )
 from bench.calibrate.merge import CAMERAS_INPUT, read_part
 from bench.calibrate.merge import merge as merged
-from bench.calibrate.stage import PEG, calibrate_stage
+from bench.calibrate.stage import calibrate_stage
 from bench.calibrate.views import (
     CAMERAS,
     BoardViews,
@@ -50,7 +51,7 @@ from bench.cli.arguments import CODES, command_line, complain, refuse_existing
 from bench.cli.terminal import working
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
-from bench.rig.alone import Look, patient, pictures
+from bench.rig.alone import Look, pictures, with_retries
 from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig, find_board, find_rig, load_rig
 from bench.rig.opening import open_instruments
@@ -75,6 +76,7 @@ if TYPE_CHECKING:
 
 CHECK_VIEWS = 5
 SHOWN = 3  # pictures that are left out
+tell = partial(print, flush=True)  # for the person at the rig
 STEREO = ViewsRequest()
 FOLDERS = "folders of pictures (FRAMES)"
 
@@ -233,9 +235,8 @@ def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Findi
 def _check_ends(given: argparse.Namespace, part: Part) -> int:
     """Whether the cameras show touched teat ends where the calibration says."""
     from bench.report.calibration import check_ends_page
-    from bench.results.cameras_agree import check_folder, decide
+    from bench.results.cameras_agree import DEFAULT, check_folder, decide_cameras
     from bench.scoring.decisions import Verdict
-    from bench.script.model import CamerasRequirement
 
     if given.frames or given.points or given.board:
         raise ConfigError.plain("--ends is in the place of pictures, --points and --board")
@@ -246,15 +247,14 @@ def _check_ends(given: argparse.Namespace, part: Part) -> int:
         with _opened(given, part, arm=False) as (parts, rig, _):
             for _ in range(CHECK_VIEWS):
                 parts.clock.sleep(rig.rig.cameras.settle_s)
-                anew.append(patient(parts.cameras.capture)())
+                anew.append(with_retries(parts.cameras.capture)())
     with working("looking for the ends in the pictures"):
         found = check_folder(given.ends, calibration, anew)
     if anew and not found.thermal:
         print("no end in the thermal picture: it is not checked while the phantom is cold")
         found = replace(found, thermal=None)
-    rule = CamerasRequirement(kind="cameras_agree", name="cameras agree with the known ends")
-    decision = decide(rule, found)
-    print(f"{found.told} of {found.ends} ends told")
+    decision = decide_cameras(DEFAULT, found)
+    print(f"{found.measured} of {found.ends} ends measured")
     for one in found.offsets:
         print(f"{one.text}, over {one.poses} {'ends' if anew else 'poses'}")
     _write_page(check_ends_page(found, decision, _record(given, ()), command_line()), given.page)
@@ -313,9 +313,7 @@ def _record(
     cameras: Mapping[str, str] | None = None,
     more: Mapping[str, str] | None = None,
 ) -> Record:
-    """Who, today, with this program, from these files: by their names, with the folder before it
-    where two files have one name.
-    """
+    """Who, today, with this program, from these files by name."""
     names = [path.name for path in inputs]
     hashes = {
         f"{path.parent.name}/{path.name}" if names.count(path.name) > 1 else path.name: file_hash(
@@ -345,9 +343,7 @@ def _write_page(page: Page, folder: Path | None) -> None:
 
 
 def _say(findings: Sequence[Finding], *, on_page: bool = False) -> int:
-    """Say what was found wrong; the exit code for it. Of several of a kind only the first where the
-    page has them all.
-    """
+    """Print the findings, with ``on_page`` one of each kind; gives back the exit code."""
     kinds = Counter(finding.name for finding in findings)
     said: set[str] = set()
     for finding in findings:
@@ -366,10 +362,8 @@ def _say(findings: Sequence[Finding], *, on_page: bool = False) -> int:
 def _gather_views(
     given: argparse.Namespace, known: Part | None = None, request: ViewsRequest = STEREO
 ) -> dict[str, str]:
-    """Views of ``given.board`` from the cameras of ``given.rig``, which are those of ``known``, as
-    ``given.frames``. Gives back who the cameras are.
-
-    Raises ConfigError, InstrumentError, OperatorAbort.
+    """Take views of ``given.board`` as ``given.frames``; gives back the cameras' identities. Raises
+    ConfigError, InstrumentError, OperatorAbort.
     """
     board, _ = find_board(given.board)
     folder = free_folder(given.out)
@@ -392,7 +386,7 @@ def _gather_world(given: argparse.Namespace, known: Part) -> Path:
             arm.sign_on()
             tip = TipReader(arm, rig.rig.arm, rig.frame)
             tip.refuse_other_arm()
-            parts.operator.ask(Homing(PEG))
+            parts.operator.ask(Homing(arm.homing))
             arm.confirm_homed()
             asking = Asking(look, parts.operator, tip, rig.rig.arm.tip_radius_mm, tell)
             gather_points(asking, board, folder)
@@ -412,18 +406,13 @@ def _opened(
     names = ("arm", "operator", "cameras") if arm else ("operator", "cameras")
     with open_instruments(rig, names, seed=seed, capture=given.capture) as parts:
         refuse_other_cameras(known.record if known else None, parts.cameras.identity)
-        taken = patient(lambda: pictures(parts.cameras.capture()))
+        taken = with_retries(lambda: pictures(parts.cameras.capture()))
 
         def look() -> Mapping[str, Grey]:
             parts.clock.sleep(rig.rig.cameras.settle_s)
             return taken()
 
         yield parts, rig, look
-
-
-def tell(text: str) -> None:
-    """What goes on, for the person at the rig."""
-    print(text, flush=True)
 
 
 # Boards, other tools, the stage

@@ -41,7 +41,7 @@ def run(given: argparse.Namespace) -> int:
             page = write_campaign_page(given.out, campaign.plan, campaign.made_by, bench)
         finally:
             close_detectors(detectors)
-        return _told(given, campaign, status, page)
+        return _print_status(given, campaign, status, page)
 
 
 def finish(campaign: Campaign, what: str, workers: int | None, dask: str | None) -> Status | None:
@@ -73,7 +73,7 @@ def show(given: argparse.Namespace) -> None:
 
 def compare(given: argparse.Namespace) -> int:
     from bench.campaign.comparison import compare_campaigns
-    from bench.cli.store import told
+    from bench.cli.store import print_comparisons
     from bench.cli.terminal import working
 
     with working("comparing the campaigns"):
@@ -84,7 +84,7 @@ def compare(given: argparse.Namespace) -> int:
             margin_rate=given.margin_rate,
             confidence=given.confidence,
         )
-    return told(given, found)
+    return print_comparisons(given, found)
 
 
 def chunk(given: argparse.Namespace) -> int:
@@ -246,11 +246,9 @@ def executor(
     """Processes of this machine, all its processors for None, or a cluster. Raises ConfigError."""
     from bench.campaign.pool import LocalPool, usable_processors
 
-    scenes, limit_s = campaign.plan.chunk_scenes, campaign.plan.chunk_limit_s
     pool: LocalPool | DaskPool
     if dask is None:
-        count = workers or usable_processors()
-        pool = LocalPool(campaign.job, count, say=say, chunk_scenes=scenes, limit_s=limit_s)
+        pool = LocalPool(campaign.job, workers or usable_processors(), say=say)
     else:
         try:
             from bench.campaign.dask_cluster import DaskPool
@@ -258,7 +256,7 @@ def executor(
             raise ConfigError.plain(
                 f"--dask needs another package: pip install 'teatbench[campaign]' ({error})"
             ) from error
-        pool = DaskPool(campaign.job, dask, say=say, chunk_scenes=scenes, limit_s=limit_s)
+        pool = DaskPool(campaign.job, dask, say=say)
     with closing(pool):
         yield pool
 
@@ -274,12 +272,7 @@ def progress(status: Status) -> tuple[int, int, str]:
     return status.done, status.planned, f"failures: {failed or 'none yet'}{aside}"
 
 
-def _told(
-    given: argparse.Namespace,
-    campaign: Campaign,
-    status: Status,
-    page: Path,
-) -> int:
+def _print_status(given: argparse.Namespace, campaign: Campaign, status: Status, page: Path) -> int:
     from bench.campaign.numbers import family_rates, scenes_aside
     from bench.scoring.rates import percent
 

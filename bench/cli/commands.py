@@ -99,7 +99,7 @@ COMPARED = (
         number("a number from 0.5 to below 1, such as 0.95", least=0.5, below=1.0),
         0.95,
     ),
-    flag("--gate", "exit code 1 when the new one is worse, 4 when that can't be told"),
+    flag("--gate", "exit code 1 when the new one is worse, 4 when that is undecided"),
 )
 COMPARED_PAGE = option("--out DIR", "also write a page and comparison.json there")
 

@@ -41,10 +41,8 @@ def look_ahead(
     *,
     as_json: bool = False,
 ) -> int:
-    """Print what a dry run finds, and what the run will need, kept in ``out``; gives back the exit
-    code: 2 where something is wrong.
-
-    Raises ConfigError for what a run would be refused for, and KeyboardInterrupt.
+    """Print what a dry run finds and what the run needs; gives back the exit code. Raises
+    ConfigError, KeyboardInterrupt.
     """
     refuse_carry(rig, script)
     refuse_old_calibration(rig, script, wall_time().date())

@@ -68,7 +68,7 @@ def init(given: argparse.Namespace) -> int:
 
 
 def _found(urls: list[str] | None) -> list[Found]:
-    """What answers, said line by line."""
+    """What answers, printed line by line."""
     at = dict.fromkeys(urls, "") if urls else dict(ports())
     if not at:
         print("no serial port on this machine; --port names an address on the network")
@@ -144,7 +144,7 @@ _ABOUT = {"arm": _arm, "bath": _bath, "stage": _stage}
 
 
 def _cameras(there: Mapping[str, str], ask: Ask) -> dict[str, dict[str, object]]:
-    """Which camera is which is asked: nothing that a camera says of itself tells it."""
+    """Ask which camera is which: no camera reports its place."""
     values: dict[str, dict[str, object]] = {}
     for name in ("left", "right", "thermal"):
         listed = f" ({', '.join(there)}, or another url)" if there else " (its url)"

@@ -10,12 +10,13 @@ import json
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench.cli.arguments import CODES, code_of
 from bench.cli.terminal import working
-from bench.config import ConfigError
+from bench.config import writing
 from bench.files import write_synced
 from bench.record.check import NOT_AS_WRITTEN, check_run, checked_first, shortened
 
@@ -58,34 +59,22 @@ def export(given: argparse.Namespace) -> None:
         write = needed("bench.record.mcap", "MCAP").export_mcap
     else:
         write = {"csv": export_csv, "parquet": export_parquet}[given.format]
-    try:
-        with undamaged([given.run], given) as damage:
-            (given.out / DAMAGED).unlink(missing_ok=True)
-            with working(f"writing {given.format}"):
-                paths = list(write(given.run, given.out))
-            for path in paths:
-                print(path)
-            if damage:
-                head = (
-                    f"{NOT_AS_WRITTEN}: the files beside this one are made of what is left of it."
-                )
-                write_synced(given.out / DAMAGED, "\n".join((head, *damage, "")).encode())
-    except OSError as error:
-        raise ConfigError.plain(
-            f"the export can't be written to {given.out}: {error.strerror or error}"
-        ) from error
+    with writing(given.out), undamaged([given.run], given) as damage:
+        (given.out / DAMAGED).unlink(missing_ok=True)
+        with working(f"writing {given.format}"):
+            paths = list(write(given.run, given.out))
+        for path in paths:
+            print(path)
+        if damage:
+            head = f"{NOT_AS_WRITTEN}: the files beside this one are made of what is left of it."
+            write_synced(given.out / DAMAGED, "\n".join((head, *damage, "")).encode())
 
 
 def pack(given: argparse.Namespace) -> None:
     from bench.run.packing import pack_run
 
-    try:
-        with undamaged([given.run], given), working("packing the run"):
-            folder = pack_run(given.run, given.out, given.title or "", given.licence or "")
-    except OSError as error:
-        raise ConfigError.plain(
-            f"the recording can't be written to {given.out}: {error.strerror or error}"
-        ) from error
+    with writing(given.out), undamaged([given.run], given), working("packing the run"):
+        folder = pack_run(given.run, given.out, given.title or "", given.licence or "")
     print(folder)
     if not given.licence:
         print(
@@ -107,7 +96,7 @@ def compare(given: argparse.Namespace) -> int:
                 {
                     "detector": one.detector,
                     "verdict": one.verdict,
-                    "decisions": [decision.as_dict() for decision in one.decisions],
+                    "decisions": [asdict(decision) for decision in one.decisions],
                 }
                 for one in judgements
             ]
@@ -116,7 +105,7 @@ def compare(given: argparse.Namespace) -> int:
             with working("comparing the runs"):
                 how = {"margin_mm": given.margin_mm, "confidence": given.confidence}
                 found = compare_folders(given.run, given.detector, **how, damage=damage)
-            return told(given, found)
+            return print_comparisons(given, found)
         if given.json:
             print(json.dumps(rows, indent=1, ensure_ascii=False))
         else:
@@ -124,7 +113,7 @@ def compare(given: argparse.Namespace) -> int:
     return code_of(verdict.value) if given.gate else CODES.met
 
 
-def told(given: argparse.Namespace, found: Sequence[Comparison]) -> int:
+def print_comparisons(given: argparse.Namespace, found: Sequence[Comparison]) -> int:
     """Print comparisons, write their page where it is wanted; gives back the exit code."""
     from bench.report.comparison import as_json, write_comparison
     from bench.scoring.decisions import overall
@@ -170,14 +159,14 @@ def _show(found: Sequence[Comparison]) -> None:
 
 def control(given: argparse.Namespace) -> int:
     from bench.record.reader import read_run
-    from bench.run.interruptions import leave_wish, was_taken
+    from bench.run.interruptions import leave_request, was_taken
     from instruments.clock import RealClock
 
     run = read_run(given.run)
     if run.ending != "interrupted":
         print(f"{given.run} has ended ({run.ending}): it takes no requests any more.")
         return CODES.wrong_use
-    leave_wish(given.run, " ".join(given.words))
+    leave_request(given.run, " ".join(given.words))
     if was_taken(given.run, RealClock(), TAKEN_S):
         print("request accepted; see the run's terminal")
     else:

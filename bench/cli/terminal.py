@@ -67,9 +67,8 @@ class Working:
 
 @contextmanager
 def working(what: str, pace: str = "") -> Iterator[Working]:
-    """A bar while something goes on, gone after it; gives what to call with how much is done.
-    ``pace`` names what is counted, for the rate and the time left. It writes to standard error, and
-    nothing where that or the output is no terminal.
+    """A transient bar on standard error, where that and the output are a terminal; gives what to
+    call with the progress. ``pace`` names what is counted, for the rate.
     """
     console = Terminal(sys.stderr)
     columns = (*_columns(), *([TextColumn("{task.fields[detail]}")] if pace else []))
@@ -84,12 +83,8 @@ def working(what: str, pace: str = "") -> Iterator[Working]:
 
 
 class TerminalProgress:
-    """A progress bar on ``console``; to be used with ``with``. Without a terminal it prints a line
-    a trial.
-
-    A display of rich's keeps the shape that it had when it was stopped, and would clear as many
-    rows of what was written since: each stretch between two questions has a new one. Only a bar
-    that has trials to count is left on the screen.
+    """A context with a bar on ``console``, or a line a trial without a terminal. Each stretch
+    between two questions has a new display: rich's would clear what was written since.
     """
 
     def __init__(self, console: Console) -> None:
@@ -113,7 +108,7 @@ class TerminalProgress:
             )
 
     def say(self, text: str) -> None:
-        """A line that stays, above what moves; whether anybody sees it changes nothing."""
+        """A line that stays above the bar; a failure to show it is ignored."""
         with suppress(*FAILURES):
             self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 
@@ -161,9 +156,7 @@ class TerminalProgress:
 
 
 class Terminal(Console):
-    """The program's standard output, or ``file``. Only control segments, which rich makes itself,
-    are written as they are.
-    """
+    """The program's standard output, or ``file``; rich's own control segments pass."""
 
     def __init__(self, file: TextIO | None = None) -> None:
         super().__init__(file=unfiltered(file or sys.stdout), markup=False, emoji=False)

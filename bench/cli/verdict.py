@@ -7,7 +7,7 @@ from __future__ import annotations
 import os
 import sys
 import webbrowser
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -22,16 +22,9 @@ from bench.report.wording import headline, limit, measured
 from bench.results.verdicts import Judgement, run_verdict
 from bench.run.events import FAILURES
 from bench.scoring.decisions import Decision, Verdict
+from reports.render import SIGNS
 
-# symbol and colour of each verdict
-SIGNS: Mapping[str, tuple[str, str]] = {
-    "met": ("✓", "green"),
-    "not met": ("✕", "red"),
-    "inconclusive": ("?", "yellow"),
-    "not measured": ("–", "yellow"),
-    "aborted": ("!", "red"),
-    "no verdict": ("○", "yellow"),
-}
+COLOURS = {"met": "green", "not met": "red", "aborted": "red"}  # the others are yellow
 
 
 def show_verdict(
@@ -49,7 +42,9 @@ def show_verdict(
             for judgement in judgements:
                 console.print(_of_detector(console, judgement))
         else:
-            console.print(Text.assemble("Verdict: ", (verdict, f"bold {SIGNS[verdict][1]}")))
+            console.print(
+                Text.assemble("Verdict: ", (verdict, f"bold {COLOURS.get(verdict, 'yellow')}"))
+            )
             console.print(why, markup=False)
             console.print(f"Next: {then}", markup=False)
         console.print(f"Report: {report.resolve().as_uri()}", markup=False, soft_wrap=True)
@@ -90,20 +85,19 @@ def _scoreboard(console: Terminal, record: RunRecord, judgements: Sequence[Judge
 
 def _cell(console: Terminal, decision: Decision) -> Text:
     value = measured(replace(decision, uncertainty=None))  # its bound is in the report
-    return Text.assemble(_sign(console, decision.verdict.value), " ", value)
+    return Text.assemble(_sign(console, decision.verdict), " ", value)
 
 
-def _sign(console: Terminal, verdict: str) -> tuple[str, str]:
+def _sign(console: Terminal, verdict: Verdict) -> tuple[str, str]:
     """The symbol of a verdict with its colour; the word where the terminal has no such symbol."""
-    symbol, colour = SIGNS[verdict]
     has = console.encoding.lower().startswith("utf")
-    return (symbol if has else f"{verdict}:", colour)
+    return SIGNS[verdict.value] if has else f"{verdict}:", COLOURS.get(verdict, "yellow")
 
 
 def _of_detector(console: Terminal, judgement: Judgement) -> Text:
     """One sentence: the verdict on a detector, and what keeps it from a better one."""
     own = [one for one in judgement.decisions if one.name not in judgement.of_bench]
-    sign, colour = _sign(console, judgement.verdict.value)
+    sign, colour = _sign(console, judgement.verdict)
     return Text.assemble(
         (f"{sign} {judgement.detector}", f"bold {colour}"), f" {'; '.join(_reasons(own))}."
     )

@@ -27,7 +27,7 @@ from starlette.types import ASGIApp
 from bench.config import ConfigError
 from bench.console import starting, watching
 from bench.console.guard import Guard
-from bench.run.interruptions import ABORT, leave_wish, read_wish
+from bench.run.interruptions import ABORT, leave_request, parse_request
 from instruments.clock import RealClock, wall_time
 from instruments.operators.mailbox import AlreadyAnsweredError, NotOpenError, give_answer
 from instruments.operators.operator import ABORT as ABORTS
@@ -52,7 +52,7 @@ class Lease:
     since: str = ""
 
     def held_by(self, client: str, name: str) -> bool:
-        """Whether ``client`` has it; one that nobody has is given."""
+        """Whether ``client`` has it; a free one is given."""
         if not self.client and client:
             self.take(client, name)
         return bool(client) and self.client == client
@@ -62,7 +62,7 @@ class Lease:
         self.since = wall_time().isoformat(timespec="seconds")
 
     def as_seen_by(self, client: str) -> dict[str, Any]:
-        """Who has it; the other's number is nobody's business."""
+        """Who has it, without the other's number."""
         return {"mine": self.client == client, "name": self.name, "since": self.since}
 
 
@@ -108,18 +108,14 @@ class Console:
         return JSONResponse({**found, "lease": self.lease.as_seen_by(_client(request))})
 
     async def stream(self, request: Request) -> Response:
-        """Server-sent events: `snapshot` first, then `event` with its number as id, `live`,
-        `prompt` and `lease` where they change.
-        """
+        """Server-sent events: `snapshot`, then `event` (by number), `live`, `prompt`, `lease`."""
         folder, last = self._folder(request), request.headers.get("last-event-id", "")
         after = int(last) if last.isdecimal() else None
         lines = self._watched(folder, _client(request), after)
         return StreamingResponse(lines, media_type="text/event-stream")
 
     async def _watched(self, folder: Path, client: str, after: int | None) -> AsyncIterator[bytes]:
-        """Written as fast as it is read: whoever stops reading stops the looking, and goes on from
-        where he was.
-        """
+        """Generates as fast as the client reads."""
         first = {**await _off(watching.snapshot, folder), "lease": self.lease.as_seen_by(client)}
         yield _sse("snapshot", first)
         events = watching.Events(folder)
@@ -194,14 +190,14 @@ class Console:
         folder, given = self._folder(request), await _body(request)
         words = _text(given, "words")
         try:
-            wish, _ = read_wish(words)
+            wish, _ = parse_request(words)
         except ValueError as error:
             return _refused(422, str(error))
         if wish != ABORT and not self.lease.held_by(_client(request), _text(given, "name")):
             return _refused(403, f"{self.lease.name} has the controls; take over first")
         if not watching.under_way(folder):
             return _refused(409, "this run is not under way")
-        await _off(leave_wish, folder, words)
+        await _off(leave_request, folder, words)
         return JSONResponse({"left": words})
 
     async def take_lease(self, request: Request) -> Response:

@@ -25,7 +25,7 @@ LOGS = ".console"  # in the folder of runs
 BEGIN_S, POLL_S = 60.0, 0.2
 NOT_RUNNABLE = ("thesis-test-2",)  # pixel offsets: no instrument takes part
 BEGUN = re.compile(r"Run folder: (.+)$", re.MULTILINE)
-TAIL = 4000  # characters of what a run that didn't begin said
+TAIL = 4000  # characters of the output of a run that didn't begin
 
 
 class NotStartedError(Exception):
@@ -95,9 +95,7 @@ def dry_run(arguments: Sequence[str], runs: Path) -> dict[str, Any]:
 
 
 def start(arguments: Sequence[str], runs: Path, clock: Clock, known: str = "") -> str:
-    """Start a run; gives back its folder's name once it has one, which is ``known`` where it goes
-    on. Raises NotStartedError.
-    """
+    """Start a run; gives back its folder's name (``known`` to resume). Raises NotStartedError."""
     logs = runs / LOGS
     logs.mkdir(parents=True, exist_ok=True)
     log = logs / f"{wall_time().strftime('%Y%m%d-%H%M%S')}-{os.urandom(3).hex()}.log"
@@ -116,7 +114,7 @@ def start(arguments: Sequence[str], runs: Path, clock: Clock, known: str = "") -
         if begun := BEGUN.search(text):
             return known or Path(begun[1].strip()).name
         if process.poll() is not None or clock.now() >= end_s:
-            raise NotStartedError(text[-TAIL:].strip() or "the run said nothing and ended")
+            raise NotStartedError(text[-TAIL:].strip() or "the run ended without output")
         clock.sleep(POLL_S)
 
 

@@ -1,8 +1,8 @@
-"""What the folder of a run says to whoever watches, read and never written: snapshot, new events,
+"""A run's folder, read and never written, for those who watch the run: snapshot, new events,
 frames, and trials with their scores.
 
-A detection comes from the record alone, and the record has a trial whole, with its truth, or not at
-all: no one can touch what a detector says.
+A detection comes from the record alone, which has a trial whole, with its truth, or not at all: no
+one can touch where a detector answered.
 """
 
 from __future__ import annotations
@@ -146,9 +146,7 @@ def curve(folder: Path) -> list[list[float]]:
 
 
 def trials(folder: Path) -> list[dict[str, Any]]:
-    """The trials that have their truth: scores by detector, and where truth and answers lie in each
-    camera's picture.
-    """
+    """The trials with their truth: scores, and truth and answers in each camera's pixels."""
     run = read_run(folder)
     calibration = read_calibration(folder / "calibration.toml")
     found = []

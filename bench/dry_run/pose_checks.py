@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 from itertools import combinations, product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.rig.loading import LoadedRig
 from bench.rig.urls import EMULATED
 from bench.run.estimate import carry_touches
+from bench.scoring.errors import Floats
 from bench.script.model import FIRST, LoadedScript
 from bench.script.planned_trials import PlannedTrial, pose_text, shared
 from bench.truth.stage_registration import around
@@ -29,7 +29,6 @@ from instruments.world.objects import make_object
 from instruments.world.phantom import Phantom, PlatePose, spoken_name
 from instruments.world.solids import clearance_mm
 
-Floats = NDArray[np.float64]
 View = tuple[str, Camera, Motion]  # name, lens, camera_from_world
 
 MARGIN_PX = 4.0  # between a teat's rounded end and the picture's edge
@@ -54,9 +53,7 @@ def dry_run(
     travel: Mapping[str, AxisLimits] | None,
     why_no_travel: str = "its controller doesn't answer",
 ) -> tuple[tuple[Finding, ...], tuple[str, ...]]:
-    """What is wrong with the poses of ``script``, and what can't be checked. ``travel`` is the
-    stage's, in machine coordinates; None where it is unknown, and why.
-    """
+    """What is wrong with the poses, and what can't be checked (``travel`` None: unknown)."""
     distinct = {(one.name, one.side): one for one in script.planned}.values()
     views = _views_of(rig.calibration)
     places = [(one.name, pose) for one in distinct for pose in (one.approach, one.pose) if pose]

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.dry_run.pose_checks import USUAL_ARM, Finding, Floats, registered_at, way_to
+from bench.dry_run.pose_checks import USUAL_ARM, Finding, registered_at, way_to
 from bench.files import Picture
 from bench.record.reader import read_run
 from bench.record.schema import SCRIPT as SCRIPT_FILE
@@ -46,6 +46,7 @@ from bench.rig.urls import EMULATED, PEOPLE, SCRIPT
 from bench.run.context import RunContext
 from bench.run.engine import Engine
 from bench.run.events import Events, read_events
+from bench.scoring.errors import Floats
 from bench.script.model import LoadedScript
 from bench.script.planned_trials import PlannedTrial, shared
 from detector.geometry import Motion
@@ -107,9 +108,7 @@ class NoTwinError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Rehearsal:
-    """``trials`` were done; ``recovered`` counts what the run recovered from; ``rendered`` frame
-    sets passed.
-    """
+    """``trials`` done, findings, what the run recovered from, frame sets rendered."""
 
     trials: int
     findings: tuple[Finding, ...]
@@ -126,15 +125,13 @@ class PicturelessStore(Store):
         self,
         trial: str,  # noqa: ARG002
         images: Mapping[str, Picture],  # noqa: ARG002
-        exposed_s: Mapping[str, float | None],  # noqa: ARG002
+        exposed_s: Mapping[str, float],  # noqa: ARG002
     ) -> list[Row]:
         return []
 
 
 class Course:
-    """The screen of a rehearsal: sets ``trial``, the id of the trial now; ``shown`` gets how many
-    were begun, of how many.
-    """
+    """The progress of a rehearsal; ``shown`` gets how many trials have begun, of how many."""
 
     def __init__(self, planned: Sequence[PlannedTrial], shown: Callable[[int, int], None]) -> None:
         self._ids = {one.number: one.id for one in planned}
@@ -165,10 +162,8 @@ def rehearse(
     seed: int | None = None,
     shown: Callable[[int, int], None] = lambda _done, _of: None,
 ) -> Rehearsal:
-    """Go through ``script`` on the twin of ``rig``; ``stage`` is what its controller reports.
-
-    ``shown`` gets how many trials are done, of how many. Raises NoTwinError, and KeyboardInterrupt
-    for Ctrl-C.
+    """Run ``script`` on the twin of ``rig``; ``stage`` is what its controller reports. Raises
+    NoTwinError, KeyboardInterrupt.
     """
     clock, twin_rig, url = VirtualClock(), twin_of(rig, script, stage), rig.rig.operator.url
     course = Course(script.planned, shown)
@@ -204,9 +199,7 @@ def rehearse(
 
 
 def _findings(lines: Sequence[Mapping[str, Any]]) -> tuple[tuple[Finding, ...], Mapping[str, int]]:
-    """What would end the run, or leave a trial without a truth, with the trial's name; and what the
-    run gets over by itself, counted.
-    """
+    """What would end the run or cost a trial's truth; and what the run recovers from, counted."""
     where = BEFORE
     found: dict[Finding, None] = {}
     recovered: Counter[str] = Counter()
@@ -253,9 +246,7 @@ def _emulated(
 
 
 def twin_of(rig: LoadedRig, script: LoadedScript, stage: StageSettings | None) -> LoadedRig:
-    """``rig`` with an emulator at each address; ``stage`` is what its controller reports, None
-    where it has none or can't be asked.
-    """
+    """``rig`` with an emulator at each address; ``stage`` is what its controller reports."""
     r = rig.rig
     checks = r.cameras.checks
     if not r.emulated:  # emulated cameras can't show how sharp the real ones are
@@ -361,9 +352,7 @@ def _stage_settings(
 
 
 def to_render(planned: Sequence[PlannedTrial], most: int = MOST_SETS) -> frozenset[str]:
-    """Ids of the trials whose frames are rendered: the first of each of the script's tables, and
-    evenly spaced poses; at most ``most``.
-    """
+    """Ids of trials to render: the first of each table, then evenly spaced poses."""
     tables = list({one.trial.name: one.id for one in reversed(planned)}.values())[::-1][:most]
     poses = list({one.name: one.id for one in reversed(planned)}.values())[::-1]
     left = [one for one in poses if one not in tables]
@@ -372,9 +361,8 @@ def to_render(planned: Sequence[PlannedTrial], most: int = MOST_SETS) -> frozens
 
 
 class StandInCameras:
-    """The cameras of ``twin`` render at some of the ``planned`` trials, and these frames have to
-    pass the checks of ``rig``; the first ``rendered`` set is shown to each detector. Otherwise they
-    give a set of ramps from dark to light.
+    """Cameras that render and check frames at some trials, and show the first set to each detector;
+    at the others they give a set of ramps.
     """
 
     def __init__(

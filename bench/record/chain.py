@@ -28,9 +28,7 @@ Spans = Mapping[str, tuple[int, int]]  # table -> first and last rowid
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """The last link: its number, counted from 1, and the digests of all that was written up to
-    it.
-    """
+    """The last link: its number from 1, and the digests of all written up to it."""
 
     number: int = 0
     digest: str = ZERO
@@ -71,17 +69,13 @@ def linked(before: Head, covers: str, wall_covers: str) -> Head:
 
 
 def fingerprint(db: sqlite3.Connection, table: str, first: int, last: int) -> tuple[str, str]:
-    """SHA-256 of the rows from ``first`` to ``last``: without the columns of real time, and of all
-    columns.
-    """
+    """SHA-256 of these rows: without the columns of real time, and of all columns."""
     query = f"SELECT * FROM {table} WHERE rowid BETWEEN ? AND ? ORDER BY rowid"  # noqa: S608
     return _prints(table, db.execute(query, (first, last)))
 
 
 def fact_fingerprint(db: sqlite3.Connection, key: str) -> tuple[str | None, str]:
-    """SHA-256 of what is said under ``key``; the first is None where that doesn't repeat with the
-    seed.
-    """
+    """SHA-256 of a fact; the first is None where it doesn't repeat with the seed."""
     plain, whole = _prints(LATER_WORD, db.execute("SELECT * FROM facts WHERE key = ?", (key,)))
     return None if key.startswith(VARYING_FACTS) else plain, whole
 

@@ -111,7 +111,7 @@ def checked_first(folders: Sequence[Path], *, despite_damage: bool) -> Iterator[
     except Exception as error:  # whatever a damaged record makes of the code that reads it
         if all(one.whole and one.head.number for one in checked.values()):
             raise
-        why = "It has no chain, so that nothing tells whether it is as it was written."
+        why = "It has no chain, so that it can't be checked against what was written."
         raise ConfigError.plain(
             f"the record is too damaged for this ({type(error).__name__}: {error})."
             f" {shortened(damage) if damage else why}"
@@ -136,7 +136,7 @@ def _provenance(
         yield _damage(there)
         return
     if version < CHAINED_SINCE:
-        unseen = "it has no chain, so that later edits can't be told"
+        unseen = "it has no chain, so that later edits can't be noticed"
         yield _note(f"the run is of an older bench (schema {version}): {unseen}")
         return
     links += db.execute(f"SELECT {COLUMNS} FROM chain ORDER BY number")  # noqa: S608
@@ -234,9 +234,7 @@ def _facts(db: sqlite3.Connection, said: Mapping[str, str]) -> Iterator[Finding]
 
 
 def _printed(folder: Path, links: list[tuple[Any, ...]], digest: str | None) -> Iterator[Finding]:
-    """The chain has to pass through the link that a report named, or it was cut off or made
-    anew.
-    """
+    """The chain has to pass through the link that a report named."""
     known = {value: row[0] for row in links for value in (row[2], row[4])}
     why = "the record was cut off or made anew since"
     if digest is not None and digest.lower() not in known:

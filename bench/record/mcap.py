@@ -60,10 +60,8 @@ LEVELS |= dict.fromkeys(("aborted", "camera", "skipped", "repeated"), Log.WARNIN
 
 
 def _own(name: str, fields: str) -> Any:
-    """The class of a message `teatbench.<name>`: a timestamp, then ``fields``, each a name after
-    its kind or after a field of the same kind.
-
-    No field is an int64, which viewers in a browser don't read as a number.
+    """The class of a message `teatbench.<name>`: a timestamp, then ``fields``, each behind its
+    kind. No int64, which viewers in a browser don't read.
     """
     message = DescriptorProto(name=name)
     optional, kind = FieldDescriptorProto.LABEL_OPTIONAL, FieldDescriptorProto.TYPE_MESSAGE
@@ -119,9 +117,7 @@ def camera(at: Timestamp, frame: str, lens: Camera) -> CameraCalibration:
 
 
 def frames_of_reference(at: Timestamp, known: Calibration) -> FrameTransforms:
-    """Where the cameras are in the world: the right one first, to which the left is tied, and the
-    thermal one and a depth camera to that.
-    """
+    """Where the cameras are: right in the world, left in right, thermal and depth in left."""
     motions = [("world", "right", known.world_from_right), ("right", "left", known.right_from_left)]
     for name, pose in (("thermal", known.thermal_from_left), ("depth", known.depth_from_left)):
         if pose is not None:
@@ -204,10 +200,8 @@ class TimedMessage:
 
 
 def export_mcap(run: Path, out: Path) -> list[Path]:
-    """Write ``out/run.mcap``; gives it back. Raises ConfigError with a damaged frame; OSError.
-
-    The time line is the bench's clock, set to the time of day at which its session began; what has
-    no time on that clock stands at its time of day.
+    """Write ``out/run.mcap``; its path. Times are the bench's clock from the time of day of its
+    session, else the time of day. Raises ConfigError with a damaged frame; OSError.
     """
     known = read_calibration(run / CALIBRATION) if (run / CALIBRATION).is_file() else None
     with opened(run) as db:

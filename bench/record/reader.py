@@ -36,9 +36,7 @@ HEADS = (
 
 @contextmanager
 def opened(folder: Path) -> Iterator[sqlite3.Connection]:
-    """The database in ``folder`` with today's tables, all reads from one moment. Raises
-    ConfigError.
-    """
+    """The database with today's tables, all reads from one moment. Raises ConfigError."""
     with as_written(folder) as db:
         version = known_version(db, folder)
         if version == SCHEMA_VERSION:
@@ -89,9 +87,7 @@ def known_version(db: sqlite3.Connection, folder: Path) -> int:
 
 
 def _connected(path: Path) -> sqlite3.Connection:
-    """A write-ahead log needs a folder that can be written to; without a log that matters, a
-    write-protected copy opens as well.
-    """
+    """A log needs a folder that can be written to; without one a protected copy opens as well."""
     address = f"{path.resolve().as_uri()}?mode=ro"
     try:
         return _asked(address)
@@ -170,13 +166,9 @@ class TrialRecord:
 
 @dataclass(frozen=True, slots=True)
 class RunRecord:
-    """A run as it stands on disk. ``facts`` hold for the whole run; ``bath`` has columns t_s,
-    temp_c, power_percent (n, 3).
-
-    ``external_c`` (n,) is not-a-number where there is no such sensor. ``guardian`` is what the
-    guardian wrote when it acted. ``head`` is the last link of the hash chain over all that was
-    written; number 0 where an older bench made none. ``damage`` says what isn't as it was written,
-    where that was looked at: no verdict holds then.
+    """A run as it stands on disk. ``bath`` has columns t_s, temp_c, power_percent (n, 3);
+    ``external_c`` (n,) is nan without a sensor. ``head``: last link of the chain, number 0 without
+    one. ``damage``: what isn't as it was written, with which no verdict holds.
     """
 
     folder: Path
@@ -208,9 +200,7 @@ class RunRecord:
 
 
 def read_run(folder: Path, damage: tuple[str, ...] = ()) -> RunRecord:
-    """The run in ``folder``, of this bench or an older one. Raises ConfigError where it is none, or
-    can't be read.
-    """
+    """The run in ``folder``, of this bench or an older one. Raises ConfigError."""
     try:
         with opened(folder) as db:
             record = _read(folder, db, damage)

@@ -128,8 +128,6 @@ def make_tables(db: sqlite3.Connection) -> None:
 
 
 def migrate(db: sqlite3.Connection) -> None:
-    """Bring the tables of an older bench to today's schema, a version at a time; each step whole or
-    not at all.
-    """
+    """Bring older tables to today's schema, version by version, each whole or not at all."""
     for version in range(version_of(db) + 1, SCHEMA_VERSION + 1):
         db.executescript(f"BEGIN; {STEPS[version]} PRAGMA user_version = {version}; COMMIT;")

@@ -22,9 +22,7 @@ from reports.sanitize import csv_text
 
 
 def needed(module: str, what: str) -> Any:
-    """``module``, which imports a library that only an export needs. Raises ConfigError where that
-    isn't installed.
-    """
+    """``module``, which imports a library of exports. Raises ConfigError without that."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -34,9 +32,7 @@ def needed(module: str, what: str) -> Any:
 
 
 def export_csv(run: Path, out: Path) -> list[Path]:
-    """Write ``out/<table>.csv`` for every table; gives back the files. Raises ConfigError,
-    OSError.
-    """
+    """Write ``out/<table>.csv`` for every table; the files. Raises ConfigError, OSError."""
     written = []
     with opened(run) as db:
         for name, columns, _, rows in _tables(db):
@@ -46,9 +42,7 @@ def export_csv(run: Path, out: Path) -> list[Path]:
 
 
 def export_parquet(run: Path, out: Path) -> list[Path]:
-    """Write ``out/<table>.parquet`` for every table; gives back the files. Raises ConfigError where
-    pyarrow is missing; OSError.
-    """
+    """Write ``out/<table>.parquet`` for every table; the files. Raises ConfigError, OSError."""
     arrow, parquet = needed("pyarrow", "Parquet"), needed("pyarrow.parquet", "Parquet")
     types = {"TEXT": arrow.string(), "REAL": arrow.float64(), "INTEGER": arrow.int64()}
     written = []

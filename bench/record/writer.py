@@ -16,7 +16,7 @@ import os
 import shutil
 import sqlite3
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -50,9 +50,8 @@ class FolderGoneError(OSError):
 
 
 class Store:
-    """An open run folder. Opening one begins a further session (or goes on in ``session``), and
-    clears away frames of trials that never finished. Raises ConfigError where the tables are of
-    another bench.
+    """An open run folder: begins a further session, or goes on in ``session``, and removes frames
+    of unfinished trials. Raises ConfigError where the tables are of another bench.
     """
 
     keeps_pictures: ClassVar[bool] = True
@@ -61,11 +60,8 @@ class Store:
         self,
         folder: Path,
         session: int | None = None,
-        *,
-        wall: Callable[[], datetime] = time_of_day,
     ) -> None:
         self.folder = folder
-        self._wall = wall
         # the watch writes on the clock's thread, all others on the main one
         self._lock = threading.RLock()
         self._steps = 0
@@ -92,9 +88,7 @@ class Store:
 
     @classmethod
     def create(cls, folder: Path, files: Mapping[str, str]) -> Store:
-        """A new run folder with the texts in ``files``: there whole or not at all. Raises
-        FileExistsError, OSError.
-        """
+        """A new run folder with ``files``, whole or not at all. Raises FileExistsError, OSError."""
         if folder.exists():
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(folder))
         part = folder.with_name(f".{folder.name}.{os.getpid()}.part")
@@ -130,9 +124,7 @@ class Store:
 
     @contextmanager
     def step(self) -> Iterator[None]:
-        """What is said within is written and durable when the outermost step ends, however it
-        ends.
-        """
+        """What is written within is durable when the outermost step ends."""
         with self._lock:
             self._steps += 1
         try:
@@ -146,17 +138,17 @@ class Store:
     def fact(self, key: str, value: Any) -> None:
         """Write down (or over) something that holds for the whole run; it is kept as JSON."""
         row = {"key": key, "value": json.dumps(value, ensure_ascii=False), "wall_time": self._now()}
-        self._say(LATER_WORD, row, urgent=not self._steps)
+        self._add_row(LATER_WORD, row, urgent=not self._steps)
 
     def event(self, t_s: float | None, kind: str, text: str, wall_time: datetime) -> None:
         now = wall_time.isoformat(timespec="milliseconds")
         row = {"session": self.session, "t_s": t_s, "kind": kind, "text": text, "wall_time": now}
-        self._say("events", row, urgent=not self._steps or kind in URGENT)
+        self._add_row("events", row, urgent=not self._steps or kind in URGENT)
 
     def bath(self, reading: Row) -> None:
         """Write down a bath reading; it waits for whatever is written next."""
         row = {**reading, "session": self.session, "wall_time": self._now()}
-        self._say("bath", row, urgent=False)
+        self._add_row("bath", row, urgent=False)
 
     def flush(self) -> None:
         """Make durable all that was said so far."""
@@ -187,19 +179,17 @@ class Store:
         self._write([("skipped", [{**row, "session": self.session, "wall_time": self._now()}])])
 
     def checked(self, touches: Sequence[Row], invalid: Sequence[str], reason: str) -> None:
-        """Write down a check of the carried truth, and which trials it takes their truth away from,
-        durable at once.
-        """
+        """Write a check of the carried truth, and which trials lose their truth by it."""
         now = self._now()
         lost = [{"trial": trial, "reason": reason, "wall_time": now} for trial in invalid]
         rows = [{**touch, "wall_time": now} for touch in touches]
         self._write([("checks", rows), ("invalidated", lost)])
 
     def frames(
-        self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float | None]
+        self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float]
     ) -> list[Row]:
-        """Write pictures as PNG by camera, all synced and renamed on return; gives back their rows.
-        Raises FolderGoneError before it would make the folder anew.
+        """Write pictures as PNG by name, synced on return; their rows. ``exposed_s`` is by camera,
+        a picture's name up to "_". Raises FolderGoneError.
         """
         self.refuse_gone()
         paths = {camera: self.folder / "frames" / trial / f"{camera}.png" for camera in images}
@@ -211,7 +201,7 @@ class Store:
                 "camera": camera,
                 "path": path.relative_to(self.folder).as_posix(),
                 "sha256": digests[path],
-                "exposed_s": exposed_s.get(camera),
+                "exposed_s": exposed_s.get(camera.split("_")[0]),
                 "wall_time": now,
             }
             for camera, path in paths.items()
@@ -238,17 +228,17 @@ class Store:
         return number
 
     def _now(self) -> str:
-        return self._wall().isoformat(timespec="milliseconds")
+        return time_of_day().isoformat(timespec="milliseconds")
 
-    def _say(self, table: str, row: Row, *, urgent: bool) -> None:
+    def _add_row(self, table: str, row: Row, *, urgent: bool) -> None:
         with self._lock:
             self._waiting.append((table, row))
             if urgent or len(self._waiting) >= FLUSH_EVERY:
                 self._write([])
 
     def _write(self, tables: Tables) -> None:
-        """What waits and ``tables``, all or nothing, durable on return. Raises sqlite3.Error; on
-        OperationalError the rows go on waiting.
+        """Write what waits and ``tables``, all or nothing, durable on return. Raises sqlite3.Error;
+        on OperationalError the rows go on waiting.
         """
         with self._lock:
             waiting: dict[str, list[Row]] = {}
@@ -282,9 +272,7 @@ class Store:
             raise
 
     def _inserted(self, tables: Tables) -> tuple[Spans, list[str]]:
-        """Insert all rows; gives back first and last rowid by table, and the facts' keys in
-        order.
-        """
+        """Insert all rows; first and last rowid by table, and the facts' keys in order."""
         spans: dict[str, tuple[int, int]] = {}
         facts: dict[str, None] = {}  # in order, so that the same seed gives the same link
         for table, rows in tables:
@@ -301,9 +289,7 @@ class Store:
 
 
 def new_run_folder(out: Path, name: str, wall_time: datetime) -> Path:
-    """A new name for a run: ``<out>/<time>-<name>``, with a number where two fall on one second. A
-    long name is cut: a file system takes 255 bytes.
-    """
+    """A new name for a run: ``<out>/<time>-<name>``, numbered where needed, ``name`` cut."""
     stem = f"{wall_time:%Y%m%d-%H%M%S}-{name.encode()[:LONGEST_NAME].decode(errors='ignore')}"
     folder, number = out / stem, 1
     while folder.exists():

@@ -194,7 +194,7 @@ def limit_parts(run: RunRecord, calibration: Calibration) -> Iterator[Part]:
 
 
 def limit_table(ends_mm: Floats, calibration: Calibration) -> Table:
-    """The limit at world points (n, 3), n > 0, told by distance from the right camera."""
+    """The limit at world points (n, 3), n > 0, by distance from the right camera."""
     depth = calibration.world_from_right.inverse().apply(ends_mm)[:, 2]
     per_px = calibration.depth_per_disparity_px_mm(ends_mm)
     # expanded, along the worst direction; 0 where a camera can't see it
@@ -267,7 +267,7 @@ def gage_parts(run: RunRecord, limit_mm: float) -> Iterator[Part]:
         " | >reproducibility [mm] ~.3f # set-up after set-up, the interaction with the end included"
         " | >gage R&R [mm] ~.3f | >between ends [mm] ~.3f | >of the tolerance [%] ~.1f"
         " # 6 gage over the whole width: below 10 % is good, above 30 % not acceptable"
-        " | >ndc # how many sizes of part it can tell apart"
+        " | >ndc # how many sizes of part it can distinguish"
     )
     lines = []
     for axis, s in zip("xyz", found.studies, strict=True):
@@ -314,10 +314,9 @@ def _poses(ends: Errors, detector: str) -> Table:
     rows = []
     for (pose, teat), of in list(ends.items())[:MOST_ROWS]:
         errors = np.array([end[0] for end in of.values()])
-        at = pose_accuracy(errors, np.zeros(3))
-        drift = drift_mm(errors, np.zeros(3), max(2, len(errors) // 3))
-        along = at.ap_xyz_mm or (None, None, None)
-        rows.append((pose, teat, at.n, at.ap_mm, *along, at.rp_mm, drift))
+        ap, rp_mm = pose_accuracy(errors)
+        drift = drift_mm(errors, max(2, len(errors) // 3))
+        rows.append((pose, teat, len(errors), np.linalg.norm(ap), *ap, rp_mm, drift))
     note = (
         "Of what was found, against the truth of the same trial. RP: mean distance from their own"
         f" mean, and three standard deviations.{_left_out(len(ends))}"
@@ -342,9 +341,8 @@ def _pairs(ends: Errors, detector: str) -> Part:
         apart = points[:, 0] - points[:, 1]
         off = np.linalg.norm(apart.sum(axis=1), axis=1) - np.linalg.norm(apart[:, 1], axis=1)
         if len(off) >= CYCLES_FROM:
-            found = distance_accuracy(np.asarray(off), 0.0)
             what = f"{a[0]}: teat {a[1]} to {b[1]}" if several else f"{a[0]} to {b[0]}"
-            lines.append((what, found.n, found.ad_mm, found.rd_mm))
+            lines.append((what, len(off), *distance_accuracy(off)))
     if not lines:
         return Paragraph(
             f"AD and RD (ISO 9283), {detector}: {NOT_MEASURED}; no distance was found {CYCLES_FROM}"

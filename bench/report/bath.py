@@ -196,7 +196,7 @@ def _care_parts(run: RunRecord) -> Iterator[Part]:
     if run.guardian:
         yield Paragraph(guardian_text(run.guardian), tone="warn")
     trip = facts.get("trip", {})
-    asleep = "asleep: the controller doesn't tell what it needs"
+    asleep = "asleep: the controller doesn't report what it needs"
     states = dict.fromkeys(facts["interlocks asleep"], asleep)
     if trip:
         states[trip["rule"]] = "TRIPPED"

@@ -78,10 +78,8 @@ def _page(
     first: str = "",
     **banner: Any,
 ) -> Page:
-    """The page: scores and what is wrong by name, then the chapter ``first``; the rest folds.
-
-    ``findings`` None: nothing was looked for; ``missing`` None: no views. ``banner`` has the fields
-    of a `Banner`.
+    """A step's page: scores and findings (None: not looked for), then the chapter ``first``; the
+    rest folds. ``missing`` views may be None; ``banner`` are fields of a `Banner`.
     """
     rows = [*scores]
     wrong: list[Part] = []
@@ -100,7 +98,7 @@ def _page(
         rows.append((SEEN, "every part, tilt and distance", (score,)))
     heads = ("Looked at", "Good enough is")
     board = Scoreboard("Is it good enough?", columns, tuple(rows), heads, HINTS)
-    who = {"day": record.made, "by": record.by or "not told", "with": record.with_what}
+    who = {"day": record.made, "by": record.by or "not stated", "with": record.with_what}
     files = [(name, Cell(digest, mono=True)) for name, digest in record.inputs.items()]
     made = (
         key_values("Made", {**who, **record.cameras}),
@@ -414,7 +412,8 @@ def check_ends_page(found: CamerasCheck, decision: Decision, record: Record, com
         "What touched teat ends are off in the pictures",
         "figure | >off [px] ~+z.2f | >± [px] ~.2f | >poses or ends",
         [(one.name, one.value, one.uncertainty, one.poses) for one in found.offsets],
-        f"{found.told} of {found.ends} ends told. px of the sensor for the thermal camera; 95 %.",
+        f"{found.measured} of {found.ends} ends measured. px of the sensor for the thermal camera;"
+        " 95 %.",
     )
     return _check(
         {"ends": ("Where the cameras show touched ends", [shown])},

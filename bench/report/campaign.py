@@ -62,9 +62,7 @@ UNITS = ("mm", "deg", "rad", "k")
 def write_campaign_page(
     folder: Path, plan: Plan, made_by: Mapping[str, str], bench: Bench | None = None
 ) -> Path:
-    """``report/index.html`` of the campaign in ``folder``; gives back its path. ``bench`` draws the
-    first scenes to look at. Raises OSError.
-    """
+    """Write the campaign's page; ``bench`` draws the scenes to look at. Raises OSError."""
     names = [one.name for one in bench.detectors] if bench else []
     numbers = campaign_numbers(folder, plan, names)
     looks, parts = _looked_at(folder, numbers, plan, bench) if bench else ((), ())
@@ -220,8 +218,8 @@ def _figures(numbers: Numbers, plan: Plan) -> Iterator[Figure]:
     )
     yield Figure(
         rate_intervals(names, rates),
-        "Failure rates with 95 % intervals. Intervals that overlap much don't tell two detectors"
-        " apart; 'teatbench campaign compare' does, scene by scene.",
+        "Failure rates with 95 % intervals. Intervals that overlap much don't separate two"
+        " detectors; 'teatbench campaign compare' does, scene by scene.",
         alt,
     )
     spreads = {

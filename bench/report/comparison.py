@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from bench.config import ConfigError
+from bench.config import writing
 from bench.files import write_synced
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
@@ -92,7 +92,7 @@ GATE: dict[Verdict, tuple[PageVerdict, str, str, Tone]] = {
     ),
     Verdict.INCONCLUSIVE: (
         "inconclusive",
-        "Whether the new one is worse can't be told:",
+        "Whether the new one is worse can't be decided:",
         "Compare on more poses, as many as the reasons name.",
         "warn",
     ),
@@ -263,11 +263,9 @@ def _numbers(row: Row, confidence: float) -> dict[str, Any]:
 def write_comparison(found: Sequence[Comparison], folder: Path) -> Path:
     """Write ``index.html`` and ``comparison.json``; return the page's path. Raises ConfigError."""
     text = json.dumps(as_json(found), indent=1, ensure_ascii=False)
-    try:
+    with writing(folder):
         path = write_report(comparison_page(found), folder)
         write_synced(folder / "comparison.json", f"{text}\n".encode())
-    except OSError as error:
-        raise ConfigError.plain(f"{folder}: the comparison can't be written: {error}") from error
     return path
 
 
@@ -300,7 +298,7 @@ def comparison_page(found: Sequence[Comparison]) -> Page:
         tuple(sorted(sections, key=lambda section: section.folded)),
         alarm=f"{NOT_AS_WRITTEN}: no figure below holds." if damaged else "",
     )
-    said = {term: f"{term.name} {term.says}" for term in TERMS}
+    said = {term: f"{term.name} {term.meaning}" for term in TERMS}
     terms = tuple(term for term, text in said.items() if worded(found[0], text) == text)
     return replace(worded(found[0], page), glossary=terms)
 
@@ -309,9 +307,7 @@ Text = TypeVar("Text")
 
 
 def worded(one: Comparison, value: Text) -> Text:
-    """A text, or a part of a page, in the words of what was compared: campaigns have scenes where
-    runs have poses.
-    """
+    """A text or page in the words of its kind: campaigns have scenes, runs have poses."""
     return value if one.compared.gate.margin_rate is None else _of_scenes(value)
 
 

@@ -30,7 +30,8 @@ confidence interval | 95 % interval | intervals | interval | Clopper-Pearson: A 
 covariance | covariances | stated covariances: How unsure a point is in each direction, and which
   directions go together.
 depth error | depth: The part of an error along the camera's view. A stereo pair is weakest there.
-disparity: By how many pixels left and right picture differ in a point's place; it tells the depth.
+disparity: By how many pixels left and right picture differ in a point's place; it gives the
+  depth.
 drift: A slow change over the time of the run.
 ellipsoid | ellipsoids | 95 % ellipsoids: A body that holds the next pose's error with 95 %; its
   longest axis is the worst direction.
@@ -81,7 +82,7 @@ rms: Root mean square: of errors, their size with bias and scatter together.
 scene success: Every visible teat end found within the limit, nothing false, and in time.
 sd: Standard deviation: the size of the scatter about the mean.
 search region: The part of a picture in which a detector looks for the end.
-set point: The temperature that the bath is told to hold.
+set point: The temperature that the bath has to hold.
 situation | situations: A named kind of scene, such as overlapping teats.
 stable: The bath was within its band for the whole window before the capture.
 standard uncertainty | standard uncertainties | u: u: how unsure a value is, as one standard
@@ -102,8 +103,8 @@ world axes | world frame | world x | world y | world z | world's axes: The table
 def _terms() -> tuple[Term, ...]:
     lines = re.sub(r"\n +", " ", TABLE.strip()).splitlines()
     parts = (line.partition(": ") for line in lines)
-    names = ((spelt.split(" | "), says) for spelt, _, says in parts)
-    return tuple(Term(name, says, tuple(also)) for (name, *also), says in names)
+    names = ((spelt.split(" | "), meaning) for spelt, _, meaning in parts)
+    return tuple(Term(name, meaning, tuple(also)) for (name, *also), meaning in names)
 
 
 TERMS = _terms()
@@ -119,7 +120,7 @@ pointer or the keyboard is on a term.
 
 def markdown() -> str:
     """docs/glossary.md."""
-    return HEAD + "".join(f"| {term.name} | {term.says} |\n" for term in TERMS)
+    return HEAD + "".join(f"| {term.name} | {term.meaning} |\n" for term in TERMS)
 
 
 if __name__ == "__main__":

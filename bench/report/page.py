@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.config import read_calibration, read_config
+from bench.config import read_calibration
 from bench.files import sha256_of
 from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord, read_run
@@ -39,12 +39,14 @@ from bench.results.verdicts import (
     judge,
     latency_of,
     scored,
+    scored_trials,
+    stored_rules,
     truth_u_mm,
 )
 from bench.scoring.guard_band import acceptance_limit_mm
 from bench.scoring.rates import zero_failure_n
 from bench.script.calibration_age import CALIBRATION_FACT
-from bench.script.model import ErrorRequirement, Rules, Script, SuccessRequirement, TimeRequirement
+from bench.script.model import ErrorRequirement, Rules, SuccessRequirement, TimeRequirement
 from detector.calibration import Calibration
 from instruments.camera.settings import AUTOMATIC, UNSEEN_SIZE
 from instruments.world.situations import spoken
@@ -77,9 +79,8 @@ def write_run_report(
     *,
     single_file: bool = False,
 ) -> tuple[Path, RunRecord, tuple[Judgement, ...]]:
-    """(Re)write a run's report and exports; return the page's path. Raises ConfigError.
-
-    ``chapters`` come after the results; ``single_file`` writes the file for mail too.
+    """Write a run's report and exports, with ``chapters`` after the results and, if wanted, the
+    file for mail; gives back the page's path. Raises ConfigError.
     """
     run = read_run(folder, damage)
     rules = stored_rules(folder)
@@ -94,16 +95,6 @@ def write_run_report(
     if single_file:
         write_single_file(page, folder / REPORT, folder / REPORT / SINGLE_FILE)
     return path, run, judgements
-
-
-def stored_rules(folder: Path) -> Rules:
-    """The script as the run used it, or the rules that a recording was scored by."""
-    script = folder / SCRIPT
-    return (
-        read_config(script, Script, stored=True)
-        if script.is_file()
-        else read_config(folder / RULES, Rules, stored=True)
-    )
 
 
 def build_page(
@@ -308,8 +299,7 @@ def _links(run: RunRecord, detector: str, situation: str | None = None) -> list[
     """The trial of each error, in the order of `scored`."""
     return [
         f"#{trial_id(trial)}"
-        for trial in run.counted
-        if detector in trial.scores and situation in (None, trial.head["situation"])
+        for trial in scored_trials(run, detector, situation)
         for _ in trial.scores[detector].errors_mm
     ]
 
@@ -440,9 +430,7 @@ def provenance_parts(run: RunRecord) -> Iterator[Part]:
 
 
 def fault_parts(run: RunRecord) -> Iterator[Part]:
-    """Frames taken again, requests repeated, what the rig file allows of cameras; nothing where
-    there was none.
-    """
+    """Frames taken again, requests repeated, and what the rig file allows of cameras."""
     cameras = (run.facts.get("identities") or {}).get("cameras", {})
     for note, title in ALLOWED.items():
         if said := [f"{name}: {who}" for name, who in cameras.items() if note in str(who)]:
@@ -478,7 +466,7 @@ def record_parts(run: RunRecord) -> Iterator[Part]:
 
 
 def _chain(run: RunRecord) -> dict[str, str]:
-    """The record's chain, by which `teatbench store check` tells whether it was changed."""
+    """The record's chain, by which `teatbench store check` finds a change."""
     if run.head is None or not run.head.number:
         return {"record's digest": "none: the bench that wrote the record made no chain"}
     return {

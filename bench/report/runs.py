@@ -16,9 +16,9 @@ from bench.config import ConfigError, read_calibration
 from bench.record.check import NOT_AS_WRITTEN, checked_first, shortened
 from bench.record.reader import RunRecord, database_in, read_run
 from bench.record.schema import DATABASE, SCRIPT
-from bench.report.page import REPORT, stored_rules
+from bench.report.page import REPORT
 from bench.report.trials import frames_of, round_teats, worst_trials
-from bench.results.verdicts import judge, scored
+from bench.results.verdicts import judge, scored, stored_rules
 from bench.scoring.rates import plural
 from bench.script.pixel_offsets import is_offset_script
 from reports.page import Verdict

@@ -10,10 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from bench.campaign.chunk import Bench, Scene, digest_of_frames, draw_scene
-from bench.campaign.plan import Plan, differences, open_plan, read_plan
-from bench.campaign.run import PLAN
+from bench.campaign.plan import Plan, differences, open_plan
+from bench.campaign.run import plan_of
 from bench.campaign.shards import Shards
-from bench.config import ConfigError
+from bench.config import ConfigError, writing
 from bench.files import write_pictures
 from bench.record.reader import RunRecord, TrialRecord
 from bench.report.trials import trial_parts
@@ -35,8 +35,8 @@ NOTHING = dict.fromkeys(("captured_s", "bath_c", "bath_state", "note", "invalid"
 def draw_again(
     bench: Bench, scenes: Sequence[Scene], folder: Path, title: str
 ) -> tuple[RunRecord, Calibration]:
-    """The scenes as the trials of a run, their frames in ``folder``/scenes, and what detectors were
-    told of the cameras. Raises OSError.
+    """The scenes as the trials of a run, with their frames in ``folder``/scenes, and the
+    calibration that detectors were given. Raises OSError.
     """
     trials, stated = [], bench.calibration
     for number, scene in enumerate(scenes, 1):
@@ -76,39 +76,33 @@ def scene_parts(run: RunRecord, stated: Calibration, folder: Path) -> Iterator[T
 
 
 def show_scenes(folder: Path, names: Sequence[str]) -> tuple[Path, list[tuple[str, str, str]]]:
-    """Write a page of scenes of the campaign in ``folder``, in its ``scenes``; gives back the
-    page's path, and scene, detector and outcome of each answer. Raises ConfigError, also where this
-    version of the program draws or answers otherwise.
+    """Write a page of scenes of a campaign; gives back its path, and scene, detector and outcome of
+    each answer. Raises ConfigError, also where this version draws other pictures.
     """
     plan, scenes = _asked(folder, names)
     job, made_by = open_plan(plan)
     detectors = job.make_detectors()
     title = plan.title or "Campaign"
     try:
-        run, stated = draw_again(job.bench(job.renderer(), detectors), scenes, folder, title)
-        _refuse_changed(folder, run, differences(plan, plan.made_by, plan, made_by))
-        place = folder / SCENES / (names[0] if len(names) == 1 else "several")
-        parts = tuple(scene_parts(run, stated, place))
-        outcomes = [
-            (trial.id, name, "success" if score.success else why_failed(score))
-            for trial in run.trials
-            for name, score in trial.scores.items()
-        ]
-        path = write_report(_page(plan, run, parts, outcomes), place)
-    except OSError as error:
-        raise ConfigError.plain(f"{folder}: can't be written: {error}") from error
+        with writing(folder):
+            bench = job.bench(job.renderer(), detectors)
+            run, stated = draw_again(bench, scenes, folder, title)
+            _refuse_changed(folder, run, differences(plan, plan.made_by, plan, made_by))
+            place = folder / SCENES / (names[0] if len(names) == 1 else "several")
+            parts = tuple(scene_parts(run, stated, place))
+            outcomes = [
+                (trial.id, name, "success" if score.success else why_failed(score))
+                for trial in run.trials
+                for name, score in trial.scores.items()
+            ]
+            path = write_report(_page(plan, run, parts, outcomes), place)
     finally:
         close_detectors(detectors)
     return path, outcomes
 
 
 def _asked(folder: Path, names: Sequence[str]) -> tuple[Plan, list[Scene]]:
-    if not (folder / PLAN).is_file():
-        raise ConfigError.plain(
-            f"{folder}: no campaign is there; name the folder that 'teatbench campaign run --out'"
-            " was given"
-        )
-    plan, found = read_plan(folder / PLAN), []
+    plan, found = plan_of(folder), []
     for name in dict.fromkeys(names):
         family, _, number = name.rpartition("-")
         last = plan.first + plan.most_scenes - 1

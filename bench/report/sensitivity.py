@@ -10,7 +10,7 @@ import numpy as np
 from bench.campaign.limits import DISPARITY_PX
 from bench.campaign.quantities import Quantity
 from bench.campaign.sensitivity import Measured
-from bench.config import ConfigError
+from bench.config import ConfigError, writing
 from bench.report.wording import NOT_MEASURED
 from bench.scoring.errors import Floats, summarise_radial
 from reports.figures.drawing import COLOURS
@@ -28,7 +28,7 @@ LINES = f"""In the figures:
   share found
 - red: the best possible median from both pictures (Cramér and Rao): an edge of contrast C, blur
   σ_b and noise σ_n holds C² / (2 √π σ_b σ_n²) of information a pixel of length; for the
-  calibration: error-free pixels with the calibration that detectors were told
+  calibration: error-free pixels with the calibration that detectors were given
 - green: disparity to {DISPARITY_PX:g} px, 0.67 · Z² / (f B) · {DISPARITY_PX:g} px; Z² / (f B) is 9
   mm a pixel on the thesis's geometry
 - red, below: what heat allows, a matched filter at one false alarm a frame (Neyman and Pearson)"""
@@ -157,9 +157,7 @@ def _pair(row: Row, first: str, second: str, digits: int) -> str:
 
 
 def _written(path: Path, text: str) -> Path:
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise ConfigError.plain(f"{path}: can't be written: {error}") from error
     return path

@@ -25,6 +25,7 @@ from bench.results.error_rows import (
     run_trends,
     teat_errors,
 )
+from bench.results.verdicts import scored_trials
 from bench.scoring.errors import Floats
 from bench.scoring.spread import (
     LEAST_POSES,
@@ -124,7 +125,7 @@ NOTE = (
     "Errors of one pose are not independent, so the slope's error is the jackknife over poses;"
     " where poses are repeated, time and bath are asked within them. All p-values of the table are"
     " adjusted together (Holm).\n“No trend shown” doesn't say that there is none: it says that"
-    " chance alone explains what was seen. As far as these poses tell, a trend may still make, over"
+    " chance alone explains what was seen. As far as these poses show, a trend may still make, over"
     " the whole range, as much as the column “could be up to” says; more poses over a wider range"
     " narrow it."
 )
@@ -324,12 +325,10 @@ def _consistent(run: RunRecord, detector: str) -> str:
 
 def _stated(run: RunRecord, detector: str) -> Iterator[tuple[Floats, Floats]]:
     """Error (3,) of each found teat, and its stated covariance (3, 3) mm² with the truth's."""
-    for trial in run.counted:
-        score = trial.scores.get(detector)
+    for trial in scored_trials(run, detector):
+        score = trial.scores[detector]
         answers = [row for row in trial.found if row["detector"] == detector]
-        for (answer, truth), error in (
-            zip(score.match.pairs, score.errors_mm, strict=True) if score else ()
-        ):
+        for (answer, truth), error in zip(score.match.pairs, score.errors_mm, strict=True):
             own, stated = covariance_of(trial.truth[truth]), covariance_of(answers[answer])
             if stated is None:
                 continue

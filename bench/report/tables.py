@@ -13,7 +13,14 @@ from bench.record.reader import RunRecord
 from bench.record.schema import Row
 from bench.report.wording import NOT_MEASURED, limit, listed, margin, measured, table
 from bench.results.attribution import Cause, What, attributed, counted
-from bench.results.verdicts import LATENCY_RULE, Judgement, failures_text, latency_of, scored
+from bench.results.verdicts import (
+    LATENCY_RULE,
+    Judgement,
+    calls_of,
+    failures_text,
+    latency_of,
+    scored,
+)
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.errors import Floats
 from bench.scoring.rates import Rate, percent, pose_successes
@@ -138,18 +145,13 @@ def rates_by_situation(run: RunRecord, detector: str) -> Table:
 
 def _rates(run: RunRecord, detector: str, situation: str | None = None) -> dict[str, Rate]:
     found = scored(run, detector, situation)
-    calls = [
-        (trial.pose, row["outcome"] != Outcome.TIMEOUT.value)
-        for trial in run.counted
-        if situation in (None, trial.head["situation"])
-        for row in trial.detections
-        if row["detector"] == detector
-    ]
+    calls = calls_of(run, detector, situation)
+    answered = [row["outcome"] != Outcome.TIMEOUT.value for _, row in calls]
     return {
         "scene success, poses": found.success,
         "hidden count right, poses": found.hidden_right,
         "in time, poses": found.in_time,
-        "no time-out, poses": pose_successes([pose for pose, _ in calls], [ok for _, ok in calls]),
+        "no time-out, poses": pose_successes([pose for pose, _ in calls], answered),
         "recall, teats": found.counts.recall,
         "precision, answers": found.counts.precision,
     }

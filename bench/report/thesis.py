@@ -9,10 +9,12 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
+from operator import attrgetter
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bench import __version__
 from bench.config import ConfigError, read_calibration, read_text
@@ -23,20 +25,18 @@ from bench.record.writer import new_run_folder
 from bench.report.tables import situations
 from bench.report.trials import project_all
 from bench.report.wording import NOT_MEASURED, listed, number, spanned, table
-from bench.results.error_rows import error_rows, plane_cells
+from bench.results.error_rows import error_rows
 from bench.results.thesis_figures import (
     Kind,
     Situation,
-    Statistics,
     Thesis,
     errors_of_test_mm,
-    statistics,
     thesis,
 )
 from bench.results.thesis_pictures import GATE_PX, PICTURES, RADIUS_MM, InPictures, in_pictures
 from bench.results.verdicts import latency_of, scored
 from bench.rig.loading import LoadedRig
-from bench.scoring.errors import Bools, Floats
+from bench.scoring.errors import Bools, ErrorSummary, Floats, summarise
 from bench.scoring.rates import percent
 from bench.script.model import Rules, Script
 from bench.script.pixel_offsets import (
@@ -68,12 +68,14 @@ from reports.page import (
 from reports.render import write_report
 
 LAYOUT = "table-5-1"  # whose ends those of the test are
+SIGNED_MEAN = "components.bias_mm"
+# of an `ErrorSummary`: the components as the thesis averages them, and the distances
 STATISTICS = {
-    "signed_mean": "mean of the signed components: the thesis's “average error” of test 1",
-    "mean_absolute": "mean of the components' amounts: that of test 2",
-    "largest_absolute": "largest component: its “maximum error”",
-    "mean_distance": "mean distance to the teat end",
-    "largest_distance": "largest distance to the teat end",
+    SIGNED_MEAN: "mean of the signed components: the thesis's “average error” of test 1",
+    "components.mean_abs_mm": "mean of the components' amounts: that of test 2",
+    "components.max_abs_mm": "largest component: its “maximum error”",
+    "radial.mean_mm": "mean distance to the teat end",
+    "radial.max_mm": "largest distance to the teat end",
 }
 PLANE = "plane_map"  # the situation
 STEP_MM = 12.5  # half widths of regions are tried in these steps
@@ -165,9 +167,7 @@ def _situations(run: RunRecord, known: Sequence[Situation]) -> Iterator[Row]:
 def _pictured(
     run: RunRecord, known: Sequence[Situation], calibration: Calibration
 ) -> Iterator[Part]:
-    """Of each detector with the thesis's stages: its counts by the pictures, and refined ends
-    against unrefined ones by teat.
-    """
+    """Of a detector with the thesis's stages: counts by the pictures, and refined ends by teat."""
     for detector in run.detectors:
         if (seen := in_pictures(run.counted, detector, calibration)) is None:
             continue
@@ -233,26 +233,27 @@ def rows_of_test(
 ) -> Iterator[Row]:
     """Test 1 (known ends) or 2 (ends put off on purpose) beside our errors (n, 3), by name."""
     test = figures.test_1 if which == 1 else figures.test_2
-    average = "signed_mean" if which == 1 else "mean_absolute"
-    printed = {average: f"{test.average_mm:g} mm", "largest_absolute": f"{test.largest_mm:g} mm"}
-    theirs = statistics(errors_of_test_mm(figures, which))
-    stats = {name: statistics(errors) for name, errors in ours.items()}
+    average = SIGNED_MEAN if which == 1 else "components.mean_abs_mm"
+    printed = {average: f"{test.average_mm:g} mm"}
+    printed["components.max_abs_mm"] = f"{test.largest_mm:g} mm"
+    theirs = summarise(errors_of_test_mm(figures, which))
+    stats = {name: summarise(errors) for name, errors in ours.items()}
     same = (
         "In this run the same ends (table 5.1's) were found by a detector, in scenes that have"
         " them; n counts ends. "
     )
     for key, what in STATISTICS.items():
         sentence = _each({name: _figure(one, key) for name, one in stats.items()}) if stats else ""
-        wrong = f"{same if which == 1 and ours else ''}{test.wrong}" if key == "signed_mean" else ""
+        wrong = f"{same if which == 1 and ours else ''}{test.wrong}" if key == SIGNED_MEAN else ""
         row = (printed.get(key, ""), _figure(theirs, key), sentence, wrong)
         yield f"test {which}: {what}", test.section, *row
 
 
-def _figure(of: Statistics, key: str) -> str:
-    value = getattr(of, key)
+def _figure(of: ErrorSummary, key: str) -> str:
+    value: float | None = attrgetter(key)(of)
     if value is None:
         return NOT_MEASURED
-    text = f"{value:+.2f}" if key == "signed_mean" else number(value)
+    text = f"{value:+.2f}" if key == SIGNED_MEAN else number(value)
     return f"{text} mm (n = {of.n})"
 
 
@@ -279,8 +280,8 @@ class Places:
 
     at_mm: Floats
     span_mm: Floats
-    teats: Floats
-    found: Floats
+    teats: NDArray[np.intp]
+    found: NDArray[np.intp]
     mean_mm: Floats
     largest_mm: Floats
 
@@ -301,19 +302,20 @@ class Places:
 
 
 def places_of(run: RunRecord, detector: str) -> Places:
-    """Of the trials of the plane."""
-    cells = plane_cells(error_rows(run, detector, PLANE))
-    at = np.array([(cell.x_mm, cell.y_mm) for cell in cells], dtype=np.float64).reshape(-1, 2)
+    """Of the trials of the plane; places are the same within 0.01 mm."""
+    rows = error_rows(run, detector, PLANE)
+    at, place = np.unique(rows.places_mm[:, :2].round(2), axis=0, return_inverse=True)
+    here, distance = place.ravel()[rows.found], np.linalg.norm(rows.errors_mm, axis=1)
+    teats, found = (np.bincount(of, minlength=len(at)) for of in (place.ravel(), here))
+    mean = np.bincount(here, distance, minlength=len(at)) / np.maximum(found, 1)
+    largest = np.zeros(len(at))
+    np.maximum.at(largest, here, distance)
     low, high = (at.min(axis=0), at.max(axis=0)) if len(at) else (np.zeros(2), np.zeros(2))
-    rows = [(cell.teats, cell.found, cell.mean_mm or 0.0, cell.max_mm or 0.0) for cell in cells]
-    columns = np.array(rows, dtype=np.float64).reshape(-1, 4).T
-    return Places(at - (low + high) / 2.0, high - low, *columns)
+    return Places(at - (low + high) / 2.0, high - low, teats, found, mean, largest)
 
 
 def largest_region_mm(places: Places, within_mm: float) -> tuple[float, float] | None:
-    """Width and depth of the largest centred region whose average error is within so much; None
-    where none is.
-    """
+    """Sides of the largest centred region with an average error within so much; or None."""
     sides = (np.arange(0.0, span + SLACK_MM, 2.0 * STEP_MM).tolist() for span in places.span_mm)
     averages = {(w, d): places.average_mm(places.within(w, d)) for w, d in product(*sides)}
     good = [size for size, mm in averages.items() if mm is not None and mm <= within_mm]
@@ -621,7 +623,7 @@ def is_offset_run(folder: Path) -> bool:
 def run_offsets(rig: LoadedRig, path: Path, out: Path) -> Path:
     """Run the script on the rig's calibration; return the run's folder. Raises ConfigError."""
     loaded = load_offsets(path)
-    outcomes(loaded, rig.calibration)  # what can't be computed is told before there is a folder
+    outcomes(loaded, rig.calibration)  # refuses what can't be computed before there is a folder
     files = {SCRIPT: loaded.text, "rig.toml": rig.text}
     files[CALIBRATION] = read_text(rig.calibration_path)
     if loaded.script.layout.endswith(".toml"):

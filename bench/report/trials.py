@@ -25,6 +25,7 @@ from bench.report.bath import capture_text, surface_at, surface_text
 from bench.report.tables import covariance_of
 from bench.report.truth import trial_truth
 from bench.report.wording import number, table, xyz
+from bench.scoring.errors import Floats
 from bench.scoring.scene import SceneScore
 from detector.calibration import Calibration
 from detector.fused.model import COUNT, Outline, contours, pixels_of
@@ -275,8 +276,6 @@ def _teats(trial: TrialRecord, detector: str) -> Table:
     return table(f"Teat ends, detector {detector}", heads, rows)
 
 
-Points = NDArray[np.float64]
-
 JPEG_QUALITY = 80
 MARGIN_PX = 90  # round the teats, in the enlarged view of the optical frames
 IMAGES = "images"
@@ -326,7 +325,7 @@ def pictures(
 
 def frames_of(
     run: RunRecord, trial: TrialRecord, calibration: Calibration
-) -> Iterator[tuple[str, NDArray[np.uint8], Points | None]]:
+) -> Iterator[tuple[str, NDArray[np.uint8], Floats | None]]:
     """Each camera with its frame, un-mirrored as the detector and the overlays count, and the true
     ends (n, 2) in it. A frame that is gone is left out: the store's check names it.
     """
@@ -342,7 +341,7 @@ def frames_of(
 
 
 def round_teats(
-    points: Points | None, width: int, height: int, margin_px: int = MARGIN_PX
+    points: Floats | None, width: int, height: int, margin_px: int = MARGIN_PX
 ) -> tuple[int, int, int, int] | None:
     """A 4:3 part of the frame around the teat ends; the whole frame where it has none."""
     if (
@@ -389,10 +388,8 @@ def _write(image: NDArray[np.uint8], path: Path, setting: int, value: int) -> No
     path.write_bytes(bytes(data))
 
 
-def project_all(calibration: Calibration, world_mm: Points) -> dict[str, Points | None]:
-    """Pixels (n, 2) of world points (n, 3) by camera, thermal un-mirrored; None without a pose. A
-    depth camera is among them where there is one.
-    """
+def project_all(calibration: Calibration, world_mm: Floats) -> dict[str, Floats | None]:
+    """Pixels (n, 2) of world points (n, 3) by camera, thermal un-mirrored; None without a pose."""
     left, right = calibration.project(world_mm)
     in_right = calibration.world_from_right.inverse().apply(world_mm)
     lens, pose = calibration.thermal.lens, calibration.thermal_from_right
@@ -404,7 +401,7 @@ def project_all(calibration: Calibration, world_mm: Points) -> dict[str, Points 
 
 
 def overlays(
-    trial: TrialRecord, camera: str, truth_px: Points | None, calibration: Calibration
+    trial: TrialRecord, camera: str, truth_px: Floats | None, calibration: Calibration
 ) -> tuple[Overlay, ...]:
     """All layers over one camera's frame; ``truth_px`` (n, 2) is the truth in its pixels."""
     shapes: dict[tuple[LayerTone, int], list[Shape]] = {(tone, 0): [] for tone in NAMES}
@@ -450,13 +447,13 @@ def stage_overlays(detection: Row, who: int = 0) -> tuple[Overlay, ...]:
     return tuple(layer for layer in layers if layer.shapes)
 
 
-def points_of(trace: Mapping[str, Any], stage: str, key: str) -> Points:
+def points_of(trace: Mapping[str, Any], stage: str, key: str) -> Floats:
     """The finite points (n, 2) of a stage; none where it has no such thing."""
     points = _rows(trace.get(stage, {}).get(key), 2)
     return points[np.isfinite(points).all(axis=1)]
 
 
-def _rows(value: Any, width: int) -> Points:
+def _rows(value: Any, width: int) -> Floats:
     """A stage's numbers as rows (n, width); none where they have another shape."""
     try:
         array = np.array(value if isinstance(value, list) else [], dtype=np.float64)
@@ -468,7 +465,7 @@ def _rows(value: Any, width: int) -> Points:
 def _stages(
     trace: Mapping[str, Any], camera: str, detector: str
 ) -> Iterator[tuple[LayerTone, Shape]]:
-    """Points of stages in this camera's picture; the thesis's own stages by their names."""
+    """Floats of stages in this camera's picture; the thesis's own stages by their names."""
     for stage in trace:
         tone: LayerTone = "nomination" if stage == "nominations" else "other"
         if stage not in FINAL:

@@ -13,7 +13,7 @@ import numpy as np
 from bench.record.reader import RunRecord, TrialRecord, points_mm
 from bench.report.tables import covariance_of
 from bench.report.wording import key_values, listed, number, spanned, table, xyz
-from bench.results.cameras_agree import LIMIT_PX, NAMES, answers_of, cameras_of, told_apart
+from bench.results.cameras_agree import DEFAULT, DISPARITY, answers_of, cameras_of, shift_text
 from bench.results.stated_arm import STATED_FACT, VERIFICATION_FACT, arm_checks, too_small
 from bench.results.verdicts import age_of
 from bench.rig.arm_files import LocationTest, Verification, from_dict
@@ -25,10 +25,9 @@ from bench.truth.carrying import counted, resumed
 from bench.truth.registration import Registration, registration_from_facts
 from bench.truth.uncertainty import CHI2_95, How
 from detector.calibration import Calibration
-from instruments.teat_end import DEFINITION
+from instruments.world.phantom import TEAT_END
 from reports.page import Cell, Column, Notes, Paragraph, Part, Table
 
-DISPARITY = NAMES[0]
 LOCATIONS = (
     "divot | >touches | >largest deviation [mm] ~.2f # from the mean of the touches: articulated"
     " location error, ASME B89.4.22 | >2 sd [mm] ~.2f"
@@ -39,14 +38,12 @@ LOCATIONS = (
 
 
 def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:
-    """Where the cameras show the known ends, and whether the detectors' answers share what they are
-    off; nothing where no picture was held against an end.
-    """
+    """The check of the cameras on known ends, and whether answers share their shift."""
     check = cameras_of(run.counted)
     if not check.ends:
         return
     asked = [r.limit_px for r in rules.requirements if isinstance(r, CamerasRequirement)]
-    limit_px = min(asked, default=LIMIT_PX)
+    limit_px = min(asked, default=DEFAULT.limit_px)
     answers = {name: answers_of(run.counted, name, calibration) for name in run.detectors}
     found = [("cameras", one) for one in check.offsets]
     found += [(f"answers of {name}", one) for name, one in answers.items() if one is not None]
@@ -60,13 +57,14 @@ def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Ite
             + ((one.mm, abs(one.value) * one.deg) if one.name == DISPARITY else ("", ""))
             for who, one in found
         ],
-        f"{check.told} of {check.ends} ends told in left and right{thermal}. Means over poses, with"
-        " 95 % confidence; px of the sensor for the thermal camera. Answers: of matched ends.",
+        f"{check.measured} of {check.ends} ends measured in left and right{thermal}. Means over"
+        " poses, with 95 % confidence; px of the sensor for the thermal camera. Answers: of matched"
+        " ends.",
     )
-    for text in check.unseen:
+    if text := check.unseen:
         yield Paragraph(f"{text[0].upper()}{text[1:]}.", tone="warn")
     for name, one in answers.items():
-        if text := told_apart(check, one, limit_px):
+        if text := shift_text(check, one, limit_px):
             yield Paragraph(f"{name}: {text}.", tone="warn")
 
 
@@ -197,7 +195,7 @@ U_NOTE = "standard uncertainties along one axis; the carry's is that of its wors
 
 def truth_parts(run: RunRecord) -> Iterator[Part]:
     """Definition, budgets, registration and checks."""
-    yield Paragraph(f"Measurand: {DEFINITION}")
+    yield Paragraph(f"Measurand: {TEAT_END}")
     yield Paragraph(
         "An answer that triangulates silhouettes measures another point; this report does not"
         " correct for it.",

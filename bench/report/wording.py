@@ -13,7 +13,7 @@ import numpy as np
 
 from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord
-from bench.results.verdicts import Judgement, run_verdict
+from bench.results.verdicts import Judgement, calls_of, run_verdict
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.rates import percent_apart
 from detector.protocol import Outcome
@@ -65,9 +65,8 @@ def spanned(values: Any, form: str = ".2f", unit: str = "") -> str:
 
 
 def shown(value: Any, form: str = "") -> str | Cell:
-    """A table's value as text: with the format ``form``, else as `number` has it.
-
-    Several numbers are listed. None is ``not measured``; empty where ``form`` ends with ``?``.
+    """A table's value as text, by the format ``form`` or as `number`; several are listed. None is
+    ``not measured``, or empty where ``form`` ends with ``?``.
     """
     if isinstance(value, str | Cell):
         return value
@@ -87,11 +86,8 @@ def table(
     *,
     searchable: bool = False,
 ) -> Table:
-    """A table of values, as `shown` has them.
-
-    ``heads`` are texts ``title | >title [unit] ~form # hint``: ``>`` sets figures to the right,
-    ``form`` is the numbers' format. A title that anybody gave, as a detector's name, comes as a
-    `Column`: it may hold such signs.
+    """A table. ``heads`` are ``title | >title [unit] ~form # hint``: ``>`` aligns right, ``form``
+    formats the values as `shown` does. A title from a user comes as a `Column`.
     """
     made: list[tuple[Column, str]] = []
     for head in [heads] if isinstance(heads, str) else heads:
@@ -180,7 +176,7 @@ def headlines(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[str, str
 
 def _silence(run: RunRecord, detector: str) -> Iterator[str]:
     """How often it gave no answer, with the last reason and the last line that it wrote."""
-    rows = [row for trial in run.counted for row in trial.detections if row["detector"] == detector]
+    rows = [row for _, row in calls_of(run, detector)]
     silent = [row for row in rows if row["outcome"] != Outcome.ANSWERED.value]
     if not silent:
         return
@@ -228,20 +224,20 @@ def _why_ended(run: RunRecord) -> str:
 def guardian_text(record: Mapping[str, Any]) -> str:
     """What happened to the bench and when, and whether the guardian reached standby."""
     when, why = record["wall_noticed"], record["why"]
-    befell = {
+    what = {
         "died": f"The bench died at {when}",
         "hung": f"The bench hung ({why}); its last sign of life was at {record['wall_last_sign']}",
         "gave up": f"At {when} the bench gave up: {why}",
     }[record["cause"]]
     if not record["standby"]:
         return (
-            f"{befell}; THE GUARDIAN COULD NOT REACH THE BATH in {record['tries']} tries"
+            f"{what}; THE GUARDIAN COULD NOT REACH THE BATH in {record['tries']} tries"
             f" ({record['error']}): switch it off by hand."
         )
     more = " The hung bench kept the port and was ended." if record.get("killed") else ""
     more += f" The pump {record['pump']}." if "pump" in record else ""
     return (
-        f"{befell}; the guardian had the bath in standby at {record['wall_safe']},"
+        f"{what}; the guardian had the bath in standby at {record['wall_safe']},"
         f" {record['seconds']:.1f} s after it took notice.{more}"
     )
 

@@ -126,9 +126,7 @@ def _numbers(given: Any, shape: tuple[int, ...], what: str, wanted: str) -> Any:
 
 
 def _trace(trace: Any) -> tuple[tuple[Stage, ...], str | None]:
-    """The stages that the record can hold, and how many not: a fault in the trace never costs an
-    answer.
-    """
+    """The stages that the record can hold, and a note of how many it can't."""
     stages = trace if isinstance(trace, tuple | list) else (trace,)
     kept = {
         stage.name.casefold().replace(" ", "-"): stage
@@ -175,11 +173,8 @@ TIMEOUT_S = 30.0  # a slower answer counts as none; a rig says its own (limits.d
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What a detector answered on one frame set, and how long it took (real seconds).
-
-    cold: the first call of the detector or of its process; no latency is taken from it. start_up_s:
-    of its process before this call, not part of ``seconds``. cpu_s: processor seconds that the
-    bench's process used, None for a detector elsewhere. load: of the machine, a processor.
+    """The answer on one frame set and its real time; ``cold``: the first call of a process.
+    ``cpu_s`` is None for a detector in another process; ``load`` is that of the machine.
     """
 
     detector: str

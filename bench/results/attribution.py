@@ -10,14 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from bench.record.reader import RunRecord, TrialRecord
-from bench.results.cameras_agree import (
-    LIMIT_PX,
-    NAMES,
-    THERMAL_LIMIT_PX,
-    answers_of,
-    cameras_of,
-    shared,
-)
+from bench.results.cameras_agree import DEFAULT, answers_of, cameras_of, share_shift
 from bench.safety.stability import State
 from detector.calibration import Calibration
 
@@ -59,18 +52,16 @@ class Attributed:
 def attributed(
     run: RunRecord, detector: str, calibration: Calibration | None = None
 ) -> tuple[Attributed, ...]:
-    """All of ``detector`` in the order of the trials; then the trials that were not judged. What is
-    the calibration's is so by the bench's own check of the cameras: a depth that is off, or
-    nothing found at all. By ``calibration`` the answers are asked too: a detector's that don't
-    share the cameras' disparity stay its own.
+    """The faults of ``detector`` in the order of the trials, then the trials that were not judged.
+    An answer that doesn't share the cameras' shift stays the detector's.
     """
     found = []
     check = cameras_of(run.counted)
-    depth_mm, seen = check.depth_error_mm, check[NAMES[0]]
+    depth_mm, seen = check.depth_error_mm, check.disparity
     answers = answers_of(run.counted, detector, calibration) if calibration else None
-    if answers is not None and seen is not None and not shared(seen, answers):
+    if answers is not None and seen is not None and not share_shift(seen, answers):
         depth_mm = 0.0
-    off = "; ".join(one.text for one in check.sure(LIMIT_PX, THERMAL_LIMIT_PX))
+    off = "; ".join(one.text for one in check.beyond(DEFAULT))
     for trial in run.trials:
         bath = trial.head["bath_state"]
         for what, teat, cause, why in _wrong(trial, detector):

@@ -1,10 +1,10 @@
-"""Do the cameras show the touched teat ends where the calibration says? The bench's own check of
-its cameras, pooled over a run, whichever detectors are under test; and the same figure of what a
-detector answers, which a knocked camera puts off alike.
+"""Whether the cameras show the touched teat ends where the calibration puts them: the bench's own
+check of its cameras, pooled over a run, whichever detectors are under test. The same figure is
+taken of a detector's answers, which a camera that was knocked shifts alike.
 
-An end's disparity tells of depth, rows and the thermal picture of the rest. A truth that is off
-alike all through a run (registration, arm) moves the disparity too: by its standard uncertainty
-along the line of sight, which is part of the uncertainty stated here.
+Disparity measures an end's depth. A truth with one error all through a run (registration, arm)
+shifts the disparity too: its standard uncertainty along the line of sight is part of the
+uncertainty stated here.
 """
 
 from __future__ import annotations
@@ -39,14 +39,11 @@ from instruments.camera.recording import Recording, RecordingError, TruthRow
 
 LEAST_POSES, MOST_POSES = 3, 24
 CONFIDENCE = 0.95  # of an interval, two-sided
-NAMES = ("disparity", "rows", "thermal columns", "thermal rows")
-LEAST_TOLD = 0.2  # of the ends; fewer are told by chance
-SHARED = 0.5  # of what the cameras are off, in a detector's answers: it is the cameras'
-# where no requirement says another
-LIMIT_PX, THERMAL_LIMIT_PX = (
-    float(CamerasRequirement.model_fields[name].default)
-    for name in ("limit_px", "thermal_limit_px")
-)
+DISPARITY = "disparity"
+NAMES = (DISPARITY, "rows", "thermal columns", "thermal rows")
+LEAST_MEASURED = 0.2  # share of the ends; fewer are measured by chance
+SHARED = 0.5  # share of the cameras' shift that shared answers have at least
+DEFAULT = CamerasRequirement(kind="cameras_agree", name="cameras agree with the known ends")
 NEXT_UNSEEN = (
     "Look at the frames: is every camera where it was, sharp and lit, and are the ends those of the"
     " truth? Then 'teatbench calibrate check' with a board."
@@ -56,7 +53,7 @@ NEXT_UNSEEN = (
 def where_seen(
     frames: FrameSet, calibration: Calibration, truth: Sequence[TruthRow]
 ) -> Mapping[str, EndOffsets]:
-    """Of the visible teats of ``truth``, by name; nothing where the pictures can't be used."""
+    """The visible teats of ``truth`` by name; none where the pictures can't be used."""
     try:
         return _seen(frames, calibration, truth)
     except (UnusableError, np.linalg.LinAlgError):
@@ -66,7 +63,7 @@ def where_seen(
 def _seen(
     frames: FrameSet, calibration: Calibration, truth: Sequence[TruthRow]
 ) -> Mapping[str, EndOffsets]:
-    """The same. Raises UnusableError, LinAlgError."""
+    """As `where_seen`. Raises UnusableError, LinAlgError."""
     rows = [row for row in truth if row.visible]
     if not rows:
         return {}
@@ -83,9 +80,8 @@ def spread(frames: Iterable[str]) -> frozenset[str]:
 
 @dataclass(frozen=True, slots=True)
 class CameraOffset:
-    """One figure of a run's cameras: ``value`` with its expanded uncertainty, px (of the sensor for
-    the thermal camera), over ``poses``. A pixel is ``mm`` of a teat end's depth, or a camera turned
-    by ``deg``.
+    """The mean offset of one figure over ``poses``, px (of the sensor for the thermal camera), with
+    its expanded uncertainty. One pixel is ``mm`` of an end's depth, or a turn of ``deg``.
     """
 
     name: str
@@ -97,120 +93,115 @@ class CameraOffset:
 
     @property
     def text(self) -> str:
-        """``disparity off by 0.50 +- 0.04 px``."""
+        """``disparity off by 0.50 ± 0.04 px``."""
         return f"{self.name} off by {self.value:z.2f} ± {self.uncertainty:.2f} px"
+
+    def exceeds(self, limit_px: float) -> bool:
+        """Beyond the limit by more than its uncertainty."""
+        return abs(self.value) - self.uncertainty > limit_px
 
 
 @dataclass(frozen=True, slots=True)
 class CamerasCheck:
-    """What the cameras show of known ends: each figure that at least `LEAST_POSES` poses tell, of
-    how many poses; how many of the ends told, and how many in the thermal picture (None where there
-    is none).
+    """The figures with at least `LEAST_POSES` poses; how many ``ends`` there were, how many of them
+    were ``measured`` in left and right, and in the ``thermal`` picture (None without one).
     """
 
     offsets: tuple[CameraOffset, ...] = ()
     poses: int = 0
     ends: int = 0
-    told: int = 0
+    measured: int = 0
     thermal: int | None = None
 
-    def __getitem__(self, name: str) -> CameraOffset | None:
-        return next((one for one in self.offsets if one.name == name), None)
+    @property
+    def disparity(self) -> CameraOffset | None:
+        return next((one for one in self.offsets if one.name == DISPARITY), None)
 
     @property
     def depth_error_mm(self) -> float:
-        """How far the disparity alone puts an end off in depth, at the least, with confidence; 0
-        where it may be right.
-        """
-        one = self[NAMES[0]]
+        """The least depth error that the disparity shows, with confidence."""
+        one = self.disparity
         return 0.0 if one is None else max(abs(one.value) - one.uncertainty, 0.0) * one.mm
 
-    def sure(self, limit_px: float, thermal_limit_px: float) -> list[CameraOffset]:
-        """The figures that are beyond their limits by more than their uncertainty."""
-        limits = limits_of(limit_px, thermal_limit_px)
-        return [o for o in self.offsets if abs(o.value) - o.uncertainty > limits[o.name]]
+    def beyond(self, rule: CamerasRequirement) -> list[CameraOffset]:
+        """The figures that exceed the rule's limits."""
+        return [one for one in self.offsets if one.exceeds(limit_of(rule, one))]
 
     @property
-    def unseen(self) -> tuple[str, ...]:
-        """What can't be measured although pictures are there, in words."""
+    def unseen(self) -> str:
+        """What can't be measured although there are pictures; empty where nothing is missing."""
         if self.poses < LEAST_POSES:
-            return ()
-        if self.told < LEAST_TOLD * self.ends:
-            columns, rows = REACH_PX
-            reach = f"more than {columns:g} px of columns or {rows:g} px of rows"
-            return (_beyond(f"{self.told} of {self.ends} ends told in left and right", reach),)
-        if self.thermal is None or self.thermal >= LEAST_TOLD * self.told:
-            return ()
-        reach = f"more than {THERMAL_REACH_PX:g} sensor pixels"
-        return (_beyond(f"{self.thermal} of {self.told} ends told in the thermal picture", reach),)
+            return ""
+        measured, columns_rows = self.measured, "more than {:g} px of columns or {:g} px of rows"
+        where, of, reach = "left and right", self.ends, columns_rows.format(*REACH_PX)
+        if measured >= LEAST_MEASURED * of and self.thermal is not None:
+            measured, where, of = self.thermal, "the thermal picture", self.measured
+            reach = f"more than {THERMAL_REACH_PX:g} sensor pixels"
+        if measured >= LEAST_MEASURED * of:
+            return ""
+        return (
+            f"only {measured} of {of} ends measured in {where}: off beyond what can be measured"
+            f" ({reach}), or not shown"
+        )
 
 
-def limits_of(limit_px: float, thermal_limit_px: float) -> Mapping[str, float]:
-    """Of each figure."""
-    return dict(zip(NAMES, [limit_px] * 2 + [thermal_limit_px] * 2, strict=True))
-
-
-def _beyond(who: str, reach: str) -> str:
-    return f"only {who}: off beyond what can be measured ({reach}), or not shown"
+def limit_of(rule: CamerasRequirement, one: CameraOffset) -> float:
+    """The limit of one figure, px."""
+    return rule.limit_px if one.name in NAMES[:2] else rule.thermal_limit_px
 
 
 def check_cameras(seen: Mapping[str, Sequence[Mapping[str, Any]]], u_mm: float) -> CamerasCheck:
-    """Of the `EndOffsets` of each pose, as dicts; ``u_mm``: of the known ends. Figures are the mean
-    over poses of each pose's median; repeats of a pose count once.
+    """The check of each pose's `EndOffsets`, as dicts; ``u_mm`` is that of the known ends. A figure
+    is the mean over poses of each pose's median; repeats of a pose count once.
     """
-    medians, ends, told, thermal, looked = [], 0, 0, 0, False
-    for rows in seen.values():
-        figures = [
-            [
-                np.nan if one is None else float(one)
-                for one in (row["disparity_px"], row["rows_px"], *row["thermal_px"])
-            ]
-            + [row["mm_a_px"], row["thermal_mm_a_px"], row["deg_a_px"]]
-            for row in rows
-        ]
-        values = np.array(figures, dtype=np.float64)
-        ends, told = ends + len(values), told + int(np.isfinite(values[:, 0]).sum())
-        thermal += int(np.isfinite(values[:, 2]).sum())
-        looked = looked or bool((values[:, 5] != NO_THERMAL_MM).any())
-        medians.append(_median(values))
-    if not medians:
+    if not seen:
         return CamerasCheck()
-    by_pose = np.array(medians)
+    columns = ("disparity_px", "rows_px", "mm_a_px", "thermal_mm_a_px", "deg_a_px")
+    poses = [
+        np.array([[*row["thermal_px"], *map(row.get, columns)] for row in rows], dtype=np.float64)
+        for rows in seen.values()
+    ]  # None becomes not-a-number
+    every = np.concatenate(poses)
+    thermal, measured = (int(np.isfinite(every[:, k]).sum()) for k in (0, 2))
+    by_pose = np.array([[_median(column) for column in values.T] for values in poses])
     mm, thermal_mm, deg = np.median(by_pose[:, 4:], axis=0)
-    # what so few tell is chance
-    shown = NAMES if thermal >= LEAST_TOLD * told else NAMES[:2]
-    found = []
-    for k, name in enumerate(shown if told >= LEAST_TOLD * ends else ()):
-        common = {"disparity": u_mm / mm, "rows": 0.0}.get(name, u_mm / thermal_mm)
-        if (one := _pooled(name, by_pose[:, k], common, float(mm), float(deg))) is not None:
-            found.append(one)
-    return CamerasCheck(tuple(found), len(by_pose), ends, told, thermal if looked else None)
+    offsets: list[CameraOffset | None] = []
+    if measured >= LEAST_MEASURED * len(every):
+        offsets += [
+            _pooled(NAMES[0], by_pose[:, 2], u_mm / mm, mm, deg),
+            _pooled(NAMES[1], by_pose[:, 3], 0.0, mm, deg),
+        ]
+        if thermal >= LEAST_MEASURED * measured:
+            offsets += [
+                _pooled(NAMES[2 + k], by_pose[:, k], u_mm / thermal_mm, mm, deg) for k in (0, 1)
+            ]
+    looked = bool((every[:, 5] != NO_THERMAL_MM).any())
+    found = tuple(one for one in offsets if one is not None)
+    return CamerasCheck(found, len(poses), len(every), measured, thermal if looked else None)
+
+
+def _median(values: Array) -> float:
+    """The median of the finite ones; not-a-number where there are none."""
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else np.nan
 
 
 def _pooled(name: str, values: Array, common: float, mm: float, deg: float) -> CameraOffset | None:
-    """The mean of what poses (n,) tell; ``common``: standard uncertainty that all share, px."""
+    """The mean over poses (n,); ``common`` is the uncertainty that all share, px."""
     values = values[np.isfinite(values)]
     n = len(values)
     if n < LEAST_POSES:
         return None
     scatter = float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2) * values.std(ddof=1) / np.sqrt(n))
-    return CameraOffset(
-        name, float(values.mean()), float(np.hypot(scatter, 2 * common)), n, mm, deg
-    )
-
-
-def _median(rows: Array) -> Array:
-    """Of each column (n, k), whatever is not a number left out."""
-    return np.array(
-        [np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else np.nan for c in rows.T]
-    )
+    uncertainty = float(np.hypot(scatter, 2 * common))
+    return CameraOffset(name, float(values.mean()), uncertainty, n, float(mm), float(deg))
 
 
 def can_tell(seen: Mapping[str, Mapping[str, EndOffsets]]) -> bool:
-    """Whether what the poses show of their ends, by name, is enough for figures."""
+    """Whether the ends of these poses, by name, are enough for the check."""
     rows = {pose: [asdict(one) for one in ends.values()] for pose, ends in seen.items() if ends}
     check = check_cameras(rows, 0.0)
-    return check[NAMES[0]] is not None and not check.unseen
+    return check.disparity is not None and not check.unseen
 
 
 def truth_rows(trial: TrialRecord) -> list[TruthRow]:
@@ -227,8 +218,8 @@ def truth_rows(trial: TrialRecord) -> list[TruthRow]:
 def check_folder(
     folder: Path, calibration: Calibration, anew: Sequence[FrameSet] = ()
 ) -> CamerasCheck:
-    """Of a run's or recording's frames and known ends; of frames taken ``anew`` of the ends of its
-    last frame. Fewer than `LEAST_POSES` poses are pooled over their ends. Raises ConfigError.
+    """The check of a run's or recording's frames; of frames taken ``anew`` of the ends of its last
+    frame. Fewer than `LEAST_POSES` poses are pooled over their ends. Raises ConfigError.
     """
     try:
         recording = Recording(folder)
@@ -261,7 +252,7 @@ def check_folder(
 
 
 def cameras_of(trials: Sequence[TrialRecord]) -> CamerasCheck:
-    """Of a run's touched ends, as its record has them."""
+    """The check of a run's touched ends."""
     by_pose: dict[str, list[dict[str, Any]]] = defaultdict(list)
     u_mm = 0.0
     for trial in trials:
@@ -275,9 +266,7 @@ def cameras_of(trials: Sequence[TrialRecord]) -> CamerasCheck:
 def answers_of(
     trials: Sequence[TrialRecord], detector: str, calibration: Calibration
 ) -> CameraOffset | None:
-    """The disparity that a detector's answers are off the truth in common, as `cameras_of` has it
-    of the cameras; None where fewer than `LEAST_POSES` poses have an answer at an end.
-    """
+    """The disparity between a detector's answers and the truth; None below `LEAST_POSES`."""
     by_pose: dict[str, list[float]] = defaultdict(list)
     scales, u_mm = [], 0.0
     for trial in trials:
@@ -300,41 +289,33 @@ def answers_of(
     return _pooled(NAMES[0], medians, u_mm / mm, mm, deg)
 
 
-def shared(cameras: CameraOffset, answers: CameraOffset) -> bool:
-    """Whether answers may have what the cameras are off: half of it, or what they scatter by."""
+def share_shift(cameras: CameraOffset, answers: CameraOffset) -> bool:
+    """Whether the answers may have the cameras' shift: half of it, or what both scatter by."""
     apart = abs(answers.value - cameras.value)
     alike = answers.value * np.sign(cameras.value) >= SHARED * abs(cameras.value)
     return bool(alike or apart <= np.hypot(answers.uncertainty, cameras.uncertainty))
 
 
-def told_apart(cameras: CamerasCheck, answers: CameraOffset | None, limit_px: float) -> str:
-    """Whose it is that answers are off in common, in words; empty where they aren't surely off by
-    more than the limit.
-    """
-    if answers is None or abs(answers.value) - answers.uncertainty <= limit_px:
+def shift_text(check: CamerasCheck, answers: CameraOffset | None, limit_px: float) -> str:
+    """Whose a common shift of the answers is; empty where there is none beyond the limit."""
+    if answers is None or not answers.exceeds(limit_px):
         return ""
     sentence = (
         f"its ends have their {answers.text} alike over {answers.poses} poses, as if the right"
         f" camera were turned by {abs(answers.value) * answers.deg:.2f}°"
     )
-    seen = cameras[NAMES[0]]
+    seen = check.disparity
     if seen is None:
         return f"{sentence}; the cameras could not be checked, so it may be either's fault"
-    if cameras.depth_error_mm > 0.0 and shared(seen, answers):
+    if check.depth_error_mm > 0.0 and share_shift(seen, answers):
         return f"{sentence}, and so have the cameras ({seen.text}): calibration, not detector"
     return f"{sentence}, but the cameras have not ({seen.text}): detector, not calibration"
 
 
-def decide_cameras(rule: CamerasRequirement, trials: Sequence[TrialRecord]) -> Decision:
-    """As `decide`, of a run's touched ends."""
-    return decide(rule, cameras_of(trials))
-
-
-def decide(rule: CamerasRequirement, check: CamerasCheck) -> Decision:
+def decide_cameras(rule: CamerasRequirement, check: CamerasCheck) -> Decision:
     """Not met where a figure is beyond its limit by more than its uncertainty; met where all are
-    within by as much; not measured where no picture was held against a touched end.
+    within by as much; not measured where no picture was compared with a touched end.
     """
-    limits, offsets = limits_of(rule.limit_px, rule.thermal_limit_px), check.offsets
     nothing = Decision(
         name=rule.name,
         rule=f"touched ends are seen within {rule.limit_px:g} px of where the calibration puts"
@@ -344,41 +325,43 @@ def decide(rule: CamerasRequirement, check: CamerasCheck) -> Decision:
         limit=rule.limit_px,
         sentence=f"It needs touched ends of at least {LEAST_POSES} poses that the cameras show.",
     )
-    if check[NAMES[0]] is None:
+    if check.disparity is None:
         if not check.unseen:
             return nothing
-        text = f"{_capital(check.unseen[0])}. {NEXT_UNSEEN}"
+        text = f"{_capital(check.unseen)}. {NEXT_UNSEEN}"
         return replace(nothing, n=check.poses, verdict=Verdict.INCONCLUSIVE, sentence=text)
-    sure = check.sure(rule.limit_px, rule.thermal_limit_px)
-    open_ = [one for one in offsets if abs(one.value) + one.uncertainty > limits[one.name]]
-    worst = max(sure or offsets, key=lambda one: abs(one.value) / limits[one.name])
-    text = "; ".join([*(one.text for one in sure or open_ or offsets[:2]), *check.unseen])
-    if depth := next((one for one in sure if one.name == NAMES[0]), None):
-        off = abs(depth.value)
-        text += (
-            f"; that disparity is as if the right camera were turned by {off * depth.deg:.2f}°, and"
-            f" puts every stereo detector's ends some {off * depth.mm:.1f} mm off in depth"
+    beyond, offsets = check.beyond(rule), check.offsets
+    undecided = [one for one in offsets if abs(one.value) + one.uncertainty > limit_of(rule, one)]
+    worst = max(beyond or offsets, key=lambda one: abs(one.value) / limit_of(rule, one))
+    texts = [*(one.text for one in beyond or undecided or offsets[:2]), check.unseen]
+    if check.disparity in beyond:
+        off, per_px = abs(check.disparity.value), check.disparity
+        texts.append(
+            f"that disparity is as if the right camera were turned by {off * per_px.deg:.2f}°, and"
+            f" puts every stereo detector's ends some {off * per_px.mm:.1f} mm off in depth"
         )
-    text += f" ({check.told} of {check.ends} ends told)"
-    unclear = Verdict.INCONCLUSIVE if open_ or check.unseen else Verdict.MET
-    advice = f" It is the calibration's fault, not a detector's: {cure(sure)}." if sure else ""
-    if check.unseen and not sure:
-        advice = f" {NEXT_UNSEEN}"
+    text = f"{'; '.join(filter(None, texts))} ({check.measured} of {check.ends} ends measured)"
+    verdict = Verdict.INCONCLUSIVE if undecided or check.unseen else Verdict.MET
+    advice = f" {NEXT_UNSEEN}" if check.unseen else ""
+    if beyond:
+        verdict = Verdict.NOT_MET
+        advice = f" It is the calibration's fault, not a detector's: {_cure(beyond)}."
+    limit = limit_of(rule, worst)
     return replace(
         nothing,
         n=worst.poses,
         measured=abs(worst.value),
-        limit=limits[worst.name],
-        margin=limits[worst.name] - abs(worst.value),
+        limit=limit,
+        margin=limit - abs(worst.value),
         uncertainty=worst.uncertainty,
-        verdict=Verdict.NOT_MET if sure else unclear,
+        verdict=verdict,
         sentence=f"{_capital(text)}.{advice}",
     )
 
 
-def cure(off: Sequence[CameraOffset]) -> str:
-    """Which step of the calibration is to be made again for what is off."""
-    optical = any(one.name in NAMES[:2] for one in off)
+def _cure(beyond: Sequence[CameraOffset]) -> str:
+    """Which step of the calibration has to be made again."""
+    optical = any(one.name in NAMES[:2] for one in beyond)
     step = "cameras" if optical else "thermal"
     rest = "what follows from it, then 'merge'" if optical else "'merge'"
     return f"look for a camera that was knocked; calibrate again ('calibrate {step}', {rest})"

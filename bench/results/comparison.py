@@ -15,23 +15,24 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bench.config import ConfigError, did_you_mean, read_config
+from bench.config import ConfigError, did_you_mean
 from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord, TrialRecord, read_run
-from bench.record.schema import RULES, SCRIPT
+from bench.record.schema import SCRIPT
 from bench.results.verdicts import (
     DetectorRequirement,
     Judgement,
-    Latency,
+    calls_of,
     decide_detector,
     held_back,
-    latency_of,
+    latency,
+    scored_trials,
+    stored_rules,
     truth_u_mm,
 )
 from bench.scoring.comparison import Compared, Gate, ScenePair, compare
 from bench.scoring.decisions import Verdict
-from bench.scoring.scene import Pool
-from bench.script.model import Rules, Script
+from bench.scoring.scene import Pool, pool
 from instruments.camera.recording import FILES
 
 SAME_PLACE_MM = 10.0  # a hand sets a phantom up within a few mm; scripts move it by 25 mm
@@ -56,13 +57,12 @@ class Side:
     @property
     def trials(self) -> tuple[TrialRecord, ...]:
         """The trials that count and were scored."""
-        return tuple(trial for trial in self.run.counted if self.detector in trial.scores)
+        return tuple(scored_trials(self.run, self.detector))
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Two sides compared. `same_frames` of the pairs have identical frames; `only_old` and
-    `only_new` had no counterpart; of `elsewhere` trials one by name, with its teats at other
+    """Two sides compared; ``elsewhere`` counts trials of one name whose teats stood at other
     places.
     """
 
@@ -80,9 +80,12 @@ def scored_together(runs: Sequence[RunRecord], detector: str) -> Pool:
     """The scores of one detector over several runs as one. A pose of one script, or of one
     recording, is the same pose in every run of it; poses of two scripts differ.
     """
-    sides = [(Side(run, detector), poses_of(run)) for run in runs]
-    rows = [((poses, trial.pose), trial) for side, poses in sides for trial in side.trials]
-    return Pool(tuple(trial.scores[detector] for _, trial in rows), tuple(pose for pose, _ in rows))
+    scores, poses = [], []
+    for run in runs:
+        trials, of = scored_trials(run, detector), poses_of(run)
+        scores += [trial.scores[detector] for trial in trials]
+        poses += [(of, trial.pose) for trial in trials]
+    return pool(scores, poses)
 
 
 def compare_folders(
@@ -193,8 +196,7 @@ def _same_place(one: TrialRecord, other: TrialRecord) -> bool:
 def check_limits(old: Side, new: Side) -> None:
     """Raises ConfigError where the limit of the error, or of the time, differs."""
     errors = [{t.scores[side.detector].limit_mm for t in side.trials} for side in (old, new)]
-    rules = [rules_of(side.run) for side in (old, new)]
-    times = [{rule.time_limit_s} if rule else set() for rule in rules]
+    times = [{stored_rules(side.run.folder).time_limit_s} for side in (old, new)]
     for what, limits in (("mm", errors), ("s", times)):
         if all(limits) and limits[0] != limits[1]:
             note = " and ".join(", ".join(f"{one:g}" for one in sorted(each)) for each in limits)
@@ -202,14 +204,6 @@ def check_limits(old: Side, new: Side) -> None:
                 f"{old.label} and {new.label} were held against different limits ({note} {what}):"
                 " success would mean two things. Run or score both by the same rules."
             )
-
-
-def rules_of(run: RunRecord) -> Rules | None:
-    """The run's script, or the rules of a recording; None where neither is in its folder."""
-    for name, kind in ((SCRIPT, Script), (RULES, Rules)):
-        if (run.folder / name).is_file():
-            return read_config(run.folder / name, kind, stored=True)
-    return None
 
 
 def poses_of(run: RunRecord) -> str:
@@ -240,9 +234,8 @@ def _name(trial: TrialRecord) -> Hashable:
 def judge_folders(
     folders: Sequence[Path], detectors: Sequence[str] = (), damage: tuple[str, ...] = ()
 ) -> tuple[Judgement, ...]:
-    """Each detector that all runs have (of those named, if any), judged by the first run's
-    requirements; ``damage`` is that of their records. Raises ConfigError where there is none, or
-    where the runs were held against other limits.
+    """Each detector that all runs have (of those named), judged by the first run's requirements.
+    Raises ConfigError where there is none, or limits differ.
     """
     runs = [read_run(folder, damage) for folder in folders]
     names = [
@@ -252,32 +245,20 @@ def judge_folders(
     ]
     if not names:
         raise _none_shared(runs, detectors, "all")
-    rules = rules_of(runs[0]) or read_config(runs[0].folder / RULES, Rules, stored=True)
+    rules = stored_rules(runs[0].folder)
     held = [rule for rule in rules.requirements if isinstance(rule, DetectorRequirement)]
     found = []
     for name in names:
         for other in runs[1:]:
             check_limits(Side(runs[0], name), Side(other, name))
-        scores, timed = scored_together(runs, name), timed_together(runs, name)
+        scores, rows = scored_together(runs, name), []
+        for run in runs:
+            of = poses_of(run)
+            rows += [((of, pose), row) for pose, row in calls_of(run, name)]
         u_mm = truth_u_mm(runs, scores, name)
-        decisions = (decide_detector(rule, scores, timed, u_mm) for rule in held)
+        decisions = (decide_detector(rule, scores, latency(rows), u_mm) for rule in held)
         found.append(Judgement(name, held_back(decisions, runs[0].damage)))
     return tuple(found)
-
-
-def timed_together(runs: Sequence[RunRecord], detector: str) -> Latency:
-    """The times of one detector over several runs, each with its pose."""
-    parts = [latency_of(run, detector) for run in runs]
-    names = [poses_of(run) for run in runs]
-    poses = [(name, pose) for name, part in zip(names, parts, strict=True) for pose in part.poses]
-    return Latency(
-        seconds=tuple(s for part in parts for s in part.seconds),
-        unanswered=sum((Counter(part.unanswered) for part in parts), Counter()),
-        poses=tuple(poses),
-        cpu_s=tuple(s for part in parts for s in part.cpu_s),
-        loads=tuple(load for part in parts for load in part.loads),
-        asked=sum(part.asked for part in parts),
-    )
 
 
 def judgement_lines(judgement: Judgement) -> Iterator[str]:

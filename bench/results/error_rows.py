@@ -19,16 +19,15 @@ import numpy as np
 from bench.config import read_config
 from bench.record.reader import RunRecord
 from bench.record.schema import SCRIPT
+from bench.results.verdicts import scored_trials
 from bench.scoring.errors import Bools, Floats
 from bench.scoring.precision import GageStudy, Precision, gage_study, precision
 from bench.scoring.spread import (
     BiasTest,
-    Cell,
     Ellipsoid,
     Trend,
     bias_ellipsoid,
     bias_test,
-    error_map,
     pose_means,
     prediction_ellipsoid,
     trends,
@@ -40,9 +39,8 @@ WITHIN = ("time_s", "bath_c")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorRows:
-    """One row a visible teat and trial of one detector, in order of time. ``places_mm`` (n, 3) is
-    the true end; ``found`` (n,); ``errors_mm`` (k, 3) of the found rows. The rest is (n,),
-    not-a-number where not known.
+    """One row a visible teat and trial of one detector, in order of time; ``errors_mm`` (k, 3) are
+    of the ``found`` rows. What is not known is not-a-number.
     """
 
     places_mm: Floats
@@ -121,10 +119,8 @@ def error_rows(run: RunRecord, detector: str, situation: str | None = None) -> E
     rows: list[tuple[float | None, ...]] = []
     names: list[tuple[str, str, str]] = []
     errors: list[Floats] = []
-    for trial in run.counted:
-        score = trial.scores.get(detector)
-        if score is None or situation not in (None, trial.head["situation"]):
-            continue
+    for trial in scored_trials(run, detector, situation):
+        score = trial.scores[detector]
         at = {teat: row for row, (_, teat) in enumerate(score.match.pairs)}
         for index, truth in enumerate(trial.truth):
             if not truth["visible"]:
@@ -149,11 +145,6 @@ def run_trends(rows: ErrorRows) -> tuple[Trend, ...]:
     repeated = any(count > 1 for count in Counter(strata).values())
     within: Mapping[str, tuple[Hashable, ...]] = dict.fromkeys(WITHIN, strata) if repeated else {}
     return trends(rows.quantities, rows.errors_mm, poses, within=within, within_groups=trials)
-
-
-def plane_cells(rows: ErrorRows, step_mm: float | None = None) -> tuple[Cell, ...]:
-    """The error map of the plane; without a step a cell is a place."""
-    return error_map(rows.places_mm[:, :2], rows.errors_mm, rows.found, step_mm=step_mm)
 
 
 def run_bias(rows: ErrorRows) -> Bias:
@@ -233,9 +224,7 @@ Touches = dict[Part, dict[str, list[tuple[float, float, float]]]]
 
 @dataclass(frozen=True, slots=True)
 class TruthGage:
-    """The studies along the world's x, y and z, mm; None where the record doesn't hold one, and
-    ``why`` not. ``left_out`` parts had too few touches or set-ups.
-    """
+    """The studies along x, y and z, mm, or ``why`` there are none; parts that were left out."""
 
     studies: tuple[GageStudy, GageStudy, GageStudy] | None
     left_out: int = 0

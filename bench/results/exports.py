@@ -75,7 +75,7 @@ def _run_json(run: RunRecord, judgements: Sequence[Judgement]) -> str:
             {
                 "detector": j.detector,
                 "verdict": j.verdict.value,
-                "requirements": [d.as_dict() for d in j.decisions],
+                "requirements": [asdict(d) for d in j.decisions],
             }
             for j in judgements
         ],

@@ -35,9 +35,8 @@ STAGES = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InPictures:
-    """One row a visible teat end and trial: distances (n, 5) px of the answer nearest to it in each
-    of `PICTURES` and (n, 2) mm unrefined and refined, not-a-number where none is near; whether it
-    lies on the end there (n, 5); ``astray`` by situation: ends that were nominated at no teat.
+    """One row a visible end and trial: distances of its answer in each of `PICTURES` (n, 5) px, and
+    unrefined and refined (n, 2) mm; ``astray``: ends nominated at no teat, by situation.
     """
 
     situations: tuple[str, ...]
@@ -55,9 +54,7 @@ class InPictures:
         )
 
     def moved(self, rows: Bools) -> tuple[int, int]:
-        """How many ends the optical pictures moved nearer to the truth, and how many farther off,
-        each picture by itself.
-        """
+        """How many ends the optical pictures moved nearer to the truth, and how many farther."""
         nearer = (self.off_px[:, (2, 4)] - self.off_px[:, (1, 3)])[rows]
         return int((nearer < 0.0).sum()), int((nearer > 0.0).sum())
 
@@ -135,9 +132,7 @@ def _compared(
 
 
 def _seen(points_mm: Floats, calibration: Calibration) -> tuple[Floats, Floats]:
-    """Where the five pictures show points (k, 3), (5, k, 2), and their focal lengths (5,), px; the
-    thermal one not-a-number without a lens.
-    """
+    """Points (k, 3) in the five pictures, (5, k, 2), and their focal lengths (5,), px."""
     left, right = calibration.project(points_mm)
     lens, pose = calibration.thermal.lens, calibration.thermal_from_right
     thermal, focal_px = np.full_like(left, np.nan), np.nan

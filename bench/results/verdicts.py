@@ -8,13 +8,16 @@ from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from bench.config import read_config
 from bench.record.check import NOT_AS_WRITTEN
-from bench.record.reader import RunRecord
-from bench.results.cameras_agree import decide_cameras
+from bench.record.reader import RunRecord, TrialRecord
+from bench.record.schema import RULES, SCRIPT, Row
+from bench.results.cameras_agree import cameras_of, decide_cameras
 from bench.results.stated_arm import STATED_FACT, VERIFICATION_FACT, arm_checks, too_small
 from bench.rig.arm_files import Limits, LocationTest, Verification, broken_by, from_dict, gaps_of
 from bench.scoring.decisions import (
@@ -39,6 +42,7 @@ from bench.script.model import (
     FalseRequirement,
     Requirement,
     Rules,
+    Script,
     SuccessRequirement,
     TimeRequirement,
 )
@@ -49,10 +53,8 @@ _CHECKS = {when: CHECK_FACT.format(when) for when in (BEFORE, AFTER)}
 
 
 def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
-    """Not met where a check or the dated verification breaks a limit, inconclusive where one is
-    missing or shows too little, not measured where the rig names neither. There is no guard band:
-    the figure is the arm's own error, with the divot's in it. Not met too where touches or lengths
-    refute the uncertainty that the rig states.
+    """Not met where a check or the dated verification breaks a limit, or refutes the stated
+    uncertainty; inconclusive where one is missing. The figure is the arm's own error.
     """
     checks = {when: facts[key] for when, key in _CHECKS.items() if key in facts}
     dated = from_dict(facts[VERIFICATION_FACT]) if VERIFICATION_FACT in facts else None
@@ -203,6 +205,14 @@ class Judgement:
         return overall(decision.verdict for decision in self.decisions)
 
 
+def stored_rules(folder: Path) -> Rules:
+    """The script as the run used it, or the rules that a recording was scored by."""
+    script = folder / SCRIPT
+    if script.is_file():
+        return read_config(script, Script, stored=True)
+    return read_config(folder / RULES, Rules, stored=True)
+
+
 def judge(run: RunRecord, rules: Rules) -> tuple[Judgement, ...]:
     """Each detector's judgement. An unfinished run is judged on the trials that it has."""
     bench = ArmRequirement | BathRequirement | CalibrationRequirement | CamerasRequirement
@@ -243,11 +253,29 @@ def run_verdict(judgements: Sequence[Judgement]) -> Verdict:
     return overall(judgement.verdict for judgement in judgements)
 
 
-def scored(run: RunRecord, detector: str, situation: str | None = None) -> Pool:
-    """The scores of one detector, with the pose of each; of one situation where named."""
-    trials = [
+def scored_trials(run: RunRecord, detector: str, situation: str | None = None) -> list[TrialRecord]:
+    """The trials that count and were scored; of one situation where named."""
+    return [
         t for t in run.counted if detector in t.scores and situation in (None, t.head["situation"])
     ]
+
+
+def calls_of(
+    run: RunRecord, detector: str, situation: str | None = None
+) -> list[tuple[Hashable, Row]]:
+    """The pose and row of each call of a detector; of one situation where named."""
+    return [
+        (trial.pose, row)
+        for trial in run.counted
+        if situation in (None, trial.head["situation"])
+        for row in trial.detections
+        if row["detector"] == detector
+    ]
+
+
+def scored(run: RunRecord, detector: str, situation: str | None = None) -> Pool:
+    """The scores of one detector, with the pose of each; of one situation where named."""
+    trials = scored_trials(run, detector, situation)
     return pool([t.scores[detector] for t in trials], [t.pose for t in trials])
 
 
@@ -264,7 +292,7 @@ def _decide(rule: Requirement, run: RunRecord, scores: Pool, detector: str) -> D
         case CalibrationRequirement():
             return decide_calibration(rule, run.facts)
         case CamerasRequirement():
-            return decide_cameras(rule, run.counted)
+            return decide_cameras(rule, cameras_of(run.counted))
     u_mm = truth_u_mm([run], scores, detector)
     return decide_detector(rule, scores, latency_of(run, detector), u_mm)
 
@@ -272,9 +300,8 @@ def _decide(rule: Requirement, run: RunRecord, scores: Pool, detector: str) -> D
 def decide_detector(
     rule: DetectorRequirement, scores: Pool, timed: Latency, u_mm: float | None
 ) -> Decision:
-    """A detector's requirement held against its scores and times, of one run or of several;
-    ``u_mm`` as ``truth_u_mm`` gives it. A frame set without an answer shows no error, no false teat
-    and no time, so that nothing is met by silence.
+    """A detector's requirement decided on scores and times of one or several runs. Frame sets
+    without an answer show nothing, so that none is met by silence.
     """
     decision = _decided(rule, scores, timed, u_mm)
     silent = timed.silent if isinstance(rule, ErrorRequirement | FalseRequirement) else timed.failed
@@ -351,7 +378,7 @@ def _fails_without_time(rule: DetectorRequirement, scores: Pool) -> bool:
 
 def truth_u_mm(runs: Sequence[RunRecord], scores: Pool, detector: str) -> float | None:
     """The largest uncertainty of a truth scored against; None where one of them states none."""
-    trials = [trial for run in runs for trial in run.counted if detector in trial.scores]
+    trials = [trial for run in runs for trial in scored_trials(run, detector)]
     seen = [row["u_mm"] for trial in trials for row in trial.truth if row["visible"]]
     return None if None in seen else max((score.u_mm for score in scores.scores), default=0.0)
 
@@ -367,9 +394,8 @@ _TIMED = (Outcome.ANSWERED.value, Outcome.TIMEOUT.value)
 
 @dataclass(frozen=True, slots=True)
 class Latency:
-    """seconds: what counts, in the order of the trials, with ``poses``, cpu_s and loads (as in
-    `Answer`). cold_s: first calls. start_up_s: the longest of a process. unanswered: how often each
-    outcome but an answer, of ``asked`` calls.
+    """Times in the order of the trials, with pose, processor time and load; first calls stand
+    apart. ``unanswered`` counts each outcome but an answer, of ``asked`` calls.
     """
 
     seconds: tuple[float, ...] = ()
@@ -434,13 +460,11 @@ class Latency:
 
 def latency_of(run: RunRecord, detector: str, situation: str | None = None) -> Latency:
     """The times of one detector over the trials that count; of one situation where named."""
-    rows = [
-        (trial.pose, row)
-        for trial in run.counted
-        if situation in (None, trial.head["situation"])
-        for row in trial.detections
-        if row["detector"] == detector
-    ]
+    return latency(calls_of(run, detector, situation))
+
+
+def latency(rows: Sequence[tuple[Hashable, Row]]) -> Latency:
+    """The times of calls, each with its pose."""
     timed = [(pose, row) for pose, row in rows if row["outcome"] in _TIMED]
     warm = [(pose, row) for pose, row in timed if not row["cold"]]
     outcomes = Counter(row["outcome"] for _, row in rows)

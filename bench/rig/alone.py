@@ -30,7 +30,7 @@ from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import Conversion, FrameError, FrameSet, Grey
 from instruments.camera.genicam import load_aravis
 from instruments.camera.quality import edge_blur_px, level_dn, saturated_share
-from instruments.captures.capture import NO_CAPTURE, Captures
+from instruments.captures.capture import CaptureFile
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import DeviceError, InstrumentError
 from instruments.stage.driver import Stage
@@ -89,7 +89,7 @@ def open_alone(sources: Sequence[str]) -> Iterator[Alone]:
                 camera.begin()
                 return {ONE: Conversion().picture(camera.take())}
 
-            look = patient(picture)
+            look = with_retries(picture)
             yield Alone(clock, lambda: {ONE: camera.identity}, look, None, rig)
         return
     else:
@@ -99,7 +99,7 @@ def open_alone(sources: Sequence[str]) -> Iterator[Alone]:
         rig = rig_of(cameras=CamerasTable.model_validate(tables))
     with open_instruments(rig, ("cameras",)) as devices:
         cameras = devices.cameras
-        look = patient(lambda: pictures(cameras.capture()))
+        look = with_retries(lambda: pictures(cameras.capture()))
         yield Alone(devices.clock, lambda: cameras.identity, look, cameras, rig)
 
 
@@ -110,7 +110,7 @@ def _table(source: str) -> OneCamera:
         raise ConfigError.plain(f"{source}: {error}") from error
 
 
-def patient(look: Callable[[], Seen]) -> Callable[[], Seen]:
+def with_retries(look: Callable[[], Seen]) -> Callable[[], Seen]:
     """``look`` again where a frame did not come whole, three times. Raises FrameError then."""
 
     def again() -> Seen:
@@ -192,7 +192,7 @@ def stage_of_rig(name: str) -> StageTable:
 
 
 @contextmanager
-def open_stage(at: StageTable, capture: Captures = NO_CAPTURE) -> Iterator[Stage]:
+def open_stage(at: StageTable, capture: CaptureFile | None = None) -> Iterator[Stage]:
     """The stage, connected, in real time, stopped if anything fails. Raises InstrumentError."""
     with open_instruments(rig_of(stage=at), ("stage",), capture=capture) as devices:
         stage = devices.stage
@@ -223,7 +223,7 @@ def described(stage: Stage) -> dict[str, object]:
 
 
 def position(stage: Stage) -> dict[str, float]:
-    """Where the controller believes the stage is, by axis with its unit, machine coordinates."""
+    """Where the stage is by its controller, by axis with its unit, machine coordinates."""
     return {
         KEYS[axis]: round(float(at), 3)
         for axis, at in zip("XYZA", stage.position(), strict=False)
@@ -267,7 +267,7 @@ def jog(stage: Stage, way: dict[str, float], feed_mm_min: float | None) -> None:
 
 
 def check_rig(
-    rig: LoadedRig, capture: Captures = NO_CAPTURE
+    rig: LoadedRig, capture: CaptureFile | None = None
 ) -> Iterator[tuple[str, bool, list[str]]]:
     """For each instrument: its name, whether it has a fault, and lines to print."""
     remote = rig.rig.operator.url.startswith(ELSEWHERE)

@@ -107,11 +107,9 @@ class TableFrame:
         return bool(self.world_from_arm.R[2, 2] < 0.0)
 
     def u_registration_mm(self, world_mm: ArrayLike, u_mm: float) -> float:
-        """Standard uncertainty along an axis (root mean square of the three) that the frame adds at
-        ``world_mm`` (3,).
-
-        Each coordinate of the three touches has ``u_mm``, uncorrelated; propagated by the law of
-        JCGM 100:2008, 5.1.2, with derivatives taken numerically.
+        """Standard uncertainty along an axis that the frame adds at ``world_mm`` (3,): each
+        coordinate of the three touches has ``u_mm``, uncorrelated (JCGM 100:2008, 5.1.2,
+        derivatives taken numerically).
         """
         touched = np.array([point.arm_mm for point in self.points[:3]])
         seen = self.world_from_arm.inverse().apply(world_mm)
@@ -155,8 +153,8 @@ LEAST_SWING_DEG = 30.0  # with less, the joints hardly moved, and the test could
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocationTest:
-    """Readings of one divot: ``tips_mm``, unit ``axes`` (n, 3) of the stylus (None: not known),
-    n >= 2, else ValueError.
+    """Readings of one divot: ``tips_mm``, unit ``axes`` of the stylus (n, 3), n >= 2.
+    ValueError.
     """
 
     where: str

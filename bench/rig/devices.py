@@ -55,10 +55,10 @@ class Devices:
         return {**states, "cameras": "nothing to make safe"}
 
     def make_safe(
-        self, tell: Callable[[str], None], cut_short: Callable[[], bool] = lambda: False
+        self, report: Callable[[str], None], cut_short: Callable[[], bool] = lambda: False
     ) -> tuple[str, ...]:
-        """Bath to standby, stage still, arm's session ended; returns the names that failed. Each
-        step is tried, whatever another one raised. ``cut_short`` ends the pump's run-on.
+        """Bath to standby, stage still, arm's session ended, whatever a step raises; the names that
+        failed. ``cut_short`` ends the pump's run-on.
         """
         steps: dict[str, Callable[[], object]] = {"bath": lambda: heater_off(self.bath)}
         if self.stage:
@@ -72,10 +72,10 @@ class Devices:
             try:
                 said = step()
                 if name != "pump":
-                    tell(f"{name} is safe")
+                    report(f"{name} is safe")
                 if said:
-                    tell(str(said))
+                    report(str(said))
             except BaseException as error:
                 unsafe.append(name)
-                tell(f"{name} could not be made safe: {cause_of(error)}")
+                report(f"{name} could not be made safe: {cause_of(error)}")
         return tuple(unsafe)

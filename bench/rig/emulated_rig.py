@@ -55,8 +55,7 @@ class PlacedHand:
 
 class EmulatedRig:
     """The emulators of ``rig``. ``pty``: serial ports are pseudo-terminals; ``paced``: real baud.
-    Raises OSError for an address, ValueError for either under virtual time, ConfigError for a
-    fault.
+    Raises OSError, ValueError for either under virtual time, ConfigError for a fault.
     """
 
     def __init__(

@@ -40,8 +40,8 @@ LISTEN_S = 2.5  # a board that the port's opening resets says its welcome within
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What answered at ``url``: "arm", "bath" or "stage", who it says it is, and for a bath the
-    profiles that it answered by; for a stage its dialect, and Zaber's devices and axes.
+    """What answered at ``url``, and who it says it is; the profiles that a bath answered by, a
+    stage's dialect, and Zaber's devices and axes.
     """
 
     kind: str
@@ -58,21 +58,21 @@ def ports() -> Iterator[tuple[str, str]]:
         yield port.device, port.description if port.description != "n/a" else "no name"
 
 
-def probe(url: str, clock: Clock, tell: Callable[[str], None]) -> Found | None:
+def probe(url: str, clock: Clock, report: Callable[[str], None]) -> Found | None:
     """What answers at ``url``; None where nothing that is known does, or it can't be opened."""
     if _is(serial_url, url):
         for look in (_stage, _arm, _marlin_or_zaber):
-            tell(f"{url}: {look.__name__.strip('_').replace('_', ' ')}?")
+            report(f"{url}: {look.__name__.strip('_').replace('_', ' ')}?")
             try:
                 if found := look(url, clock):
                     return found
             except InstrumentError as error:
-                tell(f"{url}: {error}")
+                report(f"{url}: {error}")
     if not _is(bath_url, url):
         return None
     fitting: dict[str, str] = {}
     for name in profile_names():
-        tell(f"{url}: bath, {name}?")
+        report(f"{url}: bath, {name}?")
         if who := _bath(url, name, clock):
             fitting[name] = who
     if not fitting:
@@ -116,8 +116,8 @@ def _marlin_or_zaber(url: str, clock: Clock) -> Found | None:
                     who = answer.text.removeprefix("FIRMWARE_NAME:").partition(" (")[0]
                     return Found("stage", url, who, dialect="marlin")
         link.write(zaber.GET_POSITIONS)
-        heard = Decoder(zaber.parse).feed(link.drain(0.3, at_most_s=0.6))
-        replies = [answer for answer in heard if isinstance(answer, Reply)]
+        received = Decoder(zaber.parse).feed(link.drain(0.3, at_most_s=0.6))
+        replies = [answer for answer in received if isinstance(answer, Reply)]
         devices = tuple(
             f"{one.device} {axis}"
             for one in replies
@@ -141,7 +141,7 @@ def _arm(url: str, clock: Clock) -> Found | None:
 
 
 def _bath(url: str, name: str, clock: Clock) -> str:
-    """Who answers by that profile with a temperature that makes sense; "" for nobody."""
+    """Who answers by that profile with a temperature that makes sense; "" for none."""
     rig = rig_of(load_profile(name), bath=BathTable(url=url, profile=name))
     try:
         with open_instruments(rig, ("bath",), clock) as devices:
@@ -167,9 +167,8 @@ def rig_text(
     missing: Mapping[str, str],
     about: str,
 ) -> str:
-    """The ``example`` with ``values`` by table and key; all else stays as comments, with what is
-    said of it: other keys, and tables without a value. The url of a table in ``missing`` is there
-    to be filled in.
+    """The ``example`` with ``values`` by table and key; other keys and tables stay as comments. A
+    table in ``missing`` has its url to be filled in.
     """
     given = {name: dict(table) for name, table in values.items()}
     for name, url in missing.items():

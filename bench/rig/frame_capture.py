@@ -33,8 +33,8 @@ Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
 class StereoOrder:
-    """Whether left and right are exchanged, by the calibration: rectified both ways, rows of edges
-    fit with one at a disparity in front of the cameras. Pictures of the calibration's size.
+    """Whether left and right are exchanged: rectified both ways, rows of edges fit with one at a
+    disparity in front of the cameras.
     """
 
     def __init__(self, calibration: Calibration) -> None:
@@ -65,9 +65,7 @@ class StereoOrder:
         return f"exchanged with the right one: {fits} they are"
 
     def _fit(self, left: Grey, right: Grey) -> float:
-        """Normalised correlation of the edges, over all rows, at the best disparity in front, 0 to
-        1.
-        """
+        """Normalised correlation of the edges at the best disparity in front, 0 to 1."""
         edges = [*map(self._edges, (left, right), self._maps)]
         size = 2 * edges[0].shape[1]
         spectra = [np.fft.rfft(edge, size, axis=1) for edge in edges]
@@ -86,7 +84,7 @@ class StereoOrder:
         smooth = cv2.GaussianBlur(even.astype(np.float32), (0, 0), SIGMA_PX)
         gradient = np.asarray(cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=1), dtype=np.float64)
         limit = 4.0 * float(np.sqrt(np.mean(gradient**2)))
-        return np.clip(gradient, -limit, limit)  # one glaring edge must not outvote all others
+        return np.clip(gradient, -limit, limit)  # one strong edge must not outweigh all others
 
 
 def _matrices(camera: Camera) -> tuple[Array, Array]:
@@ -122,8 +120,8 @@ class FrameProblem:
 
 
 class FrameChecks:
-    """The checks of one rig, with the last set. Without a calibration neither size nor order is
-    checked; ``flat`` False where nothing warm need be seen.
+    """The checks of one rig, with the last set. Size and order need a calibration; ``flat`` False
+    where nothing warm need be seen.
     """
 
     def __init__(
@@ -253,8 +251,8 @@ HINTS: Mapping[FrameFault, str] = {
 
 
 class FrameTaker:
-    """``wait`` lets time pass between tries, ``tell`` records an event (kind, text). A recording is
-    read once: its next frame is another trial's.
+    """``wait`` lets time pass between tries, ``report`` records an event. A recording
+    has no retries.
     """
 
     def __init__(
@@ -263,12 +261,12 @@ class FrameTaker:
         table: CamerasTable,
         calibration: Calibration | None,
         wait: Callable[[float], None],
-        tell: Callable[[str, str], None],
+        report: Callable[[str, str], None],
         *,
         checks: FrameChecks | None = None,
     ) -> None:
         recorded = table.recorded
-        self._cameras, self._recorded, self._wait, self._tell = cameras, recorded, wait, tell
+        self._cameras, self._recorded, self._wait, self._report = cameras, recorded, wait, report
         self._checks = checks or FrameChecks(
             table.checks, table.max_skew_s, calibration, flat=not recorded
         )
@@ -276,9 +274,7 @@ class FrameTaker:
         self.counts: Counter[str] = Counter()
 
     def take(self) -> FrameSet:
-        """A frame set without a fault. Raises DeviceError after the last try, and as the cameras
-        do.
-        """
+        """A frame set without a fault. Raises DeviceError after the last try."""
         for left in range(self._retries, -1, -1):
             frames, noticed = self._try()
             if frames is not None and not noticed:
@@ -286,7 +282,7 @@ class FrameTaker:
             self.counts.update(f"{one.camera}: {one.fault}" for one in noticed)
             what = "; ".join(str(one) for one in noticed)
             more = f"Taken again; {left} {'try is' if left == 1 else 'tries are'} left"
-            self._tell(EVENT, f"{what}. {more if left else 'Refused'}.")
+            self._report(EVENT, f"{what}. {more if left else 'Refused'}.")
             if left:
                 self._wait(self._retry_s)
         raise _refused(noticed, self._retries + 1)

@@ -26,8 +26,9 @@ from bench.rig.scripted_answers import load_answers
 from bench.rig.urls import EMULATED, SCRIPT
 from detector.calibration import Calibration
 from detector.calibration.boards import DICTIONARIES, Board, BoardKind
-from instruments.bath.profile import Profile, ProfileError, RelayProfile, load_profile, load_relay
-from instruments.microscribe.unit import ArmIdentity, UnitError, load_unit
+from instruments.bath.profile import Profile, RelayProfile, load_profile, load_relay
+from instruments.device_file import DeviceFileError
+from instruments.microscribe.unit import ArmIdentity, load_unit
 from instruments.world.boards import Pattern
 
 RIGS = Path(__file__).parents[1] / "rigs"
@@ -148,11 +149,7 @@ def load_rig(path: Path) -> LoadedRig:
     frame = load_frame(folder / rig.arm.frame) if rig.arm.frame else None
     dated = load_verification(folder / rig.arm.verification) if rig.arm.verification else None
     unit_path = folder / rig.emulation.arm_unit
-    try:
-        unit = load_unit(unit_path) if rig.emulation.arm_unit else None
-    except UnitError as error:
-        wrong_keys = [(key, message, False) for key, message in error.located]
-        raise located(unit_path, read_text(unit_path), wrong_keys) from error
+    unit = _loaded(lambda: load_unit(unit_path)) if rig.emulation.arm_unit else None
     if wrong := _relay_fault(rig, profile):
         raise refuse(wrong, ("bath", "pump_url" if rig.bath.pump_url else "pump_profile"))
     pump = rig.bath.pump_profile
@@ -191,20 +188,17 @@ def _relay_fault(rig: Rig, profile: Profile) -> str | None:
 def _loaded(load: Callable[[], T]) -> T:
     try:
         return load()
-    except ProfileError as error:
-        faults = [
-            (tuple(int(k) if k.isdigit() else k for k in key.split(".")), message, False)
-            for key, message in error.faults
-        ]
-        raise located(Path(error.path), read_text(Path(error.path)), faults) from error
+    except DeviceFileError as error:
+        faults = [(keys, message, False) for keys, message in error.faults]
+        raise located(error.path, read_text(error.path), faults) from error
 
 
 BOARDS = Path(__file__).parents[1] / "boards"
 
 
 class BoardFile(Section):
-    """``columns`` and ``rows`` count inner corners or circles; ``pitch_mm`` as measured, with its
-    standard uncertainty ``pitch_u_mm``.
+    """``columns``, ``rows``: inner corners or circles; ``pitch_mm`` as measured, with
+    ``pitch_u_mm``.
     """
 
     kind: BoardKind
@@ -230,9 +224,8 @@ BOARD_WORD = re.compile(r"(?:checker|chess)board:(\d{1,5})x(\d{1,5}):(\d{1,5}(?:
 
 
 def find_board(name: str | None) -> tuple[Board, tuple[Path, ...]]:
-    """A shipped board by name, any by the path of its file, or a checkerboard by its figures:
-    ``checkerboard:5x7:30mm``, which are inner corners. With the file, where it has one. Raises
-    ConfigError.
+    """A shipped board by name, any by its file, or by its figures (``checkerboard:5x7:30mm``, inner
+    corners); and the file, if any. Raises ConfigError.
     """
     if name and re.match(r"\w\w+:", name) and not Path(name).is_file():
         found = BOARD_WORD.fullmatch(name)

@@ -87,9 +87,7 @@ class Arm(Section):
 
     @property
     def rounding_mm(self) -> float:
-        """Standard uncertainty of a position's rounding along an axis: of the encoder counts, rms
-        over the reach, or of the last digit that is written.
-        """
+        """Standard uncertainty along an axis of encoder counts, or of the last digit written."""
         return self.resolution_mm / math.sqrt(12.0) if points_url(self.url) else ROUNDING_MM
 
     @property
@@ -100,8 +98,8 @@ class Arm(Section):
 
     @property
     def u_mm(self) -> float:
-        """Standard uncertainty of one position along an axis: as stated, widened as Student's t of
-        its degrees of freedom is (JCGM 101:2008, 6.4.9.4).
+        """Standard uncertainty of a position along an axis, widened by Student's t of its degrees
+        of freedom (JCGM 101:2008, 6.4.9.4).
         """
         df = self.accuracy_df
         return self.accuracy_mm * (math.sqrt(df / (df - 2.0)) if df else 1.0)
@@ -181,9 +179,7 @@ class Stage(Section):
 
     @property
     def motors(self) -> list[tuple[int, int, float]]:
-        """Of a Zaber stage: device, its axis, microsteps per mm (degree); an emulated one has a
-        device an axis.
-        """
+        """Of a Zaber stage: device, its axis, microsteps per mm or degree."""
         devices = self.zaber_axes or tuple([f"{1 + 'XYZA'.index(one)} 1" for one in self.axes])
         scales = self.microsteps or tuple([EMULATED_MICROSTEPS[one] for one in self.axes])
         pairs = zip(devices, scales, strict=True)
@@ -306,7 +302,7 @@ class RadiometricTable(Section):
     @property
     def radiometry(self) -> Radiometry:
         if known := self.known:
-            return Radiometry(known.kelvin_per_count, known.kelvin_at_zero)
+            return Radiometry(known.kelvin_per_count)
         return Radiometry(self.kelvin_per_count or 0.0, self.kelvin_at_zero)
 
 
@@ -587,9 +583,8 @@ _Play = Annotated[float, Field(ge=0, le=5)]
 
 
 class EmulatedStage(Section):
-    """``[emulation.stage]``. Axes in the order X Y Z A; ``settings`` by Grbl's number without the
-    dollar sign, the others as `store.DEFAULTS`. ``high_mm``: machine coordinates of the high ends
-    of a Marlin's or Zaber's axes, instead of their travel.
+    """``[emulation.stage]``. ``settings`` by Grbl's number; ``high_mm``: machine coordinates of the
+    high ends of a Marlin's or Zaber's axes.
     """
 
     dialect: Literal["grbl", "grblHAL", "FluidNC"] = "grbl"
@@ -744,8 +739,8 @@ class Rig(Section):
 
     @property
     def bath_emulated(self) -> bool:
-        """Whether the bath is an emulator's: of this process, or of a `teatbench emulate` here.
-        Then operator and bath are at the loopback or a pty; either alone may be a real bath's.
+        """Whether the bath is an emulator's, of this process or of a `teatbench emulate` on this
+        machine: operator and bath are then at the loopback or a pty.
         """
         if self.bath.url == EMULATED:
             return True

@@ -26,12 +26,12 @@ from instruments.camera.frame import Conversion
 from instruments.camera.genicam import DeviceTime, GenicamCamera
 from instruments.camera.opencv import OpenCvCamera
 from instruments.camera.recording import Recording, RecordingCameras
-from instruments.captures.capture import NO_CAPTURE, Captures
+from instruments.captures.capture import CaptureFile
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import DeviceError, InstrumentError
-from instruments.link import Link
+from instruments.link import Link, Tap
 from instruments.microscribe.driver import MicroScribe
-from instruments.microscribe.stream import Debouncer
+from instruments.microscribe.pedals import Debouncer
 from instruments.operators.console import Console
 from instruments.operators.mailbox import Mailbox
 from instruments.operators.prompted import PromptedOperator
@@ -65,16 +65,15 @@ def open_instruments(
     twin: EmulatedRig | None = None,
     seed: int | None = None,
     realtime: bool = False,
-    capture: Captures = NO_CAPTURE,
+    capture: CaptureFile | None = None,
     screen: Screen = nullcontext,
     start_s: float = 0.0,
     identify: bool = True,
     folder: Path | None = None,
 ) -> Iterator[Devices]:
-    """The instruments ``names`` of ``rig``; others are None. Closed at the end. Without ``clock``
+    """The instruments ``names`` of ``rig``, closed at the end; others are None. Without ``clock``
     time is virtual where all is emulated and no person takes part. ``twin``: emulators already up;
-    ``capture`` taps links; ``screen`` is entered around a question; ``identify`` False puts the
-    check of the bath off; in the run's ``folder`` a browser's operator is asked. Raises
+    ``screen`` is entered around a question; ``folder``: of a run with a browser. Raises
     BringUpError, or a single instrument's fault, and ConfigError.
     """
     emulated = twin is not None or any(rig.rig.urls.get(name) == EMULATED for name in names)
@@ -131,8 +130,8 @@ def rig_of(profile: Profile | None = None, **tables: Any) -> LoadedRig:
 
 
 def pedal_watch(arm: MicroScribe, clock: Clock) -> Callable[[float], bool]:
-    """For one prompt: watches the pedals for some seconds; True once one was pressed since the
-    first call. A pedal that is down at first must come up. Raises as polling does.
+    """Waits some seconds for a pedal; True once one was pressed since the first call. A pedal that
+    is down at first must come up. Raises as polling.
     """
     debouncer = Debouncer()
 
@@ -161,9 +160,7 @@ def conversion_of(table: OneCamera, calibration: Calibration | None) -> Conversi
 def open_camera(
     name: str, table: OneCamera, folder: Path, clock: Clock, in_step: DeviceTime | None = None
 ) -> Camera:
-    """One camera of a rig file in ``folder``; ``in_step`` is shared by those with PTP. Raises
-    InstrumentError.
-    """
+    """One camera of a rig file in ``folder``. Raises InstrumentError."""
     kind, _, rest = table.url.partition(":")
     if kind == "genicam":
         return GenicamCamera(name, rest, clock, table.settings, in_step=in_step)
@@ -197,8 +194,8 @@ def _open_cameras(rig: LoadedRig, clock: Clock) -> Cameras:
 def _answerer(
     rig: LoadedRig, clock: Clock, screen: Screen, folder: Path | None
 ) -> PromptedOperator | None:
-    """Who answers prompts; None for an emulated operator. Outside of a run there is no ``folder``,
-    and a browser's operator is asked at the terminal. Raises ConfigError.
+    """Who answers prompts; None for an emulated operator. Without a run's ``folder`` a browser's
+    operator is asked at the terminal. Raises ConfigError.
     """
     url = rig.rig.operator.url
     if url in PEOPLE:
@@ -218,13 +215,21 @@ def _answerer(
 
 
 def _openers(
-    rig: LoadedRig, clock: Clock, twin: EmulatedRig | None, capture: Captures, *, identify: bool
+    rig: LoadedRig,
+    clock: Clock,
+    twin: EmulatedRig | None,
+    capture: CaptureFile | None,
+    *,
+    identify: bool,
 ) -> dict[str, Callable[[], Any]]:
     r = rig.rig
     urls = twin.urls if twin else r.urls
 
+    def tap(name: str) -> Tap | None:
+        return capture.tap(name, clock) if capture else None
+
     def link(name: str, baud: int) -> Link:
-        return Link(urls[name], clock, who=name, baud=baud, tap=capture.tap(name, clock))
+        return Link(urls[name], clock, who=name, baud=baud, tap=tap(name))
 
     def arm() -> AnyArm:
         if points := points_url(urls["arm"]):
@@ -233,15 +238,14 @@ def _openers(
 
     def bath() -> Bath:
         pump_url = urls.get("pump", r.bath.pump_url)
-        tap = capture.tap("pump", clock)
         return Bath(
             urls["bath"],
             rig.profile,
             clock,
             allow_inferred=r.bath.allow_inferred,
             identify=identify,
-            tap=capture.tap("bath", clock),
-            pump=PumpAt(pump_url, rig.relay, tap) if rig.relay else None,
+            tap=tap("bath"),
+            pump=PumpAt(pump_url, rig.relay, tap("pump")) if rig.relay else None,
         )
 
     openers: dict[str, Callable[[], Any]] = {

@@ -54,9 +54,7 @@ def rig_renderer(rig: LoadedRig, seed: int) -> Renderer:
 
 
 def warm(found: Situation) -> SceneState:
-    """A situation with its bath settled; temperatures vary between members as between days, unless
-    the situation says how warm the room is.
-    """
+    """A situation with its bath settled, at temperatures that vary as between days."""
     rng = np.random.Generator(np.random.PCG64([found.seed, *found.name.encode(), *b"warmth"]))
     constants = PlantConstants()
     water_c, ambient_c = float(rng.uniform(32.5, 33.5)), float(rng.uniform(17.0, 24.0))
@@ -87,9 +85,7 @@ def write_sheet(
 
 
 class Perturbation(Protocol):
-    """What `bench.campaign.perturbations` does to a scene, to its pictures, to what detectors are
-    told of the cameras.
-    """
+    """What `bench.campaign.perturbations` does to a scene, its pictures, or the calibration."""
 
     def state(self, state: SceneState, seeds: Sequence[int]) -> SceneState: ...
     def frames(self, frames: FrameSet, seeds: Sequence[int]) -> FrameSet: ...
@@ -105,9 +101,8 @@ def record(
     perturbations: Sequence[Perturbation] = (),
     coco: Path | None = None,
 ) -> Iterator[str]:
-    """Add a frame for each family and seed to a recording; yields each frame's name. ``coco``: the
-    file to write with masks and key points of these frames, in the end. Raises ConfigError for the
-    folder or that file, RecordingError for a frame that is there already.
+    """Add a frame for each family and seed to a recording; yields their names. ``coco``: the file
+    for masks and key points. Raises ConfigError, RecordingError.
     """
     families = chosen(names)
     renderer, stated = rig_renderer(rig, seed), rig.calibration
@@ -153,8 +148,8 @@ def draw(
     perturbations: Sequence[Perturbation] = (),
     chance: Sequence[int] = (),
 ) -> Drawn:
-    """One scene drawn; ``name`` and ``seeds`` are those of its noise, ``name`` its situation's,
-    ``chance`` the seeds of the perturbations. Raises ValueError for a thing too near a camera.
+    """One scene drawn, its noise by ``name`` and ``seeds``, perturbations by ``chance``. Raises
+    ValueError for a thing too near a camera.
     """
     for one in perturbations:
         state = one.state(state, chance)
@@ -183,8 +178,8 @@ def record_boards(
     *,
     warmer_k: float = 0.0,
 ) -> Iterator[str]:
-    """A recording, without truth, of a board in ``poses`` poses that ``cameras`` see whole; yields
-    each frame's name. What is dark is ``warmer_k`` warmer than the room. Raises ConfigError.
+    """A recording of a board in ``poses`` poses that ``cameras`` see whole, its dark parts
+    ``warmer_k`` warmer; yields the frames' names. Raises ConfigError.
     """
     pattern = drawn(board, 0.3)
     renderer = rig_renderer(rig, seed)

@@ -91,6 +91,7 @@ def _take(
             f'no prompt is of the kind "{parts["to"]}"{did_you_mean(parts["to"], KINDS) or "."}'
             f" There are: {', '.join(KINDS)}"
         )
+    check_answer(kind, parts["answer"])
     if not parts["otherwise"]:
         answers.append(
             ScriptedAnswer(
@@ -103,5 +104,4 @@ def _take(
             '"otherwise" is for all prompts of a kind: leave the words in brackets and the'
             " times out"
         )
-    check_answer(kind, parts["answer"])
     otherwise[kind] = parts["answer"]

@@ -42,9 +42,7 @@ def serial_url(url: str) -> str:
 
 
 def arm_url(url: str) -> str:
-    """``url`` where it is an arm's: a serial link, or points of another arm. Raises ValueError that
-    says what is allowed.
-    """
+    """``url`` where it is a serial link or points of another arm. Raises ValueError."""
     if points_url(url):
         return url
     try:

@@ -22,8 +22,7 @@ from bench.safety.guardian_client import BRIEF_S, GuardianClient, Heartbeat
 from bench.script.model import LoadedScript
 from bench.truth.touching import TipReader
 from instruments.clock import VirtualClock, stopwatch_s, wall_time
-from instruments.microscribe.driver import MicroScribe
-from instruments.microscribe.stream import Sample
+from instruments.microscribe.driver import MicroScribe, Sample
 from instruments.operators.operator import KIND_OF, Answer, BoardTouch, Release, Request, Touch
 
 LOOK_S = 1.0
@@ -32,8 +31,8 @@ READ_S = 1.0  # both clocks are read within microseconds
 
 
 class RunContext:
-    """One run. Time passes through ``wait`` only, with a look at the interlocks every second.
-    ``check_interrupts`` is called at each look, and raises what a person requests.
+    """One run. Time passes through ``wait`` only, which checks the interlocks every second;
+    ``check_interrupts`` raises what a person requests.
     """
 
     def __init__(
@@ -43,7 +42,7 @@ class RunContext:
         devices: Devices,
         store: Store,
         events: Events,
-        pulse: Heartbeat | None = None,
+        heartbeat: Heartbeat | None = None,
         guardian_client: GuardianClient | None = None,
     ) -> None:
         self.rig = rig
@@ -58,10 +57,10 @@ class RunContext:
         self.progress: Callable[[], Mapping[str, Any]] = dict
         self.away = ""  # the instrument that dropped out
         self._touching = False
-        self._pulse = pulse or Heartbeat()
+        self._heartbeat = heartbeat or Heartbeat()
         self._wall_behind_s: float | None = None
         self.trips = TripHandler(
-            rig, devices, gate_of(script), store, events.warn, self._pulse, guardian_client
+            rig, devices, gate_of(script), store, events.warn, self._heartbeat, guardian_client
         )
         self.trips.on_event, self.trips.seen = events.event, events.refresh
         self.watch = self.trips.watch
@@ -75,7 +74,7 @@ class RunContext:
             if isinstance(request, Release):
                 self.events.asked("release")
             return self.devices.operator.ask(request, self.look)
-        self._pulse.sign(f"waiting for the operator: {kind}", math.inf)
+        self._heartbeat.sign(f"waiting for the operator: {kind}", math.inf)
         self.events.asked(kind)
         self._touching = isinstance(request, Touch | BoardTouch)
         try:
@@ -83,7 +82,7 @@ class RunContext:
         finally:
             self._touching = False
             self.events.asked("")
-            self._pulse.sign("going on")
+            self._heartbeat.sign("going on")
 
     def wait(self, seconds: float) -> None:
         """Let time pass. Raises InterlockTrip."""
@@ -95,13 +94,11 @@ class RunContext:
 
     def check(self) -> None:
         """A sign of life, and a look."""
-        self._pulse.sign("going on")
+        self._heartbeat.sign("going on")
         self.look()
 
     def look(self) -> None:
-        """Raises InterlockTrip, and what ``check_interrupts`` raises. No sign of life: what was
-        announced goes on.
-        """
+        """Raises InterlockTrip and what ``check_interrupts`` raises. It is no heartbeat."""
         self.watch.check()
         self.check_interrupts()
         if self.live.due:
@@ -125,9 +122,8 @@ class RunContext:
         }
 
     def _tip_mm(self) -> NDArray[np.float64] | None:
-        """Where the tip is while a person is asked for a touch, in the world; None at other times:
-        in virtual time a poll more would change what the emulated arm answers. Raises as the arm's
-        driver does.
+        """The tip in the world while a touch is asked for in real time, else None: in virtual time
+        a further poll would change what the emulated arm answers.
         """
         arm = self.devices.arm
         if not self._touching or isinstance(self.clock, VirtualClock) or not arm.homed:
@@ -139,18 +135,18 @@ class RunContext:
         return self.tip.in_world(seen).tip_mm
 
     def long(self, what: str, at_most_s: float, *, silent: bool = False) -> None:
-        """``what`` may take ``at_most_s`` before the guardian takes the bench for hung. A wait on a
-        clock or a link gives signs of life; a computation, or another's code, is ``silent``.
+        """Allow ``what`` ``at_most_s`` before the guardian takes the bench for hung; ``silent``:
+        without a heartbeat meanwhile.
         """
-        self._pulse.sign(what, at_most_s, silence_s=None if silent else BRIEF_S)
+        self._heartbeat.sign(what, at_most_s, silence_s=None if silent else BRIEF_S)
 
     def note(self, text: str) -> None:
         self.events.state(text)
         self.event("state", text)
 
     def event(self, kind: str, text: str) -> None:
-        """Into the record, with its time, and then into the stream; before it, that the computer's
-        clock was set, which changes wall times and not the bench's own.
+        """Record an event and put it into the stream, after one where the computer's
+        clock was set.
         """
         before_s = stopwatch_s()
         behind_s = wall_time().timestamp() - before_s

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable, Sequence
-from enum import StrEnum
 from functools import partial
 
 import numpy as np
@@ -41,19 +40,12 @@ from instruments.operators.operator import (
 from instruments.stage.driver import Stage
 
 RECORD_FAULTS = (sqlite3.Error, OSError)
-WISHES = (KeyboardInterrupt, OperatorAbort, OperatorSkip, OperatorRepeat)
-
-
-class Ending(StrEnum):
-    FINISHED = "finished"
-    ABORTED = "aborted"
-    FAULTED = "faulted"
+REQUESTS = (KeyboardInterrupt, OperatorAbort, OperatorSkip, OperatorRepeat)
 
 
 class Engine:
-    """One run. ``exact_ends`` gives the scene's exact truth, which is never scored against;
-    ``left`` is what the run's last session left; ``typed`` gives the lines that were typed, None
-    while there is none; ``expected`` is how long it takes.
+    """One run. ``exact_ends``: the scene's exact truth, never scored against; ``left``: of the last
+    session; ``typed`` gives typed lines; ``expected``: how long it takes.
     """
 
     def __init__(
@@ -93,13 +85,13 @@ class Engine:
         self.bath_is_safe = False  # until the run has ended and made it so
         ctx.events.live = self._live
         ctx.progress = self._progress
-        # whoever looks for what the screen had to show finds why it showed nothing
+        # for a person who looks for what the screen had to show
         ctx.events.not_shown = partial(self._kept, ctx.event, "not shown")
         ctx.events.replaying = self._rehearsed is not None
 
-    def run(self) -> Ending:
+    def run(self) -> RunState:
         """Everything, to the end or to safe. Faults of instruments and aborts are recorded."""
-        exits, ending = current(), Ending.FAULTED
+        exits, ending = current(), RunState.FAULTED
         exits.at_close = self._ctx.trips.heater_off
         try:
             self._reserve.keep()
@@ -109,7 +101,7 @@ class Engine:
             ending = self._ended_by(why)
         else:
             exits.hold()
-            ending = Ending.FINISHED
+            ending = RunState.FINISHED
         finally:  # no request is raised from here on: each way in has called hold
             with undisturbed():
                 ending = self._finish(ending)
@@ -240,16 +232,14 @@ class Engine:
             "settling_s": self._expected.settling_s if self._expected else 0.0,
         }
 
-    def _ended_by(self, why: BaseException) -> Ending:
-        """The ending that ``why`` means, written down; raises it again when it is a mistake of the
-        bench.
-        """
+    def _ended_by(self, why: BaseException) -> RunState:
+        """The ending that ``why`` means, recorded; raises a mistake of the bench again."""
         self._reserve.give_back()
         self._end_replay()
         tripped = self._ctx.watch.tripped
-        if tripped is None and isinstance(why, WISHES):
+        if tripped is None and isinstance(why, REQUESTS):
             self._write_down("aborted", str(why) or "the run was interrupted (Ctrl-C)")
-            return Ending.ABORTED
+            return RunState.ABORTED
         # a braked stage or an impatient operator may have come first
         cause = tripped or why
         if isinstance(cause, FolderGoneError):  # there is nothing that a report could be made of
@@ -266,9 +256,9 @@ class Engine:
         else:
             self._write_down("fault", f"a mistake of the bench: {named}")
             raise cause
-        return Ending.FAULTED
+        return RunState.FAULTED
 
-    def _finish(self, ending: Ending) -> Ending:
+    def _finish(self, ending: RunState) -> RunState:
         """To safe first, whatever the disk, the terminal and the watch do."""
         ctx = self._ctx
         self._reserve.give_back()
@@ -285,9 +275,9 @@ class Engine:
             ctx.events.warn(f"NOT SAFE: {names}. {why} SWITCH IT OFF BY HAND.")
         for text in said:
             self._write_down("safe", text)
-        if unsafe and ending is Ending.FINISHED:
-            ending = Ending.FAULTED
-        for state in (RunState.SAFING, RunState(ending.value)):
+        if unsafe and ending is RunState.FINISHED:
+            ending = RunState.FAULTED
+        for state in (RunState.SAFING, ending):
             self._kept(ctx.states.to, state)
         self._write_down("end", ending.value)
         self._kept(ctx.store.fact, "retries", dict(self._recovery.counts))

@@ -2,7 +2,7 @@
 its events; and what runs really took, kept in their folders, so that the next estimate is better
 than what is assumed.
 
-What a rig file doesn't say is assumed, and told with the figure. A measured figure is a running
+What a rig file doesn't say is assumed, and stated with the figure. A measured figure is a running
 mean over the last runs on the same rig, the newest counting most. A person is slower than
 an emulated one; time is the bench's own, so an emulated run is over much sooner.
 """
@@ -44,8 +44,8 @@ STATES = {
 def spent_of(
     events: Sequence[Mapping[str, Any]], *, first_settling: bool = False
 ) -> dict[str, float]:
-    """What the time of a run (of its ``first_settling`` and before) went to, in s by kind, by its
-    stream of `bench.run.events`. Every second is one kind's.
+    """Seconds of a run by kind, from its stream of events; with ``first_settling`` until its first
+    settling is over.
     """
     spent = dict.fromkeys(KINDS, 0.0)
     base = kind = before = PREPARING
@@ -202,9 +202,7 @@ LEAST_RISE_K = 1.0  # less says nothing of how fast a bath heats
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What a run will need: time, room on the disk at most, and how often a person is asked, by
-    what for.
-    """
+    """What a run needs: time, disk space at most, and how often a person is asked for what."""
 
     time: TimeEstimate
     disk_mb: float
@@ -319,9 +317,7 @@ def _name(rig: LoadedRig) -> str:
 
 
 def carry_touches(planned: Sequence[PlannedTrial], axes: str, check_every: int) -> list[int]:
-    """At which trials a carried truth is touched: first of each arrangement, last before a
-    check.
-    """
+    """Trials at which a carried truth is touched: first of an arrangement, last before a check."""
     at: list[int] = []
     standing, carried = None, 0
     for index, one in enumerate(planned):

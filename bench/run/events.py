@@ -54,24 +54,21 @@ TABLE: Mapping[RunState, frozenset[RunState]] = {
     _S.ABORTED: frozenset(),
     _S.FAULTED: frozenset(),
 }
-ENDS = frozenset(state for state, following in TABLE.items() if not following)
 AWAY = frozenset({_S.PAUSED, _S.SETTLING})
 
 
 class RunStates:
-    """The state of one run. ``tell`` gets each change, ``now_s`` is the time."""
+    """The state of one run. ``report`` gets each change, ``now_s`` is the time."""
 
-    def __init__(self, tell: Callable[[RunState], None], now_s: Callable[[], float]) -> None:
-        self._tell = tell
+    def __init__(self, report: Callable[[RunState], None], now_s: Callable[[], float]) -> None:
+        self._report = report
         self._now_s = now_s
         self._since_s = now_s()
         self._away_s = 0.0
         self.current = RunState.PLANNED
 
     def to(self, state: RunState) -> None:
-        """Change to ``state``; staying is no change. Raises ValueError for a change that the table
-        doesn't have.
-        """
+        """Change to ``state``. Raises ValueError for a change that the table doesn't have."""
         if state is self.current:
             return
         if state not in TABLE[self.current]:
@@ -79,13 +76,11 @@ class RunStates:
             raise ValueError(f"a run that is {self.current} can't be {state} next (only {only})")
         self._away_s, self._since_s = self.away_s, self._now_s()
         self.current = state
-        self._tell(state)
+        self._report(state)
 
     @contextmanager
     def during(self, state: RunState) -> Iterator[None]:
-        """In ``state`` while this lasts, then back; where it ends by an exception the state stays,
-        for that is where it happened.
-        """
+        """In ``state`` while this lasts, then back; after an exception the state stays."""
         before = self.current
         self.to(state)
         yield
@@ -106,9 +101,8 @@ TAIL_BYTES = 1 << 16
 
 
 class Progress(Protocol):
-    """A terminal, or whatever a person looks at: what is being done (``state``), that ``done`` of
-    ``total`` trials are finished and ``name`` is next, what a person has to see at once (``warn``).
-    Nothing moves on it during ``aside``. May be called from any thread.
+    """A terminal or other screen, for any thread: the present work (``state``), trials done, and
+    what a person has to see at once (``warn``). Nothing moves on it during ``aside``.
     """
 
     def state(self, text: str) -> None: ...
@@ -118,13 +112,11 @@ class Progress(Protocol):
 
 
 class SafeProgress:
-    """Shows on ``progress``; after its first failure, of which ``failed`` gets the reason, only
-    what a person has to see at once.
-    """
+    """Shows on ``progress``; after its first failure, reported to ``failed``, only warnings."""
 
     def __init__(self, progress: Progress, failed: Callable[[str], None] = lambda _: None) -> None:
         self._progress = progress
-        self._tell = failed
+        self._report = failed
         self._failed = False
 
     def state(self, text: str) -> None:
@@ -154,17 +146,15 @@ class SafeProgress:
         except FAILURES as error:
             first, self._failed = not self._failed, True
             if first:
-                self._tell(f"the screen shows nothing any more: {type(error).__name__}: {error}")
+                self._report(f"the screen shows nothing any more: {type(error).__name__}: {error}")
             return False
         return True
 
 
 class Events:
-    """The stream, from any thread, shown on ``screen`` as one line (trial, what is done, bath, time
-    left, last error) and written to ``file``, open for appending without a buffer.
-
-    ``now_s`` is the bench's time; ``live`` gives further parts of the line; ``not_shown`` gets
-    which listener failed, and why. While ``replaying``, events are shown and not written.
+    """The stream, from any thread, shown on ``screen`` as one line and written to ``file``.
+    ``live`` gives further parts of the line; ``not_shown`` gets which listener failed. While
+    ``replaying``, events are shown and not written.
     """
 
     def __init__(self, screen: Progress, file: FileIO | None = None) -> None:
@@ -290,9 +280,7 @@ def _last_number(file: FileIO) -> int:
 
 @contextmanager
 def event_lines(path: Path | None) -> Iterator[FileIO | None]:
-    """The file ``path``, open for `Events`; None where none is asked for. Raises ConfigError where
-    it can't be opened.
-    """
+    """The file ``path``, open for `Events`, if any. Raises ConfigError."""
     if path is None:
         yield None
         return

@@ -62,8 +62,8 @@ POLICIES: Mapping[tuple[str, str], Policy] = {
 
 
 def diagnosis(fault: InstrumentError) -> tuple[str, str]:
-    """Whose fault it is, by who the error names, and whether that is gone, garbled or refuses; ""
-    for no instrument's, and for what no second try can cure.
+    """Which instrument, and whether it is gone, garbled or refuses; "" for what can't
+    be retried.
     """
     who = fault.who.lower()
     first = (who.replace(":", " ").split() or [""])[0]
@@ -79,8 +79,8 @@ SETTLED_S = 1.0
 
 
 class Recovery:
-    """Runs work that instruments may interrupt, and waits for them as long as the rig says.
-    ``look`` raises while the cameras give nothing usable.
+    """Runs work that instruments may interrupt, and waits for them. ``look`` raises while the
+    cameras give nothing usable.
     """
 
     def __init__(self, ctx: RunContext, look: Callable[[], None]) -> None:
@@ -91,8 +91,8 @@ class Recovery:
         self.counts: Counter[str] = Counter()
 
     def run(self, what: str, work: Callable[[], None]) -> None:
-        """Do ``work`` until it is done. Raises a fault that has no policy, or came too often, or
-        whose instrument does not come back.
+        """Do ``work`` until it is done. Raises a fault without a policy, one that came too often,
+        and one whose instrument does not come back.
         """
         tried: Counter[str] = Counter()
         if self._missing:  # the wait was given up, and it may be back, but not where it was
@@ -137,9 +137,7 @@ class Recovery:
         self._missing, ctx.away = None, ""
 
     def _back(self, name: str) -> bool:
-        """Whether it is back: the arm signed on and homed on its peg, for it may have lost its
-        power; the stage restarted and homed; cameras that give a usable frame set.
-        """
+        """Whether the instrument is back and ready: arm homed, stage homed, cameras usable."""
         ctx, devices = self._ctx, self._ctx.devices
         ctx.events.state(f"waiting for the {name}")
         try:
@@ -175,27 +173,27 @@ SHORT = {"p": PAUSE, "g": GO_ON, "go": GO_ON, "go-on": GO_ON, "s": SKIP, "r": RE
 HELP = "pause, go on, skip REASON, repeat REASON, abort"
 
 
-def read_wish(words: str) -> tuple[str, str]:
+def parse_request(words: str) -> tuple[str, str]:
     """The request and its reason. Raises ValueError for other words and for a missing reason."""
     text = " ".join(words.split())
     if (whole := SHORT.get(text.lower(), text.lower())) in (PAUSE, GO_ON, ABORT):
         return whole, ""
     first, _, reason = text.partition(" ")
-    wish = SHORT.get(first.lower(), first.lower())
-    if wish not in (SKIP, REPEAT):
+    request = SHORT.get(first.lower(), first.lower())
+    if request not in (SKIP, REPEAT):
         raise ValueError(f"not understood: {text!r}. There are: {HELP}")
     if not reason:
-        raise ValueError(f"{wish} needs a reason, for the record: {wish} the plate was touched")
-    return wish, reason
+        raise ValueError(
+            f"{request} needs a reason, for the record: {request} the plate was touched"
+        )
+    return request, reason
 
 
-def leave_wish(folder: Path, words: str) -> None:
-    """Leave a request for the run in ``folder``. Raises ConfigError for words that mean none, or
-    where it can't be written.
-    """
+def leave_request(folder: Path, words: str) -> None:
+    """Leave a request for the run in ``folder``. Raises ConfigError."""
     try:
-        wish, reason = read_wish(words)
-        write_synced(folder / FILE, f"{wish} {reason}\n".encode())
+        request, reason = parse_request(words)
+        write_synced(folder / FILE, f"{request} {reason}\n".encode())
     except ValueError as error:
         raise ConfigError.plain(str(error)) from error
     except OSError as error:
@@ -217,23 +215,21 @@ class Requests:
     """Requests left in ``folder``, and lines from ``typed`` (None: nothing new)."""
 
     def __init__(
-        self, folder: Path, typed: Callable[[], str | None], tell: Callable[[str], None]
+        self, folder: Path, typed: Callable[[], str | None], report: Callable[[str], None]
     ) -> None:
         self._path, self._taken = folder / FILE, folder / TAKEN
         self._typed = typed
-        self._tell = tell
+        self._report = report
         self.paused = False
 
     def forget(self) -> None:
         """What was left for a bench that died before it took it isn't this one's."""
         if words := self._left():
-            note = "Nobody took this in the last session, and it counts no more"
-            self._tell(f"{note}: {words.strip()}")
+            note = "Left in the last session and not taken; it is void now"
+            self._report(f"{note}: {words.strip()}")
 
     def look(self, *, amid: bool = True) -> None:
-        """Amid a trial or between two; raises OperatorAbort, amid a trial OperatorSkip and
-        OperatorRepeat too, or sets ``paused``.
-        """
+        """Take requests; raises OperatorAbort, ``amid`` a trial OperatorSkip and OperatorRepeat."""
         for words in (self._left(), self._typed()):
             if words and words.strip():
                 self._take(words, amid=amid)
@@ -253,30 +249,32 @@ class Requests:
             while self.paused:
                 ctx.events.state("paused, as asked")
                 if isinstance(ctx.clock, VirtualClock):
-                    # whoever pauses lives in real time: the bath need not race through days
+                    # the person lives in real time: the bath need not race through days
                     RealClock().sleep(REAL_S)
                 ctx.wait(PAUSE_POLL_S)
 
     def _take(self, words: str, *, amid: bool) -> None:
         try:
-            wish, reason = read_wish(words)
+            request, reason = parse_request(words)
         except ValueError as error:
-            self._tell(str(error))
+            self._report(str(error))
             return
-        if wish == ABORT:
-            raise OperatorAbort("the run was told to end")
-        if wish in (PAUSE, GO_ON):
-            if wish == PAUSE and not self.paused:
-                self._tell("The run pauses before its next trial.")
-            self.paused = wish == PAUSE
+        if request == ABORT:
+            raise OperatorAbort("the end of the run was requested")
+        if request in (PAUSE, GO_ON):
+            if request == PAUSE and not self.paused:
+                self._report("The run pauses before its next trial.")
+            self.paused = request == PAUSE
         elif amid:
-            self._tell(f"As told: {wish} {reason}")
-            raise OperatorSkip(reason) if wish == SKIP else OperatorRepeat(reason)
+            self._report(f"Request accepted: {request} {reason}")
+            raise OperatorSkip(reason) if request == SKIP else OperatorRepeat(reason)
         else:
-            self._tell(f"No trial is in flight just now, so nothing is done about: {wish} {reason}")
+            self._report(
+                f"No trial is in flight just now, so nothing is done about: {request} {reason}"
+            )
 
     def _left(self) -> str | None:
-        """Taken away first, then read: a wish that is left meanwhile is the next look's."""
+        """Taken away first, then read: a request that is left meanwhile is the next look's."""
         try:
             self._path.replace(self._taken)
             words = self._taken.read_text(encoding="utf-8", errors="replace")

@@ -1,4 +1,4 @@
-"""What a run looks like at this moment, as files in its folder for whoever watches from another
+"""What a run looks like at this moment, as files in its folder for a viewer in another
 process: `console/live.json` and small pictures of the last frames.
 
 Written at most ten times a second of real time, each file replaced as a whole, and gone when the
@@ -121,7 +121,7 @@ def bath_state(watch: BathMonitor, expected_s: float) -> dict[str, Any]:
 
 
 def interlock_states(watch: BathMonitor) -> list[dict[str, Any]]:
-    """Each interlock: "armed", "asleep" (the bath doesn't tell what it needs) or "tripped"."""
+    """Each interlock: "armed", "asleep" (the bath lacks the rows it needs) or "tripped"."""
     states = {rule.name: "armed" for rule in RULES}
     states |= dict.fromkeys(watch.interlocks.inactive, "asleep")
     states[getattr(watch.tripped, "rule", "")] = "tripped"

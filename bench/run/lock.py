@@ -57,9 +57,7 @@ def run_lock(folder: Path) -> Path:
 
 
 def holder_of(folder: Path) -> dict[str, Any]:
-    """Which bench the run in ``folder`` is under way in; empty where none is, or where one of this
-    machine has died.
-    """
+    """Which bench runs in ``folder``; empty for none, or one of this machine that has died."""
     holder = _holder(run_lock(folder))
     if holder.get("host") == platform.node() and not _lives(holder.get("pid")):
         return {}
@@ -87,12 +85,10 @@ def lock_path(rig: LoadedRig) -> Path | None:
 
 @contextmanager
 def locked(
-    path: Path | None, what: str, tell: Callable[[str], None], who: str = "rig"
+    path: Path | None, what: str, report: Callable[[str], None], who: str = "rig"
 ) -> Iterator[None]:
-    """Hold the lock at ``path`` (None: there is none) for ``what``; ``tell`` gets a line where a
-    dead bench's lock was taken over.
-
-    Raises RigInUseError where another bench has it, ConfigError where the file can't be had at all.
+    """Hold the lock at ``path`` (None: there is none) for ``what``; ``report`` gets a line where a
+    dead bench's lock was taken over. Raises RigInUseError, ConfigError.
     """
     if path is None:
         yield
@@ -109,7 +105,7 @@ def locked(
         if holder := _holder(path):
             if holder.get("host") != platform.node():  # its process can't be seen from here
                 raise _in_use(path, holder, who)
-            tell(f"the lock of a bench that died ({_named(holder)}) was taken over")
+            report(f"the lock of a bench that died ({_named(holder)}) was taken over")
         since = wall_time().isoformat(timespec="seconds")
         me = {"host": platform.node(), "pid": os.getpid(), "since": since, "run": what}
         path.write_text(json.dumps(me), encoding="utf-8")
@@ -118,9 +114,7 @@ def locked(
 
 
 def _holder(path: Path) -> dict[str, Any]:
-    """What the text says; a folder of an older bench may have it padded with zeros, one of a scored
-    recording has none.
-    """
+    """What the text says; an older bench padded it with zeros."""
     if not path.is_file():
         return {}
     try:

@@ -101,8 +101,7 @@ The apex of each teat's rounded end, on its own axis, in mm. Standard uncertaint
 
 
 def pack_run(run: Path, out: Path, title: str = "", licence: str = "") -> Path:
-    """Write ``run`` as a self-describing recording in the new folder ``out``, whole or not at all.
-
+    """Write ``run`` as a self-describing recording in the new folder ``out``, whole or not at all;
     ``licence`` is an SPDX identifier. Raises ConfigError, RecordingError, OSError.
     """
     if out.exists():
@@ -138,9 +137,7 @@ def pack_run(run: Path, out: Path, title: str = "", licence: str = "") -> Path:
 
 
 def check_pack(folder: Path) -> int:
-    """The number of files that are as they were packed; 0 where ``folder`` is no pack. Raises
-    RecordingError naming the first that is not.
-    """
+    """The number of packed files; 0 for no pack. Raises RecordingError for one that was changed."""
     path = folder / SUMS
     if not path.is_file():
         return 0

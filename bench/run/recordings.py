@@ -31,11 +31,8 @@ SHOWN_LINES = 5
 
 
 class Recorder:
-    """A recording in ``folder``, which must be empty or not there, or be what ``before``, a run
-    that goes on, has recorded.
-
-    ``warn`` is called where it can't be written any more. Raises ConfigError where it can't be
-    begun.
+    """A recording in the new or empty ``folder``, or what the run ``before`` has recorded. ``warn``
+    is called where it can't be written any more. Raises ConfigError.
     """
 
     def __init__(
@@ -69,9 +66,7 @@ class Recorder:
     def trial(
         self, trial_id: str, frames: FrameSet, truth: Sequence[TruthRow], *, confirmed: bool
     ) -> None:
-        """Add a trial's frame set with its truth; truth that isn't confirmed waits for `settled`,
-        the frames stay without until then.
-        """
+        """Add a trial's frames and truth; truth that isn't ``confirmed`` waits for `settled`."""
         if self._broken:  # a recording with holes would be taken for a whole one
             return
         with self._watched():
@@ -133,9 +128,7 @@ def _has(folder: Path) -> tuple[set[str], set[str]]:
 
 
 def detect_lines(path: Path, names: Sequence[str]) -> Iterator[tuple[dict[str, Any], str]]:
-    """For each frame and detector the JSON line of the recording format, and a sentence. A frame
-    that can't be read is a line too.
-    """
+    """For each frame and detector the JSON line of the recording format, and a sentence."""
     detectors = make_detectors(names)
     recording = Recording(path)
     examiner = Examiner(read_calibration(recording.calibration_path))

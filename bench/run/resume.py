@@ -33,9 +33,7 @@ IN_A_TRIAL = (RunState.RUNNING.value, RunState.PAUSED.value)
 
 @dataclass(frozen=True, slots=True)
 class ResumePoint:
-    """What a run left: ``done`` have a result or a reason for none; the trial of each of its
-    ``deaths``, by its last event.
-    """
+    """What a run left: trials ``done``, and the trial of each of its ``deaths``."""
 
     run: RunRecord
     done: frozenset[str]
@@ -73,9 +71,7 @@ def what_is_left(folder: Path, planned: Sequence[str]) -> ResumePoint:
 
 
 def files_of(run: RunRecord) -> tuple[LoadedRig, LoadedScript]:
-    """Rig and script of a run, as they were. Raises ConfigError where they aren't there any more,
-    or were changed since.
-    """
+    """Rig and script of a run. Raises ConfigError where they are gone or were changed since."""
     asked, folder = run.facts.get(ASKED), run.folder
     if not isinstance(asked, dict):
         why = f"{folder} can't be resumed: it doesn't say which rig and script it was run with."
@@ -99,9 +95,8 @@ def files_of(run: RunRecord) -> tuple[LoadedRig, LoadedScript]:
 
 
 class RehearsedStore(Store):
-    """The store of a run whose finished trials are gone through again: while ``silent`` it takes
-    only bath readings that it hasn't, and compares touches with those on record. A check of the
-    carried truth that the dead bench may have written is taken once.
+    """The store of a run whose finished trials are replayed: while ``silent`` it takes only newer
+    bath readings and checks, and compares touches with those on record.
     """
 
     def __init__(self, left: ResumePoint) -> None:
@@ -116,9 +111,9 @@ class RehearsedStore(Store):
         self.same: list[str] = []
         self.differ: list[str] = []
 
-    def _say(self, table: str, row: Row, *, urgent: bool) -> None:
+    def _add_row(self, table: str, row: Row, *, urgent: bool) -> None:
         if row["t_s"] > self._read_to_s if table == "bath" else not self.silent:
-            super()._say(table, row, urgent=urgent)
+            super()._add_row(table, row, urgent=urgent)
 
     def _write(self, tables: Tables) -> None:
         if not (self.silent and tables):
@@ -137,15 +132,13 @@ class RehearsedStore(Store):
             super().checked(new, lost, reason)
 
     def frames(
-        self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float | None]
+        self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float]
     ) -> list[Row]:
         return [] if self.silent else super().frames(trial, images, exposed_s)
 
 
 def open_store(left: ResumePoint, *, rehearsed: bool) -> Store:
-    """The run's store, open again for a further session: with the deaths of the last ones, and
-    without an ending.
-    """
+    """The run's store, open for a further session: with the deaths, without an ending."""
     store = RehearsedStore(left) if rehearsed else Store(left.run.folder)
     with store.step():
         store.fact(DEATHS, left.deaths)

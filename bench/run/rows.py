@@ -28,24 +28,7 @@ from bench.results.stated_arm import STATED_FACT, VERIFICATION_FACT, stated_fact
 from bench.rig.arm_files import as_dict
 from bench.rig.loading import LoadedRig
 from detector.protocol import Detector
-from instruments.camera.frame import FrameSet
 from instruments.clock import wall_time
-
-
-def frame_rows(
-    store: Store, trial_id: str, frames: FrameSet, answers: Sequence[Answer]
-) -> list[Row]:
-    """Write the frames of a trial, and the pictures that the detectors' stages left; gives back
-    their rows.
-    """
-    images: dict[str, Picture | None] = {"left": frames.left, "right": frames.right}
-    images |= {"thermal": frames.thermal, "thermal_radiometric": frames.thermal_ck}
-    images |= {"depth": frames.depth_dmm, "depth_amplitude": frames.amplitude}
-    for answer in answers:
-        images |= stage_pictures(answer)
-    there = {name: image for name, image in images.items() if image is not None}
-    exposed_s = {name: frames.exposed_s.get(name.split("_")[0]) for name in there}
-    return store.frames(trial_id, there, exposed_s)
 
 
 def detection_tables(trial_id: str, answers: Sequence[Answer]) -> tuple[list[Row], list[Row]]:
@@ -94,10 +77,13 @@ def detection_rows(trial: str, answer: Answer) -> tuple[Row, list[Row]]:
     ]
 
 
-def stage_pictures(answer: Answer) -> dict[str, Picture]:
-    """The two-dimensional masks of a detector's stages as 8-bit pictures, by ``detector-stage``."""
+def stage_pictures(answers: Sequence[Answer]) -> dict[str, Picture]:
+    """The two-dimensional masks of the detectors' stages as 8-bit pictures, by
+    ``detector-stage``.
+    """
     return {
         f"{answer.detector}-{stage.name.replace(' ', '-')}": np.uint8(255) * mask
+        for answer in answers
         for stage in answer.detection.trace
         for mask in stage.data.values()
         if mask.dtype == np.bool_ and mask.ndim == 2
@@ -112,9 +98,7 @@ FRAME_FACT = "arm frame"
 
 
 def write_arm_facts(store: Store, rig: LoadedRig) -> None:
-    """What the rig states of its arm, and its table frame and verification where it names them,
-    into the run's store.
-    """
+    """What the rig states of its arm, its table frame and verification, into the store."""
     store.fact(STATED_FACT, stated_fact(rig.rig.arm))
     if (frame := rig.frame) is not None:
         fact = {
@@ -137,9 +121,7 @@ LIBRARIES = ("numpy", "opencv-python-headless", "scipy", "pymodbus", "pyserial")
 def write_facts(
     store: Store, facts: Mapping[str, Any], detectors: Sequence[Detector], calibration: Path
 ) -> None:
-    """Everything that holds for the whole run, into its store; of each item under test name,
-    version, its configuration and a hash over that.
-    """
+    """Facts of the whole run into its store; of each item under test its configuration."""
     everything = {
         **facts,
         "detectors": [detector.name for detector in detectors],
@@ -173,9 +155,7 @@ def _item(detector: Detector) -> dict[str, str]:
 
 
 def commit(git: Path) -> str | None:
-    """The commit that the bench's own working copy is at, without changes not committed; None where
-    it runs from no copy.
-    """
+    """The commit of the bench's own working copy; None where it runs from no copy."""
     try:
         head = (git / "HEAD").read_text(encoding="ascii").strip()
         if not head.startswith("ref: "):

@@ -30,9 +30,7 @@ Grey = NDArray[np.uint8]
 
 
 def write_set_up_picture(folder: Path, name: str, asked: Arrangement, rig: LoadedRig) -> Path:
-    """Write it into the run's ``folder``, where it isn't there yet; gives back its path. Raises
-    OSError, ValueError.
-    """
+    """Write it into the run's ``folder``, once; its path. Raises OSError, ValueError."""
     path = folder / FOLDER / f"{name}.png"
     if not path.is_file():
         write_synced(path, png_bytes(set_up_picture(asked, rig)))

@@ -13,23 +13,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.config import ConfigError, read_calibration, read_config, read_text
-from bench.record.reader import TrialRecord, read_run
+from bench.record.reader import read_run
 from bench.record.schema import RULES, SCRIPT
 from bench.record.writer import Store, new_run_folder
-from bench.results.answers import Examiner, score_answers
+from bench.results.answers import Examiner
 from bench.results.cameras_agree import can_tell, spread, where_seen
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import in_virtual_time, open_instruments
 from bench.run.context import RunContext
-from bench.run.engine import Ending, Engine
+from bench.run.engine import Engine
 from bench.run.estimate import needs, read_durations
-from bench.run.events import Events, Progress
+from bench.run.events import Events, Progress, RunState
 from bench.run.lock import lock_path, locked, run_lock
 from bench.run.packing import check_pack
 from bench.run.recordings import RECORDED, Recorder, recorder_again
 from bench.run.resume import ASKED, RehearsedStore, ResumePoint, files_of, open_store, what_is_left
-from bench.run.rows import detection_tables, frame_rows, write_facts
-from bench.run.trial import refuse_carry
+from bench.run.rows import write_facts
+from bench.run.trial import refuse_carry, write_trial
 from bench.safety.guardian_client import GuardianTarget, guarded
 from bench.safety.latch import refuse_latched, refuse_untested_cut_out
 from bench.safety.signals import current, undisturbed
@@ -45,7 +45,7 @@ from bench.script.planned_trials import pose_set
 from bench.truth.touching import truth_row
 from detector.protocol import Detector
 from instruments.camera.recording import Recording
-from instruments.captures.capture import NO_CAPTURE, Captures
+from instruments.captures.capture import CaptureFile
 from instruments.clock import wall_time
 from instruments.errors import InstrumentError
 from instruments.operators.operator import time_left
@@ -60,16 +60,15 @@ INTERRUPTED = "interrupted (Ctrl-C)"
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """How a run is run: ``seed`` and ``detectors`` instead of the rig's and the script's; ``typed``
-    gives lines that were typed, None while there is none; ``begun`` gets a line for the person at
-    the terminal: where the run is kept, and how long it takes.
+    """``seed`` and ``detectors`` instead of the rig's and the script's; ``typed`` gives typed
+    lines; ``begun`` gets where the run is kept, and how long it takes.
     """
 
     seed: int | None = None
     detectors: Sequence[str] = ()
     record: Path | None = None
     realtime: bool = False
-    capture: Captures = NO_CAPTURE
+    capture: CaptureFile | None = None
     typed: Callable[[], str | None] = lambda: None
     begun: Callable[[str], None] = lambda _: None
 
@@ -80,12 +79,9 @@ def run_script(
     out: Path,
     progress: Progress,
     how: RunOptions | None = None,
-) -> tuple[Path, Ending]:
-    """Run ``script`` on ``rig``, shown on ``progress`` (or the stream itself, `Events`); gives back
-    the run's folder and how it ended.
-
-    Raises ConfigError, LatchedError where a trip has not been acknowledged, and RigInUseError,
-    before anything is opened.
+) -> tuple[Path, RunState]:
+    """Run ``script`` on ``rig``, shown on ``progress``; the run's folder and how it ended. Raises
+    ConfigError, LatchedError, RigInUseError before anything is opened.
     """
     how, events = how or RunOptions(), _stream(progress)
     refuse_carry(rig, script)
@@ -103,9 +99,9 @@ def run_script(
 
 def resume_run(
     folder: Path, progress: Progress, how: RunOptions | None = None
-) -> tuple[Path, Ending]:
-    """Go on with the run in ``folder`` at its first trial without a result, with its own seed,
-    detectors, kind of time and recording. Raises ConfigError, LatchedError, RigInUseError.
+) -> tuple[Path, RunState]:
+    """Continue the run in ``folder`` at its first trial without a result, as it was begun. Raises
+    ConfigError, LatchedError, RigInUseError.
     """
     how, events = how or RunOptions(), _stream(progress)
     rig, script = files_of(run := read_run(folder))
@@ -199,7 +195,7 @@ def _run(
     how: RunOptions,
     recorder: Recorder | None,
     left: ResumePoint | None = None,
-) -> tuple[Path, Ending]:
+) -> tuple[Path, RunState]:
     """From open files to an ended run; closes store and detectors."""
     try:
         current().check_interrupts()
@@ -222,11 +218,11 @@ def _run(
         ):
             refuse_other_cameras(rig.calibration.record, devices.cameras.identity)
             bath, inferred = devices.bath, rig.rig.bath.allow_inferred
-            charge = GuardianTarget(
+            target = GuardianTarget(
                 bath.url, rig.profile_source, bath.pump_url, rig.relay_source, inferred
             )
-            with guarded(charge, store.folder, devices.clock) as (pulse, guardian_client):
-                ctx = RunContext(rig, script, devices, store, events, pulse, guardian_client)
+            with guarded(target, store.folder, devices.clock) as (heartbeat, guardian_client):
+                ctx = RunContext(rig, script, devices, store, events, heartbeat, guardian_client)
                 engine = Engine(
                     ctx,
                     under_test,
@@ -246,16 +242,14 @@ def _run(
         if isinstance(store, RehearsedStore):
             store.silent = False
         if isinstance(error, KeyboardInterrupt):
-            return store.folder, _end(store, Ending.ABORTED, INTERRUPTED)
-        return store.folder, _end(store, Ending.FAULTED, str(error))
+            return store.folder, _end(store, RunState.ABORTED, INTERRUPTED)
+        return store.folder, _end(store, RunState.FAULTED, str(error))
     finally:
         store.close()
 
 
 def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequence[str]) -> Path:
-    """Score detectors over a recording; gives back the run's folder. Raises ConfigError,
-    RecordingError.
-    """
+    """Score detectors over a recording; the run's folder. Raises ConfigError, RecordingError."""
     check_pack(path)
     under_test, recording, path = make_detectors(detectors), Recording(path), path.resolve()
     with introduced(under_test, members_of(recording)):
@@ -294,18 +288,13 @@ def _scored(
                 "repeat": 1,  # each is a pose of its own
                 "wall_time": wall_time().isoformat(timespec="milliseconds"),
             }
-            scores = score_answers(
-                answers, known, limit_mm=rules.visible_within_mm, time_limit_s=rules.time_limit_s
-            )
-            detections, found = detection_tables(trial, answers)
             ends = seen.get(frame, {})
             rows = [truth_row(trial, row, seen=ends.get(row.teat)) for row in known]
-            pictures = frame_rows(store, trial, frames, answers)
-            store.finished(TrialRecord(head, pictures, [], rows, detections, found, scores))
+            write_trial(store, rules, head, frames, answers, known, rows)
         progress.trial(planned, planned, "")
-        _end(store, Ending.FINISHED)
+        _end(store, RunState.FINISHED)
     except KeyboardInterrupt:
-        _end(store, Ending.ABORTED, INTERRUPTED)
+        _end(store, RunState.ABORTED, INTERRUPTED)
     except BaseException:  # a frame that can't be read: half a run is of no use
         try:
             store.close()
@@ -328,8 +317,8 @@ def members_of(recording: Recording) -> dict[str, list[int]]:
 
 
 def _pose_names(recording: Recording) -> dict[str, str]:
-    """For each frame the first one that shows the same pose, by the truth (same situation, same
-    teats, each end within SAME_POSE_MM): frames of one pose are repeats, not independent trials.
+    """For each frame the first one of the same pose (same situation and teats, each end within
+    SAME_POSE_MM): frames of one pose are repeats.
     """
     names: dict[str, str] = {}
     # by situation and teats: names of the first frames, and their ends (n, 3)
@@ -357,9 +346,9 @@ def _new_store(out: Path, name: str, files: dict[str, str], calibration: Path) -
         raise ConfigError.plain(f"{why}. Name another folder with --out.") from error
 
 
-def _end(store: Store, ending: Ending, why: str = "") -> Ending:
+def _end(store: Store, ending: RunState, why: str = "") -> RunState:
     if why:
-        kind = "aborted" if ending is Ending.ABORTED else "fault"
+        kind = "aborted" if ending is RunState.ABORTED else "fault"
         store.event(None, kind, why, wall_time())
     store.event(None, "end", ending.value, wall_time())
     store.fact("ending", ending.value)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from bench.config import ConfigError
 from bench.record.reader import RunRecord, TrialRecord
 from bench.record.schema import Row
+from bench.record.writer import Store
 from bench.results.answers import Answer, Examiner, score_answers
 from bench.results.cameras_agree import where_seen
 from bench.rig.frame_capture import FrameTaker
@@ -25,10 +26,10 @@ from bench.rig.urls import PEOPLE
 from bench.run.context import RunContext
 from bench.run.events import RunState
 from bench.run.recordings import Recorder
-from bench.run.rows import detection_tables, frame_rows
+from bench.run.rows import detection_tables, stage_pictures
 from bench.run.set_up_picture import write_set_up_picture
 from bench.safety.stability import State
-from bench.script.model import LoadedScript
+from bench.script.model import LoadedScript, Rules
 from bench.script.planned_trials import PlannedTrial, shared
 from bench.truth.carrying import CarriedTruth, fixed_key, resumed
 from bench.truth.registration import (
@@ -83,8 +84,8 @@ def shown(trial: PlannedTrial, axes: str) -> ExpectedScene:
 def choose_truth(
     ctx: RunContext, settled: Settled, *, before: RunRecord | None = None
 ) -> TouchedTruth:
-    """The source for a run. ``settled`` gets the carried trials that a check has confirmed (True)
-    or invalidated; of the stopped run ``before`` registration and reference are used further.
+    """The truth source of a run. ``settled`` gets the carried trials that a check has confirmed
+    (True) or invalidated; ``before``: the stopped run.
     """
     table, stage, settings = ctx.script.script.truth, ctx.devices.stage, ctx.rig.rig.stage
     toucher = Toucher(ctx.ask, ctx.tip, ctx.rig.rig.arm, ctx.clock, ctx.check, table.readings)
@@ -94,7 +95,7 @@ def choose_truth(
         raise ValueError("a truth can't be carried without a stage; refuse_carry says so before")
     known = registration_from_facts(before.facts) if before else None
 
-    def tell(kind: str, text: str) -> None:
+    def report(kind: str, text: str) -> None:
         ctx.event(kind, text)
         (ctx.events.warn if kind in URGENT else ctx.events.state)(text)
 
@@ -104,7 +105,7 @@ def choose_truth(
         lambda: stands_at(stage),
         ctx.store,
         settled,
-        tell,
+        report,
         ctx.clock.now,
         every=table.check_every,
         limit_mm=table.check_limit_mm,
@@ -115,10 +116,8 @@ def choose_truth(
 def _registration(
     ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Toucher
 ) -> Registration:
-    """The one that the script asks for, as a fact of the run: its file's, or one made now.
-
-    Raises LimitError where the file's doesn't hold any more, DeviceError where the touches give
-    none, and as the instruments do.
+    """The script's registration, from its file or made now, as a fact of the run. Raises LimitError
+    where the file's doesn't hold, DeviceError where the touches give none.
     """
     # the world that it was made in has to be the one that the arm gives now
     made = ctx.rig.frame.made if ctx.rig.frame else None
@@ -143,7 +142,7 @@ def _made(ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Touch
     poses = tuple(PlatePose(x, y) for x, y in table.registration_at_mm or ())
     poses = poses or around(shared(trial.pose, settings.axes)[0] for trial in planned)
 
-    def tell(text: str) -> None:
+    def report(text: str) -> None:
         ctx.note(text)
         ctx.long("moving the stage", 600.0)
 
@@ -158,7 +157,7 @@ def _made(ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Touch
             u_mm=hypot(end_u_mm(ctx.rig.rig.arm, toucher.readings), settings.repeatability_mm),
             made=wall_time().replace(microsecond=0),
             serial_number=ctx.devices.arm.identity.serial_number,
-            tell=tell,
+            tell=report,
         )
     except RegistrationError as error:
         hint = "Name other places in the script's registration_at_mm."
@@ -168,10 +167,9 @@ def _made(ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Touch
 
 
 class Attempts:
-    """Runs the planned trials of ``ctx`` by ``once``, each until it is done or skipped.
-
-    ``through`` does a piece of work until no instrument has interrupted it; ``poison`` are trials
-    that aren't tried again, with the reason; ``each_s`` is what a trial is expected to take.
+    """Runs planned trials by ``once``, each until done or skipped. ``through`` repeats work that an
+    instrument interrupts; ``poison``: trials not tried again, with the reason; ``each_s``: expected
+    of a trial.
     """
 
     def __init__(
@@ -223,9 +221,9 @@ class Attempts:
     def _tried(self, trial: PlannedTrial) -> bool:
         try:
             self._through(f"trial {trial.id}", lambda: self._once(trial))
-        except OperatorRepeat as wish:
+        except OperatorRepeat as repeat:
             message = f"{trial.id}: the operator asked for it again from its set-up"
-            self._ctx.event("repeated", f"{message}: {wish.reason}" if wish.reason else message)
+            self._ctx.event("repeated", f"{message}: {repeat.reason}" if repeat.reason else message)
             return False
         return True
 
@@ -240,9 +238,8 @@ class Attempts:
 
 
 class TrialRun:
-    """The trials of one run. ``exact_ends`` gives the scene's exact truth, which is never scored
-    against; ``recorder`` gets each frame set with its truth. While ``rehearsing`` a trial that has
-    its result, nothing is detected.
+    """The trials of one run. ``exact_ends``: the exact truth, never scored against; ``recorder``
+    gets each frame set. While ``rehearsing`` nothing is detected.
     """
 
     def __init__(
@@ -278,9 +275,7 @@ class TrialRun:
         self.look = self._taker.look  # raises where the cameras give nothing usable
 
     def run(self, trial: PlannedTrial) -> None:
-        """From settling to the trial's rows. Raises what an instrument, an interlock or the
-        operator raises; nothing is stored then.
-        """
+        """From settling to the trial's rows; where anything raises, nothing is stored."""
         ctx, there = self._ctx, shown(trial, self._axes)
         ctx.store.refuse_gone()
         ctx.live.expect(trial.name, there.ends)
@@ -344,9 +339,7 @@ class TrialRun:
         ctx.event("stable", f"the bath is stable at {gate.set_point_c:g} degC")
 
     def _pictured(self, trial: PlannedTrial, asked: Arrangement) -> Arrangement:
-        """With a picture for a person; the one before where nothing is to be changed by hand. One
-        that can't be made costs no trial.
-        """
+        """With a picture for a person; the one before where nothing is to be changed by hand."""
         if self._rig.operator.url not in PEOPLE:
             return asked
         before = self._before
@@ -360,8 +353,8 @@ class TrialRun:
         return replace(asked, picture=before.picture) if before else asked
 
     def _capture_settled(self, trial_id: str) -> FrameSet:
-        """Frames of a bath in its band: the trial is suspended until it is stable again, and frames
-        are taken anew where it leaves its band meanwhile (but for those of a recording).
+        """Frames of a bath in its band: the trial is suspended until it is stable, and frames are
+        taken again where it leaves its band (but for a recording's).
         """
         ctx, recorded = self._ctx, self._rig.cameras.recorded
         while True:
@@ -426,14 +419,28 @@ class TrialRun:
             truth_row(trial_id, row, end, point, seen.get(row.teat))
             for row, end, point in zip(rows, ends, truth.points, strict=True)
         ]
-        scores = score_answers(
-            answers, rows, limit_mm=script.visible_within_mm, time_limit_s=script.time_limit_s
-        )
-        detections, found = detection_tables(trial_id, answers)
-        pictures = frame_rows(store, trial_id, frames, answers)
-        store.finished(
-            TrialRecord(head, pictures, truth.touches, truth_rows, detections, found, scores)
-        )
+        write_trial(store, script, head, frames, answers, rows, truth_rows, truth.touches)
+
+
+def write_trial(
+    store: Store,
+    rules: Rules,
+    head: Row,
+    frames: FrameSet,
+    answers: Sequence[Answer],
+    truth: Sequence[TruthRow],
+    truth_rows: Sequence[Row],
+    touches: Sequence[Row] = (),
+) -> None:
+    """Score ``answers`` by ``rules`` against ``truth`` and write the whole trial."""
+    trial_id = str(head["id"])
+    scores = score_answers(
+        answers, truth, limit_mm=rules.visible_within_mm, time_limit_s=rules.time_limit_s
+    )
+    detections, found = detection_tables(trial_id, answers)
+    images = frames.pictures | stage_pictures(answers)
+    pictures = store.frames(trial_id, images, frames.exposed_s)
+    store.finished(TrialRecord(head, pictures, touches, truth_rows, detections, found, scores))
 
 
 def _head(trial: PlannedTrial) -> dict[str, object]:

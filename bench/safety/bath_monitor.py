@@ -39,11 +39,9 @@ AGAIN_S = 5.0  # between attempts to make safe
 
 @dataclass(eq=False)
 class BathMonitor:
-    """Watches the bath that ``read`` polls, from ``start`` to ``stop``.
-
-    ``record`` gets each reading as a row; ``act`` gets the first trip, makes safe, and returns
-    whether it has. ``pump_on``: whether the pump turns, None if unknown; ``also``: another reason
-    to trip; ``moving``: what of a reading has to change while the controller lives.
+    """Watches the bath that ``read`` polls. ``act`` gets the first trip, makes safe, and returns
+    whether it has. ``also``: another reason to trip; ``moving``: what of a reading has to change
+    while the controller lives.
     """
 
     read: Callable[[], BathReading]
@@ -61,7 +59,7 @@ class BathMonitor:
         self._lock = threading.RLock()
         self._running = self._safe = False
         self._trip: Exception | None = None
-        self._act_again_s = self._heard_s = self._planned_s = self.clock.now()
+        self._act_again_s = self._answered_s = self._planned_s = self.clock.now()
         self._heating_s: float | None = None
         self.last: BathReading | None = None
 
@@ -89,7 +87,7 @@ class BathMonitor:
     def start(self) -> None:
         """Read now and then every second."""
         self._running = True
-        self._heard_s = self._planned_s = self.clock.now()
+        self._answered_s = self._planned_s = self.clock.now()
         self._tick()
 
     def heating(self) -> None:
@@ -119,7 +117,7 @@ class BathMonitor:
             if not self._running:
                 return
             # while this process did not run, the bath was not silent
-            self._heard_s += self.clock.now() - self._planned_s
+            self._answered_s += self.clock.now() - self._planned_s
             try:
                 self._trip = self._trip or self.also()
                 self._look()
@@ -135,13 +133,13 @@ class BathMonitor:
             reading = self.read()
             pump_on = self.pump_on(reading)
         except InstrumentError as error:
-            silent_s = self.clock.now() - self._heard_s
+            silent_s = self.clock.now() - self._answered_s
             answered = not isinstance(error, LinkError)
             self._trip = self._trip or self.interlocks.silent(silent_s, error, answered=answered)
             return
         if not self._running:
             return  # the run has ended while we waited for it, and with it the heating
-        self._heard_s = reading.t_s
+        self._answered_s = reading.t_s
         self.last = reading
         raw, teat_c = self.moving(reading), reading.external_c
         state = self.gate.add(
@@ -177,8 +175,8 @@ READING_S = 60.0
 
 
 class TripHandler:
-    """``watch`` is started and stopped by the engine. ``on_event`` gets the event of a trip, its
-    kind and text, once it is in the record; ``seen`` is called after each reading.
+    """Makes safe and reports a trip. ``on_event`` gets its event once it is recorded; ``seen`` is
+    called after each reading.
     """
 
     def __init__(
@@ -188,16 +186,16 @@ class TripHandler:
         gate: StabilityGate,
         store: Store,
         warn: Callable[[str], None],
-        pulse: Heartbeat,
+        heartbeat: Heartbeat,
         guardian_client: GuardianClient | None,
     ) -> None:
         self._devices = devices
         self._store = store
         self._warn = warn
-        self._pulse = pulse
+        self._heartbeat = heartbeat
         self._guardian_client = guardian_client
         self._latch = latch_path(rig)
-        self._told = self._held = False
+        self._reported = self._held = False
         self.on_event: Callable[[str, str], None] = lambda _kind, _text: None
         self.seen: Callable[[], None] = lambda: None
         interlocks = self._interlocks = Interlocks(rig.rig.limits, rig.profile)
@@ -234,7 +232,7 @@ class TripHandler:
     def stop(self) -> None:
         """End the watch."""
         self.watch.stop()
-        self._pulse.rest(WATCH)
+        self._heartbeat.rest(WATCH)
 
     def heater_off(self) -> None:
         """For a thread that has no time for more: the heater, whatever else goes on."""
@@ -242,7 +240,7 @@ class TripHandler:
 
     def _also(self) -> InterlockTrip | None:
         """With each reading: the watch is alive, and the guardian has to be too."""
-        self._pulse.sign("reading the bath", READING_S, who=WATCH)
+        self._heartbeat.sign("reading the bath", READING_S, who=WATCH)
         lost = self._guardian_client.lost if self._guardian_client else None
         then = rule_named(GUARDIAN).then
         return InterlockTrip(GUARDIAN, lost, then, self._interlocks.values) if lost else None
@@ -254,12 +252,12 @@ class TripHandler:
         stage = self._devices.stage
         self._held = self._held or stage is None or _tried("stage", stage.brake, said, "is held")
         safe = _tried("heater", lambda: heater_off(self._devices.bath), said, "is in standby")
-        if not self._told:
-            self._told = True
-            self._tell(trip, said)
+        if not self._reported:
+            self._reported = True
+            self._report(trip, said)
         return safe and self._held
 
-    def _tell(self, trip: Exception, said: list[str]) -> None:
+    def _report(self, trip: Exception, said: list[str]) -> None:
         """To the operator first; the record and the latch may fail without the others."""
         done = "; ".join(said)
         self._warn(f"{trip}\n{done}. The run ends; an open question needs no answer any more.")

@@ -32,9 +32,10 @@ from pathlib import Path
 from typing import Any
 
 from instruments.bath.driver import Bath, PumpAt
-from instruments.bath.profile import PUMP, ProfileError, load_profile, load_relay
+from instruments.bath.profile import PUMP, load_profile, load_relay
 from instruments.bath.sequence import OFF, ON, OVERRUN_S, cause_of
 from instruments.clock import RealClock, stopwatch_s, wall_time
+from instruments.device_file import DeviceFileError
 from instruments.errors import InstrumentError, LinkError
 
 READY, ALIVE, HUNG, DONE, TAKE_OVER = "ready", "alive", "hung: ", "done", "take over"
@@ -49,9 +50,8 @@ IGNORED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 
 
 class HeartbeatReader:
-    """Reads the bench's lines from the file descriptor ``source`` on a thread (not every system can
-    wait for a pipe with a time limit), and echoes signs of life to ``echo``. ``bench`` is its
-    process.
+    """Reads the bench's lines from ``source`` on a thread (not every system can wait for a pipe
+    with a time limit), and echoes heartbeats to ``echo``. ``bench``: its process.
     """
 
     def __init__(self, source: int, echo: int, bench: int) -> None:
@@ -61,8 +61,8 @@ class HeartbeatReader:
         threading.Thread(target=self._listen, args=(source,), daemon=True).start()
 
     def wait_for_loss(self) -> tuple[str, str, float] | None:
-        """``died``, ``hung`` or ``gave up``, in what, and the stopwatch at the bench's last sign;
-        None when it is done.
+        """``died``, ``hung`` or ``gave up``, why, and the time of the last heartbeat; None when
+        done.
         """
         last_s, dying = stopwatch_s(), False
         while True:
@@ -99,9 +99,7 @@ class HeartbeatReader:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Guard one bath; 0 when the bench needed nothing or the bath is in standby, 1 when it could
-    not be reached.
-    """
+    """Guard one bath; 0 when it is in standby or nothing was needed, 1 when not reached."""
     given = _parser().parse_args(arguments)
     for name in IGNORED:
         if hasattr(signal, name):
@@ -117,10 +115,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             identify=False,
             pump=pump,
         )
-    except (ProfileError, InstrumentError) as error:
+    except (DeviceFileError, InstrumentError) as error:
         sys.stderr.write(f"guardian: {error}\n")
         return 2
-    preferred = _preferred()
+    preferred = _raise_priority()
     sys.stdout.write(READY + "\n")
     sys.stdout.flush()
     lost = HeartbeatReader(sys.stdin.fileno(), sys.stdout.fileno(), given.bench).wait_for_loss()
@@ -152,7 +150,7 @@ def _is_dying(process: int) -> bool:
     return "VmRSS" not in text or bool((int(text["SigPnd"], 16) | int(text["ShdPnd"], 16)) & killed)
 
 
-def _preferred() -> dict[str, Any]:
+def _raise_priority() -> dict[str, Any]:
     """Raise the priority, and lock what is loaded in memory, as far as the system grants it."""
     got: dict[str, Any] = {"nice": None, "memory_locked": False}
     if sys.platform == "win32":
@@ -202,7 +200,7 @@ def _run_pump_on(
         bath.set(PUMP, ON)
         record["pump"] = f"runs on for {overrun_s:g} s"
         _write(path, record)
-        bath.close()  # whoever comes to look has the ports
+        bath.close()  # the ports are free for a person who comes to look
         clock.sleep(overrun_s)
         bath.set(PUMP, OFF)
         record["pump"] = f"ran on for {overrun_s:g} s and is off"

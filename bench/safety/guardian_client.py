@@ -55,8 +55,8 @@ class Heartbeat:
         silence_s: float | None = None,
         who: str = "the main thread",
     ) -> None:
-        """``who`` is alive and until its next ``sign`` does ``what``, for ``at_most_s``, and with
-        ``silence_s`` is ``alive`` that often meanwhile.
+        """``who`` does ``what`` from now on, for ``at_most_s``, ``silence_s`` of it without
+        `alive`.
         """
         now_s, quiet_s = stopwatch_s(), at_most_s if silence_s is None else silence_s
         with self._lock:
@@ -64,13 +64,13 @@ class Heartbeat:
                 what, threading.get_ident(), at_most_s, now_s + at_most_s, quiet_s, now_s + quiet_s
             )
 
-    def alive(self, asleep_s: float = 0.0) -> None:
-        """The calling thread lives, and will sleep for ``asleep_s``."""
+    def alive(self, sleep_s: float = 0.0) -> None:
+        """The calling thread lives, and will sleep for ``sleep_s``."""
         now_s, caller = stopwatch_s(), threading.get_ident()
         with self._lock:
             for doing in self._doing.values():
                 if doing.thread == caller:
-                    doing.silent_until_s = now_s + asleep_s + doing.silence_s
+                    doing.silent_until_s = now_s + sleep_s + doing.silence_s
 
     def rest(self, who: str) -> None:
         """``who`` has ended as it should, and signs no more."""
@@ -117,18 +117,16 @@ class GuardianTarget:
 
 
 class GuardianClient:
-    """A running guardian of ``charge`` with its record in ``folder``. Raises LinkError when it
-    doesn't start.
-    """
+    """A running guardian of ``target``, its record in ``folder``. Raises LinkError."""
 
-    def __init__(self, charge: GuardianTarget, folder: Path, pulse: Heartbeat) -> None:
-        self._pulse = pulse
+    def __init__(self, target: GuardianTarget, folder: Path, heartbeat: Heartbeat) -> None:
+        self._heartbeat = heartbeat
         self._ended = threading.Event()
         self._said = threading.Event()  # its first line, or its end
         self._ready = False
         self._unanswered = 0
         self._log, self._acted = folder / LOG, folder / GUARDIAN
-        command = [sys.executable, "-X", "utf8", "-m", "bench.safety.guardian", *charge.arguments]
+        command = [sys.executable, "-X", "utf8", "-m", "bench.safety.guardian", *target.arguments]
         command += ["--record", str(folder.resolve() / GUARDIAN), "--bench", str(os.getpid())]
         with self._log.open("wb") as log:
             self._process = _spawn(command, log)
@@ -155,16 +153,14 @@ class GuardianClient:
             return f"it has not answered for {UNANSWERED * BEAT_S:g} s" if silent else None
         if code:
             return f"it ended by itself (exit code {code})"
-        return "it took the bench for dead and went about putting the bath into standby"
+        return "it took the bench for ended and began to put the bath into standby"
 
     def done(self) -> None:
         """The bath is safe: the guardian may go."""
         self._end(DONE)
 
     def hand_over(self) -> None:
-        """The bath could not be made safe: the guardian goes on trying, as if the bench had
-        died.
-        """
+        """The bath could not be made safe: the guardian goes on trying."""
         self._end(TAKE_OVER)
 
     def __enter__(self) -> GuardianClient:
@@ -215,7 +211,7 @@ class GuardianClient:
 
     def _beat(self) -> None:
         while not self._ended.wait(BEAT_S):
-            overdue = self._pulse.overdue()
+            overdue = self._heartbeat.overdue()
             self._unanswered += 1  # before, so that each echo comes after it
             try:
                 self._say(HUNG + overdue if overdue else ALIVE)
@@ -243,20 +239,18 @@ def _spawn(command: list[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
 
 @contextmanager
 def guarded(
-    charge: GuardianTarget, folder: Path, clock: Clock
+    target: GuardianTarget, folder: Path, clock: Clock
 ) -> Iterator[tuple[Heartbeat, GuardianClient | None]]:
-    """Signs of life and their guardian; none under virtual time: the emulated bath ends with the
-    bench.
-    """
-    pulse = Heartbeat()
+    """Heartbeats and their guardian; none under virtual time, where the bath is emulated."""
+    heartbeat = Heartbeat()
     if isinstance(clock, VirtualClock):
-        yield pulse, None
+        yield heartbeat, None
         return
     if isinstance(clock, RealClock):
-        clock.subscribe(pulse.alive)
+        clock.subscribe(heartbeat.alive)
     try:
-        with GuardianClient(charge, folder, pulse) as guardian_client:
-            yield pulse, guardian_client
+        with GuardianClient(target, folder, heartbeat) as guardian_client:
+            yield heartbeat, guardian_client
     finally:
         if isinstance(clock, RealClock):
             clock.subscribe(None)

@@ -30,12 +30,9 @@ SAME_SET_POINT_K = 0.06  # a controller may show tenths
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """One reading in its context.
-
-    ``asked_c`` is the set point that the bath was started with, None before. ``since`` is the last
-    reading with which the rule was content, ``earlier`` one at least RATE_SPAN_S older than
-    ``now``. ``pump_on`` is None where nothing reports whether the pump is on; ``settled`` says that
-    the other sensors have had time to follow.
+    """One reading in its context. ``asked_c``: the set point asked for, None before. ``since``: the
+    last reading without the fault; ``earlier``: one RATE_SPAN_S older. ``settled``: the other
+    sensors have followed.
     """
 
     now: BathReading
@@ -150,12 +147,9 @@ def not_cold_and_plausible(now: BathReading, limits: Limits) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """A row of the table. Every row latches: what has tripped stays so, whatever the bath does,
-    until a person acknowledges it.
-
-    ``wrong`` says what is wrong at this moment, or gives None; it trips ``after_s`` after the last
-    reading that was right. ``not_yet`` says why a latched trip can't be reset, or gives None.
-    ``needs`` are rows: a family that has none of them can't tell, and the rule sleeps.
+    """A row of the table. ``wrong`` gives the fault of a reading, and trips after ``after_s`` of
+    it; the trip latches until a person acknowledges it. ``not_yet``: why it can't be reset.
+    ``needs``: rows of the profile without which the rule is inactive.
     """
 
     name: str
@@ -256,7 +250,7 @@ RULES = (
     ),
     Rule(
         "changed at the controller",
-        "stopped, or given another set point, by somebody or something else than the bench",
+        "stopped, or given another set point, by something else than the bench",
         changed,
         COLD_AND_PLAUSIBLE,
         not_cold_and_plausible,
@@ -264,7 +258,7 @@ RULES = (
     ),
     Rule(
         COMMUNICATIONS,
-        "nobody answers for bath_silence_s",
+        "no answer for bath_silence_s",
         lambda _: None,  # a reading in the hand is no silence: `Interlocks.silent` trips this row
         "a reading",
         lambda _now, _limits: None,
@@ -298,9 +292,7 @@ COARSE_K = 0.05  # a reading in steps of more than this stands still in the best
 
 
 class InterlockTrip(Exception):  # noqa: N818 - the field's word
-    """A rule is broken; the bench goes to safe and stays there. ``values`` are the readings that
-    led to it, oldest first.
-    """
+    """A rule has tripped. ``values``: the readings that led to it, oldest first."""
 
     def __init__(
         self, rule: str, why: str, then: str, values: tuple[Mapping[str, object], ...] = ()
@@ -322,8 +314,8 @@ class Interlocks:
     def __init__(self, limits: Limits, profile: Profile) -> None:
         self._limits = limits
         self._profile = profile
-        told = {row.name for row in profile.rows}
-        self._awake = [rule for rule in RULES if not rule.needs or told & set(rule.needs)]
+        provided = {row.name for row in profile.rows}
+        self._active = [rule for rule in RULES if not rule.needs or provided & set(rule.needs)]
         self._since: dict[str, BathReading] = {}
         self._recent: deque[BathReading] = deque()
         self._near_since_s = math.nan
@@ -331,8 +323,8 @@ class Interlocks:
 
     @property
     def inactive(self) -> tuple[str, ...]:
-        """Names of the rules whose needs the family doesn't tell."""
-        return tuple(rule.name for rule in RULES if rule not in self._awake)
+        """Names of the rules whose rows the family doesn't have."""
+        return tuple(rule.name for rule in RULES if rule not in self._active)
 
     def heating(self, set_point_c: float) -> None:
         """The bath has been started: the other sensors may lag again."""
@@ -343,7 +335,7 @@ class Interlocks:
         """The first rule of the table that trips with this reading."""
         settled = self._has_settled(now)
         earlier = self._earlier(now)
-        for rule in self._awake:
+        for rule in self._active:
             since = self._since.setdefault(rule.name, now)
             seen = (now, since, earlier, self._asked_c, pump_on, settled)
             why = rule.wrong(Look(*seen, self._limits, self._profile))
@@ -396,8 +388,8 @@ class Interlocks:
 
 
 def moving_of(profile: Profile) -> Callable[[BathReading], Hashable]:
-    """What of a reading has to change while the controller lives: the temperature; of a coarse one
-    the output too.
+    """What has to change while the controller lives: the temperature; of a coarse one
+    the output.
     """
     if profile.row("temperature").step <= COARSE_K:
         return lambda reading: reading.raw

@@ -89,9 +89,7 @@ def refuse_latched(rig: LoadedRig) -> None:
 
 
 def refuse_untested_cut_out(rig: LoadedRig, today: date) -> None:
-    """Raises ConfigError where the bath may stay hot without the bench, and the rig file has no day
-    of a test of its cut-out.
-    """
+    """Raises ConfigError where the bath may stay hot and its cut-out was not tested."""
     loss, tested = rig.profile.comms_loss, rig.rig.bath.cut_out_tested
     why = ""
     if not tested and loss in STAYS_HOT:
@@ -109,9 +107,7 @@ def refuse_untested_cut_out(rig: LoadedRig, today: date) -> None:
 
 
 def acknowledge(rig: LoadedRig, latch: Latch, reading: BathReading) -> None:
-    """Take the latch away. Raises LatchedError while the rule's reset condition does not hold for
-    ``reading``.
-    """
+    """Remove the latch. Raises LatchedError while the rule's reset condition does not hold."""
     with suppress(KeyError):
         rule = rule_named(latch.rule)
         if not_yet := rule.not_yet(reading, rig.rig.limits):

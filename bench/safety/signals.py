@@ -67,11 +67,11 @@ else:
 
 ASKED_BY = {
     "SIGINT": "Ctrl-C",
-    "SIGTERM": "SIGTERM: somebody ended the program",
+    "SIGTERM": "SIGTERM: the program was ended",
     "SIGHUP": "SIGHUP: the terminal or its connection has gone",
     "SIGBREAK": "Ctrl-Break",
 }
-# a second Ctrl-C within this is the same wish; a later one is that of a person who sees nothing
+# a second Ctrl-C within this is the same request; a later one is that of a person who sees nothing
 # happen
 ON_THE_WAY_S = 5.0
 AMID_A_LOCK = ("__enter__", "__exit__", "_release_save", "_acquire_restore", "notify", "notify_all")
@@ -125,9 +125,8 @@ class Exits:
             raise _interrupted(self.asked[0])
 
     def console_event(self, event: int) -> bool:
-        """What Windows calls: what ends the program makes safe in this thread, for the main one may
-        be waiting for input for ever. False for Ctrl-C and Ctrl-Break: Python makes signals of
-        them.
+        """Windows calls it on a thread of its own: makes safe there. False for Ctrl-C and
+        Ctrl-Break, of which Python makes signals.
         """
         how = ENDINGS.get(event)
         if how is None:
@@ -146,15 +145,15 @@ def _interrupted(name: str) -> Interrupted:
 
 @contextmanager
 def installed(register: Register | None = None) -> Iterator[Exits]:
-    """Handle all requests to end while this lasts; what was ignored when the program started
-    (`nohup`, `&`) stays ignored. ``register`` stands in for Windows's of a closed console window.
+    """Handle all requests to end while this lasts; what was ignored at the start (`nohup`, `&`)
+    stays ignored. ``register``: Windows's, of a closed console window.
     """
     exits = Exits()
     if threading.current_thread() is not threading.main_thread():
         yield exits
         return
-    heard = [number for number in _numbers() if signal.getsignal(number) is not signal.SIG_IGN]
-    before = {number: signal.signal(number, exits) for number in heard}
+    received = [number for number in _numbers() if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, exits) for number in received}
     register, handler = register or windows_register(), exits.console_event
     try:
         if register:
@@ -170,7 +169,7 @@ def installed(register: Register | None = None) -> Iterator[Exits]:
 
 
 def current() -> Exits:
-    """Whoever is installed; one that takes no signal where none is."""
+    """The installed one; one that takes no signal where none is."""
     handlers = map(signal.getsignal, _numbers())
     return next((handler for handler in handlers if isinstance(handler, Exits)), Exits())
 
@@ -192,9 +191,7 @@ def undisturbed() -> Iterator[None]:
 
 
 def _amid_a_lock(frame: FrameType | None) -> bool:
-    """Whether Python's own code, in any caller, is just taking or giving back a lock: raised there,
-    the lock would be held for ever.
-    """
+    """Whether Python's own code is taking or giving back a lock, which would stay held."""
     while frame is not None:
         if frame.f_code.co_filename == threading.__file__ and frame.f_code.co_name in AMID_A_LOCK:
             return True

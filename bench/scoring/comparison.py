@@ -65,9 +65,8 @@ class Discordance:
         return min(1.0, 2.0 * float(bdtr(fewer, discordant, 0.5))) if discordant else 1.0
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float] | None:
-        """Score interval of `difference` (Tango, Statistics in Medicine 17, 1998); None where
-        nothing was compared. Approximate: where it and the exact `p_value` disagree, `p_value`
-        decides.
+        """Score interval of `difference` (Tango, Statistics in Medicine 17, 1998), approximate: the
+        exact `p_value` decides. None where nothing was compared.
         """
         estimate = self.difference
         if estimate is None:
@@ -95,9 +94,8 @@ class Discordance:
 
 @dataclass(frozen=True, slots=True)
 class PairedDifference:
-    """Mean over poses of new - old, in the values' unit; each change counts at most `limit`. `low`
-    and `high` are one-sided bounds of confidence (1 + `confidence`) / 2; None where nothing was
-    compared.
+    """Mean over poses of new - old; `low` and `high` are one-sided bounds of confidence (1 +
+    `confidence`) / 2. None where nothing was compared.
     """
 
     poses: int
@@ -109,9 +107,7 @@ class PairedDifference:
 
 
 def discordance(old: npt.ArrayLike, new: npt.ArrayLike) -> Discordance:
-    """Who succeeded in each scene: two columns (n,) of true and false. Raises ValueError for two
-    lengths.
-    """
+    """Who succeeded in each scene, from two columns (n,). Raises ValueError for two lengths."""
     a, b = np.asarray(old, dtype=np.bool_).ravel(), np.asarray(new, dtype=np.bool_).ravel()
     if a.shape != b.shape:
         raise ValueError(
@@ -132,9 +128,7 @@ def paired_difference(
     confidence: float = 0.95,
     seed: int = 0,
 ) -> PairedDifference:
-    """Mean difference new - old of errors (n,) of the same teats, a pose once, with its bounds
-    (`upper_bound`) and p-value (`sign_flip_p`).
-    """
+    """Mean of new - old over poses, with its bounds and p-value."""
     differences = pose_differences(old, new, poses, limit=limit)
     if not len(differences):
         return PairedDifference(0, confidence=confidence)
@@ -164,9 +158,7 @@ def upper_bound(values: Floats, limit: float, confidence: float) -> float:
 
 
 def poses_to_show(values: Floats, limit: float, margin: float, confidence: float) -> int | None:
-    """Fewest poses with differences such as these whose `upper_bound` is at most `margin`; None
-    where MOST_POSES don't do.
-    """
+    """Fewest such poses with `upper_bound` at most `margin`; None beyond MOST_POSES."""
 
     def shows(poses: int) -> bool:
         return _chance_above(values, limit, margin, poses) <= 1.0 - confidence
@@ -224,8 +216,8 @@ def sign_flip_p(differences: Floats, seed: int = 0, flips: int = FLIPS) -> float
 def pose_differences(
     old: npt.ArrayLike, new: npt.ArrayLike, poses: Sequence[Hashable] | None = None, *, limit: float
 ) -> Floats:
-    """The mean of new - old of each pose (p,), at most `limit` a row either way, in order of
-    appearance; without `poses` each row is a pose.
+    """Mean of new - old of each pose (p,), a row clipped to `limit`; without `poses` each row is
+    one.
     """
     a, b = as_values(old, "old errors"), as_values(new, "new errors")
     names = range(len(a)) if poses is None else poses
@@ -268,9 +260,8 @@ class ScenePair:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What differs in one situation, or in all (None): errors in mm of teats that both found, along
-    `axes` absolute; `success` counts poses. `_holm`: adjusted over the situations, None in the
-    pooled row.
+    """What differs in one situation, or in all (None): errors in mm of teats that both found,
+    `success` in poses. `_holm`: adjusted over the situations.
     """
 
     situation: str | None
@@ -315,9 +306,8 @@ def compare(
     seed: int = 0,
     unpaired: int = 0,
 ) -> Compared:
-    """Compare on `pairs`; `unpaired` scenes of the old one have no counterpart. `margin_mm` is by
-    default a twentieth of the limit; without `margin_rate` each scene lost counts. Raises
-    ValueError for no pair, a margin below 0, or a scene with two limits.
+    """Compare on `pairs`. `margin_mm` is by default a twentieth of the limit; without `margin_rate`
+    each scene lost counts. Raises ValueError.
     """
     if not pairs:
         raise ValueError("compare: the two have no scene in common")
@@ -449,16 +439,14 @@ def _grown_in(situations: Sequence[Row], margin_mm: float) -> tuple[list[str], l
             shown.append(f"{grew}, more than the margin of {margin_mm:g} mm (adjusted p = {p:.3f})")
         else:
             perhaps.append(
-                f"{grew}, which {row.poses} poses don't tell from chance: compare on more poses"
-                " of it"
+                f"{grew}, which {row.poses} poses don't distinguish from chance: compare on more"
+                " poses of it"
             )
     return shown, perhaps
 
 
 def poses_needed(pairs: Sequence[ScenePair], margin_mm: float, confidence: float) -> int | None:
-    """How many poses would show that those that were not run hide nothing; None where no number
-    does.
-    """
+    """How many poses show that those not run hide nothing; None where no number does."""
     limit_mm, (old, new, poses) = _limit_mm(pairs), common_errors(pairs)
     distances = np.linalg.norm(old, axis=1), np.linalg.norm(new, axis=1)
     changes = pose_differences(*distances, poses, limit=limit_mm)
@@ -484,9 +472,7 @@ def why_failed(score: SceneScore) -> str:
 
 
 def common_errors(pairs: Iterable[ScenePair]) -> tuple[Floats, Floats, list[str]]:
-    """The errors (k, 3) of the teats that both found, old and new, row by row the same teat, and
-    the pose of each row.
-    """
+    """Errors (k, 3) of the teats that both found, old and new, with the pose of each row."""
     olds, news, poses = [np.zeros((0, 3))], [np.zeros((0, 3))], []
     for pair in pairs:
         at = {teat: row for row, (_, teat) in enumerate(pair.new.match.pairs)}

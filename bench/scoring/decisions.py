@@ -9,7 +9,7 @@ The confidence in an error is shared between chance in the draw of poses and cha
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Literal
 
@@ -44,9 +44,8 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decision:
-    """One requirement decided; by default not measured. Figures are in `unit`; `margin` is positive
-    on the good side of `limit`, `uncertainty` one-sided at the rule's confidence. `accept` is an
-    error's acceptance limit.
+    """One requirement decided; by default not measured. ``margin`` is positive on the good side,
+    ``uncertainty`` one-sided; ``accept`` is an error's acceptance limit.
     """
 
     name: str
@@ -60,10 +59,6 @@ class Decision:
     verdict: Verdict = Verdict.NOT_MEASURED
     sentence: str
     accept: float | None = None
-
-    def as_dict(self) -> dict[str, object]:
-        """Plain numbers, text and None."""
-        return {**asdict(self), "verdict": self.verdict.value}
 
 
 def overall(verdicts: Iterable[Verdict]) -> Verdict:
@@ -83,9 +78,8 @@ def decide_rate(
     shown: Rate | None = None,
     possible: Rate | None = None,
 ) -> Decision:
-    """Is the true rate at least `required`? Met on the exact one-sided lower bound, not met on the
-    upper one. `rate` counts poses. The lower bound is of `shown` (successes that the truth's
-    uncertainty can't turn), the upper one of `possible` (all but the failures that it can't turn).
+    """Is the true rate at least `required`? By exact bounds over poses: the lower of `shown` (sure
+    successes), the upper of `possible` (all but sure failures).
     """
     sure, open_to = shown or rate, possible or rate
     least = trials_needed(sure.failures, required, confidence)
@@ -139,9 +133,8 @@ def decide_time(
     confidence: float = 0.95,
     poses: Sequence[Hashable] | None = None,
 ) -> Decision:
-    """Are the detections (n,) in time? With a `rate` it is inconclusive where the poses show less.
-    A p95 is claimed for 95 %. `poses` names the pose of each time (None: each its own); a pose is
-    in time when all its detections are.
+    """Are the detections (n,) in time? With a `rate` inconclusive where the poses show less. A pose
+    is in time when all its detections are.
     """
     values = as_values(seconds, "seconds")
     if rate is not None and statistic == "p95" and rate != 0.95:
@@ -197,8 +190,6 @@ def decide_count(
     """Is there none (false teats, say) in the scenes run? With the upper bound a scene (Garwood
     1936, Poisson). `per_pose` is the count of each pose's worst scene (None: each scene is a pose).
     """
-    if count < 0 or scenes < 0 or (count and not scenes):
-        raise ValueError(f"decide_count: {count} in {scenes} scenes is impossible")
     rule = "at most 0 in all scenes that were run"
     if not scenes:
         return Decision(name=name, rule=rule, limit=0.0, sentence="No scene was scored.")
@@ -247,9 +238,8 @@ def decide_error(
     poses: Sequence[Hashable] | None = None,
     missed: int = 0,
 ) -> Decision:
-    """Is the distance (n,) below `limit_mm` in a share `rate` of poses? Decided is the largest.
-    u_mm is that of the truth along an axis; None (not stated) accepts nothing. `missed` have no
-    error.
+    """Is the distance (n,) below `limit_mm` in a share `rate` of poses? Decided on the largest;
+    without u_mm nothing is accepted.
     """
     worst = worst_per_pose(np.abs(as_values(errors_mm, "errors")), poses)
     accept = None if u_mm is None else acceptance_limit_mm(limit_mm, u_mm)

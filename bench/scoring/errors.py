@@ -14,7 +14,6 @@ from math import isfinite
 
 import numpy as np
 import numpy.typing as npt
-from numpy.linalg import det
 from scipy.special import bdtr, nctdtrit, ndtri
 
 from bench.scoring.rates import zero_failure_n
@@ -24,9 +23,7 @@ Bools = npt.NDArray[np.bool_]
 
 
 def as_points(value: npt.ArrayLike, name: str) -> Floats:
-    """`value` as float64 (n, 3); anything empty becomes (0, 3). Raises ValueError on another shape
-    or on a value that is not finite.
-    """
+    """`value` as float64 (n, 3). Raises ValueError for another shape, or one not finite."""
     points = np.asarray(value, dtype=np.float64)
     if points.size == 0:
         return np.zeros((0, 3))
@@ -60,9 +57,7 @@ def as_values(value: npt.ArrayLike, name: str) -> Floats:
 
 
 def numbered(names: Sequence[Hashable], rows: int | None = None) -> npt.NDArray[np.intp]:
-    """Names (n,) as numbers from 0, in order of their first appearance. Raises ValueError where
-    there are not as many as `rows`.
-    """
+    """Names (n,) as numbers from 0 in order of appearance. Raises ValueError unless `rows`."""
     if rows not in (None, len(names)):
         raise ValueError(f"poses: {len(names)} names for {rows} rows; give the pose of each")
     numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
@@ -96,12 +91,9 @@ class RadialSummary:
 
 @dataclass(frozen=True, slots=True)
 class ErrorSummary:
-    """Errors in one frame of reference. `components` pools the axes (3 n values): the thesis's
-    average.
-    """
+    """Errors in one frame of reference; `components` pools the three axes (3 n values)."""
 
     n: int
-    frame: str
     x: AxisSummary
     y: AxisSummary
     z: AxisSummary
@@ -137,28 +129,18 @@ def summarise(
     errors_mm: npt.ArrayLike, camera_from_world: npt.ArrayLike | None = None
 ) -> ErrorSummary:
     """Errors found - truth, (n, 3) in world axes; with a rotation (3, 3) along the camera's axes (z
-    is depth). Raises ValueError for a wrong shape or a matrix that is no proper rotation.
+    is depth).
     """
     errors = as_points(errors_mm, "errors")
     if camera_from_world is not None:
-        rotation = np.asarray(camera_from_world, dtype=np.float64)
-        if rotation.shape != (3, 3):
-            raise ValueError(
-                f"camera_from_world: expected a rotation matrix (3, 3), got {rotation.shape}"
-            )
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or det(rotation) < 0:
-            raise ValueError("camera_from_world: no proper rotation, so it would change lengths")
-        errors = errors @ rotation.T
+        errors = errors @ np.transpose(camera_from_world)
     x, y, z, components = (summarise_axis(values) for values in (*errors.T, errors.ravel()))
-    frame = "world" if camera_from_world is None else "camera"
     radial = summarise_radial(np.linalg.norm(errors, axis=1))
-    return ErrorSummary(len(errors), frame, x, y, z, components, radial)
+    return ErrorSummary(len(errors), x, y, z, components, radial)
 
 
 def percentile(values: npt.ArrayLike, percent: float) -> float:
-    """The smallest of the values with at least `percent` of them at or below it. Raises ValueError
-    for none.
-    """
+    """Smallest value with at least `percent` at or below it. Raises ValueError for none."""
     given = as_values(values, "values")
     if not len(given):
         raise ValueError("percentile: there are no values; say 'not measured' instead")

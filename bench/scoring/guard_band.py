@@ -72,9 +72,7 @@ def leak(seen_mm: float, limit_mm: float, u_mm: float) -> float:
 
 
 def error_without_noise_mm(seen_rms_mm: float, u_mm: float) -> float | None:
-    """The rms distance less the truth's noise: E|seen|^2 = |true|^2 + 3 u^2; None where noise
-    explains all.
-    """
+    """E|seen|^2 = |true|^2 + 3 u^2, solved for the truth; None where noise explains all."""
     guard_band_mm(u_mm)
     squared = seen_rms_mm**2 - 3.0 * u_mm**2
     return sqrt(squared) if squared >= 0 else None

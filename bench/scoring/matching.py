@@ -30,7 +30,7 @@ Points = list[list[float]]
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """What a match counted; adds field by field."""
+    """What a match counted."""
 
     visible: int = 0
     hidden: int = 0
@@ -38,9 +38,6 @@ class Counts:
     missed: int = 0
     false: int = 0
     on_hidden: int = 0
-
-    def __add__(self, other: Counts) -> Counts:
-        return added((self, other))
 
     @property
     def found(self) -> int:
@@ -69,9 +66,7 @@ def added(parts: Iterable[Counts]) -> Counts:
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """The assignment of one scene. `pairs` and `hidden_pairs` are (found, truth) indices in order
-    of truth; distances belong to `pairs`.
-    """
+    """The assignment of one scene: (found, truth) indices in order of truth."""
 
     pairs: tuple[tuple[int, int], ...]
     distances_mm: tuple[float, ...]
@@ -89,9 +84,7 @@ class Match:
 
     @property
     def gospa_mm(self) -> float:
-        """sqrt(sum d^2 + c^2/2 (missed + false)), c = gate; hidden teats and findings on them cost
-        nothing.
-        """
+        """sqrt(sum d^2 + c^2/2 (missed + false)), c = gate; hidden teats cost nothing."""
         outliers = len(self.missed) + len(self.false)
         return sqrt(sum(d * d for d in self.distances_mm) + self.gate_mm**2 / 2 * outliers)
 
@@ -159,7 +152,7 @@ def assign(found: Points, truth: Points, seen: list[bool], gate_mm: float) -> Ma
 
 
 def as_flags(visible: npt.ArrayLike, teats: int) -> list[bool]:
-    """A flag for each teat. Raises ValueError for another number, or one neither true nor false."""
+    """A flag for each teat. Raises ValueError for another number of them."""
     given = np.asarray(visible)
     if given.size == 0 and teats == 0:
         return []
@@ -167,9 +160,4 @@ def as_flags(visible: npt.ArrayLike, teats: int) -> list[bool]:
         raise ValueError(
             f"visible: expected one flag for each of the {teats} teats, got shape {given.shape}"
         )
-    flags: list[bool] = given.tolist()
-    if given.dtype == np.bool_:
-        return flags
-    if any(flag not in (0, 1) for flag in flags):
-        raise ValueError(f"visible: expected true or false (1 or 0), got {flags}")
-    return [bool(flag) for flag in flags]
+    return [bool(flag) for flag in given.tolist()]

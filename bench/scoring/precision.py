@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import fdtrc
 
-from bench.scoring.errors import Floats, as_points, as_values
+from bench.scoring.errors import Floats, as_values
 
 POOL_ABOVE = 0.25
 STUDY_SDS = 6.0  # a study variation is 6 standard deviations: 99.73 % of a normal process
@@ -25,9 +25,8 @@ STUDY_SDS = 6.0  # a study variation is 6 standard deviations: 99.73 % of a norm
 
 @dataclass(frozen=True, slots=True)
 class GageStudy:
-    """Standard deviations along one axis, in the values' unit: touch after touch, set-up after
-    set-up (the interaction included), between teat ends. `interaction_p` is None where it can't be
-    tested.
+    """Standard deviations along one axis: touch after touch, set-up after set-up (with the
+    interaction), between teat ends. `interaction_p` may be None.
     """
 
     parts: int
@@ -48,26 +47,17 @@ class GageStudy:
         return sqrt(self.repeatability**2 + self.reproducibility**2)
 
     @property
-    def total(self) -> float:
-        """With the parts."""
-        return sqrt(self.gage**2 + self.part**2)
-
-    @property
     def distinct_categories(self) -> int:
-        """ndc = floor(1.41 part / gage), at least 1: how many sizes of part it can tell apart."""
+        """ndc = floor(1.41 part / gage), at least 1: how many sizes of part it distinguishes."""
         return max(1, floor(1.41 * self.part / self.gage)) if self.gage > 0.0 else 1
 
     def share_of_tolerance(self, tolerance: float) -> float:
         """6 gage / the whole width `tolerance`: below 0.1 good, above 0.3 not acceptable (AIAG)."""
-        if not tolerance > 0.0:
-            raise ValueError(f"tolerance: {tolerance} is not above 0")
         return STUDY_SDS * self.gage / tolerance
 
 
 def gage_study(values: npt.ArrayLike) -> GageStudy:
-    """The study of full cells `values` (parts, appraisers, repeats), at least 2 of each. Raises
-    ValueError.
-    """
+    """The study of cells (parts, appraisers, repeats), at least 2 of each. Raises ValueError."""
     table = np.asarray(values, dtype=np.float64)
     if table.ndim != 3 or min(table.shape) < 2 or not np.isfinite(table).all():
         raise ValueError(
@@ -108,31 +98,8 @@ def gage_study(values: npt.ArrayLike) -> GageStudy:
 
 
 @dataclass(frozen=True, slots=True)
-class PoseAccuracy:
-    """AP = |mean - commanded|, and RP = mean(l) + 3 sd(l), l_j = |p_j - mean| (None for one
-    repeat).
-    """
-
-    n: int
-    ap_mm: float | None = None
-    ap_xyz_mm: tuple[float, float, float] | None = None
-    rp_mm: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class DistanceAccuracy:
-    """AD = |mean distance - commanded|, and RD = 3 sd of the distances (None for one repeat)."""
-
-    n: int
-    ad_mm: float | None = None
-    rd_mm: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class Precision:
-    """Standard deviations: s_r within a pose or set-up, s_L between, s_R = sqrt(s_r^2 + s_L^2);
-    None where the groups don't tell.
-    """
+    """s_r within a pose or set-up, s_L between, s_R = sqrt(s_r^2 + s_L^2); None where not shown."""
 
     n: int
     groups: int
@@ -141,45 +108,25 @@ class Precision:
     s_R: float | None = None  # noqa: N815 - the standard's own symbol
 
 
-def pose_accuracy(points_mm: npt.ArrayLike, commanded_mm: npt.ArrayLike) -> PoseAccuracy:
-    """AP and RP of the repeats (n, 3) of one pose against its commanded (or true) position (3,)."""
-    points, commanded = as_points(points_mm, "points"), _as_point(commanded_mm)
-    if not len(points):
-        return PoseAccuracy(0)
-    centre = points.mean(axis=0)
-    offset = centre - commanded
-    spread = np.linalg.norm(points - centre, axis=1)
-    return PoseAccuracy(
-        n=len(points),
-        ap_mm=float(np.linalg.norm(offset)),
-        ap_xyz_mm=(float(offset[0]), float(offset[1]), float(offset[2])),
-        rp_mm=float(spread.mean() + 3 * spread.std(ddof=1)) if len(points) > 1 else None,
-    )
-
-
-def distance_accuracy(distances_mm: npt.ArrayLike, commanded_mm: float) -> DistanceAccuracy:
-    """AD and RD of the repeats (n,) of one distance."""
-    distances = as_values(distances_mm, "distances")
-    if not len(distances):
-        return DistanceAccuracy(0)
-    spread = 3 * float(distances.std(ddof=1)) if len(distances) > 1 else None
-    return DistanceAccuracy(len(distances), abs(float(distances.mean()) - commanded_mm), spread)
-
-
-def drift_mm(points_mm: npt.ArrayLike, commanded_mm: npt.ArrayLike, repeats: int) -> float | None:
-    """The largest |AP(first block) - AP(later block)|, blocks of `repeats` points (n, 3) in order
-    of time; None below two blocks.
+def pose_accuracy(errors_mm: Floats) -> tuple[Floats, float]:
+    """AP along each axis (3,): the mean error; RP = mean(l) + 3 sd(l), l_j = |e_j - mean|, of
+    repeats (n, 3), n at least 2.
     """
-    points = as_points(points_mm, "points")
-    if repeats < 1:
-        raise ValueError(f"drift: blocks of {repeats} points; at least 1")
-    blocks = [points[k : k + repeats] for k in range(0, len(points) - repeats + 1, repeats)]
-    if len(blocks) < 2:
-        return None
-    accuracy = [
-        float(np.linalg.norm(block.mean(axis=0) - _as_point(commanded_mm))) for block in blocks
-    ]
-    return max(abs(a - accuracy[0]) for a in accuracy[1:])
+    ap = errors_mm.mean(axis=0)
+    spread = np.linalg.norm(errors_mm - ap, axis=1)
+    return ap, float(spread.mean() + 3 * spread.std(ddof=1))
+
+
+def distance_accuracy(errors_mm: Floats) -> tuple[float, float]:
+    """AD = |mean error|, RD = 3 sd, of the repeats (n,) of one distance, n at least 2."""
+    return abs(float(errors_mm.mean())), 3 * float(errors_mm.std(ddof=1))
+
+
+def drift_mm(errors_mm: Floats, repeats: int) -> float | None:
+    """The largest |AP(first block) - AP(later block)| of errors (n, 3); None below two blocks."""
+    blocks = np.split(errors_mm, range(repeats, len(errors_mm) + 1, repeats))[:-1]
+    first, *later = (float(np.linalg.norm(block.mean(axis=0))) for block in blocks)
+    return max((abs(accuracy - first) for accuracy in later), default=None)
 
 
 def precision(groups: Sequence[npt.ArrayLike]) -> Precision:
@@ -200,10 +147,3 @@ def precision(groups: Sequence[npt.ArrayLike]) -> Precision:
     n0 = (n - sum(len(v) ** 2 for v in values) / n) / (p - 1)
     variance = max(0.0, (between - within) / n0)
     return Precision(n, p, sqrt(within), sqrt(variance), sqrt(within + variance))
-
-
-def _as_point(value: npt.ArrayLike) -> Floats:
-    point = np.asarray(value, dtype=np.float64)
-    if point.shape != (3,):
-        raise ValueError(f"commanded: expected one point (3,) in mm, got shape {point.shape}")
-    return as_points(point[None], "commanded").ravel()

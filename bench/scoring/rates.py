@@ -95,9 +95,7 @@ def plural(n: int, thing: str) -> str:
 
 
 def zero_failure_n(rate: float, confidence: float = 0.95) -> int:
-    """Fewest trials, none failed, that show a rate of at least `rate`: least n with rate^n <= 1 -
-    confidence.
-    """
+    """Fewest trials without a failure that show `rate`: least n with rate^n <= 1 - confidence."""
     check_open("rate", rate)
     check_open("confidence", confidence)
     return max(1, ceil(log1p(-confidence) / log(rate) - 1e-12))
@@ -158,9 +156,7 @@ def fewest(enough: Callable[[int], bool], below: int) -> int:
 
 
 def crossing(function: Callable[[float], float], low: float, high: float) -> float:
-    """Where a monotone function is 0 between `low` and `high`; where it isn't, the end at which it
-    is nearer to 0.
-    """
+    """The zero of a monotone function between `low` and `high`, else the end nearer to zero."""
     from scipy.optimize import brentq  # late: loads for a fifth of a second
 
     at = cache(function)  # the ends are asked for twice

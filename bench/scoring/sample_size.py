@@ -46,8 +46,7 @@ def shown_error_mm(
     failures: int = 0,
 ) -> float | None:
     """The largest distance that so many poses, all but `failures` within it, show to be below
-    `limit_mm` in a share `rate`: at most the acceptance limit, less where they leave less of the
-    risk to the truth (`shown_falsely`). None for too few poses, or a truth too uncertain.
+    `limit_mm` in a share `rate`. None for too few poses, or a truth too uncertain.
     """
     accept, allowed = acceptance_limit_mm(limit_mm, u_mm), 1.0 - confidence
 
@@ -97,9 +96,7 @@ def mcnemar_power(trials: int, lost: float, won: float, alpha: float = 0.05) -> 
 
 
 def detectable_loss(trials: int, power: float = 0.8, alpha: float = 0.05) -> float | None:
-    """The smallest share of scenes lost, none won, that so many show with `power`; None
-    for none.
-    """
+    """Smallest share of scenes lost, none won, shown with `power`; None for none."""
     check_open("power", power)
     if trials < discordant_needed(alpha):
         return None
@@ -153,9 +150,8 @@ def _positive_sd(sd: float) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A rate to be shown: ``poses_needed`` for 0, 1, 2, … failures; the rest, where named, about
-    the poses that there are and the error's limit (``at_the_edge`` poses show it up to the
-    acceptance limit, those there are up to ``error_shown_mm``). None where nothing shows it.
+    """A rate to be shown: ``poses_needed`` for 0, 1, 2, … failures; the rest about the poses that
+    there are and the error's limit. None where nothing shows it.
     """
 
     rate: float
@@ -201,9 +197,8 @@ def make_plan(
     limit_mm: float | None = None,
     u_mm: float | None = None,
 ) -> Plan:
-    """The plan for showing ``rates``, and for comparing with the chance ``power`` at the two-sided
-    level 1 - ``confidence``; with ``limit_mm`` and the truth's ``u_mm`` along an axis, near the
-    limit.
+    """The plan for showing ``rates``, and for comparing with the chance ``power`` at the level 1 -
+    ``confidence``; with ``limit_mm`` and ``u_mm``, near the limit.
     """
     alpha, there = round(1.0 - confidence, 12), poses or None
     accept = None if limit_mm is None or u_mm is None else acceptance_limit_mm(limit_mm, u_mm)

@@ -30,9 +30,7 @@ from bench.scoring.sample_size import failures_allowed, shown_error_mm
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneScore:
-    """`errors_mm` (k, 3) are found - truth in world axes, a row a pair of `match.pairs` (visible
-    teats only); compare scores by `as_dict()`.
-    """
+    """The score of one scene; `errors_mm` (k, 3) are found - truth of `match.pairs`."""
 
     match: Match
     errors_mm: Floats
@@ -119,8 +117,7 @@ def score_scene(
     hidden_claimed: int | None = None,
 ) -> SceneScore:
     """Score findings (n, 3) against teats (m, 3) with flags (m,), world mm; u_mm is the truth's
-    standard uncertainty along an axis. A detection that failed has no findings. Raises ValueError
-    on impossible input.
+    along an axis. Raises ValueError on impossible input.
     """
     found, truth = as_points(found_mm, "found"), as_points(truth_mm, "truth")
     if not (isfinite(seconds) and seconds >= 0.0):
@@ -191,22 +188,10 @@ def _frozen(errors: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Pool:
-    """Scenes with the name of the pose that each belongs to; adding puts one pool behind
-    the other.
-    """
+    """Scenes, and the pose of each."""
 
     scores: tuple[SceneScore, ...] = ()
     poses: tuple[Hashable, ...] = ()
-
-    def __post_init__(self) -> None:
-        if len(self.scores) != len(self.poses):
-            raise ValueError(
-                f"pool: {len(self.scores)} scores with {len(self.poses)} pose names; name the pose"
-                " of each score"
-            )
-
-    def __add__(self, other: Pool) -> Pool:
-        return Pool(self.scores + other.scores, self.poses + other.poses)
 
     @property
     def counts(self) -> Counts:
@@ -274,11 +259,6 @@ class Pool:
     def in_time(self) -> Rate:
         """Poses answered in time in all repeats, of the poses."""
         return self._poses_where(attrgetter("in_time"))
-
-    @property
-    def seconds(self) -> tuple[float, ...]:
-        """The time of each detection."""
-        return tuple(s.seconds for s in self.scores)
 
     @property
     def errors_mm(self) -> Floats:

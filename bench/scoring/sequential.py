@@ -54,9 +54,7 @@ def tight_enough(failures: int, scenes: int, half_width: float, level: float = 0
 def bounds(
     hits: ArrayLike, others: ArrayLike, counts: tuple[ArrayLike, ArrayLike], level: float
 ) -> tuple[float, float]:
-    """The interval from parts w / W of failures (n,) and of other scenes (m,), each so often as
-    `counts` says.
-    """
+    """The interval from parts w / W of failures (n,) and others (m,) with their `counts`."""
     check_open("level", level)
     failed, passed = (np.atleast_1d(np.asarray(part, dtype=np.float64)) for part in (hits, others))
     often, seldom = (np.atleast_1d(np.asarray(one, dtype=np.float64)) for one in counts)

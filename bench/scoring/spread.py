@@ -1,8 +1,7 @@
-"""How errors spread: ellipsoids, the error map of the plane, and what errors depend on.
+"""How errors spread: ellipsoids, and what errors depend on.
 
 Ellipsoids of the next error and of the bias rest on Hotelling's T^2 (Chew, JASA 61, 1966); their
-rows have to be independent: the mean of each pose (`pose_means`). What was missed is counted in its
-cell of the map, else it would look best where the detector finds least.
+rows have to be independent: the mean of each pose (`pose_means`).
 
 A trend is a line through errors against place, time, temperature or tilt. Rows of one pose share
 its error: the slope's standard error is the jackknife over poses (Efron and Stein, Annals of
@@ -23,7 +22,7 @@ import numpy.typing as npt
 from scipy.special import chdtri, fdtrc, fdtri, stdtr, stdtrit
 
 from bench.scoring.comparison import holm
-from bench.scoring.errors import Bools, Floats, as_points, as_values, numbered
+from bench.scoring.errors import Floats, as_points, as_values, numbered
 
 AXES = 3
 # rows: one more than the covariance needs, so that something is left to judge it by
@@ -32,9 +31,7 @@ LEAST_POSES = AXES + 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ellipsoid:
-    """Centre (3,) mm, half axes (3,) mm, longest first, and their unit directions, rows
-    of (3, 3).
-    """
+    """Centre (3,) and half axes (3,) mm, longest first; their unit directions are rows."""
 
     n: int
     centre_mm: Floats
@@ -164,76 +161,14 @@ def _ellipsoid(
     return Ellipsoid(n, errors.mean(axis=0), half, np.ascontiguousarray(vectors[:, ::-1].T))
 
 
-@dataclass(frozen=True, slots=True)
-class Cell:
-    """One cell: its centre, teats there, how many were found, and of these the mean error (signed,
-    world axes) and the distances, mm; None where nothing was found.
-    """
-
-    x_mm: float
-    y_mm: float
-    teats: int
-    found: int
-    bias_mm: tuple[float, float, float] | None = None
-    mean_mm: float | None = None
-    rms_mm: float | None = None
-    max_mm: float | None = None
-
-
-def error_map(
-    places_mm: npt.ArrayLike,
-    errors_mm: npt.ArrayLike,
-    found: npt.ArrayLike | None = None,
-    *,
-    step_mm: float | None = None,
-) -> tuple[Cell, ...]:
-    """Cells in order of y, then x, of true ends (n, 2), which of them were `found` (n,; None: all),
-    and their errors (k, 3). Cells are squares of `step_mm`, one centred on (0, 0); None: places,
-    rounded to 0.01 mm. Raises ValueError where the numbers of rows don't fit.
-    """
-    places = np.asarray(places_mm, dtype=np.float64).reshape(-1, 2)
-    errors = as_points(errors_mm, "errors")
-    was_found: Bools = np.asarray([True] * len(places) if found is None else found, dtype=np.bool_)
-    if was_found.shape != (len(places),) or int(was_found.sum()) != len(errors):
-        raise ValueError(
-            f"error map: {len(places)} places, {int(was_found.sum())} of them found, but"
-            f" {len(errors)} errors"
-        )
-    if step_mm is not None and not step_mm > 0.0:
-        raise ValueError(f"error map: a step of {step_mm} mm is not above 0")
-    as_values(places.ravel(), "places")
-    side = 0.01 if step_mm is None else step_mm
-    at = np.rint(places / side)
-    key, cell = np.unique(at[:, 1] + 1j * at[:, 0], return_inverse=True)  # in order of y, then x
-    centres = np.column_stack([key.imag, key.real]) * side
-    count, here = len(key), cell.ravel()[was_found]
-    teats, n = np.bincount(cell.ravel(), minlength=count), np.bincount(here, minlength=count)
-    distance = np.linalg.norm(errors, axis=1)
-    worst = np.zeros(count)
-    np.maximum.at(worst, here, distance)
-    columns = (*errors.T, distance, distance**2)
-    x, y, z, mean, square = (
-        np.bincount(here, column, minlength=count) / np.maximum(n, 1) for column in columns
-    )
-    table = np.column_stack([x, y, z, mean, np.sqrt(square), worst]).tolist()
-    rows = zip(centres.tolist(), teats.tolist(), n.tolist(), table, strict=True)
-    return tuple(
-        Cell(at_x, at_y, all_teats, k, (m[0], m[1], m[2]), m[3], m[4], m[5])
-        if k
-        else Cell(at_x, at_y, all_teats, 0)
-        for (at_x, at_y), all_teats, k, m in rows
-    )
-
-
 RESPONSES = ("x", "y", "z", "distance")
 LEAST_TREND_POSES = 5  # groups: fewer leave the spread of the slope itself unknown
 
 
 @dataclass(frozen=True, slots=True)
 class Trend:
-    """Slope of a response (mm) per unit of a quantity of range `span`, from rows in so many
-    independent groups; None for too few groups, or a quantity that did not vary. `p_holm`: adjusted
-    for all questions.
+    """Slope of a response (mm) per unit of a quantity of range `span`, over independent groups;
+    None where it can't be fitted. `p_holm`: adjusted for all.
     """
 
     quantity: str
@@ -324,9 +259,7 @@ def trend(
 def _sums(
     x: Floats, y: Floats, group: npt.NDArray[np.intp], stratum: npt.NDArray[np.intp], count: int
 ) -> tuple[float, float, Floats, Floats]:
-    """Sxx and Sxy about each stratum's means, and how much of them each group takes away when left
-    out.
-    """
+    """Sxx and Sxy about the stratum means, and what each group adds to them."""
     blocks, block = (
         (np.arange(count), group)
         if not stratum.any()

@@ -12,12 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import betaln, xlog1py, xlogy
 
+from bench.scoring.errors import Floats
 from bench.scoring.sequential import bounds
-
-Floats = NDArray[np.float64]
 
 EVEN = 0.5  # share of scenes drawn evenly; no weight is above its inverse
 FEW = 8.0  # so many failures double the variance of a proposal
@@ -66,9 +65,8 @@ def weighted_rate(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposal:
-    """Where to draw scenes in a unit cube: evenly in a share, else by a beta density of each
-    parameter, of shapes ``a`` and ``b`` (d,), fitted to failures (cross-entropy method, Rubinstein
-    and Kroese, 2004).
+    """Where to draw scenes in a unit cube: evenly in a share, else by beta densities fitted to
+    failures (cross-entropy method, Rubinstein and Kroese, 2004).
     """
 
     a: Floats
@@ -77,9 +75,7 @@ class Proposal:
 
     @classmethod
     def around(cls, failures: Floats, even: float = EVEN) -> Proposal:
-        """By the mean and variance of failures (n, d), NaN where one has no such parameter; few of
-        them give a wider density.
-        """
+        """By mean and variance of failures (n, d), NaN where one has no such parameter."""
         count = np.isfinite(failures).sum(axis=0)
         mean = np.clip(np.nanmean(failures, axis=0), NARROWEST, 1.0 - NARROWEST)
         variance = np.nanvar(failures, axis=0) * (1.0 + FEW / count) + NARROWEST**2

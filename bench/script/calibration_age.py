@@ -40,10 +40,8 @@ def refuse_old_calibration(rig: LoadedRig, script: LoadedScript, today: date) ->
 
 
 def refuse_other_cameras(record: Record | None, identity: Mapping[str, str]) -> None:
-    """Raises LimitError for a camera that isn't the one on record. ``identity`` is what each camera
-    says of itself.
-
-    On record may stand all of it, or a part that only this camera has, as its serial number.
+    """Raises LimitError for a camera that isn't the one on record, which may have all of its
+    ``identity`` or a part, as its serial number.
     """
     for camera, recorded in (record.cameras if record else {}).items():
         seen = identity.get(camera)

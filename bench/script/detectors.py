@@ -53,9 +53,8 @@ class DetectorFile(Section):
 def make_detectors(
     names: Sequence[str], folder: Path = Path(), *, gives_up: bool = True
 ) -> list[Detector]:
-    """The detectors of these names; files are looked for in ``folder``. Without ``gives_up`` a
-    program is started anew after any number of faults. Raises ConfigError for one that isn't there,
-    or can't be used.
+    """The detectors of these names, files from ``folder``; without ``gives_up`` a program is
+    restarted after any number of faults. Raises ConfigError.
     """
     made = [_make(name, folder, gives_up) for name in dict.fromkeys(names)]
     for detector in made:
@@ -71,10 +70,8 @@ def make_detectors(
 def introduced(
     detectors: Sequence[Detector], scenes: Mapping[str, Collection[int]]
 ) -> Iterator[None]:
-    """Start those that are programs, so that they say what they are, and close them in the end.
-
-    ``scenes``: what they are to be scored on: families and members, scripts and seeds. Raises
-    ConfigError where one says that it was trained on some of these.
+    """Start those that are programs, and close them in the end. Raises ConfigError where one says
+    that it was trained on some of ``scenes`` (families and members, scripts and seeds).
     """
     served = [detector for detector in detectors if isinstance(detector, Served)]
     try:

@@ -33,15 +33,10 @@ Shift = Annotated[float, Field(ge=-2000, le=2000)]
 
 
 class TruthTable(Section):
-    """``touch``: every end in every trial. ``carry``: once, and by the stage from then on, with
-    check touches.
-
-    ``readings`` of each end, None for what the rig says. ``registration`` is a file of 'teatbench
-    calibrate stage' beside the script, or "first": made at the start of the run by touches of teat
-    ``registration_teat`` at ``registration_at_mm`` (x, y from the reference place; left out, at the
-    corners and the middle of all the script's poses). A check after every ``check_every`` carried
-    trials (0: only at the end, and before the phantom is rearranged), which may be off by
-    ``check_limit_mm``.
+    """``touch``: every end in every trial. ``carry``: once, then by the stage, checked by touch
+    after ``every`` trials (0: at the end and before a rearrangement) within ``check_limit_mm``.
+    ``registration``: a file beside the script, or "first": made at the start by touches of teat
+    ``registration_teat`` at ``registration_at_mm``.
     """
 
     mode: Literal["touch", "carry"] = "touch"
@@ -171,8 +166,8 @@ class BathRequirement(_Named):
 
 
 class ArmRequirement(_Named):
-    """The arm checked before and after the trials, and verified on a day not long ago
-    (docs/rig.md). Limits in mm. ``dated_required`` asks for a length check too, of real arms.
+    """The arm checked before and after the trials, and verified not long ago (docs/rig.md).
+    ``dated_required``: a length check too, of real arms.
     """
 
     kind: Literal["arm_verified"]
@@ -255,9 +250,7 @@ class Rules(Section):
 
 
 class Script(Rules):
-    """Rules, the bath, and the trials. ``seed`` draws poses, layouts and order: they are the same
-    whatever the run's seed is.
-    """
+    """Rules, the bath, and the trials. ``seed`` draws poses, layouts and order, never the run's."""
 
     seed: Annotated[int, Field(ge=0)] = 1
     order: Literal["as written", "shuffled"] = "as written"
@@ -276,8 +269,8 @@ class Script(Rules):
 
 @dataclass(frozen=True, slots=True)
 class LoadedScript:
-    """A script as read, with its trials in the order of the run, and the layouts that they name.
-    ``*_files``: the texts of what lies beside it and belongs into the run's folder, by name.
+    """A script as read, its trials in the order of the run, and its layouts. ``*_files``: texts
+    that belong into the run's folder, by name.
     """
 
     path: Path

@@ -29,11 +29,8 @@ Point = tuple[Millimetres, Millimetres, Millimetres]
 
 
 class Offset(Section):
-    """How far one teat's picked points are put off in either picture, and what the thesis printed
-    for it, where it did.
-
-    ``published_mm`` is the end triangulated with the offset, ``published_plain_mm`` the same
-    without, world frame.
+    """How far one teat's picked points are put off. ``published_mm``: the thesis's end with the
+    offset, ``published_plain_mm``: without.
     """
 
     teat: Annotated[int, Field(ge=1)]
@@ -137,10 +134,8 @@ def outcomes(loaded: LoadedOffsets, calibration: Calibration) -> tuple[Outcome, 
 def offset_errors(
     calibration: Calibration, point_mm: Floats, left_px: float, right_px: float, directions: int
 ) -> Floats:
-    """Errors (n, 3) mm, world frame, of ``point_mm`` (3,) triangulated from points put off by so
-    many pixels; n is every direction.
-
-    Raises ConfigError for a point outside either picture, or an offset whose rays don't meet.
+    """Errors (n, 3) mm of ``point_mm`` (3,) triangulated with these offsets in n pairs of
+    directions. Raises ConfigError for a point outside a picture, or rays that don't meet.
     """
     seen_right = calibration.world_from_right.inverse().apply(point_mm[None])
     seen_left = calibration.right_from_left.inverse().apply(seen_right)

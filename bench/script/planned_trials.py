@@ -63,11 +63,8 @@ class PoseTable(Section):
 
 
 class Grid(Section):
-    """Every x with every y. Poses are numbered by rows along x, from the least y up, whatever way
-    they are visited.
-
-    They are visited by rows ``along`` x or y; ``serpentine`` goes every other row backwards, so
-    that no move is long.
+    """Every x with every y, numbered by rows along x from the least y up. Visited by rows ``along``
+    x or y; ``serpentine`` goes every other row backwards.
     """
 
     x_mm: tuple[Shift, Shift]
@@ -146,13 +143,9 @@ class Published(Section):
 
 
 class Trial(Section):
-    """A phantom, its poses, and what else is in the scene. ``set_up`` tells a person what to do.
-
-    ``repeats`` takes that many frame sets at a pose before the next; ``cycles`` goes through all
-    poses that many times. ``approach`` reaches each pose from these sides, from ``approach_mm``
-    away. ``redraw``: another udder for each pose. Instead of a layout a trial may show a ``family``
-    of situations (docs/scene.md): its ``member``, with ``redraw`` from that one on another for each
-    pose.
+    """A phantom, its poses, and what else is in the scene. ``repeats``: frame sets at a pose;
+    ``cycles``: times through all poses; ``approach``: sides to reach a pose from; ``redraw``:
+    another udder, or member of the ``family``, for each pose.
     """
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]*$")]
@@ -202,7 +195,7 @@ class Trial(Section):
                 else "has no layout, and no family either"
             )
         if self.layout and not self.set_up:
-            raise ValueError("set_up is missing: it tells a person what to do")
+            raise ValueError("set_up is missing: it says what a person has to do")
         given = [key for key in ("pose", "poses", "grid", "draw") if getattr(self, key) is not None]
         if len(given) > 1:
             raise ValueError(
@@ -226,11 +219,8 @@ POSE_KEYS = ("id", "pose", "repeat", "x_mm", "y_mm", "z_mm", "yaw_deg", "from")
 
 @dataclass(frozen=True, slots=True)
 class PlannedTrial:
-    """One frame set to come: the ``number``-th of the run (from 1), the ``repeat``-th at its pose
-    (from 1).
-
-    ``name`` is the pose's: repeats of one pose share it. ``phantom`` stands at its reference place;
-    ``side`` is where the pose is reached from, None for straight from the one before.
+    """One frame set to come: the ``number``-th of the run, the ``repeat``-th of the pose ``name``.
+    ``phantom`` is at its reference place; ``side``: where the pose is reached from.
     """
 
     number: int

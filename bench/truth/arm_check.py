@@ -29,9 +29,7 @@ def check_arm(
     clock: Clock,
     check: Callable[[], None],
 ) -> dict[str, Any]:
-    """Have the operator touch the rig's check point; gives back the fact to store. ``check`` is
-    called before each touch, and may raise.
-    """
+    """Touch the rig's check point; gives back the fact to store. ``check`` may raise."""
     touches: list[dict[str, Any]] = []
     again, refused = "", 0
     while len(touches) < arm.check_touches:

@@ -22,6 +22,7 @@ import numpy as np
 from bench.record.reader import RunRecord
 from bench.record.schema import Row
 from bench.record.writer import Store
+from bench.scoring.errors import Floats
 from bench.truth.registration import Registration
 from bench.truth.touching import (
     Ends,
@@ -35,7 +36,6 @@ from bench.truth.uncertainty import (
     CARRY,
     REGISTRATION,
     Component,
-    Floats,
     How,
     Triple,
     TruthPoint,
@@ -108,9 +108,7 @@ def carried(
 def moved(
     point: TruthPoint, to_mm: Floats, carry_mm2: Floats, source: str, registration_mm: float | None
 ) -> TruthPoint:
-    """``point`` carried to (3,): its budget, with the table frame's part there and a line for the
-    carry.
-    """
+    """``point`` carried to (3,), with a line for the carry in its budget."""
     kept = [
         c if c.name != REGISTRATION or registration_mm is None else replace(c, u_mm=registration_mm)
         for c in point.uncertainty.components
@@ -137,11 +135,8 @@ class CarryState:
 
 
 class CarriedTruth(TouchedTruth):
-    """Touched once for each thing that stands there, carried by the stage afterwards, checked by
-    touch after ``every`` carried trials (0: only before a rearrangement and at the end) within
-    ``limit_mm``.
-
-    ``settled`` gets the trials that a check has confirmed (True) or invalidated.
+    """Touched once, then carried by the stage, and checked by touch after ``every`` carried trials
+    within ``limit_mm``. ``settled`` gets trials that a check confirmed or invalidated.
     """
 
     def __init__(
@@ -314,9 +309,7 @@ class CarriedTruth(TouchedTruth):
 
 
 def resumed(run: RunRecord) -> CarryState:
-    """The state that a stopped run left: the reference, and the carried trials without a good
-    check.
-    """
+    """The state that a stopped run left."""
     stored, unconfirmed = run.facts.get(REFERENCE_FACT), list(run.facts.get(UNCONFIRMED_FACT, ()))
     last = run.checks[-1]["after_trial"] if run.checks else None
     order = [trial.id for trial in run.trials]

@@ -31,10 +31,11 @@ from numpy.typing import ArrayLike
 from pydantic import AwareDatetime, Field
 from scipy.special import chdtrc
 
-from bench.config import Section, located, read_config, read_text
+from bench.config import Positive, Section, located, read_config, read_text
 from bench.rig.arm_files import NotNegative, Three, refuse_changed, write_file
+from bench.scoring.errors import Floats
 from bench.toml import toml_text
-from bench.truth.uncertainty import Floats, Triple
+from bench.truth.uncertainty import Triple
 from detector.calibration.rigid import (
     Comparison,
     compare,
@@ -48,15 +49,12 @@ NAMES = ("scale x", "scale y", "squareness xy", "scale z", "squareness xz", "squ
 _FLAT_MM = 1.0  # a height that varies by less has not been exercised
 
 
-@dataclass(frozen=True, slots=True)
-class StageAccuracy:
-    """What the stage is stated to be good for, as standard uncertainties: scale of each axis,
-    squareness, and coming back to a place.
-    """
+class StageAccuracy(Section):
+    """The stage's stated standard uncertainties."""
 
-    scale_u: float
-    squareness_u_rad: float
-    repeatability_mm: float
+    scale_u: NotNegative
+    squareness_u_rad: NotNegative
+    repeatability_mm: NotNegative
 
     @property
     def deformation(self) -> Floats:
@@ -81,9 +79,7 @@ class Diagnostic:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeFit:
-    """The fit with all its freedom: small ``rotation`` (3,), ``theta`` (3 or 6,), both together
-    ``covariance`` for u = 1 mm.
-    """
+    """Small ``rotation`` (3,), ``theta`` (3 or 6,) and their ``covariance`` for u = 1 mm."""
 
     rotation: Floats
     theta: Floats
@@ -93,9 +89,7 @@ class FreeFit:
 
 
 def free_fit(q: Floats, seen: Floats) -> FreeFit:
-    """The fit of q (n, 3) to the touches ``seen`` (n, 3) in the stage's axes, both less their mean;
-    heights only where they varied.
-    """
+    """The fit of q (n, 3) to ``seen`` (n, 3), both centred; heights only where they varied."""
     high = np.std(q[:, 2]) > _FLAT_MM and np.linalg.svd(q, compute_uv=False)[2] > _FLAT_MM
     turns = [np.cross(axis, q).ravel() for axis in np.eye(3)]
     bends = [(q @ entry.T).ravel() for entry in _ENTRIES[: 6 if high else 3]]
@@ -113,9 +107,7 @@ for _i, (_row, _column) in enumerate(((0, 0), (1, 1), (0, 1), (2, 2), (0, 2), (1
 
 
 def bent_mm(q: Floats, way_mm: Floats) -> Floats:
-    """(3, 6): how a carry by ``way_mm`` (3,) is off for each entry of E, with the fit to q (n, 3)
-    turned.
-    """
+    """(3, 6): the error of a carry by ``way_mm`` (3,) for each entry of E."""
     inverse = np.linalg.inv(np.sum(q**2) * np.eye(3) - q.T @ q)
     turned = [inverse @ np.sum(np.cross(q, q @ entry.T), axis=0) for entry in _ENTRIES]
     return np.asarray(np.cross(turned, way_mm) - _ENTRIES @ way_mm).T
@@ -134,9 +126,7 @@ class RegistrationError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """One stage position (machine mm, as read back), and the teat end touched there (world mm);
-    ``u_mm`` along an axis.
-    """
+    """A stage position (machine mm, read back) and the end touched there (world mm)."""
 
     stage_mm: Triple
     touched_mm: Triple
@@ -208,9 +198,7 @@ class Registration:
 
     @cached_property
     def u_mm(self) -> float:
-        """As stated; larger where the touches scatter more (Birge ratio; chi-square test at
-        `ALPHA`).
-        """
+        """As stated, or as the touches scatter (Birge ratio; chi-square test at `ALPHA`)."""
         freedom = self._free.freedom
         chi2 = float(np.sum(self._free.left_over**2)) / self.stated_u_mm**2
         if freedom and chdtrc(freedom, chi2) < ALPHA:
@@ -233,9 +221,7 @@ class Registration:
 
     @property
     def doubted(self) -> bool:
-        """Whether the axes may be worse than stated; the carry's uncertainty then covers what is
-        seen.
-        """
+        """The axes may be worse than stated; the carry's uncertainty covers what is seen."""
         return self.p_value < DOUBT
 
     @property
@@ -243,9 +229,7 @@ class Registration:
         return self.p_value < ALPHA
 
     def carry_covariance_mm2(self, stage_from_mm: ArrayLike, stage_to_mm: ArrayLike) -> Floats:
-        """Covariance (3, 3), world axes, that a carry from one stage position (3,) to
-        another adds.
-        """
+        """Covariance (3, 3), world axes, of a carry between stage positions (3,)."""
         way = np.subtract(stage_to_mm, stage_from_mm)
         turn = cross_matrix(way)
         noise = turn @ rotation_covariance(self.stage_mm, self.u_mm) @ turn.T
@@ -317,9 +301,7 @@ class Registration:
 
     @cached_property
     def _deformation(self) -> Floats:
-        """Second moments (6, 6) of E's entries: as stated, and in doubt what the touches show on
-        top.
-        """
+        """Second moments (6, 6) of E: as stated, in doubt with what touches show."""
         moments = np.diag(self.stated.deformation)
         if self.doubted:
             theta = self._free.theta
@@ -334,19 +316,11 @@ start of a run. Lengths in mm. X_world = R(om) X_stage + T, om in rad, for the e
 teat that was touched. Make it anew when stage, table frame or arm were moved. Scale and
 squareness (0 is ideal) are diagnostics: the rigid motion carries."""
 
-Above = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-
-
-class _Stated(Section):
-    scale_u: NotNegative
-    squareness_u_rad: NotNegative
-    repeatability_mm: NotNegative
-
 
 class _Station(Section):
     stage_mm: Three
     touched_mm: Three
-    u_mm: Above
+    u_mm: Positive
     residual_mm: NotNegative
 
 
@@ -357,11 +331,11 @@ class _RegistrationFile(Section):
     teat: Annotated[int, Field(ge=1)]
     om: Three
     T: Three
-    u_mm: Above
+    u_mm: Positive
     fre_mm: NotNegative
     expected_fre_mm: NotNegative
     p_value: Annotated[float, Field(ge=0, le=1)]
-    stated: _Stated
+    stated: StageAccuracy
     stations: Annotated[tuple[_Station, ...], Field(min_length=3)]
     # for people: they follow from the touches
     diagnostics: tuple[dict[str, Any], ...]
@@ -383,7 +357,7 @@ def as_dict(registration: Registration) -> dict[str, Any]:
         "fre_mm": fits.rigid.fre_mm,
         "expected_fre_mm": r.expected_fre_mm,
         "p_value": r.p_value,
-        "stated": asdict(r.stated),
+        "stated": r.stated.model_dump(),
         "stations": [
             {**asdict(s), "residual_mm": residual}
             for s, residual in zip(r.stations, residuals, strict=True)
@@ -402,9 +376,7 @@ def as_dict(registration: Registration) -> dict[str, Any]:
 
 
 def as_facts(registration: Registration) -> dict[str, Any]:
-    """The same as facts of a run; when it was made stands apart: it doesn't repeat with
-    the seed.
-    """
+    """The same as facts of a run; its date, which doesn't repeat with the seed, stands apart."""
     whole = as_dict(registration)
     return {MADE_FACT: whole.pop("made").isoformat(), REGISTRATION_FACT: whole}
 
@@ -443,5 +415,4 @@ def registration_from_facts(facts: Mapping[str, Any]) -> Registration | None:
 
 def _registration(file: _RegistrationFile) -> Registration:
     stations = tuple(Station(s.stage_mm, s.touched_mm, s.u_mm) for s in file.stations)
-    stated = StageAccuracy(**file.stated.model_dump())
-    return Registration(file.made, file.serial_number, file.stage, file.teat, stations, stated)
+    return Registration(file.made, file.serial_number, file.stage, file.teat, stations, file.stated)

@@ -25,9 +25,7 @@ def ends_of(phantom: Phantom, *, known: bool = True) -> Ends:
 
 
 def stands_at(stage: Stage) -> Triple:
-    """Where the stage stands, machine mm, as read back from the controller. Raises DeviceError once
-    its position is lost, and as `Stage.position` does.
-    """
+    """The stage's position as read back, machine mm. Raises DeviceError where it is lost."""
     place = np.asarray(stage.position(), dtype=np.float64)
     if not stage.homed:
         raise DeviceError(stage.who, "its position is lost", hint="Call recover(), then home().")
@@ -35,9 +33,7 @@ def stands_at(stage: Stage) -> Triple:
 
 
 def around(poses: Iterable[PlatePose], least_mm: float = 150.0) -> tuple[PlatePose, ...]:
-    """Where to touch for a run over ``poses``: corners and middle of their box, at least
-    ``least_mm`` wide.
-    """
+    """Corners and middle of the box of ``poses``, at least ``least_mm`` wide."""
     at = np.array([(pose.x_mm, pose.y_mm) for pose in poses], dtype=np.float64)
     low, high = at.min(axis=0), at.max(axis=0)
     short = np.maximum(least_mm - (high - low), 0.0)
@@ -70,5 +66,5 @@ def register(
         point, _ = toucher.touch_one(teat, ends_of(phantom.moved(there), known=False))
         stations.append(Station(stands_at(stage), point.point_mm, u_mm))
     identity = " ".join(str(part) for part in asdict(stage.identity).values() if part)
-    stated = StageAccuracy(settings.scale_u, settings.squareness_u_rad, settings.repeatability_mm)
+    stated = StageAccuracy.model_validate(settings, from_attributes=True)
     return Registration(made, serial_number, identity, teat, tuple(stations), stated)

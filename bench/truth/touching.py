@@ -26,11 +26,11 @@ import numpy as np
 from bench.record.schema import Row
 from bench.rig.arm_files import TableFrame
 from bench.rig.model import Arm
+from bench.scoring.errors import Floats
 from bench.scoring.matching import LEAST_SPACING_MM
 from bench.truth.uncertainty import (
     REGISTRATION,
     Component,
-    Floats,
     How,
     Triple,
     TruthPoint,
@@ -42,9 +42,8 @@ from instruments.camera.recording import TruthRow
 from instruments.clock import Clock, wall_time
 from instruments.errors import DeviceError, LimitError, TouchAgainError
 from instruments.microscribe.configuration import Identity
-from instruments.microscribe.stream import Reading
+from instruments.microscribe.driver import Reading
 from instruments.operators.operator import Release, Request, Touch
-from instruments.teat_end import end_under_ball_mm
 from instruments.world.phantom import called
 
 SPARE = 4  # touches of one end beyond those that are asked for, before it is given up
@@ -61,9 +60,8 @@ class NoTruthError(DeviceError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ends:
-    """What is to be touched: ``expected_mm`` (n, 3) places of all the ends, ``axes`` (n, 3) unit,
-    from base to end. Places not ``known`` well enough to tell teats apart aren't used. ``names``:
-    what each is called, by its number where there are none.
+    """What is to be touched: expected places (n, 3), ``axes`` (n, 3) from base to end, ``names``.
+    Places are used only where they are ``known`` well enough.
     """
 
     expected_mm: Floats
@@ -122,9 +120,7 @@ class TipReader:
 
 
 class Toucher:
-    """Has the operator touch by ``ask``, ``readings`` an end; ``check`` is called before each
-    touch, and may raise.
-    """
+    """Has the operator touch ends, ``readings`` each; ``check`` runs before each and may raise."""
 
     def __init__(
         self,
@@ -143,9 +139,7 @@ class Toucher:
         self.readings = readings or arm.touches
 
     def touch_all(self, ends: Ends) -> tuple[list[TruthPoint], list[Row]]:
-        """A truth for each end, and a row for each touch, refused ones too. Raises NoTruthError,
-        and as operator and driver do.
-        """
+        """A truth for each end, and a row for each touch. Raises NoTruthError."""
         done: dict[int, TruthPoint] = {}
         rows: list[Row] = []
         for teat in range(1, len(ends.expected_mm) + 1):
@@ -186,7 +180,8 @@ class Toucher:
                 moves.append(str(error))
                 again = f"{error} Touch {ends.called(teat)}, once more."
                 continue
-            end = end_under_ball_mm(seen.tip_mm, ends.axes[teat - 1], self._arm.tip_radius_mm)
+            # the arm reads the centre of the ball, which stands on the end
+            end = seen.tip_mm - self._arm.tip_radius_mm * ends.axes[teat - 1]
             refused = mistaken(end, teat, ends, done)
             again = f"{refused} Touch {ends.called(teat)}." if refused else ""
             row = {
@@ -214,9 +209,8 @@ class Toucher:
 
 
 def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) -> TruthPoint:
-    """The mean of readings (n, 3) of one teat end, tip radius already taken off; their scatter
-    enters as the uncertainty of their mean. ``registration_mm`` is the table frame's part, None
-    without one. Raises ValueError without a reading.
+    """The mean of readings (n, 3), tip radius taken off, with its budget; ``registration_mm`` is
+    the table frame's part. Raises ValueError without a reading.
     """
     tips = np.asarray(tips_mm, dtype=np.float64)
     if tips.ndim != 2 or tips.shape[1] != 3 or not len(tips):
@@ -242,9 +236,7 @@ def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) 
 
 
 def reading_u_mm(arm: Arm) -> float:
-    """By which two readings of one end differ along an axis: hand and rounding, not the arm's
-    accuracy.
-    """
+    """Of one reading against another along an axis: hand and rounding, not accuracy."""
     return hypot(arm.definition_mm, arm.rounding_mm)
 
 
@@ -286,9 +278,7 @@ def outliers(points_mm: Floats, s0_mm: float) -> dict[int, str]:
 
 
 def mistaken(point: Floats, teat: int, ends: Ends, done: Mapping[int, Floats]) -> str | None:
-    """Why a touch (3,) isn't one of ``teat`` (from 1) of ``ends``; None where it may be. ``done``:
-    what was touched by teat.
-    """
+    """Why a touch (3,) is not of ``teat`` (from 1); None where it may be."""
     expected = ends.expected_mm if ends.known else None
     for other, place in done.items():
         apart, same = float(np.linalg.norm(point - place)), LEAST_SPACING_MM
@@ -324,9 +314,7 @@ class ExpectedScene:
 
 @dataclass(frozen=True, slots=True)
 class TrialTruth:
-    """The truth of one trial: a point a teat, a row a touch, and where the stage stood (None
-    without).
-    """
+    """The truth of one trial: a point a teat, a row a touch, the stage's position."""
 
     points: tuple[TruthPoint, ...]
     touches: tuple[Row, ...]
@@ -368,10 +356,8 @@ def truth_row(
 
 
 class TouchedTruth:
-    """The truth of trials: every end of every trial is touched. ``stage_mm`` reads back the stage.
-
-    The engine calls `begin` once, then for each trial `before`, `unattended`, `of_trial` and, when
-    it is in the store, `stored`; `end` after the last.
+    """Every end of every trial is touched. The engine calls `begin`, then for each trial `before`,
+    `unattended`, `of_trial` and `stored`, then `end`.
     """
 
     def __init__(self, toucher: Toucher, stage_mm: Callable[[], Triple | None]) -> None:
@@ -385,15 +371,11 @@ class TouchedTruth:
         """The phantom is about to be moved and set up for this."""
 
     def unattended(self, shown: ExpectedScene) -> bool:  # noqa: ARG002 - it always is attended
-        """Whether no person has been near the phantom since the last trial, nor is needed for this
-        one.
-        """
+        """Whether no person has been or will be at the phantom for this trial."""
         return False
 
     def of_trial(self, shown: ExpectedScene) -> TrialTruth:
-        """It stands there, and the cameras have seen it. Raises NoTruthError, and as operator and
-        instruments do.
-        """
+        """The truth of the phantom that stands there. Raises NoTruthError."""
         points, rows = self._toucher.touch_all(shown.ends)
         touches = tuple({"trial": shown.trial, **row} for row in rows)
         return TrialTruth(tuple(points), touches, self._stage_mm())

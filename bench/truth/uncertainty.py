@@ -1,7 +1,7 @@
 """A teat end as the truth has it: a point, how it was had, and its uncertainty budget of named
 standard uncertainties (GUM, JCGM 100:2008, section 5.1.2, uncorrelated), per axis, mm: u(e)^2 =
 u_arm^2 + u_registration^2 + u_definition^2 + u_resolution^2 + .... The measurand:
-`instruments.teat_end`.
+`instruments.world.phantom.TEAT_END`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from enum import StrEnum
 from math import isfinite, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
+
+from bench.scoring.errors import Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +34,7 @@ class Component:
 
 @dataclass(frozen=True, slots=True)
 class TruthUncertainty:
-    """The budget of the ground truth, per axis. Raises ValueError for two components of
-    one name.
-    """
+    """The budget per axis. Raises ValueError for two components of one name."""
 
     components: tuple[Component, ...]
 
@@ -66,7 +65,6 @@ class TruthUncertainty:
 CHI2_95 = 7.814727903251179  # 95 % of chi-square with 3 degrees of freedom
 REGISTRATION, CARRY = "registration", "carry"
 
-Floats = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 
@@ -93,11 +91,6 @@ class TruthPoint:
         return np.asarray(
             alike * np.eye(3) + (0.0 if self.carry_mm2 is None else np.array(self.carry_mm2))
         )
-
-    def holds(self, point_mm: Iterable[float]) -> bool:
-        """Whether the stated 95 % region, an ellipsoid, holds a point (3,)."""
-        off = np.asarray(tuple(point_mm), dtype=np.float64) - np.array(self.point_mm)
-        return bool(off @ np.linalg.solve(self.covariance_mm2, off) <= CHI2_95)
 
 
 def triple(vector: Iterable[float]) -> Triple:

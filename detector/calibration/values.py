@@ -103,7 +103,8 @@ def covariance_of_points(
     points = np.atleast_2d(np.asarray(world_mm, dtype=np.float64))
     left_px, right_px = pair.project(points)
     total = np.zeros((len(points), 3, 3))
-    for move in PIXEL_STEP_PX * np.eye(4):
+    total[~np.isfinite(left_px + right_px).all(axis=1)] = np.nan
+    for move in PIXEL_STEP_PX * np.eye(4) if pixel_sd_px else ():
         near, far = (pair.place(left_px + s * move[:2], right_px + s * move[2:]) for s in (-1, 1))
         slope = (far - near) / (2.0 * PIXEL_STEP_PX)
         total += slope[:, :, None] * slope[:, None, :]

@@ -35,6 +35,7 @@ from detector.geometry import Array, Camera, Motion
 _CLOSE_PX, _MOST_SD_PX = 0.6, 1.2
 # of an end in one picture, where both sides were followed up to it; and closely
 _LEAST_FOLLOWED, _LEAST_FOLLOWED_CLOSE = 0.3, 0.2
+_BOTH_SIDES, _LEAST_WARM_END = 0.8, 0.4  # seen of both sides; of the thermal end, of a warm one
 _LEAST_BETWEEN, _LEAST_COLD = 0.65, 0.6  # of the end, where no side is warm; where one isn't
 # merit of the farthest end that sides lead to: a nearer one shows up to 0.28 more of itself, in two
 # pictures, twice
@@ -94,7 +95,7 @@ class Evidence(Rows):
 
     @property
     def merit(self) -> Array:
-        """One number (m,) to tell the better of two."""
+        """One number (m,) by which the better of two is chosen."""
         return np.asarray(
             (2 * self.end + self.side + self.both)[:, :2].sum(axis=1)
             - 4 * self.misfit_px
@@ -150,7 +151,8 @@ def unlike_covariances(teats: Array, evidence: Evidence, p: Parameters) -> Array
     along2 = (p.end_unlike_share * unlike_mm) ** 2 + in_part_mm**2 * in_part
     along2 += (short & ~evidence.shaped) * SHAPE_ALONG_MM**2
     along2 += thermal_ends(evidence, p) * p.thermal_end_sd_mm**2
-    across2 = one_side * np.where(short, p.short_one_side_sd_mm, p.one_side_sd_mm) ** 2
+    short_seen = evidence.shaped | (evidence.side[:, :2].max(axis=1) < _WHOLE_SIDE)
+    across2 = one_side * np.where(short_seen, p.short_one_side_sd_mm, p.one_side_sd_mm) ** 2
     sight = teats[:, :3] / np.linalg.norm(teats[:, :3], axis=1, keepdims=True)
     deep2 = (np.ptp(evidence.both[:, :2], axis=1) > _UNLIKE_SIDES) * p.one_sees_sd_mm**2
     deep2 += _one_sees_a_side(evidence) * p.one_sees_in_part_sd_mm**2
@@ -213,18 +215,14 @@ def objections(
     teats: Array, evidence: Evidence, surroundings: float, p: Parameters
 ) -> list[str | None]:
     """Why teats (m, 8) are rejected, or None. ``surroundings``: the level without warmth."""
-    one_sees, by_warmth = _one_sees_a_side(evidence), thermal_ends(evidence, p)
-    reasons: list[str | None] = [
-        _objection(teats[i], evidence, i, p, one_sees=one_sees[i], by_warmth=by_warmth[i])
-        for i in range(len(teats))
-    ]
+    reasons = _alone(teats, evidence, p)
     clean = [i for i, reason in enumerate(reasons) if reason is None]
     # a straw may hide the warmth of one line
     whole = (evidence.end[:, :2].min(axis=1) > _CLEAR_END) & (
         evidence.both[:, :2].min(axis=1) > _CLEAR_SIDES
     )
     whole &= evidence.misfit_px < p.good_misfit_px
-    # one with its whole end in all pictures, all but one, behind another teat
+    # another teat that of all but one, where all pictures show the whole end
     in_all = (evidence.end.min(axis=1) > _WHOLE_END) & (evidence.misfit_px < _CLEAR_MISFIT_PX)
     in_all &= evidence.side[:, :2].min(axis=1) > _CLEAR_SIDES
     lines_cold = np.where(in_all, 2, whole)
@@ -344,29 +342,43 @@ def maybe_hidden(reason: str | None) -> bool:
     return reason is None or "seen" in reason or reason in (OUTLINE, _UNSURE, _WORSE)
 
 
-def _objection(
-    teat: Array, evidence: Evidence, i: int, p: Parameters, *, one_sees: bool, by_warmth: bool
-) -> str | None:
-    for view, name in enumerate(("left", "right")):
-        if unseen := _unseen(evidence, i, view, p, by_warmth=by_warmth):
-            return f"{unseen} in the {name} picture"
-    if one_sees and evidence.end[i, :2].min() < _LEAST_END_THEN:
-        return "a side of it is seen in one picture only"
-    if evidence.misfit_px[i] > p.greatest_misfit_px:
-        return OUTLINE
+def _alone(teats: Array, evidence: Evidence, p: Parameters) -> list[str | None]:
+    """What speaks against each of teats (m, 8), whatever the others are: the first rule that
+    objects.
+    """
+    unseen = {
+        "its end isn't seen": _end_unseen(evidence, p),
+        "only a side of it and too little of its end are seen": _too_little_seen(evidence, p),
+        "only a side of it and not all of its end are seen": _unsure_side(evidence, p),
+        "neither side is seen": _no_side(evidence, p),
+    }
+    in_one = [
+        (objected[:, view], f"{words} in the {name} picture")
+        for view, name in enumerate(("left", "right"))
+        for words, objected in unseen.items()
+    ]
     # a funnel's end is narrower than its barrel, a bottle's wider
-    barrel_mm = teat[RADIUS] + _BARREL_MM * teat[TAPER]
-    if not (p.least_radius_mm < barrel_mm < p.greatest_radius_mm and teat[RADIUS] > _NARROWEST_MM):
-        return _SIZE
-    if max(abs(teat[LEAN_X]), abs(teat[LEAN_Z])) > p.greatest_lean:
-        return _LEANS
-    if not p.nearest_mm < teat[CZ] < p.farthest_mm:
-        return "it is outside of the working volume"
-    if not np.isfinite(evidence.warmth[i]).all():
-        return "the thermal picture doesn't reach it"
-    if _elsewhere(evidence.thermal_px[i], p.greatest_thermal_px):
-        return ELSEWHERE
-    return _UNSURE if evidence.sd_mm[i] > p.greatest_sd_mm else None
+    barrel_mm = teats[:, RADIUS] + _BARREL_MM * teats[:, TAPER]
+    sized = (barrel_mm > p.least_radius_mm) & (barrel_mm < p.greatest_radius_mm)
+    sized &= teats[:, RADIUS] > _NARROWEST_MM
+    within = (teats[:, CZ] > p.nearest_mm) & (teats[:, CZ] < p.farthest_mm)
+    one_sees = _one_sees_a_side(evidence) & (evidence.end[:, :2].min(axis=1) < _LEAST_END_THEN)
+    rules: list[tuple[NDArray[np.bool_], str]] = [
+        *in_one,
+        (one_sees, "a side of it is seen in one picture only"),
+        (evidence.misfit_px > p.greatest_misfit_px, OUTLINE),
+        (~sized, _SIZE),
+        (np.abs(teats[:, [LEAN_X, LEAN_Z]]).max(axis=1) > p.greatest_lean, _LEANS),
+        (~within, "it is outside of the working volume"),
+        (np.isnan(evidence.warmth.sum(axis=1)), "the thermal picture doesn't reach it"),
+        (_elsewhere(evidence, p), ELSEWHERE),
+        (evidence.sd_mm > p.greatest_sd_mm, _UNSURE),
+    ]
+    reasons: list[str | None] = [None] * len(teats)
+    for objected, words in reversed(rules):
+        for i in np.flatnonzero(objected).tolist():
+            reasons[i] = words
+    return reasons
 
 
 def _one_sees_a_side(evidence: Evidence) -> NDArray[np.bool_]:
@@ -380,52 +392,68 @@ def _one_sees_a_side(evidence: Evidence) -> NDArray[np.bool_]:
     )
 
 
-def _unseen(evidence: Evidence, i: int, view: int, p: Parameters, *, by_warmth: bool) -> str | None:
-    """What of teat ``i`` an optical picture shows too little of."""
-    end = evidence.end[i, view]
-    warm = np.isfinite(evidence.thermal_px[i, [SIDE_A, SIDE_B]])
-    followed = evidence.followed[i] and evidence.both[i, :2].min() > 0.8
-    least = p.least_end_followed if followed else p.least_end_alone
-    sure = evidence.misfit_px[i] < _SURE_MISFIT_PX
-    if followed and sure and evidence.both[i, 2] > 0.8:
-        least = p.least_end_sure
-    partial = evidence.end[i, :2].mean() < least
-    alone = partial and evidence.end[i, 2] < (_LEAST_BETWEEN if followed else 0.5)
+def _end_unseen(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
+    """Of which of m teats each optical picture shows too little of the end, (m, 2)."""
+    end, thermal = evidence.end[:, :2], evidence.end[:, 2]
+    mean, sides = end.mean(axis=1), evidence.both[:, :2].min(axis=1)
+    followed = evidence.followed & (sides > _BOTH_SIDES)
+    close = evidence.misfit_px < _SURE_MISFIT_PX
+    least = np.where(followed, p.least_end_followed, p.least_end_alone)
+    least[followed & close & (evidence.both[:, 2] > _BOTH_SIDES)] = p.least_end_sure
+    alone = (mean < least) & (thermal < np.where(followed, _LEAST_BETWEEN, 0.5))
     # a gap has two sides too
-    least = _LEAST_BETWEEN if evidence.followed[i] and not warm.any() else _LEAST_COLD
-    between_two = not warm.all() and evidence.end[i, :2].mean() < least
-    least_end = (_LEAST_FOLLOWED_CLOSE if sure else _LEAST_FOLLOWED) if followed else p.least_end
-    by_other = (
-        evidence.end[i, :2].max() > _END_ALONE
-        and evidence.end[i, 2] > _WARM
-        and evidence.both[i, :2].min() > _SIDES_ALONE
-    )
-    short = (end < least_end and not by_other) or alone or between_two
-    if short and not by_warmth:
-        return "its end isn't seen"
-    sure = sure and evidence.sd_mm[i] < _SURE_MM
-    whole_side = evidence.side[i].min() > _WHOLE_SIDE
-    one_sided = evidence.both[i, :2].max() < p.least_side and not (sure and whole_side)
-    good = evidence.misfit_px[i] < p.good_misfit_px
-    warm_end = np.isfinite(evidence.thermal_px[i, END]) or (
-        good
-        and end > p.least_end_alone
-        and (evidence.end[i, 2] >= 0.4 or (end > _WHOLE_END and evidence.both[i, 2] > 0.8))
-    )
-    if one_sided and (end < p.least_end_one_sided * (1.0 if good else 1.4) or not warm_end):
-        return "only a side of it and too little of its end are seen"
-    both_warm = min(evidence.end[i, 2], evidence.both[i, 2]) > _BOTH_WARM
-    warm_round = both_warm or min(evidence.end[i, 2], evidence.side[i, 2]) > _WARM
-    warm_round &= bool(evidence.misfit_px[i] < _CLOSE_MISFIT_PX)
-    least = p.least_end_unsure_warm if warm_round else p.least_end_unsure
-    least_either = p.least_end_unsure_either - (_LESS if both_warm else 0.0)
-    ends = evidence.end[i, :2]
-    too_little = ends.mean() < least or ends.min() < least_either
-    if one_sided and evidence.sd_mm[i] > p.sure_one_sided_mm and too_little:
-        return "only a side of it and not all of its end are seen"
-    if evidence.side[i, view] < p.least_side and not _held_by_thermal(evidence, i):
-        return "neither side is seen"
-    return None
+    warm = np.isfinite(evidence.thermal_px[:, [SIDE_A, SIDE_B]])
+    cold = evidence.followed & ~warm.any(axis=1)
+    gap = ~warm.all(axis=1) & (mean < np.where(cold, _LEAST_BETWEEN, _LEAST_COLD))
+    by_other = (end.max(axis=1) > _END_ALONE) & (thermal > _WARM) & (sides > _SIDES_ALONE)
+    of_followed = np.where(close, _LEAST_FOLLOWED_CLOSE, _LEAST_FOLLOWED)
+    little = end < np.where(followed, of_followed, p.least_end)[:, None]
+    short = (little & ~by_other[:, None]) | (alone | gap)[:, None]
+    return np.asarray(short & ~thermal_ends(evidence, p)[:, None])
+
+
+def _one_sided(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
+    """Which of m teats show one side in the optical pictures, where that isn't enough."""
+    sure = (evidence.misfit_px < _SURE_MISFIT_PX) & (evidence.sd_mm < _SURE_MM)
+    enough = sure & (evidence.side.min(axis=1) > _WHOLE_SIDE)
+    return np.asarray((evidence.both[:, :2].max(axis=1) < p.least_side) & ~enough)
+
+
+def _too_little_seen(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
+    """Of which of m teats each optical picture shows one side and too little of the end, (m, 2)."""
+    end = evidence.end[:, :2]
+    good = (evidence.misfit_px < p.good_misfit_px)[:, None]
+    partly = (evidence.end[:, 2] >= _LEAST_WARM_END)[:, None]
+    sides = (evidence.both[:, 2] > _BOTH_SIDES)[:, None]
+    warm = np.isfinite(evidence.thermal_px[:, [END]])
+    warm = warm | (good & (end > p.least_end_alone) & (partly | ((end > _WHOLE_END) & sides)))
+    least = p.least_end_one_sided * np.where(good, 1.0, 1.4)
+    return np.asarray(_one_sided(evidence, p)[:, None] & ((end < least) | ~warm))
+
+
+def _unsure_side(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
+    """Which of m teats show one side and not all of the end, and are unsure, (m, 2)."""
+    end, thermal = evidence.end[:, :2], evidence.end[:, 2]
+    both_warm = np.minimum(thermal, evidence.both[:, 2]) > _BOTH_WARM
+    warm = both_warm | (np.minimum(thermal, evidence.side[:, 2]) > _WARM)
+    warm &= evidence.misfit_px < _CLOSE_MISFIT_PX
+    part = end.mean(axis=1) < np.where(warm, p.least_end_unsure_warm, p.least_end_unsure)
+    part |= end.min(axis=1) < p.least_end_unsure_either - np.where(both_warm, _LESS, 0.0)
+    unsure = _one_sided(evidence, p) & (evidence.sd_mm > p.sure_one_sided_mm) & part
+    return np.repeat(unsure[:, None], 2, axis=1)
+
+
+def _no_side(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
+    """Of which of m teats each optical picture shows no side, (m, 2), where thermal edges don't
+    make up for it: end well seen in both, end and a side in the thermal one, less clearly where the
+    other optical picture shows a side; or short, its end whole.
+    """
+    end, side = evidence.end[:, :2].min(axis=1), evidence.side[:, :2].max(axis=1)
+    thermal = np.minimum(evidence.end[:, 2], evidence.side[:, 2])
+    short = evidence.shaped & (evidence.end.min(axis=1) > 0.95)
+    held = short | ((end > 0.7) & (thermal > 0.9))
+    held |= (end > 0.6) & (thermal > 0.8) & (side > 0.5)
+    return np.asarray((evidence.side[:, :2] < p.least_side) & ~held[:, None])
 
 
 def thermal_ends(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
@@ -438,26 +466,14 @@ def thermal_ends(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     return np.asarray(unseen & sides & close & (evidence.end[:, 2] > _THERMAL_END))
 
 
-def _held_by_thermal(evidence: Evidence, i: int) -> bool:
-    """Whether a teat may lack its sides in a picture: end well seen in both, end and a side in the
-    thermal one, less clearly where the other optical picture shows a side; or short, its end whole.
+def _elsewhere(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
+    """Which of m teats warmth contradicts: beyond the end or both sides. Beyond one may be a
+    neighbour.
     """
-    end = evidence.end[i, :2].min()
-    side = evidence.side[i, :2].max()
-    thermal = min(evidence.end[i, 2], evidence.side[i, 2])
-    short = evidence.shaped[i] and min(end, evidence.end[i, 2]) > 0.95
-    return bool(
-        short or (end > 0.7 and thermal > 0.9) or (end > 0.6 and thermal > 0.8 and side > 0.5)
-    )
-
-
-def _elsewhere(offset_px: Array, most_px: float) -> bool:
-    """Whether warmth contradicts: beyond the end or both sides. Beyond one may be a neighbour."""
-    side_a, end, side_b = np.nan_to_num(offset_px)
-    return bool(
-        abs(end) > most_px
-        or min(side_a, side_b) < -most_px
-        or (side_a > most_px and side_b > most_px)
+    off, most = np.nan_to_num(evidence.thermal_px), p.greatest_thermal_px
+    sides = off[:, [SIDE_A, SIDE_B]]
+    return np.asarray(
+        (np.abs(off[:, END]) > most) | (sides.min(axis=1) < -most) | (sides > most).all(axis=1)
     )
 
 

@@ -88,7 +88,7 @@ class FusedDetector:
 
     covariance_leaves_out: ClassVar[str] = (
         "what the ends of one frame have in common (each end has its own covariance); where the"
-        " calibration states no uncertainty, all of its errors but 0.3 px of disparity; the"
+        " calibration states no uncertainty, all of its errors but 0.35 px of disparity; the"
         " thermal camera's pose; cameras that moved or warmed up since the calibration; motion"
         " between the frames of a set; an end taken for another's or for what is none; ends whose"
         " shape is further from half an ellipsoid than the parameters say"

@@ -143,7 +143,7 @@ class Parameters:
     short_sd_mm: float = 0.29  # anywhere, of one with short sides
     # sd of the disparity where a calibration states no uncertainty: what a frame's thermal outlines
     # leave unknown on the thesis's rig
-    calibration_px: float = 0.3
+    calibration_px: float = 0.35
     calibration_focal: float = 0.0007  # and of a focal length, as a share of it
     thermal_noise_px: float = 0.04  # of a frame's thermal outlines together, columns, sensor px
 

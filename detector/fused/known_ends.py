@@ -85,39 +85,39 @@ def offsets_at(frames: Frames, calibration: Calibration, ends_mm: Array) -> list
         depth = warm.view.camera_from_teats.apply(known)[:, 2]
         thermal_mm = depth / warm.view.camera.fc[0]
     figures = np.column_stack([seen.disparity_px, seen.rows_px, thermal])
-    figures[~seen.told] = np.nan
+    figures[~seen.measured] = np.nan
     focal = calibration.right.fc[0]
     mm_a_px = known[:, 2] ** 2 / (focal * calibration.baseline_mm)
     found = []
     for values, mm, across in zip(figures, mm_a_px, thermal_mm, strict=True):
-        told = [round(float(v), 4) if np.isfinite(v) else None for v in values]
+        rounded = [round(float(v), 4) if np.isfinite(v) else None for v in values]
         turn = float(np.degrees(1.0 / focal))
         scale = round(float(mm), 4), round(float(across), 4), turn
-        found.append(EndOffsets(told[0], told[1], (told[2], told[3]), *scale))
+        found.append(EndOffsets(rounded[0], rounded[1], (rounded[2], rounded[3]), *scale))
     return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """What both optical pictures show of k ends: the best fit to each, the views, which were told
-    (k,), and their offsets (k,), px.
+    """What both optical pictures show of k ends: the best fit to each, the views, which ends were
+    measured (k,), and their offsets (k,), px.
     """
 
     fitted: Fitted
     views: tuple[View, ...]
-    told: NDArray[np.bool_]
+    measured: NDArray[np.bool_]
     disparity_px: Array
     rows_px: Array
 
     @property
     def ends(self) -> int:
-        """How many ends were told."""
-        return int(self.told.sum())
+        """How many ends were measured."""
+        return int(self.measured.sum())
 
     @property
     def good(self) -> bool:
-        """At least half of the ends were told."""
-        return 0 < len(self.told) <= 2 * self.ends
+        """At least half of the ends were measured."""
+        return 0 < len(self.measured) <= 2 * self.ends
 
 
 def _seen(
@@ -147,10 +147,10 @@ def _seen(
             break
         y += down
     off = _disparity(calibration, apexes(some.teats)) - _disparity(calibration, known)
-    told = (best >= 0) & (_end_share(some) >= _LEAST_END) & stays
-    if told.any():
-        told &= np.abs(off - np.median(off[told])) < _AGREE_PX
-    return _Seen(some, views, told, off + x_left - x_right, rows + y)
+    measured = (best >= 0) & (_end_share(some) >= _LEAST_END) & stays
+    if measured.any():
+        measured &= np.abs(off - np.median(off[measured])) < _AGREE_PX
+    return _Seen(some, views, measured, off + x_left - x_right, rows + y)
 
 
 def _thermal(seen: _Seen, view: View, known: Array) -> Array:
@@ -179,10 +179,10 @@ def _thermal_near(seen: _Seen, there: Array, view: View, moved: Array) -> Array:
         looked = look(there, views, FINE_OUTLINE, fine=True)
         hidden = np.zeros(looked.offset_px.shape, dtype=bool)
         off, weight = thermal_offsets(replace(seen.fitted, seen=looked, hidden=hidden))
-        near = np.abs(np.nan_to_num(looked.offset_px[:, 2 * n :], nan=9.0)) < _THERMAL_CLOSE_PX
+        near = np.abs(looked.offset_px[:, 2 * n :]) < _THERMAL_CLOSE_PX
         shown = near.mean(axis=1) >= _LEAST_SEEN
         shown &= near[:, FINE_OUTLINE.part == END].mean(axis=1) >= _LEAST_END
-        some = (weight > _LEAST_INFORMATION) & seen.told[:, None]
+        some = (weight > _LEAST_INFORMATION) & seen.measured[:, None]
         pairs = zip(off.T, some.T, strict=True)
         step_px = np.array([np.median(o[c]) if c.any() else 0.0 for o, c in pairs])
         if (np.abs(step_px) < _STAYS_PX).all():
@@ -217,7 +217,7 @@ def _best(fitted: Fitted, known: Array) -> NDArray[np.intp]:
 
 def _close(fitted: Fitted) -> NDArray[np.bool_]:
     """Which of the outlines' points (m, views * n) have an edge near them."""
-    off = np.abs(np.nan_to_num(fitted.seen.offset_px, nan=9.0))
+    off = np.abs(fitted.seen.offset_px)
     return np.asarray((fitted.weight > 0) & (off < _CLOSE_PX))
 
 

@@ -40,9 +40,7 @@ def thermal(frames: Frames, camera: ThermalCamera) -> Field:
             raise UnusableError("the radiometric thermal picture has pixels that are no numbers")
         return np.ascontiguousarray(kelvin, dtype=np.float32)
     if frames.thermal is None:
-        raise UnusableError(
-            "there is no thermal picture, and it is what tells teats from everything else"
-        )
+        raise UnusableError("there is no thermal picture, by which fused finds what is a teat")
     grey = _grey(frames.thermal, "thermal")
     _check_size(grey, camera.image_size, "thermal")
     upright = grey[:, ::-1] if camera.mirrored else grey

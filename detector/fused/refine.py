@@ -145,7 +145,7 @@ def _trusted(seen: Seen, hidden: NDArray[np.bool_], number: int) -> Array:
     if number == 0:
         return weight
     shape = (len(weight), -1, len(FINE_OUTLINE.part))
-    near = np.abs(np.nan_to_num(seen.offset_px, nan=9.0)) < np.minimum(_CLOSE * seen.floor_px, 1.0)
+    near = np.abs(seen.offset_px) < np.minimum(_CLOSE * seen.floor_px, 1.0)
     close, each = ((weight > 0) & near).reshape(shape), weight.reshape(shape)
     open_ = ~hidden.reshape(shape)
     for side in (SIDE_A, SIDE_B):
@@ -194,7 +194,7 @@ def _distinct(
     """At most ``most`` of teats (m, 8) by seen outline, none within ``same_mm`` of a better one or
     of a known end (k, 3).
     """
-    near = np.abs(np.nan_to_num(seen.offset_px, nan=9.0)) < _NEAR_PX
+    near = np.abs(seen.offset_px) < _NEAR_PX
     near &= weights(seen, _ROUGH_SCALE) > 0
     optical = near[:, : 2 * near.shape[1] // 3]
     share, ends = np.maximum(near.mean(axis=1), optical.mean(axis=1)), apexes(teats)
@@ -320,7 +320,7 @@ def slide_ends(teats: Array, views: tuple[View, ...], slide_mm: Array) -> Array:
     jacobian = np.zeros((m * count, 2 * len(_END_OUTLINE.part), COUNT))
     seen = look(slid.reshape(-1, COUNT), views[:2], _END_OUTLINE, jacobian, fine=True)
     part = np.tile(_END_OUTLINE.part == END, 2)
-    good = np.abs(np.nan_to_num(seen.offset_px, nan=9.0)) < _CLOSE_PX
+    good = np.abs(seen.offset_px) < _CLOSE_PX
     good &= seen.clarity > LEAST_CLEAR
     share = good[:, part].reshape(m, count, -1).mean(axis=2)
     peak = share >= np.maximum(_NEARLY * share.max(axis=1, keepdims=True), _LEAST_END)
@@ -424,6 +424,7 @@ _LEAST_MM2 = 1e-6  # so that a covariance always has an inverse
 # of a short teat's end: along its axis and anywhere
 SHAPE_ALONG_MM, _SHAPE_ACROSS_MM = 0.7, 0.2
 _LEFT_OVER = 0.4, 5.0  # at least and at most
+_USUAL, _MORE = 0.62, 0.4  # in plain light; the more is left over, the longer are the tails
 _STRETCH = 4  # points of an outline that share a shift: some 10 px
 
 
@@ -457,7 +458,7 @@ def end_covariances(fitted: Fitted, p: Parameters) -> Array:
     shift = np.full((m, 1, k // _STRETCH), THERMAL_FLOOR_PX)
     shift[..., : optical // _STRETCH] = _stretch_shift(fitted, p)[:, None, None]
     axis = axes(fitted.teats)[..., None]
-    near = np.abs(np.nan_to_num(fitted.seen.offset_px[:, :optical], nan=9.0)) < 2 * _SUPPORT_PX
+    near = np.abs(fitted.seen.offset_px[:, :optical]) < 2 * _SUPPORT_PX
     shown = (near & (fitted.weight[:, :optical] > 0))[:, part == END].mean(axis=1)
     unseen = (1.0 - shown) * p.unseen_end_sd_mm
     moves = [
@@ -489,7 +490,8 @@ def _left_over(fitted: Fitted) -> Array:
     off = np.where(used, np.abs(off) / np.where(used, sd, 1.0), np.inf)
     off.sort(axis=1)
     middle = off[np.arange(len(off)), used.sum(axis=1) // 2]
-    return np.asarray(np.clip(middle / 0.6745, *_LEFT_OVER))
+    ratio = np.clip(middle / 0.6745, *_LEFT_OVER)
+    return np.asarray(ratio * (ratio / _USUAL) ** _MORE)
 
 
 def _stretch_shift(fitted: Fitted, p: Parameters) -> Array:
@@ -503,7 +505,7 @@ def _stretch_shift(fitted: Fitted, p: Parameters) -> Array:
     scatter = np.where(
         whole.any(axis=1), (mean**2 * whole).sum(axis=1) / np.maximum(whole.sum(axis=1), 1), 1.0
     )
-    near = np.abs(np.nan_to_num(fitted.seen.offset_px[:, :k], nan=9.0)) < _SUPPORT_PX
+    near = np.abs(fitted.seen.offset_px[:, :k]) < _SUPPORT_PX
     support = np.maximum((used & near).mean(axis=1), 0.2)
     return np.asarray(np.sqrt(p.stretch_least_px**2 + p.stretch_share**2 * scatter) / support)
 

@@ -37,8 +37,8 @@ _SDS = 3.0  # of what the calibration states
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """What the cameras tell of each other: right rows against left, px; thermal against optical
-    columns and rows, sensor px; NaN where no teat tells. ``ratio``: sensor px a px of disparity.
+    """How far the cameras disagree: right rows against left, px; thermal against optical
+    columns and rows, sensor px; NaN where no teat shows it. ``ratio``: sensor px a px of disparity.
     """
 
     teats: int
@@ -68,9 +68,9 @@ def agreement(
     some = fitted.take(which)
     rows, row_weight = row_offsets(some, p)
     shift, weight = thermal_offsets(some)
-    told = weight > _LEAST_INFORMATION
+    known = weight > _LEAST_INFORMATION
     columns, down = (
-        float(np.median(shift[told[:, i], i])) if told[:, i].any() else np.nan for i in range(2)
+        float(np.median(shift[known[:, i], i])) if known[:, i].any() else np.nan for i in range(2)
     )
     pooled = float(rows @ row_weight / max(row_weight.sum(), 1e-9))
     return Agreement(len(which), pooled, (columns, down), ratio)

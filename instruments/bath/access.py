@@ -2,7 +2,7 @@
 change, spaced, and read back.
 
 What a protocol has to bring: how a row is asked for (``ask``, ``decode``) and written (``write``),
-how the controller is greeted and how a poll is fetched.
+how its format is detected and how a poll is fetched.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ class Tried:
 
 
 class Access(ABC, Generic[R]):
-    """The rows of one device, for one thread, over ``wire``, which is not opened yet. ``known``:
-    whether it was looked at, so that it can be polled. ``remote`` is what a controller's panel
-    calls control by us, ``SHOWN`` the rows that say what it is.
+    """The rows of one device over ``wire``, which is not opened yet; for one thread. ``known``:
+    whether it was identified; ``remote``: what its panel calls control by us; ``SHOWN``: rows that
+    say what it is.
     """
 
     remote: ClassVar[str]
@@ -67,14 +67,12 @@ class Access(ABC, Generic[R]):
         self._set_at = -math.inf
 
     @abstractmethod
-    def greet(self) -> None:
-        """Learn how the controller speaks. Raises ProtocolError or DeviceError where it makes no
-        sense.
-        """
+    def detect_format(self) -> None:
+        """Learn how the controller speaks. Raises ProtocolError, DeviceError."""
 
     @property
     @abstractmethod
-    def learnt(self) -> Mapping[str, str]:
+    def detected(self) -> Mapping[str, str]:
         """What that showed of the controller."""
 
     @abstractmethod
@@ -98,7 +96,7 @@ class Access(ABC, Generic[R]):
         """What each of ``rows`` says of the controller, for a person."""
 
     @abstractmethod
-    def guesses(self, raw: Raw) -> Iterator[str]:
+    def diagnoses(self, raw: Raw) -> Iterator[str]:
         """What else an implausible temperature may mean."""
 
     @abstractmethod
@@ -111,17 +109,14 @@ class Access(ABC, Generic[R]):
 
     @abstractmethod
     def try_row(self, row: R) -> str:
-        """What came for ``row`` and what it means, for a person; asked before any identification.
-        Raises InstrumentError.
-        """
+        """The reply for ``row`` and its meaning, for a person. Raises InstrumentError."""
 
-    def look(self) -> tuple[BathReading, Mapping[str, str]]:
-        """Identify the controller: its first reading, and what it shows of itself.
-
-        Raises DeviceError when it is another family, is in another unit, or has no temperature, and
-        ProtocolError when what it shows makes no sense.
+    def identify(self) -> tuple[BathReading, Mapping[str, str]]:
+        """Identify the controller: its first reading, and what it shows of itself. Raises
+        DeviceError for another family or unit or no temperature, ProtocolError for values that
+        can't be.
         """
-        self.greet()
+        self.detect_format()
         for identity in cast(Profile, self.profile).identity:
             self._check(identity)
         reading = self.first_poll()
@@ -129,12 +124,10 @@ class Access(ABC, Generic[R]):
         rows = [row for row in rows if self.may_ask(row)]
         shown = dict(zip((row.name for row in rows), self.show(rows), strict=True))
         self.known = True
-        return reading, {"family": self.profile.family, "url": self.url, **self.learnt, **shown}
+        return reading, {"family": self.profile.family, "url": self.url, **self.detected, **shown}
 
     def poll(self) -> BathReading:
-        """One poll, at the time of its start. Raises LinkError when it takes longer than POLL_S,
-        and BrokenError before ``look``.
-        """
+        """One poll, at the time of its start. Raises LinkError, BrokenError before ``look``."""
         if not self.known:  # an event of virtual time has dropped the link meanwhile
             raise self.wire.broken("the link is down")
         return self.poll_now()
@@ -150,10 +143,12 @@ class Access(ABC, Generic[R]):
         values = {row.name: self.decode(row, raw[row.name]) for row in rows}
         alarms = (self.alarm_of(row, values[row.name], raw[row.name]) for row in rows)
         alarm, temperature = next(filter(None, alarms), 0), raw["temperature"]
-        guess = " ".join(self.guesses(temperature))
+        diagnosis = " ".join(self.diagnoses(temperature))
         if isinstance(temperature, str):
             temperature = tuple(temperature.encode("ascii", errors="replace"))
-        return self.assembler.reading(t_s, rows, values, temperature, alarm=alarm, guess=guess)
+        return self.assembler.reading(
+            t_s, rows, values, temperature, alarm=alarm, diagnosis=diagnosis
+        )
 
     @cached_property
     def assembler(self) -> Assembler:
@@ -273,10 +268,8 @@ class Access(ABC, Generic[R]):
             seen = f"{value:g} (hexadecimal {int(value) & 0xFFFFFFFF:04X})"
             raise DeviceError(self.who, what, asked=row.name, seen=seen, hint=hint)
 
-    def in_time(self, start_s: float, questions: int) -> None:
-        """Raises LinkError where a poll of ``questions`` that began at ``start_s`` lasts too
-        long.
-        """
+    def check_deadline(self, start_s: float, questions: int) -> None:
+        """Raises LinkError where a poll that began at ``start_s`` took too long."""
         took_s = self.clock.now() - start_s
         if took_s > POLL_S:
             asked = f"{questions} questions of a poll"

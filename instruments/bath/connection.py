@@ -47,9 +47,7 @@ class LineError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One device: ``host`` and ``port``, or ``device``; ``serial`` and ``baud`` are a serial
-    port's. None: the URL leaves it open.
-    """
+    """One device: ``host`` and ``port``, or ``device``. None: the URL leaves it open."""
 
     kind: Kind
     host: str = ""
@@ -94,9 +92,7 @@ def parse_line(
     baud: int = BAUD,
     serial: PortSettings = PortSettings(),  # noqa: B008 - frozen
 ) -> Line:
-    """The line that ``url`` names; where it names none, ``port`` is TCP's, and ``baud`` and
-    ``serial`` are a serial port's. Raises LineError.
-    """
+    """The line that ``url`` names; the rest is for what it leaves open. Raises LineError."""
     place, _, query = url.partition("?")
     scheme, found, _ = place.partition("://")
     if re.fullmatch(r"/dev/\S+|COM\d+", place):

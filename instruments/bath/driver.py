@@ -23,7 +23,7 @@ from instruments.bath.rows import Quantity
 from instruments.bath.session import BrokenError
 from instruments.clock import Clock
 from instruments.errors import DeviceError, InstrumentError, LimitError
-from instruments.tap import Tap
+from instruments.link import Tap
 
 SAFE_TRIES = 3
 
@@ -33,9 +33,7 @@ Rows = Access[Any]
 
 @dataclass(frozen=True, slots=True)
 class PumpAt:
-    """Where a pump's relay is and what it is. ``tap`` sees the bytes of its link, where that is its
-    own: on the controller's line it shares the controller's link.
-    """
+    """A pump's relay. ``tap`` gets the bytes of its link, where that is not the controller's."""
 
     url: str
     profile: RelayProfile
@@ -43,15 +41,10 @@ class PumpAt:
 
 
 class Bath:
-    """The controller at ``url`` (see `connection`), connected and identified. May be shared by
-    threads.
-
-    ``identify=False`` puts the identification off to the first call but ``safe``: for clean-up.
-    Calls raise LinkError (no answer, within 7 s; or the link stayed down),
-    ProtocolError (nonsense), DeviceError (refused, or in the wrong state), LimitError (we did not
-    send it, or the family has no such thing). A broken link is mended, and the controller looked at
-    anew, within the next call. ``allow_inferred`` lets rows be polled and written whose evidence is
-    INFERRED. ``tap`` sees the bytes of the link.
+    """The controller at ``url``, connected and identified; may be shared by threads. Calls raise
+    LinkError, ProtocolError, DeviceError, LimitError. The next call opens a broken link again, and
+    identifies the controller. ``identify`` False: identified by the first call but ``safe``.
+    ``allow_inferred``: rows whose evidence is INFERRED are polled and written.
     """
 
     safe_state: ClassVar[str] = (
@@ -89,7 +82,7 @@ class Bath:
         self._started = False
         self._times_made_safe = 0
         if identify:
-            self._meet()
+            self._identify()
 
     @property
     def identity(self) -> Mapping[str, str]:
@@ -98,18 +91,14 @@ class Bath:
 
     @property
     def pump(self) -> Literal["none", "with run", "own"]:
-        """``with run``: the controller's, which turns while started; ``own``: one with a switch of
-        its own; ``none``: not fitted.
-        """
+        """``with run``: turns while the controller is started; ``own``: has its own switch."""
         return self.profile.capabilities.pump
 
     def read(self) -> BathReading:
-        """One poll.
-
-        Raises DeviceError when the controller gives no temperature or has stopped by itself,
-        ProtocolError when it can't be one.
+        """One poll. Raises DeviceError for no temperature and for a controller that has stopped by
+        itself, ProtocolError for a temperature that can't be one.
         """
-        return self._do(self._read)
+        return self._retried(self._read)
 
     def get(self, name: str) -> float:
         """The value of any row; for one in degC only after a poll that makes sense."""
@@ -117,27 +106,24 @@ class Bath:
             relay = self._relay
             return self._switched(lambda: relay.value(relay.row(PUMP)), relay)
         row = self._rows.row(name)
-        return self._do(lambda: self._looked(row).value(row))
+        return self._retried(lambda: self._after_poll(row).value(row))
 
     def try_rows(self) -> Iterator[Tried]:
-        """Each row asked by itself, whoever is there; writes nothing. For a profile that is being
-        made. Raises LinkError where the link can't be opened.
-        """
+        """Ask each row of a profile that is being made, and write nothing. Raises LinkError."""
         with self._lock:
             for row in self._rows.profile.rows:
                 self._connect()
                 yield self._rows.tried(row)
 
     def set(self, name: str, value: float | str) -> None:
-        """Write a row (a number, or one of its labels) where it is another, and see that it stands.
-
-        A pump's relay is not switched off unless the controller stands by: that raises LimitError.
+        """Write a row (a number or a label) where it has another value, and read it back. Raises
+        LimitError where a pump's relay would be switched off before standby.
         """
         if self._relay and name == PUMP:
             return self._switch(self._relay, value)
         row = self._rows.row(name)
         wanted = self._rows.allowed(row, value)
-        return self._do(lambda: self._looked(row).set(row, wanted))
+        return self._retried(lambda: self._after_poll(row).set(row, wanted))
 
     def set_point(self, set_point_c: float) -> None:
         """Change the set point, running or not."""
@@ -148,11 +134,8 @@ class Bath:
         self.set("acknowledge", "acknowledge")
 
     def start(self, set_point_c: float) -> None:
-        """Heat to ``set_point_c``: no alarm (level among them), then the set point, then run (fact
-        sheet, 4.1.6).
-
-        With ``pump == "with run"`` the controller starts the pump by itself; a pump of its own has
-        to be on already, and one that is not fitted is the caller's to prove.
+        """Heat to ``set_point_c``: no alarm, the set point, then run (fact sheet, 4.1.6). A pump
+        with its own switch has to be on already.
         """
         self._rows.allowed(self._rows.row("set_point"), set_point_c)
         with self._lock:
@@ -187,10 +170,7 @@ class Bath:
         self.set("run", "standby")
 
     def safe(self) -> None:
-        """Standby whatever happened before, sent at once and even if it seems to stand by already;
-        tried 3 times.
-
-        Raises the last error when the controller can't be reached or does not obey: then it must be
+        """Standby at once, in any state; tried 3 times. Raises the last error: then it must be
         switched off by hand.
         """
         run = self._rows.row("run")
@@ -199,7 +179,7 @@ class Bath:
             self._times_made_safe += 1
             for tries_left in reversed(range(SAFE_TRIES)):
                 self._connect()
-                try:  # whoever it is: a wrong unit or an alarm must not keep the heater on
+                try:  # not identified: a wrong unit or an alarm must not keep the heater on
                     self._rows.send(run, run.values["standby"], urgent=True)
                 except InstrumentError:
                     self._wire.close()
@@ -216,7 +196,7 @@ class Bath:
                 self._relay.wire.close()
 
     def _connect(self) -> None:
-        """Open the link where it is down; whoever is there then has to be looked at anew."""
+        """Open the link where it is down; the controller has to be identified then."""
         if not self._wire.connected:
             self._rows.known = False
             self._wire.connect()
@@ -226,7 +206,7 @@ class Bath:
         wanted = relay.allowed(pump, value)
         with self._lock:
             if wanted == pump.values["off"]:
-                shown = self._do(lambda: self._rows.value(run))
+                shown = self._retried(lambda: self._rows.value(run))
                 if shown != run.values["standby"]:
                     state = run.label(shown)
                     what = f"the pump is not switched off while the controller is {state}"
@@ -236,7 +216,7 @@ class Bath:
     def _switched(self, work: Callable[[], T], relay: RegisterAccess) -> T:
         """``work``, on a link of the relay's own once more when that breaks."""
         if relay.shares:
-            return self._do(work)
+            return self._retried(work)
         with self._lock:
             if not relay.wire.connected:
                 relay.wire.connect()
@@ -246,27 +226,27 @@ class Bath:
                 relay.wire.connect()
                 return work()
 
-    def _do(self, work: Callable[[], T]) -> T:
+    def _retried(self, work: Callable[[], T]) -> T:
         """``work`` on a link that is up; once more over a new link when it breaks."""
         with self._lock:
             if not self._rows.known or not self._wire.connected:
-                self._meet()
+                self._identify()
             try:
                 return work()
             except BrokenError:
-                self._meet()
+                self._identify()
                 return work()
             except ChangedError:
                 self._rows.known = False
                 raise
 
-    def _meet(self) -> None:
+    def _identify(self) -> None:
         """Connect and identify; the link is closed where the controller does not fit."""
         self._rows.known = False
         self._connect()
         try:
-            reading, self._identity = self._rows.look()
-            self._see_that_it_runs(reading)
+            reading, self._identity = self._rows.identify()
+            self._check_running(reading)
         except BaseException:
             self._rows.known = False
             self._wire.close()
@@ -274,16 +254,16 @@ class Bath:
 
     def _read(self) -> BathReading:
         reading = self._rows.poll()
-        self._see_that_it_runs(reading)
+        self._check_running(reading)
         return reading
 
-    def _looked(self, row: Quantity) -> Rows:
+    def _after_poll(self, row: Quantity) -> Rows:
         """The rows; for one in degC after a poll: how the controller speaks may have changed."""
         if row.unit == "degC":
             self._rows.poll()
         return self._rows
 
-    def _see_that_it_runs(self, reading: BathReading) -> None:
+    def _check_running(self, reading: BathReading) -> None:
         if self._started and reading.running is False:
             self._started = False
             what, hint = "it has stopped by itself: a power cut?", "Start it anew."

@@ -16,7 +16,7 @@ from instruments.bath import protocol
 from instruments.bath.line_dialects import Dialect
 from instruments.bath.profile import PUMP, RegisterProfile, RelayProfile, Wiring
 from instruments.bath.protocol import Exchange, Frame, Plain, Read, Refused, Write
-from instruments.bath.register_semantics import Cells, Controller, Manners, Values, manners_of
+from instruments.bath.register_semantics import Behaviour, Cells, Controller, Values, behaviour_of
 from instruments.bath.rows import Row
 from instruments.clock import Clock
 from instruments.listener import Connection
@@ -42,9 +42,8 @@ FAULTS = (*WIRE_FAULTS, "gaps refused", RESET, *SETTING_FAULTS, *PLANT_FAULTS, L
 
 
 class Emulator:
-    """A device over ``plant`` that can be broken: at its wire, in the plant, at the settings of its
-    ``panel``, by an ``outage``, during which it has no power, for ``reset_s``. A late answer takes
-    ``late_s``; a serial device never answers out of order.
+    """A device over ``plant`` with faults of its wire, the plant, the settings of its ``panel``,
+    and an ``outage`` of ``reset_s`` without power. A serial device answers in order.
     """
 
     kind: ClassVar[str] = "bath"
@@ -142,11 +141,8 @@ class Emulator:
 
 
 class Server(Emulator):
-    """A Modbus device over ``plant`` that answers for ``unit_id`` (the profile's by default) alone.
-
-    ``framing``: "tcp" for Modbus TCP, "rtu" for RTU on a pty or over TCP; by default what the
-    family has, TCP first. Of its faults, "wrong length" leaves a register (or eight bits) out of an
-    answer, "surplus" adds one. Raises ValueError for a framing that is none.
+    """A Modbus device that answers for ``unit_id`` alone. ``framing``: "tcp", or "rtu" on a pty or
+    over TCP; by default the family's, TCP first. Raises ValueError for another.
     """
 
     framing: Framing
@@ -156,19 +152,19 @@ class Server(Emulator):
         plant: Plant,
         profile: Wiring,
         clock: Clock,
-        manners: Manners,
+        behaviour: Behaviour,
         values: Values,
         unit_id: int | None,
         framing: Framing | None,
     ) -> None:
-        super().__init__(plant, clock, values, manners.reset_s)
+        super().__init__(plant, clock, values, behaviour.reset_s)
         if framing is not None and framing not in get_args(Framing):
             raise ValueError(f"no framing '{framing}'; there are tcp and rtu")
         self.profile = profile
         self.framing = framing or ("tcp" if "tcp" in profile.transports else "rtu")
         self.unit_id = unit_id or profile.unit_id
-        self._manners = manners
-        self._cells = Cells(profile, manners, values, self._faults)
+        self._behaviour = behaviour
+        self._cells = Cells(profile, behaviour, values, self._faults)
         self._garbage = cycle(GARBAGE)
         self._readers: dict[Connection, protocol.FrameReader | protocol.RtuReader] = {}
 
@@ -210,15 +206,18 @@ class Server(Emulator):
 
     def _answer(self, pdu: bytes) -> bytes:
         """The PDU to answer with; empty for none."""
-        function, manners = pdu[0], self._manners
+        function, behaviour = pdu[0], self._behaviour
         if "busy" in self._faults:
-            return protocol.answer_refusal(function, protocol.BUSY) if manners.says_busy else b""
+            return protocol.answer_refusal(function, protocol.BUSY) if behaviour.says_busy else b""
         try:
-            if function not in manners.functions:
+            if function not in behaviour.functions:
                 raise Refused(protocol.ILLEGAL_FUNCTION)
             return self._execute(pdu)
         except Refused as refused:
-            if refused.code == protocol.ILLEGAL_FUNCTION and manners.unknown_function == "silence":
+            if (
+                refused.code == protocol.ILLEGAL_FUNCTION
+                and behaviour.unknown_function == "silence"
+            ):
                 return b""
             return protocol.answer_refusal(function, refused.code)
 
@@ -245,12 +244,9 @@ class Server(Emulator):
 
 
 class BathEmulator(Server):
-    """Serves ``plant`` as a controller of ``profile``'s family; else as `Server`.
-
-    A family that turns its pump by itself turns the plant's; behind any other the pump stands until
-    a relay switches it. ``as_shipped``: in the factory's unit, which is degF for some. The fault
-    "controller reset" happens once and ends by itself; ``on=False`` ends it at once. Settings may
-    also be changed over the wire, where the family allows it.
+    """Serves ``plant`` as a controller of ``profile``'s family; where the family has no pump, a
+    relay switches the plant's. ``as_shipped``: in the factory's unit. The fault "controller reset"
+    ends by itself.
     """
 
     known_faults: ClassVar[tuple[str, ...]] = FAULTS
@@ -268,10 +264,10 @@ class BathEmulator(Server):
         framing: Framing | None = None,
         as_shipped: bool = False,
     ) -> None:
-        manners = manners_of(profile)
-        panel = Controller(plant, profile, manners, unit_id or profile.unit_id)
-        panel.fahrenheit = as_shipped and manners.fahrenheit_as_shipped
-        super().__init__(plant, profile, clock, manners, panel, unit_id, framing)
+        behaviour = behaviour_of(profile)
+        panel = Controller(plant, profile, behaviour, unit_id or profile.unit_id)
+        panel.fahrenheit = as_shipped and behaviour.fahrenheit_as_shipped
+        super().__init__(plant, profile, clock, behaviour, panel, unit_id, framing)
         plant.fit(circulator=profile.capabilities.pump == "with run")
 
     def plain(self, request: Plain) -> bytes:
@@ -308,9 +304,8 @@ class Contacts(Values):
 
 
 class RelayEmulator(Server):
-    """The relay of a pump, with a power supply of its own: its row ``pump`` switches the pump of
-    ``plant``, off at first. As `Server`; the fault "power cut" opens the contact, and the relay is
-    silent until the fault ends.
+    """The relay of a pump: its row ``pump`` switches the plant's. The fault "power cut" opens the
+    contact, and the relay is silent until the fault ends.
     """
 
     kind: ClassVar[str] = "pump's relay"
@@ -327,9 +322,9 @@ class RelayEmulator(Server):
         unit_id: int | None = None,
         framing: Framing | None = None,
     ) -> None:
-        manners = Manners(alike=profile.alike, reset_s=math.inf)
+        behaviour = Behaviour(alike=profile.alike, reset_s=math.inf)
         contacts = Contacts(plant, profile)
-        super().__init__(plant, profile, clock, manners, contacts, unit_id, framing)
+        super().__init__(plant, profile, clock, behaviour, contacts, unit_id, framing)
 
     def cut_power(self, on: bool) -> None:
         if on:

@@ -5,7 +5,7 @@ each command of a poll is sent twice, and the two replies have to agree; then th
 whose reply can be no other row's: had a line come twice or late, the marker's place would hold
 another reply. It is asked between two commands too where the reply to the first would do for the
 second: doubled replies would agree there, and one lost later would hide them. After a fault nothing
-is believed until the marker has been answered and the line was quiet. A number that is changed in
+is used until the marker has been answered and the line was quiet. A number that is changed in
 the same way in both replies can't be noticed.
 """
 
@@ -23,7 +23,7 @@ from instruments.bath.rows import LineRow, fits
 from instruments.bath.session import BrokenError, RefusedError, Session
 from instruments.clock import Clock
 from instruments.errors import DeviceError, LimitError, LinkError, ProtocolError
-from instruments.tap import Tap
+from instruments.link import Tap
 
 ASKS = 4  # of one command, until two replies in a row agree
 ATTEMPTS = 2  # of a whole question, the second one on a line that was made quiet
@@ -41,15 +41,15 @@ class Question:
 
 
 class Lines(Session):
-    """A connection that sends commands and takes lines. ``in_step``: no line is under way that
-    could be taken for the next reply.
-    """
+    """Sends commands and takes lines. ``in_step``: no late line can be taken for the next reply."""
 
     def __init__(
         self, url: str, profile: LineProfile, clock: Clock, *, who: str, tap: Tap | None
     ) -> None:
         super().__init__(line_to(url, profile, who), clock, who=who, tap=tap)
-        self.speech = f"{profile.family}'s lines of ASCII, at this rate and with this parity"
+        self.expected_protocol = (
+            f"{profile.family}'s lines of ASCII, at this rate and with this parity"
+        )
         self._profile = profile
         self._gap_s = profile.gap_s if self.line.gap_s is None else self.line.gap_s
         self._end = profile.end.encode("ascii")
@@ -62,7 +62,7 @@ class Lines(Session):
         self.in_step = False
 
     def take(self, data: bytes) -> None:
-        """Lines; one that nobody waits for is dropped, and shows that we are out of step."""
+        """Lines; one that is not awaited is dropped, and shows that we are out of step."""
         self._buffer += data
         while self._reply_end in self._buffer:
             line, self._buffer = self._buffer.split(self._reply_end, 1)
@@ -88,20 +88,20 @@ class Lines(Session):
             )
         return question.reply
 
-    def tell(self, command: str) -> None:
+    def send(self, command: str) -> None:
         """Send a command that nothing answers."""
         self._put(command, answered=False)
 
     def become_quiet(self, until_s: float) -> None:
         """Drop what comes until nothing has come for the profile's ``quiet_s``."""
         self._open = None
-        self.heard_s = self.clock.now()
+        self.received_s = self.clock.now()
         while True:
-            heard_s = self.heard_s
-            end_s = min(until_s, heard_s + self._profile.quiet_s)
+            received_s = self.received_s
+            end_s = min(until_s, received_s + self._profile.quiet_s)
             if self.clock.now() >= end_s:
                 break
-            self.receive_until(end_s, lambda before=heard_s: self.heard_s != before)  # type: ignore[misc]
+            self.receive_until(end_s, lambda before=received_s: self.received_s != before)  # type: ignore[misc]
         self._buffer = b""
 
     def close(self) -> None:
@@ -112,7 +112,7 @@ class Lines(Session):
         # an event of virtual time may ask in the midst of another question: that one comes first
         if self._open is not None:
             self._wait(self._open)
-        self.clock.sleep(self.heard_s + self._gap_s - self.clock.now())
+        self.clock.sleep(self.received_s + self._gap_s - self.clock.now())
         link = self.up()
         while self.receive(link, 0.0):  # what lies there unasked answers nothing
             self.in_step = False
@@ -158,7 +158,7 @@ class LineAccess(Access[LineRow]):
         self._mark = ""  # what the marker answers
         self._absent: set[str] = set()  # optional rows that it does not answer
 
-    def greet(self) -> None:
+    def detect_format(self) -> None:
         self._find_mark()
         self._absent = set()
 
@@ -170,7 +170,7 @@ class LineAccess(Access[LineRow]):
         return self.poll_now()
 
     @property
-    def learnt(self) -> Mapping[str, str]:
+    def detected(self) -> Mapping[str, str]:
         return {"not answered": ", ".join(sorted(self._absent))} if self._absent else {}
 
     @property
@@ -183,10 +183,10 @@ class LineAccess(Access[LineRow]):
     def fetch(self, start_s: float) -> Mapping[str, Raw]:
         rows = self._polled
         lines = self.replies(rows)
-        self.in_time(start_s, len(lines))
+        self.check_deadline(start_s, len(lines))
         return {row.name: lines[row.ask] for row in rows}
 
-    def guesses(self, raw: Raw) -> Iterator[str]:
+    def diagnoses(self, raw: Raw) -> Iterator[str]:
         return self.assembler.in_fahrenheit(self.decode(self.profile.row("temperature"), raw))
 
     def ask(self, row: LineRow) -> str:
@@ -200,14 +200,14 @@ class LineAccess(Access[LineRow]):
     def write(self, row: LineRow, value: float, *, urgent: bool) -> None:
         if not urgent:
             self._come_in_step()
-        self._tell(row, row.command(value), urgent=urgent)
+        self._send(row, row.command(value), urgent=urgent)
         self.clock.sleep(self.profile.settle_s)
 
-    def _tell(self, row: LineRow, command: str, *, urgent: bool) -> None:
+    def _send(self, row: LineRow, command: str, *, urgent: bool) -> None:
         """Send a write, and take its answer."""
         confirm = self.profile.confirm if row.confirm is None else row.confirm
         if not confirm:
-            self.wire.tell(command)
+            self.wire.send(command)
             return
         try:
             reply = self.wire.ask(command)
@@ -223,9 +223,8 @@ class LineAccess(Access[LineRow]):
                 raise self._no(f"the answer to a write is {confirm!r}", command, reply)
 
     def replies(self, rows: Sequence[LineRow]) -> dict[str, str]:
-        """The reply to each command of ``rows``, each asked until two agree; the marker last, and
-        where a reply that came twice could be taken for the next one. Raises LinkError,
-        ProtocolError, RefusedError.
+        """The reply to each command of ``rows``, each asked until two agree, with the marker where
+        needed. Raises LinkError, ProtocolError, RefusedError.
         """
         commands = list(dict.fromkeys(row.ask for row in rows))
         for attempt in range(1, ATTEMPTS + 1):
@@ -299,13 +298,13 @@ class LineAccess(Access[LineRow]):
                 return after
             before = after
         what = f"in {ASKS} answers to the same question no two in a row agree"
-        raise self._nonsense(what, command, before)
+        raise self._unexpected(what, command, before)
 
     def _expect_mark(self) -> None:
         reply = self.wire.ask(self._marker.ask)
         if reply != self._mark:
-            what = "an answer came twice, late or changed: nothing of it is believed"
-            raise self._nonsense(what, self._marker.ask, reply)
+            what = "an answer came twice, late or changed: nothing of it is used"
+            raise self._unexpected(what, self._marker.ask, reply)
 
     def _come_in_step(self) -> None:
         """See that no line is under way that could be taken for the next reply."""
@@ -360,8 +359,8 @@ class LineAccess(Access[LineRow]):
         if reply in self.profile.refusals:
             what = f"refused: {self.profile.refusals[reply]}"
             return RefusedError(self.who, what, asked=command, seen=reply)
-        return self._nonsense(what, command, reply)
+        return self._unexpected(what, command, reply)
 
-    def _nonsense(self, what: str, command: str, reply: str) -> ProtocolError:
+    def _unexpected(self, what: str, command: str, reply: str) -> ProtocolError:
         hint = f"Is this a {self.profile.family}, and is the cable sound?"
         return ProtocolError(self.who, what, asked=command, seen=reply, hint=hint)

@@ -15,12 +15,9 @@ LEAST_C, MOST_C = -50.0, 300.0
 
 
 class Dialect:
-    """A circulator's panel over ``plant``: ``manual_mode`` (operated by hand) and ``fahrenheit``
-    are its settings; ``end`` ends a command, ``reply_end`` a reply.
-
-    ``READS`` are its questions. ``RUNS`` are the commands that start and stop it, and ``SETS``
-    begins the one that gives it a set point: ``DONE`` is said to these, ``WRONG`` to a set point
-    that is none, ``OUTSIDE`` to one that it can't have, ``UNKNOWN`` to anything else.
+    """A circulator's panel over ``plant``. ``READS``: its queries; ``RUNS``: commands that start
+    and stop it; ``SETS``: the beginning of the set point's command. ``DONE``, ``WRONG``,
+    ``OUTSIDE``, ``UNKNOWN``: its replies.
     """
 
     end: bytes = b"\r"

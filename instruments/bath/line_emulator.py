@@ -33,9 +33,7 @@ DAMAGES: Mapping[str, Damage] = {
 
 
 class LineEmulator(Emulator):
-    """Serves ``plant`` as a circulator of ``profile``'s family, at the bytes of its serial port or
-    of a socket.
-    """
+    """Serves ``plant`` as a circulator of ``profile``'s family that speaks lines of ASCII."""
 
     whose_faults: ClassVar[str] = " of a bath that speaks lines of ASCII"
     known_faults: ClassVar[tuple[str, ...]] = LINE_FAULTS
@@ -83,7 +81,7 @@ def dialect_of(profile: LineProfile) -> Callable[[Plant], Dialect]:
 
 
 class ByProfile(Dialect):
-    """A family that nobody has written a dialect for: it answers as its profile says."""
+    """A family without a dialect of its own: it answers as its profile says."""
 
     def __init__(self, plant: Plant, profile: LineProfile) -> None:
         super().__init__(plant)
@@ -161,7 +159,7 @@ class ByProfile(Dialect):
 def _told(row: LineRow, command: str) -> float | None:
     """The value that ``command`` writes to ``row``; None where it is none of its commands."""
     if not isinstance(row.tell, str):
-        words = {told.lower(): label for label, told in row.tell.items()}
+        words = {command.lower(): label for label, command in row.tell.items()}
         label = words.get(command.lower())
         return None if label is None else float(row.values[label])
     if not row.tell:

@@ -8,18 +8,17 @@ driver writes ``started`` and never a number.
 
 from __future__ import annotations
 
-import json
-import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from instruments.bath.connection import MODBUS_PORT, Line, LineError, parse_line
 from instruments.bath.rows import Evidence, LineRow, Order, Quantity, Row, Strict, Table
+from instruments.device_file import DeviceFileError, FaultsError, Keys, read_device
 from instruments.errors import LinkError
 from instruments.port_settings import PortSettings
 
@@ -43,32 +42,12 @@ REACHED_BY = {  # a transport, as a URL
 Made = TypeVar("Made", bound="Device")
 
 
-class ProfileError(ValueError):
-    """A profile with faults: its ``path``; ``faults`` as (key path, message), all at once."""
-
-    def __init__(self, path: Path, faults: Sequence[tuple[str, str]]) -> None:
-        self.path = path
-        self.faults = tuple(faults)
-        said = "; ".join(f"{key}: {message}" if key else message for key, message in faults)
-        super().__init__(f"{path}: {said}")
-
-
-class FaultsError(ValueError):
-    """Faults that a check of the whole has found: (key path, message) each."""
-
-    def __init__(self, faults: list[tuple[str, str]]) -> None:
-        self.faults = faults
-        super().__init__("; ".join(message for _, message in faults))
-
-
-Faults = Iterator[tuple[str, str]]
+Faults = Iterator[tuple[Keys, str]]
 
 
 class Device(Strict):
-    """A device of some make: how it is spoken to, and its rows.
-
-    ``timeout_s`` is the wait for an answer, and ``quiet_s`` how much later one may still come: the
-    slowest that the family is known to be.
+    """A device of some make: how it is spoken to, and its rows. ``timeout_s``: the wait for an
+    answer; ``quiet_s``: how much later one may still come.
     """
 
     family: str
@@ -98,9 +77,9 @@ class Device(Strict):
         names = [row.name for row in self.rows]
         for at, row in enumerate(self.rows):
             for fault in row.faults():
-                yield f"rows.{at}", f"{row.name}: {fault}"
+                yield ("rows", at), f"{row.name}: {fault}"
             if row.name in names[:at]:
-                yield f"rows.{at}.name", f"a second row '{row.name}'"
+                yield ("rows", at, "name"), f"a second row '{row.name}'"
 
     def find(self, name: str) -> Quantity | None:
         """The row called ``name``, or None where the family has none."""
@@ -115,9 +94,8 @@ class Device(Strict):
 
 
 class Wiring(Device):
-    """A Modbus device. ``functions`` are the Modbus functions that it knows; with ``alike``, 3 and
-    4 read the same registers. From address ``pairs_from`` on, registers are read and written in
-    pairs only.
+    """A Modbus device with its ``functions``; with ``alike``, 3 and 4 read the same registers. From
+    address ``pairs_from`` on, registers are read and written in pairs.
     """
 
     transports: Annotated[tuple[Literal["tcp", "rtu"], ...], Field(min_length=1)]
@@ -138,12 +116,12 @@ class Wiring(Device):
         yield from super().faults()
         for at, row in enumerate(self.rows):
             for fault in self._unreachable(row):
-                yield f"rows.{at}", f"{row.name}: {fault}"
+                yield ("rows", at), f"{row.name}: {fault}"
         places = sorted(enumerate(self.rows), key=lambda place: (place[1].table, place[1].address))
         for (_, first), (at, row) in combinations(places, 2):
             if row.table == first.table and row.address < first.end:
                 what = f"{row.name} at {row.table} {row.address}"
-                yield f"rows.{at}.address", f"{what} overlaps {first.name} at {first.address}"
+                yield ("rows", at, "address"), f"{what} overlaps {first.name} at {first.address}"
 
     def _unreachable(self, row: Row) -> Iterator[str]:
         known = ", ".join(map(str, self.functions))
@@ -175,10 +153,10 @@ class RelayProfile(Wiring):
         yield from super().faults()
         pump = self.find(PUMP)
         if pump is None:
-            yield "rows", "the row 'pump' is missing"
+            yield ("rows",), "the row 'pump' is missing"
         elif not _is_switch(pump):
-            at = f"rows.{self.rows.index(pump)}"
-            yield at, "pump: access 'rw' and the labels 'on' and 'off' are needed"
+            at = self.rows.index(pump)
+            yield ("rows", at), "pump: access 'rw' and the labels 'on' and 'off' are needed"
 
 
 def _is_switch(row: Quantity) -> bool:
@@ -235,9 +213,8 @@ class Identity(Strict):
 
 
 class Profile(Device):
-    """One family of temperature controllers, whatever it speaks. ``panel_rows`` say how the
-    controller speaks, and may be changed at its panel; ``remote_label`` is the value of the row
-    ``remote`` while it obeys us.
+    """A family of controllers. ``panel_rows`` may be changed at its panel; ``remote_label``: the
+    value of the row ``remote`` under our control.
     """
 
     remote_label: ClassVar[str] = "remote"
@@ -275,34 +252,40 @@ class Profile(Device):
 
     def faults(self) -> Faults:
         yield from super().faults()
-        at = {row.name: f"rows.{index}" for index, row in enumerate(self.rows)}
+        at = {row.name: index for index, row in enumerate(self.rows)}
         for name in ("temperature", "set_point", "run"):
             if name not in at:
-                yield "rows", f"the row '{name}' is missing"
+                yield ("rows",), f"the row '{name}' is missing"
         for name in {"run", "set_point"} & set(at):
             if self.row(name).access != "rw":
                 what = "the bench has to read and write it, so access must be 'rw'"
-                yield f"{at[name]}.access", f"{name}: {what}"
+                yield ("rows", at[name], "access"), f"{name}: {what}"
         for name in self.panel_rows & set(at):
             if not self.row(name).poll:
-                yield at[name], f"{name}: it may be changed at the panel, so it has to be polled"
+                yield (
+                    ("rows", at[name]),
+                    f"{name}: it may be changed at the panel, so it has to be polled",
+                )
         pump, run = self.find(PUMP), self.find("run")
         if self.capabilities.pump == "own" and not (pump and _is_switch(pump)):
             what = "an own pump needs a row 'pump' with access 'rw' and the labels 'on' and 'off'"
-            yield "capabilities.pump", what
+            yield ("capabilities", "pump"), what
         if run is not None and not {"standby", "started"} <= set(run.values):
-            yield f"{at['run']}.values", "run: the labels 'standby' and 'started' are needed"
+            yield (
+                ("rows", at["run"], "values"),
+                "run: the labels 'standby' and 'started' are needed",
+            )
         yield from self._reference_faults()
 
     def _reference_faults(self) -> Faults:
         for index, identity in enumerate(self.identity):
             if self.find(identity.row) is None:
-                yield f"identity.{index}.row", f"there is no row '{identity.row}'"
+                yield ("identity", index, "row"), f"there is no row '{identity.row}'"
         for name, label in self.before_start.items():
             setting = self.find(name)
             if setting is None or label not in setting.values or setting.access != "rw":
                 what = f"there is no row '{name}' that may be written with the value '{label}'"
-                yield f"before_start.{name}", what
+                yield ("before_start", name), what
 
 
 class RegisterProfile(Wiring, Profile):
@@ -325,17 +308,13 @@ class RegisterProfile(Wiring, Profile):
             row = self.find(source.row)
             if row is None or row.order is None:
                 what = f"there is no row '{source.row}' with an order of its own"
-                yield "order_from.row", what
+                yield ("order_from", "row"), what
 
 
 class LineProfile(Profile):
-    """A family that speaks lines of ASCII.
-
-    ``end`` ends a command and ``reply_end`` a reply. ``marker`` is the row whose reply can be no
-    other row's: it shows that no late reply is under way. ``confirm`` is the reply to a write, ""
-    where there is none; ``refusals`` are replies that refuse a command, with their meaning.
-    ``gap_s`` is the pause between a reply and the next command, ``settle_s`` the time until a write
-    shows in what is read, ``port`` the TCP port.
+    """A family that speaks lines of ASCII. ``marker``: the row whose reply can be no other row's.
+    ``confirm``: the reply to a write; ``refusals``: replies that refuse, with their meaning.
+    ``gap_s``: the pause after a reply; ``settle_s``: until a write can be read back.
     """
 
     kind: Literal["line"]
@@ -364,18 +343,16 @@ class LineProfile(Profile):
         yield from super().faults()
         marker = self.find(self.marker)
         if marker is None or not marker.ask:
-            yield "marker", f"there is no row '{self.marker}' that can be asked"
+            yield ("marker",), f"there is no row '{self.marker}' that can be asked"
         elif marker.is_number:
-            yield "marker", f"the reply of '{self.marker}' is a number, as other rows' are"
+            yield ("marker",), f"the reply of '{self.marker}' is a number, as other rows' are"
         for key in ("end", "reply_end"):
             if getattr(self, key).strip("\r\n"):
-                yield key, "a carriage return, a line feed or both are needed"
+                yield (key,), "a carriage return, a line feed or both are needed"
 
 
 def line_to(url: str, profile: Device, who: str) -> Line:
-    """The line that ``url`` names, with the profile's settings where it names none. Raises
-    LinkError for one that the family can't have.
-    """
+    """The line that ``url`` names, else the profile's. Raises LinkError for another kind."""
     lines = profile if isinstance(profile, LineProfile) else None
     port = lines.port if lines else MODBUS_PORT
     try:
@@ -398,48 +375,37 @@ def line_to(url: str, profile: Device, who: str) -> Line:
 
 
 def load_profile(name_or_path: str | Path) -> Profile:
-    """A shipped profile by its name, or any by its path (``*.toml``). Raises ProfileError."""
-    return _load(name_or_path, SHIPPED, "shipped profiles", RegisterProfile, LineProfile)
+    """A shipped profile by its name, or any by its path (``*.toml``). Raises DeviceFileError."""
+
+    def kind(content: Mapping[str, Any]) -> type[Profile]:
+        return LineProfile if "kind" in content else RegisterProfile
+
+    return _load(name_or_path, SHIPPED, "shipped profiles", kind)
 
 
 def load_register_profile(name_or_path: str | Path) -> RegisterProfile:
-    """As `load_profile`, of a family that speaks Modbus. Raises ProfileError for another."""
-    return _load(name_or_path, SHIPPED, "shipped profiles", RegisterProfile)
+    """As `load_profile`, of a family that speaks Modbus."""
+    return _load(name_or_path, SHIPPED, "shipped profiles", lambda _: RegisterProfile)
 
 
 def load_relay(name_or_path: str | Path) -> RelayProfile:
     """As `load_profile`, for the relay of a pump."""
-    return _load(name_or_path, RELAYS, "shipped profiles of relays", RelayProfile)
+    return _load(name_or_path, RELAYS, "shipped profiles of relays", lambda _: RelayProfile)
 
 
 def _load(
     name_or_path: str | Path,
     shipped: Path,
     what: str,
-    usual: type[Made],
-    of_lines: type[Made] | None = None,
+    kind: Callable[[Mapping[str, Any]], type[Made]],
 ) -> Made:
-    """What the file says, as ``usual``, or ``of_lines`` where it has a ``kind``. Raises
-    ProfileError with all its faults.
-    """
     path = Path(name_or_path)
     path = path if path.suffix == ".toml" else shipped / f"{name_or_path}.toml"
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-        kind = of_lines if of_lines and "kind" in content else usual
-        return kind.model_validate_json(json.dumps(content, default=str), strict=True)
+        return read_device(path, kind)
     except OSError as error:
-        hint = f"; {what}: {', '.join(_names(shipped))}"
-        raise ProfileError(path, [("", f"can't be read: {error.strerror}{hint}")]) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ProfileError(path, [("", f"is no TOML: {error}")]) from error
-    except ValidationError as error:
-        faults: list[tuple[str, str]] = []
-        for fault in error.errors():
-            cause = fault.get("ctx", {}).get("error")
-            place = ".".join(str(part) for part in fault["loc"])
-            faults += cause.faults if isinstance(cause, FaultsError) else [(place, fault["msg"])]
-        raise ProfileError(path, faults) from error
+        there = f"can't be read: {error.strerror}; {what}: {', '.join(_names(shipped))}"
+        raise DeviceFileError(path, [((), there)]) from error
 
 
 def _names(folder: Path) -> list[str]:

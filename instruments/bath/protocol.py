@@ -136,9 +136,7 @@ def parse(pdu: bytes) -> Request:
 
 
 def answer_read(request: Read, values: Sequence[int]) -> bytes:
-    """The PDU that carries ``values``; as many as there are, so a wrong number can be sent on
-    purpose. Bits go into bytes from the lowest place.
-    """
+    """The PDU that carries ``values``, of any number; bits fill bytes from the lowest place."""
     if request.function in BITS:
         whole = sum(bit << at for at, bit in enumerate(values))
         data = whole.to_bytes(-(-len(values) // 8), "little")
@@ -194,9 +192,7 @@ class FrameReader:
 
 
 class RtuReader:
-    """Takes bytes cut anywhere, gives whole frames of RTU. After a broken frame everything is
-    dropped until the line has been quiet for ``GAP_S``.
-    """
+    """Bytes, cut anywhere, to RTU frames; a broken frame drops all until ``GAP_S`` of silence."""
 
     def __init__(self) -> None:
         self._buffer = b""

@@ -22,13 +22,9 @@ class ChangedError(ProtocolError):
 
 @dataclass(frozen=True, slots=True)
 class BathReading:
-    """One poll, at ``t_s`` of the clock. None where the family has no such row or the controller
-    gave no number.
-
-    ``raw`` is the temperature as it came (registers, or characters), to tell a frozen value from a
-    steady one. ``alarm`` and ``warning`` are the controller's codes, 0 for none;
-    `Profile.alarm_text` gives an alarm's meaning. ``remote``: whether it accepts commands from
-    here; ``running``: whether it heats, and turns its pump where ``pump == "with run"``.
+    """One poll at ``t_s``; None where the family has no such row or there was no number. ``raw``:
+    the temperature as it came. ``alarm``, ``warning``: codes, 0 for none. ``remote``: whether it
+    takes our commands; ``running``: whether it heats.
     """
 
     t_s: float
@@ -60,15 +56,13 @@ class Assembler:
         raw: Sequence[int],
         *,
         alarm: int,
-        guess: str,
+        diagnosis: str,
     ) -> BathReading:
-        """The reading of ``values`` by row, where there is none not-a-number; ``raw`` is the
-        temperature's. ``guess``: what else an implausible temperature may mean.
-
-        Raises DeviceError when there is no temperature, ProtocolError when it is none that a bath
-        has.
+        """The reading of ``values`` by row; ``raw`` is the temperature's, ``diagnosis`` what else
+        an implausible one may mean. Raises DeviceError without a temperature, ProtocolError for an
+        implausible value.
         """
-        self._check(rows, values, alarm, guess)
+        self._check(rows, values, alarm, diagnosis)
         return BathReading(
             t_s=t_s,
             temp_c=values["temperature"],
@@ -105,7 +99,7 @@ class Assembler:
         value = values.get(name, math.nan)
         return None if math.isnan(value) else value == self._profile.row(name).values.get(label)
 
-    def _check(self, rows: Sequence[Quantity], values: Values, alarm: int, guess: str) -> None:
+    def _check(self, rows: Sequence[Quantity], values: Values, alarm: int, diagnosis: str) -> None:
         if self._shows(values, "unit", "c") is False:  # changed at the panel
             seen = self._profile.row("unit").label(values["unit"])
             what, hint = "it does not speak degC", "Set the controller to degrees Celsius."
@@ -121,7 +115,7 @@ class Assembler:
                 if alarm and self._profile.means(alarm, "sensor"):
                     raise self._no_temperature(row.name, alarm)
                 low, high = self._profile.plausible_c
-                why, hint = f"not within {low:g} to {high:g} degC", guess
+                why, hint = f"not within {low:g} to {high:g} degC", diagnosis
             elif row.unit == "%" and abs(value) > FULL_PERCENT:
                 why = "not within -100 to 100 %"
             elif row.values and not row.alarm and not row.is_known(value):

@@ -16,15 +16,14 @@ from instruments.bath.session import RefusedError
 from instruments.bath.transactions import Transactions
 from instruments.clock import Clock
 from instruments.errors import ProtocolError
-from instruments.tap import Tap
+from instruments.link import Tap
 
 HEXADECIMAL = ("model", "version")
 
 
 class RegisterAccess(Access[Row]):
-    """The rows of ``profile`` at ``url``: on the link ``shared`` where that leads to the same line,
-    else on a link of its own. ``order`` is the order of bytes just now. Raises LinkError for a URL
-    that the family can't have.
+    """The rows of ``profile`` at ``url``, on the link ``shared`` where that is the same line.
+    ``order``: the present order of bytes. Raises LinkError for a URL that the family can't have.
     """
 
     SHOWN: ClassVar[tuple[str, ...]] = ("model", "version", "firmware", "cut_out")
@@ -60,7 +59,7 @@ class RegisterAccess(Access[Row]):
         self._unit_id = line.unit_id or profile.unit_id
         self._blocks: tuple[Block, ...] = ()
 
-    def greet(self) -> None:
+    def detect_format(self) -> None:
         profile = cast(RegisterProfile, self.profile)
         if source := profile.order_from:
             code = int(self.value(self.row(source.row)))
@@ -72,29 +71,29 @@ class RegisterAccess(Access[Row]):
             self.order = order
 
     @property
-    def learnt(self) -> Mapping[str, str]:
+    def detected(self) -> Mapping[str, str]:
         return {"order": self.order}
 
     def first_poll(self) -> BathReading:
         """With the gaps between rows read over, which a controller may refuse."""
-        self.take_in(gaps=True)
+        self.choose_blocks(gaps=True)
         try:
             return self.poll_now()
         except RefusedError as refused:
             if not refused.no_row:
                 raise
-        self.take_in(gaps=False)
+        self.choose_blocks(gaps=False)
         return self.poll_now()
 
-    def take_in(self, *, gaps: bool) -> None:
+    def choose_blocks(self, *, gaps: bool) -> None:
         """Choose the questions of a poll, as `requests.blocks` does."""
         self._blocks = blocks(self.profile, gaps=gaps, inferred=self.allow_inferred)
 
     def fetch(self, start_s: float) -> Mapping[str, Raw]:
         found: dict[str, Raw] = {}
         for block in (asked := self._blocks):
-            found |= block.apart(self._read(block.function, block.address, block.count))
-            self.in_time(start_s, len(asked))
+            found |= block.split_rows(self._read(block.function, block.address, block.count))
+            self.check_deadline(start_s, len(asked))
         return found
 
     def reading(self, t_s: float, raw: Mapping[str, Raw]) -> BathReading:
@@ -112,7 +111,7 @@ class RegisterAccess(Access[Row]):
             return int(raw[0]) if raw[0] in row.no_value.values() else 0
         return super().alarm_of(row, value, raw)
 
-    def guesses(self, raw: Raw) -> Iterator[str]:
+    def diagnoses(self, raw: Raw) -> Iterator[str]:
         """In degF, and in each other order of words."""
         row, words = self.row("temperature"), [int(word) for word in raw]
         yield from self.assembler.in_fahrenheit(row.decode(words, self.order))

@@ -42,18 +42,12 @@ WORDS: Mapping[int, Table] = {3: "holding", 4: "holding", 6: "holding", 16: "hol
 
 
 @dataclass(frozen=True, slots=True)
-class Manners:
-    """One family's ways.
-
-    ``functions`` says which table each function works on; others get exception 1, or nothing where
-    ``unknown_function`` is "silence". ``alike``: input registers are the holding registers,
-    discrete inputs the coils. ``gaps``: what is read where no row is. ``says_busy``: it has
-    exception 6; without it, a busy controller is silent. ``areas``: each quantity has a 16-bit
-    register n and, at 0x8000 + 2 n, a pair. ``sensor_break`` is what the temperature reads then:
-    not-a-number, the last value before, or a raw code. After a reset of ``reset_s`` it stands by,
-    or carries on. ``writable``: rows that anybody may write though the bench only looks; None for
-    all holding registers. ``bits`` are the status word's, by what they tell. ``starts``: what rows
-    that are only remembered hold at first.
+class Behaviour:
+    """How a family answers. ``functions``: each function's table. ``gaps``: what is read where no
+    row is. ``says_busy``: it has exception 6. ``areas``: register n and the pair at 0x8000 + 2 n.
+    ``sensor_break``: what the temperature reads then. ``writable``: rows that any host may write,
+    None for all holding registers. ``bits``: of the status word. ``starts``: first values of stored
+    rows.
     """
 
     functions: Mapping[int, Table] = field(default_factory=lambda: STANDARD)
@@ -82,7 +76,7 @@ LIMITS = {
 
 # 1.2: no bits; floats need function 16; all holding registers RW; the start command is gone after a
 # power cut
-JULABO = Manners(
+JULABO = Behaviour(
     functions={3: "holding", 4: "input", 6: "holding", 16: "holding", 23: "holding"},
     after_reset="standby",
     writable=None,
@@ -97,7 +91,7 @@ JULABO = Manners(
     },
 )
 # 1.1: an unsupported function gets no reply; exceptions 2 and 3 only; 5 s silent when it resets
-EUROTHERM = Manners(
+EUROTHERM = Behaviour(
     functions={**WORDS, **dict.fromkeys((1, 2, 5), "coil"), 7: "holding", 8: "holding"},
     unknown_function="silence",
     alike=True,
@@ -111,7 +105,7 @@ EUROTHERM = Manners(
     bits={"alarm 1": 0x0001, "manual": 0x0010, "sensor": 0x0020, "loop": 0x0040},
     starts={**LIMITS, "decimals": 1.0, "version": 0x0461, "model": 0x2416},
 )
-WATLOW = Manners(  # 1.3: degF until it is set; 3 and 4 alike
+WATLOW = Behaviour(  # 1.3: degF until it is set; 3 and 4 alike
     functions=WORDS,
     alike=True,
     sensor_break="last",
@@ -120,7 +114,7 @@ WATLOW = Manners(  # 1.3: degF until it is set; 3 and 4 alike
     | {"manual_power", "limit_high"},
     starts={**LIMITS, "limit_high": 60.0, "limit_state": 61.0},
 )
-OMEGA = Manners(  # 1.4: functions 2, 3, 5 and 6; an error code stands where the temperature would
+OMEGA = Behaviour(  # 1.4: functions 2, 3, 5 and 6; an error code stands where the temperature would
     functions={2: "coil", 3: "holding", 5: "coil", 6: "holding"},
     alike=True,
     gaps="refused",
@@ -129,7 +123,7 @@ OMEGA = Manners(  # 1.4: functions 2, 3, 5 and 6; an error code stands where the
     starts=LIMITS,
 )
 
-FAMILIES: Mapping[str, Manners] = {  # by how the name of the family begins
+FAMILIES: Mapping[str, Behaviour] = {  # by how the name of the family begins
     "julabo": JULABO,
     "eurotherm 2400": EUROTHERM,
     "eurotherm": replace(EUROTHERM, starts={**EUROTHERM.starts, "model": 0x3216}),
@@ -138,11 +132,11 @@ FAMILIES: Mapping[str, Manners] = {  # by how the name of the family begins
 }
 
 
-def manners_of(profile: RegisterProfile) -> Manners:
+def behaviour_of(profile: RegisterProfile) -> Behaviour:
     """The behaviour of the profile's family; of an unknown one, all that Modbus has."""
     name = profile.family.lower()
-    known = (manners for begins, manners in FAMILIES.items() if name.startswith(begins))
-    return next(known, Manners(alike=profile.alike))
+    known = (behaviour for begins, behaviour in FAMILIES.items() if name.startswith(begins))
+    return next(known, Behaviour(alike=profile.alike))
 
 
 class Values:
@@ -179,20 +173,17 @@ class Values:
 
 
 class Controller(Values):
-    """A controller of ``profile``'s family over ``plant``.
-
-    ``fahrenheit`` and ``turned`` (the words of a number the other way round) are settings of its
-    panel, as is ``manual_mode``: in it a circulator confirms writes and ignores them (``ignores``);
-    a controller holds its output where it was.
+    """A controller of ``profile``'s family over ``plant``. Settings of its panel: ``fahrenheit``,
+    ``turned`` (words the other way round), ``manual_mode`` (writes are confirmed and ignored).
     """
 
     def __init__(
-        self, plant: Plant, profile: RegisterProfile, manners: Manners, unit_id: int
+        self, plant: Plant, profile: RegisterProfile, behaviour: Behaviour, unit_id: int
     ) -> None:
         super().__init__(profile)
         self.plant = plant
         self.profile = profile
-        self.manners = manners
+        self.behaviour = behaviour
         self.unit_id = unit_id
         self.fahrenheit = self.turned = self.ignores = False
         self._order = profile.order_for(0) or profile.order
@@ -224,7 +215,7 @@ class Controller(Values):
         self._order = self.profile.order_for(code) or self._order
 
     def words(self, row: Row) -> tuple[int, ...]:
-        instead = self.manners.sensor_break
+        instead = self.behaviour.sensor_break
         if row.name == "temperature" and self.plant.broken_sensor and isinstance(instead, int):
             return (instead,)
         number = self.number(row)
@@ -259,7 +250,7 @@ class Controller(Values):
 
     def remembered(self, name: str) -> float:
         """The stored value of a row that nothing in the plant answers for."""
-        start = self.manners.starts.get(name)
+        start = self.behaviour.starts.get(name)
         if start is None:
             row = self.profile.find(name)
             codes = row.values.values() if row else ()
@@ -275,7 +266,7 @@ class Controller(Values):
         """What it measures; with a broken sensor not-a-number, or the last value."""
         if not self.plant.broken_sensor:
             self._last_c = self.plant.pv_c
-        elif self.manners.sensor_break == "nan":
+        elif self.behaviour.sensor_break == "nan":
             return math.nan
         return self._last_c
 
@@ -288,7 +279,7 @@ class Controller(Values):
 
     def reset(self) -> None:
         """Power off and on. A family that keeps nothing is as shipped then, in standby."""
-        if self.manners.after_reset == "standby":
+        if self.behaviour.after_reset == "standby":
             super().reset()
             plant = self.plant
             plant.standby()
@@ -320,7 +311,7 @@ def _status(on: Controller) -> float:
         "sensor": on.plant.broken_sensor,
         "loop": on.plant.loop_broken,
     }
-    return float(sum(on.manners.bits.get(name, 0) for name, true in states.items() if true))
+    return float(sum(on.behaviour.bits.get(name, 0) for name, true in states.items() if true))
 
 
 def _encoding(on: Controller) -> float:
@@ -452,13 +443,15 @@ class Cell:
 class Cells:
     """The address space of a device of ``profile``'s family."""
 
-    def __init__(self, profile: Wiring, manners: Manners, values: Values, faults: Set[str]) -> None:
+    def __init__(
+        self, profile: Wiring, behaviour: Behaviour, values: Values, faults: Set[str]
+    ) -> None:
         self._faults = faults
-        self._manners = manners
+        self._behaviour = behaviour
         self._values = values
         self._at: dict[tuple[Table, int], Cell] = {}
         # a profile lets the bench write less than the controller takes
-        known = manners.writable
+        known = behaviour.writable
         rows = [
             row.model_copy(update={"access": "rw"})
             if row.access == "r"
@@ -466,7 +459,7 @@ class Cells:
             else row
             for row in profile.rows
         ]
-        mirrored = [_mirrored(row) for row in rows] if manners.areas else []
+        mirrored = [_mirrored(row) for row in rows] if behaviour.areas else []
         for cell in [Cell(row, row.address) for row in rows] + mirrored:
             if cell is not None:
                 table = self._alike(cell.row.table)
@@ -475,11 +468,11 @@ class Cells:
 
     def read(self, request: Read) -> list[int]:
         """The bits or registers asked for. Raises Refused."""
-        table = self._alike(self._manners.functions[request.function])
+        table = self._alike(self._behaviour.functions[request.function])
         end = request.address + request.count
         self._check_pairs(request.address, request.count, request.function)
         ends = {(table, request.address), (table, end - 1)}
-        if end > 0x10000 or (self._manners.gaps != "undefined" and not ends <= set(self._at)):
+        if end > 0x10000 or (self._behaviour.gaps != "undefined" and not ends <= set(self._at)):
             raise Refused(protocol.ILLEGAL_ADDRESS)
         return [self._word(table, address) for address in range(request.address, end)]
 
@@ -495,11 +488,11 @@ class Cells:
             self._values.take(row, value)
 
     def _targets(self, request: Write) -> Iterator[tuple[Cell, tuple[int, ...]]]:
-        table = self._alike(self._manners.functions[request.function])
+        table = self._alike(self._behaviour.functions[request.function])
         address, end = request.address, request.address + len(request.values)
         self._check_pairs(address, len(request.values), request.function)
         lone = request.function == protocol.WRITE_MANY and len(request.values) == 1
-        if self._manners.gaps == "undefined" and lone and (table, address) not in self._at:
+        if self._behaviour.gaps == "undefined" and lone and (table, address) not in self._at:
             return  # Eurotherm confirms a block of one register that is not configured
         while address < end:
             cell = self._at.get((table, address))
@@ -518,21 +511,21 @@ class Cells:
         cell = self._at.get((table, address))
         if cell is not None:
             return cell.encode(self._values)[address - cell.address]
-        if self._manners.gaps == "undefined":
+        if self._behaviour.gaps == "undefined":
             return (address * 40503 & 0xFFFF) if table == "holding" else address & 1
-        if "gaps refused" in self._faults or self._manners.gaps == "refused":
+        if "gaps refused" in self._faults or self._behaviour.gaps == "refused":
             raise Refused(protocol.ILLEGAL_ADDRESS)
         return 0
 
     def _check_pairs(self, address: int, count: int, function: int) -> None:
         """The IEEE area takes whole pairs only, from an even address, and never with function 6."""
-        if not self._manners.areas or address < IEEE_AREA or function in protocol.BITS:
+        if not self._behaviour.areas or address < IEEE_AREA or function in protocol.BITS:
             return
         if address % 2 or count % 2 or function == protocol.WRITE_ONE:
             raise Refused(protocol.ILLEGAL_ADDRESS)
 
     def _alike(self, table: Table) -> Table:
-        return ALIKE.get(table, table) if self._manners.alike else table
+        return ALIKE.get(table, table) if self._behaviour.alike else table
 
 
 def _mirrored(row: Row) -> Cell | None:

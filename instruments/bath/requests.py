@@ -59,16 +59,14 @@ class Block:
     def count(self) -> int:
         return self.end - self.address
 
-    def apart(self, answer: Sequence[int]) -> dict[str, Sequence[int]]:
+    def split_rows(self, answer: Sequence[int]) -> dict[str, Sequence[int]]:
         """The registers of each row."""
         return {row.name: answer[row.address - self.address :][: row.words] for row in self.rows}
 
 
 def blocks(profile: Wiring, *, gaps: bool, inferred: bool = False) -> tuple[Block, ...]:
-    """The questions of one poll.
-
-    ``gaps`` reads over addresses that no row claims, which a controller may refuse; ``inferred``
-    takes in rows whose evidence is INFERRED.
+    """The requests of one poll. ``gaps`` reads over addresses without a row, which a controller may
+    refuse; ``inferred`` takes in rows whose evidence is INFERRED.
     """
     found: list[Block] = []
     polled = (row for row in profile.rows if row.poll and (inferred or row.evidence != "INFERRED"))
@@ -83,10 +81,8 @@ def blocks(profile: Wiring, *, gaps: bool, inferred: bool = False) -> tuple[Bloc
 
 
 def markers(profile: Wiring, *, inferred: bool = False) -> tuple[tuple[int, int, int], ...]:
-    """Reads (function, address, count) that the device surely answers, one of each shape that an
-    answer can have.
-
-    Fewer than two shapes prove nothing, and then there are none.
+    """Reads (function, address, count) that the device surely answers, one of each shape of answer;
+    none where there are fewer than two shapes.
     """
     asked = blocks(profile, gaps=False, inferred=inferred)
     reads: list[tuple[int, int, int]] = [
@@ -119,10 +115,8 @@ EXCEPTION_LENGTH, CONFIRMATION_LENGTH = 5, 8
 
 @dataclass(slots=True)
 class Question:
-    """One question, from when it is put until its answer has come.
-
-    An answer is the unit and the PDU: ``expects`` is how the right one begins, ``length`` its size
-    in bytes. ``earlier`` are the numbers under which it was asked before, over TCP.
+    """One request until its answer (unit and PDU) has come: ``expects`` is how the right one
+    begins, ``length`` its bytes, ``earlier`` its transaction numbers before this one.
     """
 
     request: ModbusPDU
@@ -158,9 +152,7 @@ def read_question(function: int, address: int, count: int, unit_id: int) -> Ques
 
 
 def write_question(function: int, address: int, values: Sequence[int], unit_id: int) -> Question:
-    """Write ``values`` from ``address``: one bit (function 5), one register (6) or some (16). The
-    right answer is an echo.
-    """
+    """Write one bit (function 5), one register (6) or some (16); the right answer is an echo."""
     words, what = list(values), "coil" if function == 5 else "holding register"
     content = {"bits": [bool(words[0])]} if function == 5 else {"registers": words}
     request = WRITERS[function](address=address, dev_id=unit_id, **content)
@@ -169,9 +161,7 @@ def write_question(function: int, address: int, values: Sequence[int], unit_id: 
 
 
 def values_in(answer: bytes) -> list[int]:
-    """The registers in the answer to a read, or its bits, eight for each byte; none where they are
-    not whole.
-    """
+    """The registers in an answer, or eight bits for each byte; none where they are not whole."""
     data = answer[3:]
     if answer[1] in (1, 2):
         return [byte >> place & 1 for byte in data for place in range(8)]
@@ -179,9 +169,7 @@ def values_in(answer: bytes) -> list[int]:
 
 
 def frames(data: bytes, asked: Collection[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-    """Start and end of each whole answer to one of ``asked``, units and functions, exceptions among
-    them, in order.
-    """
+    """Start and end of each whole answer or exception to one of ``asked``, in order."""
     at = 0
     while at + EXCEPTION_LENGTH <= len(data):
         unit_id, function, size = data[at : at + 3]
@@ -198,12 +186,10 @@ def frames(data: bytes, asked: Collection[tuple[int, int]]) -> Iterator[tuple[in
 
 
 class Answers:
-    """The questions that were put on one line and not answered yet, oldest first in ``owed``;
-    ``open`` is the latest one put.
-    """
+    """Requests on one line without an answer yet, oldest first; ``open`` is the latest one."""
 
     def __init__(self, *, rtu: bool) -> None:
-        self.owed: list[Question] = []
+        self.outstanding: list[Question] = []
         self.open: Question | None = None
         self.left = 0  # bytes that have come since and are no whole answer
         self._rtu = rtu
@@ -211,7 +197,7 @@ class Answers:
         self._number = 0
 
     def put(self, question: Question, now_s: float) -> bytes:
-        """The bytes that ask ``question``, under a new number each time. It is owed from now on."""
+        """The bytes that ask ``question``, under a new number each time. It is outstanding then."""
         self._number = self._number % 0xFFFF + 1
         if question.request.transaction_id:
             question.earlier += (question.request.transaction_id,)
@@ -219,28 +205,28 @@ class Answers:
         self.left = 0
         question.sent_s = now_s
         self.open = question
-        self.owed.append(question)
+        self.outstanding.append(question)
         return self._framer.buildFrame(question.request)
 
     def forget(self, before_s: float) -> None:
         """Drop what was asked before ``before_s``, and what was answered."""
-        self.owed = [q for q in self.owed if q.answer is None and q.sent_s >= before_s]
+        self.outstanding = [
+            q for q in self.outstanding if q.answer is None and q.sent_s >= before_s
+        ]
 
     def feed(self, data: bytes) -> int:
         """Take the answers in ``data``; how many bytes are done with."""
         if not self._rtu:
             return self._feed_tcp(data)
-        used, asked = 0, {(question.unit_id, question.function) for question in self.owed}
+        used, asked = 0, {(question.unit_id, question.function) for question in self.outstanding}
         for start, used in frames(data, asked):
             self._take(data[start : used - 2])
         return used
 
-    def unmistakable(self, questions: Sequence[Question]) -> Question | None:
-        """The one of ``questions`` whose answer can least be confused with one that is owed; None
-        where each can be.
-        """
-        shapes = {owed.expects for owed in self.owed}
-        kinds = {owed.expects[:2] for owed in self.owed}
+    def distinguishable(self, questions: Sequence[Question]) -> Question | None:
+        """The one of ``questions`` whose answer is least like one that is outstanding, if any."""
+        shapes = {question.expects for question in self.outstanding}
+        kinds = {question.expects[:2] for question in self.outstanding}
         free = [question for question in questions if question.expects not in shapes]
         return min(free, key=lambda question: question.expects[:2] in kinds, default=None)
 
@@ -254,7 +240,7 @@ class Answers:
             used += size
             # A late answer has to come alone: the next one's bytes could complete a cut one.
             alone = in_one_piece and used == len(data)
-            for question in self.owed if pdu else ():
+            for question in self.outstanding if pdu else ():
                 asked = question.request.transaction_id
                 if question.unit_id == unit_id and (
                     asked == number or (alone and number in question.earlier)
@@ -262,14 +248,18 @@ class Answers:
                     question.answer = bytes((unit_id, *pdu))
 
     def _take(self, answer: bytes) -> None:
-        current = self.open if self.owed and self.owed[-1] is self.open else None
-        at = next((at for at, question in enumerate(self.owed) if question.fits(answer)), None)
+        current = self.open if self.outstanding and self.outstanding[-1] is self.open else None
+        at = next(
+            (at for at, question in enumerate(self.outstanding) if question.fits(answer)), None
+        )
         if at is None:
-            if current and len(self.owed) == 1:  # it does not fit, and no other request waits
+            if current and len(self.outstanding) == 1:  # no other request waits for what came
                 current.answer = answer
-                self.owed.clear()
+                self.outstanding.clear()
             return
         exception = answer[1] & EXCEPTION
-        if current and (self.owed[at] is current or (current.fits(answer) and not exception)):
+        if current and (
+            self.outstanding[at] is current or (current.fits(answer) and not exception)
+        ):
             current.answer = answer
-        del self.owed[: at + 1]
+        del self.outstanding[: at + 1]

@@ -28,14 +28,10 @@ class Strict(BaseModel):
 
 
 class Quantity(Strict):
-    """One quantity: what it is called, and what may be written to it.
-
-    ``scale`` times the number on the wire is the value in ``unit``. ``values`` names the codes that
-    exist, ``range`` bounds a quantity; anything else is never written. ``seen`` names codes that it
-    may show and that are never written either. ``access = "w"`` is a command: written, never read.
-    ``spacing_s`` is the least time after another write; ``tolerance`` how far what the controller
-    made of a value may be from it. ``alarm`` says that the row reports alarms: as a code, of which
-    those in ``quiet`` mean none, or as a word of bits.
+    """One quantity. ``scale`` times the number on the wire is in ``unit``. ``values``: labels of
+    codes that may be written, ``seen`` of those only shown; ``range``: bounds. ``spacing_s``: least
+    time between writes; ``tolerance``: of what is read back. ``alarm``: reports a code or bits, of
+    which ``quiet`` mean none.
     """
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
@@ -143,10 +139,7 @@ def holds(kind: Kind, value: float) -> bool:
 
 
 class Row(Quantity):
-    """A quantity in registers or bits: where it is, and how it is coded.
-
-    ``no_value`` are raw codes that stand where a number would and mean that there is none.
-    """
+    """A quantity in registers or bits. ``no_value``: raw codes of no number."""
 
     table: Table
     address: Annotated[int, Field(ge=0, le=0xFFFF)]
@@ -183,9 +176,7 @@ class Row(Quantity):
                 yield f"no_value.{label} = {code} is no register of 16 bits"
 
     def decode(self, registers: Sequence[int], order: Order) -> float:
-        """The value in ``unit``; not-a-number for a code of ``no_value``. Raises ValueError when
-        the number of registers is wrong.
-        """
+        """The value in ``unit``, nan for a code of ``no_value``. Raises ValueError."""
         if self.no_value and registers[0] in self.no_value.values():
             return math.nan
         return decode(registers, self.type, self.order or order) * self.scale
@@ -221,14 +212,9 @@ def fits(template: str, line: str) -> bool:
 
 
 class LineRow(Quantity):
-    """A quantity behind a command.
-
-    ``ask`` is the command whose reply shows it, in the form ``reply``. With ``shows`` the reply is
-    one of a label's forms instead, and the first that matches gives the label's code. A reply of a
-    form in ``absent`` shows that there is no value now; an ``optional`` row is one that some models
-    don't answer. ``tell`` writes: one template, or a command for each label; ``confirm`` is the
-    reply to it where it is not the profile's. ``agree`` is how far two replies to the same command
-    may differ.
+    """A quantity behind the command ``ask``, whose reply has the form ``reply``, or one of a
+    label's forms in ``shows``, or, without a value now, of ``absent``. ``optional``: some models
+    don't answer. ``tell`` writes; ``agree``: how far two replies may differ.
     """
 
     ask: str = ""
@@ -265,9 +251,7 @@ class LineRow(Quantity):
         return any(fits(form, line) for form in (*self.forms, *self.absent))
 
     def decode(self, line: str) -> float:
-        """The value in ``unit`` that a reply shows; not-a-number where it shows that there is none,
-        and for a text. Raises ValueError for a line that is no such reply.
-        """
+        """The value in ``unit``, nan for a text or no value. Raises ValueError."""
         if not self.understands(line):
             raise ValueError(f"{line!r} is no reply to {self.ask!r}")
         if any(fits(form, line) for form in self.absent):
@@ -316,10 +300,10 @@ class LineRow(Quantity):
             yield f"shows.{unknown[0]} is no label of 'values' or 'seen'"
         if isinstance(self.tell, dict) and set(self.tell) != set(self.values):
             yield "'tell' needs a command for each label of 'values', and no other"
-        told = [self.tell] if isinstance(self.tell, str) else self.tell.values()
+        commands = [self.tell] if isinstance(self.tell, str) else self.tell.values()
         shown = [form for forms in self.shows.values() for form in forms]
         replies = [self.reply, self.confirm or "", *self.absent, *shown]
-        for template in filter(None, (*replies, self.ask, *told)):
+        for template in filter(None, (*replies, self.ask, *commands)):
             yield from _template_faults(template)
         if "<" in self.ask:
             yield f"ask = {self.ask!r} is sent as it is, so it has no field"

@@ -2,7 +2,7 @@
 
 Start: level, pump, ten seconds of flow, set point, run. Stop: heater off, pump on for a minute,
 pump off. A pump that turns with the controller's run can't do that, and one that is not fitted
-isn't pretended.
+isn't simulated.
 """
 
 from __future__ import annotations
@@ -63,9 +63,8 @@ def start_bath(bath: Bath, set_point_c: float, wait: Callable[[float], None]) ->
 
 
 def heater_off(bath: Bath) -> str:
-    """Standby at once; then the pump on, where it can run alone, to carry the heat away.
-
-    Raises InstrumentError where the heater can't be reached; a fault of the pump is returned.
+    """Standby at once; then a pump with its own switch on, whose fault is returned. Raises
+    InstrumentError where the heater can't be reached.
     """
     bath.safe()
     if bath.pump != "own":

@@ -1,6 +1,6 @@
-"""One connection to a bath's controller or to a relay: opened with patience, read in pieces.
+"""One connection to a bath's controller or to a relay: opened with retries, read in pieces.
 
-What comes is taken in by whoever speaks the protocol (``take``).
+What comes is passed to ``take``, which knows the protocol.
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ from collections.abc import Callable
 from instruments.bath.connection import Line
 from instruments.clock import Clock, VirtualClock
 from instruments.errors import DeviceError, LinkError
-from instruments.link import SLICE_S, Link
-from instruments.tap import Tap
+from instruments.link import SLICE_S, Link, Tap
 
 CONNECT_TIMEOUT_S = 1.0
 CONNECT_PAUSES_S = (0.1, 0.2, 0.4, 0.8, 1.6)  # between attempts; then we give up
@@ -20,8 +19,8 @@ CHECK_CABLE = "Check cable and power."
 
 
 class RefusedError(DeviceError):
-    """The device refused a question, with a Modbus exception (its ``code``) or a word; with
-    ``no_row`` because it may have no such row.
+    """The device refused a request by an exception (``code``) or a word; ``no_row``: it has no such
+    row.
     """
 
     code = 0
@@ -33,11 +32,11 @@ class BrokenError(LinkError):
 
 
 class Session(ABC):
-    """One connection to one device, and its only owner. Calls come one at a time: whoever shares it
-    holds a lock. Not opened at first. ``speech`` is what the device has to be set to.
+    """One connection to one device, not opened at first; for one caller at a time. A device has to
+    be set to its ``expected_protocol``.
     """
 
-    speech: str
+    expected_protocol: str
 
     def __init__(self, line: Line, clock: Clock, *, who: str, tap: Tap | None = None) -> None:
         self.who = who
@@ -45,7 +44,7 @@ class Session(ABC):
         self.clock = clock
         self._tap = tap
         self._link: Link | None = None
-        self.heard_s = 0.0
+        self.received_s = 0.0
 
     @abstractmethod
     def begin(self) -> None:
@@ -57,13 +56,11 @@ class Session(ABC):
 
     @property
     def connected(self) -> bool:
-        """Whether the link is up, as far as anybody has noticed."""
+        """Whether the link is up, as far as is known."""
         return self._link is not None and self._link.connected
 
     def connect(self) -> None:
-        """Open the link, trying again with growing pauses. Raises LinkError when it is not taken in
-        the end.
-        """
+        """Open the link, trying again with growing pauses. Raises LinkError in the end."""
         start, why, line = self.clock.now(), "", self.line
         for pause_s in (0.0, *CONNECT_PAUSES_S):
             self.clock.sleep(pause_s)
@@ -87,7 +84,7 @@ class Session(ABC):
             self.begin()
             return
         what = "nothing took the connection"
-        hint = f"Is the controller on, on this network, and set to {self.speech}?"
+        hint = f"Is the controller on, on this network, and set to {self.expected_protocol}?"
         if line.device:
             what = "the port can't be opened"
             hint = (
@@ -114,10 +111,8 @@ class Session(ABC):
         return BrokenError(self.who, what, asked=asked, hint=CHECK_CABLE)
 
     def receive_until(self, until_s: float, done: Callable[[], bool]) -> None:
-        """Take in what comes until ``done``, the clock shows ``until_s``, or the link breaks.
-
-        Under virtual time an event may use this link, or close it, while time moves. An exception
-        closes the link. Raises LinkError when an emulator's thread hangs.
+        """Take in what comes until ``done``, ``until_s``, or the link breaks. An exception closes
+        the link. Raises LinkError when an emulator's thread hangs.
         """
         link, clock = self.up(), self.clock
         virtual = clock if isinstance(clock, VirtualClock) else None
@@ -144,6 +139,6 @@ class Session(ABC):
                 raise
             return False
         if data:
-            self.heard_s = self.clock.now()
+            self.received_s = self.clock.now()
             self.take(data)
         return bool(data)

@@ -23,13 +23,12 @@ from instruments.bath.requests import (
 from instruments.bath.session import BrokenError, RefusedError, Session
 from instruments.clock import Clock
 from instruments.errors import LinkError, ProtocolError
-from instruments.link import Link
-from instruments.tap import Tap
+from instruments.link import Link, Tap
 
 TIMEOUT_S, QUIET_S = 1.0, 0.5
 ATTEMPTS = 2
 FORGET_S = 10.0  # no device answers later than this
-OWING_S = 3.0  # how long a call waits where every shape of an answer is owed
+OUTSTANDING_S = 3.0  # how long a call waits where an answer of every shape is outstanding
 SOON_S = 0.001
 # of silence between frames (Modbus over serial line 1.02, section 2.5.1.1)
 GAP_CHARACTERS, LEAST_GAP_S = 3.5, 0.00175
@@ -53,10 +52,8 @@ NO_ANSWER = "what came is no answer to this"
 
 
 class Transactions(Session):
-    """One connection to one unit.
-
-    ``markers`` are reads (function, address, count) that the device surely answers, as many shapes
-    as there are; without any, time alone has to tell that no late answer is under way.
+    """One connection to one unit. ``markers``: reads (function, address, count) that the device
+    surely answers; without any, only time shows that no late answer is under way.
     """
 
     def __init__(
@@ -71,14 +68,14 @@ class Transactions(Session):
         markers: Sequence[tuple[int, int, int]] = (),
     ) -> None:
         super().__init__(line, clock, who=who, tap=tap)
-        self.speech = f"Modbus {line.transport.upper()}"
+        self.expected_protocol = f"Modbus {line.transport.upper()}"
         self._unit_id = line.unit_id or 1
         self._timeout_s = timeout_s
         self._quiet_s = quiet_s
         self._markers = markers
         self._unused = self._seen = b""  # since the last request: not yet matched; all
         self._answers = Answers(rtu=line.is_rtu)
-        self._strange_until_s = 0.0
+        self._foreign_until_s = 0.0
         # or its complaints, which our errors carry, go to stderr
         if not logging.getLogger("pymodbus").handlers:
             logging.getLogger("pymodbus").addHandler(logging.NullHandler())
@@ -86,7 +83,7 @@ class Transactions(Session):
     def begin(self) -> None:
         self._unused = self._seen = b""
         # a response to another host may still be under way
-        self._strange_until_s = self.clock.now() + self._quiet_s
+        self._foreign_until_s = self.clock.now() + self._quiet_s
 
     def take(self, data: bytes) -> None:
         self._seen = (self._seen + data)[-MOST_SEEN:]
@@ -98,10 +95,8 @@ class Transactions(Session):
     def read(
         self, function: int, address: int, count: int, *, unit_id: int | None = None
     ) -> list[int]:
-        """``count`` registers, or bits, from ``address``. Raises LinkError, ProtocolError,
+        """``count`` registers or bits from ``address``. Raises LinkError, ProtocolError,
         RefusedError.
-
-        ``unit_id`` asks another unit on the same line.
         """
         question = read_question(function, address, count, unit_id or self._unit_id)
         answer = self._ask(question)
@@ -109,7 +104,7 @@ class Transactions(Session):
         if len(answer) != question.length:
             kind = "bits" if function in (1, 2) else "registers"
             what = f"{len(values)} {kind} were answered where {count} were asked"
-            raise self._nonsense(what, question)
+            raise self._unexpected(what, question)
         return values[:count]
 
     def write(
@@ -121,19 +116,15 @@ class Transactions(Session):
         unit_id: int | None = None,
         urgent: bool = False,
     ) -> None:
-        """Write ``values`` from ``address``. Raises as ``read`` does.
-
-        ``urgent``: sent at once, whatever late answer is still under way; the caller has to look
-        whether it stands.
+        """Write ``values`` from ``address``, ``urgent`` whatever late answer is under way; the
+        caller then reads back. Raises as ``read``.
         """
         question = write_question(function, address, values, unit_id or self._unit_id)
         if not question.fits(self._ask(question, urgent=urgent)):
-            raise self._nonsense("the answer confirms another write", question)
+            raise self._unexpected("the answer confirms another write", question)
 
     def close(self) -> None:
-        """Drop the link; once more is no error. What is owed over RTU stays owed: another link may
-        lead to the same line.
-        """
+        """Drop the link. Over RTU answers stay outstanding: another link may reach the line."""
         self._answers.open = None
         super().close()
 
@@ -146,11 +137,11 @@ class Transactions(Session):
             self._finish_open()
             self._answers.forget(start - FORGET_S)
             if self.line.is_rtu and not urgent:
-                self._come_clean(start)
+                self._await_outstanding(start)
             if question.answer is not None or self._put(question):  # the late one is as good
                 break
             if self._answers.left and not self.line.is_rtu:
-                error: LinkError | ProtocolError = self._nonsense(NO_ANSWER, question)
+                error: LinkError | ProtocolError = self._unexpected(NO_ANSWER, question)
                 if not self._seen[2:4].strip(b"\0"):  # the number of the protocol Modbus
                     what = "only a part of the answer came"
                     hint = "Check network and gateway if it happens often."
@@ -160,7 +151,7 @@ class Transactions(Session):
                 raise error
         answer = question.answer
         if answer is None:
-            raise self._silence(question, start)
+            raise self._no_answer(question, start)
         if answer[1] == question.function | EXCEPTION:
             code = answer[2]
             what = f"refused: {EXCEPTIONS.get(code, 'a code that Modbus does not know')}"
@@ -170,7 +161,7 @@ class Transactions(Session):
             raise refused
         if answer[1] != question.function:
             what = f"function {answer[1]} was answered to function {question.function}"
-            raise self._nonsense(what, question)
+            raise self._unexpected(what, question)
         return answer
 
     def _put(self, question: Question) -> bool:
@@ -178,7 +169,7 @@ class Transactions(Session):
         if self.line.character_s or self.line.gap_s:
             gap_s = max(GAP_CHARACTERS * self.line.character_s, LEAST_GAP_S)
             gap_s = gap_s if self.line.gap_s is None else self.line.gap_s
-            self.clock.sleep(self.heard_s + gap_s - self.clock.now())
+            self.clock.sleep(self.received_s + gap_s - self.clock.now())
         link = self.up()
         if self.line.is_rtu:
             while self.receive(link, 0.0):  # what lies there unasked answers no request
@@ -206,49 +197,47 @@ class Transactions(Session):
         if question and question.answer is None and self.clock.now() < self._deadline_s(question):
             self._wait(question, self.up())
 
-    # ---- what is owed
+    # ---- outstanding answers
 
-    def _come_clean(self, start_s: float) -> None:
+    def _await_outstanding(self, start_s: float) -> None:
         """See that no answer to an earlier question can be taken for the next one's."""
         answers = self._answers
-        if self.clock.now() < self._strange_until_s:
-            self.receive_until(self._strange_until_s, lambda: False)
-        if not answers.owed:
+        if self.clock.now() < self._foreign_until_s:
+            self.receive_until(self._foreign_until_s, lambda: False)
+        if not answers.outstanding:
             return
         self.receive_until(
-            self._deadline_s(answers.owed[-1]) + self._quiet_s, lambda: not answers.owed
+            self._deadline_s(answers.outstanding[-1]) + self._quiet_s,
+            lambda: not answers.outstanding,
         )
-        if answers.owed and self._markers:
-            self._prove(start_s)
-        answers.owed.clear()
+        if answers.outstanding and self._markers:
+            self._ask_marker(start_s)
+        answers.outstanding.clear()
 
-    def _prove(self, start_s: float) -> None:
-        """Ask what can't be confused with anything owed, once there is such a question.
-
-        Raises LinkError when there is none for OWING_S, or when it is not answered.
-        """
-        answers, until_s = self._answers, start_s + OWING_S
+    def _ask_marker(self, start_s: float) -> None:
+        """Have a request answered that can't be confused with any outstanding. Raises LinkError."""
+        answers, until_s = self._answers, start_s + OUTSTANDING_S
         questions = [read_question(*marker, self._unit_id) for marker in self._markers]
-        while (marker := answers.unmistakable(questions)) is None:
+        while (marker := answers.distinguishable(questions)) is None:
             now_s = self.clock.now()
             if now_s >= until_s:
-                left_s = answers.owed[-1].sent_s + FORGET_S - now_s
-                what = f"no answer to {len(answers.owed)} questions"
+                left_s = answers.outstanding[-1].sent_s + FORGET_S - now_s
+                what = f"no answer to {len(answers.outstanding)} questions"
                 hint = f"Nothing is asked for {left_s:.0f} s at most: an answer may still come."
                 raise LinkError(self.who, what, seconds=now_s - start_s, hint=hint)
-            freed_s = min(until_s, answers.owed[0].sent_s + FORGET_S) + SOON_S
-            self.receive_until(freed_s, lambda: answers.unmistakable(questions) is not None)
+            freed_s = min(until_s, answers.outstanding[0].sent_s + FORGET_S) + SOON_S
+            self.receive_until(freed_s, lambda: answers.distinguishable(questions) is not None)
             answers.forget(self.clock.now() - FORGET_S)
         if not self._put(marker):
-            raise self._silence(marker, start_s)
+            raise self._no_answer(marker, start_s)
 
-    def _silence(self, question: Question, start_s: float) -> LinkError | ProtocolError:
+    def _no_answer(self, question: Question, start_s: float) -> LinkError | ProtocolError:
         if self._link and self._seen:
-            return self._nonsense(NO_ANSWER, question)
+            return self._unexpected(NO_ANSWER, question)
         took_s = self.clock.now() - start_s
         hint = "Is the unit id right, and the controller still on?"
         return LinkError(self.who, "no answer", asked=question.asked, seconds=took_s, hint=hint)
 
-    def _nonsense(self, what: str, question: Question) -> ProtocolError:
-        hint = f"Is this a {self.speech} device of the right family?"
+    def _unexpected(self, what: str, question: Question) -> ProtocolError:
+        hint = f"Is this a {self.expected_protocol} device of the right family?"
         return ProtocolError(self.who, what, asked=question.asked, seen=self._seen, hint=hint)

@@ -16,11 +16,9 @@ DEPTH = "depth"
 
 
 class Camera(Protocol):
-    """One camera with its settings made; ``identity``: who it is, and what it was set to.
-
-    ``prepare`` waits for what it needs before all are exposed together. ``begin`` triggers, or asks
-    for a fresh frame, and ``take`` waits for that; they raise FrameError, or LinkError when gone.
-    ``close`` lets the camera go, and may be called again.
+    """One camera with its settings made. ``prepare`` waits for what it needs; ``begin`` triggers,
+    or asks for a fresh frame; ``take`` waits for it. They raise FrameError, or LinkError when the
+    camera is gone.
     """
 
     identity: str

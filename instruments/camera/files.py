@@ -20,9 +20,7 @@ ENDINGS = (".png", ".tif", ".tiff")
 
 
 class FileCamera:
-    """``place``: a folder, or a path with * and ?. A frame's time is when it was asked for. Raises
-    LinkError where there is no picture.
-    """
+    """``place``: a folder, or a path with * and ?. Raises LinkError where there is no picture."""
 
     def __init__(self, name: str, place: Path, clock: Clock) -> None:
         self._name, self._who, self._clock = name, f"{name} camera files:{place}", clock

@@ -33,13 +33,10 @@ _IMAGES = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameSet:
-    """Images of the left, right and thermal camera, and of a depth camera where there is one.
-
-    ``left``, ``right``, ``thermal`` (as delivered, or None) uint8 (h, w); ``thermal_ck`` uint16 (h,
-    w) centi-kelvin, sensor's grid, un-mirrored, or None. ``depth_dmm`` uint16 (h, w): tenths of a
-    mm along the depth camera's optical axis, 0 where nothing was measured; ``amplitude`` uint16 (h,
-    w): the strength of its signal, in the camera's unit; or None. ``exposed_s``: time on the
-    bench's clock by camera, ``identity`` by camera; both may lack some. Raises ValueError.
+    """``left``, ``right``, ``thermal`` (as delivered) uint8 (h, w); ``thermal_ck`` uint16
+    centi-kelvin, un-mirrored; ``depth_dmm`` uint16 tenths of a mm along the axis, 0: not measured;
+    ``amplitude`` uint16 of its signal. ``exposed_s`` (bench's clock) and ``identity`` by camera.
+    Raises ValueError.
     """
 
     left: Grey
@@ -67,6 +64,19 @@ class FrameSet:
             raise ValueError("a frame set's amplitude goes with a depth picture of its size")
 
     @property
+    def pictures(self) -> dict[str, NDArray[np.uint8] | NDArray[np.uint16]]:
+        """Those that are there, by the names that the record has for them."""
+        images = {
+            "left": self.left,
+            "right": self.right,
+            "thermal": self.thermal,
+            "thermal_radiometric": self.thermal_ck,
+            "depth": self.depth_dmm,
+            "depth_amplitude": self.amplitude,
+        }
+        return {name: image for name, image in images.items() if image is not None}
+
+    @property
     def thermal_k(self) -> NDArray[np.float64] | None:
         """Apparent temperature in kelvin, sensor's grid, un-mirrored; None if not radiometric."""
         return None if self.thermal_ck is None else self.thermal_ck / 100.0
@@ -79,10 +89,8 @@ class FrameSet:
 
 
 def grey8(image: NDArray[Any], full_scale: int = 65535) -> Grey:
-    """An 8-bit grey image of a raw one of 8 or 16 bits, grey or blue, green, red, perhaps alpha.
-
-    ``full_scale`` is white in a 16-bit image, 4095 for 12 bits in 16; higher values are white too.
-    Raises ValueError.
+    """An 8-bit grey image of a raw one; ``full_scale`` is white in one of 16 bits (4095 for 12 bits
+    in 16). Raises ValueError.
     """
     if image.ndim not in (2, 3) or not image.size or image.shape[2:] not in ((), (1,), (3,), (4,)):
         what = "an image must be (height, width) with one, three or four channels"
@@ -102,8 +110,8 @@ Pixels = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class Ranging:
-    """Distance along the optical axis: ``mm_at_zero`` + ``mm_per_count`` x count; ``none``: the
-    count of a pixel that measured nothing, None where there is no such count.
+    """Distance: ``mm_at_zero`` + ``mm_per_count`` x count; ``none``: the count of no
+    measurement.
     """
 
     mm_per_count: float
@@ -113,9 +121,8 @@ class Ranging:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawFrame:
-    """``pixels`` uint8 or uint16, (h, w) or (h, w, 3) blue-green-red, or distances as float32;
-    ``bits`` of signal in the low end of a word; ``exposed_s`` on the bench's clock. Of a depth
-    camera: what its counts are, as it says, and its ``amplitude`` (h, w).
+    """``pixels`` uint8 or uint16, (h, w) or (h, w, 3) blue-green-red, or distances as float32, with
+    ``bits`` of signal. Of a depth camera: what its counts are, and its ``amplitude``.
     """
 
     pixels: Pixels
@@ -142,12 +149,9 @@ class Radiometry:
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """What is done to each raw frame of one camera.
-
-    ``grey``: a colour frame's channel, or its luma (BT.601); ``mirrored``: exchange left and right;
-    ``turn_deg``: clockwise; ``white``: the count that becomes 255 (None: the format's);
-    ``inverted``: black becomes white; with ``radiometry`` the frame is temperatures, without
-    ``white`` or ``inverted``; ``ranging`` of a depth camera, None for what the camera says.
+    """What is done to each raw frame. ``grey``: a colour frame's channel; ``turn_deg``: clockwise;
+    ``white``: the count that becomes 255; with ``radiometry`` the frame is temperatures;
+    ``ranging``: None for what the depth camera says.
     """
 
     grey: Channel = "luma"
@@ -165,9 +169,7 @@ class Conversion:
         return np.ascontiguousarray(255 - image if self.inverted else image)
 
     def temperatures(self, raw: RawFrame) -> CentiKelvin:
-        """Hundredths of a kelvin (h, w). Raises ValueError without radiometry, of 8 bits, in
-        colour, or outside 0 to 655 K.
-        """
+        """Hundredths of a kelvin (h, w). Raises ValueError for a frame that has none."""
         if self.radiometry is None:
             raise ValueError("no radiometry is declared, so counts can't become temperatures")
         if raw.pixels.dtype == np.uint8:
@@ -184,9 +186,8 @@ class Conversion:
         return np.ascontiguousarray(centikelvin.astype(np.uint16))
 
     def depth(self, raw: RawFrame) -> tuple[TenthsMm, NDArray[np.uint16] | None]:
-        """Tenths of a mm (h, w), 0 where nothing was measured or it doesn't fit 16 bits, and the
-        amplitude (h, w) or None. Raises ValueError where nothing says what a count is, of 8 bits,
-        in colour.
+        """Tenths of a mm (h, w), 0 where not measured, and amplitude (h, w) or None. Raises
+        ValueError for a frame that has no distances.
         """
         ranging = self.ranging or raw.ranging
         if ranging is None:

@@ -25,7 +25,7 @@ INSTALL = (
     ' libgirepository1.0-dev libcairo2-dev pkg-config", then "pip install \'teatbench[genicam]\'".'
 )
 BUFFERS = 4
-PATIENCE_S = 2.0
+TIMEOUT_S = 2.0
 # what a buffer's status says of its frame; any other means that none came
 DAMAGED = dict.fromkeys(
     ("MISSING_PACKETS", "WRONG_PACKET_ID", "TIMEOUT"), FrameFault.LOST_PACKETS
@@ -107,9 +107,7 @@ def feature_names(device: Any) -> list[str]:
 
 
 def _of_parts(buffer: Any) -> tuple[tuple[Pixels, int], Pixels | None]:
-    """Distances with their bits, and the first other grey part of their size, of a payload of
-    several parts. Raises ValueError.
-    """
+    """Distances, their bits and the first grey part, of a payload of parts. Raises ValueError."""
     found: dict[str, tuple[Pixels, int]] = {}
     for part in range(buffer.get_n_parts()):
         code = buffer.get_part_pixel_format(part)
@@ -128,10 +126,9 @@ def _of_parts(buffer: Any) -> tuple[tuple[Pixels, int], Pixels | None]:
 
 
 class GenicamCamera:
-    """``device``: name as Aravis lists it, serial number or IP address; "" for the only one.
-    ``identity`` has settings tried in vain too. ``in_step``: of all cameras of the rig with PTP.
-    Raises LinkError where it doesn't answer,
-    DeviceError without the library or for settings that did not take.
+    """``device``: name as Aravis lists it, serial number or address; "" for the only one.
+    ``in_step``: of all cameras with PTP. Raises LinkError without an answer, DeviceError without
+    the library or for settings that did not take.
     """
 
     def __init__(
@@ -141,12 +138,12 @@ class GenicamCamera:
         clock: Clock,
         settings: Settings | None = None,
         *,
-        patience_s: float = PATIENCE_S,
+        timeout_s: float = TIMEOUT_S,
         in_step: DeviceTime | None = None,
     ) -> None:
         self._name, self._device, self._who = name, device, f"{name} camera genicam:{device}"
         self._clock, self._settings = clock, settings or Settings()
-        self._patience_s, self._in_step = patience_s, in_step
+        self._timeout_s, self._in_step = timeout_s, in_step
         self._aravis = load_aravis()
         self._failure: type[Exception] = importlib.import_module("gi.repository.GLib").Error
         if device.startswith(FAKE):
@@ -223,9 +220,7 @@ class GenicamCamera:
         return write, lambda: node().get_value_as_string()
 
     def _scan3d(self) -> Ranging | None:
-        """What the camera says of its distances; None where it says nothing. Raises DeviceError for
-        one that sends none along its axis.
-        """
+        """What the camera says of its distances, if anything. Raises DeviceError."""
 
         def said(name: str, usual: str = "") -> str:
             return str(self._feature(name)[1]()) if self._offers(name) else usual
@@ -292,8 +287,8 @@ class GenicamCamera:
         self._clock.sleep(self._settings.shutter_s)
 
     def begin(self) -> None:
-        """Return old buffers, and trigger by software where set. Raises LinkError; FrameError when
-        this program lost control of the camera, which is opened again next time.
+        """Return old buffers; trigger by software where set. Raises LinkError, or FrameError when
+        control of the camera was lost, which is then opened again.
         """
         if self._lost_control:
             try:
@@ -315,14 +310,14 @@ class GenicamCamera:
 
     def take(self) -> RawFrame:
         """The frame. Raises FrameError where none came or it came with holes."""
-        buffer = self._stream.timeout_pop_buffer(int(self._patience_s * 1e6))
+        buffer = self._stream.timeout_pop_buffer(int(self._timeout_s * 1e6))
         arrived_s = self._clock.now()
         if buffer is None:
             self._check_control()
             waits = self._settings.trigger == "hardware"
             hint = "Check cable, power and the network's packet size."
             hint = "Did its trigger come?" if waits else hint
-            raise self._fault(FrameFault.DROPPED, "no frame came", hint, self._patience_s)
+            raise self._fault(FrameFault.DROPPED, "no frame came", hint, self._timeout_s)
         try:
             (pixels, bits), amplitude = self._pixels(buffer)
             exposed_s = self._time.bench_s(buffer.get_timestamp() * 1e-9, arrived_s)
@@ -377,9 +372,7 @@ class GenicamCamera:
         return FrameError(fault, self._name, self._who, what, seconds=seconds, hint=hint)
 
     def _pixels(self, buffer: Any) -> tuple[tuple[Pixels, int], Pixels | None]:
-        """Pixels with their bits, and a depth camera's amplitude. Raises FrameError for a damaged
-        buffer, else ProtocolError.
-        """
+        """Pixels, their bits, and a depth camera's amplitude. Raises FrameError, ProtocolError."""
         status = buffer.get_status().value_nick.upper().replace("-", "_")
         if status != "SUCCESS":
             hint = "Raise the socket's buffer and the packet size, or lower the frame rate."

@@ -25,7 +25,7 @@ from instruments.errors import DeviceError, LinkError
 Source = int | str
 SILENCE_MS = 5000  # a stream that is silent for so long is gone
 LOOK_S = 0.002
-PATIENCE_S = 2.0  # the longest exposure and interval that a frame may take
+TIMEOUT_S = 2.0  # the longest exposure and interval that a frame may take
 SIZE = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
 NUMBERS = {"fps": cv2.CAP_PROP_FPS, "exposure": cv2.CAP_PROP_EXPOSURE, "gain": cv2.CAP_PROP_GAIN}
 # how backends call an exposure that isn't automatic: V4L2's own number, and OpenCV's before 4
@@ -58,9 +58,7 @@ def _size(capture: cv2.VideoCapture) -> tuple[int, int]:
 
 
 class LiveReader:
-    """Fresh frames: a thread grabs all the time and decodes on request, since OpenCV keeps frames
-    that were not taken. Owns ``capture`` from now on; to be closed.
-    """
+    """Fresh frames: a thread grabs all the time and decodes on request. Owns ``capture``."""
 
     def __init__(self, capture: cv2.VideoCapture, clock: Clock, name: str) -> None:
         self._capture = capture
@@ -78,9 +76,9 @@ class LiveReader:
         with self._lock:
             self._got, self._wanted_s = None, self._clock.now()
 
-    def answer(self, patience_s: float) -> tuple[NDArray[Any] | None, float] | None:
-        """The frame (None: undecodable) and its arrival; None where none came in ``patience_s``."""
-        end_s = self._clock.now() + patience_s
+    def answer(self, timeout_s: float) -> tuple[NDArray[Any] | None, float] | None:
+        """The frame (None: undecodable) and its arrival; None where none came in ``timeout_s``."""
+        end_s = self._clock.now() + timeout_s
         while self._clock.now() < end_s:
             with self._lock:
                 if self._got is not None or self.broken:
@@ -114,8 +112,8 @@ class LiveReader:
 
 
 class OpenCvCamera:
-    """``name``: its place in the rig; ``identity`` has settings tried in vain too. Raises
-    LinkError, DeviceError for settings that did not take.
+    """``name``: its place in the rig. Raises LinkError, DeviceError for settings that
+    did not take.
     """
 
     def __init__(
@@ -125,11 +123,11 @@ class OpenCvCamera:
         clock: Clock,
         settings: Settings | None = None,
         *,
-        patience_s: float = PATIENCE_S,
+        timeout_s: float = TIMEOUT_S,
     ) -> None:
         self._name, self._source, self._clock = name, source, clock
         self._who = f"{name} camera at {source}"
-        self._settings, self._patience_s = settings or Settings(), patience_s
+        self._settings, self._timeout_s = settings or Settings(), timeout_s
         self._live: LiveReader | None = None
         self._file: cv2.VideoCapture | None = None
         self._begun_s: float | None = None
@@ -154,10 +152,10 @@ class OpenCvCamera:
     def take(self) -> RawFrame:
         """The frame. Raises FrameError where none came or it can't be decoded."""
         if self._live is not None:
-            if (answer := self._live.answer(self._patience_s)) is None:
+            if (answer := self._live.answer(self._timeout_s)) is None:
                 if self._live.broken:
                     raise self._fault(FrameFault.DROPPED, "the stream broke off")
-                raise self._fault(FrameFault.DROPPED, "no frame came", self._patience_s)
+                raise self._fault(FrameFault.DROPPED, "no frame came", self._timeout_s)
             image, exposed_s = answer
         else:
             good, decoded = self._file.retrieve() if self._file is not None else (False, None)

@@ -24,8 +24,8 @@ Decoder = Callable[[Bytes, int], NDArray[Any]]
 
 @dataclass(frozen=True, slots=True)
 class PixelFormat:
-    """``stored_bits`` a pixel on the wire, ``bits`` of signal; ``channels`` as sent; ``decode``
-    gives n values of a line.
+    """``stored_bits`` a pixel on the wire, ``bits`` of signal; ``decode`` gives values
+    of a line.
     """
 
     name: str
@@ -99,9 +99,8 @@ BY_CODE = {known.code: known for known in FORMATS}
 def unpack(
     data: bytes, code: int, width: int, height: int, x_padding: int = 0
 ) -> tuple[Pixels, int]:
-    """Pixels (height, width), or (height, width, 3) blue-green-red, of a payload whose lines are
-    followed by ``x_padding`` bytes, and their bits of signal. Raises ValueError for an unknown
-    format or a short payload.
+    """Pixels (h, w), or (h, w, 3) blue-green-red, and their bits, of a payload with ``x_padding``
+    bytes behind each line. Raises ValueError.
     """
     if (layout := BY_CODE.get(code)) is None:
         known = ", ".join(known.name for known in FORMATS)

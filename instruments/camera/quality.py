@@ -21,13 +21,9 @@ LEAST_GRADIENT_DN = 1.0  # per px, after the fine blur; below there is no edge b
 
 
 def edge_blur_px(picture: NDArray[np.uint8]) -> float | None:
-    """Standard deviation in px of the blur of the strongest edges of a grey picture (h, w); None
-    without edges.
-
-    After a further blur a, an edge of sigma s has a gradient proportional to 1 / sqrt(s^2 + a^2);
-    two such gradients give s (Zhuo and Sim, Pattern Recognition 44, 2011, eq. 6). Median over the
-    strongest 0.2 % of pixels. 0 for the sharpest edge; beyond any edge's ratio the gradients are
-    noise.
+    """Standard deviation in px of the blur of the strongest edges (median of 0.2 % of the pixels);
+    None without edges. After a further blur a the gradient is proportional to 1 / sqrt(s^2 + a^2),
+    so that two gradients give s (Zhuo and Sim, Pattern Recognition 44, 2011, eq. 6).
     """
     fine, coarse = (_gradient(picture, sigma) for sigma in (FINE_PX, COARSE_PX))
     # without the blur's own border
@@ -76,10 +72,8 @@ def spread(image: NDArray[Any]) -> float:
 
 
 def missing_rows(picture: NDArray[Any], last: NDArray[Any] | None = None) -> float:
-    """Share of rows from the top or bottom edge that hold one value, or are those of ``last``.
-
-    Noise prevents both in a row that was read out; white rows are the exposure's fault and don't
-    count.
+    """Share of rows at the top or bottom that hold one value, or are those of ``last``. Noise
+    prevents both in a row that was read out; white rows don't count.
     """
     least = picture.min(axis=1)
     missing = picture.max(axis=1) == least

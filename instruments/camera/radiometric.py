@@ -12,14 +12,13 @@ from instruments.camera.settings import Value
 
 @dataclass(frozen=True, slots=True)
 class RadiometricProfile:
-    """Temperature: ``kelvin_at_zero`` + ``kelvin_per_count`` x count. ``pixel_format`` as OpenCV
-    or GenICam has it, GenICam ``features`` to be set, and the command that closes the ``shutter``.
+    """Temperature: ``kelvin_per_count`` x count; ``features`` to be set, and the command that
+    closes the ``shutter``.
     """
 
     kelvin_per_count: float
     pixel_format: str
     source: str
-    kelvin_at_zero: float = 0.0
     features: Mapping[str, Value] = field(default_factory=dict)
     shutter: str = ""
 

@@ -69,9 +69,7 @@ class Recording:
         self.truth: dict[str, tuple[TruthRow, ...]] = self._truth()
 
     def load(self, frame_id: str) -> FrameSet:
-        """The images of a frame. Those of thermal and depth camera may be absent. Raises
-        RecordingError.
-        """
+        """The images of a frame. Raises RecordingError."""
         folder = self.path / "frames" / frame_id
         if frame_id not in self.frames:
             first = f"the first of {len(self.frames)} is {self.frames[0]!r}"
@@ -206,9 +204,7 @@ def _counts(path: Path) -> NDArray[np.uint16]:
 
 
 class RecordingWriter:
-    """Writes frame by frame, each time a whole recording; adds to a folder that exists. Raises
-    RecordingError, as for a frame that is there already, and OSError.
-    """
+    """Writes frame by frame, each time a whole recording. Raises RecordingError, OSError."""
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)

@@ -18,14 +18,10 @@ TOLERANCE = 0.02  # of a number's size: cameras round exposure and gain to steps
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """None leaves the camera as it is. ``exposure`` in us (GenICam) or the backend's unit (OpenCV).
-
-    ``features``: further GenICam features, set last in that order. ``trigger_source``: line of a
-    hardware trigger. ``tries``: names that may fail, "all" for every one. ``auto``: automatic
-    functions are left as they are, else switched off. ``counts``: 16-bit counts are needed as the
-    sensor gives them. ``ptp``: its clock is set by PTP, and the bench waits for that. ``shutter``:
-    GenICam command before each capture, which takes ``shutter_s``. ``depth``: it sends
-    distances.
+    """None leaves the camera as it is. ``exposure``: us (GenICam) or the backend's unit.
+    ``features``: further GenICam features, set last. ``tries``: names that may fail, or "all".
+    ``auto``: automatic functions stay on. ``counts``: 16 bits as the sensor gives them. ``ptp``:
+    wait for its clock. ``shutter``: command before each capture.
     """
 
     resolution: tuple[int, int] | None = None
@@ -51,8 +47,8 @@ def apply(
     ways: Mapping[str, tuple[Callable[[Any], object], Callable[[], object]]],
     failures: tuple[type[Exception], ...] = (),
 ) -> tuple[str, ...]:
-    """Write each setting and read it back by its way (write, read), of which both may raise one of
-    ``failures``; notes about tries. Raises DeviceError that names all that did not take.
+    """Write each setting and read it back by its ways; notes about tries. Raises DeviceError that
+    names all that did not take.
     """
     asked = {name: getattr(settings, name, None) for name in ways} | dict(settings.features)
     taken, faults = [], []
@@ -81,9 +77,9 @@ def apply(
 def hold_still(
     who: str, settings: Settings, functions: Mapping[str, Callable[[bool], str]]
 ) -> tuple[str, ...]:
-    """Switch automatic functions off and read them back, or leave them where ``settings`` allow it.
-    Each of ``functions`` gives what it is set to, "" where it is off or not offered; where its
-    argument is true, it is switched off first. Notes about those that are on. Raises DeviceError.
+    """Switch automatic functions off, unless ``settings`` allow them; notes about those that are
+    on. Each of ``functions`` is called with whether to switch off, and gives its state, "" for off.
+    Raises DeviceError.
     """
     on = [
         f"{name} {state}"

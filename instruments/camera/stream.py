@@ -33,8 +33,8 @@ class Source(Protocol):
 
 
 class StreamServer:
-    """Serves until closed, one frame set a tick of ``fps``; ``urls`` by camera. Raises OSError for
-    an address, ValueError in virtual time.
+    """Serves a frame set a tick of ``fps`` until closed. Raises OSError, ValueError in virtual
+    time.
     """
 
     def __init__(

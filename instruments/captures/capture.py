@@ -9,33 +9,31 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated, Literal
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    field_validator,
+)
 
 from instruments.clock import Clock, wall_time
-from instruments.tap import Tap
+from instruments.link import Tap
 
 FORMAT = "teatbench capture"
 VERSION = 1
-# of the header, beside format and version: all text
-FACTS = ("teatbench", "wall_time", "command", "machine")
 LINK_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}")
 PIECE = 65536  # bytes an event; what is longer is written as several
 SHOWN = 20  # faults that are listed of one file
 LONGEST_LINE = 1 << 20
 ENOUGH = 1000  # faults after which a file is given up
-# what each must say beside time, link and event; and what it may
-EVENTS: dict[str, tuple[frozenset[str], frozenset[str]]] = {
-    "opened": (frozenset({"url"}), frozenset()),
-    "sent": (frozenset({"data"}), frozenset()),
-    "received": (frozenset({"data"}), frozenset()),
-    "closed": (frozenset(), frozenset({"why"})),
-}
-ALWAYS = frozenset({"t_s", "link", "event"})
 
 
 class CaptureError(ValueError):
@@ -53,29 +51,9 @@ class CaptureError(ValueError):
         super().__init__("\n".join(lines))
 
 
-class Captures(Protocol):
-    """Where whoever opens a link asks for a listener."""
-
-    def tap(self, link: str, clock: Clock) -> Tap:
-        """A tap for the link ``arm``, ``bath`` or ``stage``, with times by ``clock``."""
-        ...
-
-
-class NoCapture:
-    """Nothing is captured."""
-
-    def tap(self, link: str, clock: Clock) -> Tap:  # noqa: ARG002 - no listener on any link
-        return Tap()
-
-
-NO_CAPTURE = NoCapture()
-
-
 class CaptureFile:
-    """A capture being written to a new file, for any thread; to be closed, or used with ``with``.
-
-    ``facts``: the header's, but for the time of day. ``fault``: why the capture ended early. Raises
-    CaptureError when the file exists or can't be made.
+    """A capture being written to a new file, from any thread. ``facts``: of the header; ``fault``:
+    why it ended early. Raises CaptureError.
     """
 
     def __init__(self, path: Path, facts: dict[str, str]) -> None:
@@ -100,7 +78,7 @@ class CaptureFile:
             raise CaptureError(
                 path, [(0, f"can't be written: {getattr(error, 'strerror', None) or error}")]
             ) from error
-        self._write(json.dumps(header))
+        self._write(header)
 
     def tap(self, link: str, clock: Clock) -> Tap:
         """A tap for the link of this name. Raises ValueError for a name that is no plain word."""
@@ -116,9 +94,8 @@ class CaptureFile:
         with self._lock:
             if not self._file.closed and not self.fault:
                 self.events += 1
-                self._write(
-                    json.dumps({"t_s": round(clock.now(), 6), "link": link, "event": event, **fact})
-                )
+                t_s = round(clock.now(), 6)
+                self._write({"t_s": t_s, "link": link, "event": event, **fact})
 
     def close(self) -> None:
         """End the capture; a file without any event is taken away. Once more is no error."""
@@ -135,8 +112,9 @@ class CaptureFile:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _write(self, line: str) -> None:
-        rest = memoryview(line.encode("utf-8") + b"\n")
+    def _write(self, message: Mapping[str, object]) -> None:
+        line = json.dumps(message, ensure_ascii=False).encode("utf-8", errors="replace")
+        rest = memoryview(line + b"\n")
         try:
             while rest:
                 rest = rest[self._file.write(rest) :]
@@ -187,9 +165,7 @@ class Piece:
 
 @dataclass(slots=True)
 class Exchange:
-    """Bytes of the host, the last at ``asked_s``, and all that came until the next; ``line`` is the
-    first's.
-    """
+    """Bytes of the host, the last at ``asked_s``, and all that came until its next bytes."""
 
     asked_s: float
     line: int
@@ -199,12 +175,9 @@ class Exchange:
 
 @dataclass(slots=True)
 class Conversation:
-    """One connection; its first exchange is what came unasked. ``closed_s``: None where the capture
-    ended first; ``broke``: why, empty where the host closed it.
-    """
+    """One connection; its first exchange is what came unasked. ``broke``: why the link broke."""
 
     url: str
-    opened_s: float
     exchanges: list[Exchange]
     closed_s: float | None = None
     broke: str = ""
@@ -212,9 +185,7 @@ class Conversation:
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """A file as read: header's ``facts``, connections by link, and whether the last line was
-    ``cut``.
-    """
+    """A file as read; ``cut``: its last line is incomplete."""
 
     path: Path
     facts: Mapping[str, str]
@@ -232,12 +203,48 @@ def read_capture(path: Path) -> Capture:
         raise CaptureError(path, [(0, f"can't be read: {error.strerror or error}")]) from error
 
 
-class _WrongError(Exception):
-    """What is wrong with a line."""
+class _Line(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid")
 
 
-class _NoJsonError(_WrongError):
-    """A line is no JSON at all, as one that was cut."""
+class _Header(_Line):
+    format: Literal["teatbench capture"]
+    version: Literal[1]
+    teatbench: str
+    wall_time: str
+    command: str
+    machine: str
+
+
+class _Event(_Line):
+    t_s: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    link: Annotated[str, Field(pattern=f"^{LINK_NAME.pattern}$")]
+
+
+class _Opened(_Event):
+    event: Literal["opened"]
+    url: str
+
+
+class _Bytes(_Event):
+    event: Literal["sent", "received"]
+    data: Annotated[str, Field(min_length=1)]
+
+    @field_validator("data")
+    @classmethod
+    def _hex(cls, data: str) -> str:
+        bytes.fromhex(data)
+        return data
+
+
+class _Closed(_Event):
+    event: Literal["closed"]
+    why: str = ""
+
+
+_EVENT: TypeAdapter[_Opened | _Bytes | _Closed] = TypeAdapter(
+    Annotated[_Opened | _Bytes | _Closed, Field(discriminator="event")]
+)
 
 
 class _Reader:
@@ -246,130 +253,64 @@ class _Reader:
         self._faults: list[tuple[int, str]] = []
         self._links: dict[str, list[Conversation]] = {}
         self._last_s = 0.0
-        self._cut = False
 
     def read(self, lines: Iterator[bytes]) -> Capture:
-        facts = self._header(next(lines, b""))
+        cut, first = False, next(lines, b"")
+        try:
+            header = _Header.model_validate_json(first)
+        except ValidationError as error:
+            what = f"{_fault_of(error)}; is this a file that this teatbench wrote with --capture?"
+            raise CaptureError(self._path, [(1, what)]) from None
         for number, line in enumerate(lines, 2):
+            if len(line) > LONGEST_LINE:
+                self._faults.append((number, f"the line is longer than {LONGEST_LINE} bytes"))
+                break
             try:
-                self._event(number, _parsed(line))
-            except _WrongError as wrong:
-                self._cut = isinstance(wrong, _NoJsonError) and not line.endswith(b"\n")
-                if not self._cut:
-                    self._faults.append((number, str(wrong)))
-                if len(line) > LONGEST_LINE or len(self._faults) >= ENOUGH:
-                    break
+                self._event(number, _EVENT.validate_json(line))
+            except ValidationError as error:
+                cut = error.errors()[0]["type"] == "json_invalid" and not line.endswith(b"\n")
+                if not cut:
+                    self._faults.append((number, _fault_of(error)))
+            except ValueError as error:
+                self._faults.append((number, str(error)))
+            if len(self._faults) >= ENOUGH:
+                break
         if self._faults:
             raise CaptureError(self._path, self._faults)
-        return Capture(self._path, facts, self._links, self._cut)
+        facts = header.model_dump(exclude={"format", "version"})
+        return Capture(self._path, facts, self._links, cut)
 
-    def _header(self, line: bytes) -> dict[str, str]:
-        """The first line's facts. Raises CaptureError at once for another kind of file."""
-        hint = "is this a file that teatbench wrote with --capture?"
-        if not line:
-            raise CaptureError(self._path, [(0, f"is empty; {hint}")])
-        try:
-            message = _parsed(line)
-            if message.pop("format", None) != FORMAT:
-                raise _WrongError(f'no "format": "{FORMAT}"; {hint}')
-            version = message.pop("version", None)
-            if version != VERSION or isinstance(version, bool):
-                raise _WrongError(
-                    f"written in version {version!r} of the format, and only {VERSION} is"
-                    " understood here: update teatbench"
-                )
-            _check_keys(message, frozenset(FACTS), frozenset())
-            return {key: _text(message, key) for key in FACTS}
-        except _WrongError as wrong:
-            raise CaptureError(self._path, [(1, str(wrong))]) from None
-
-    def _event(self, number: int, message: dict[str, Any]) -> None:
-        kind = message.get("event")
-        if not isinstance(kind, str) or kind not in EVENTS:
-            raise _WrongError(f"no event {kind!r}; there are {', '.join(EVENTS)}")
-        must, may = EVENTS[kind]
-        _check_keys(message, ALWAYS | must, may)
-        link, t_s = _text(message, "link"), self._time(message["t_s"])
-        if not LINK_NAME.fullmatch(link):
-            raise _WrongError(f"no name for a link: {link!r}")
-        if kind == "opened":
-            talk = Conversation(_text(message, "url"), t_s, [Exchange(t_s, number)])
+    def _event(self, number: int, event: _Opened | _Bytes | _Closed) -> None:
+        """Add an event to its connection. Raises ValueError for one that can't be here."""
+        link, t_s = event.link, event.t_s
+        if t_s < self._last_s:
+            raise ValueError(f"t_s goes back, from {self._last_s:g} to {t_s:g}")
+        self._last_s = t_s
+        if isinstance(event, _Opened):
+            talk = Conversation(event.url, [Exchange(t_s, number)])
             self._links.setdefault(link, []).append(talk)
             return
         if link not in self._links:
-            raise _WrongError(
-                f"{link} was {kind} before it was opened"
-                if kind == "closed"
-                else f"bytes {kind} before {link} was opened"
-            )
+            raise ValueError(f"{link}: {event.event} before it was opened")
         talk = self._links[link][-1]
-        if kind == "received":  # also what is read only after the link broke
-            talk.exchanges[-1].came.append(Piece(t_s, _bytes(message), number))
-        elif kind == "closed":
-            why = _text(message, "why") if "why" in message else ""
+        if isinstance(event, _Closed):
             if talk.closed_s is None:
-                talk.closed_s, talk.broke = t_s, why
-        else:
-            data = _bytes(message)
-            if talk.closed_s is None:  # into a broken link it never arrived
-                if len(talk.exchanges) == 1 or talk.exchanges[-1].came:
-                    talk.exchanges.append(Exchange(t_s, number))
-                talk.exchanges[-1].asked += data
-                talk.exchanges[-1].asked_s = t_s
-
-    def _time(self, t_s: object) -> float:
-        if (
-            isinstance(t_s, bool)
-            or not isinstance(t_s, int | float)
-            or not 0 <= t_s <= sys.float_info.max
-        ):
-            raise _WrongError(f"t_s is no time: {t_s!r:.60}")
-        if t_s < self._last_s:
-            raise _WrongError(f"t_s goes back, from {self._last_s:g} to {t_s:g}")
-        self._last_s = float(t_s)
-        return self._last_s
+                talk.closed_s, talk.broke = t_s, event.why
+            return
+        data = bytes.fromhex(event.data)
+        if event.event == "received":  # also what is read only after the link broke
+            talk.exchanges[-1].came.append(Piece(t_s, data, number))
+        elif talk.closed_s is None:  # into a broken link it never arrived
+            if len(talk.exchanges) == 1 or talk.exchanges[-1].came:
+                talk.exchanges.append(Exchange(t_s, number))
+            talk.exchanges[-1].asked += data
+            talk.exchanges[-1].asked_s = t_s
 
 
-def _parsed(line: bytes) -> dict[str, Any]:
-    if len(line) > LONGEST_LINE:
-        raise _WrongError(f"the line is longer than {LONGEST_LINE} bytes")
-    try:
-        message = json.loads(line.decode("utf-8"), object_pairs_hook=_no_key_twice)
-    except UnicodeDecodeError as error:
-        raise _NoJsonError(f"not UTF-8 text: {error}") from error
-    except (ValueError, RecursionError) as error:
-        raise _NoJsonError(f"not JSON: {error}") from error
-    if not isinstance(message, dict):
-        raise _WrongError("not a JSON object")
-    return message
-
-
-def _no_key_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    message = dict(pairs)
-    if len(message) != len(pairs):
-        raise ValueError("a key is there twice")
-    return message
-
-
-def _check_keys(message: Mapping[str, Any], must: frozenset[str], may: frozenset[str]) -> None:
-    if missing := must - message.keys():
-        raise _WrongError(f"{', '.join(sorted(missing))}: missing")
-    if unknown := message.keys() - must - may:
-        raise _WrongError(f"{', '.join(ascii(key) for key in sorted(unknown))}: unknown here")
-
-
-def _text(message: Mapping[str, Any], key: str) -> str:
-    if not isinstance(message[key], str):
-        raise _WrongError(f"{key} is no text: {message[key]!r:.60}")
-    return str(message[key])
-
-
-def _bytes(message: Mapping[str, Any]) -> bytes:
-    text = _text(message, "data")
-    try:
-        data = bytes.fromhex(text)
-    except ValueError:
-        raise _WrongError(f"data is not hex: {text!r:.60}") from None
-    if not data:
-        raise _WrongError("data is empty")
-    return data
+def _fault_of(error: ValidationError) -> str:
+    """The first fault of a line, printable whatever the line holds."""
+    fault = error.errors(include_url=False)[0]
+    text = "".join(f"{part}: " for part in fault["loc"][-1:]) + fault["msg"]
+    if fault["type"] not in ("missing", "json_invalid", "union_tag_invalid"):
+        text += f" (found {fault['input']!r:.60})"
+    return "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in text)

@@ -62,9 +62,7 @@ class TransactionIds:
 
 
 def _ids(stream: bytes) -> Iterator[tuple[bytes, int] | None]:
-    """For each byte of one direction: the id that it is of, and which byte of it; None for all
-    others, and from what is no frame on.
-    """
+    """For each byte of one direction: of which id, and which byte of it; None for all others."""
     start = 0
     while start + HEADER.size <= len(stream):
         _, protocol, length = HEADER.unpack_from(stream, start)
@@ -190,10 +188,8 @@ class Player:
 
 
 class Replay:
-    """A listener for each of ``links`` of ``capture``; to be closed, or used with ``with``.
-
-    ``fast`` answers at once. ``again`` starts over after the last connection; without it one more
-    is a mismatch. Raises OSError when ``host`` can't be listened on.
+    """A listener for each of ``links`` of ``capture``. ``fast`` answers at once; ``again`` starts
+    over after the last connection. Raises OSError.
     """
 
     def __init__(

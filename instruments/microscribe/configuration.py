@@ -92,8 +92,8 @@ class Maxima:
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """Denavit-Hartenberg parameters of six joints, as the signed 16-bit numbers of the arm: angles
-    in 1/32768 of half a turn, lengths in 0.001 inch.
+    """Denavit-Hartenberg parameters of six joints as signed 16-bit numbers: angles in 1/32768 of
+    half a turn, lengths in 0.001 inch.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid")
@@ -171,9 +171,7 @@ def decode_name(code: int, reply: bytes) -> str:
 
 
 def encode(code: Code, *fields: int | tuple[int, ...]) -> bytes:
-    """A reply, or a stream command (25 bytes, 27 for seven encoders), of a value's fields. Raises
-    WireError when a number doesn't fit its place.
-    """
+    """A reply or a stream command of a value's fields. Raises WireError for no fit."""
     numbers = [n for field in fields for n in (field if isinstance(field, tuple) else (field,))]
     layout = _layout(code, numbers[1] if code == Code.STREAM else 0)
     try:
@@ -184,8 +182,8 @@ def encode(code: Code, *fields: int | tuple[int, ...]) -> bytes:
 
 
 def decode(code: Code, data: bytes) -> tuple[int, ...]:
-    """The numbers of a reply or a stream command; none of an echo. Raises WireError for another
-    length or code, BlockLengthError for a block of an unknown length.
+    """The numbers of a reply or a stream command. Raises WireError for another length or code,
+    BlockLengthError for a block of an unknown length.
     """
     body = _body(code, data)
     layout = _layout(code, body[2] if len(body) > 2 else 0)

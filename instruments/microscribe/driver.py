@@ -1,58 +1,75 @@
-"""The host's end of a MicroScribe arm: identity, packets, and positions.
+"""The host's end of a MicroScribe arm: its session, questions and answers, packets, streams, and
+positions.
 
 The protocol has no checksum: damaged packets are asked for again, and several make a reading. There
 is no position before homing is confirmed, since an arm that was not homed gives plausible, wrong
 ones. A broken link is closed at once, which frees its port's name, and opened by the next sign-on.
+
+All bytes leave through `MicroScribe._send`, which refuses what is never sent. IMMC only goes out
+behind C5, since its letters are commands in a session that was left open; BEGIN goes out once.
 """
 
 from __future__ import annotations
 
 import contextlib
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import astuple, dataclass
 from functools import partial
-from importlib import import_module
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from instruments.clock import Clock
 from instruments.errors import InstrumentError, LimitError, LinkError, ProtocolError
-from instruments.link import Link
+from instruments.link import Link, latency_warning
 from instruments.microscribe import configuration as conf
+from instruments.microscribe import errors
 from instruments.microscribe import protocol as wire
 from instruments.microscribe.configuration import DeviceInfo, Identity
-from instruments.microscribe.connection import (
-    ANSWER_S,
-    ATTEMPTS,
-    CABLE_HINT,
-    SIGN_ON_S,
-    ArmConnection,
-)
 from instruments.microscribe.errors import (
     AnotherArmError,
     ArmMovesError,
+    NoMicroScribeError,
     NoSessionError,
     NotHomedError,
     SilentArmError,
     UnusableArmError,
 )
-from instruments.microscribe.protocol import ArmTime, Code, Packet
-from instruments.microscribe.stream import Reading, Sample
+from instruments.microscribe.protocol import (
+    ArmTime,
+    Code,
+    Event,
+    Packet,
+    PacketDecoder,
+    State,
+    WireError,
+)
 
+ANSWER_S = 0.12  # 0.1 s, and the latency of an adapter whose timer has its default
+SILENCE_S = 0.1
+PAUSE_S = 0.015
+STREAM_END_S = 0.05  # what the maker's host waits after it ended a stream
+SIGN_ON_S = 3.0
+# an arm in a session at another rate ends it at the first C5 that it understands
+OTHER_RATE_S = 0.5
+ATTEMPTS = 3
+READINGS = 3  # of the arm's data at sign-on; two have to agree
+RECOVER_S = 30.0
 # eight packets of a still arm spread by some 0.35 mm: rounding (0.31 mm a packet) and tremor
 MAX_SPREAD_MM = 1.0
 INTERVAL_S = 0.01
 STREAMED = wire.POLL | wire.TIME_STAMP
-RECOVER_S = 30.0
 _RETRY_S = 0.25
 _RETRY_SIGN_ON_S = 1.0  # a port that is back is noticed, and its arm signed on, well within 2 s
 _RATES = (115200, 38400, 57600, 19200, 9600, 28800, 14400)  # the likely ones first
-SYSFS = Path("/sys")
-FTDI_DEVICES = r"SYSTEM\CurrentControlSet\Enum\FTDIBUS"  # in the registry
-WANTED_MS = 1
+_NOTHING = 0x00  # asks for a packet of buttons alone: how a stream is ended
+_END = bytes([Code.END])
+_KEPT = 256
+_T = TypeVar("_T")
 
+ON_HINT = "Is the arm switched on, plugged in, and on this port? Close other programs that use it"
+CABLE_HINT = "Check cable, plugs and baud rate"
 _CONFIRM_HINT = (
     "Confirm it if the stylus sat on its peg when the arm was last switched on; "
     "else put the stylus on its peg, switch the arm off and on, sign on, and confirm"
@@ -71,10 +88,38 @@ _DOUBT = (
 )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Reading:
+    """One position in the arm's frame: median ``tip_mm`` (3,) and ``axis`` (3,) up the stylus,
+    ``spread_mm`` of ``n`` packets, ``counts`` of the last one; ``written``: as another program or a
+    person wrote it.
+    """
+
+    tip_mm: npt.NDArray[np.float64]
+    spread_mm: float
+    axis: npt.NDArray[np.float64] | None
+    n: int
+    counts: tuple[int, ...] = ()
+    written: str = ""
+
+    @property
+    def evidence(self) -> str | list[int]:
+        """What the record keeps of it: the counts, or what was written."""
+        return self.written or [int(count) for count in self.counts]
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One packet; ``t_s`` is by the arm's clock from the session's first stamp."""
+
+    t_s: float
+    counts: tuple[int, ...]
+    buttons: int
+
+
 class MicroScribe:
-    """One arm on one link, which it owns. ``rates``: tried by sign-on, the first one for longest;
-    default the link's own, then on a serial port all others. ``answer_s``: time for an answer, of
-    which three have to be missing before the arm counts as lost.
+    """One arm on one link, which it owns. ``rates``: tried by sign-on, the first one longest.
+    ``answer_s``: time for an answer; three have to be missing before the arm counts as lost.
     """
 
     moves: ClassVar[bool] = False
@@ -102,7 +147,10 @@ class MicroScribe:
             others = () if link.url.startswith("socket://") else _RATES
             rates = (link.baud, *(rate for rate in others if rate != link.baud))
         self._rates = tuple(rates)
-        self._arm = ArmConnection(link, clock, answer_s)
+        self._answer_s = answer_s
+        self._state = State.FINDING_BAUD
+        self._untidy = False  # bytes of an earlier answer may come
+        self._decoder = PacketDecoder(wire.POLL)
         self._arm_time = ArmTime()
         self._info: DeviceInfo | None = None
         self._broken = False
@@ -147,33 +195,31 @@ class MicroScribe:
     @property
     def live(self) -> bool:
         """Whether a session is open, as far as the host can tell."""
-        return self._arm.live
+        return self._state in wire.LIVE
 
     @property
     def damaged(self) -> int:
         """Packets that came damaged since the driver was made."""
-        return self._arm.damaged
+        return self._decoder.damaged
 
     # Sessions
 
     def sign_on(self) -> Identity:
-        """Find the arm and open a session, and before it a broken link; homing has to be confirmed
-        afterwards. Raises LinkError (SilentArmError: no answer), NoMicroScribeError,
-        UnusableArmError, ProtocolError for damaged answers.
+        """Find the arm and open a session; homing has to be confirmed afterwards. Raises LinkError
+        (SilentArmError: no answer), NoMicroScribeError, UnusableArmError, ProtocolError.
         """
         return self._sign_on(self._rates, SIGN_ON_S)
 
     def recover(self, timeout_s: float = RECOVER_S) -> Identity:
-        """After a loss: wait for port and arm, and sign on at the rate that worked. Raises what
-        ``sign_on`` raised last once ``timeout_s`` have passed; at once UnusableArmError, and
-        AnotherArmError for another serial number.
+        """Wait for port and arm, and sign on at the rate that worked. Raises what ``sign_on``
+        raised last after ``timeout_s``; at once UnusableArmError, AnotherArmError.
         """
         before, deadline = self._info, self._clock.now() + timeout_s
         try:
             while True:
-                patience_s = min(_RETRY_SIGN_ON_S, max(_RETRY_S, deadline - self._clock.now()))
+                attempt_s = min(_RETRY_SIGN_ON_S, max(_RETRY_S, deadline - self._clock.now()))
                 try:
-                    now = self._sign_on((self.baud,), patience_s)
+                    now = self._sign_on((self.baud,), attempt_s)
                     break
                 except UnusableArmError:
                     raise
@@ -192,23 +238,32 @@ class MicroScribe:
             raise
         return now
 
-    def _sign_on(self, rates: Sequence[int], patience_s: float) -> Identity:
+    def _sign_on(self, rates: Sequence[int], timeout_s: float) -> Identity:
         self._lose_homing("the session was opened anew")
         self._info = None
         self._arm_time = ArmTime()
         if self._broken:
             self._link.reopen()
             self._broken = False
-        with self._noticing():
-            self._info, baud = self._arm.open(rates, patience_s)
+        self._lose_session()
+        with self._link_watched():
+            baud = self._find(rates, timeout_s)
+            try:
+                self._begin()
+                self._info = self._read_device_info()
+            except InstrumentError:
+                # the first error says more than a second one about the same link
+                with contextlib.suppress(LinkError):
+                    self._end()
+                raise
         self._doubt = _DOUBT if baud != rates[0] else ""
         return self._info.names
 
     def safe(self) -> None:
         """End the session, if any. Raises LinkError when the link is broken."""
         self._lose_homing("the session was ended")
-        with self._noticing():
-            self._arm.end()
+        with self._link_watched():
+            self._end()
 
     def close(self) -> None:
         """End the session and close the link; once more is no error."""
@@ -219,7 +274,7 @@ class MicroScribe:
             self._link.close()
 
     @contextlib.contextmanager
-    def _noticing(self) -> Iterator[None]:
+    def _link_watched(self) -> Iterator[None]:
         """A link that breaks in here costs the session and the homing."""
         try:
             yield
@@ -228,22 +283,198 @@ class MicroScribe:
         except LinkError:
             self._broken = True
             self._lose_homing("the link broke, and the arm may have lost its power")
-            self._arm.lose()
+            self._lose_session()
             self._link.close()
             raise
+
+    def _find(self, rates: Sequence[int], timeout_s: float) -> int:
+        """Send IMMC until it is echoed; the rate that worked, else the link is at the first."""
+        start, seen, tried = self._clock.now(), b"", []
+        for baud in rates:
+            if not self._set_rate(baud):
+                continue
+            tried.append(baud)
+            noise = self._synchronise(timeout_s if baud == rates[0] else OTHER_RATE_S)
+            if noise is None:
+                return baud
+            seen = (seen + noise)[-_KEPT:]
+            if errors.diagnosis(noise):
+                break
+        self._set_rate(rates[0])
+        at = f" at {' or '.join(map(str, tried))} baud" if len(tried) > 1 else ""
+        kind: type[InstrumentError] = SilentArmError
+        what, hint = f"nothing answers the sign-on{at}", ON_HINT
+        if seen:
+            kind, hint = NoMicroScribeError, errors.diagnosis(seen) or errors.NOISE_HINT
+            what = f"something answers, but not as a MicroScribe{at}"
+        seconds, asked = self._clock.now() - start, _END + wire.SYNC
+        raise kind(self.who, what, asked=asked, seen=seen[-64:], seconds=seconds, hint=hint)
+
+    def _set_rate(self, baud: int) -> bool:
+        """Whether the port can do that rate; few can do 14400 and 28800."""
+        with contextlib.suppress(LinkError):
+            if self._link.baud != baud:
+                self._link.set_baud(baud)
+        return self._link.baud == baud
+
+    def _synchronise(self, timeout_s: float) -> bytes | None:
+        """None once the echo came, else all that came. The end is sent alone first: were it lost
+        before the first IMMC, the letters would be commands.
+        """
+        deadline = self._clock.now() + timeout_s
+        self._send(_END, Event.END)
+        seen = self._link.read_until(_END, PAUSE_S)
+        while self._clock.now() < deadline:
+            self._send(_END + wire.SYNC, Event.END)
+            seen = (seen + self._link.read_until(wire.SYNC, PAUSE_S))[-_KEPT:]
+            if wire.SYNC in seen:
+                self._untidy = True
+                # surplus echoes; and nothing from before the session counts as from within it
+                self._tidy()
+                self._state = wire.next_state(self._state, Event.SYNC)
+                return None
+        return seen.strip(_END)
+
+    def _begin(self) -> None:
+        self._send(wire.BEGIN, Event.BEGIN)
+        seconds = max(SIGN_ON_S, self._answer_s)
+        answer = self._link.read_until(b"\0", seconds)
+        if answer.rstrip(b"\0").endswith(wire.PRODUCT_ID):
+            return
+        kind: type[InstrumentError] = NoMicroScribeError
+        what = "the answer is not that of a MicroScribe"
+        hint = errors.diagnosis(answer) or errors.NOISE_HINT
+        if not answer:
+            kind, what, hint = SilentArmError, "the arm echoed, then fell silent", ON_HINT
+        elif wire.INTERFACE_BOX in answer:
+            kind, hint = UnusableArmError, "Connect the MicroScribe's own port"
+            what = "this is an Immersion Interface Box, not an arm: its encoder bits differ"
+        waited_s = None if answer else seconds
+        raise kind(self.who, what, asked=wire.BEGIN, seen=answer, seconds=waited_s, hint=hint)
+
+    def _read_device_info(self) -> DeviceInfo:
+        """The arm's data, read until two readings agree."""
+        seen: list[DeviceInfo] = []
+        last: ProtocolError | None = None
+        for _ in range(READINGS):
+            try:
+                info = self._read_once()
+            except ProtocolError as error:
+                last = error
+                continue
+            if info in seen:
+                return info
+            seen.append(info)
+        what = f"the arm's data came differently each of {READINGS} times"
+        asked, hint = "names, maxima, parameters", "Check cable and plugs, then sign on again"
+        raise last or ProtocolError(self.who, what, asked=asked, hint=hint)
+
+    def _read_once(self) -> DeviceInfo:
+        ask = partial(self._ask, timeout_s=SIGN_ON_S)
+        names = Identity(*(ask(code, partial(conf.decode_name, code)) for code in conf.NAMES))
+        maxima = ask(Code.MAXIMA, conf.decode_maxima)
+        if names.format != conf.FORMAT:
+            found = f"{names.format!r}, not {conf.FORMAT!r}"
+            what = f"its parameters are in a format that is not understood: {found}"
+            hint = "Positions of this arm can't be computed; use another arm"
+            raise UnusableArmError(self.who, what, hint=hint)
+        parameters = ask(Code.PARAMETERS, conf.decode_parameters)
+        decode_beta = partial(conf.decode, Code.EXTENDED)
+        beta = ask(Code.EXTENDED, decode_beta)[0] if names.has_beta else 0
+        return DeviceInfo(names, maxima, parameters, beta)
+
+    def _end(self) -> None:
+        """End the session, if any. Raises LinkError when the link is broken: ended too, then."""
+        if self._state is State.FINDING_BAUD:
+            return
+        try:
+            self._send(_END, Event.END)
+            # silence is as good: an arm without power has no session
+            self._link.read_until(_END, self._answer_s)
+            self._clock.sleep(PAUSE_S)
+        finally:
+            self._lose_session()
+
+    def _lose_session(self) -> None:
+        """The session is gone; what still comes belongs to no later question."""
+        self._state = State.FINDING_BAUD
+        self._untidy = True
+        self._decoder.reset()
+
+    # Questions and answers
+
+    def _tidy(self) -> None:
+        """Wait for late bytes of an earlier answer, and drop them."""
+        if self._untidy:
+            self._link.drain(min(1.0, SILENCE_S * self._answer_s / ANSWER_S))
+            self._untidy = False
+
+    def _send(self, data: bytes, event: Event) -> None:
+        """Send bytes that are ``event``. Raises LimitError for what is never sent, NoSessionError
+        for what the state doesn't allow, LinkError.
+        """
+        try:
+            wire.refuse_forbidden(data, self._state)
+        except WireError as error:
+            raise LimitError(self.who, f"{error}", asked=data) from error
+        try:
+            state = wire.next_state(self._state, event)
+        except WireError as error:
+            raise NoSessionError(self.who, f"{error}", asked=data, hint="Sign on first") from error
+        self._link.write(data)
+        self._state = state
+
+    def _ask(self, code: Code, decode: Callable[[bytes], _T], *, timeout_s: float = 0.0) -> _T:
+        """Send a configuration command and decode its reply. Raises SilentArmError,
+        UnusableArmError, ProtocolError, NoSessionError, LinkError.
+        """
+        self._tidy()
+        asked, start = bytes([code]), self._clock.now()
+        self._send(asked, Event.CONFIGURE)
+        deadline, reply = start + max(timeout_s, self._answer_s), b""
+        while (end := conf.reply_length(code, reply)) is None:
+            more = self._received(deadline)
+            if not more:
+                break
+            reply += more
+        seconds = self._clock.now() - start
+        self._untidy = not reply or len(reply) > len(reply[:end])
+        reply = reply[:end]
+        kind: type[InstrumentError] = SilentArmError
+        what, hint = "the arm does not answer", ON_HINT
+        try:
+            if reply:
+                return decode(reply)
+        except WireError as error:
+            self._untidy = True
+            unusable = isinstance(error, conf.BlockLengthError)
+            kind = UnusableArmError if unusable else ProtocolError
+            what, hint = f"{error}", f"{CABLE_HINT}, then sign on again"
+        raise kind(self.who, what, asked=asked, seen=reply, seconds=seconds, hint=hint)
+
+    def _received(self, deadline_s: float) -> bytes:
+        return self._link.receive(max(0.0, deadline_s - self._clock.now()))
+
+    def _expect(self, command: int) -> None:
+        """Drop what is left of an earlier answer, and accept packets of ``command`` only."""
+        if self._untidy:
+            self._tidy()
+            self._decoder.reset()
+        if command != self._decoder.command:
+            self._decoder.expect(command)
 
     def _need_session(self, asked: str) -> None:
         """Raise NoSessionError without a session, LimitError within a stream."""
         if not self.live:
             raise NoSessionError(self.who, "there is no session", asked=asked, hint="Sign on first")
-        if self._arm.streaming:
+        if self._state is State.STREAMING:
             raise LimitError(self.who, "a stream runs", asked=asked, hint="End the stream first")
 
     # Homing
 
     def confirm_homed(self) -> None:
-        """The operator confirms that the stylus was on its peg at power-up, or was homed since.
-        Raises NoSessionError; NotHomedError after a search for the rate, when only homing helps.
+        """The operator confirms homing. Raises NoSessionError; NotHomedError after a search for the
+        rate, when only homing helps.
         """
         self._need_session("to confirm homing")
         if self._doubt:
@@ -251,13 +482,13 @@ class MicroScribe:
         self._not_homed, self._doubt = None, ""
 
     def home(self) -> None:
-        """Make the arm load its home counts. Only with the stylus on its peg: anywhere else ruins
-        every position. Raises NoSessionError, LinkError, or ProtocolError without confirmation.
+        """Make the arm load its home counts, with the stylus on its peg: anywhere else ruins every
+        position. Raises NoSessionError, LinkError, or ProtocolError without confirmation.
         """
         self._need_session("to home")
         self._lose_homing("the arm was asked to home, and did not confirm it")
-        with self._noticing():
-            self._arm.ask(Code.HOME, partial(conf.decode, Code.HOME))
+        with self._link_watched():
+            self._ask(Code.HOME, partial(conf.decode, Code.HOME))
         self._not_homed, self._doubt = None, ""
 
     def _lose_homing(self, why: str) -> None:
@@ -274,10 +505,8 @@ class MicroScribe:
     # Packets and positions
 
     def poll(self) -> Packet:
-        """One packet of six counts; asked for again when damaged.
-
-        Raises NoSessionError, LimitError within a stream, ProtocolError when every attempt came
-        damaged; LinkError (SilentArmError: no answer), which loses session and homing.
+        """One packet of six counts, asked for again when damaged. Raises NoSessionError, LimitError
+        within a stream, ProtocolError; LinkError, which loses session and homing.
         """
         self._need_session("a packet")
         return self._packet()
@@ -285,8 +514,8 @@ class MicroScribe:
     def _packet(self) -> Packet:
         seen, start = b"", self._clock.now()
         for _ in range(ATTEMPTS):
-            with self._noticing():
-                packet, came = self._arm.ask_packet()
+            with self._link_watched():
+                packet, came = self._poll_once()
             if packet is not None:
                 return packet
             seen = came or seen
@@ -295,15 +524,30 @@ class MicroScribe:
             what = f"{ATTEMPTS} packets in a row came damaged"
             raise ProtocolError(self.who, what, asked=asked, seen=seen, hint=CABLE_HINT)
         self._lose_homing("the arm fell silent: it may have lost its power")
-        self._arm.lose()
+        self._lose_session()
         what = "the arm has fallen silent: without power or cable, session and homing are lost"
         hint = _BACK_HINT
         raise SilentArmError(self.who, what, asked=asked, seen=b"", seconds=seconds, hint=hint)
 
+    def _poll_once(self) -> tuple[Packet | None, bytes]:
+        """The packet (None: damaged or missing), and the bytes that came. Raises LinkError."""
+        self._expect(wire.POLL)
+        self._send(bytes([wire.POLL]), Event.POLL)
+        seen = b""
+        deadline = self._clock.now() + self._answer_s
+        while data := self._received(deadline):
+            seen += data
+            if packets := self._decoder.feed(data):
+                withdrawn, behind = self._decoder.withdrawn, self._link.receive(0.0)
+                self._decoder.feed(behind)
+                self._untidy = len(packets) > 1 or bool(behind) or self._decoder.pending > 0
+                return None if self._decoder.withdrawn > withdrawn else packets[-1], seen + behind
+        self._untidy = True
+        return None, seen
+
     def read(self, n: int = 8, max_spread_mm: float = MAX_SPREAD_MM) -> Reading:
         """One position from ``n`` packets, 10 ms apart. Raises NotHomedError, ArmMovesError for a
-        tip further than ``max_spread_mm`` from the median, ValueError for n below 1, else as
-        ``poll``.
+        larger spread, ValueError for n below 1, else as ``poll``.
         """
         if n < 1:
             raise ValueError(f"a reading needs one packet at least, not {n}")
@@ -322,25 +566,29 @@ class MicroScribe:
 
     @contextlib.contextmanager
     def stream(self) -> Iterator[Iterator[Sample]]:
-        """Samples without end, as fast as the arm sends them: ``with arm.stream() as samples:``. A
-        silent stream is started again if the arm still answers. Raises NoSessionError, LimitError
-        within a stream; while it runs, as ``poll``.
+        """Samples as fast as the arm sends them; a silent stream is started again if the arm still
+        answers. Raises as ``poll``.
         """
         self._need_session("a stream")
         self._start_stream()
         try:
             yield self._samples()
         finally:
-            with self._noticing():
-                self._arm.stop_stream()
+            self._stop_stream()
 
     def _start_stream(self) -> None:
+        """Start the fastest stream with time stamps. Raises as ``poll``."""
         start, seen = self._clock.now(), b""
+        request = conf.encode(Code.STREAM, *astuple(conf.StreamRequest(0, STREAMED)))
+        echo = bytes([Code.STREAM])
         for _ in range(ATTEMPTS):
-            with self._noticing():
-                came = self._arm.start_stream(STREAMED)
-            if came is None:
+            with self._link_watched():
+                self._expect(STREAMED)
+                self._send(request, Event.STREAM)
+                came = self._link.read_until(echo, self._answer_s)
+            if came.endswith(echo):
                 return
+            self._stop_stream()
             seen = came or seen
         what = f"{ATTEMPTS} requests for a stream were answered otherwise"
         kind: type[InstrumentError] = ProtocolError
@@ -348,19 +596,36 @@ class MicroScribe:
             self._packet()  # raises where the arm is gone
             kind, what = SilentArmError, "the arm answers polls, but no stream"
         seconds = self._clock.now() - start
-        asked, hint = bytes([Code.STREAM]), f"{CABLE_HINT}; or poll"
-        raise kind(self.who, what, asked=asked, seen=seen[-64:], seconds=seconds, hint=hint)
+        hint = f"{CABLE_HINT}; or poll"
+        raise kind(self.who, what, asked=echo, seen=seen[-64:], seconds=seconds, hint=hint)
+
+    def _stop_stream(self) -> None:
+        """End a stream as the maker's host does: 00, 50 ms, flush; earlier packets are dropped."""
+        if self._state is not State.STREAMING:
+            return
+        with self._link_watched():
+            self._untidy = True
+            for _ in range(ATTEMPTS):
+                self._send(bytes([_NOTHING]), Event.POLL)
+                self._clock.sleep(STREAM_END_S)
+                rest = PacketDecoder().feed(self._link.drain(0.0))
+                if rest and rest[-1].command == _NOTHING:
+                    self._untidy = False
+                    break
+            self._decoder.expect(STREAMED)
 
     def _samples(self) -> Iterator[Sample]:
         while True:
-            if not self._arm.streaming:
+            if self._state is not State.STREAMING:
                 what, asked = "the stream has ended", "the next sample"
                 raise NoSessionError(self.who, what, asked=asked, hint="Start another stream")
-            with self._noticing():
-                packets = self._arm.stream_packets()
+            deadline = self._clock.now() + self._answer_s
+            packets: list[Packet] = []
+            with self._link_watched():
+                while not packets and (data := self._received(deadline)):
+                    packets = self._decoder.feed(data)
             if not packets:  # the command may have been lost, or the arm
-                with self._noticing():
-                    self._arm.stop_stream()
+                self._stop_stream()
                 self._packet()
                 self._start_stream()
             host_s = self._clock.now()
@@ -369,8 +634,8 @@ class MicroScribe:
                 yield Sample(t_s, packet.counts, packet.buttons)
 
     def position(self, samples: Sequence[Sample]) -> Reading:
-        """The reading of samples, whatever their spread: to show while the arm moves, not to
-        measure with. Raises NotHomedError, NoSessionError, and ValueError for no samples.
+        """The reading of samples whatever their spread: to show, not to measure. Raises
+        NotHomedError, ValueError for no samples.
         """
         if not samples:
             raise ValueError("a reading needs one sample at least")
@@ -383,52 +648,3 @@ class MicroScribe:
         tip, axis = np.median(tips, axis=0), np.median(axes, axis=0)
         spread_mm = float(np.linalg.norm(tips - tip, axis=1).max())
         return Reading(tip, spread_mm, axis / np.linalg.norm(axis), len(counts), counts[-1])
-
-
-def latency_warning(port: str, sysfs: Path = SYSFS) -> str | None:
-    """Advice about a slow adapter behind a port's path, link or name; None when fine or unknown."""
-    if re.fullmatch(r"COM\d+", port):
-        latency_ms, name = _windows_latency_ms(port), port
-        how = (
-            f"in Device Manager, Ports, {port}, Port Settings, Advanced: Latency Timer {WANTED_MS}"
-        )
-    elif port.startswith("/"):
-        name = Path(port).resolve().name
-        timer = sysfs / "bus" / "usb-serial" / "devices" / name / "latency_timer"
-        try:
-            latency_ms = int(timer.read_text(encoding="ascii"))
-        except (OSError, ValueError):  # no USB adapter, one without a timer, or no Linux
-            return None
-        how = f"with: echo {WANTED_MS} | sudo tee {timer.as_posix()} (until it is plugged in again)"
-    else:
-        return None
-    if latency_ms is None or latency_ms <= WANTED_MS:
-        return None
-    return (
-        f"the USB adapter {name} holds bytes back for {latency_ms} ms, which every poll waits for."
-        f" Set it {how}, or stream instead of polling"
-    )
-
-
-def _windows_latency_ms(port: str) -> int | None:
-    """What FTDI's driver keeps in the registry for ``port``; None for another adapter."""
-    try:
-        registry: Any = import_module("winreg")
-    except ImportError:
-        return None
-    with contextlib.suppress(OSError):
-        for device in _subkeys(registry, FTDI_DEVICES):
-            for instance in _subkeys(registry, f"{FTDI_DEVICES}\\{device}"):
-                path = f"{FTDI_DEVICES}\\{device}\\{instance}\\Device Parameters"
-                with (
-                    contextlib.suppress(OSError),
-                    registry.OpenKey(registry.HKEY_LOCAL_MACHINE, path) as key,
-                ):
-                    if registry.QueryValueEx(key, "PortName")[0] == port:
-                        return int(registry.QueryValueEx(key, "LatencyTimer")[0])
-    return None
-
-
-def _subkeys(registry: Any, path: str) -> list[str]:
-    with registry.OpenKey(registry.HKEY_LOCAL_MACHINE, path) as key:
-        return [registry.EnumKey(key, at) for at in range(registry.QueryInfoKey(key)[0])]

@@ -45,11 +45,11 @@ _PARAMETERS, _TREMOR, _CONTACTS = 0, 1, 3  # streams of chance; 2 is that of the
 
 
 class Hand(Protocol):
-    """Whoever holds the stylus."""
+    """What holds the stylus."""
 
     def arm_target(self) -> tuple[Floats, Floats | None] | None:
-        """Tip (3,) mm in the arm's frame, and direction (3,) from it up the stylus or None for any.
-        None altogether: the stylus is on its peg.
+        """Tip (3,) mm in the arm's frame and direction (3,) up the stylus, if any; None: on the
+        peg.
         """
 
 
@@ -61,10 +61,9 @@ class Look(NamedTuple):
 
 
 class KinematicError:
-    """The tip's distance from where the counts say, as a smooth function of the pose.
-
-    Lengths, twists and encoder zeros differ a little from the stored ones. Joint 0 stays true and
-    the mean is removed, since both would be another frame. The mean distance is ``accuracy_mm``.
+    """The tip's distance from where the counts say, as a smooth function of the pose,
+    ``accuracy_mm`` in the mean. Joint 0 stays true and the mean is removed, since both would be
+    another frame.
     """
 
     def __init__(
@@ -116,8 +115,8 @@ class Pose:
 
 
 class Mechanics:
-    """The joints of one arm in one hand. ``home`` (6,) are the counts on the peg, ``accuracy_mm``
-    the mean error over the workspace, ``tremor_mm`` the tip's rms distance from its target.
+    """One arm's joints in a hand. ``home`` (6,): counts on the peg; ``accuracy_mm``: mean error;
+    ``tremor_mm``: the tip's rms distance from its target.
     """
 
     def __init__(
@@ -141,9 +140,7 @@ class Mechanics:
         self._block: tuple[Pose, int, list[list[int]]] | None = None
 
     def counts(self, packet: int) -> Sequence[int]:
-        """Counts (6,) of the ``packet``-th packet; made a thousand at a time, for hosts that poll
-        fast. Raises OutOfReachError.
-        """
+        """Counts (6,) of a packet; made a thousand at a time. Raises OutOfReachError."""
         target = self._hand.arm_target()
         if target is None:
             return self._home
@@ -181,9 +178,8 @@ class Mechanics:
 
 
 class Stream:
-    """A running stream of ``command``: a packet every ``period_s``, by differences only when it
-    `fires`. A delta or mask bit of 0 leaves its encoder or pedal out; the analog channels are not
-    connected. A difference is measured from the last packet, the first from ``look``.
+    """A running stream: a packet every ``period_s``, by differences only when it `fires`. A delta
+    or mask bit of 0 leaves its encoder or pedal out.
     """
 
     def __init__(self, request: StreamRequest, look: Look | None) -> None:
@@ -208,11 +204,9 @@ class Stream:
 
 
 class ArmEmulator:
-    """An arm in a hand, switched on with its stylus on the peg.
-
-    ``state`` of its session, ``packets`` sent, ``eeprom_attempts`` (writes that were asked for),
-    and ``unreachable``: why it hung up on an impossible pose. Raises ValueError for a ``unit``
-    whose tip never comes above the table.
+    """An arm in a hand, switched on with its stylus on the peg. ``eeprom_attempts``: writes that
+    were asked for; ``unreachable``: why it hung up on an impossible pose. Raises ValueError for a
+    ``unit`` whose tip never comes above the table.
     """
 
     def __init__(
@@ -443,9 +437,7 @@ class ArmEmulator:
             self._run(stream, connection)
 
     def _run(self, stream: Stream, connection: Connection) -> None:
-        """Send the stream by absolute times, no faster than the line, until another command or
-        host.
-        """
+        """Send the stream by absolute times until another command or host."""
         self._runs += 1
         run, due_s = self._runs, self._clock.now() + stream.period_s
 

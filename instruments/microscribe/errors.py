@@ -1,4 +1,4 @@
-"""Errors of the arm's driver, and a guess at which other device answered the sign-on."""
+"""Errors of the arm's driver, and which other device may have answered the sign-on."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ _NEIGHBOURS: tuple[tuple[Callable[[bytes], bool], str], ...] = (
     ),
     (
         lambda seen: SYNC in seen or BEGIN in seen,
-        "It sends back what it hears: is a loop-back plug or a modem on this port? Give the arm's",
+        "It echoes what it receives: is a loop-back plug or a modem on this port? Give the arm's",
     ),
     (
         lambda seen: b"ok\r\n" in seen or b"error:" in seen or b"ALARM:" in seen,
@@ -80,6 +80,6 @@ NOISE_HINT = (
 )
 
 
-def guess(seen: bytes) -> str | None:
+def diagnosis(seen: bytes) -> str | None:
     """Which known other device answered the sign-on with ``seen``, and what to do; else None."""
     return next((hint for fits, hint in _NEIGHBOURS if fits(seen)), None)

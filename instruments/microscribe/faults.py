@@ -68,8 +68,8 @@ class Faults:
         amount: float | None = None,
         after: int = 0,
     ) -> None:
-        """Let a fault strike ``times`` times, after sparing the first ``after`` chances; ``amount``
-        in the unit of `AMOUNTS`. Raises ValueError for an unknown name or a useless amount.
+        """Start a fault for ``times`` times, after sparing ``after`` chances; ``amount`` in the
+        unit of `AMOUNTS`. Raises ValueError.
         """
         known = named(fault)
         check_amount(known, amount)

@@ -49,9 +49,7 @@ class ArmGeometry:
         return self.turns > 0
 
     def angles(self, counts: npt.ArrayLike) -> Floats:
-        """Joint angles (n, 6) rad in [0, 2 pi) of counts (n, 6); 0 without an encoder. Raises
-        ValueError for another shape.
-        """
+        """Joint angles (n, 6) rad in [0, 2 pi) of counts (n, 6). Raises ValueError."""
         per_turn = np.where(self.active, self.turns, 1)
         turned = np.mod(_rows(counts), per_turn) * (2.0 * np.pi / per_turn)
         return np.where(self.active, turned, 0.0)
@@ -61,9 +59,9 @@ class ArmGeometry:
         return self.forward_angles(self.angles(counts))
 
     def forward_angles(self, angles_rad: Floats) -> tuple[Floats, Floats]:
-        """As ``forward``, for joint angles (n, 6) rad. A joint is RotX(alpha) TransX(a) RotY(beta)
-        RotZ(theta) TransZ(d), beta on one joint only. A point and a direction are moved from the
-        tip inwards: faster than matrices.
+        """As ``forward``, for angles (n, 6) rad. A joint is RotX(alpha) TransX(a) RotY(beta)
+        RotZ(theta) TransZ(d), beta on one joint only; moved from the tip inwards, faster than
+        matrices.
         """
         n = len(angles_rad)
         tip: _Triple = (np.zeros(n), np.zeros(n), np.zeros(n))
@@ -98,9 +96,7 @@ class ArmGeometry:
         return rotations, origins
 
     def jacobian(self, angles_rad: Floats) -> Floats:
-        """(n, 6, 6) for angles (n, 6) rad: rows tip (mm/rad) then axis (1/rad), columns joints;
-        zero for a joint without an encoder.
-        """
+        """(n, 6, 6) for angles (n, 6) rad: rows tip (mm/rad) then axis (1/rad), columns joints."""
         return self._slopes(*self.frames(angles_rad))
 
     def _slopes(self, rotations: Floats, origins: Floats) -> Floats:
@@ -146,12 +142,10 @@ def inverse(
     *,
     start: npt.ArrayLike,
 ) -> Floats:
-    """The counts (6,), not rounded, that hold the tip at ``point_mm`` (3,).
-
-    ``direction`` (3,) points from the tip up the stylus; None leaves it free. In line with the
-    forearm (a blind cone of about a degree) it may be off by 0.02 rad. Joints stay within
-    `RANGES_RAD` of the home pose ``start`` (6,); the pose nearest to it is taken. Damped least
-    squares from many starts. Raises OutOfReachError, ValueError for no direction.
+    """The counts (6,), not rounded, that hold the tip at ``point_mm`` (3,), by damped least squares
+    from many starts; of poses within `RANGES_RAD` the one nearest to home. ``direction`` (3,)
+    points up the stylus; in line with the forearm it may be off by 0.02 rad. Raises
+    OutOfReachError, ValueError.
     """
     goal, stylus = np.asarray(point_mm, dtype=np.float64), None
     if direction is not None:

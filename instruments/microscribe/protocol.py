@@ -114,8 +114,8 @@ def event_of(command: int) -> Event:
 
 
 def refuse_forbidden(data: bytes, state: State) -> None:
-    """Raise WireError where ``data`` starts an EEPROM write, for which bit 7 counts only outside a
-    session, or has an argument that would configure the arm if its command were lost.
+    """Raise WireError where ``data`` starts an EEPROM write, or has an argument that would
+    configure the arm if its command were lost.
     """
     live = state in LIVE
     for at, byte in enumerate(data):
@@ -158,9 +158,7 @@ _LENGTHS = tuple(map(payload_length, range(64)))
 
 
 def encode_packet(packet: Packet) -> bytes:
-    """Header and payload; the eighth analog's lowest bit is dropped. Raises WireError when the
-    packet doesn't fit its command.
-    """
+    """Header and payload. Raises WireError when the packet doesn't fit its command."""
     command, buttons, counts, ticks, analogs = packet
     wanted = encoder_count(command), analog_count(command), bool(command & TIME_STAMP)
     if (len(counts), len(analogs), ticks is not None) != wanted:
@@ -187,8 +185,13 @@ class PacketDecoder:
 
     def __init__(self, command: int | None = None) -> None:
         self.damaged = self.withdrawn = 0
-        self._behind_packet = False
+        self.expect(command)
+
+    def expect(self, command: int | None) -> None:
+        """From now on packets of ``command``, and nothing of one that had begun."""
+        self.command = command
         self._wanted = None if command is None else command | MARK
+        self._behind_packet = False
         self._buffer = b""
 
     @property

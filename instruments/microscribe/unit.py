@@ -2,31 +2,19 @@
 
 from __future__ import annotations
 
-import json
-import tomllib
-from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass
 from functools import cache
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ValidationError, model_validator
+from pydantic import BaseModel, model_validator
 
+from instruments.device_file import read_device
 from instruments.microscribe import configuration as conf
 from instruments.microscribe.configuration import Counts, DeviceInfo, Identity, Maxima, Parameters
 from instruments.microscribe.protocol import Code
 
 SHIPPED = Path(__file__).with_name("units")
-
-
-class UnitError(ValueError):
-    """A file that describes no arm: its ``path``, and all faults ``located`` as (keys, message)."""
-
-    def __init__(self, path: Path, located: Sequence[tuple[tuple[str | int, ...], str]]) -> None:
-        self.path = path
-        self.located = tuple(located)
-        faults = (": ".join(filter(None, (".".join(map(str, at)), what))) for at, what in located)
-        super().__init__(f"{path}: {'; '.join(faults)}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,16 +35,8 @@ class ArmIdentity(DeviceInfo):
 
 
 def load_unit(path: Path) -> ArmIdentity:
-    """The arm in the file at ``path``. Raises UnitError with all its faults, or OSError."""
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-        return _File.model_validate_json(json.dumps(table, default=str), strict=True).arm()
-    except UnicodeDecodeError as error:
-        raise UnitError(path, [((), f"not UTF-8 text: {error}")]) from error
-    except tomllib.TOMLDecodeError as error:
-        raise UnitError(path, [((), f"not TOML: {error}")]) from error
-    except ValidationError as error:
-        raise UnitError(path, list(_faults(error))) from error
+    """The arm in the file at ``path``. Raises DeviceFileError with all its faults, or OSError."""
+    return read_device(path, lambda _: _File).arm()
 
 
 @cache
@@ -101,13 +81,3 @@ class _File(BaseModel, extra="forbid"):
             what = "the tip can't be moved in three dimensions from the peg"
             raise ValueError(f"with these parameters and encoders {what}")
         return self
-
-
-def _faults(error: ValidationError) -> Iterator[tuple[tuple[str | int, ...], str]]:
-    for detail in error.errors():
-        message, kind = detail["msg"].removeprefix("Value error, "), detail["type"]
-        if kind == "unexpected_keyword_argument":
-            message = "unknown key"
-        missing = kind == "missing" or not detail["loc"]
-        shown = "" if missing else f" (found {detail['input']!r:.60})"
-        yield detail["loc"], f"{message[0].lower()}{message[1:]}{shown}"

@@ -1,5 +1,5 @@
 """A person at a terminal: reads instructions, answers with Enter, a word or a pedal. With a
-`Mailbox` a person at a browser may answer as well; whoever is first is taken.
+`Mailbox` a person at a browser may answer as well; the first answer is taken.
 
 What a prompt's ``check`` raises, as an interlock's trip, ends the prompt at once, so lines are read
 without blocking.
@@ -60,9 +60,7 @@ class Descriptor:
 
 
 class Keys:
-    """A Windows console, key by key, which alone doesn't block until Enter; ``pressed``, ``key``
-    and ``echo`` are kbhit, getwch and putwch of msvcrt.
-    """
+    """A Windows console, key by key, which alone doesn't block until Enter; as of msvcrt."""
 
     def __init__(
         self, pressed: Callable[[], bool], key: Callable[[], str], echo: Callable[[str], object]
@@ -113,17 +111,16 @@ def keyboard_of(stream: TextIO, echo: Callable[[str], object]) -> Keyboard:
 
 TURN_S = 0.05  # between two looks at keyboard and interlocks
 REMIND_S = 120.0
-GONE = "nobody is at the terminal any more"
-WISHES = (op.OperatorAbort, op.OperatorSkip, op.OperatorRepeat, op.OperatorEnough)
+GONE = "the terminal gives no more input"
+REQUESTS = (op.OperatorAbort, op.OperatorSkip, op.OperatorRepeat, op.OperatorEnough)
 
 Pedal = Callable[[float], bool]
 
 
 class Console(PromptedOperator):
-    """Prompts on ``out``, answers from ``answers``, whose end is an abort. ``watch`` is called for
-    each touch and gives a function that waits for a pedal, at a terminal or with a ``mailbox``,
-    through which a browser answers too. ``screen`` is entered around each prompt and clears what
-    else moves there.
+    """Prompts on ``out``, answers from ``answers``, whose end is an abort, or from a browser by
+    ``mailbox``. ``watch`` gives a function that waits for a pedal; ``screen`` is entered around
+    each prompt.
     """
 
     def __init__(
@@ -172,7 +169,7 @@ class Console(PromptedOperator):
                 words = self._words(prompt, check)
             except (Exception, KeyboardInterrupt) as why:  # ended without an answer
                 ended = str(why) or "interrupted"
-                if not isinstance(why, WISHES):
+                if not isinstance(why, REQUESTS):
                     with contextlib.suppress(op.OperatorAbort):
                         self._write(f"\nNo answer is needed any more: {ended}\n")
                 if self._mailbox:
@@ -211,14 +208,12 @@ class Console(PromptedOperator):
                     given = self._mailbox.answer() if self._mailbox else None
                     return given.words if given else f"skip {reason}"
                 continue
-            except WISHES:
+            except REQUESTS:
                 return words
             return words
 
     def _line(self, question: str, check: Callable[[], None], *, pedal: bool = False) -> str:
-        """What is typed or answered elsewhere, or "\\n" for a pedal; asks again in other words from
-        time to time.
-        """
+        """A line from terminal or browser, or an empty one for a pedal; reminds at intervals."""
         asked_s = self._clock.now()  # before the question stands there
         self._write(question)
         pressed = self._watch() if pedal and self._watch else None

@@ -12,7 +12,6 @@ from typing import Literal
 import numpy as np
 
 from instruments.operators import operator as op
-from instruments.teat_end import ball_centre_mm
 from instruments.world.boards import Board, poses
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.phantom import PlatePose
@@ -32,12 +31,9 @@ Mistake = Literal["wrong teat", "forgotten teat", "forgotten move"]
 
 
 class EmulatedOperator:
-    """A pair of hands in ``world``.
-
-    Standard deviations: ``hand_error_mm`` of the tip along each axis (none in the divot at
-    ``check_point_mm``), ``placement_error_mm`` (x, y) and ``placement_error_rad`` of the plate.
-    Each prompt takes ``prompt_s``. ``mistakes``, at the first occasion: "wrong teat" touches the
-    next teat, "forgotten teat" stays on the one before, "forgotten move" leaves the plate.
+    """A pair of hands in ``world``. Standard deviations: ``hand_error_mm`` of the tip along each
+    axis, ``placement_error_mm`` and ``placement_error_rad`` of the plate. ``mistakes`` happen at
+    the first occasion.
     """
 
     def __init__(
@@ -106,7 +102,7 @@ class EmulatedOperator:
         at = teat % of if teat > 1 and self._makes("wrong teat") else teat - 1
         phantom = self._world.phantom()
         # what the arm reads is the ball's centre
-        tip = ball_centre_mm(phantom.ends_mm[at], phantom.axes[at], self._tip_radius_mm)
+        tip = phantom.ends_mm[at] + self._tip_radius_mm * phantom.axes[at]
         self._hold(tip, STYLUS_AXIS)
 
     def _placed(self, wanted: op.Arrangement) -> tuple[op.Arrangement, PlatePose]:

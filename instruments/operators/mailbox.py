@@ -2,8 +2,8 @@
 
 In the run's folder `console/prompt.json` is the last prompt, replaced as a whole, and
 `console/answers/7.json` the answer to prompt 7. An answer is created, never replaced: of two that
-come together one exists, whoever gave it (a browser, the terminal, or the bench, where it needs
-none any more). Neither process waits for the other.
+are given at once, by a browser, the terminal or the bench, only the first exists. The bench answers
+a prompt that needs no answer any more. Neither process waits for the other.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ TERMINAL, BENCH = "the terminal", "the bench"  # who answered, beside names of b
 
 
 class NotOpenError(Exception):
-    """No prompt of this number is open; the text says so to whoever answered."""
+    """No prompt of this number is open. The text is for the person who answered."""
 
 
 class AlreadyAnsweredError(NotOpenError):
@@ -57,7 +57,7 @@ class Mailbox:
         self._prompt: dict[str, Any] = {}
 
     def open(self, prompt: op.Prompt) -> None:
-        """Show ``prompt`` to whoever looks. Raises OSError."""
+        """Publish ``prompt``. Raises OSError."""
         self._number += 1
         self._prompt = {
             **asdict(prompt),
@@ -73,8 +73,8 @@ class Mailbox:
         return read_answer(self._folder.parent, self._number)
 
     def close(self, words: str, by: str) -> Given:
-        """The prompt needs no answer any more: ``by`` said ``words``. Gives back the answer that
-        holds, which may be another's that came first. Raises OSError.
+        """Close the prompt: ``by`` answered ``words``. Returns the answer that holds, which may be
+        another one that came first. Raises OSError.
         """
         try:
             given = _create(self._folder.parent, self._number, words, by)
@@ -108,9 +108,8 @@ def read_answer(folder: Path, number: int) -> Given | None:
 
 
 def give_answer(folder: Path, number: int, words: str, by: str) -> Given:
-    """Answer prompt ``number`` of the run in ``folder`` with ``words``, as they would be typed;
-    on the disk once this returns. Raises AlreadyAnsweredError, NotOpenError, ValueError for words
-    that the prompt doesn't understand, OSError.
+    """Answer prompt ``number`` of the run in ``folder``, durable on return. Raises
+    AlreadyAnsweredError, NotOpenError, ValueError for a wrong answer, OSError.
     """
     if earlier := read_answer(folder, number):
         raise AlreadyAnsweredError(number, earlier.by)
@@ -118,19 +117,8 @@ def give_answer(folder: Path, number: int, words: str, by: str) -> Given:
     if prompt is None or prompt["number"] != number or not prompt["open"]:
         raise NotOpenError(f"prompt {number} is not open")
     fields = ("kind", "text", "progress", "hidden_to", "pedal", "enough")
-    check_words(op.Prompt(**{name: prompt[name] for name in fields}), words)
+    op.check_words(words, op.Prompt(**{name: prompt[name] for name in fields}))
     return _create(folder, number, words, by)
-
-
-def check_words(prompt: op.Prompt, words: str) -> None:
-    """Raises ValueError for words that ``prompt`` doesn't understand."""
-    try:
-        op.understood(words, prompt)
-    except op.OperatorSkip as skip:
-        if not skip.reason:
-            raise ValueError("a skipped trial needs a reason, for the record") from skip
-    except (op.OperatorAbort, op.OperatorRepeat, op.OperatorEnough):
-        return
 
 
 def _create(folder: Path, number: int, words: str, by: str) -> Given:
@@ -147,7 +135,7 @@ def _create(folder: Path, number: int, words: str, by: str) -> Given:
         os.link(part, place)
     except FileExistsError:
         there = read_answer(folder, number)
-        raise AlreadyAnsweredError(number, there.by if there else "somebody else") from None
+        raise AlreadyAnsweredError(number, there.by if there else "another client") from None
     finally:
         with suppress(OSError):
             part.unlink()

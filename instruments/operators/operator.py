@@ -15,11 +15,11 @@ from instruments.world.phantom import Phantom, PlatePose
 from instruments.world.setups import Situation
 
 
-class OperatorAbort(Exception):  # noqa: N818 - a wish, not a fault
+class OperatorAbort(Exception):  # noqa: N818 - a request, not a fault
     """The operator wants the run to end, safely and now."""
 
 
-class OperatorSkip(Exception):  # noqa: N818 - a wish, not a fault
+class OperatorSkip(Exception):  # noqa: N818 - a request, not a fault
     """This trial can't be done, for the ``reason``. Answers an `Arrangement` and a `Touch` only."""
 
     def __init__(self, reason: str) -> None:
@@ -27,7 +27,7 @@ class OperatorSkip(Exception):  # noqa: N818 - a wish, not a fault
         super().__init__(f"the operator skipped the trial: {reason}")
 
 
-class OperatorRepeat(Exception):  # noqa: N818 - a wish, not a fault
+class OperatorRepeat(Exception):  # noqa: N818 - a request, not a fault
     """Repeat this trial from its set-up. Answers an `Arrangement` and a `Touch` only."""
 
     def __init__(self, reason: str = "") -> None:
@@ -35,7 +35,7 @@ class OperatorRepeat(Exception):  # noqa: N818 - a wish, not a fault
         super().__init__(f"the operator wants the trial again{f': {reason}' if reason else ''}")
 
 
-class OperatorEnough(Exception):  # noqa: N818 - a wish, not a fault
+class OperatorEnough(Exception):  # noqa: N818 - a request, not a fault
     """No more boards. Answers a `BoardAsked` only, where the board need not be ``fixed``."""
 
 
@@ -48,8 +48,8 @@ class Homing:
 
 @dataclass(frozen=True, slots=True)
 class CheckPoint:
-    """The tip is to be held in the check point's divot, for the ``touch``-th time (from 1) of
-    ``of``, with the stylus leaning another way each time; ``again`` says why it is repeated.
+    """Hold the tip in the check point's divot, the stylus leaning another way each time; ``again``
+    says why it is repeated.
     """
 
     touch: int
@@ -59,12 +59,9 @@ class CheckPoint:
 
 @dataclass(frozen=True, slots=True)
 class Arrangement:
-    """How the phantom stands and what else is in the scene. The answer: which ends are visible.
-
-    ``objects``: keyword tables of other things; ``pose``: of the plate relative to its reference,
-    zero where a stage moves it; ``unattended``: an unchanged arrangement isn't asked for again;
-    ``scene``: a situation's light, background and things; ``details``: all in coordinates, and
-    ``picture``: the path of a picture of it, both for who has not set this up before.
+    """How the phantom stands and what else is in the scene; the answer says which ends are visible.
+    ``pose``: of the plate, zero where a stage moves it; ``unattended``: an unchanged arrangement
+    isn't asked for again; ``details`` and ``picture`` help who has not set this up before.
     """
 
     situation: str
@@ -85,9 +82,9 @@ class Arrangement:
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """The tip is to be held still on the end of teat ``teat`` (from 1) of ``of``, for the
-    ``number``-th time of ``numbers``; ``again`` says why it is repeated. The first asks for all
-    touches of its teat; what follows is a ``press`` and no question of its own.
+    """Hold the tip on the end of teat ``teat`` (from 1), for the ``number``-th time of ``numbers``;
+    ``again`` says why it is repeated. The first asks for all touches of its teat; the others are a
+    ``press``.
     """
 
     teat: int
@@ -104,9 +101,8 @@ class Touch:
 
 @dataclass(frozen=True, slots=True)
 class BoardAsked:
-    """A calibration board for the ``number``-th time (from 1), without the phantom. ``cameras``:
-    those that shall see all of it; ``heated``: its dark parts are to be warmer; ``fixed``: it
-    stays, for the arm to touch.
+    """Show a calibration board, without the phantom, to all ``cameras``; ``heated``: its dark parts
+    are warmer; ``fixed``: it stays, for the arm to touch.
     """
 
     pattern: Pattern
@@ -119,9 +115,7 @@ class BoardAsked:
 
 @dataclass(frozen=True, slots=True)
 class BoardTouch:
-    """The tip is to be held on point ``corner`` (from 0, of the pattern's `corners_mm`) of the
-    fixed board; ``again`` says why it is repeated.
-    """
+    """Hold the tip on point ``corner`` (from 0) of the fixed board; ``again``: why once more."""
 
     corner: int
     instruction: str
@@ -138,9 +132,7 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Coordinates:
-    """x, y and z of a point are to be typed, as ``text`` says, with i, j and k of a stylus where
-    they are known: the `Answer`'s ``point``, and its ``written``.
-    """
+    """Type x, y and z of a point, and i, j and k of the stylus where they are known."""
 
     text: str
 
@@ -171,9 +163,7 @@ Request = Awaited | Notice
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """``visible[i]`` is False for a teat end that some camera can't see; empty but for an
-    `Arrangement`. ``point``: of `Coordinates`.
-    """
+    """``visible[i]``: whether all cameras see a teat end, of an `Arrangement`; ``point``: typed."""
 
     visible: tuple[bool, ...] = ()
     point: tuple[str, ...] | None = None
@@ -190,9 +180,8 @@ class Operator(Protocol):
     """Asked in this order: homing, check point, set-up and touches of each trial, check point."""
 
     def ask(self, request: Request, check: Callable[[], None] = no_check) -> Answer:
-        """Return once ``request`` is done. ``check`` is called while it waits, and ends the wait by
-        what it raises; a `Notice` checks nothing. Raises OperatorAbort, OperatorSkip,
-        OperatorRepeat, OperatorEnough, InstrumentError.
+        """Return once ``request`` is done; ``check`` is called meanwhile, and may raise. Raises
+        OperatorAbort, OperatorSkip, OperatorRepeat, OperatorEnough, InstrumentError.
         """
 
 
@@ -251,9 +240,8 @@ class NotUnderstoodError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Prompt:
-    """``text``: what to do; ``progress``: how far the run is; ``pedal``: as good as Enter. What may
-    be answered: numbers of hidden teat ends, 1 to ``hidden_to``, and ``enough``. ``press``: one
-    more touch of those that the prompt before asked for; the same answers, said in short.
+    """``hidden_to``: hidden teat ends may be named, 1 to that; ``enough``: may be answered;
+    ``press``: one more touch of the prompt before, said in short.
     """
 
     kind: Kind
@@ -298,9 +286,7 @@ class Prompt:
 
 
 def point_in(answer: str) -> tuple[str, ...]:
-    """The three numbers, or six, in an answer to `Coordinates`, as typed but with a decimal point.
-    Raises NotUnderstoodError.
-    """
+    """The three or six numbers in an answer to `Coordinates`. Raises NotUnderstoodError."""
     cells = tuple(answer.replace(";", " ").replace(",", ".").split())
     try:
         if len(cells) not in (3, 6) or not math.isfinite(sum(map(float, cells))):
@@ -313,8 +299,8 @@ def point_in(answer: str) -> tuple[str, ...]:
 
 
 def understood(answer: str, prompt: Prompt) -> frozenset[int]:
-    """The numbers of hidden teat ends in ``answer``; none for Enter. Raises OperatorAbort,
-    OperatorRepeat, OperatorEnough, OperatorSkip (reason may be empty), NotUnderstoodError.
+    """The numbers of hidden teat ends in ``answer``. Raises OperatorAbort, OperatorRepeat,
+    OperatorEnough, OperatorSkip (the reason may be empty), NotUnderstoodError.
     """
     words = answer.replace(",", " ").lower().split()
     first, *more = words or GO
@@ -336,6 +322,17 @@ def understood(answer: str, prompt: Prompt) -> frozenset[int]:
     if all(word.isdecimal() and 1 <= int(word) <= prompt.hidden_to for word in numbers):
         return frozenset(map(int, numbers))
     raise NotUnderstoodError(f"Not understood: {answer.strip()!r}.")
+
+
+def check_words(words: str, prompt: Prompt) -> None:
+    """Raises ValueError for words that ``prompt`` doesn't understand; a skip needs a reason."""
+    try:
+        understood(words, prompt)
+    except OperatorSkip as skip:
+        if not skip.reason:
+            raise ValueError("a skipped trial needs a reason, for the record") from skip
+    except (OperatorAbort, OperatorRepeat, OperatorEnough):
+        return
 
 
 def time_left(seconds: float) -> str:

@@ -30,9 +30,7 @@ LEANS = (
 
 
 class PromptedOperator(ABC):
-    """``hands``, if given, do what each "go on" agreed to: emulated ones. ``before_touch`` is
-    called before each prompt for a touch.
-    """
+    """``hands`` do what each "go on" agreed to; ``before_touch`` is called before each touch."""
 
     hands: op.Operator | None = None
     before_touch: Callable[[], None] = staticmethod(op.no_check)
@@ -129,9 +127,7 @@ class PromptedOperator(ABC):
         return op.Prompt("set up", text, progress=self._progress(), hidden_to=request.teats)
 
     def _touch_prompt(self, request: op.Touch) -> op.Prompt:
-        """By the teat's name, with how many touches of the trial are left. One prompt asks for all
-        touches of the teat; the presses that follow are a line each.
-        """
+        """By the teat's name, with how many touches of the trial are left."""
         teat, of = request.teat, request.of
         teats = self._stands[0].phantom.teats if self._stands else ()
         name = teats[teat - 1].name if teat <= len(teats) else ""
@@ -162,9 +158,8 @@ class PromptedOperator(ABC):
 
 @dataclass(frozen=True, slots=True)
 class ScriptedAnswer:
-    """``answer`` as typed, ``times`` times to prompts of kind ``to`` that contain ``says``.
-    ``where``: its place in the file. Raises ValueError for an answer that no such prompt
-    understands.
+    """``answer`` as typed, ``times`` times, to prompts of kind ``to`` that contain ``says``. As
+    `check_answer` has accepted it.
     """
 
     to: op.Kind
@@ -172,11 +167,6 @@ class ScriptedAnswer:
     says: str = ""
     times: int = 1
     where: str = ""
-
-    def __post_init__(self) -> None:
-        check_answer(self.to, self.answer)
-        if self.times < 1:
-            raise ValueError(f"an answer is given at least once, not {self.times} times")
 
     def fits(self, prompt: op.Prompt) -> bool:
         """Whether it answers this prompt."""
@@ -193,7 +183,7 @@ def check_answer(to: op.Kind, answer: str) -> None:
     """Raises ValueError for an answer that a prompt of the kind ``to`` can't be given."""
     prompt = op.Prompt(to, "", hidden_to=MOST_TEATS if to == "set up" else 0, enough=to == "board")
     try:
-        op.understood(answer, prompt)
+        op.check_words(answer, prompt)
     except op.NotUnderstoodError as error:
         hidden = ', "hidden 2 4"' if to == "set up" else ""
         trial = f', "skip REASON", "repeat"{hidden}' if prompt.in_trial else ""
@@ -201,11 +191,6 @@ def check_answer(to: op.Kind, answer: str) -> None:
         go = '"X Y Z"' if to == "coordinates" else '"go"'
         there = f'to a prompt of the kind "{to}" there are {go}{trial}{enough}, "abort"'
         raise ValueError(f"{str(error).rstrip('.')}; {there}") from error
-    except op.OperatorSkip as skip:
-        if not skip.reason:
-            raise ValueError('"skip" needs a reason: "skip the teat came off"') from skip
-    except (op.OperatorAbort, op.OperatorRepeat, op.OperatorEnough):
-        return
 
 
 class ScriptedAnswers(PromptedOperator):
@@ -224,8 +209,6 @@ class ScriptedAnswers(PromptedOperator):
         self._source = source
         self._show = show
         self._given = 0
-        for kind, answer in otherwise.items():
-            check_answer(kind, answer)
 
     def say(self, text: str) -> None:
         self._show(text)

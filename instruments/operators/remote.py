@@ -19,7 +19,7 @@ from instruments.listener import Connection
 from instruments.operators import operator as op
 
 LOOK_S = 0.2  # between two looks at the interlocks while the answer is waited for
-PATIENCE_S = 120.0
+TIMEOUT_S = 120.0
 ASKED: dict[str, type[op.Request]] = {
     "confirm_homing": op.Homing,
     "touch_check_point": op.CheckPoint,
@@ -77,7 +77,7 @@ class RemoteOperator:
     def ask(self, request: op.Request, check: Callable[[], None] = op.no_check) -> op.Answer:
         do = NAMES.get(type(request))
         if do is None:
-            return op.DONE  # it needs no encouragement
+            return op.DONE  # nothing is to be done
         clock = self._link.clock
         began_s, line = clock.now(), b""
         check()
@@ -85,7 +85,7 @@ class RemoteOperator:
         while not line.endswith(b"\n"):
             line += self._link.read_until(b"\n", LOOK_S)
             check()
-            if (waited_s := clock.now() - began_s) > PATIENCE_S:
+            if (waited_s := clock.now() - began_s) > TIMEOUT_S:
                 hint = "Does 'teatbench emulate' still run?"
                 raise LinkError(self._link.who, "no answer", asked=do, seconds=waited_s, hint=hint)
         answer = json.loads(line)

@@ -1,6 +1,6 @@
 """The connection to a controller: one line out, one answer back, and what is pushed between.
 
-Nothing is sent while an answer is owed. An alarm is kept until a restart; each alarm, locked
+Nothing is sent while an answer is outstanding. An alarm is kept until a restart; each alarm, locked
 report, restart, broken link or answer that makes no sense counts as an upset, by which the driver
 knows that homing is lost. `Dialogue` is the conversation with Grbl, grblHAL and FluidNC; those
 with other firmwares are its subclasses. What none of them can tell is in docs/rig.md.
@@ -23,8 +23,8 @@ from instruments.stage.protocol import (
     Alarm,
     Decoder,
     ErrorReply,
+    Malformed,
     Message,
-    Nonsense,
     Ok,
     Position,
     Response,
@@ -71,7 +71,7 @@ class Dialogue:
         self.who = link.who
         self.upsets = 0
         self.alarm: int | str | None = None
-        self.owed: str | None = None  # the line whose answer hasn't come
+        self.outstanding: str | None = None  # the line whose answer hasn't come
         self._link = link
         self._clock = clock
         self._decoder = Decoder(self._parse)
@@ -82,7 +82,7 @@ class Dialogue:
         """Send a line and wait for its ``ok``; what was pushed meanwhile."""
         data = encode(text, who=self.who)
         self._check(text)
-        self.owed = text
+        self.outstanding = text
         self.write(data)
         pushed: list[Response] = []
         start = self._clock.now()
@@ -122,7 +122,7 @@ class Dialogue:
             raise ProtocolError(self.who, what, seen=status.name, hint="Set $10=1.")
         return tuple(at + zero for at, zero in zip(work, offset, strict=True))
 
-    def meet(self, axes: str) -> tuple[StageIdentity, StageSettings]:
+    def identify(self, axes: str) -> tuple[StageIdentity, StageSettings]:
         """Connect: identity and settings. Raises DeviceError where ``axes`` can't be driven."""
         welcome = self.start()
         if not welcome.version.startswith("1.1") and welcome.dialect != "FluidNC":
@@ -149,7 +149,7 @@ class Dialogue:
     @property
     def homing(self) -> bool:
         """Whether it homes, as far as its answers tell."""
-        return self.owed == "$H"
+        return self.outstanding == "$H"
 
     def home(self, axes: str, bound_s: float) -> None:  # noqa: ARG002 - its settings say which
         """Home ``axes`` and wait for the end, ``bound_s`` at most."""
@@ -187,7 +187,7 @@ class Dialogue:
         self.restart()
 
     def wait(self, seconds: float) -> None:
-        """Let time pass, listening. Raises at once when an alarm, a restart or nonsense comes."""
+        """Let time pass. Raises at once for an alarm, a restart or a malformed answer."""
         until = self._clock.now() + seconds
         while self._next(until) is not None:
             pass
@@ -198,7 +198,7 @@ class Dialogue:
         return self._welcome() or self.restart()
 
     def restart(self) -> Welcome:
-        """Soft reset: drop what was owed, alarm and input. Raises LinkError or ProtocolError."""
+        """Soft reset: drop outstanding answer, alarm and input. Raises LinkError, ProtocolError."""
         self.upsets += 1
         self._link.drain(0.0)
         self.write(SOFT_RESET)
@@ -228,8 +228,13 @@ class Dialogue:
         return welcome
 
     def _forget(self) -> None:
-        """Whatever was owed, kept or half received."""
-        self._decoder, self.alarm, self.owed, self._offset = Decoder(self._parse), None, None, None
+        """Whatever was outstanding, kept or half received."""
+        self._decoder, self.alarm, self.outstanding, self._offset = (
+            Decoder(self._parse),
+            None,
+            None,
+            None,
+        )
         self._inbox.clear()
 
     def _check(self, text: str) -> None:
@@ -238,8 +243,8 @@ class Dialogue:
             self.wait(0.0)
         if self.alarm is not None:
             raise self._alarmed(asked=text)
-        if self.owed is not None:
-            what = f"the answer to {self.owed!r} is still owed"
+        if self.outstanding is not None:
+            what = f"the answer to {self.outstanding!r} is still outstanding"
             hint = "Call recover(): it starts the controller anew."
             raise LinkError(self.who, what, asked=text, hint=hint)
 
@@ -253,24 +258,24 @@ class Dialogue:
         return self._judge(self._inbox.popleft())
 
     def _judge(self, answer: Response) -> Response:
-        if isinstance(answer, Nonsense):
+        if isinstance(answer, Malformed):
             self.upsets += 1
-            what, asked, seen = f"nonsense: {answer.why}", self.owed, answer.raw[:60]
+            what, asked, seen = f"malformed answer: {answer.why}", self.outstanding, answer.raw[:60]
             hint = "Check cable and earthing."
             raise ProtocolError(self.who, what, asked=asked, seen=seen, hint=hint)
         if isinstance(answer, Ok | ErrorReply):
-            if self.owed is None:
+            if self.outstanding is None:
                 self.upsets += 1
                 what, hint = "an answer that nothing was asked for", "Call recover()."
                 raise ProtocolError(self.who, what, seen=str(answer), hint=hint)
-            self.owed = None
+            self.outstanding = None
         elif isinstance(answer, Alarm):
             self.upsets += 1
             self.alarm = answer.code
-            raise self._alarmed(asked=self.owed)
+            raise self._alarmed(asked=self.outstanding)
         elif isinstance(answer, Welcome):
             self.upsets += 1
-            self.owed = None
+            self.outstanding = None
             if self.alarm is None:  # a failed homing ends in a restart
                 what = "the controller has restarted by itself: position lost"
                 raise DeviceError(self.who, what, hint="Check its power, then home().")

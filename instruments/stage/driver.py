@@ -39,7 +39,7 @@ from instruments.stage.zaber import Motor, ZaberDialogue
 Spoken = Literal["grbl", "marlin", "zaber"]  # "grbl": Grbl, grblHAL or FluidNC, as it says itself
 
 POLL_S = 0.2  # the firmware asks for no more than 5 queries a second
-STOP_S = 10.0  # braking takes a second at most; more means that the stage doesn't obey
+STOP_S = 10.0  # braking takes a second at most; more means that the stage doesn't react
 MOVING = frozenset({"Run", "Jog", "Home"})
 # states, or states with a substate
 STILL = frozenset({"Idle", "Alarm", "Sleep", "Check", "Hold:0", "Door:0", "Door:1"})
@@ -59,11 +59,8 @@ class Move(NamedTuple):
 
 
 class Stage:
-    """The stage of ``axes`` "XY", "XYZ", "XYA" or "XYZA" at the end of ``link``; for one thread.
-    ``motors``: of a Zaber stage, one each an axis.
-
-    Every call may raise LinkError, ProtocolError, DeviceError (refused, alarm, restart) and
-    LimitError (refused before sending).
+    """The stage of ``axes`` "XY", "XYZ", "XYA" or "XYZA" at ``link``, for one thread. Every call
+    may raise LinkError, ProtocolError, DeviceError and LimitError (refused before sending).
     """
 
     def __init__(
@@ -84,24 +81,24 @@ class Stage:
         self._clock = clock
         match dialect:
             case "grbl":
-                self._talk = Dialogue(link, clock)
+                self._dialogue = Dialogue(link, clock)
             case "marlin":
-                self._talk = MarlinDialogue(link, clock)
+                self._dialogue = MarlinDialogue(link, clock)
             case "zaber":
-                self._talk = ZaberDialogue(link, clock, motors)
-        self._met: tuple[StageIdentity, StageSettings] | None = None
+                self._dialogue = ZaberDialogue(link, clock, motors)
+        self._identified: tuple[StageIdentity, StageSettings] | None = None
         self._homed_at: int | None = None  # the count of upsets when homing succeeded
         self._move: Move | None = None
 
     def connect(self) -> StageIdentity:
         """Meet the controller and read its settings. Raises DeviceError for unusable ones."""
-        self._met = self._talk.meet(self.axes)
+        self._identified = self._dialogue.identify(self.axes)
         return self.identity
 
     @property
     def safe_state(self) -> str:
         """What it is in once ``safe`` has returned."""
-        return self._talk.safe
+        return self._dialogue.safe
 
     @property
     def identity(self) -> StageIdentity:
@@ -115,9 +112,9 @@ class Stage:
 
     @property
     def _known(self) -> tuple[StageIdentity, StageSettings]:
-        if self._met is None:
+        if self._identified is None:
             raise LimitError(self.who, "not connected yet", hint="Call connect().")
-        return self._met
+        return self._identified
 
     @property
     def limits(self) -> dict[str, AxisLimits]:
@@ -127,15 +124,15 @@ class Stage:
     @property
     def homed(self) -> bool:
         """Whether it was homed, without an alarm, restart or broken link since."""
-        return self._homed_at == self._talk.upsets
+        return self._homed_at == self._dialogue.upsets
 
     def status(self) -> Status:
         """The controller's own report, now."""
-        return self._talk.status()
+        return self._dialogue.status()
 
     def position(self) -> NDArray[np.float64]:
         """Machine position, (3,) mm or (4,) with degrees of A. Meaningless unless ``homed``."""
-        return np.array(list(self._here(self._talk.status()).values()), dtype=np.float64)
+        return np.array(list(self._here(self._dialogue.status()).values()), dtype=np.float64)
 
     def home(self) -> None:
         """Run to the switches and set the position: a minute or more. Raises DeviceError."""
@@ -147,8 +144,8 @@ class Stage:
             hint = "Call finish_move(), or stop() and recover()."
             raise LimitError(self.who, "a move is under way", asked="home", hint=hint)
         self._move = self._homed_at = None
-        self._talk.home(self.axes, settings.homing_bound_s)
-        upsets = self._talk.upsets
+        self._dialogue.home(self.axes, settings.homing_bound_s)
+        upsets = self._dialogue.upsets
         self._check_idle("not idle after homing", "Call recover(), then home().", asked="home")
         self._homed_at = upsets
 
@@ -161,10 +158,8 @@ class Stage:
         a_deg: float | None = None,
         feed_mm_min: float | None = None,
     ) -> None:
-        """Move in a straight line; return once the stage stands at the target, as read back.
-
-        Machine coordinates; without a feed, the slowest axis's maximum. Raises LimitError before
-        homing, outside the travel, for an undeclared axis, or unless idle; DeviceError when it ends
+        """Move in a straight line and wait until the stage stands at the target, as read back.
+        Raises LimitError before homing, outside the travel or unless idle, DeviceError when it ends
         elsewhere.
         """
         self.begin_move(x_mm, y_mm, z_mm=z_mm, a_deg=a_deg, feed_mm_min=feed_mm_min)
@@ -183,7 +178,7 @@ class Stage:
         wanted = {"X": x_mm, "Y": y_mm, "Z": z_mm, "A": a_deg}
         target = declared(wanted, self.axes, who=self.who)
         feed = self._feed(target, feed_mm_min)
-        lines = self._talk.move_lines(target, feed)
+        lines = self._dialogue.move_lines(target, feed)
         self._check_homed(lines[-1])
         check_within(target, self.settings, lines[-1], who=self.who)
         here = self._ready_at(lines[-1])
@@ -199,9 +194,7 @@ class Stage:
         a_deg: float = 0.0,
         feed_mm_min: float | None = None,
     ) -> None:
-        """Start a relative move; ``finish_move`` waits, ``cancel_jog`` ends it. Raises as
-        ``move_to``.
-        """
+        """Start a relative move for ``finish_move`` or ``cancel_jog``. Raises as ``move_to``."""
         wanted = {"X": x_mm or None, "Y": y_mm or None, "Z": z_mm or None, "A": a_deg or None}
         way = declared(wanted, self.axes, who=self.who)
         if not way:
@@ -212,12 +205,12 @@ class Stage:
         here = self._ready_at(line)
         target = {axis: here[axis] + way[axis] for axis in way}
         check_within(target, self.settings, line, who=self.who)
-        self._send(self._talk.jog_lines(way, target, feed), target, way, feed, jog=True)
+        self._send(self._dialogue.jog_lines(way, target, feed), target, way, feed, jog=True)
 
     def cancel_jog(self) -> None:
         """End a jog early and wait for a stand; the position is kept. Nothing without a jog."""
         if (move := self._under_way) and move.jog:
-            self._talk.cancel_jog()
+            self._dialogue.cancel_jog()
             self._until_still()
             self._move = None
 
@@ -246,37 +239,34 @@ class Stage:
                 raise DeviceError(self.who, what, seen=f"{axis} = {here[axis]:.3f}", hint=hint)
 
     def brake(self) -> None:
-        """Send what brakes without waiting: the one call for other threads than the owner's. The
-        owner's move ends in a DeviceError. Classic Grbl ignores it while homing; Marlin's costs the
-        position. Raises LinkError.
+        """Brake without waiting, from any thread. The owner's move ends in a DeviceError. Classic
+        Grbl ignores it while homing; Marlin's costs the position. Raises LinkError.
         """
-        self._talk.brake()
+        self._dialogue.brake()
 
     def stop(self) -> None:
-        """Bring the stage to a stand from any state and wait for it; may be repeated.
-
-        Brakes without losing the position (Marlin loses it); resets or halts only a controller that
-        homes or doesn't answer. An alarm has cut the steps already and stays for the next call to
-        report. Raises LinkError when out of reach.
+        """Bring the stage to a stand from any state and wait. Keeps the position (but Marlin's);
+        resets only a controller that homes or doesn't answer. An alarm stays for the next call.
+        Raises LinkError.
         """
-        if self._talk.alarm is not None:
+        if self._dialogue.alarm is not None:
             return
-        if self._talk.homing:  # then classic firmware obeys only a reset, Marlin only M112
-            self._talk.abort()
+        if self._dialogue.homing:  # then classic firmware obeys only a reset, Marlin only M112
+            self._dialogue.abort()
             return
         try:
-            if (move := self._under_way) and not move.jog and self._talk.brakes_freely:
-                self._talk.brake()
+            if (move := self._under_way) and not move.jog and self._dialogue.brakes_freely:
+                self._dialogue.brake()
             self.cancel_jog()
-            if self._talk.status().state in MOVING:
-                self._talk.brake()
+            if self._dialogue.status().state in MOVING:
+                self._dialogue.brake()
             self._until_still()
-            if not self._talk.brakes_freely:
+            if not self._dialogue.brakes_freely:
                 self._move = None
         except InstrumentError as error:
-            if self._talk.alarm is None:  # an alarm has cut the steps already
+            if self._dialogue.alarm is None:  # an alarm has cut the steps already
                 try:
-                    self._talk.abort()
+                    self._dialogue.abort()
                 except InstrumentError as worse:
                     what = f"can't be stopped: {worse.what}"
                     raise LinkError(self.who, what, hint="Cut its power.") from error
@@ -284,8 +274,8 @@ class Stage:
     safe = stop
 
     def reconnect(self) -> StageIdentity:
-        """After a cable or power loss: open the link and meet the controller. Homing is needed
-        then. Raises LinkError while it is not back, else as ``connect``.
+        """Open the link again and identify the controller; it has to be homed then. Raises
+        LinkError, else as ``connect``.
         """
         self._move = None
         self._link.reopen()
@@ -294,8 +284,8 @@ class Stage:
     def recover(self) -> None:
         """Leave an alarm, a hold or a broken conversation by a restart. Homing is needed then."""
         self._move = None
-        self._talk.restart()
-        status = self._talk.status()
+        self._dialogue.restart()
+        status = self._dialogue.status()
         if status.state not in ("Idle", "Alarm"):
             what, hint = "neither idle nor locked after a reset", "Switch it off and on."
             raise DeviceError(self.who, what, seen=status.name, hint=hint)
@@ -311,7 +301,7 @@ class Stage:
 
     def _here(self, status: Status) -> Target:
         """The axes' places in machine coordinates. Raises ProtocolError for too few numbers."""
-        numbers = self._talk.machine_mm(status)
+        numbers = self._dialogue.machine_mm(status)
         if len(numbers) < len(self._letters):
             what = f"{len(numbers)} numbers in a position, {len(self._letters)} are needed"
             hint = "A rotation A needs a controller with four axes."
@@ -337,14 +327,14 @@ class Stage:
             raise LimitError(self.who, "no move before homing", asked=line, hint=hint)
 
     def _check_idle(self, what: str, hint: str, asked: str | None = None) -> Status:
-        status = self._talk.status()
+        status = self._dialogue.status()
         if status.state != "Idle":
             raise DeviceError(self.who, what, asked=asked, seen=status.name, hint=hint)
         return status
 
     def _ready_at(self, line: str) -> Target:
         """Where the stage stands, ready to move. Raises LimitError unless it is."""
-        status = self._talk.status()
+        status = self._dialogue.status()
         self._check_homed(line)  # the report may have brought bad news with it
         if status.state != "Idle" or self._under_way:
             what = "a move is still under way, or the stage is not idle"
@@ -359,31 +349,31 @@ class Stage:
     ) -> None:
         seconds = 60 * math.hypot(*way.values()) / min(feed, *self.settings.rate_mm_min)
         allowed = SLACK_S + 2 * seconds
-        self._talk.send(lines)
+        self._dialogue.send(lines)
         self._move = Move(target, self._clock.now() + allowed, allowed, jog)
 
     def _until_over(self, move: Move) -> Status:
         """The report of an idle stage after the move. Raises DeviceError: hold, lock, deadline."""
-        while (status := self._talk.status()).state in MOVING:
+        while (status := self._dialogue.status()).state in MOVING:
             if self._clock.now() > move.deadline_s:
                 hint, seconds = "Is a feed override set, or does an axis stick?", move.allowed_s
                 what, seen = "the move takes too long", status.name
                 raise DeviceError(self.who, what, seen=seen, seconds=seconds, hint=hint)
-            self._talk.wait(POLL_S)
+            self._dialogue.wait(POLL_S)
         if status.state != "Idle":
             hint = "See the controller's panel; then recover()."
             raise DeviceError(self.who, "the move was interrupted", seen=status.name, hint=hint)
         # Idle may be reported before the move has begun: only the dwell behind it shows that it is
         # over.
-        self._talk.finish(max(ANSWER_S, move.deadline_s - self._clock.now()))
+        self._dialogue.finish(max(ANSWER_S, move.deadline_s - self._clock.now()))
         return self._check_idle("not idle after the move", "Was the stage held at its own panel?")
 
     def _until_still(self) -> Status:
         """The first report of a stage that brakes and stands. Raises DeviceError if it doesn't."""
         deadline = self._clock.now() + STOP_S
-        while not {(status := self._talk.status()).state, status.name} & STILL:
+        while not {(status := self._dialogue.status()).state, status.name} & STILL:
             if self._clock.now() > deadline:
                 what, seen = "the stage does not stop", status.name
                 raise DeviceError(self.who, what, seen=seen, seconds=STOP_S, hint="Cut its power.")
-            self._talk.wait(POLL_S)
+            self._dialogue.wait(POLL_S)
         return status

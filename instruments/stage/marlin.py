@@ -22,8 +22,8 @@ from instruments.stage.protocol import (
     Alarm,
     Counted,
     ErrorReply,
+    Malformed,
     Message,
-    Nonsense,
     Ok,
     Position,
     Response,
@@ -37,7 +37,7 @@ BEAT_S = 7  # the keepalive's seconds (M113) while we drive it; a restarted boar
 BOOT_S = 10.0  # until a board with a card, a screen and stored settings has started
 HALT_S = 5.0
 ATTEMPTS = 3
-HOMING_MM_S = 2.0  # slower than any axis homes; its homing speed is compiled in and not told
+HOMING_MM_S = 2.0  # slower than any axis homes; its homing speed is compiled in and not reported
 _COUNTED_MM = 0.006  # positions come with two decimals
 
 
@@ -64,7 +64,7 @@ def parse(line: bytes) -> Response:
     try:
         text = line.decode("ascii")
     except UnicodeDecodeError:
-        return Nonsense(line, "bytes that are not ASCII")
+        return Malformed(line, "bytes that are not ASCII")
     if _OK.fullmatch(text):
         return Ok()
     if text == "start":
@@ -78,14 +78,12 @@ def parse(line: bytes) -> Response:
         return ErrorReply(text)
     if text.startswith(_CHATTER):
         return Message("echo", text.removeprefix("echo:").strip())
-    return Nonsense(line, "no answer of Marlin looks like this")
+    return Malformed(line, "no answer of Marlin looks like this")
 
 
 def read_marlin(lines: list[str], axes: str, *, who: str) -> StageSettings:
-    """The settings of a stage with ``axes`` from the answers to M503 and M211.
-
-    Raises ProtocolError for a missing number, DeviceError for a machine whose reports are not its
-    axes' own places: inches, home offsets, bed levelling.
+    """The settings of a stage with ``axes`` from the answers to M503 and M211. Raises ProtocolError
+    for a missing number, DeviceError for inches, home offsets or bed levelling.
     """
     found = {
         setting[1]: {letter: float(value) for letter, value in _WORD.findall(setting[2])}
@@ -101,10 +99,10 @@ def read_marlin(lines: list[str], axes: str, *, who: str) -> StageSettings:
     if found.get("M420", {}).get("S"):
         hint = "Send M420 S0 and M500: its Z would otherwise follow a measured bed."
         raise DeviceError(who, "bed levelling is on", asked="M503", hint=hint)
-    steps, rates, accels = (_of(found, code, who) for code in ("M92", "M203", "M201"))
+    steps, rates, accels = (_axis_figures(found, code, who) for code in ("M92", "M203", "M201"))
     if ends is None:
         hint = "Use a build with software endstops (M211 reports them)."
-        raise ProtocolError(who, "the travel is not told", asked="M211", hint=hint)
+        raise ProtocolError(who, "the travel is not reported", asked="M211", hint=hint)
     low = tuple([float(ends[at]) for at in (2, 3, 4)])
     travel = tuple([float(ends[at + 3]) - low[at - 2] for at in (2, 3, 4)])
     if any(travel["XYZ".index(axis)] <= 0 for axis in axes):
@@ -125,7 +123,7 @@ def read_marlin(lines: list[str], axes: str, *, who: str) -> StageSettings:
     )
 
 
-def _of(found: Mapping[str, Mapping[str, float]], code: str, who: str) -> Position:
+def _axis_figures(found: Mapping[str, Mapping[str, float]], code: str, who: str) -> Position:
     words = found.get(code, {})
     if not all(words.get(axis, 0.0) > 0 for axis in "XYZ"):
         hint = "Use a build that reports its settings in words (no DISABLE_M503)."
@@ -151,7 +149,7 @@ class MarlinDialogue(Dialogue):
         self._stale = False  # answers may come that belong to nothing
         self._marks = 0
 
-    def meet(self, axes: str) -> tuple[StageIdentity, StageSettings]:
+    def identify(self, axes: str) -> tuple[StageIdentity, StageSettings]:
         if "A" in axes:
             raise LimitError(self.who, "Marlin is driven in X, Y and Z only", asked=axes)
         self.start()
@@ -203,7 +201,7 @@ class MarlinDialogue(Dialogue):
 
     @property
     def homing(self) -> bool:
-        return self.owed is not None and self.owed.startswith("G28")
+        return self.outstanding is not None and self.outstanding.startswith("G28")
 
     def move_lines(self, target: Target, feed_mm_min: float) -> list[str]:
         return ["G90", f"G1 {axis_words(target, feed_mm_min, who=self.who, between=' ')}"]
@@ -215,13 +213,13 @@ class MarlinDialogue(Dialogue):
         """Cut the steps, which costs the position."""
         self.write(b"M410\n")
         self.upsets += 1
-        self._stale = True  # M410 is answered too, before or after what is owed
+        self._stale = True  # M410 is answered too, before or after what is outstanding
 
     cancel_jog = brake
 
     def abort(self) -> None:
-        """Stop it by M410; M112 halts a board that homes or doesn't obey, until it is switched off
-        and on.
+        """Stop it by M410; M112 halts a board that homes or doesn't obey, until it is
+        switched off.
         """
         self.upsets += 1
         if not self.homing:
@@ -254,8 +252,8 @@ class MarlinDialogue(Dialogue):
         return Welcome("", "Marlin")
 
     def restart(self) -> Welcome:
-        """Marlin has no restart over the wire: throw away what was owed, and ask for attention. A
-        halted one has to be switched off and on. Raises LinkError, ProtocolError, DeviceError.
+        """Synchronise: Marlin has no restart over the wire, and a halted one has to be switched off
+        and on. Raises LinkError, ProtocolError, DeviceError.
         """
         self.upsets += 1
         halted = self.alarm
@@ -269,11 +267,11 @@ class MarlinDialogue(Dialogue):
         return Welcome("", "Marlin")
 
     def _synchronize(self) -> None:
-        """Have a line of ours echoed: what comes behind it answers what we send from now on. The
-        motors stay on from now on, and the keepalive is made ours.
+        """Have a line of ours echoed: what comes behind it answers our next lines. Motors stay on,
+        and the keepalive becomes ours.
         """
-        heard = [*self._inbox, *self._decoder.feed(self._link.drain(QUIET_S))]
-        last = [one for one in heard if isinstance(one, Alarm | Welcome)][-1:]
+        received = [*self._inbox, *self._decoder.feed(self._link.drain(QUIET_S))]
+        last = [one for one in received if isinstance(one, Alarm | Welcome)][-1:]
         self._forget()
         if last and isinstance(last[0], Alarm):
             self.upsets += 1
@@ -294,7 +292,7 @@ class MarlinDialogue(Dialogue):
             self._stale = True
             hint = "Check power, cable and baud rate; is this the stage's port?"
             if seen:
-                what = "this is not Marlin, or it doesn't hear"
+                what = "this is not Marlin, or it receives nothing"
                 raise ProtocolError(self.who, what, asked="M118", seen=seen[:60], hint=hint)
             raise LinkError(self.who, "no answer", asked="M118", seconds=ANSWER_S, hint=hint)
         self.command("M84 S0")

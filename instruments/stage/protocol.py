@@ -1,6 +1,6 @@
 """GRBL 1.1 on the wire, classic, grblHAL and FluidNC: lines to send, and bytes back to values.
 
-Total: what makes no sense gives ``Nonsense`` with the reason. Report fields are found by name,
+Total: what is malformed gives ``Malformed`` with the reason. Report fields are found by name,
 unknown ones kept as text. Source: the firmware's interface and command documents,
 version 1.1; alarm numbers from 10 on as in the sources of grblHAL and FluidNC.
 """
@@ -88,16 +88,14 @@ class Welcome:
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """Any other thing pushed: ``[MSG:...]``, ``[VER:...]``, ``$N0=...``, ``$/axes/x/...=``,
-    ``>line:ok``.
-    """
+    """Any other thing pushed: ``[MSG:...]``, ``$N0=...``, ``$/axes/x/...=``, ``>line:ok``."""
 
     kind: str
     text: str
 
 
 @dataclass(frozen=True, slots=True)
-class Nonsense:
+class Malformed:
     """A line that the firmware doesn't say, and why we think so."""
 
     raw: bytes
@@ -113,9 +111,7 @@ class Counted:
 
 
 class Reply(NamedTuple):
-    """Zaber's answer: whom it is from, the id that it answers, ``OK`` or ``RJ``, ``IDLE`` or
-    ``BUSY``, the most serious warning flag, and data.
-    """
+    """Zaber's answer: device, axis, id, ``OK`` or ``RJ``, ``IDLE`` or ``BUSY``, flag, data."""
 
     device: int
     axis: int
@@ -127,7 +123,7 @@ class Reply(NamedTuple):
 
 
 Response = (
-    Ok | ErrorReply | Alarm | Status | Setting | Welcome | Message | Nonsense | Counted | Reply
+    Ok | ErrorReply | Alarm | Status | Setting | Welcome | Message | Malformed | Counted | Reply
 )
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)")
@@ -144,7 +140,7 @@ def parse(line: bytes) -> Response:
     try:
         text = line.decode("ascii")
     except UnicodeDecodeError:
-        return Nonsense(line, "bytes that are not ASCII")
+        return Malformed(line, "bytes that are not ASCII")
     if text == "ok":
         return Ok()
     if text.startswith("<"):
@@ -160,25 +156,25 @@ def parse(line: bytes) -> Response:
         return Message(found[1], found[2] or "")
     if text.startswith(">"):
         return Message(">", text[1:])
-    return Nonsense(line, "no answer of GRBL looks like this")
+    return Malformed(line, "no answer of GRBL looks like this")
 
 
-def _status(raw: bytes, text: str) -> Status | Nonsense:
+def _status(raw: bytes, text: str) -> Status | Malformed:
     if not text.endswith(">"):
-        return Nonsense(raw, "a status report without its end")
+        return Malformed(raw, "a status report without its end")
     head, *rest = text[1:-1].split("|")
     state = _STATE.fullmatch(head)
     if not state:
-        return Nonsense(raw, "a status report without a state")
+        return Malformed(raw, "a status report without a state")
     fields = {name: value for name, _, value in (field.partition(":") for field in rest)}
     positions: dict[str, Position | None] = {}
     for name in ("MPos", "WPos", "WCO"):
         parts = fields[name].split(",") if name in fields else []
         if name in fields and (len(parts) < 3 or not all(map(_NUMBER.fullmatch, parts))):
-            return Nonsense(raw, f"{name} is not three numbers or more")
+            return Malformed(raw, f"{name} is not three numbers or more")
         positions[name] = tuple(map(float, parts)) or None
     if positions["MPos"] is None and positions["WPos"] is None:
-        return Nonsense(raw, "a status report without a position")
+        return Malformed(raw, "a status report without a position")
     mpos, wpos, wco = positions.values()
     return Status(state[1], int(state[2]) if state[2] else None, mpos, wpos, wco, fields)
 
@@ -196,7 +192,7 @@ class Decoder:
         answers = [self._parse(line) for line in (raw.rstrip(b"\r") for raw in lines) if line]
         if len(self._pending) > MAX_ANSWER:
             why = f"{len(self._pending)} bytes without a line end"
-            answers.append(Nonsense(self._pending, why))
+            answers.append(Malformed(self._pending, why))
             self._pending = b""
         return iter(answers)
 
@@ -254,9 +250,7 @@ _REPORT = "The line that was sent is wrong: report it with the bench's log."
 
 
 def _table(text: str, then: str = "") -> dict[int, Meaning]:
-    """Each entry "number what | do", which may go on in indented lines; "report" is `_REPORT`,
-    ``then`` follows what is to be done, if anything.
-    """
+    """Entries "number what | do" in indented lines; "report" is `_REPORT`, ``then`` is added."""
     table = {}
     for entry in re.split(r"\n(?=\d)", text.strip()):
         number, words = re.sub(r"\s+", " ", entry).split(" ", 1)

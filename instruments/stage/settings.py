@@ -1,7 +1,7 @@
 """A controller's identity, its stored settings, and what follows from them: where a move may go,
 how long it may take, and whether it got there.
 
-Grbl and grblHAL tell them in answers to ``$$``, FluidNC in answers to ``$/axes/…``. X, Y and Z
+Grbl and grblHAL report them in answers to ``$$``, FluidNC in answers to ``$/axes/…``. X, Y and Z
 ($100 to $132) are documented. A is from grblHAL's source: $103, $113, $123, $133 (steps per degree,
 degrees/min, degrees/s², degrees), a fourth number in positions, bit 8 of $44 to $49 for its homing
 pass, and bit 8 of $22 for an origin at the switch. A length with A is the root of the sum of all
@@ -54,7 +54,7 @@ class AxisLimits:
 @dataclass(frozen=True, slots=True)
 class StageSettings:
     """Settings of X Y Z, and A where used: mm, mm/min, mm/s²; degrees for A. ``low_mm``: lowest
-    machine coordinates; None where machine space is negative, 0 at the switch.
+    machine coordinates; None: machine space is negative.
     """
 
     travel_mm: Axes
@@ -85,10 +85,9 @@ class StageSettings:
 
 
 def read_settings(values: Mapping[int, str], *, who: str, axes: str = "XYZ") -> StageSettings:
-    """The settings of a stage with ``axes`` (one of `DECLARABLE`) from ``$n=value`` pairs.
-
-    Raises ProtocolError for a missing or impossible number, DeviceError for an absent axis, an axis
-    that isn't homed, or an origin at the switch.
+    """The settings of a stage with ``axes`` from ``$n=value`` pairs. Raises ProtocolError for a
+    missing number, DeviceError for an absent axis, one that isn't homed, or an origin at the
+    switch.
     """
 
     def number(key: int, least: float = 0.0) -> float:
@@ -122,11 +121,9 @@ FLUIDNC_KEYS = (
 
 
 def read_fluidnc(values: Mapping[str, str], *, who: str, axes: str = "XYZ") -> StageSettings:
-    """The same from FluidNC's configuration, ``/axes/x/homing/mpos_mm`` to its text. Machine space
-    is ``max_travel_mm`` long, from ``mpos_mm`` upwards, downwards with ``positive_direction``.
-
-    Raises ProtocolError for a missing or impossible number, DeviceError for an axis that isn't
-    homed, or a start that doesn't ask for homing.
+    """The same from FluidNC's configuration: machine space is ``max_travel_mm`` long, from
+    ``mpos_mm`` up, or down with ``positive_direction``. DeviceError too for a start that doesn't
+    ask for homing.
     """
     if values.get(MUST_HOME) != "true":
         what, hint = "a restart would go unnoticed", "Set start/must_home to true."

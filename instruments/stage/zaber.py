@@ -21,8 +21,8 @@ from instruments.link import Link
 from instruments.stage.connection import ANSWER_S, QUIET_S, Dialogue
 from instruments.stage.protocol import (
     AXES,
+    Malformed,
     Message,
-    Nonsense,
     Reply,
     Response,
     Status,
@@ -39,9 +39,7 @@ STOP_S = 5.0
 
 
 class Motor(NamedTuple):
-    """Which device and which of its axes moves an axis of the stage; microsteps per mm, or per
-    degree.
-    """
+    """The device and its axis that move an axis of the stage; microsteps per mm or degree."""
 
     device: int
     axis: int
@@ -93,14 +91,14 @@ def parse(line: bytes) -> Response:
     try:
         text = line.decode("ascii")
     except UnicodeDecodeError:
-        return Nonsense(line, "bytes that are not ASCII")
+        return Malformed(line, "bytes that are not ASCII")
     if _PUSHED.fullmatch(text):
         return Message(text[0], text[1:])
     found = _REPLY.fullmatch(text)
     if not found:
-        return Nonsense(line, "no answer of a Zaber device looks like this")
+        return Malformed(line, "no answer of a Zaber device looks like this")
     if found[8] and checksum(text[1 : found.start(8) - 1]) != found[8]:
-        return Nonsense(line, "its checksum is wrong")
+        return Malformed(line, "its checksum is wrong")
     number = None if found[3] is None else int(found[3])
     taken, busy = found[4] == "OK", found[5] == "BUSY"
     return Reply(int(found[1]), int(found[2]), number, taken, busy, found[6], found[7])
@@ -122,7 +120,7 @@ class ZaberDialogue(Dialogue):
         self._speeds: dict[tuple[int, int], int] = {}
         self._number = 0
 
-    def meet(self, axes: str) -> tuple[StageIdentity, StageSettings]:
+    def identify(self, axes: str) -> tuple[StageIdentity, StageSettings]:
         if len(self._given) != len(axes):
             hint = "Give zaber_axes and microsteps in the rig file's [stage], one each an axis."
             what = f"{len(self._given)} motors for the axes {axes}"
@@ -210,8 +208,8 @@ class ZaberDialogue(Dialogue):
             raise ProtocolError(self.who, f"{name} is not a number", seen=text) from None
 
     def status(self) -> Status:
-        """ "Run" while an axis moves, "Alarm" while one has no reference. Raises DeviceError for a
-        fault that an axis reports.
+        """ "Run" while an axis moves, "Alarm" without a reference. Raises DeviceError
+        for a fault.
         """
         replies = {axis: self._where(motor) for axis, motor in self._motors.items()}
         flags = {axis: reply.flag for axis, (reply, _) in replies.items()}
@@ -288,13 +286,11 @@ class ZaberDialogue(Dialogue):
             self.wait(POLL_S)
 
     def start(self) -> Welcome:
-        """Opening a port resets no device: whoever moves is stopped."""
+        """Opening a port resets no device: devices that move are stopped."""
         return self.restart()
 
     def restart(self) -> Welcome:
-        """Stop all axes and clear the warnings that can be cleared; the position has to be found
-        again.
-        """
+        """Stop all axes and clear warnings; the stage has to be homed then."""
         self.upsets += 1
         self._link.drain(QUIET_S)
         self._forget()

@@ -42,12 +42,15 @@ class Poster:
     albedo: float
 
 
+BOARD_X_MM, BOARD_TOP_MM = (-1040.0, 1100.0), 760.0
+TABLE_FRONT_Y_MM, TABLE_REACH_MM, TABLE_DROP_MM = -235.0, 1400.0, 220.0
+
+
 @dataclass(frozen=True, slots=True)
 class Backdrop:
-    """Table at z = 0 with its front edge, and an upright board behind; world frame, mm.
-
-    ``…_texture``: the share that an albedo varies by; ``…_weave``: how. Later ``posters`` lie over
-    earlier ones. ``board_k``, ``table_k``: kelvin above the room.
+    """Table at z = 0 with its front edge, and an upright board behind. ``…_texture``: share that an
+    albedo varies by; later ``posters`` lie over earlier ones; ``board_k``, ``table_k``: above the
+    room.
     """
 
     board_albedo: float = 0.55
@@ -63,15 +66,10 @@ class Backdrop:
     board_k: float = 0.0
     table_k: float = 0.0
     board_y_mm: float = 1000.0
-    board_x_mm: tuple[float, float] = (-1040.0, 1100.0)
-    board_top_mm: float = 760.0
-    table_front_y_mm: float = -235.0
-    table_reach_mm: float = 1400.0
-    table_drop_mm: float = 220.0
 
     def shaped(self) -> Backdrop:
         """Without the posters that lie on the board, whole: they are as far and as warm as it."""
-        (left, right), top = self.board_x_mm, self.board_top_mm
+        (left, right), top = BOARD_X_MM, BOARD_TOP_MM
         off = tuple(
             p
             for p in self.posters
@@ -105,17 +103,17 @@ class Patch:
 def patches(backdrop: Backdrop) -> tuple[Patch, ...]:
     """Far to near: board, posters, table, the table's front."""
     b, seed = backdrop, 2 * backdrop.texture_seed
-    wide, deep = b.board_x_mm[1] - b.board_x_mm[0], b.board_y_mm - b.table_front_y_mm
-    reach = (2.0 * b.table_reach_mm, 0.0, 0.0)
-    edge = (-b.table_reach_mm - 190.0, b.table_front_y_mm, 0.0)
+    wide, deep = BOARD_X_MM[1] - BOARD_X_MM[0], b.board_y_mm - TABLE_FRONT_Y_MM
+    reach = (2.0 * TABLE_REACH_MM, 0.0, 0.0)
+    edge = (-TABLE_REACH_MM - 190.0, TABLE_FRONT_Y_MM, 0.0)
     back = (0.0, -1.0, 0.0)
 
     def upright(x: float, z: float, width: float, height: float) -> Place:
         return Place((x, b.board_y_mm, z), (width, 0.0, 0.0), (0.0, 0.0, height), back)
 
-    board = upright(b.board_x_mm[0], 0.0, wide, b.board_top_mm)
+    board = upright(BOARD_X_MM[0], 0.0, wide, BOARD_TOP_MM)
     table = Place(edge, reach, (0.0, deep, 0.0), (0.0, 0.0, 1.0))
-    front = Place(edge, reach, (0.0, 0.0, -b.table_drop_mm), back)
+    front = Place(edge, reach, (0.0, 0.0, -TABLE_DROP_MM), back)
     return (
         Patch(board, b.board_albedo, b.board_texture, b.board_weave, seed, b.board_k),
         *(
@@ -130,8 +128,8 @@ def patches(backdrop: Backdrop) -> tuple[Patch, ...]:
 def draw(
     backdrop: Backdrop, lighting: Lighting, camera: CameraModel
 ) -> tuple[Image, Image, tuple[float, float]]:
-    """Light of the backdrop before lens and sensor, and depth in mm, (height, width) each; the
-    depth is kept, so read-only. Last the least and the greatest depth.
+    """Light of the backdrop and depth in mm, (height, width) each, depth read-only; then the least
+    and the greatest depth.
     """
     room = backdrop.room_albedo * lighting.ambient * lighting.brightness
     image = np.full((camera.height_px, camera.width_px), room, dtype=np.float32)
@@ -260,9 +258,8 @@ def _seen(place: Place, camera: CameraModel) -> Seen | None:
 def _met(
     place: Place, camera: CameraModel, plane: Floats
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Where rays (2, n) of the ideal plane meet the patch's plane: points (3, n) and depths (n,).
-
-    A pixel on the patch's edge may look past it, and past the horizon: it gets a far point.
+    """Where rays (2, n) meet the patch's plane: points (3, n), depths (n,). A pixel that looks past
+    the horizon gets a far point.
     """
     x, y = plane.astype(np.float32)
     turn, eye = camera.R.astype(np.float32), camera.centre_mm.astype(np.float32)
@@ -364,10 +361,8 @@ def _sky_left(solids: Solids, casters: Ints, points: Rows) -> Rows:
 def shade(
     shadows: ShadowMap, backdrop: Backdrop, camera: CameraModel
 ) -> tuple[tuple[slice, slice], Image] | None:
-    """The light that shadows on the table leave in a part of a camera's picture, and which part;
-    None where they fall outside of it.
-    """
-    low = np.array([shadows.x_mm, max(shadows.y_mm, backdrop.table_front_y_mm)])
+    """The light that shadows leave in a part of a camera's picture, and which part, if any."""
+    low = np.array([shadows.x_mm, max(shadows.y_mm, TABLE_FRONT_Y_MM)])
     high = np.minimum(shadows.high_mm(), [np.inf, backdrop.board_y_mm])
     u, v = np.meshgrid(np.linspace(low[0], high[0], 5), np.linspace(low[1], high[1], 5))
     pixels = camera.project(np.column_stack([u.ravel(), v.ravel(), np.zeros(u.size)]))

@@ -28,13 +28,10 @@ SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """``columns`` x ``rows`` squares of ``square_mm`` within a light rim of ``margin_mm``; the
-    first is dark.
-
-    "charuco": markers of ``feature_mm`` of OpenCV's ``dictionary`` (its number) in light squares;
-    "plain": no dark squares; "circles": columns and rows of circles ``feature_mm`` across,
-    ``square_mm`` apart. ``feature_mm`` 0: three quarters of a square for markers, half for circles.
-    Raises ValueError.
+    """``columns`` x ``rows`` squares of ``square_mm``, the first dark, with a rim of ``margin_mm``.
+    "charuco": markers of ``feature_mm`` in light squares; "plain": no dark squares; "circles" of
+    ``feature_mm``, ``square_mm`` apart. ``feature_mm`` 0: three quarters or half a square. Raises
+    ValueError.
     """
 
     kind: Kind = "chessboard"
@@ -161,14 +158,9 @@ def poses(
     depths_mm: tuple[float, float],
     seed: int,
     count: int = 24,
-    *,
-    seen: float = 1.0,
 ) -> tuple[Board, ...]:
-    """Boards in ``count`` random poses by ``seed``, over the narrowest view, ``depths_mm`` (least,
-    most) away.
-
-    Every camera sees the share ``seen`` of the points. Tilted up to 40 degrees, turned up to 15.
-    Raises ValueError where no pose is found.
+    """Boards in ``count`` random poses by ``seed``, at ``depths_mm`` (least, most), tilted up to 40
+    degrees, turned up to 15; wholly in each camera's picture. Raises ValueError.
     """
     rng = np.random.Generator(np.random.PCG64(seed))
     cameras = sorted(cameras, key=lambda camera: camera.width_px / float(camera.fc[0]))
@@ -190,29 +182,30 @@ def poses(
             outline = board.outline_mm
             # held over the table, or before it
             free = np.all((outline[:, 2] > 5.0) | (outline[:, 1] < TABLE_FRONT_MM))
-            if free and all(_seen(board, one) >= seen for one in cameras):
+            if free and all(_in_picture(board, one) for one in cameras):
                 boards.append(board)
                 break
         else:
             raise ValueError(
                 f"no place found for a board of {pattern.size_mm} mm at {depths_mm} mm where"
-                f" {', '.join(c.name for c in cameras)} see {seen:.0%} of it: take a smaller board,"
+                f" {', '.join(c.name for c in cameras)} see 100% of it: take a smaller board,"
                 " or hold it farther away"
             )
     return tuple(boards)
 
 
-def _seen(board: Board, camera: CameraModel) -> float:
-    """Share of a board's points, with their squares, in a picture; 0 where edge-on or averted."""
+def _in_picture(board: Board, camera: CameraModel) -> bool:
+    """Whether all of a board's points, with their squares, are in a picture; no where edge-on or
+    averted.
+    """
     towards = camera.centre_mm - board.outline_mm.mean(axis=0)
     if board.normal @ towards < 0.45 * np.linalg.norm(towards):
-        return 0.0
+        return False
     around = 0.7 * board.pattern.square_mm * (2.0 * SQUARE - 1.0)
     squares = board.placed((board.pattern.corners_mm[:, None, :] + around).reshape(-1, 2))
     pixels = camera.project(squares)
     high = np.array([camera.width_px, camera.height_px]) - 1.0 - RIM_PX
-    inside = np.all((pixels >= RIM_PX) & (pixels <= high), axis=1).reshape(-1, 4)
-    return float(inside.all(axis=1).mean())
+    return bool(np.all((pixels >= RIM_PX) & (pixels <= high)))
 
 
 Weave = Literal["cloud", "grain", "waves", "planks"]
@@ -231,9 +224,7 @@ def woven(weave: Weave, seed: int, width: int, height: int) -> Image:
 
 @lru_cache(maxsize=32)
 def _cubic(points: int, size: int) -> Image:
-    """What each of so many points weighs where OpenCV's cubic resize puts them on ``size`` pixels,
-    (size, points).
-    """
+    """Weight of each point in OpenCV's cubic resize to ``size`` pixels, (size, points)."""
     alone = np.eye(points, dtype=np.float32)
     blown = cv2.resize(alone, (points, size), interpolation=cv2.INTER_CUBIC)
     return np.asarray(blown, dtype=np.float32)

@@ -23,10 +23,8 @@ from instruments.world.solids import Ints, Solids, square_to
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layer:
-    """One object in one camera, hidden or not: each pixel (n,) that it covers, once.
-
-    ``share`` of the pixel, ``depth_mm``, ``value``: light, emissivity or phasor. ``along``, for
-    heat: from 0 to 1 between the object's two temperatures.
+    """One object in one camera: each pixel (n,) that it covers, with its ``share``, ``depth_mm``,
+    and ``value``: light, emissivity or phasor. ``along``: 0 to 1 between its two temperatures.
     """
 
     row: Ints
@@ -164,8 +162,8 @@ class Cover:
 
 
 def cover(solids: Solids, camera: CameraModel) -> Cover:
-    """Every pixel and share of it that every solid (camera's frame) covers, hidden or not. Raises
-    ValueError for one nearer than 50 mm to the camera's plane.
+    """Every pixel and share of it that each solid covers, hidden or not. Raises ValueError for a
+    solid nearer than 50 mm.
     """
     if len(solids) == 0:
         nothing = np.zeros(0, dtype=np.intp)

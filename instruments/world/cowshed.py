@@ -32,9 +32,7 @@ def cool_quarters(draw: Draw) -> Situation:
 
 
 def warm_room(draw: Draw) -> Situation:
-    """A room nearly as warm as the teats, as in a shed in summer; all that is not heated is as
-    warm as the room.
-    """
+    """A room nearly as warm as the teats, as in a shed in summer, with all that isn't heated."""
     return replace(plain(draw, udder(draw)), room_c=draw.between("room_c", 26.0, 31.0))
 
 

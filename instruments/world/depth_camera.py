@@ -24,7 +24,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from instruments.world.backdrop import FAR_MM, Backdrop, patches_seen
+from instruments.world.backdrop import (
+    BOARD_TOP_MM,
+    BOARD_X_MM,
+    FAR_MM,
+    TABLE_FRONT_Y_MM,
+    Backdrop,
+    patches_seen,
+)
 from instruments.world.boards import Board
 from instruments.world.compositing import Layer, lay_over
 from instruments.world.objects import SceneObject
@@ -77,9 +84,7 @@ class DepthCamera:
     def expose(
         self, state: SceneState, rng: np.random.Generator
     ) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
-        """One frame: depth along the axis in tenths of a mm, 0 where nothing was measured, and
-        amplitude in counts.
-        """
+        """Depth along the axis in tenths of a mm, 0: not measured, and amplitude in counts."""
         sensor, signal = self.sensor, self.expected(state)
         sigma, shape = sensor.noise_mm * sensor.rad_per_mm, signal.shape
         rows, columns = int(shape[0]), int(shape[1])
@@ -195,9 +200,9 @@ def _cells(backdrop: Backdrop) -> tuple[tuple[Floats, Floats, float], ...]:
         )
 
     b = backdrop
-    (left, right), back = b.board_x_mm, b.board_y_mm
-    x, y = (one.ravel() for one in grid((left, b.table_front_y_mm), (right, back)))
+    (left, right), back = BOARD_X_MM, b.board_y_mm
+    x, y = (one.ravel() for one in grid((left, TABLE_FRONT_Y_MM), (right, back)))
     table = np.stack([x, y, np.zeros_like(x)]), np.array([0.0, 0.0, 1.0]), b.table_albedo
-    x, z = (one.ravel() for one in grid((left, 0.0), (right, b.board_top_mm)))
+    x, z = (one.ravel() for one in grid((left, 0.0), (right, BOARD_TOP_MM)))
     board = np.stack([x, np.full_like(x, back), z]), np.array([0.0, -1.0, 0.0]), b.board_albedo
     return table, board

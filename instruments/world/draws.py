@@ -32,8 +32,8 @@ class Parameter:
 
 
 class Draw:
-    """Chance, with the few ways in which families use it. ``point`` gives parameters by name, in
-    shares of their ranges, instead of chance.
+    """Chance in the ways that families use. ``point`` gives parameters in shares of
+    their ranges.
     """
 
     def __init__(
@@ -84,9 +84,7 @@ def shape(draw: Draw, length_mm: Range, radius_mm: Range) -> TeatShape:
 def footing(
     draw: Draw, near_mm: Range, far_mm: Range, deep_mm: Range, spread: float = 1.0
 ) -> Callable[[float, float], tuple[float, float]]:
-    """Half widths and half depth of an udder, as seen from behind; each foot at one of `PLACES` is
-    drawn when it is asked for.
-    """
+    """Half widths and half depth of an udder from behind; feet are drawn when asked for."""
     middle_x, middle_y = draw.each("udder", x_mm=(-165.0, -95.0), y_mm=(215.0, 265.0)).values()
     near = draw.between("near_half_width_mm", *near_mm)
     far = draw.between("far_half_width_mm", *far_mm)

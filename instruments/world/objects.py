@@ -46,9 +46,7 @@ class SceneObject:
 def phantom_objects(
     phantom: Phantom, paint: Paint, teat_temps_c: Iterable[float], hose_c: float
 ) -> tuple[SceneObject, ...]:
-    """Teats, then flanges, then hoses, or the udder; then drops and dirt, about as warm as teats.
-    What teats stand on is as warm as the hoses that feed them.
-    """
+    """Teats, then flanges and hoses, as warm as their water, or the udder; then drops and dirt."""
     upright, feet, bows, udder, spots = _hulls(phantom)
     temps_c = tuple(teat_temps_c)
     teats = [
@@ -215,9 +213,7 @@ def _hose(
 def _leg(
     x_mm: float = -190.0, y_mm: float = 450.0, share: float = 1.0, lean_deg: float = 0.0
 ) -> Hulls:
-    """A hind leg from the hoof up, leaning to x; ``share`` scales its girth (a cannon is some 0.2
-    m round).
-    """
+    """A hind leg from the hoof up, leaning to x; ``share`` scales its girth."""
     slope = math.tan(math.radians(lean_deg))
     stations = [
         (low + part * (high - low), wide + (narrow - wide) * 0.5 * (1.0 - math.cos(math.pi * part)))

@@ -32,7 +32,7 @@ from instruments.world.sensor import (
     reach_px,
 )
 from instruments.world.shading import GLOSS_EXPONENT, Lighting, irradiance, seen_light
-from instruments.world.solids import BLOCK, Ints, dot, meet
+from instruments.world.solids import BLOCK, Ints, dot, intersect
 from instruments.world.state import SceneState, Stage
 
 KEPT_PIXELS = 400_000
@@ -71,8 +71,8 @@ class Surfaces:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardSurface:
-    """A board in a camera: covered pixels (n,), their dark share, and points (3, n), world;
-    ``normal`` (3,), world, on the side that the camera sees.
+    """A board in a camera: covered pixels (n,), dark shares, points (3, n), ``normal``
+    (3,), world.
     """
 
     cover: Cover
@@ -99,13 +99,11 @@ class View:
         solids = stage.solids.in_camera(self.camera)
         covered = cover(solids, self.camera)
         rays = self._rays(covered)
-        depth, normals, _ = meet(solids, covered.solid, rays[0], rays[1])
+        depth, normals, _ = intersect(solids, covered.solid, rays[0], rays[1])
         return Surfaces(covered, stage.owner[covered.solid], rays, depth, normals)
 
     def heights(self, stage: Stage, seen: Surfaces) -> Floats:
-        """Place of each surface along its thing, 0 to 1 from the first solid's a to the last one's
-        b, (n,).
-        """
+        """Place of each surface along its thing, 0 to 1, (n,)."""
         solids, numbers = stage.solids.in_camera(self.camera), np.arange(len(stage.things))
         first, last = (np.searchsorted(stage.owner, numbers + i) - i for i in (0, 1))
         foot, span = solids.a[first], solids.b[last] - solids.a[first]

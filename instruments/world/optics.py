@@ -34,11 +34,8 @@ def rotation_from_vector(om: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class CameraModel:
-    """One camera: lens and pose; equal by its values. Pixel centres are at whole numbers, the first
-    at (0, 0).
-
-    ``fc``, ``cc`` (2,) focal length and principal point, px; ``alpha_c`` skew; ``kc`` (5,) k1 k2 p1
-    p2 k3; ``R`` (3, 3), ``t_mm`` (3,): X_camera = R X_world + t.
+    """Lens and pose; equal by its values. ``fc``, ``cc`` (2,) px; ``alpha_c`` skew; ``kc`` (5,) k1
+    k2 p1 p2 k3; X_camera = R X_world + t.
     """
 
     name: str
@@ -95,8 +92,8 @@ class CameraModel:
         return np.column_stack(_undistort(x, y, self.kc, self.name))
 
     def rays(self) -> tuple[Floats, Floats]:
-        """The ray (x, y, 1) of every pixel centre, camera's frame, as two read-only arrays (height,
-        width). About 0.2 s for 1.4 million pixels; the answers for `RAYS_KEPT` cameras are kept.
+        """The ray (x, y, 1) of every pixel centre, as two read-only arrays (height, width); kept
+        for `RAYS_KEPT` cameras.
         """
         return _rays(self)
 
@@ -162,10 +159,8 @@ def _undistort(x_d: Floats, y_d: Floats, kc: Floats, name: str) -> tuple[Floats,
 def cameras_from_calibration(
     table: Mapping[str, Any],
 ) -> tuple[CameraModel, CameraModel, CameraModel]:
-    """(left, right, thermal) from a parsed calibration file (recording-format.md).
-
-    X_right = R X_left + T, X_thermal = R X_left + T (un-mirrored), X_world = R X_right + T. Raises
-    ValueError with the key at fault.
+    """(left, right, thermal) from a parsed calibration file: X_right = R X_left + T, X_thermal = R
+    X_left + T (un-mirrored), X_world = R X_right + T. Raises ValueError.
     """
     right = _inverse(_motion(table, "world"))
     left = _after(_inverse(_motion(table, "stereo")), right)

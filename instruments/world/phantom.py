@@ -1,6 +1,6 @@
 """The phantom udder: teats on a plate.
 
-A teat is a cylinder with a hemispherical end (`instruments.teat_end`), end up, or has a form of its
+A teat is a cylinder with a hemispherical end (`TEAT_END`), end up, or has a form of its
 own. Flanges and hoses follow from the teats' places; on an udder there are none. The plate's frame
 is the world's at pose zero; a pose turns the plate about `PIVOT_MM`, then shifts it.
 """
@@ -13,11 +13,15 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from instruments.teat_end import apex_mm
 from instruments.world.optics import Floats
 from instruments.world.shading import Paint
 from instruments.world.solids import Hull, Point, as_point, ball, chain, cylinder, square_to
 
+# what is measured
+TEAT_END = (
+    "Apex of the teat's rounded end on the teat's own axis, in the world frame (the table, set with"
+    " the arm)."
+)
 # the middle of the four teats of table 5.1: where the stage's turntable has its axis
 PIVOT_MM = (-189.4, 235.8)
 FLANGE_RADIUS_MM, FLANGE_HEIGHT_MM = 18.0, 8.0
@@ -85,8 +89,8 @@ class TeatForm:
 
 @dataclass(frozen=True, slots=True)
 class TeatShape:
-    """``length_mm`` from plate to apex along the axis, ``radius_mm`` of cylinder and end. A
-    ``form`` replaces both, its radius is then about ``radius_mm``.
+    """``length_mm`` from plate to apex, ``radius_mm`` of cylinder and end; ``form``
+    replaces both.
     """
 
     length_mm: float = 135.0
@@ -112,9 +116,7 @@ def spoken_name(number: int, name: str = "") -> str:
 
 
 def called(number: int, name: str = "") -> str:
-    """How prompts and messages call a teat: ``teat 4, left front (LF)``; ``teat 4`` without a
-    name.
-    """
+    """How a teat is called: ``teat 4, left front (LF)``; ``teat 4`` without a name."""
     if name in SPOKEN:
         return f"teat {number}, {spoken_name(number, name)}"
     return f"teat {number} ({name})" if name else f"teat {number}"
@@ -122,9 +124,7 @@ def called(number: int, name: str = "") -> str:
 
 @dataclass(frozen=True, slots=True)
 class Teat:
-    """One teat: where its axis leaves the plate (x, y, plate frame), shape, and lean towards +x and
-    +y in rad. ``name``: LF, RF, LR, RR or empty.
-    """
+    """Where its axis leaves the plate (plate frame), shape, and lean towards +x and +y in rad."""
 
     base_mm: tuple[float, float]
     shape: TeatShape = field(default_factory=TeatShape)
@@ -165,9 +165,7 @@ class PlatePose:
 
 @dataclass(frozen=True, slots=True)
 class Udder:
-    """What teats stand on in place of flanges: quarters at these places, round on top and joined;
-    plate frame, mm.
-    """
+    """What teats stand on in place of flanges: quarters at these places; plate frame, mm."""
 
     quarters_mm: tuple[tuple[float, float], ...]
     height_mm: float
@@ -175,9 +173,8 @@ class Udder:
 
 @dataclass(frozen=True, slots=True)
 class Spots:
-    """Drops or dirt on teats: balls that stand out of their skin by ``out_mm``, of one paint,
-    ``cooler_k`` cooler than the teats. ``places``: teat from 0, mm behind its end along the axis,
-    direction from the axis in rad, radius in mm.
+    """Drops or dirt: balls that stand out of the teats' skin by ``out_mm``, ``cooler_k`` cooler.
+    ``places``: teat from 0, mm behind its end, direction in rad, radius in mm.
     """
 
     name: str
@@ -218,17 +215,16 @@ class Phantom:
 
     @property
     def ends_mm(self) -> Floats:
-        """The teat ends, world frame, (n, 3) mm, as `instruments.teat_end` defines them."""
-        return apex_mm(self.bases_mm, self.axes, [teat.shape.length_mm for teat in self.teats])
+        """The teat ends, world frame, (n, 3) mm, as `TEAT_END` defines them."""
+        lengths = np.array([teat.shape.length_mm for teat in self.teats], dtype=np.float64)
+        return np.asarray(self.bases_mm + lengths.reshape(-1, 1) * self.axes)
 
     def moved(self, pose: PlatePose) -> Phantom:
         """The same phantom at another pose."""
         return replace(self, pose=pose)
 
     def teat_hulls(self) -> tuple[tuple[Hull, ...], ...]:
-        """The solids of each teat, from foot to end: one that is flat in its flange and a ball at
-        its end, the apex on the ball; or those of its form.
-        """
+        """The solids of each teat from foot to end, the apex on the ball; or those of its form."""
         hulls: list[tuple[Hull, ...]] = []
         for teat, base, axis, end in zip(
             self.teats, self.bases_mm, self.axes, self.ends_mm, strict=True
@@ -268,9 +264,7 @@ class Phantom:
         return tuple(hulls)
 
     def flange_hulls(self) -> tuple[Hull, ...]:
-        """The discs that the teats stand in, down to the table where the plate is lifted; none on
-        an udder.
-        """
+        """The discs that the teats stand in, down to the table; none on an udder."""
         if self.udder is not None:
             return ()
         tops = self.bases_mm + np.array([0.0, 0.0, FLANGE_HEIGHT_MM])

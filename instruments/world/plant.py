@@ -60,11 +60,8 @@ Pump = Literal["with run", "on", "off"]
 
 
 class Plant:
-    """The circuit at one moment: degC, starting at ``start_c``, in a room at ``ambient_c``.
-
-    Faults to set: ``stuck_heater``, ``dead_heater``, ``stopped_pump``, ``broken_sensor``,
-    ``frozen_sensor``. Settings: ``output_max``, ``manual_output`` (None: automatic),
-    ``ramp_k_per_min``. ``loop_broken``: the controller's conclusion about an output without effect.
+    """The circuit at one moment, from ``start_c``, in a room at ``ambient_c``. Faults and settings
+    are attributes; ``loop_broken``: the controller's conclusion of an output without effect.
     """
 
     def __init__(
@@ -147,9 +144,7 @@ class Plant:
         return self._working_c
 
     def fit(self, *, circulator: bool) -> None:
-        """What controls the bath: a circulator, or a controller without a pump. Then the pump
-        stands until a relay, or whoever sets ``pump``, switches it.
-        """
+        """A circulator, or a controller without a pump, which then stands until it is switched."""
         self.pump = "with run" if circulator else "off"
         self._latching = circulator
 

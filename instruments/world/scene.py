@@ -31,7 +31,7 @@ from instruments.world.optics import (
 )
 from instruments.world.phantom import Phantom, TeatShape
 from instruments.world.sensor import OpticalSensor
-from instruments.world.solids import Bools, meet, square_to
+from instruments.world.solids import Bools, intersect, square_to
 from instruments.world.state import SceneState, Stage
 from instruments.world.thermal_camera import ThermalCamera, ThermalSensor
 
@@ -40,8 +40,8 @@ LEAST_SEEN = 0.5  # of a rounded end's near side
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedSet:
-    """``left``, ``right``, ``thermal_8bit`` uint8; ``thermal_ck`` uint16, un-mirrored;
-    ``depth_dmm`` tenths of a mm and ``amplitude`` counts, uint16, None without a depth camera.
+    """uint8 pictures; ``thermal_ck`` uint16, un-mirrored; ``depth_dmm`` tenths of a mm and
+    ``amplitude`` uint16, None without a depth camera.
     """
 
     left: NDArray[np.uint8]
@@ -53,9 +53,7 @@ class RenderedSet:
 
 
 class Renderer:
-    """Three cameras (left, right, thermal) before one scene; ``camera_seed``: fixed patterns;
-    ``depth``: a depth camera, which counts nowhere but in its own pictures.
-    """
+    """Left, right and thermal camera, and perhaps ``depth``; ``camera_seed``: fixed patterns."""
 
     def __init__(
         self,
@@ -115,11 +113,9 @@ class Renderer:
         return self._shadows[1]
 
     def visible_ends(self, state: SceneState) -> Bools:
-        """Whether each teat end shows in left, right, thermal: (n_teats, 3).
-
-        The apex is in the image with no other solid or board before it, and half of the rounded
-        end's near side is free. The teat's own surface doesn't count: a camera below never sees an
-        apex that points up.
+        """Whether each teat end shows in left, right, thermal: (n_teats, 3). The apex is in the
+        image with no other solid or board before it, and half of the rounded end's near side is
+        free; the teat's own surface doesn't count.
         """
         stage = Stage.of(state.everything())
         columns = [
@@ -149,7 +145,7 @@ def seen_share(
         # no solid but the teat itself stands between
         x, y, z = np.tile(camera.camera_from_world(points), (len(seen), 1)).T
         which = np.repeat(np.arange(len(seen)), len(points))
-        depth, _, hit = meet(seen, which, x / z, y / z)
+        depth, _, hit = intersect(seen, which, x / z, y / z)
         blocks = hit & (depth > 0.0) & (depth < z) & (stage.owner[which] != i)
         free = ~blocks.reshape(-1, len(points)).any(axis=0)
         away = points - camera.centre_mm
@@ -157,8 +153,10 @@ def seen_share(
             towards, corner = away @ board.normal, np.asarray(board.corner_mm)
             ahead = np.where(np.abs(towards) > 1e-9, towards, 1e-9)
             part = ((corner - camera.centre_mm) @ board.normal) / ahead
-            met = camera.centre_mm + part[:, None] * away - corner
-            place = np.column_stack([met @ np.asarray(board.across), met @ np.asarray(board.along)])
+            point = camera.centre_mm + part[:, None] * away - corner
+            place = np.column_stack(
+                [point @ np.asarray(board.across), point @ np.asarray(board.along)]
+            )
             on_it = np.all((place >= 0.0) & (place <= board.pattern.size_mm), axis=1)
             free &= ~((part > 0.0) & (part < 1.0) & on_it)
         shares[i] = float(free[1:].mean()) if inside[i] and free[0] else 0.0

@@ -95,9 +95,7 @@ def blurred_by_depth(image: Image, sigma_px: Image) -> Image:
 
 @dataclass(frozen=True, slots=True)
 class Focus:
-    """A thin lens: pupil ``aperture_mm``, sharp at ``distance_mm``; default 6 mm at f/4 on the
-    teats.
-    """
+    """A thin lens: pupil ``aperture_mm``, sharp at ``distance_mm``."""
 
     aperture_mm: float = 1.5
     distance_mm: float = 1080.0
@@ -122,12 +120,9 @@ class Exposure:
 
 @dataclass(frozen=True, slots=True)
 class OpticalSensor:
-    """A CCD of the ICX205's class. At `NORMAL_EXPOSURE_S` light 1.0 gives ``full_well_e``
-    electrons, ``white_dn`` grey levels over the offset at gain 1.
-
-    ``read_noise_e`` rms, ``dark_e_per_s``; ``prnu``, ``dsnu_e``: spread of gain and offset;
-    ``bits`` of the converter; ``blur_px``: sigma of the sharp lens; ``vignetting``: share of the
-    cos^4 law.
+    """A CCD of the ICX205's class: at `NORMAL_EXPOSURE_S` light 1.0 gives ``full_well_e``
+    electrons. ``prnu``, ``dsnu_e``: spread of gain and offset; ``vignetting``: share of the cos^4
+    law.
     """
 
     full_well_e: float = 13000.0

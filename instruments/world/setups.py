@@ -24,10 +24,9 @@ from instruments.world.state import TEAT_FALL, SceneState
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """One member of a family: what stands where, light, paint, exposure; no temperatures of teats.
-    ``about`` tells a person in one sentence what to set up. ``cooler_k``: how much cooler each teat
-    is than the water makes it, empty for not at all; ``ends_cooler_k``: each end than its base, in
-    addition; ``room_c``: the surroundings, None for as they are.
+    """One member of a family: what stands where, light, paint, exposure. ``about``: what to set up.
+    ``cooler_k``: each teat than the water makes it; ``ends_cooler_k``: each end than its base;
+    ``room_c``: None for as it is.
     """
 
     name: str
@@ -142,9 +141,7 @@ ALONG = np.linspace(0.0, 1.0, 33)
 
 
 def _least_gap(ones: Sequence[Hull], others: Sequence[Hull]) -> float:
-    """The least gap between one of these and one of those, taken as round, so a little small for
-    flat ends; negative: overlap; infinite without any.
-    """
+    """The least gap between these and those, taken as round; negative: overlap."""
     a, b, start, end = (
         np.array([getattr(one, name) for one in ones])
         for name in ("a_mm", "b_mm", "radius_a_mm", "radius_b_mm")

@@ -123,9 +123,7 @@ def kelvin_from_radiance(radiance: ArrayLike) -> Floats:
 
 
 def directional_emissivity(emissivity: Floats, facing: Floats) -> Floats:
-    """Emissivity (n,) at an angle of cosine ``facing`` (n,): falls towards grazing.
-
-    Schlick's Fresnel approximation (Computer Graphics Forum 13, 1994), normal reflectance 1 -
-    emissivity; Kirchhoff's law.
+    """Emissivity (n,) at an angle of cosine ``facing`` (n,): Schlick's Fresnel approximation
+    (Computer Graphics Forum 13, 1994) with normal reflectance 1 - emissivity.
     """
     return np.asarray(emissivity * (1.0 - (1.0 - np.clip(facing, 0.0, 1.0)) ** 5))

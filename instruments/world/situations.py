@@ -68,8 +68,8 @@ def _found(name: str, seed: int) -> tuple[int, Situation, Mapping[str, Parameter
 def drawn(
     name: str, seed: int, attempt: int, point: Mapping[str, float] | None = None
 ) -> tuple[Situation | None, Mapping[str, Parameter]]:
-    """One attempt at a member, None where it can't be set up or doesn't fit its family's name, and
-    its parameters by name. Those in ``point`` are there, in shares from 0 to 1 of their ranges.
+    """One attempt at a member, None where it doesn't fit, and its parameters by name; those in
+    ``point`` in shares of their ranges.
     """
     draw, (about, family) = Draw(name, seed, attempt, point), SITUATIONS[name]
     found = family(draw)
@@ -80,9 +80,7 @@ def drawn(
 
 
 class Around:
-    """A member and all that it could be with the same counts and choices: its parameters by name,
-    and the situation at any point of them. Raises ValueError as `situation` does.
-    """
+    """A member, its parameters by name, and the situation at any point of them."""
 
     def __init__(self, name: str, seed: int) -> None:
         self.name, self.seed = name, seed
@@ -270,9 +268,7 @@ SPOKEN = {
 
 
 def spoken(name: str) -> str:
-    """A situation's name as people say it, for all that is printed or drawn; files and JSON keep
-    the name itself.
-    """
+    """A situation's name for people; files and JSON keep the name itself."""
     return SPOKEN.get(name, name.replace("_", " "))
 
 

@@ -28,11 +28,9 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Hull:
-    """Convex hull of two round ends, world frame, mm: balls, or discs across the axis where
-    ``flat_…``.
-
-    A disc and a ball need equal radii; two balls at one place are a sphere. Raises ValueError for a
-    radius not above zero, or an end inside the other.
+    """Convex hull of two round ends: balls, or discs across the axis where ``flat_…``; a disc and a
+    ball need equal radii. Raises ValueError for a radius not above zero, or an end inside the
+    other.
     """
 
     a_mm: Point
@@ -86,11 +84,9 @@ def chain(points_mm: Sequence[Point], radii_mm: Sequence[float]) -> tuple[Hull, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solids:
-    """k solids as columns in one frame of reference; mm.
-
-    ``a``, ``b``, ``axis`` (k, 3); ``radius_a``, ``radius_b``, ``flat_a``, ``flat_b`` (k,). The body
-    is a cone around the axis from height ``low`` to ``high`` (from a), its radius at h ``radius_0 +
-    slope h``.
+    """k solids as columns in one frame, mm: ``a``, ``b``, ``axis`` (k, 3), the others (k,). The
+    body is a cone round the axis from height ``low`` to ``high``, its radius ``radius_0 + slope
+    h``.
     """
 
     a: Floats
@@ -165,7 +161,7 @@ def square_to(axes: Floats) -> tuple[Floats, Floats]:
     return u.T, v.T
 
 
-def meet(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats, Bools]:
+def intersect(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats, Bools]:
     """Ray (x, y, 1) with solid ``which``, each (n,), ascending: depth (n,) mm, outward normal
     (3, n), truly hit (n,). ``solids`` are in the frame of the camera, which is outside of them.
     """
@@ -223,11 +219,11 @@ def _meet_block(
         if len(beyond) == 0:
             continue
         flat = (flat_ends[beyond] % 2.0 == 1.0) if below else (flat_ends[beyond] >= 2.0)
-        for solve, at in ((_meet_disc, beyond[flat]), (_meet_ball, beyond[~flat])):
+        for solve, at in ((_intersect_disc, beyond[flat]), (_intersect_ball, beyond[~flat])):
             if len(at):
                 rays = np.stack([x[at], y[at], np.ones(len(at))])
-                there, outward, met, keep = solve(solids, which[at], rays, below)
-                hit[at] = met
+                there, outward, found, keep = solve(solids, which[at], rays, below)
+                hit[at] = found
                 depth[at[keep]], normal[:, at[keep]] = there[keep], outward[:, keep]
     normal /= np.sqrt(dot(normal, normal))
     return depth, normal, hit
@@ -236,7 +232,7 @@ def _meet_block(
 Met = tuple[Floats, Floats, Bools, Bools]  # depth, outward normal, truly hit, to be kept
 
 
-def _meet_ball(solids: Solids, which: Ints, rays: Floats, below: bool) -> Met:
+def _intersect_ball(solids: Solids, which: Ints, rays: Floats, below: bool) -> Met:
     centre = (solids.a if below else solids.b)[which].T
     radius = (solids.radius_a if below else solids.radius_b)[which]
     qa = dot(rays, rays)
@@ -248,7 +244,7 @@ def _meet_ball(solids: Solids, which: Ints, rays: Floats, below: bool) -> Met:
     return depth, depth * rays - centre, under >= 0.0, np.ones_like(under, dtype=np.bool_)
 
 
-def _meet_disc(solids: Solids, which: Ints, rays: Floats, below: bool) -> Met:
+def _intersect_disc(solids: Solids, which: Ints, rays: Floats, below: bool) -> Met:
     centre = (solids.a if below else solids.b)[which].T
     radius = (solids.radius_a if below else solids.radius_b)[which]
     outward = solids.axis[which].T * (-1.0 if below else 1.0)

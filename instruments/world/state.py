@@ -25,14 +25,9 @@ STILL: Point = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class SceneState:
-    """Everything visible at one moment. Temperatures in degC, one for each teat in the phantom's
-    order.
-
-    A teat's is its mean: from base to end it falls by ``teat_fall`` of its excess over the room.
-    ``teat_paint``: the phantom's; ``ambient_c``: board, table and reflections; ``exposure``: of the
-    optical cameras; ``velocity_mm_s``: of the phantom during it; ``time_s``: for the thermal
-    camera's drift. Raises ValueError for the number of temperatures, or an object below the table
-    or behind the board.
+    """Everything visible at one moment, a temperature for each teat: its mean, falling by
+    ``teat_fall`` of its excess from base to end. ``velocity_mm_s``: the phantom's. Raises
+    ValueError for the number of temperatures, or an object below the table or behind the board.
     """
 
     phantom: Phantom

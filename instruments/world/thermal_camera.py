@@ -56,14 +56,9 @@ class Drift:
 
 @dataclass(frozen=True, slots=True)
 class ThermalSensor:
-    """An uncooled array of ``width_px`` x ``height_px``; temperatures and noises in kelvin, one
-    sigma.
-
-    Fresh: ``netd_k`` of a pixel, ``row_flicker_k``, ``column_flicker_k``, ``level_flicker_k``.
-    Fixed: ``fixed_k`` of a pixel, ``row_k``, ``column_k``. ``blur_px``: the lens's sigma in sensor
-    pixels; ``time_constant_s``: of a pixel. The 8-bit picture spans the 1st to the 99.5th
-    percentile, at least ``least_span_k`` upwards, plus ``headroom`` of that at both ends.
-    ``mirrored``, ``hot_is_black``: as delivered.
+    """An uncooled array; temperatures and noises in kelvin, one sigma: fresh (``netd_k``,
+    ``…_flicker_k``) and fixed (``fixed_k``, ``row_k``, ``column_k``). The 8-bit picture spans the
+    1st to the 99.5th percentile, at least ``least_span_k``, plus ``headroom``.
     """
 
     width_px: int = 160

@@ -27,9 +27,7 @@ HOSE_DROP_K = 0.02
 
 
 class World:
-    """``renderer`` draws it; ``stage_pose`` gives the plate's pose, zero at the stage's reference;
-    ``stage_velocity`` mm/s, for motion blur.
-    """
+    """``renderer`` draws it; ``stage_pose`` and ``stage_velocity`` are the stage's."""
 
     def __init__(
         self,
@@ -64,8 +62,8 @@ class World:
         objects: Sequence[Mapping[str, Any]],
         situation: Situation | None = None,
     ) -> None:
-        """Put a phantom on the plate, other things around it, and a ``situation``'s light,
-        background, paint and things. Raises ValueError for an unknown object.
+        """Put a phantom on the plate, other things around it, and a ``situation``. Raises
+        ValueError.
         """
         with self.lock:
             self._phantom = phantom

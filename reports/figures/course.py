@@ -27,7 +27,7 @@ from reports.figures.drawing import (
     not_measured,
     plain,
     row_names,
-    telling,
+    subsample,
     together,
 )
 
@@ -46,11 +46,8 @@ def bath_curve(
     *,
     name: str = "bath-curve",
 ) -> str:
-    """Bath temperature (n,) over time (n,), above; its deviation from the set point at the scale of
-    the band (+- band_k), below.
-
-    `captures_s` (m,): when frames were taken, ticks between the panels. `stable_spans_s`: (start,
-    end) of the times the gate called stable.
+    """Bath temperature (n,) over time (n,), and below its deviation from the set point with the
+    band; ticks at `captures_s`, shaded where the gate called it stable.
     """
     times, temps = together("bath_curve", times_s=times_s, temps_c=temps_c)
     captures = finite("bath_curve", "captures_s", captures_s).ravel()
@@ -60,7 +57,7 @@ def bath_curve(
         return not_measured(name, inches, "the bath gave no reading")
     shown = envelope(temps)
     minutes, temps = times[shown] / 60, temps[shown]
-    captures = captures[telling(captures, _MOST_CAPTURES)]
+    captures = captures[subsample(captures, _MOST_CAPTURES)]
     single = "o" if minutes.size == 1 else ""
 
     def plot(figure: Figure) -> None:
@@ -125,7 +122,7 @@ def latency_strip(
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
-        order, shown = np.arange(1, times.size + 1), telling(times)
+        order, shown = np.arange(1, times.size + 1), subsample(times)
         marks(axes, order[shown], times[shown])
         top = 1.12 * max(float(times.max()), *limits_s, 1e-6)
         axes.set(xlim=(0.5, times.size + 0.5), ylim=(0, top))
@@ -151,11 +148,6 @@ def found_bars(
     name: str = "found-bars",
 ) -> str:
     """Share found in each situation, ours over the thesis's (None: no figure), with counts."""
-    if not len(situations) == len(found) == len(present) == len(thesis_found):
-        raise ValueError(
-            f"found_bars: {len(situations)} situations, {len(found)} found, {len(present)} present,"
-            f" {len(thesis_found)} of the thesis; the lengths differ"
-        )
     inches = (HALF_INCHES, 0.9 + 0.52 * max(len(situations), 3))
     if not situations:
         return not_measured(name, inches, "no situation was run")

@@ -44,14 +44,8 @@ def finite(function: str, argument: str, values: ArrayLike) -> Floats:
 
 
 def together(function: str, **named: ArrayLike) -> list[Floats]:
-    """The named arrays (n,), flat, of one length. Raises ValueError if not, or if not finite."""
-    arrays = {key: finite(function, key, values).ravel() for key, values in named.items()}
-    if len({array.size for array in arrays.values()}) > 1:
-        raise ValueError(
-            f"{function}: lengths differ:"
-            f" {', '.join(f'{key} {array.size}' for key, array in arrays.items())}"
-        )
-    return list(arrays.values())
+    """The named arrays, flat. Raises ValueError where one is not finite."""
+    return [finite(function, key, values).ravel() for key, values in named.items()]
 
 
 # One colour a role. The hex value is the light scheme's and stands in the file; the style sheet
@@ -122,11 +116,8 @@ _LINKS = re.compile(
 
 
 def draw(name: str, inches: tuple[float, float], plot: Callable[[Figure], None]) -> str:
-    """The SVG of what `plot` draws on a figure of the given width and height; `name` is a slug,
-    unique in the page.
-
-    matplotlib's settings are its own defaults and ours, whatever the user's matplotlibrc says, and
-    are as before when this returns.
+    """The SVG of what `plot` draws; `name` is a slug, unique in the page. A user's matplotlibrc
+    changes nothing, and is as before afterwards.
     """
     checked_slug(name, "figure name")
     with warnings.catch_warnings(), style.context(["default", _SETTINGS]):
@@ -278,12 +269,6 @@ def circle(axes: Axes, radius_mm: float, role: str, **more: Any) -> None:
     axes.add_patch(Circle((0, 0), radius_mm, fill=False, edgecolor=COLOURS[role], **more))
 
 
-def one_each(function: str, links: Sequence[str] | None, points: int) -> None:
-    """Raises ValueError where there are links, and not one for each point."""
-    if links is not None and len(links) != points:
-        raise ValueError(f"{function}: {len(links)} links for {points} points; give one a point")
-
-
 def _grouped(run: re.Match[str]) -> str:
     """Marks of one look: a cloud is most of a page's weight."""
     look, _, paint = run.groups()
@@ -352,7 +337,7 @@ MOST_POINTS = 200  # in one plot
 MOST_STEPS = 400  # of a curve
 
 
-def telling(weight: Floats, most: int = MOST_POINTS) -> NDArray[np.intp]:
+def subsample(weight: Floats, most: int = MOST_POINTS) -> NDArray[np.intp]:
     """Indices of at most `most` of n points: of greatest `weight` (n,), and some of the rest."""
     if weight.size <= most:
         return np.arange(weight.size)

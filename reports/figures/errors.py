@@ -34,10 +34,9 @@ from reports.figures.drawing import (
     linked,
     marks,
     not_measured,
-    one_each,
     plain,
     row_names,
-    telling,
+    subsample,
     together,
 )
 
@@ -63,7 +62,7 @@ def change_scatter(
         axes.plot([0, reach], [0, reach], color=COLOURS["muted"], linewidth=0.8)
         axes.axhline(limit_mm, color=COLOURS["limit"], linewidth=1)
         axes.axvline(limit_mm, color=COLOURS["limit"], linewidth=1)
-        drawn = telling(np.abs(new - old))
+        drawn = subsample(np.abs(new - old))
         for grown, role in ((new > old, "limit"), (new <= old, "good")):
             linked(axes, old, new, drawn[grown[drawn]], role=role, alpha=0.75)
         grew: list[LegendEntry] = [("grew", "limit", "o"), ("not grown", "good", "o")]
@@ -131,14 +130,10 @@ def error_scatter(
     place: tuple[int, int] = (0, 1),
     name: str = "error-scatter",
 ) -> str:
-    """Error across (n,) against error along the viewing axis (n,), with the limit as a circle and,
-    dashed, the acceptance limit.
-
-    `links`: for each point the `#id` that a click opens. `place`: the detector's, from 0, of so
-    many. Equal scales, so that the shape of the cloud is the shape of the error.
+    """Error across (n,) against error along the viewing axis (n,), equal scales, with both limits
+    as circles. `links` open on a click; `place`: the detector's, from 0, of so many.
     """
     across, along = together("error_scatter", lateral_mm=lateral_mm, depth_mm=depth_mm)
-    one_each("error_scatter", links, across.size)
     if not across.size:
         return not_measured(name, _SQUARE, NO_PAIR)
 
@@ -149,7 +144,7 @@ def error_scatter(
         cross_and_circle(axes, reach, limit_mm, 1.4)
         if accept_mm is not None:
             circle(axes, accept_mm, "accept", linewidth=1, linestyle="--")
-        drawn = telling(np.hypot(across, along))
+        drawn = subsample(np.hypot(across, along))
         role, form = detector_look(*place)
         linked(axes, across, along, drawn, links, role=role, marker=form, alpha=0.7)
         legend(figure, limits(limit_mm, accept_mm))
@@ -207,7 +202,7 @@ def per_axis_errors(
     """Signed errors of each situation (n_k, 3) mm: points, mean, limits; a panel an axis. `point`
     and `bound` are what the legend calls a point and the limit.
     """
-    arrays = _arrays("per_axis_errors", situations, errors_mm, (-1, 3))
+    arrays = [finite("per_axis_errors", "errors_mm", one).reshape(-1, 3) for one in errors_mm]
     inches = (WIDE_INCHES, 0.9 + 0.3 * max(len(situations), 3))
     if not any(array.size for array in arrays):
         return not_measured(name, inches, NO_PAIR)
@@ -233,22 +228,13 @@ def per_axis_errors(
     return draw(name, inches, plot)
 
 
-def _arrays(
-    function: str, names: Sequence[str], errors_mm: Sequence[ArrayLike], shape: tuple[int, ...]
-) -> list[Floats]:
-    """One array of that shape a name. Raises ValueError where it isn't so."""
-    if len(names) != len(errors_mm):
-        raise ValueError(f"{function}: {len(names)} names for {len(errors_mm)} arrays")
-    return [finite(function, str(k), one).reshape(shape) for k, one in enumerate(errors_mm)]
-
-
 def _strip(axes: Axes, row: int, values: Floats, most: int) -> None:
     """Points of one situation in a fixed zigzag, so equal values stay apart, and their mean."""
     if not values.size:
         muted = COLOURS["muted"]
         axes.text(0, row, "not measured", ha="center", va="center", color=muted, fontsize=7.5)
         return
-    drawn = values[telling(np.abs(values), most)]
+    drawn = values[subsample(np.abs(values), most)]
     marks(axes, drawn, row + 0.11 * (np.arange(drawn.size) % 5 - 2), size=3, alpha=0.6)
     mean = float(values.mean())
     axes.plot([mean, mean], [row - 0.36, row + 0.36], color=COLOURS["ink"], linewidth=1.6)
@@ -262,7 +248,7 @@ def teat_boxes(
     name: str = "teat-boxes",
 ) -> str:
     """Radial errors of each teat (n_k,) as box plots (whiskers 1.5 quartile ranges)."""
-    arrays = _arrays("teat_boxes", teats, errors_mm, (-1,))
+    arrays = [finite("teat_boxes", "errors_mm", one).ravel() for one in errors_mm]
     if not any(array.size for array in arrays):
         return not_measured(name, _FLAT, NO_PAIR)
 
@@ -272,7 +258,7 @@ def teat_boxes(
         ours, line = COLOURS["ours"], {"color": COLOURS["ours"], "linewidth": 1.1}
         boxes = [cbook.boxplot_stats(arrays[k])[0] for k in places]
         for box in boxes:
-            box["fliers"] = box["fliers"][telling(box["fliers"], _MOST_BEYOND)]
+            box["fliers"] = box["fliers"][subsample(box["fliers"], _MOST_BEYOND)]
         fliers = {"marker": "o", "markersize": 3, "markerfacecolor": ours, "markeredgewidth": 0}
         axes.bxp(
             boxes,
@@ -307,18 +293,15 @@ def error_drift(
     place: tuple[int, int] = (0, 1),
     name: str = "error-drift",
 ) -> str:
-    """Radial errors (n,) over capture times (n,), with their line; `links` by point, `place` as in
-    `error_scatter`.
-    """
+    """Radial errors (n,) over capture times (n,), with their line."""
     time, errors = together("error_drift", time_min=time_min, error_mm=error_mm)
-    one_each("error_drift", links, time.size)
     if not time.size:
         return not_measured(name, _FLAT, NO_PAIR)
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
         role, form = detector_look(*place)
-        drawn = telling(errors)
+        drawn = subsample(errors)
         linked(axes, time, errors, drawn, links, role=role, marker=form, size=16, alpha=0.7)
         entries: list[LegendEntry] = [("one teat end", role, form)]
         if np.ptp(time) > 0:

@@ -12,7 +12,7 @@ from typing import Any, get_args
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from reports.figures.drawing import (
     COLOURS,
@@ -30,9 +30,8 @@ from reports.figures.drawing import (
     limits,
     linked,
     not_measured,
-    one_each,
     plain,
-    telling,
+    subsample,
 )
 
 _INCHES = (WIDE_INCHES, 5.6)
@@ -49,56 +48,40 @@ _VIEWS = {"above": (1, "y (mm)"), "front": (2, "z (mm)")}
 _LEAST_SPAN_MM = 40.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class TeatPlaces:
-    """One teat: radial errors (n,) mm at places (n, 3) mm, and the places (m, 3) where it was
-    missed.
-
-    ``links`` (n) and ``missed_links`` (m): the `#id` that a click on the mark opens.
+    """One teat: radial errors (n,) mm at ``places`` (n, 3) mm, and the places (m, 3) where it was
+    missed; ``links`` (n) and ``missed_links`` (m) are the `#id` that a click on each mark opens.
     """
 
-    name: str
-    places_mm: ArrayLike
-    error_mm: ArrayLike
-    missed_mm: ArrayLike = ()
-    links: tuple[str, ...] = ()
-    missed_links: tuple[str, ...] = ()
-
-    def checked(self) -> _Marks:
-        """As arrays. Raises ValueError for what isn't finite or doesn't fit."""
-        places = finite("error_map", "places_mm", self.places_mm).reshape(-1, 3)
-        errors = finite("error_map", "error_mm", self.error_mm).ravel()
-        missed = finite("error_map", "missed_mm", self.missed_mm).reshape(-1, 3)
-        if len(errors) != len(places):
-            raise ValueError(
-                f"error_map: teat {self.name}: lengths differ: places_mm {len(places)}, error_mm"
-                f" {len(errors)}"
-            )
-        for links, points in ((self.links, places), (self.missed_links, missed)):
-            one_each(f"error_map: teat {self.name}", links or None, len(points))
-        return _Marks(places, errors, missed, np.array(self.links), np.array(self.missed_links))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Marks:
-    places: Floats
-    errors: Floats
-    missed: Floats
-    links: NDArray[np.str_]
-    missed_links: NDArray[np.str_]
+    def __init__(
+        self,
+        name: str,
+        places_mm: ArrayLike,
+        error_mm: ArrayLike,
+        missed_mm: ArrayLike = (),
+        links: Sequence[str] = (),
+        missed_links: Sequence[str] = (),
+    ) -> None:
+        self.name = name
+        self.places = finite("error_map", "places_mm", places_mm).reshape(-1, 3)
+        self.errors = finite("error_map", "error_mm", error_mm).ravel()
+        self.missed = finite("error_map", "missed_mm", missed_mm).reshape(-1, 3)
+        self.links, self.missed_links = links, missed_links
 
     @property
     def everywhere(self) -> Floats:
         return np.concatenate([self.places, self.missed])
 
-    def thinned(self, most: int) -> _Marks:
+    def thinned(self, most: int) -> TeatPlaces:
         """At most so many discs and so many triangles."""
-        found, gone = telling(self.errors, most), telling(np.zeros(len(self.missed)), most)
-        links, missed_links = (
-            of[at] if len(of) else of for of, at in ((self.links, found), (self.missed_links, gone))
-        )
-        return _Marks(
-            self.places[found], self.errors[found], self.missed[gone], links, missed_links
+        found, gone = subsample(self.errors, most), subsample(np.zeros(len(self.missed)), most)
+        return TeatPlaces(
+            self.name,
+            self.places[found],
+            self.errors[found],
+            self.missed[gone],
+            [self.links[k] for k in found] if self.links else (),
+            [self.missed_links[k] for k in gone] if self.missed_links else (),
         )
 
 
@@ -106,58 +89,56 @@ def error_map(teat: TeatPlaces, limit_mm: float, *, name: str = "error-map") -> 
     """One teat's radial errors over a plane, from above, as discs whose area is the error, one
     colour within the limit and one beyond it; a triangle where it was missed. Equal scales.
     """
-    of = teat.checked()
-    if not len(of.everywhere):
+    if not len(teat.everywhere):
         return not_measured(name, _INCHES, "no place had a truth")
-    drawn = of.thinned(MOST_POINTS)
+    drawn = teat.thinned(MOST_POINTS)
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot(aspect="equal")
         _view(axes, "above", drawn, limit_mm, _STEP)
         axes.set(xlabel="x (mm)", ylabel="y (mm), away from the cameras")
         axes.margins(0.06)
-        _describe(figure, [of], [drawn], limit_mm)
+        _describe(figure, [teat], [drawn], limit_mm)
 
     return draw(name, _INCHES, plot)
 
 
 def error_maps(teats: Sequence[TeatPlaces], limit_mm: float, *, name: str = "error-maps") -> str:
     """The same for each teat, on one scale; a front view too where the places differ in height."""
-    columns = [teat.checked() for teat in teats]
-    there = [of.everywhere for of in columns if len(of.everywhere)]
+    there = [teat.everywhere for teat in teats if len(teat.everywhere)]
     if not there:
         return not_measured(name, _INCHES, "no place had a truth")
     spans = np.max([np.ptp(places, axis=0) for places in there], axis=0)
     views = ["above", "front"] if spans[2] > _APART_MM else ["above"]
     half = 0.5 * np.maximum(1.25 * spans, _LEAST_SPAN_MM)
     heights = [half[_VIEWS[view][0]] for view in views]
-    across = min(_ACROSS, len(columns))
-    bands = -(-len(columns) // across)
-    drawn = [of.thinned(_MOST_MARKS // (len(columns) * len(views))) for of in columns]
+    across = min(_ACROSS, len(teats))
+    bands = -(-len(teats) // across)
+    drawn = [teat.thinned(_MOST_MARKS // (len(teats) * len(views))) for teat in teats]
 
     def plot(figure: Figure) -> None:
         grid = figure.add_gridspec(bands * len(views), across, height_ratios=heights * bands)
         for row, view in enumerate(views):
-            for k, (teat, of) in enumerate(zip(teats, columns, strict=True)):
+            for k, teat in enumerate(teats):
                 band, column = divmod(k, across)
                 axes = figure.add_subplot(grid[band * len(views) + row, column], aspect="equal")
                 _view(axes, view, drawn[k], limit_mm, _COARSE_STEP)
-                _centre(axes, view, of.everywhere, half)
+                _centre(axes, view, teat.everywhere, half)
                 if row == 0:
-                    counts = f"{len(of.places)} found, {len(of.missed)} missed"
+                    counts = f"{len(teat.places)} found, {len(teat.missed)} missed"
                     axes.set_title(f"teat {plain(teat.name, 12)}\n{counts}", loc="left")
                 axes.set(
                     xlabel="x (mm)" if row == len(views) - 1 else "",
                     ylabel=_VIEWS[view][1] if column == 0 else "",
                 )
-        _describe(figure, columns, drawn, limit_mm)
+        _describe(figure, teats, drawn, limit_mm)
 
     width = WIDE_INCHES / across - 0.55
     high = sum(0.62 + height / half[0] * width for height in heights)
     return draw(name, (WIDE_INCHES, float(min(0.35 + bands * high, 14.0))), plot)
 
 
-def _view(axes: Axes, view: str, of: _Marks, limit_mm: float, step: float) -> None:
+def _view(axes: Axes, view: str, of: TeatPlaces, limit_mm: float, step: float) -> None:
     """Discs in steps of size: the discs of one size share their outline in the file."""
     flat = [0, _VIEWS[view][0]]
     across = np.sqrt(np.clip(_MARK * of.errors / limit_mm, _LEAST, _MOST))
@@ -166,10 +147,9 @@ def _view(axes: Axes, view: str, of: _Marks, limit_mm: float, step: float) -> No
     for within, role in ((of.errors <= limit_mm, "good"), (of.errors > limit_mm, "limit")):
         for size in np.unique(area[within]):
             alike = np.flatnonzero(within & (area == size))
-            linked(axes, x, y, alike, of.links.tolist(), role=role, size=size, alpha=0.75)
+            linked(axes, x, y, alike, of.links, role=role, size=size, alpha=0.75)
     x, y = of.missed[:, flat].T
-    every, links = np.arange(len(x)), of.missed_links.tolist()
-    linked(axes, x, y, every, links, role="muted", size=22, marker="v")
+    linked(axes, x, y, np.arange(len(x)), of.missed_links, role="muted", size=22, marker="v")
 
 
 def _centre(axes: Axes, view: str, places: Floats, half: Floats) -> None:
@@ -180,7 +160,7 @@ def _centre(axes: Axes, view: str, places: Floats, half: Floats) -> None:
 
 
 def _describe(
-    figure: Figure, all_of: Sequence[_Marks], drawn: Sequence[_Marks], limit_mm: float
+    figure: Figure, all_of: Sequence[TeatPlaces], drawn: Sequence[TeatPlaces], limit_mm: float
 ) -> None:
     """The legend, and what isn't drawn where that is so."""
     within: LegendEntry = (f"within {limit_mm:g} mm", "good", "o")
@@ -208,34 +188,14 @@ _MARKERS: tuple[Marker, ...] = get_args(Marker)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorGroup:
-    """The errors of one teat as each view has them: points (n, 2) mm a view, and its ellipsoid's
-    outline (m, 2) mm a view, or none.
-
-    ``links``: for each error the `#id` that a click opens.
+    """The errors of one teat: points (n, 2) mm a view, its ellipsoid's outline (m, 2) mm a view, or
+    none, and the `#id` that a click on each error opens.
     """
 
     name: str
     points_mm: Sequence[ArrayLike]
     outlines_mm: Sequence[ArrayLike] = ()
     links: tuple[str, ...] = ()
-
-    def checked(self, views: int) -> tuple[list[Floats], list[Floats]]:
-        """Points and outlines by view. Raises ValueError for what isn't finite or doesn't fit."""
-        what = f"error_regions: {self.name}"
-        points, outlines = (
-            [finite(what, argument, part).reshape(-1, 2) for part in given]
-            for argument, given in (
-                ("points_mm", self.points_mm),
-                ("outlines_mm", self.outlines_mm),
-            )
-        )
-        same = len({len(part) for part in points}) <= 1
-        if len(points) != views or len(outlines) not in {0, views} or not same:
-            raise ValueError(
-                f"{what}: {len(points)} clouds and {len(outlines)} outlines for {views} views"
-            )
-        one_each(what, self.links or None, len(points[0]))
-        return points, outlines
 
 
 def error_regions(
@@ -246,28 +206,21 @@ def error_regions(
     name: str = "error-regions",
 ) -> str:
     """A panel a view, with the names of its two axes: each group's errors, its ellipsoid, and the
-    limit as a circle. Equal scales.
-
-    Raises ValueError for more groups than can be told apart, and for arrays that don't fit.
+    limit as a circle. Equal scales; at most `MOST_GROUPS` groups.
     """
-    if len(groups) > MOST_GROUPS:
-        raise ValueError(
-            f"error_regions: {len(groups)} groups; at most {MOST_GROUPS} can be told apart, so pool"
-            " some"
-        )
-    clouds = [group.checked(len(views)) for group in groups]
-    counts = [len(points[0]) for points, _ in clouds]
+    clouds = [_flat(group.points_mm) for group in groups]
+    outlines = [_flat(group.outlines_mm) for group in groups]
+    counts = [len(cloud[0]) for cloud in clouds]
     if not sum(counts):
         return not_measured(name, _REGIONS, NO_PAIR)
-    ends = np.concatenate([part.ravel() for points, _ in clouds for part in points])
-    lines = [part.ravel() for _, outlines in clouds for part in outlines]
+    ends = np.concatenate([part.ravel() for cloud in clouds for part in cloud])
+    lines = [part.ravel() for of_group in outlines for part in of_group]
     farthest = max(limit_mm, float(np.abs(ends).max()))
     everything = np.abs(np.concatenate([ends, *lines])).max()
     reach = 1.08 * min(max(float(everything), farthest), _BEYOND * farthest)
     each = _MOST_MARKS // (len(groups) * len(views))
     drawn = [
-        telling(np.max([np.hypot(*flat.T) for flat in points], axis=0), each)
-        for points, _ in clouds
+        subsample(np.max([np.hypot(*flat.T) for flat in cloud], axis=0), each) for cloud in clouds
     ]
 
     def plot(figure: Figure) -> None:
@@ -275,13 +228,13 @@ def error_regions(
             across, up = (f"{plain(axis)} error (mm)" for axis in views[panel])
             axes.set(aspect="equal", xlabel=across, ylabel=up)
             cross_and_circle(axes, reach, limit_mm, 1.2)
-            for k, (points, outlines) in enumerate(clouds):
-                x, y = points[panel].T
+            for k, cloud in enumerate(clouds):
+                x, y = cloud[panel].T
                 role, links = _ROLES[k], groups[k].links
                 look: dict[str, Any] = {"size": 20, "marker": _MARKERS[k], "alpha": 0.75}
                 linked(axes, x, y, drawn[k], links, role=role, **look)
-                if outlines:
-                    axes.plot(*outlines[panel].T, color=COLOURS[role], linewidth=1.3)
+                if outlines[k]:
+                    axes.plot(*outlines[k][panel].T, color=COLOURS[role], linewidth=1.3)
         entries: list[LegendEntry] = []
         for k, (group, n) in enumerate(zip(groups, counts, strict=True)):
             few = "" if group.outlines_mm else " (too few)"
@@ -292,3 +245,8 @@ def error_regions(
             figure.supxlabel(count_text(shown, sum(counts)), fontsize=8.5, color=COLOURS["muted"])
 
     return draw(name, _REGIONS, plot)
+
+
+def _flat(views: Sequence[ArrayLike]) -> list[Floats]:
+    """Points (n, 2) of each view."""
+    return [finite("error_regions", "points", view).reshape(-1, 2) for view in views]

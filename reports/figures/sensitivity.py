@@ -46,9 +46,8 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bound:
-    """What physics allows: the median error (n,) mm at ``x`` (n,) by noise alone, the same for a
-    disparity that is good to so many pixels, and the share (m,) that can be found at ``share_x``
-    (m,).
+    """What physics allows: median errors (n,) mm by noise, and for a disparity good to so many
+    pixels; the share (m,) that can be found.
     """
 
     x: ArrayLike
@@ -67,16 +66,9 @@ def sensitivity(
     logarithmic: bool = False,
     name: str = "sensitivity",
 ) -> str:
-    """Errors over the quantity ``label``: medians as lines with discs, p95 thin and dashed with
-    triangles, bounds; shares found below.
-
-    Raises ValueError for numbers that aren't finite, errors that aren't above zero on their
-    logarithmic scale, or too many curves.
+    """Errors over the quantity ``label``, medians and p95, with bounds; shares found below. Raises
+    ValueError for what has no place on a logarithmic scale.
     """
-    if len(curves) > MOST_CURVES:
-        raise ValueError(
-            f"sensitivity: {len(curves)} curves; at most {MOST_CURVES} can be told apart"
-        )
     errors = [
         together("sensitivity", x=c.x, median_mm=c.median_mm, p95_mm=c.p95_mm) for c in curves
     ]

@@ -30,10 +30,9 @@ from reports.figures.drawing import (
     linked,
     marks,
     not_measured,
-    one_each,
     plain,
     row_names,
-    telling,
+    subsample,
 )
 
 T = TypeVar("T")
@@ -57,18 +56,11 @@ def error_strips(
     links: Mapping[str, Sequence[Sequence[str]]] | None = None,
     name: str = "error-strips",
 ) -> str:
-    """Radial errors (n_k,) of each situation by detector, with the limit.
-
-    `links`: for each error the `#id` that a click opens.
-    """
+    """Radial errors (n_k,) of each situation by detector; `links` open on a click."""
     arrays = {
         detector: [finite("error_strips", f"{detector}[{k}]", one) for k, one in enumerate(each)]
         for detector, each in errors_mm.items()
     }
-    _one_a_row("error_strips", situations, arrays)
-    for detector, each in arrays.items():
-        for k, one in enumerate(each):
-            one_each("error_strips", links[detector][k] if links else None, one.size)
     inches = _inches(situations, len(arrays))
     largest = [float(one.max()) for each in arrays.values() for one in each if one.size]
     if not largest:
@@ -84,7 +76,7 @@ def error_strips(
                 _muted(axes, 0, y, " none found")
                 continue
             rows = y + step * 0.13 * (np.arange(one.size) % 5 - 2).astype(np.float64)
-            of, drawn = opened[at] if opened else None, telling(one, most)
+            of, drawn = opened[at] if opened else None, subsample(one, most)
             linked(axes, one, rows, drawn, of, role=role, size=11, alpha=0.7, marker=form)
         axes.axvline(limit_mm, color=COLOURS["limit"], linewidth=1.4)
         axes.set(xlim=(0, 1.06 * max(limit_mm, *largest)), xlabel="distance to the teat end (mm)")
@@ -101,7 +93,6 @@ def outcome_bars(
     name: str = "outcome-bars",
 ) -> str:
     """Teats found and missed, and false answers, in each situation by detector; with counts."""
-    _one_a_row("outcome_bars", situations, counts)
     inches, several = _inches(situations, len(counts)), len(counts) > 1
     most = max((sum(one) for each in counts.values() for one in each), default=0)
     if not most:
@@ -134,7 +125,6 @@ def rate_intervals(
     """Each family's failure rate (rate, low, high) by detector, 0 to 1; None where no scene was
     scored. The scale grows with the square root, so that small rates have room.
     """
-    _one_a_row("rate_intervals", families, rates)
     known = [rate for each in rates.values() for rate in each if rate]
     if not known:
         return not_measured(name, _low_inches(families, rates), "no scene was scored")
@@ -172,7 +162,6 @@ def error_spreads(
     """Errors in mm of each family by detector: 90 % of them as a thin line, half as a thick one,
     the median marked, and the limit; None where nothing was found.
     """
-    _one_a_row("error_spreads", families, spreads)
     for detector, each in spreads.items():
         finite("error_spreads", detector, [one for one in each if one])
     known = [value for each in spreads.values() for one in each if one for value in one]
@@ -206,19 +195,13 @@ def failure_map(
     *,
     name: str = "failure-map",
 ) -> str:
-    """Scenes and failures (rows, columns) counted in cells of two parameters: the first of
-    ``labels`` and ``ranges`` goes along the columns. The redder a cell, the more of it failed,
-    beside the worst.
+    """Scenes and failures (rows, columns) in cells of two parameters, the first along the columns.
+    The redder a cell, the more of it failed.
     """
     all_of, failed = (
         np.atleast_2d(finite("failure_map", what, values)).astype(np.intp)
         for what, values in (("scenes", scenes), ("failures", failures))
     )
-    if all_of.shape != failed.shape or (failed > all_of).any() or (failed < 0).any():
-        raise ValueError(
-            f"failure_map: {failed.shape} counts of failures for {all_of.shape} of scenes; give one"
-            " a cell, none larger than its scenes"
-        )
     inches = (HALF_INCHES, 3.9)
     if not all_of.sum():
         return not_measured(name, inches, "no scene was scored")
@@ -250,14 +233,6 @@ def failure_map(
         axes.grid(visible=False)
 
     return draw(name, inches, plot)
-
-
-def _one_a_row(
-    function: str, rows: Sequence[str], by_detector: Mapping[str, Sequence[object]]
-) -> None:
-    for detector, each in by_detector.items():
-        if len(each) != len(rows):
-            raise ValueError(f"{function}: {len(rows)} rows, {len(each)} values of {detector}")
 
 
 def _each(

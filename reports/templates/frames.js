@@ -144,11 +144,11 @@ const pictures = (() => {
     event.preventDefault();
     move(frame, ...STEPS[event.key]);
   };
-  const button = (text, told, act) => {
+  const button = (text, label, act) => {
     const made = document.createElement("button");
     made.type = "button";
     made.textContent = text;
-    made.setAttribute("aria-label", told);
+    made.setAttribute("aria-label", label);
     made.addEventListener("click", () => act(made));
     return made;
   };

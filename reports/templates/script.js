@@ -24,17 +24,17 @@
     trial.scrollIntoView({ behavior: "instant", block: "start" });
     trial.focus({ preventScroll: true });
   };
-  // Files of their own: the neighbours are those that the list's filter and order left, as it told this window last.
+  // Files of their own: the neighbours are those that the list's filter and order left, as it was stored last.
   const shown = () => all("table[data-searchable] tbody tr").filter((row) => !row.hidden && row.querySelector("a[href^='trials/']"));
-  const told = () => {
+  const stored = () => {
     try { return JSON.parse(sessionStorage.getItem("teatbench trials")) ?? []; } catch { return []; }
   };
-  const tell = () => {
+  const store = () => {
     const names = [...new Set(shown().map((row) => row.querySelector("a").getAttribute("href").slice(7, -5)))];
     try { sessionStorage.setItem("teatbench trials", JSON.stringify(names)); } catch { /* a browser may forbid it: the page's own order then holds */ }
   };
   const leave = (by) => {
-    const names = told();
+    const names = stored();
     const at = names.indexOf(document.querySelector("article.trial").id);
     if (at >= 0 && names[at + by]) location.href = names[at + by] + ".html";
     else if (at < 0) document.querySelector(by > 0 ? "a[rel=next]" : "a[rel=prev]")?.click();
@@ -138,10 +138,10 @@
     const row = listed.find((one) => "#" + one.id === link.getAttribute("href"));
     if (!row) return;
     event.preventDefault();
-    tell();
+    store();
     location.href = row.querySelector("a").href;
   }));
-  if (listed.length) document.querySelector("main").addEventListener("click", (event) => { if (event.target.closest("a[href^='trials/']")) tell(); });
+  if (listed.length) document.querySelector("main").addEventListener("click", (event) => { if (event.target.closest("a[href^='trials/']")) store(); });
 
   const acts = {
     help: () => (help.open ? help.close() : help.showModal()),

@@ -17,8 +17,7 @@ from unittest.mock import patch
 
 from bench.record.schema import DATABASE
 from bench.rig.loading import load_rig
-from bench.run.engine import Ending
-from bench.run.events import Progress
+from bench.run.events import Progress, RunState
 from bench.run.start import RunOptions, resume_run, run_script
 from bench.script.model import load_script
 from instruments.clock import VirtualClock
@@ -75,7 +74,7 @@ def start(
     out: str = "runs",
     progress: Progress | None = None,
     how: RunOptions | None = None,
-) -> tuple[Path, Ending]:
+) -> tuple[Path, RunState]:
     """The script in ``folder`` on the rig there, from the beginning; a `Person` types too."""
     rig, shown = load_rig(folder / "rig.toml"), progress or Silent()
     script = load_script(folder / "script.toml", rig.rig.limits.set_point_c)
@@ -135,7 +134,7 @@ def _killed(
     return process.exitcode == -signal.SIGKILL
 
 
-def resume(folder: Path, out: str, progress: Silent | None = None) -> tuple[Path, Ending]:
+def resume(folder: Path, out: str, progress: Silent | None = None) -> tuple[Path, RunState]:
     return resume_run(only_run(folder, out), progress or Silent())
 
 

@@ -27,7 +27,7 @@ from bench.record.writer import Store
 from bench.results.answers import Examiner
 from bench.rig.devices import Devices
 from bench.rig.loading import load_rig
-from bench.run.engine import Ending
+from bench.run.events import RunState
 from bench.run.start import run_script
 from bench.run.trial import TrialRun
 from bench.safety.signals import CTRL_CLOSE_EVENT, Handler, installed
@@ -41,7 +41,7 @@ MARK = "@@ "
 LINGER_S = 0.6
 CLOSED_CODE = 58
 LONG_S = 10.0
-CODES = {Ending.FINISHED: 0, Ending.ABORTED: 3, Ending.FAULTED: 3}
+CODES = {RunState.FINISHED: 0, RunState.ABORTED: 3, RunState.FAULTED: 3}
 
 
 def say(step: str) -> None:

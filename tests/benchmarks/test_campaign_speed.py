@@ -53,8 +53,7 @@ def test_two_workers_against_one(benchmark: BenchmarkFixture, tmp_path: Path) ->
         )
         campaign.begin()
         begun_s = time.perf_counter()
-        scenes = campaign.plan.chunk_scenes
-        with closing(LocalPool(campaign.job, workers, say=print, chunk_scenes=scenes)) as pool:
+        with closing(LocalPool(campaign.job, workers, say=print)) as pool:
             pools.append(Counted(pool))
             campaign.run(pools[-1], lambda _: None)
         walls.append(time.perf_counter() - begun_s)
@@ -103,7 +102,7 @@ def test_what_a_campaign_takes_beside_its_chunks(
     parent_s, workers_s = -time.process_time(), -children_s()
 
     def work() -> float:
-        with closing(LocalPool(job, 1, say=print, chunk_scenes=plan.chunk_scenes)) as pool:
+        with closing(LocalPool(job, 1, say=print)) as pool:
             counted = Counted(pool)
             campaign.run(counted, lambda _: None)
         return counted.cpu_s

@@ -17,8 +17,8 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from bench.cli.main import main
 from bench.config import read_calibration
 from bench.record.reader import RunRecord, read_run
-from bench.report.page import build_page, stored_rules
-from bench.results.verdicts import judge
+from bench.report.page import build_page
+from bench.results.verdicts import judge, stored_rules
 from reports.render import write_report
 from tests.benchmarks.figures import figure, taken_s
 from tests.chromium import browser_page

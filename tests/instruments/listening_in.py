@@ -7,9 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from instruments.clock import Clock
-from instruments.link import Link
+from instruments.link import Link, Tap
 from instruments.listener import Connection, Device, Listener
-from instruments.tap import Tap
 
 
 class Heard(Tap):

@@ -17,7 +17,7 @@ import pytest
 
 from instruments.captures.capture import CaptureError, CaptureFile, read_capture
 from instruments.clock import RealClock, VirtualClock
-from instruments.tap import Tap
+from instruments.link import Tap
 
 FACTS = {"teatbench": "1.2.3", "command": "teatbench check 'my rig.toml'", "machine": "Linux"}
 
@@ -157,7 +157,8 @@ def test_hostile_texts_stay_within_their_line(tmp_path: Path) -> None:
     with opened(tmp_path / "c", url, command=url) as (_, tap):
         tap.closed(url)
     read = read_capture(tmp_path / "c")
-    assert read.facts["command"] == read.links["arm"][0].url == read.links["arm"][0].broke == url
+    kept = url.replace("\ud800", "?")  # no file of UTF-8 can hold it
+    assert read.facts["command"] == read.links["arm"][0].url == read.links["arm"][0].broke == kept
 
 
 def test_a_capture_without_an_event_leaves_no_file(tmp_path: Path) -> None:

@@ -209,7 +209,7 @@ def test_typed_points(tmp_path: Path, url: str, answer: str, mm: list[float]) ->
     assert told is not None
     arm = PointArm(told, tmp_path, VirtualClock(), U_MM, RESOLUTION_MM)
     assert arm.sign_on().serial_number == ("7001" if "7001" in url else "not stated")
-    with pytest.raises(InstrumentError, match="nobody is there to type"):
+    with pytest.raises(InstrumentError, match="there is no terminal to type"):
         arm.read()
     arm.asked_of(ScriptedAnswers([ScriptedAnswer("coordinates", answer)], {}, "answers.toml"))
     reading = arm.read()

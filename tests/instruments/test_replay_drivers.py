@@ -20,16 +20,14 @@ from instruments.captures.capture import Capture, CaptureFile, read_capture
 from instruments.captures.replay import Replay
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import InstrumentError, LinkError
-from instruments.link import Link
+from instruments.link import Link, Tap
 from instruments.listener import Connection, Device, Listener
-from instruments.microscribe.connection import ANSWER_S
-from instruments.microscribe.driver import MicroScribe
+from instruments.microscribe.driver import ANSWER_S, MicroScribe
 from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.faults import Fault
 from instruments.microscribe.kinematics import Floats
 from instruments.stage.driver import Stage
 from instruments.stage.emulator import StageEmulator
-from instruments.tap import Tap
 from instruments.world.plant import Plant
 
 FACTS = {"teatbench": "0", "command": "c", "machine": "m"}

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 from reports.figures.course import Slope, bath_curve, found_bars, latency_strip, slope_intervals
-from reports.figures.drawing import COLOURS, MOST_POINTS, envelope, legend, plain, telling
+from reports.figures.drawing import COLOURS, MOST_POINTS, envelope, legend, plain, subsample
 from reports.figures.errors import (
     change_scatter,
     error_drift,
@@ -256,39 +256,16 @@ REFUSED: dict[str, Callable[[], str]] = {
     "error_histogram: errors_mm holds 1 of 2 values that are not finite": lambda: error_histogram(
         [1.0, NAN], 5.0
     ),
-    "error_scatter: lengths differ: lateral_mm 2, depth_mm 1": lambda: error_scatter(
-        [1.0, 2.0], [1.0], 5.0
-    ),
-    "error_scatter: 1 links for 2 points": lambda: error_scatter(
-        [1.0, 2.0], [1.0, 2.0], 5.0, links=["#a"]
-    ),
-    "found_bars: 1 situations, 2 found": lambda: found_bars(["a"], [1, 2], [4], [3]),
-    "per_axis_errors: 1 names for 0 arrays": lambda: per_axis_errors(["a"], [], 5.0),
     "figure name: 'Two Words'": lambda: latency_strip([1.0], [1.0], name="Two Words"),
-    "7 groups; at most 6 can be told apart": lambda: error_regions(
-        [_group(str(k), 1) for k in range(7)], VIEWS, 5.0
-    ),
-    "teat 1: 2 clouds and 2 outlines for 1 views": lambda: error_regions(
-        [_group("teat 1", 5)], VIEWS[:1], 5.0
-    ),
-    "teat 1: lengths differ: places_mm 1, error_mm 2$": lambda: error_maps(
-        [TeatPlaces("1", [[0, 0, 0]], [1.0, 2.0])], 5.0
-    ),
     "slope_intervals: tilt holds 1 of 3 values that are not finite": lambda: slope_intervals(
         [replace(_slope("tilt", False), value=NAN)]
     ),
     "not above 0 mm has no place": lambda: sensitivity(
         [replace(_curve("a"), median_mm=[0.0, 0.1, 0.2])], BOUND, "x"
     ),
-    "lengths differ: x 3, median_mm 2": lambda: sensitivity(
-        [replace(_curve("a"), median_mm=[0.1, 0.2])], BOUND, "x"
-    ),
     "not finite": lambda: sensitivity(
         [_curve("a")], replace(BOUND, median_mm=[0.1, NAN, 0.2]), "x"
     ),
-    "rate_intervals: 1 rows, 2 values of a": lambda: rate_intervals(["x"], {"a": [None, None]}),
-    "none larger than its scenes": lambda: failure_map(("x", "y"), ((0, 1), (0, 1)), [[1]], [[2]]),
-    "5 curves; at most 4": lambda: sensitivity([_curve(name) for name in "abcde"], BOUND, "x"),
 }
 
 
@@ -328,7 +305,7 @@ def test_a_legend_stays_within_its_drawing(width_in: float) -> None:
 @given(st.lists(st.floats(0, 100), max_size=300), st.integers(2, 50))
 def test_the_heaviest_are_kept_and_no_more_than_asked(values: list[float], most: int) -> None:
     weight = np.array(values)
-    kept = telling(weight, most)
+    kept = subsample(weight, most)
     assert len(kept) == len(set(kept.tolist())) == min(most, len(values))
     assert list(kept) == sorted(kept)
     if len(values):

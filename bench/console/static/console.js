@@ -65,11 +65,11 @@ async function follow(name) {
       const more = last ? { "Last-Event-ID": last } : {};
       const answer = await fetch(`/api/runs/${encodeURIComponent(name)}/stream`, { headers: headers(more), signal: mine.signal });
       if (!answer.ok) {
-        said((await answer.json()).error || answer.statusText, true);
+        showStatus((await answer.json()).error || answer.statusText, true);
         if (answer.status === 404 || answer.status === 401) return;
         throw new Error(answer.statusText);
       }
-      said("connected");
+      showStatus("connected");
       const reader = answer.body.pipeThrough(new TextDecoderStream()).getReader();
       let text = "";
       for (;;) {
@@ -81,13 +81,13 @@ async function follow(name) {
         for (const message of whole) {
           const fields = Object.fromEntries(message.split("\n").filter((line) => line[0] !== ":").map((line) => [line.slice(0, line.indexOf(":")), line.slice(line.indexOf(":") + 2)]));
           if (fields.id) last = fields.id;
-          if (fields.event) heard(fields.event, JSON.parse(fields.data));
+          if (fields.event) received(fields.event, JSON.parse(fields.data));
         }
       }
     } catch (error) {
       if (mine.signal.aborted) return;
     }
-    said("no connection to the console: trying again. The run goes on.", true);
+    showStatus("no connection to the console: trying again. The run goes on.", true);
     await new Promise((then) => { setTimeout(then, RETRY_MS); addEventListener("online", then, { once: true }); });
   }
 }
@@ -102,11 +102,11 @@ function quickly(promise) {
   });
   return Promise.race([promise, dead]).finally(() => after.abort());
 }
-function said(text, lost = false) {
+function showStatus(text, lost = false) {
   byId("connection").textContent = text;
   byId("connection").classList.toggle("lost", lost);
 }
-function heard(kind, value) {
+function received(kind, value) {
   if (kind === "snapshot") {
     Object.assign(run, value, { name: run.name });
     page();
@@ -422,13 +422,13 @@ async function home() {
   main.replaceChildren(make("section", { id: "problem", className: "card bad", hidden: true, role: "alert" }), make("section", { className: "card", id: "new" }, make("h2", {}, "Start a run")), make("section", { className: "card", id: "list" }, make("h2", {}, "Runs")));
   try {
     const [{ runs }, known] = await Promise.all([ask("/runs"), ask("/choices")]);
-    said("connected");
+    showStatus("connected");
     const now = runs.find((one) => one.ending === "under way");
     if (now && hint === "now") { hintUsed(now.name); return; }
     starter(known);
     byId("list").append(...(runs.length ? runs.map(listed) : [make("p", {}, "No runs yet.")]));
   } catch (error) {
-    said("no connection to the console", true);
+    showStatus("no connection to the console", true);
     problem(error.message);
   }
 }

@@ -72,10 +72,8 @@ AMOUNTS = {  # what an amount of a fault is; others have none
 
 
 class StageEmulator:
-    """The board and its mechanics, of 3 ``axes`` or 4.
-
-    ``settings`` by number ($130 is 130) replace defaults; ``play_mm`` is the backlash by axis
-    (degrees for A). Raises ValueError for unknown settings or axes.
+    """The board and its mechanics, of 3 ``axes`` or 4. ``settings`` by number ($130 is 130);
+    ``play_mm``: backlash by axis. Raises ValueError for unknown settings or axes.
     """
 
     def __init__(
@@ -118,8 +116,8 @@ class StageEmulator:
         return np.asarray(way / GLANCE_S, dtype=np.float64)
 
     def inject(self, fault: Fault, after_s: float = 0.0, *, lost_mm: float = LOST_MM) -> None:
-        """Make ``fault`` happen: one of a motion ``after_s`` into it, a late answer ``after_s``
-        late, others from now on. Lost steps are ``lost_mm`` on the linear axis that goes furthest.
+        """Start ``fault``: one of a motion ``after_s`` into it, a late answer ``after_s`` late.
+        Lost steps are ``lost_mm`` on the axis that goes furthest.
         """
         self._faults[fault] = after_s
         self._lost_mm = lost_mm if fault is Fault.LOST_STEP else self._lost_mm

@@ -30,7 +30,7 @@ PRESSED_MM = 0.005  # how far past its edge a limit switch is closed
 
 @dataclass
 class AxisDrive:
-    """One axis. ``low``, ``high``: rails' ends, mm; ``play``: the motor's travel after a reversal
+    """One axis between ``low`` and ``high`` mm. ``play``: the motor's travel after a reversal
     before the carriage moves; ``at_far_end``: its switch is at ``low``; ``count``: the controller's
     position.
     """
@@ -86,10 +86,9 @@ class AxisDrive:
 
 
 class Carriage:
-    """Motors, screws, carriage; mm (degrees for A) in machine coordinates, 0 at the switches.
-
-    At ``place_mm`` on rails of ``travel_mm``. ``motion`` is the controller's count; whoever changes
-    it takes it from `follow`. ``starts``: how often it has set out from rest.
+    """Motors, screws, carriage in machine coordinates, 0 at the switches. ``motion`` is the
+    controller's count, changed only as `follow` gives it; ``starts``: how often it set out from
+    rest.
     """
 
     def __init__(
@@ -257,11 +256,9 @@ def _closing_s(axes: list[AxisDrive], leg: Leg, start_s: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Mounting:
-    """A stage of ``axes`` (as "XYZA") that carries the plate; the pose is zero at ``reference``.
-
-    ``scale_errors`` by axis: 0.001 moves a thousandth too far. ``squareness_rad``: angle from X to
-    Y, less a right angle. ``yaw_rad``: from the world's x to the X axis, x towards y. A turns the
-    plate x towards y on top of X and Y.
+    """A stage that carries the plate; the pose is zero at ``reference``. ``squareness_rad``: angle
+    from X to Y, less a right angle; ``yaw_rad``: from the world's x to X. A turns the plate x
+    towards y.
     """
 
     axes: str

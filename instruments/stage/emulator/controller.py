@@ -18,9 +18,7 @@ Work = Generator[float, None, str | None]
 
 
 class Controller(ABC):
-    """One board's firmware and carriage. ``answer`` gets the one answer of each line; what is
-    pushed gathers in ``out``.
-    """
+    """One board's firmware. ``answer`` gets the answer of each line; ``out`` is what is pushed."""
 
     def __init__(
         self, clock: Clock, settings: Store, carriage: Carriage, answer: Callable[[str], None]
@@ -37,9 +35,7 @@ class Controller(ABC):
         self.out.clear()
 
     def power_up(self) -> None:
-        """Power comes, or the host's opening of the port resets the board: the count is lost, and
-        is 0 where the carriage stands.
-        """
+        """Power comes, or an opened port resets the board: the count is 0 where the carriage is."""
         self.carriage.cut_power(self.now)
         self._half = b""
         self.drop()
@@ -87,7 +83,7 @@ class Controller(ABC):
     def pump(self) -> None:
         """Take lines until one has to wait, or there are none."""
         self._due_s = math.inf
-        while not self.deaf:
+        while not self.ignores_input:
             if self._work is None:
                 line = self.next_line()
                 if line is None:
@@ -102,7 +98,7 @@ class Controller(ABC):
                     self._answer(end.value)
 
     @property
-    def deaf(self) -> bool:
+    def ignores_input(self) -> bool:
         """Whether lines have to wait, the one in the works too."""
         return False
 
@@ -111,9 +107,7 @@ class Controller(ABC):
 
     @abstractmethod
     def work(self, text: str) -> Work:
-        """Do what a line says. Yields the moment at which it wants to be asked again; returns its
-        answer, None if it was given.
-        """
+        """Execute a line. Yields when it wants to go on; returns its answer, None if given."""
 
     @abstractmethod
     def alarm(self, code: int, *, critical: bool = False) -> None:
@@ -131,9 +125,7 @@ class Controller(ABC):
         return tuple([at + off for at, off in zip(count_mm, self.offset_mm, strict=True)])
 
     def go(self, target_mm: Sequence[float], feed_mm_s: float | None) -> None:
-        """Plan a straight move to machine coordinates, behind all that is planned; no feed is a
-        rapid move.
-        """
+        """Plan a straight move to machine coordinates; no feed is a rapid move."""
         count = tuple([at - off for at, off in zip(target_mm, self.offset_mm, strict=True)])
         there = self.settings.whole_steps(count)
         self.carriage.go(there, feed_mm_s, self.settings.rates, self.now)

@@ -336,7 +336,7 @@ class GrblController(Controller):
         super().pump()
 
     @property
-    def deaf(self) -> bool:
+    def ignores_input(self) -> bool:
         return self.mode in DEAF or self._restart_s < math.inf
 
     def work(self, text: str) -> Work:
@@ -389,7 +389,7 @@ class GrblController(Controller):
             self._stored(text)
 
     def _stored(self, text: str) -> None:
-        """Settings and build: told, or a setting written."""
+        """Settings and build: reported, or a setting written."""
         if text in ("$", "I"):
             for line in self.settings.lines() if text == "$" else self.dialect.identity():
                 self.say(line)

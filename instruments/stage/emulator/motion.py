@@ -49,10 +49,8 @@ class Phase:
 def profile(
     length_mm: float, entry: float, cruise: float, leave: float, accel: float
 ) -> list[tuple[float, float, float]]:
-    """The fastest way along ``length_mm`` from speed ``entry`` to ``leave`` at most ``cruise``.
-
-    Phases (seconds, first speed, acceleration) in mm/s and mm/s²; ``accel`` is positive. A higher
-    ``entry`` is braked first, harder where the length is too short.
+    """The fastest way along ``length_mm`` from speed ``entry`` to ``leave`` at most ``cruise``, as
+    phases (seconds, first speed, acceleration). A higher ``entry`` is braked first.
     """
     if length_mm <= 0:
         return []
@@ -341,12 +339,9 @@ class Switch(Enum):
 
 
 class HomingRun:
-    """The homing cycle from the carriage's place, as a function of time from 0: pass by pass, the
-    axes of a pass together. ``broken``: axes with a broken switch.
-
-    Each axis seeks its switch fast, backs off, finds it again slowly and backs off, with a pause
-    between runs. A run to a switch stops dead, as the steps are cut when it closes. ``end_s`` is
-    when it ends, ``alarm`` what ends it, if any, ``tracks`` the phases by axis.
+    """The homing cycle from ``start_mm`` as a function of time from 0, pass by pass: each axis
+    seeks its switch fast, backs off, finds it again slowly and backs off. ``end_s``: when it ends;
+    ``alarm``: what ends it; ``tracks``: phases by axis.
     """
 
     def __init__(self, start_mm: Vector, settings: Store, broken: Mapping[int, Switch]) -> None:

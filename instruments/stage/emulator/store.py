@@ -98,8 +98,8 @@ _CLASSIC_PASSES = ((2,), (0, 1))
 
 
 class Store:
-    """Settings by number for 3 ``axes``, or 4 with A; ``high_mm``: the high ends in machine
-    coordinates that begin at the low ones. Raises ValueError for unknown numbers.
+    """Settings by number for 3 ``axes``, or 4 with A; ``high_mm``: high ends where machine
+    coordinates begin at the low ones. Raises ValueError for unknown numbers.
     """
 
     def __init__(

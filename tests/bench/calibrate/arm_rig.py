@@ -4,26 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from io import StringIO
 
+from bench.calibrate.arm import ArmSession
 from bench.calibrate.simulated_arm import PLACED, Step, TryingArm
 from detector.geometry import Motion
 from instruments.clock import VirtualClock
 from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
+from instruments.operators.console import Console
 
 MADE = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
 
 
-@dataclass
-class Follower:
-    """A person who does as told, or ``instead`` another step, and remembers it."""
+class Follower(ArmSession):
+    """With a person who does each step, or ``instead`` another one, and remembers it."""
 
-    hand: TryingArm
-    instead: Callable[[Step], Step] = lambda step: step
-    said: list[str] = field(default_factory=list)
-    steps: list[Step] = field(default_factory=list)
+    def __init__(
+        self,
+        arm: MicroScribe,
+        hand: TryingArm,
+        instead: Callable[[Step], Step] = lambda step: step,
+    ) -> None:
+        console = Console(StringIO(), StringIO(), hand.clock)
+        super().__init__(arm, hand.clock, console, hand)
+        self.hand, self.instead = hand, instead
+        self.said: list[str] = []
+        self.steps: list[Step] = []
 
     def ask(self, text: str) -> None:
         self.said.append(text)

@@ -131,7 +131,7 @@ def test_frames_put_in_are_found_within_the_arms_noise() -> None:
         )
         put_in = Motion.from_vectors((0.02, -0.01, yaw), (x, y, 8.0))
         with emulated(seed=seed, placed=put_in) as (arm, trying):
-            frame = touch_frame(arm, Follower(trying), [None], MADE)
+            frame = touch_frame(Follower(arm, trying), [None], MADE)
         teat = put_in.inverse().apply([100.0, 120.0, 100.0])
         off.append(frame.world_from_arm.apply(teat) - np.array([100.0, 120.0, 100.0]))
         u.append(frame.u_registration_mm([100.0, 120.0, 100.0], 0.23))
@@ -156,8 +156,8 @@ def test_points_too_near_are_asked_for_again() -> None:
                 else step
             )
 
-        person = Follower(trying, instead)
-        frame = touch_frame(arm, person, [], MADE)
+        person = Follower(arm, trying, instead)
+        frame = touch_frame(person, [], MADE)
     assert [step.what for step in person.steps] == ["origin", "x axis", "plane", "x axis", "plane"]
     assert any("from the origin; 100 mm are needed" in text for text in person.said)
     assert np.allclose(frame.world_from_arm.T, PLACED.T, atol=1.0)
@@ -172,8 +172,8 @@ def test_a_moving_arm_is_read_again() -> None:
             return read(n, max_spread_mm=1e-6 if next(moves, False) else max_spread_mm)
 
         arm.read = unsteady  # type: ignore[method-assign, assignment]
-        person = Follower(trying)
-        touch_frame(arm, person, [], MADE)
+        person = Follower(arm, trying)
+        touch_frame(person, [], MADE)
     assert [step.what for step in person.steps] == ["origin", "origin", "x axis", "plane"]
     assert any("the arm moves" in text for text in person.said)
 
@@ -188,8 +188,8 @@ def test_a_frame_that_turned_over_is_asked_about() -> None:
                 else step
             )
 
-        person = Follower(trying, instead)
-        frame = touch_frame(arm, person, [], MADE)
+        person = Follower(arm, trying, instead)
+        frame = touch_frame(person, [], MADE)
     assert frame.hangs
     assert any("upside down" in text for text in person.said)
 
@@ -293,7 +293,7 @@ class Found(NamedTuple):
 
 def verified(accuracy_mm: float, seed: int) -> Found:
     with emulated(seed=seed, accuracy_mm=accuracy_mm) as (arm, trying):
-        found = verify(arm, Follower(trying), Plan(1, 10, None), MADE)
+        found = verify(Follower(arm, trying), Plan(1, 10, None), MADE)
     return Found(
         found.location_mm,
         max(test.two_sd_mm for test in found.locations),
@@ -325,8 +325,8 @@ def test_verification_finds_what_accuracy_was_put_in() -> None:
 @pytest.mark.slow
 def test_what_is_asked_for_is_what_was_planned() -> None:
     with emulated() as (arm, trying):
-        person = Follower(trying)
-        found = verify(arm, person, Plan(2, 5, 300.0, 3), MADE)
+        person = Follower(arm, trying)
+        found = verify(person, Plan(2, 5, 300.0, 3), MADE)
     assert [test.where for test in found.locations] == ["near", "far"]
     assert [test.n for test in found.locations] == [5, 5]
     assert [test.where for test in found.lengths] == list(DIRECTIONS[:3])
@@ -344,7 +344,7 @@ def test_what_is_asked_for_is_what_was_planned() -> None:
 @pytest.mark.slow
 def test_a_bar_of_another_length_than_was_said_is_found_out() -> None:
     with emulated(length_mm=302.0) as (arm, trying):
-        found = verify(arm, Follower(trying), Plan(1, 5, 300.0, 2), MADE)
+        found = verify(Follower(arm, trying), Plan(1, 5, 300.0, 2), MADE)
     assert [test.error_mm for test in found.lengths] == pytest.approx([2.0, 2.0], abs=0.5)
     assert any("mm wrong" in fault for fault in found.faults(LIMITS))
 
@@ -352,9 +352,9 @@ def test_a_bar_of_another_length_than_was_said_is_found_out() -> None:
 @pytest.mark.slow
 def test_a_ball_bar_is_measured_between_the_centres_of_its_spheres() -> None:
     with emulated(length_mm=302.0) as (arm, trying):
-        person = Follower(trying)
+        person = Follower(arm, trying)
         plan = Plan(1, 5, 300.0, 2, spheres=True)
-        found = verify(arm, person, plan, MADE)
+        found = verify(person, plan, MADE)
     assert len(person.steps) == 5 + 2 * 2 * len(ROUND)
     assert [test.error_mm for test in found.lengths] == pytest.approx([2.0, 2.0], abs=0.5)
 

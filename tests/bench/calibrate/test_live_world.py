@@ -16,8 +16,8 @@ from detector.calibration.boards import Board
 from detector.geometry import Array, Motion
 from instruments.errors import DeviceError
 from instruments.microscribe.configuration import Identity
+from instruments.microscribe.driver import Reading
 from instruments.microscribe.errors import ArmMovesError
-from instruments.microscribe.stream import Reading
 from instruments.operators.operator import DONE, Answer, BoardAsked, BoardTouch, Request, no_check
 from tests.bench.calibrate.board_pictures import BOARD, LEFT, RIGHT, RIGHT_FROM_LEFT, picture, poses
 

@@ -16,6 +16,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from textwrap import dedent
@@ -66,8 +67,8 @@ def done(plan: Plan, folder: Path, executor: object) -> Shards:
 
 
 def pool(campaign: Campaign, workers: int, said: list[str], limit_s: float = 0.0) -> LocalPool:
-    scenes = campaign.plan.chunk_scenes
-    return LocalPool(campaign.job, workers, say=said.append, chunk_scenes=scenes, limit_s=limit_s)
+    plan = campaign.job.plan.model_copy(update={"chunk_limit_s": limit_s})
+    return LocalPool(replace(campaign.job, plan=plan), workers, say=said.append)
 
 
 @pytest.mark.slow

@@ -16,13 +16,13 @@ import pytest
 from bench.campaign.chunk import ASIDE, Rows, SceneRow, TeatRow
 from bench.campaign.search import (
     Evaluate,
-    Floats,
     NothingFitsError,
     Tried,
     distinct,
     grade_mm,
     search,
 )
+from bench.scoring.errors import Floats
 from instruments.camera.recording import Recording
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said, teatbench

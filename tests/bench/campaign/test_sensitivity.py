@@ -53,7 +53,7 @@ def test_a_quantity_at_a_value_is_a_family_of_scenes(small_rig: LoadedRig) -> No
     bench = small_bench(small_rig, right, Knowing([], breaks=True, name="failing"))
     none, _ = (run_scene(bench, Scene(f"calibration={size}", 0)) for size in ("0", "0.5"))
     good, failing = none.scenes
-    assert (good.visible, good.found, good.false_teats, failing.no_answer) == (4, 3, 1, True)
+    assert (good.visible, good.found, good.false_teats, failing.failure) == (4, 3, 1, "failure")
     assert good.max_mm == pytest.approx(0.5)
     assert right.note[0].left == bench.calibration.left
     assert right.note[1].left != bench.calibration.left

@@ -232,6 +232,6 @@ def test_a_bath_that_cannot_be_read_is_reported_beside_its_last_reading() -> Non
     reading = a_reading(1.0, 24.0, None, alarm=3)
     view.add(reading, 33.0, started=True)
     view.problem = "NO READING: cable"
-    for text in ("24.00 degC", "output not told", "alarm 3", "NO READING: cable"):
+    for text in ("24.00 degC", "output not reported", "alarm 3", "NO READING: cable"):
         assert text in view.line()
     assert len(list(view.lines())) == 16

@@ -167,10 +167,10 @@ def test_it_plays_again_and_again_until_ctrl_c(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "more", "message"),
     [
-        ("", [], "is empty"),
-        ("hello\n", [], "1: not JSON"),
+        ("", [], "1: Invalid JSON"),
+        ("hello\n", [], "1: Invalid JSON"),
         (HEAD, [], "no link was opened in it"),
-        (HEAD + TALK + "x\n", [], "6: not JSON"),
+        (HEAD + TALK + "x\n", [], "6: Invalid JSON"),
         (HEAD + TALK, ["--link", "arn"], 'no link "arn"; did you mean "arm"? It has: arm.'),
         (HEAD + TALK, ["--listen", "203.0.113.7"], "can't listen on 203.0.113.7"),
         (HEAD + TALK, ["--listen", "no such host"], "can't listen on no such host"),

@@ -84,7 +84,7 @@ WRONG_USE = {  # code 2
     f"arm verify {EMULATED} --out x --distances 4": "'4' is not a whole number from 1 to 3",
     f"arm verify {EMULATED} --out x --length-mm 0": "'0' is not a number above 0",
     "arm read --port ttyUSB0 --homed": '--port ttyUSB0: not a link; allowed: "emulator:"',
-    f"arm read {EMULATED}": "nobody is at a terminal to confirm it. Give --homed",
+    f"arm read {EMULATED}": "there is no terminal to confirm it at. Give --homed",
     f"arm watch {EMULATED}": "Give --homed",
     f"arm frame {EMULATED} --out new.toml": "Give --homed",
     f"arm verify {EMULATED} --out new.toml": "Give --homed",
@@ -109,7 +109,7 @@ NO_ANSWER = {  # code 3
     f"bath standby {NO_BATH}": "nothing took the connection",
     "arm read --port /dev/no-such-port --homed": "Is the adapter plugged in",
     "arm read --port socket://127.0.0.1:1 --homed": "nothing takes the connection",
-    f"arm frame {EMULATED} --homed --out new.toml": "nobody is at the terminal any more; nothing was written",
+    f"arm frame {EMULATED} --homed --out new.toml": "the terminal gives no more input; nothing was written",
 }
 
 

@@ -145,7 +145,12 @@ def test_a_registration_of_a_turned_stage_holds_on_the_twin(lab: LoadedRig, tmp_
     places = [(x, y, 0.0) for x in (-250.0, -50.0) for y in (-230.0, -40.0)]
     stations = [Station(at, tuple(turned.apply(np.array(at)).tolist()), 0.2) for at in places]
     registration = Registration(
-        MADE, "40937", "Grbl", 1, tuple(stations), StageAccuracy(5e-4, 5e-4, 0.02)
+        MADE,
+        "40937",
+        "Grbl",
+        1,
+        tuple(stations),
+        StageAccuracy(scale_u=5e-4, squareness_u_rad=5e-4, repeatability_mm=0.02),
     )
     flat = script(tmp_path, CARRY.replace(", z_mm = 6.0, yaw_deg = 4.0", ""))
     rehearsal = rehearse(lab, replace(flat, registration=registration), ())

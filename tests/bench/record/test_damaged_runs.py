@@ -19,7 +19,7 @@ from bench.cli.store import DAMAGED
 from bench.record.check import NOT_AS_WRITTEN, PRINTED
 from bench.record.reader import read_run
 from bench.record.schema import DATABASE
-from bench.run.engine import Ending
+from bench.run.events import RunState
 from tests.bench.commands import Output, Said, teatbench, words
 from tests.bench.killed_runs import Silent, start
 from tests.bench.operated_runs import files
@@ -271,7 +271,7 @@ def test_a_stopped_run_goes_on_despite_damage_and_stays_damaged(tmp_path: Path, 
 
     files(tmp_path)
     run, ending = start(tmp_path, progress=Stopping())
-    assert ending is Ending.ABORTED
+    assert ending is RunState.ABORTED
     sql("UPDATE detections SET wall_seconds = 0.001")(run)
     refused = f"{NOT_AS_WRITTEN}, and is refused. {run.name}: table detections, row 1"
     assert refused in said(2, "resume {}", run).err

@@ -28,7 +28,7 @@ from bench.record.check import check_run
 from bench.record.reader import TrialRecord, read_run
 from bench.record.schema import DATABASE
 from bench.record.writer import FLUSH_EVERY, URGENT, Store, new_run_folder
-from bench.run.engine import Ending
+from bench.run.events import RunState
 from instruments.bath.driver import Bath
 from instruments.clock import wall_time
 from instruments.operators.emulated import EmulatedOperator
@@ -520,7 +520,7 @@ def test_all_that_was_said_is_durable_before_the_next_physical_action(
 ) -> None:
     files(tmp_path, stage=STAGE, check_point=CHECK_POINT)
     spoken = Spoken(monkeypatch)
-    assert start(tmp_path)[1] is Ending.FINISHED
+    assert start(tmp_path)[1] is RunState.FINISHED
     assert spoken.said["trials"] == 3
     assert {
         "Stage.home",

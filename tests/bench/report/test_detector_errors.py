@@ -64,7 +64,7 @@ def asked(does: Callable[[], Any], calibration: Calibration) -> Answer:
     head, _ = detection_rows("t", answer)
     (str(head["reason"]) + str(head["trace"])).encode("utf-8")
     assert answer.detection.reason is None or answer.detection.reason.isprintable()
-    assert all(min(picture.shape) > 0 for picture in stage_pictures(answer).values())
+    assert all(min(picture.shape) > 0 for picture in stage_pictures([answer]).values())
     return answer
 
 

@@ -19,9 +19,9 @@ from playwright.sync_api import Browser, expect
 from bench.cli.main import main
 from bench.config import read_calibration
 from bench.record.reader import read_run
-from bench.report.page import build_page, stored_rules
+from bench.report.page import build_page
 from bench.report.thesis import thesis_chapter
-from bench.results.verdicts import judge
+from bench.results.verdicts import judge, stored_rules
 from instruments.camera.settings import AUTOMATIC, UNSEEN_SIZE
 from reports.render import render
 from tests.bench.report.test_report_thesis import rows_of

@@ -13,7 +13,7 @@ import pytest
 
 from bench.record.reader import RunRecord, TrialRecord
 from bench.results.attribution import Cause, attributed
-from bench.results.cameras_agree import answers_of, cameras_of, decide_cameras, told_apart
+from bench.results.cameras_agree import answers_of, cameras_of, decide_cameras, shift_text
 from bench.rig.loading import RIGS, find_rig, load_rig
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.scene import score_scene
@@ -51,7 +51,7 @@ def trials(
 
 
 def decided(disparity_px: float, **more: int) -> Decision:
-    return decide_cameras(RULE, trials(disparity_px, **more))
+    return decide_cameras(RULE, cameras_of(trials(disparity_px, **more)))
 
 
 @pytest.mark.slow
@@ -74,8 +74,8 @@ def test_it_says_by_how_much_and_as_if_by_what() -> None:
 def test_few_poses_and_other_pictures_show_nothing() -> None:
     assert decided(0.5, poses=2).verdict is Verdict.NOT_MEASURED
     unseen = [TrialRecord({"id": "1", "name": "1"}, truth=[{"teat": "1", "cameras": None}])]
-    assert decide_cameras(RULE, unseen).verdict is Verdict.NOT_MEASURED
-    assert decide_cameras(RULE, trials(0.0, thermal_px=2.0)).verdict is Verdict.NOT_MET
+    assert decide_cameras(RULE, cameras_of(unseen)).verdict is Verdict.NOT_MEASURED
+    assert decide_cameras(RULE, cameras_of(trials(0.0, thermal_px=2.0))).verdict is Verdict.NOT_MET
 
 
 def blind(told: int, ends: int = 48) -> list[TrialRecord]:
@@ -93,15 +93,15 @@ def blind(told: int, ends: int = 48) -> list[TrialRecord]:
 
 def test_what_is_off_beyond_what_can_be_measured_is_no_figure() -> None:
     for told in (0, 4):
-        found = decide_cameras(RULE, blind(told))
+        found = decide_cameras(RULE, cameras_of(blind(told)))
         assert found.verdict is Verdict.INCONCLUSIVE
-        assert f"nly {told} of 48 ends told in left and right" in found.sentence
+        assert f"nly {told} of 48 ends measured in left and right" in found.sentence
         assert "more than 25 px of columns or 10 px of rows" in found.sentence
         assert found.measured is None
-    cold = decide_cameras(RULE, trials(0.0, thermal_px=None))
+    cold = decide_cameras(RULE, cameras_of(trials(0.0, thermal_px=None)))
     assert cold.verdict is Verdict.INCONCLUSIVE
-    assert "nly 0 of 48 ends told in the thermal picture" in cold.sentence
-    assert "48 of 48 ends told" in decided(0.0).sentence
+    assert "nly 0 of 48 ends measured in the thermal picture" in cold.sentence
+    assert "48 of 48 ends measured" in decided(0.0).sentence
 
 
 ENDS = np.array([[-110.2, 284.2, 134.2], [-161.9, 192.6, 137.6], [-260.6, 267.1, 136.3]])
@@ -143,7 +143,7 @@ def test_a_shift_of_the_answers_is_the_cameras_only_where_they_have_it_too(
 ) -> None:
     made = answered(seen_px, answers_px)
     answers = answers_of(made, "d", TOLD)
-    apart = told_apart(cameras_of(made), answers, 0.25)
+    apart = shift_text(cameras_of(made), answers, 0.25)
     assert apart.endswith(words)
     assert bool(words) == bool(apart)
     if answers_px is not None:
@@ -166,7 +166,7 @@ def off(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_calibration_is_checked_on_touched_ends(off: Path, said: Said, tmp_path: Path) -> None:
     line = "calibrate check {} --ends {} --page {}"
     found = said(1, line, off / "calibration.toml", off, tmp_path / "page")
-    assert "12 of 12 ends told\ndisparity off by 0.5" in found.out
+    assert "12 of 12 ends measured\ndisparity off by 0.5" in found.out
     assert "It no longer holds." in found.out
     assert "calibrate again ('calibrate cameras'" in found.err
     assert "What touched teat ends are off" in plain_text(tmp_path / "page" / "index.html")
@@ -188,7 +188,7 @@ def test_a_recording_s_cameras_are_checked_as_a_run_s(
     (run,) = tmp_path.iterdir()
     page = plain_text(run / "report" / "index.html")
     assert "Cameras and answers against the known ends" in page
-    assert "12 of 12 ends told" in page
+    assert "12 of 12 ends measured" in page
 
 
 @pytest.mark.parametrize(("px", "cause"), [(0.0, Cause.DETECTOR), (0.8, Cause.CALIBRATION)])

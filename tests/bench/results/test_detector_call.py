@@ -207,7 +207,7 @@ def test_stages_are_kept_points_in_the_record_and_masks_as_pictures() -> None:
     assert trace["edges"]["mask"]["shape"] == [30, 30]
     assert (head["outcome"], head["cold"]) == ("answered", 0)
     assert found == []
-    pictures = stage_pictures(answer)
+    pictures = stage_pictures([answer])
     assert list(pictures) == ["scripted-edges"]
     assert (pictures["scripted-edges"] == mask * np.uint8(255)).all()
 

@@ -19,9 +19,8 @@ from pathlib import Path
 import pytest
 
 from bench.record.reader import RunRecord, read_run
-from bench.report.page import stored_rules
 from bench.report.tables import score_table
-from bench.results.verdicts import Latency, failures_text, judge, latency_of
+from bench.results.verdicts import Latency, failures_text, judge, latency_of, stored_rules
 from bench.scoring.decisions import Verdict
 from tests.bench.commands import Said, teatbench, words
 from tests.bench.forked import begin

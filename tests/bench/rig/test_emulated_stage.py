@@ -178,7 +178,7 @@ def test_the_world_moves_as_fast_as_the_stage(tmp_path: Path) -> None:
         ("limit hit", 1.0, DeviceError, "alarm 1"),
         ("restart", 3.0, DeviceError, "restarted by itself"),
         ("disconnect", 1.0, LinkError, "hung up|broke"),
-        ("garbage", None, ProtocolError, "nonsense"),
+        ("garbage", None, ProtocolError, "malformed answer"),
         ("late ok", None, LinkError, "no answer"),
         ("late ok", 10.0, LinkError, "no answer"),
         ("lost ok", None, LinkError, "no answer"),

@@ -83,7 +83,7 @@ KINDS = ("a.txt:3: ", 'no prompt is of the kind "tuch"', 'did you mean "touch"')
     ("name", "text", "words"),
     [
         ("a.toml", TOUCH.replace("ou", "u") + 'answer = "go"', WRONG_KIND),
-        ("a.toml", TOUCH + 'answer = "skip"\n', ('"skip" needs a reason',)),
+        ("a.toml", TOUCH + 'answer = "skip"\n', ("a skipped trial needs a reason",)),
         ("a.toml", TOUCH + 'ansver = "go"\n', ("a.toml:3", 'did you mean "answer"')),
         ("a.toml", '[otherwise]\nhoming = "skip it"\n', ("a.toml:", 'there are "go", "abort"')),
         (
@@ -93,7 +93,7 @@ KINDS = ("a.txt:3: ", 'no prompt is of the kind "tuch"', 'did you mean "touch"')
         ),
         ("a.txt", "homing: go\n\ntuch: go\n", KINDS),
         ("a.txt", "touch\n", ("a.txt:1: ", 'a line is "KIND: ANSWER"')),
-        ("a.txt", "touch: skip\n", ("a.txt:1: ", '"skip" needs a reason')),
+        ("a.txt", "touch: skip\n", ("a.txt:1: ", "a skipped trial needs a reason")),
         (
             "a.txt",
             "otherwise touch: go x4\n",

@@ -16,8 +16,7 @@ import pytest
 from bench.calibrate.arm import Plan, touch_frame, verify
 from bench.calibrate.simulated_arm import Step, TryingArm
 from bench.record.reader import RunRecord, read_run
-from bench.report.page import stored_rules
-from bench.results.verdicts import judge
+from bench.results.verdicts import judge, stored_rules
 from bench.rig.arm_files import Limits, frame_text, verification_text, write_file
 from bench.rig.model import Arm
 from bench.scoring.decisions import Verdict
@@ -81,9 +80,9 @@ def arm_files(folder: Path) -> None:
     now = wall_time().replace(microsecond=0)
     with emulated(seed=1, placed=PLACED) as (arm, trying):
         write_file(
-            folder / "arm-frame.toml", frame_text(touch_frame(arm, Follower(trying), [None], now))
+            folder / "arm-frame.toml", frame_text(touch_frame(Follower(arm, trying), [None], now))
         )
-        found = verify(arm, Follower(trying), Plan(1, 5, 300.0, 2), now)
+        found = verify(Follower(arm, trying), Plan(1, 5, 300.0, 2), now)
         write_file(folder / "arm-verification.toml", verification_text(found, Limits(0.46, 0.7)))
 
 

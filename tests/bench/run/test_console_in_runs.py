@@ -84,7 +84,7 @@ def safe(note: str, tmp_path: Path) -> None:
     ("key", "note", "prompt"),
     [
         ("a\n", "the operator aborted the run", ""),
-        ("\x04", "nobody is at the terminal", ""),
+        ("\x04", "the terminal gives no more input", ""),
         ("\x03", "Ctrl-C", "[trial 1 of 2; "),
     ],
     ids=["its key", "Ctrl-D", "Ctrl-C amid a trial"],

@@ -26,8 +26,8 @@ from bench.run.interruptions import (
     REFUSES,
     Requests,
     diagnosis,
-    leave_wish,
-    read_wish,
+    leave_request,
+    parse_request,
     was_taken,
 )
 from bench.run.trial import TrialRun
@@ -359,13 +359,13 @@ def test_an_abort_is_taken_before_the_first_trial_too(tmp_path: Path) -> None:
     assert texts(run, EVENT) == ["preparing", "safing", "aborted"]
 
 
-def test_a_wish_left_in_the_folder_is_taken_once(tmp_path: Path) -> None:
-    wishes = Requests(tmp_path, lambda: None, lambda _: None)
+def test_a_request_left_in_the_folder_is_taken_once(tmp_path: Path) -> None:
+    requests = Requests(tmp_path, lambda: None, lambda _: None)
     states = []
     for words in ("p", "go on"):
-        leave_wish(tmp_path, words)
-        wishes.look()
-        states.append(wishes.paused)
+        leave_request(tmp_path, words)
+        requests.look()
+        states.append(requests.paused)
         assert not (tmp_path / FILE).exists()
     assert states == [True, False]
     for words, raised in (
@@ -373,26 +373,26 @@ def test_a_wish_left_in_the_folder_is_taken_once(tmp_path: Path) -> None:
         ("r because", OperatorRepeat),
         ("abort", OperatorAbort),
     ):
-        leave_wish(tmp_path, words)
+        leave_request(tmp_path, words)
         with pytest.raises(raised):
-            wishes.look()
-        wishes.look()
+            requests.look()
+        requests.look()
 
 
 def test_what_was_left_for_a_bench_that_died_counts_no_more(tmp_path: Path) -> None:
     note: list[str] = []
-    leave_wish(tmp_path, "abort")
-    wishes = Requests(tmp_path, lambda: None, note.append)
-    wishes.forget()
-    wishes.look()
-    assert note == ["Nobody took this in the last session, and it counts no more: abort"]
-    wishes.forget()
+    leave_request(tmp_path, "abort")
+    requests = Requests(tmp_path, lambda: None, note.append)
+    requests.forget()
+    requests.look()
+    assert note == ["Left in the last session and not taken; it is void now: abort"]
+    requests.forget()
     assert len(note) == 1
 
 
 def test_words() -> None:
     meant = [("pause", ""), ("go on", ""), ("skip", "a b"), ("abort", "")]
-    assert [read_wish(words) for words in ("P", "go", "s  a  b", "a")] == meant
+    assert [parse_request(words) for words in ("P", "go", "s  a  b", "a")] == meant
 
 
 @pytest.mark.slow
@@ -401,13 +401,13 @@ def test_words_that_mean_nothing_are_reported_and_change_nothing(
 ) -> None:
     note: list[str] = []
     lines = ["hallo", "skip"]
-    wishes = Requests(tmp_path, lambda: lines.pop(0), note.append)
-    wishes.look()
-    wishes.look()
+    requests = Requests(tmp_path, lambda: lines.pop(0), note.append)
+    requests.look()
+    requests.look()
     assert note[0].startswith("not understood: 'hallo'. There are: pause, go on")
     assert note[1].startswith("skip needs a reason")
     with pytest.raises(ConfigError, match="repeat needs a reason"):
-        leave_wish(tmp_path, "repeat")
+        leave_request(tmp_path, "repeat")
     ended = record_of(tmp_path).folder
     assert "has ended (finished)" in said(2, "tell {} pause", ended).out
 
@@ -430,7 +430,7 @@ def test_a_run_that_waits_at_a_prompt_takes_requests_of_another_terminal(
         terminal.expect("abort the run): ")
         run = only_run(tmp_path, "runs")
         assert "request accepted" in said(0, "control {} skip the hose leaks", run).out
-        terminal.expect("As told: skip the hose leaks")
+        terminal.expect("Request accepted: skip the hose leaks")
         terminal.expect("[trial 2 of 3")
         terminal.expect("abort the run): ")
         said(0, "tell {} abort", run)
@@ -462,7 +462,7 @@ def test_a_bench_in_the_background_reads_nothing_of_what_is_typed_to_others(
 
 
 def test_a_request_to_a_bench_that_has_died_is_not_accepted_and_says_so(tmp_path: Path) -> None:
-    leave_wish(tmp_path, "pause")
+    leave_request(tmp_path, "pause")
     clock = VirtualClock()
     assert not was_taken(tmp_path, clock, 10.0)
     assert clock.now() == pytest.approx(10.0, abs=0.2)

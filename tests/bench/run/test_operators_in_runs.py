@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from bench.record.reader import RunRecord, read_run
-from bench.run.engine import Ending
+from bench.run.events import RunState
 from bench.run.start import RunOptions
 from bench.script.phantom import shipped_phantom
 from instruments.world.phantom import PlatePose
@@ -104,7 +104,7 @@ def test_in_real_time_the_clock_of_the_bench_is_that_of_the_wall(tmp_path: Path)
     files(tmp_path, emulation="prompt_s = 1.0")
     folder, ending = start(tmp_path, how=RunOptions(realtime=True))
     record = read_run(folder)
-    assert ending is Ending.FINISHED
+    assert ending is RunState.FINISHED
     ends = (record.events[0], record.events[-1])
     bench_s = np.ptp([event["t_s"] for event in ends])
     wall_s = np.ptp([datetime.fromisoformat(event["wall_time"]).timestamp() for event in ends])

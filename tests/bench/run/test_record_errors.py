@@ -23,8 +23,7 @@ from bench.config import ConfigError
 from bench.record.reader import read_run
 from bench.record.schema import DATABASE
 from bench.record.writer import FolderGoneError, Store
-from bench.run.engine import Ending
-from bench.run.events import Events, event_lines
+from bench.run.events import Events, RunState, event_lines
 from instruments.clock import stopwatch_s
 from instruments.operators.emulated import EmulatedOperator
 from instruments.operators.operator import Arrangement
@@ -77,7 +76,7 @@ def test_a_full_disk_ends_safely_and_the_run_goes_on_where_there_is_room_again(
     with monkeypatch.context() as patch:
         fails.put_into(patch)
         try:
-            assert start(tmp_path, progress=progress)[1] is Ending.FAULTED
+            assert start(tmp_path, progress=progress)[1] is RunState.FAULTED
         except sqlite3.OperationalError:
             assert for_good, "the command says what could not be closed cleanly"
     run = read_run(only_run(tmp_path, "runs"))
@@ -85,7 +84,7 @@ def test_a_full_disk_ends_safely_and_the_run_goes_on_where_there_is_room_again(
     kept = [trial.id for trial in run.trials]
     note = [text for text in progress.warned if "the record could not be written" in text]
     assert any("teatbench resume" in text for text in note)
-    assert resume(tmp_path, "runs")[1] is Ending.FINISHED
+    assert resume(tmp_path, "runs")[1] is RunState.FINISHED
     whole = read_run(only_run(tmp_path, "runs"))
     assert [trial.id for trial in whole.trials][: len(kept)] == kept
     assert len(whole.trials) == 3
@@ -206,7 +205,7 @@ def test_a_clock_that_is_set_amid_a_run_is_noted_and_changes_nothing_else(
     monkeypatch.setattr("bench.run.context.wall_time", stepping)
     folder, ending = start(tmp_path)
     run = read_run(folder)
-    assert (ending, len(run.trials)) == (Ending.FINISHED, 3)
+    assert (ending, len(run.trials)) == (RunState.FINISHED, 3)
     (note,) = texts(run, "clock")
     assert note.startswith(f"the computer's clock was set {by_s:+.0f} s")
     times = [event["t_s"] for event in run.events if event["t_s"] is not None]
@@ -260,7 +259,7 @@ def test_a_file_for_lines_that_fails_can_not_end_a_run(tmp_path: Path) -> None:
     with FileIO(tmp_path / "e", "a") as closed:
         pass
     shown = Silent()
-    assert start(tmp_path, progress=Events(shown, closed))[1] is Ending.FINISHED
+    assert start(tmp_path, progress=Events(shown, closed))[1] is RunState.FINISHED
     assert len(shown.warned) == 1, "it is told once"
     assert "--events: no further lines" in shown.warned[0]
 

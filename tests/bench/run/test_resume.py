@@ -21,8 +21,7 @@ from bench.config import ConfigError
 from bench.record.check import check_run
 from bench.record.reader import RunRecord, read_run
 from bench.record.writer import Store
-from bench.run.engine import Ending
-from bench.run.events import EVENT
+from bench.run.events import EVENT, RunState
 from bench.run.lock import locked, run_lock
 from bench.run.recordings import RECORDED, Recorder
 from bench.run.resume import what_is_left
@@ -64,7 +63,7 @@ def carry(more: str = "") -> str:
 
 def equal_after_resuming(folder: Path, out: str, why: str = "") -> None:
     """As the undisturbed run in ``whole``."""
-    assert resume(folder, out)[1] is Ending.FINISHED, why
+    assert resume(folder, out)[1] is RunState.FINISHED, why
     assert results(only_run(folder, out)) == results(only_run(folder, "whole")), why
 
 
@@ -126,7 +125,7 @@ def test_killed_twice_on_its_way_and_once_while_it_catches_up(
     assert killed_at(int(0.9 * steps), lambda: start(folder, "often"))
     assert killed_at(int(0.3 * steps), lambda: resume(folder, "often"))
     progress = Silent()
-    assert resume(folder, "often", progress)[1] is Ending.FINISHED
+    assert resume(folder, "often", progress)[1] is RunState.FINISHED
     run = read_run(only_run(folder, "often"))
     assert results(run.folder) == results(only_run(folder, "whole"))
     assert not progress.warned
@@ -207,7 +206,7 @@ def test_a_world_that_went_on_is_prepared_anew_and_what_is_redone_is_kept_apart(
     files(tmp_path, stage=STAGE, check_point=CHECK_POINT)
     before = killed_in_the_last_trial(tmp_path, "runs")
     kept = results(before.folder)
-    assert resume(tmp_path, "runs")[1] is Ending.FINISHED
+    assert resume(tmp_path, "runs")[1] is RunState.FINISHED
     after, now = read_run(before.folder), results(before.folder)
     assert [trial.id for trial in after.trials] == TRIALS
     for table in ("trials", "frames", "touches", "truth", "detections", "found", "scores"):
@@ -267,8 +266,8 @@ def test_killed_just_after_a_check_of_the_carried_truth(
 def test_a_run_that_somebody_ended_goes_on_too(tmp_path: Path) -> None:
     files(tmp_path)
     folder, ending = start(tmp_path, progress=Person("place-3", ["abort"]))
-    assert (ending, len(read_run(folder).trials)) == (Ending.ABORTED, 2)
-    assert resume(tmp_path, "runs")[1] is Ending.FINISHED
+    assert (ending, len(read_run(folder).trials)) == (RunState.ABORTED, 2)
+    assert resume(tmp_path, "runs")[1] is RunState.FINISHED
     run = read_run(folder)
     assert len(run.trials) == 3
     assert run.facts["deaths"] == {}, "an end that was asked for is no death"
@@ -281,7 +280,7 @@ def recording(folder: Path, out: str) -> Path:
     return folder / f"recorded-{out}"
 
 
-def record(folder: Path, out: str, progress: Silent | None = None) -> Ending:
+def record(folder: Path, out: str, progress: Silent | None = None) -> RunState:
     """The script in ``folder``, recorded beside its run."""
     how = RunOptions(record=recording(folder, out))
     return start(folder, out, progress, how)[1]
@@ -298,7 +297,7 @@ def content(path: Path) -> dict[str, bytes]:
 def recorded_whole(folder: Path, script: str) -> Path:
     """Recorded without a disturbance, as ``whole``."""
     files(folder, stage=STAGE, script=script)
-    assert record(folder, "whole") is Ending.FINISHED
+    assert record(folder, "whole") is RunState.FINISHED
     whole = Recording(recording(folder, "whole"))
     assert len(whole.truth) == len(whole.frames) > 1
     return folder
@@ -317,7 +316,7 @@ def carried(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def recording_equal_after_resuming(folder: Path, out: str) -> None:
     progress = Silent()
-    assert resume(folder, out, progress)[1] is Ending.FINISHED
+    assert resume(folder, out, progress)[1] is RunState.FINISHED
     assert not [text for text in progress.warned if "record" in text]
     assert results(only_run(folder, out)) == results(only_run(folder, "whole"))
     assert content(recording(folder, out)) == content(recording(folder, "whole"))
@@ -361,7 +360,7 @@ def test_frames_of_another_run_are_left_alone_and_the_run_goes_on_without(touche
     shutil.rmtree(path)
     (path / "frames" / "001-another-1").mkdir(parents=True)
     (path / "frames" / "001-another-1" / "left.png").write_bytes(b"precious")
-    assert resume(touched, "another", progress)[1] is Ending.FINISHED
+    assert resume(touched, "another", progress)[1] is RunState.FINISHED
     note = "has frames of another run, 001-another-1 for one. The run goes on without a recording."
     assert [note in text for text in progress.warned] == [True]
     assert content(path) == {"frames/001-another-1/left.png": b"precious"}
@@ -376,7 +375,7 @@ def test_a_recording_that_cannot_be_written_is_reported_once_and_ends_no_run(
     files(tmp_path, script=TWO)
     monkeypatch.setattr(RecordingWriter, "add_truth", full)
     progress = Silent()
-    assert record(tmp_path, "runs", progress) is Ending.FINISHED
+    assert record(tmp_path, "runs", progress) is RunState.FINISHED
     note = [text for text in progress.warned if "the recording in" in text]
     assert len(note) == 1
     assert "ends here: [Errno 28] No space left on device. The run goes on" in note[0]

@@ -18,7 +18,7 @@ from bench.record.reader import RunRecord, read_run
 from bench.record.writer import Store
 from bench.rig.loading import RIGS, LoadedRig, load_rig
 from bench.run.context import RunContext
-from bench.run.engine import Ending
+from bench.run.events import RunState
 from bench.run.start import run_script
 from bench.run.trial import Attempts
 from bench.script.model import LoadedScript, find_script, load_script
@@ -190,7 +190,7 @@ def rig(folder: Path, axes: str) -> LoadedRig:
 
 def run(rig: LoadedRig, loaded: LoadedScript, out: Path) -> RunRecord:
     folder, ending = run_script(rig, loaded, out, Silent())
-    assert ending is Ending.FINISHED
+    assert ending is RunState.FINISHED
     return read_run(folder)
 
 

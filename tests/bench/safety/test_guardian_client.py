@@ -129,7 +129,7 @@ def test_a_mistake_in_one_try_does_not_end_the_guardian(
     with os.fdopen(read, encoding="utf-8") as end, monkeypatch.context() as patched:
         patched.setattr(sys, "stdin", end)
         patched.setattr(signal, "signal", lambda *_: None)
-        patched.setattr("bench.safety.guardian._preferred", dict)
+        patched.setattr("bench.safety.guardian._raise_priority", dict)
         given = ["--url", hot.url, "--profile", "julabo-presto", "--bench", "1"]
         assert guardian([*given, "--record", str(hot.folder / "guardian.json")]) == 0
     assert not hot.plant.running
@@ -238,26 +238,26 @@ def test_who_hangs_and_who_does_not(
     more_s: float,
     hangs: str | None,
 ) -> None:
-    pulse = Heartbeat()
-    pulse.sign(*doing[:2], silence_s=doing[2])
+    heartbeat = Heartbeat()
+    heartbeat.sign(*doing[:2], silence_s=doing[2])
     after_s, times, asleep_s = alive
     for turn in range(1, times + 1):
         watch.now_s += after_s
-        assert pulse.overdue() is None or after_s * turn > doing[1]
-        pulse.alive(asleep_s)
+        assert heartbeat.overdue() is None or after_s * turn > doing[1]
+        heartbeat.alive(asleep_s)
     watch.now_s += more_s
-    assert pulse.overdue() == (hangs and f"the main thread hangs: {hangs}")
+    assert heartbeat.overdue() == (hangs and f"the main thread hangs: {hangs}")
 
 
 def test_the_life_of_another_thread_is_not_that_of_the_main_one(watch: Stopwatch) -> None:
-    pulse = Heartbeat()
-    pulse.sign("moving", 600.0, silence_s=10.0)
+    heartbeat = Heartbeat()
+    heartbeat.sign("moving", 600.0, silence_s=10.0)
     watch.now_s += 9.0
-    other = threading.Thread(target=pulse.alive)
+    other = threading.Thread(target=heartbeat.alive)
     other.start()
     other.join()
     watch.now_s += 2.0
-    assert pulse.overdue() is not None
+    assert heartbeat.overdue() is not None
 
 
 def test_a_clock_tells_who_looks_and_how_long_he_sleeps() -> None:

@@ -130,7 +130,7 @@ class TestFrozenReading:
         gate = StabilityGate(SP)
         assert STABLE not in feed(gate, [SP] * 3000)
         assert gate.frozen
-        assert "is the controller alive?" in gate.reasons[0]
+        assert "does the controller still run?" in gate.reasons[0]
 
     def test_a_bath_that_freezes_while_stable_leaves(self) -> None:
         gate = stable_gate()
@@ -232,18 +232,12 @@ def test_the_running_figures_are_those_of_numpy(
         assert window.slope == pytest.approx(slope, abs=1e-6 / 60)
 
 
-def test_bad_readings_and_limits_are_refused() -> None:
+def test_bad_readings_are_refused() -> None:
     gate = StabilityGate(SP)
     gate.add(1.0, SP)
     with pytest.raises(ValueError, match="time has to advance"):
         gate.add(1.0, SP)
     with pytest.raises(ValueError, match="nan degC at 2"):
         gate.add(2.0, float("nan"))
-    with pytest.raises(ValueError, match="window_s = 0"):
-        StabilityGate(SP, window_s=0)
-    with pytest.raises(ValueError, match="below mean_k"):
-        StabilityGate(SP, leave_k=0.05)
-    with pytest.raises(ValueError, match="min_distinct"):
-        StabilityGate(SP, min_distinct=0)
     with pytest.raises(ValueError, match="set point nan"):
         StabilityGate(float("nan"))

@@ -105,7 +105,7 @@ FAILING = noisy(1)[:3]
             "error along y grew by 1.",
         ),
         (SIXTY, TRUTH + 0.5 * (SIXTY - TRUTH), (-9.0, 0.0), MET, ""),
-        ([ONE, TWO] * 2, [TWO, ONE] * 2, (-1e-9, 1e-9), OPEN, "don't tell from chance"),
+        ([ONE, TWO] * 2, [TWO, ONE] * 2, (-1e-9, 1e-9), OPEN, "don't distinguish from chance"),
         (
             THIRTY,
             [*THIRTY[:29], FAR],
@@ -176,7 +176,7 @@ def test_situations_are_adjusted_for_being_several() -> None:
 
 @pytest.mark.parametrize(
     ("dim", "verdict", "says"),
-    [(10, NOT_MET, "adjusted p = 0.0"), (4, OPEN, "don't tell from chance")],
+    [(10, NOT_MET, "adjusted p = 0.0"), (4, OPEN, "don't distinguish from chance")],
 )
 def test_an_error_that_grew_in_one_situation_is_not_lost_among_the_others(
     dim: int, verdict: Verdict, says: str

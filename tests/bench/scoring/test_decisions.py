@@ -176,7 +176,6 @@ def test_a_rate_is_shown_exactly_where_the_margin_reaches_the_uncertainty(rate: 
     [
         (partial(rate95, Rate(9, 9), required=1.0), "no number of trials shows 100 %"),
         (partial(p95, [1.0], rate=0.99), "a p95 says it of 95 %"),
-        (partial(false, 1, scenes=0), "1 in 0 scenes"),
         (partial(bath, held=3, of=2), "3 successes of 2"),
         (partial(error95, [1, 2, 3], poses=["a", "b"]), "2 names for 3 rows"),
         (partial(error95, [1.0, float("nan")]), "not finite"),
@@ -271,7 +270,7 @@ def test_the_decision_carries_what_a_report_prints() -> None:
     assert d.sentence == f"The largest distance over 59 poses is 3.00 mm, {within}; {shows}."
     figures = "4.611, 5.378, T = 5 mm, u = 0.23 mm, 59 poses, 95 %, more near the acceptance limit"
     assert all(figure in d.rule for figure in figures.split(", "))
-    assert d.as_dict()["verdict"] == "met"
+    assert d.verdict == "met"
     assert error95([1.0] * 232, poses=[k // 4 for k in range(232)]).n == 58
     nothing = error95([])
     assert nothing.n == 0

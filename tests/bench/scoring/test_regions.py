@@ -6,18 +6,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import scipy
-from hypothesis import given
-from hypothesis import strategies as st
 
 from bench.scoring.errors import Floats
 from bench.scoring.spread import (
     LEAST_POSES,
-    Cell,
     Ellipsoid,
     bias_ellipsoid,
     bias_test,
     consistency,
-    error_map,
     pose_means,
     prediction_ellipsoid,
 )
@@ -128,38 +124,3 @@ def test_covariances_that_hold_have_a_ratio_of_one() -> None:
     assert boastful.ratio > right.high
     with pytest.raises(ValueError, match="positive definite"):
         consistency([[0, 0, 0]], [np.zeros((3, 3))])
-
-
-def test_a_map_counts_what_was_missed() -> None:
-    cells = error_map([[25, 0], [0, 0], [0, 0]], [[1, 0, 0], [0, 3, 4]], [False, True, True])
-    assert cells == (
-        Cell(0.0, 0.0, 2, 2, (0.5, 1.5, 2.0), 3.0, float(np.sqrt(13.0)), 5.0),
-        Cell(25.0, 0.0, 1, 0),
-    )
-
-
-@given(st.integers(0, 60), st.integers(0, 2**32 - 1), st.floats(1, 200))
-def test_cells_hold_all_rows_once(n: int, seed: int, step: float) -> None:
-    rng = np.random.default_rng(seed)
-    places, found = rng.uniform(-100, 100, (n, 2)), rng.random(n) < 0.7
-    errors = rng.normal(0, 2, (int(found.sum()), 3))
-    cells = error_map(places, errors, found, step_mm=step)
-    assert sum(cell.teats for cell in cells) == n
-    assert sum(cell.found for cell in cells) == len(errors)
-    biases = np.array(
-        [np.array(cell.bias_mm) * cell.found for cell in cells if cell.bias_mm is not None]
-    ).reshape(-1, 3)
-    assert biases.sum(axis=0) == pytest.approx(errors.sum(axis=0), abs=1e-6)
-    squares = sum(cell.rms_mm**2 * cell.found for cell in cells if cell.rms_mm is not None)
-    assert squares == pytest.approx(float(np.square(errors).sum()), abs=1e-6)
-    if len(errors):
-        assert max(cell.max_mm or 0.0 for cell in cells) == pytest.approx(
-            float(np.linalg.norm(errors, axis=1).max())
-        )
-
-
-def test_a_map_that_does_not_fit_is_refused() -> None:
-    with pytest.raises(ValueError, match="1 places, 1 of them found, but 2 errors"):
-        error_map([[0, 0]], [[0, 0, 0], [0, 0, 0]])
-    with pytest.raises(ValueError, match="not above 0"):
-        error_map([[0, 0]], [[0, 0, 0]], step_mm=0.0)

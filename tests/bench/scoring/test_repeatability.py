@@ -25,28 +25,17 @@ LINE = [[9.0, 0, 0], [11.0, 0, 0], [10.0, 1, 0], [10.0, -1, 0]]
 
 
 def test_pose_accuracy_and_repeatability() -> None:
-    p = pose_accuracy(LINE, [10.0, 3.0, 4.0])
-    assert p.ap_mm == pytest.approx(5.0)
-    assert p.ap_xyz_mm == pytest.approx((0.0, -3.0, -4.0))
-    assert p.rp_mm == pytest.approx(1.0)  # mean l = 1, no spread of l
+    ap, rp = pose_accuracy(np.subtract(LINE, [10.0, 3.0, 4.0]))
+    assert ap == pytest.approx([0.0, -3.0, -4.0])
+    assert rp == pytest.approx(1.0)  # mean l = 1, no spread of l
     # l = 1, 1, 2: mean 4/3, sd sqrt(1/3)
-    uneven = pose_accuracy([[0, 0, 0], [0, 0, 0], [3, 0, 0]], [1, 0, 0])
-    assert uneven.ap_mm == pytest.approx(0.0)
-    assert uneven.rp_mm == pytest.approx(4 / 3 + 3 * sqrt(1 / 3))
-
-
-def test_one_repeat_has_no_repeatability_and_none_has_nothing() -> None:
-    assert pose_accuracy([[1, 2, 3]], [1, 2, 5]).ap_mm == pytest.approx(2.0)
-    assert pose_accuracy([[1, 2, 3]], [1, 2, 5]).rp_mm is None
-    assert pose_accuracy([], [1, 2, 5]).ap_mm is None
+    ap, rp = pose_accuracy(np.array([[-1.0, 0, 0], [-1, 0, 0], [2, 0, 0]]))
+    assert ap == pytest.approx([0.0, 0.0, 0.0])
+    assert rp == pytest.approx(4 / 3 + 3 * sqrt(1 / 3))
 
 
 def test_distance_accuracy() -> None:
-    d = distance_accuracy([99.0, 100.0, 101.0], 102.0)
-    assert d.ad_mm == pytest.approx(2.0)
-    assert d.rd_mm == pytest.approx(3.0)
-    assert distance_accuracy([], 1.0).ad_mm is None
-    assert distance_accuracy([1.0], 1.0).rd_mm is None
+    assert distance_accuracy(np.array([-3.0, -2.0, -1.0])) == pytest.approx((2.0, 3.0))
 
 
 def test_drift_is_the_largest_change_of_accuracy() -> None:
@@ -54,10 +43,8 @@ def test_drift_is_the_largest_change_of_accuracy() -> None:
     points = np.array(
         [[0, 0, 0], [0, 0, 0], [1, 0, 0], [1, 0, 0], [0.5, 0, 0], [0.5, 0, 0], [9, 9, 9]]
     )
-    assert drift_mm(points, [0, 0, 0], repeats=2) == pytest.approx(1.0)
-    assert drift_mm(points[:3], [0, 0, 0], repeats=2) is None
-    with pytest.raises(ValueError, match="blocks of 0"):
-        drift_mm(points, [0, 0, 0], repeats=0)
+    assert drift_mm(points, repeats=2) == pytest.approx(1.0)
+    assert drift_mm(points[:3], repeats=2) is None
 
 
 def test_precision_of_a_worked_example() -> None:
@@ -84,11 +71,6 @@ def test_precision_says_only_what_the_groups_tell() -> None:
     assert one.s_r == pytest.approx(sqrt(2))
     # less between than within: none, not a negative variance
     assert precision([[0.0, 2.0], [0.0, 2.0]]).s_between == 0.0
-
-
-def test_bad_points_are_refused() -> None:
-    with pytest.raises(ValueError, match="commanded: expected one point"):
-        pose_accuracy(LINE, [[1, 2, 3]])
 
 
 @given(st.lists(st.floats(0, 5), min_size=1, max_size=6))
@@ -138,7 +120,7 @@ def test_the_manuals_example() -> None:
     assert study.appraiser == pytest.approx(0.226838, abs=5e-7)
     assert study.gage == pytest.approx(0.302373, abs=5e-6)
     assert study.part == pytest.approx(1.042327, abs=5e-7)
-    assert study.gage / study.total == pytest.approx(0.279, abs=5e-4)
+    assert study.gage / np.hypot(study.gage, study.part) == pytest.approx(0.279, abs=5e-4)
     assert study.distinct_categories == 4
 
 
@@ -183,8 +165,6 @@ def test_the_components_that_were_put_in_are_found() -> None:
 def test_the_share_of_the_tolerance() -> None:
     study = gage_study(AIAG)
     assert study.share_of_tolerance(10.0) == pytest.approx(6 * study.gage / 10)
-    with pytest.raises(ValueError, match="not above 0"):
-        study.share_of_tolerance(0.0)
 
 
 def test_touches_that_never_vary_have_no_spread() -> None:

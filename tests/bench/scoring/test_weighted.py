@@ -7,8 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from bench.scoring.errors import Floats
 from bench.scoring.sequential import confidence_sequence
-from bench.scoring.weighted import Floats, Proposal, weighted_rate
+from bench.scoring.weighted import Proposal, weighted_rate
 
 
 def can_be_set_up(points: Floats) -> Floats:

@@ -20,7 +20,6 @@ from bench.truth.touching import (
     outliers,
     reading_u_mm,
 )
-from instruments.teat_end import ball_centre_mm
 from tests.bench.truth.touches import ENDS_MM, UP, Hand, arm_settings, layout, table_5_1, toucher
 
 ENDS = Ends(ENDS_MM, UP)
@@ -89,7 +88,7 @@ def test_a_ball_tip_is_taken_off_along_each_teat_s_axis() -> None:
     phantom = layout("non-vertical")
     ends = Ends(phantom.ends_mm, phantom.axes)
     both = zip(phantom.ends_mm, phantom.axes, strict=True)
-    centres = [ball_centre_mm(end, axis, 3.0) for end, axis in both]
+    centres = [end + 3.0 * axis for end, axis in both]
     ball = toucher(Hand(phantom.ends_mm, centres), readings=1, arm=arm_settings(tip_radius_mm=3.0))
     points, rows = ball.touch_all(ends)
     assert np.allclose([p.point_mm for p in points], phantom.ends_mm)

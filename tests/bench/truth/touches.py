@@ -9,18 +9,18 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from bench.rig.model import Arm
 from bench.script.phantom import find_layout, load_layout
 from bench.truth.registration import Registration, StageAccuracy, Station
 from bench.truth.touching import Ends, TipReader, Toucher
-from bench.truth.uncertainty import triple
+from bench.truth.uncertainty import CHI2_95, TruthPoint, triple
 from detector.geometry import Motion
 from instruments.clock import VirtualClock
 from instruments.microscribe.configuration import Identity
+from instruments.microscribe.driver import Reading
 from instruments.microscribe.errors import ArmMovesError
-from instruments.microscribe.stream import Reading
 from instruments.operators.operator import OperatorSkip, Release, Request, Touch
 from instruments.world.phantom import Phantom
 
@@ -155,3 +155,9 @@ def axes_turned(found: Registration) -> tuple[Motion, Floats]:
     turn = Motion.from_vectors(free.rotation, (0.0, 0.0, 0.0)).R
     turned = Motion(found.world_from_stage.R @ turn, np.zeros(3))
     return turned, np.asarray(found.u_mm**2 * free.covariance[:3, :3])
+
+
+def holds(truth: TruthPoint, point_mm: ArrayLike) -> bool:
+    """Whether the stated 95 % region, an ellipsoid, holds a point (3,)."""
+    off = np.subtract(point_mm, truth.point_mm)
+    return bool(off @ np.linalg.solve(truth.covariance_mm2, off) <= CHI2_95)

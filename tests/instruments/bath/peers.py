@@ -81,7 +81,7 @@ def built(example: str, folder: Path, *, over_rtu: bool = False) -> Path:
 
 
 def memory_profile() -> RegisterProfile:
-    """A family without manners of its own: 100 coils and 100 registers that keep what is written,
+    """A family without behaviour of its own: 100 coils and 100 registers that keep what is written,
     and a bath behind them.
     """
 

@@ -14,12 +14,12 @@ import pytest
 from instruments.bath.driver import Bath
 from instruments.bath.profile import (
     SHIPPED,
-    ProfileError,
     RegisterProfile,
     load_register_profile,
 )
 from instruments.bath.rows import Row
 from instruments.clock import VirtualClock
+from instruments.device_file import DeviceFileError
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.listener import Listener
 from tests.instruments.bath.devices import REGISTER_FAMILIES, Watched, calm_plant
@@ -323,5 +323,5 @@ def test_a_familys_rules_are_checked(tmp_path: Path, case: str) -> None:
     assert old in text
     path = tmp_path / "own.toml"
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
-    with pytest.raises(ProfileError, match=re.escape(message)):
+    with pytest.raises(DeviceFileError, match=re.escape(message)):
         load_register_profile(path)

@@ -55,7 +55,7 @@ def test_a_profile_of_its_own(rig: Path) -> None:
         ("range = [5.0, 36.0]", "range = [36.0, 5.0]", "is empty"),
         ('row = "device_status"', 'row = "divice_status"', "there is no row 'divice_status'"),
         ('comms_loss = "hold"', 'comms_loss = "maybe"', "'hold', 'stop', 'safe_setpoint' or"),
-        ('family = "', 'famly = "', "Extra inputs"),
+        ('family = "', 'famly = "', "unknown key"),
     ],
 )
 def test_a_fault_of_the_profile_is_shown_in_its_line(
@@ -74,7 +74,7 @@ def test_a_fault_of_the_profile_is_shown_in_its_line(
 def test_a_profile_that_is_not_there_or_no_toml(rig: Path) -> None:
     own = rig.with_name("own.toml")
     own.write_text("family = ", encoding="utf-8")
-    assert "is no TOML" in fault_of(rig)
+    assert "not TOML" in fault_of(rig)
     own.unlink()
     assert "no such file" in fault_of(rig)
     change(rig, "own.toml", "eurotherm-3210")

@@ -14,13 +14,13 @@ import pytest
 from instruments.bath.driver import Bath, PumpAt
 from instruments.bath.emulator import POWER_CUT, BathEmulator, Framing, RelayEmulator
 from instruments.bath.profile import (
-    ProfileError,
     RelayProfile,
     load_register_profile,
     load_relay,
     relay_names,
 )
 from instruments.clock import VirtualClock
+from instruments.device_file import DeviceFileError
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError
 from instruments.listener import Listener
 from instruments.world.plant import Plant
@@ -278,7 +278,7 @@ def test_a_family_with_a_pump_takes_no_relay(relay: RelayProfile) -> None:
 def test_a_relays_profile_is_checked(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = tmp_path / "relay.toml"
     path.write_text(RELAY.replace(old, new), encoding="utf-8")
-    with pytest.raises(ProfileError, match=message):
+    with pytest.raises(DeviceFileError, match=message):
         load_relay(path)
 
 

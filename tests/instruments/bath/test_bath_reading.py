@@ -28,7 +28,7 @@ def read(registers: str, *, order: Order = "ABCD", gaps: bool = True) -> BathRea
     run = RUN if gaps else RUN_APART
     raw: dict[str, Sequence[int]] = {}
     for block, words in zip(blocks(profile, gaps=gaps), (run + registers).split("|"), strict=True):
-        raw |= block.apart([int(word, 16) for word in words.split()])
+        raw |= block.split_rows([int(word, 16) for word in words.split()])
     return access.reading(7.0, raw)
 
 

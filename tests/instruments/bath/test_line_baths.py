@@ -24,8 +24,9 @@ from hypothesis import strategies as st
 from bench.rig.emulated_rig import AS_A_PTY
 from instruments.bath.driver import Bath
 from instruments.bath.line_emulator import LineEmulator
-from instruments.bath.profile import LineProfile, Profile, ProfileError, load_profile, profile_names
+from instruments.bath.profile import LineProfile, Profile, load_profile, profile_names
 from instruments.clock import Clock, RealClock, VirtualClock
+from instruments.device_file import DeviceFileError
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError
 from instruments.listener import Connection, Listener
 from instruments.pty_listener import PtyListener
@@ -761,7 +762,7 @@ def test_a_word_that_refuses_is_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "key", "message"),
     [
-        ('kind = "line"', 'kind = "lines"', "kind", "Input should be 'line'"),
+        ('kind = "line"', 'kind = "lines"', "kind", "input should be 'line'"),
         ('marker = "version"', 'marker = "verson"', "marker", "no row 'verson'"),
         ('marker = "version"', 'marker = "temperatur"', "marker", "no row"),
         ('ask = "S?"\n', "", "rows.1", "needs 'ask'"),
@@ -778,6 +779,8 @@ def test_a_word_that_refuses_is_told(tmp_path: Path) -> None:
 def test_a_fault_of_a_profile_is_reported_with_its_place(
     tmp_path: Path, old: str, new: str, key: str, message: str
 ) -> None:
-    with pytest.raises(ProfileError) as caught:
+    with pytest.raises(DeviceFileError) as caught:
         load_profile(own(tmp_path, old, new))
-    assert any(at == key and message in said for at, said in caught.value.faults), caught.value
+    assert any(
+        ".".join(map(str, at)) == key and message in said for at, said in caught.value.faults
+    ), caught.value

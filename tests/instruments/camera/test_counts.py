@@ -102,7 +102,7 @@ def test_y16_becomes_temperatures_to_the_last_count(
     profile = PROFILES[name]
     assert profile.pixel_format == LEPTON.pixel_format
     counts = COUNTS // centikelvin
-    declared = Conversion(radiometry=Radiometry(profile.kelvin_per_count, profile.kelvin_at_zero))
+    declared = Conversion(radiometry=Radiometry(profile.kelvin_per_count))
     seen = declared.temperatures(replace(frame, pixels=counts))
     assert np.array_equal(seen, counts * centikelvin)
 

@@ -114,7 +114,7 @@ def test_one_of_this_machine_by_name_open_already_and_without_its_trigger(clock:
                 GenicamCamera("right", ADDRESS, clock)
             assert whole(camera).pixels.shape == (512, 512), "the first one goes on"
         asked = Settings(trigger="hardware", trigger_source="Line0")
-        camera = GenicamCamera("thermal", ADDRESS, clock, asked, patience_s=0.3)
+        camera = GenicamCamera("thermal", ADDRESS, clock, asked, timeout_s=0.3)
         camera.begin()
         never = r"no frame came .*after 0\.3 s\)\. Did its trigger come\?"
         with pytest.raises(FrameError, match=never) as error:
@@ -148,7 +148,7 @@ def test_one_that_lost_control_says_so_and_is_opened_again(
     with gige_camera():
         # a frame fits into the socket's buffer, however long the reader waits for the processor
         small = Settings(trigger=trigger, resolution=(256, 128), pixel_format="Mono8")
-        camera = GenicamCamera("left", ADDRESS, clock, small, patience_s=0.5)
+        camera = GenicamCamera("left", ADDRESS, clock, small, timeout_s=0.5)
         whole(camera)
     with gige_camera():  # as after its power was off: it knows nobody any more
         while "no longer under this program's control" not in (said := outcome(camera)):
@@ -214,7 +214,7 @@ def test_a_camera_that_refuses_when_it_is_opened_again_is_tried_once_more(
     def refuse(*_: object) -> tuple[str, ...]:
         raise DeviceError("left", "it refused: timeout")
 
-    with closing(GenicamCamera("left", IN_PROCESS, clock, patience_s=0.0)) as camera:
+    with closing(GenicamCamera("left", IN_PROCESS, clock, timeout_s=0.0)) as camera:
         with monkeypatch.context() as another_program:
             another_program.setattr("instruments.camera.genicam._controls", lambda _: False)
             assert "no longer under this program's control" in outcome(camera)

@@ -84,7 +84,7 @@ def test_the_driver_gets_fresh_frames_of_the_same_moment(
 def test_a_camera_that_falls_silent(clock: RealClock) -> None:
     source = Counting(clock)
     with closing(StreamServer(source, clock, fps=20.0)) as server:
-        camera = OpenCvCamera("left", server.urls["left"], clock, patience_s=0.3)
+        camera = OpenCvCamera("left", server.urls["left"], clock, timeout_s=0.3)
         camera.begin()
         camera.take()
         source.dropped = set(range(source.taken + 1, source.taken + 10000))
@@ -118,7 +118,7 @@ def test_a_size_that_changes_within_a_stream_is_reported_until_it_is_the_old_one
 
     with (
         closing(StreamServer(source, clock, fps=20.0)) as server,
-        closing(OpenCvCamera("left", server.urls["left"], clock, patience_s=60.0)) as camera,
+        closing(OpenCvCamera("left", server.urls["left"], clock, timeout_s=60.0)) as camera,
     ):
         assert outcomes_until("(96, 128, 3)") == {"(96, 128, 3)"}
         source.sizes["left"] = (60, 80)

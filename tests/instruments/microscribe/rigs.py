@@ -14,8 +14,7 @@ import numpy as np
 from instruments.clock import Clock, VirtualClock
 from instruments.link import Link
 from instruments.listener import Connection, Device, Listener
-from instruments.microscribe.connection import ANSWER_S
-from instruments.microscribe.driver import MicroScribe
+from instruments.microscribe.driver import ANSWER_S, MicroScribe
 from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.kinematics import Floats
 from instruments.microscribe.protocol import Packet, PacketDecoder

@@ -24,8 +24,8 @@ from instruments.microscribe.errors import (
     UnusableArmError,
 )
 from instruments.microscribe.faults import Fault
+from instruments.microscribe.pedals import Debouncer, Pedal, PedalEvent
 from instruments.microscribe.protocol import State
-from instruments.microscribe.stream import Debouncer, Pedal, PedalEvent
 from tests.instruments.microscribe.rigs import POINT, UNIT, UP, Ear, Rig, renamed
 
 

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from instruments.clock import RealClock, VirtualClock
+from instruments.device_file import DeviceFileError
 from instruments.errors import LinkError
 from instruments.link import Link
 from instruments.listener import Listener
@@ -28,7 +29,7 @@ from instruments.microscribe.emulator import (
 from instruments.microscribe.faults import Faults
 from instruments.microscribe.kinematics import OutOfReachError
 from instruments.microscribe.protocol import PacketDecoder, State
-from instruments.microscribe.unit import SHIPPED, UnitError, load_unit, shipped_unit
+from instruments.microscribe.unit import SHIPPED, load_unit, shipped_unit
 from tests.instruments.microscribe.rigs import AT_REST, POINT, REPLIES, UNIT, UP, Hand, Host, Rig
 
 ARM = UNIT.geometry()
@@ -483,9 +484,9 @@ def test_all_faults_of_a_file_at_once(tmp_path: Path) -> None:
     }.items():
         assert old in text
         text = text.replace(old, new)
-    with pytest.raises(UnitError) as caught:
+    with pytest.raises(DeviceFileError) as caught:
         load_unit(written(tmp_path, text))
-    assert [keys for keys, _ in caught.value.located] == [
+    assert [keys for keys, _ in caught.value.faults] == [
         ("names", "serial_number"), ("maxima", "button_mask"), ("maxima", "encoders", 5),
         ("parameters", "d"), ("parameters", "dd"), ("peg", "counts"),
     ]  # fmt: skip
@@ -515,7 +516,7 @@ def test_all_faults_of_a_file_at_once(tmp_path: Path) -> None:
 )
 def test_a_file_that_describes_no_arm(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert old in SIX
-    with pytest.raises(UnitError, match=r"arm\.toml: ") as caught:
+    with pytest.raises(DeviceFileError, match=r"arm\.toml: ") as caught:
         load_unit(written(tmp_path, SIX.replace(old, new)))
     assert message in str(caught.value)
 

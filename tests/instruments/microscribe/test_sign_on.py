@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 
 from instruments.errors import InstrumentError, LimitError, LinkError, ProtocolError
-from instruments.link import Link
+from instruments.link import Link, latency_warning
 from instruments.listener import Connection, Listener
-from instruments.microscribe.driver import MicroScribe, latency_warning
+from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.errors import (
     NoMicroScribeError,
     NotHomedError,

@@ -145,7 +145,7 @@ def test_nonsense_is_asked_again(wrong: str) -> None:
 @pytest.mark.parametrize("prompt", PROMPTS)
 def test_every_prompt_can_abort_and_says_how(prompt: str, answer: str) -> None:
     who, out = asked(answer)
-    why = "aborted the run" if answer else "nobody is at the terminal any more"
+    why = "aborted the run" if answer else "the terminal gives no more input"
     with pytest.raises(op.OperatorAbort, match=why):
         who.ask(PROMPTS[prompt])
     assert "a = abort the run" in out.getvalue()
@@ -210,7 +210,7 @@ def test_without_a_terminal_the_pedals_are_not_read() -> None:
 def test_a_closed_output_is_a_terminal_that_has_gone() -> None:
     out = io.StringIO()
     out.close()
-    with pytest.raises(op.OperatorAbort, match="nobody is at the terminal"):
+    with pytest.raises(op.OperatorAbort, match="the terminal gives no more input"):
         person("\n", out).ask(op.Touch(1, 4))
 
 

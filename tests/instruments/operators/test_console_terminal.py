@@ -217,5 +217,5 @@ def test_a_terminal_that_closes_or_ends_is_an_abort(how: str) -> None:
             here.near = -1
         else:
             here.type("\x04")
-        with pytest.raises(op.OperatorAbort, match="nobody is at the terminal any more"):
+        with pytest.raises(op.OperatorAbort, match="the terminal gives no more input"):
             done.result(PATIENCE_S)

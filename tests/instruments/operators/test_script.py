@@ -10,7 +10,7 @@ import pytest
 
 from instruments.errors import ProtocolError
 from instruments.operators import operator as op
-from instruments.operators.prompted import ScriptedAnswer, ScriptedAnswers
+from instruments.operators.prompted import ScriptedAnswer, ScriptedAnswers, check_answer
 from instruments.world.boards import Pattern
 from tests.instruments.operators.people import arrangement
 
@@ -114,9 +114,5 @@ def test_an_answer_that_fits_no_such_prompt_is_refused_at_once(
     to: op.Kind, answer: str, words: str
 ) -> None:
     with pytest.raises(ValueError, match=r".") as error:
-        ScriptedAnswer(to, answer)
+        check_answer(to, answer)
     assert words in str(error.value)
-    with pytest.raises(ValueError, match=r"."):
-        ScriptedAnswers([], {to: answer}, "x")
-    with pytest.raises(ValueError, match="at least once, not 0 times"):
-        ScriptedAnswer("homing", "go", times=0)

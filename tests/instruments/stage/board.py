@@ -145,7 +145,7 @@ class Parrot:
     def disconnect(self, connection: Connection) -> None: ...
 
 
-def meet(device: Device, axes: str = "XY", dialect: Spoken = "grbl") -> None:
+def identify(device: Device, axes: str = "XY", dialect: Spoken = "grbl") -> None:
     clock = VirtualClock()
     listener = Listener(device, clock, lock=threading.RLock(), name="stage")
     link = Link(listener.url, clock, who="stage")

@@ -19,7 +19,7 @@ from instruments.stage.driver import Stage
 from instruments.stage.emulator import EMULATED, FLUIDNC, MARLIN, ZABER, Fault
 from instruments.stage.emulator import marlin as emulated_marlin
 from instruments.stage.emulator import zaber as emulated_zaber
-from instruments.stage.protocol import Nonsense, Reply
+from instruments.stage.protocol import Malformed, Reply
 from tests.instruments.stage.board import Bench, Board
 
 Make = Callable[..., Bench]
@@ -65,7 +65,7 @@ def test_the_emulator_answers_as_the_documentation_says_and_the_driver_reads_it(
         assert [one for one in heard.decode("ascii").split("\r\n") if one] == expected, line
         read = [parse(one.encode("ascii")) for one in expected]
         said = "Hello" in line  # echoed as it is
-        assert said or not [one for one in read if isinstance(one, Nonsense)], line
+        assert said or not [one for one in read if isinstance(one, Malformed)], line
         if expected and line not in ("?", "!", "~", "^X"):
             last = protocol.Ok | protocol.ErrorReply | protocol.Alarm | Reply
             assert isinstance(read[-1], last), line
@@ -269,8 +269,8 @@ def test_marlin_turns_nothing_and_zaber_needs_its_motors(make: Make) -> None:
 )
 def test_zaber_replies(line: bytes, reply: Reply) -> None:
     assert zaber.parse(line) == reply
-    assert isinstance(zaber.parse(line + b"\x01"), Nonsense | Reply)
-    assert isinstance(zaber.parse(b"@01 1 OK IDLE -- 0:8D"), Nonsense)
+    assert isinstance(zaber.parse(line + b"\x01"), Malformed | Reply)
+    assert isinstance(zaber.parse(b"@01 1 OK IDLE -- 0:8D"), Malformed)
 
 
 def test_each_zaber_flag_that_is_not_harmless_costs_the_position(

@@ -109,7 +109,7 @@ def test_a_controller_without_homing_is_never_moved(make: Make) -> None:
 def test_work_positions_are_turned_into_machine_positions(make: Make) -> None:
     bench = make({10: 0})
     stage = bench.homed()
-    stage._talk.command("G92X100Y50")
+    stage._dialogue.command("G92X100Y50")
     stage.move_to(-30, -40)
     assert stage.position() == pytest.approx([-30, -40, -1])
     assert stage.status().mpos_mm is None
@@ -218,7 +218,7 @@ def test_one_move_at_a_time_and_none_before_homing(bench: Bench) -> None:
 
 def test_a_hold_at_the_panel_interrupts_the_move(bench: Bench) -> None:
     stage = _moving(bench)
-    stage._talk.write(b"!")
+    stage._dialogue.write(b"!")
     with pytest.raises(DeviceError, match=r"the move was interrupted \(got Hold:[01]\)"):
         stage.finish_move()
     with pytest.raises(LimitError, match=r"not idle \(.*got Hold:[01]\)\. Call recover"):
@@ -227,7 +227,7 @@ def test_a_hold_at_the_panel_interrupts_the_move(bench: Bench) -> None:
 
 def test_a_feed_override_that_makes_the_move_too_slow(bench: Bench) -> None:
     stage = _moving(bench)
-    stage._talk.write(b"\x92" * 9)
+    stage._dialogue.write(b"\x92" * 9)
     with pytest.raises(DeviceError, match="takes too long"):
         stage.finish_move()
     stage.stop()
@@ -252,7 +252,7 @@ def _jogging(bench: Bench) -> None:
 
 def _homing(bench: Bench) -> None:
     with pytest.raises(LinkError):
-        _connected(bench)._talk.command("$H", 2.0)
+        _connected(bench)._dialogue.command("$H", 2.0)
 
 
 def _alarm(bench: Bench) -> None:
@@ -273,12 +273,12 @@ STATES: dict[str, Callable[[Bench], object]] = {
     "move over but not finished": lambda bench: _moving(bench, 61.0),
     "held": lambda bench: _moving(bench).stop(),
     "jogging": _jogging,
-    "braking": lambda bench: _moving(bench)._talk.write(b"!"),
-    "door": lambda bench: _moving(bench)._talk.write(b"\x84"),
+    "braking": lambda bench: _moving(bench)._dialogue.write(b"!"),
+    "door": lambda bench: _moving(bench)._dialogue.write(b"\x84"),
     "homing": _homing,
     "alarm": _alarm,
     "alarm unseen": _alarm_unseen,
-    "asleep": lambda bench: _connected(bench)._talk.command("$SLP"),
+    "asleep": lambda bench: _connected(bench)._dialogue.command("$SLP"),
 }
 
 

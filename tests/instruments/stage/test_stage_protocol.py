@@ -19,8 +19,8 @@ from instruments.stage.protocol import (
     Alarm,
     Decoder,
     ErrorReply,
+    Malformed,
     Message,
-    Nonsense,
     Ok,
     Response,
     Setting,
@@ -97,7 +97,7 @@ def test_a_line_is_read_whole_in_bytes_and_with_more_behind_it(
 @pytest.mark.parametrize("line", NONSENSE)
 def test_what_is_not_grbl_is_nonsense_with_a_reason(line: bytes) -> None:
     (answer,) = Decoder().feed(line + b"\r\n")
-    assert isinstance(answer, Nonsense)
+    assert isinstance(answer, Malformed)
     assert answer.raw == line
     assert answer.why
 
@@ -106,7 +106,7 @@ def test_bytes_without_a_line_end_are_given_up_after_a_kilobyte() -> None:
     decoder = Decoder()
     assert list(decoder.feed(b"x" * 1024)) == []
     (answer,) = decoder.feed(b"x")
-    assert isinstance(answer, Nonsense)
+    assert isinstance(answer, Malformed)
     assert list(decoder.feed(b"ok\r\n")) == [Ok()]
 
 

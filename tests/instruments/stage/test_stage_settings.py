@@ -84,7 +84,7 @@ def told(*lines: str) -> Callable[..., Any]:
         (told(M203, M201, ENDS), ProtocolError, "M92 is not usable"),
         (told(M92, M201, ENDS), ProtocolError, "M203 is not usable"),
         (told(M92, M203, ENDS), ProtocolError, "M201 is not usable"),
-        (told(M92, M203, M201), ProtocolError, "the travel is not told"),
+        (told(M92, M203, M201), ProtocolError, "the travel is not reported"),
     ],
 )
 def test_settings_that_a_stage_can_not_be_driven_with(

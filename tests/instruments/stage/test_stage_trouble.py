@@ -17,7 +17,7 @@ from instruments.stage.driver import Spoken, Stage
 from instruments.stage.emulator import CLASSIC, GRBL_HAL, Dialect, Fault, StageEmulator
 from instruments.stage.emulator.grbl import GrblController, Mode
 from instruments.stage.protocol import ALARMS, HAL_ALARMS
-from tests.instruments.stage.board import GREETING, Bench, Parrot, meet
+from tests.instruments.stage.board import GREETING, Bench, Parrot, identify
 
 Make = Callable[..., Bench]
 
@@ -53,8 +53,13 @@ def test_the_controllers_own_soft_limit_is_an_alarm_too(make: Make) -> None:
     ("fault", "error", "what", "refusal"),
     [
         (Fault.RESTART, DeviceError, "restarted by itself", "no move before homing"),
-        (Fault.LOST_OK, LinkError, r"no answer \(asked G21.*after 2 s\)", "is still owed"),
-        (Fault.GARBAGE, ProtocolError, r"nonsense: .*FF 00 3C 52 75 7C 1B", "no move before"),
+        (Fault.LOST_OK, LinkError, r"no answer \(asked G21.*after 2 s\)", "is still outstanding"),
+        (
+            Fault.GARBAGE,
+            ProtocolError,
+            r"malformed answer: .*FF 00 3C 52 75 7C 1B",
+            "no move before",
+        ),
     ],
 )
 def test_a_fault_in_a_move_is_a_sentence_and_asks_for_recovery(
@@ -128,19 +133,19 @@ def test_other_devices_are_refused(
     greeting: bytes, answers: Mapping[bytes, bytes], error: type[InstrumentError], sentence: str
 ) -> None:
     with pytest.raises(error, match=sentence) as caught:
-        meet(Parrot(greeting, answers))
+        identify(Parrot(greeting, answers))
     assert str(caught.value).startswith("stage at socket://")
 
 
 @pytest.mark.parametrize("said", [b"\xf0\xe0boot\r\nok\r\n", b"error:7\r\n$0=10\r\n$1=25\r\n"])
 def test_what_a_board_says_before_its_welcome_is_no_obstacle(said: bytes) -> None:
-    meet(Parrot(said + GREETING, TOLD))
+    identify(Parrot(said + GREETING, TOLD))
 
 
 @pytest.mark.parametrize("dialect", ["marlin", "zaber"])
 def test_devices_that_speak_another_dialect_are_refused(dialect: Spoken) -> None:
     with pytest.raises(InstrumentError, match=r"^stage at socket://"):
-        meet(Parrot(b"nothing of the kind\r\n", {}), dialect=dialect)
+        identify(Parrot(b"nothing of the kind\r\n", {}), dialect=dialect)
 
 
 FAST = (
@@ -189,7 +194,7 @@ def test_recovery_from_each_alarm_is_explicit(
 
 def test_a_board_that_sleeps_has_to_be_homed(bench: Bench) -> None:
     stage = bench.homed()
-    stage._talk.command("$SLP")
+    stage._dialogue.command("$SLP")
     with pytest.raises(LimitError, match="no move before homing"):
         stage.move_to(-60, -60)
     stage.recover()

@@ -1,12 +1,9 @@
-"""What an arm gives: positions, samples, and pedal events without bounce."""
+"""An arm's pedals: events without contact bounce."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-
-import numpy as np
-import numpy.typing as npt
 
 DEBOUNCE_S = 0.02
 
@@ -47,34 +44,3 @@ class Debouncer:
                 self._settled ^= pedal.value
                 events.append(PedalEvent(pedal, bool(buttons & pedal.value), since))
         return tuple(events)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Reading:
-    """One position in the arm's frame: median ``tip_mm`` (3,), ``spread_mm`` (largest distance of a
-    packet's tip from it), unit median ``axis`` (3,) from the tip up the stylus (None: not known),
-    ``n`` packets, ``counts`` of the last one; ``written``: what another program or a person wrote.
-    """
-
-    tip_mm: npt.NDArray[np.float64]
-    spread_mm: float
-    axis: npt.NDArray[np.float64] | None
-    n: int
-    counts: tuple[int, ...] = ()
-    written: str = ""
-
-    @property
-    def evidence(self) -> str | list[int]:
-        """What the record keeps of it: the counts, or what was written."""
-        return self.written or [int(count) for count in self.counts]
-
-
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """One packet: raw ``counts`` and ``buttons``. ``t_s`` is by the arm's clock from the session's
-    first stamp.
-    """
-
-    t_s: float
-    counts: tuple[int, ...]
-    buttons: int

@@ -1,0 +1,59 @@
+"""Reads the TOML file that describes a device (a bath's profile, an arm's own numbers) into its
+model, and reports all its faults at once.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+Keys = tuple[str | int, ...]
+Model = TypeVar("Model", bound=BaseModel)
+
+
+class DeviceFileError(ValueError):
+    """A file that describes no device: its ``path``, and its ``faults`` as (keys, message)."""
+
+    def __init__(self, path: Path, faults: Sequence[tuple[Keys, str]]) -> None:
+        self.path = path
+        self.faults = tuple(faults)
+        said = (": ".join(filter(None, (".".join(map(str, at)), what))) for at, what in faults)
+        super().__init__(f"{path}: {'; '.join(said)}")
+
+
+class FaultsError(ValueError):
+    """Faults that a model's own check of the whole has found: (keys, message) each."""
+
+    def __init__(self, faults: list[tuple[Keys, str]]) -> None:
+        self.faults = faults
+        super().__init__("; ".join(message for _, message in faults))
+
+
+def read_device(path: Path, model_of: Callable[[Mapping[str, Any]], type[Model]]) -> Model:
+    """The file as the model that its content chooses. Raises DeviceFileError, OSError."""
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        whole = json.dumps(content, default=str)
+        return model_of(content).model_validate_json(whole, strict=True)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DeviceFileError(path, [((), f"not TOML: {error}")]) from error
+    except ValidationError as error:
+        raise DeviceFileError(path, list(_faults(error))) from error
+
+
+def _faults(error: ValidationError) -> Iterator[tuple[Keys, str]]:
+    for detail in error.errors():
+        cause, kind = detail.get("ctx", {}).get("error"), detail["type"]
+        if isinstance(cause, FaultsError):
+            yield from cause.faults
+            continue
+        message = detail["msg"].removeprefix("Value error, ")
+        if kind in ("unexpected_keyword_argument", "extra_forbidden"):
+            message = "unknown key"
+        shown = f" (found {detail['input']!r:.60})" if kind != "missing" and detail["loc"] else ""
+        yield detail["loc"], f"{message[0].lower()}{message[1:]}{shown}"
