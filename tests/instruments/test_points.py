@@ -14,7 +14,12 @@ from bench.truth.touching import NoTruthError, TipReader, Toucher
 from instruments.clock import VirtualClock
 from instruments.errors import InstrumentError, LinkError, ProtocolError, TouchAgainError
 from instruments.operators.operator import CheckPoint, Prompt, Release, Request, Touch
-from instruments.operators.prompted import PromptedOperator, ScriptedAnswer, ScriptedAnswers
+from instruments.operators.prompted import (
+    PromptedOperator,
+    ScriptedAnswer,
+    ScriptedAnswers,
+    check_answer,
+)
 from instruments.points import PointArm, points_url
 from tests.bench.truth.touches import ENDS_MM, arm_settings, table_5_1
 
