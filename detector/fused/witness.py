@@ -186,8 +186,8 @@ def calibration_covariances(
 
     Where the calibration states nothing, a disparity wrong by ``p.calibration_px`` and each focal
     length by ``p.calibration_focal`` of it; and as much of disparity as the thermal picture shows
-    beyond its noise, along the line of sight; across it half of the latter, and half of what the
-    rows are off.
+    beyond its noise. Along the line of sight; across it half of the disparity, since either camera
+    may be off, and half of what the rows are off.
     """
     depth = ends_mm[:, 2]
     mm_a_px = depth / calibration.right.fc[0]
@@ -197,7 +197,7 @@ def calibration_covariances(
     sight = (ends_mm - between) / depth[:, None]
     sight_a_px = sight * (mm_a_px * depth / calibration.baseline_mm)[:, None]
     along = sight_a_px * disparity
-    across = np.diag(0.25 * np.array([shown, np.nan_to_num(found.rows_px), 0.0]) ** 2)
+    across = np.diag(0.25 * np.array([disparity, np.nan_to_num(found.rows_px), 0.0]) ** 2)
     moves = [along]
     if calibration.covariance is None:  # pixels are off by a share of their distance from the axis
         in_left = calibration.right_from_left.inverse().apply(ends_mm)
