@@ -171,7 +171,7 @@ def _detect(
     right = pictures.optical(frames.right, calibration.right.image_size, "right")
     thermal = thermal_picture(frames, calibration)
     teats, maps, ends = _start(thermal, left, right, calibration, p, trace)
-    judged = _fit(teats if more is None else np.concatenate([teats, more]), maps, thermal, ends, p)
+    judged = _fit(teats if more is None else np.concatenate([more, teats]), maps, thermal, ends, p)
     # every fitted teat with evidence and objection, empty if accepted
     shown = {"teats": judged.fitted.teats}
     shown |= {name: getattr(judged.evidence, name) for name in (*Evidence.__slots__, "merit")}
@@ -240,18 +240,9 @@ def _fit(
         return _weigh(fitted, thermal, p)
 
     def judge(candidates: _Candidates) -> _Judged:
-        level = float(thermal.levels[0])
-        return _Judged(
-            candidates, objections(candidates.fitted.teats, candidates.evidence, level, p)
-        )
+        return _judge(candidates, thermal, p)
 
-    first, rest = teats[: p.first_starts], teats[p.first_starts :]
-    judged = judge(weighed(refine(first, views, p)))
-    if len(rest) and not (
-        settled(judged.evidence, judged.reasons, p)
-        and _unexplained(judged.fitted.teats[judged.accepted], thermal, ends) == 0
-    ):
-        judged = judge(weighed(refine(rest, views, p, judged.fitted)))
+    judged = _from_starts(teats, views, thermal, ends, p)
     bridging, shifted = doubts(judged.fitted.teats, judged.evidence, judged.reasons, p)
     if bridging or shifted:
         more, doubtful = judged.candidates, judged.fitted.teats[shifted]
@@ -277,6 +268,31 @@ def _fit(
     clear, behind = (np.flatnonzero(hidden.any(axis=1) == some) for some in (False, True))
     refitted = refine_again(judged.fitted.take(behind), hidden[behind], views, p)
     return judge(judged.candidates.take(clear) + weighed(refitted))
+
+
+def _from_starts(
+    teats: Array, views: tuple[View, ...], thermal: _Thermal, ends: Nominations, p: Parameters
+) -> _Judged:
+    """What the first of starts ``teats`` (m, 8) lead to; and the rest, unless that is an udder."""
+    first, rest = teats[: p.first_starts], teats[p.first_starts :]
+    try:
+        fitted = refine(first, views, p)
+    except pictures.UnusableError:
+        if len(rest) == 0:
+            raise
+        return _judge(_weigh(refine(rest, views, p), thermal, p), thermal, p)
+    judged = _judge(_weigh(fitted, thermal, p), thermal, p)
+    if len(rest) == 0 or (
+        settled(judged.evidence, judged.reasons, p)
+        and _unexplained(judged.fitted.teats[judged.accepted], thermal, ends) == 0
+    ):
+        return judged
+    return _judge(_weigh(refine(rest, views, p, judged.fitted), thermal, p), thermal, p)
+
+
+def _judge(candidates: _Candidates, thermal: _Thermal, p: Parameters) -> _Judged:
+    level = float(thermal.levels[0])
+    return _Judged(candidates, objections(candidates.fitted.teats, candidates.evidence, level, p))
 
 
 def _weigh(fitted: Fitted, thermal: _Thermal, p: Parameters) -> _Candidates:

@@ -367,7 +367,7 @@ def _inside(points: Array, outline: Array, room_px: float) -> NDArray[np.bool_]:
     return result
 
 
-_ALIAS_SD_PX = 0.03  # an edge's shift by its place between pixels, at most, before pictures say
+_ALIAS_SD_PX = 0.03  # of the wave's amplitude about 0, before edges are looked at
 _ALIAS_SHARE = 0.25  # how wrong the wave's form is
 
 
@@ -380,10 +380,9 @@ def unaliased(fitted: Fitted, p: Parameters) -> tuple[Fitted, Array]:
     upright side it is the same all the way, and so one of place or depth. How large it is, is
     estimated for each optical picture from what the fits of all teats leave over.
     """
-    m, n = len(fitted.teats), len(FINE_OUTLINE.part)
-    seen, optical = fitted.seen, slice(0, 2 * n)
+    m, n, seen = len(fitted.teats), len(FINE_OUTLINE.part), fitted.seen
     place = seen.pixels_px + np.nan_to_num(seen.offset_px)[..., None] * seen.normals
-    wave = np.nan_to_num(seen.normals**3 * np.sin(2 * np.pi * place)).sum(axis=2)[:, optical]
+    wave = np.nan_to_num(seen.normals**3 * np.sin(2 * np.pi * place)).sum(axis=2)
     waves = np.zeros((m, fitted.weight.shape[1], 2))
     for view in range(2):
         at = slice(view * n, (view + 1) * n)
@@ -395,11 +394,11 @@ def unaliased(fitted: Fitted, p: Parameters) -> tuple[Fitted, Array]:
     information = np.einsum("mkv,mkw->vw", left, waves) / _STRETCH
     evidence = np.einsum("mkv,mk->v", left, off) / _STRETCH
     information += np.eye(2) / _ALIAS_SD_PX**2
-    shift_px = np.linalg.solve(information, evidence)
-    change = -(waves @ shift_px)
+    amplitude_px = np.linalg.solve(information, evidence)
+    change = -(waves @ amplitude_px)
     moved = (gain @ change[..., None])[..., 0]
     after = seen.offset_px + change - (_moves(fitted) @ moved[..., None])[..., 0]
-    unsure_px = np.sqrt((_ALIAS_SHARE * shift_px) ** 2 + np.diag(np.linalg.inv(information)))
+    unsure_px = np.sqrt((_ALIAS_SHARE * amplitude_px) ** 2 + np.diag(np.linalg.inv(information)))
     ends = apex_jacobian(fitted.teats) @ gain @ waves * unsure_px
     return (
         replace(fitted, teats=fitted.teats + moved, seen=replace(seen, offset_px=after)),

@@ -1,13 +1,17 @@
-"""Ends that are followed up their sides, and what is inside of an outline."""
+"""Starts that lead nowhere, ends that are followed up their sides, and what is inside of an outline."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
+from detector.fused import depth_search
+from detector.fused.fit import Parameters
+from detector.fused.model import CX
 from detector.fused.refine import _inside
 from tests.detector.fused.conftest import Body, Find
 
@@ -28,6 +32,23 @@ def test_points_inside_of_an_outline_are_those_of_opencv(seed: int) -> None:
     for room in (3.0, 1.0):
         sure = np.abs(off + room) > 0.01  # OpenCV's is in single precision
         assert (_inside(points, outline, room)[sure] == (off > -room)[sure]).all()
+
+
+@pytest.mark.slow
+def test_first_starts_that_lead_nowhere_leave_the_rest(
+    find: Find, udder: list[Body], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual = depth_search.best_starts
+    first = Parameters().first_starts
+
+    def beside_and_usual(*given: Any) -> Any:
+        teats = usual(*given)
+        beside = np.repeat(teats[:1], first, axis=0)
+        beside[:, CX] += 1e4  # in no picture
+        return np.concatenate([beside, teats])
+
+    monkeypatch.setattr("detector.fused.detector.best_starts", beside_and_usual)
+    assert len(find(udder).teats) == len(udder)
 
 
 @pytest.mark.slow
