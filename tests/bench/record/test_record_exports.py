@@ -405,7 +405,7 @@ def test_descriptions_are_those_of_foxgloves_own_library(name: str) -> None:
     names, say nothing of the bytes.
     """
     theirs = pytest.importorskip(
-        "foxglove.messages", reason="foxglove-sdk is not installed: nobody to compare with"
+        "foxglove.messages", reason="foxglove-sdk, the referee, is not installed"
     )
     kind = getattr(theirs, name.removeprefix("foxglove."))
     ours = build_file_descriptor_set(SCHEMAS[name])
