@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from detector.fused.edges import CLEAR
-from detector.fused.fit import Parameters
+from detector.fused.fit import Parameters, View
 from detector.fused.model import (
     CZ,
     END,
@@ -28,7 +28,14 @@ from detector.fused.model import (
     apexes,
     axes,
 )
-from detector.fused.refine import FINE_OUTLINE, SHAPE_ALONG_MM, Fitted, on_one_bar
+from detector.fused.refine import (
+    FINE_OUTLINE,
+    ROUND_MM,
+    SHAPE_ALONG_MM,
+    Fitted,
+    on_one_bar,
+    side_stops,
+)
 from detector.fused.thermal import Field
 from detector.geometry import Array, Camera, Motion
 
@@ -36,6 +43,7 @@ _CLOSE_PX, _MOST_SD_PX = 0.6, 1.2
 # of an end in one picture, where both sides were followed up to it; and closely
 _LEAST_FOLLOWED, _LEAST_FOLLOWED_CLOSE = 0.3, 0.2
 _BOTH_SIDES, _LEAST_WARM_END = 0.8, 0.4  # seen of both sides; of the thermal end, of a warm one
+_NO_WARM_END = 0.2  # of one that isn't
 _LEAST_BETWEEN, _LEAST_COLD = 0.65, 0.6  # of the end, where no side is warm; where one isn't
 # merit of the farthest end that sides lead to: a nearer one shows up to 0.28 more of itself, in two
 # pictures, twice
@@ -51,8 +59,8 @@ _UNSURE = "its place is too unsure"
 _WORSE = "a better one is in the same place"
 _FAR = "it is too far from the other ends to be of their udder"
 _LEAST_SHAPED_END, _WHOLE_SIDE = 0.4, 0.97  # of a short teat's end; of a long one's side
-_WHOLE_END, _HALF_END, _LEAST_OTHER_SIDE = 0.9, 0.65, 0.2
-_UNLIKE_SIDES = 0.5  # one picture shows a side that the other doesn't
+_WHOLE_END, _LEAST_OTHER_SIDE = 0.9, 0.2
+_UNLIKE_SIDES, _UNLIKE = 0.5, 0.2  # one picture shows a side, or some of it, that the other doesn't
 _CLEAR_END, _CLEAR_SIDES = 0.65, 0.75  # of an outline that nothing but a teat has
 _CLEAR_MISFIT_PX, _CLOSE_MISFIT_PX = 0.1, 0.12
 _SURE_MISFIT_PX, _SURE_MM = 0.06, 1.05  # of a fit to which one side is enough
@@ -69,6 +77,10 @@ _OWN_OUTLINE, _OWN_WARMTH = (0.6, 0.5, 0.35), 0.2
 _EVEN = 0.06  # of a teat's warmth: how unlike the lines of one without a thermal outline may be
 _GAP = 0.5  # of a teat's warmth: cooler than such surroundings is a gap between teats,
 _COLD_GAP = 0.2  # as is what has less warmth than this, between two that have more
+# points of an end next to a side: the share that is seen where it bends; of both sides then; and how
+# far from a round end's they stop, of so far as they are followed
+_BEND, _BENDS, _LEAST_BOTH, _STOP_MM, _GOES_ON_MM, _BEYOND_MM = 5, 0.75, 0.6, 2.0, 7.5, 24.0
+_LEAST_STOPPING = 0.38  # of an end where both sides stop and bend
 _BARREL_MM, _NARROWEST_MM = 20.0, 5.5  # how far below its end a teat is judged; an end's radius
 _TEATS = 4  # of an udder
 _AXIS_MM = np.linspace(0.0, 60.0, 7)
@@ -92,6 +104,9 @@ class Evidence(Rows):
     shaped: NDArray[np.bool_]  # fitted as a short teat of any shape
     # the median distance (m, 3 parts) of the thermal outline, NaN where it shows none
     thermal_px: Array
+    # of an end that is seen in part, whether it is where both its sides stop and bend, (m,)
+    stops: NDArray[np.bool_]
+    goes_on: NDArray[np.bool_]  # or both sides go on beyond it
 
     @property
     def merit(self) -> Array:
@@ -104,8 +119,10 @@ class Evidence(Rows):
         )
 
 
-def weigh(fitted: Fitted, covariances: Array, warmth: Array) -> Evidence:
-    """Evidence from edges about m teats, covariances (m, 3, 3), and warmth (m, 5)."""
+def weigh(
+    fitted: Fitted, covariances: Array, warmth: Array, views: tuple[View, ...]
+) -> Evidence:
+    """Evidence from edges about m teats in views, covariances (m, 3, 3), and warmth (m, 5)."""
     seen, part = fitted.seen, FINE_OUTLINE.part
     m, n = len(fitted.weight), len(part)
     offset, weight, sd = (
@@ -124,9 +141,19 @@ def weigh(fitted: Fitted, covariances: Array, warmth: Array) -> Evidence:
     largest = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
     better, other, thermal = sides.max(axis=0), sides.min(axis=0), _thermal_offsets(fitted)
     inside, beside = warmth[:, 1:-1], warmth[:, [0, -1]]
+    stops, goes_on = (np.zeros(m, dtype=bool) for _ in range(2))
+    partly = shares[END][:, :2].mean(axis=1) < _WHOLE_END
+    at = np.flatnonzero(partly & (other[:, :2].min(axis=1) > _LEAST_BOTH))
+    if len(at):
+        of_end = good[at][:, :2, part == END]
+        bends = [of_end[..., ends].mean(axis=2) for ends in (slice(_BEND), slice(-_BEND, None))]
+        each, together = side_stops(fitted.teats[at], views, _BEYOND_MM)
+        stops[at] = (np.abs(each - ROUND_MM) <= _STOP_MM).all(axis=1)
+        stops[at] &= (np.minimum(*bends) > _BENDS).all(axis=1)
+        goes_on[at] = (together > _GOES_ON_MM) & (shares[END][at, :2].mean(axis=1) < 0.75)
     return Evidence(
         shares[END], better, other, misfit, inside, beside, largest, fitted.followed,
-        fitted.shaped, thermal,
+        fitted.shaped, thermal, stops, goes_on,
     )  # fmt: skip
 
 
@@ -146,16 +173,19 @@ def unlike_covariances(teats: Array, evidence: Evidence, p: Parameters) -> Array
     short = evidence.shaped | (evidence.side.max(axis=1) < _WHOLE_SIDE)
     in_part = partly & np.isnan(thermal_end)
     unlike_mm = teats[:, RADIUS] * np.abs(teats[:, HEIGHT] - 1.0)
-    half_end = in_part & evidence.followed & (optical < _HALF_END)
-    in_part_mm = np.where(half_end, p.half_end_sd_mm, p.end_in_part_sd_mm)
+    in_part_mm = np.where(evidence.followed, p.end_led_to_sd_mm, p.end_in_part_sd_mm)
+    in_part_mm[evidence.stops] = p.end_at_stop_sd_mm
     along2 = (p.end_unlike_share * unlike_mm) ** 2 + in_part_mm**2 * in_part
     along2 += (short & ~evidence.shaped) * SHAPE_ALONG_MM**2
     along2 += thermal_ends(evidence, p) * p.thermal_end_sd_mm**2
     short_seen = evidence.shaped | (evidence.side[:, :2].max(axis=1) < _WHOLE_SIDE)
     across2 = one_side * np.where(short_seen, p.short_one_side_sd_mm, p.one_side_sd_mm) ** 2
     sight = teats[:, :3] / np.linalg.norm(teats[:, :3], axis=1, keepdims=True)
-    deep2 = (np.ptp(evidence.both[:, :2], axis=1) > _UNLIKE_SIDES) * p.one_sees_sd_mm**2
+    sides, ends = (np.ptp(share[:, :2], axis=1) for share in (evidence.both, evidence.end))
+    deep2 = (sides > _UNLIKE_SIDES) * p.one_sees_sd_mm**2
     deep2 += _one_sees_a_side(evidence) * p.one_sees_in_part_sd_mm**2
+    unlike = (sides > _UNLIKE) & (ends > 0.5 * _UNLIKE) & np.isfinite(thermal_end)
+    deep2 += (unlike | (ends > _UNLIKE_SIDES)) * p.unlike_sd_mm**2
     return np.asarray(
         np.einsum("m,mi,mj->mij", along2, axis, axis)
         + np.einsum("m,mi,mj->mij", across2, across, across)
@@ -232,9 +262,12 @@ def objections(
         for i in clean:
             as_warm = least[i] - surroundings >= p.least_warmth * (reference - surroundings)
             no_outline = max(evidence.end[i, 2], evidence.side[i, 2]) < p.least_end
-            uneven = np.ptp(evidence.warmth[i]) > _EVEN * abs(reference - surroundings)
-            if (no_outline and uneven) or not (
-                as_warm or _own_warmth(evidence, i, surroundings, reference)
+            full = reference - surroundings
+            even = np.ptp(evidence.warmth[i]) <= _EVEN * abs(full)
+            # nothing else has its outline in all pictures, however cool
+            as_shown = in_all[i] and even and least[i] - surroundings > _COLD_GAP * full
+            if (no_outline and not even) or not (
+                as_warm or as_shown or _own_warmth(evidence, i, surroundings, reference)
             ):
                 reasons[i] = "it isn't warm all over"
     kept: list[int] = []
@@ -246,6 +279,7 @@ def objections(
             kept.append(i)
     ends_mm = apexes(teats[kept])
     half_seen = evidence.end[kept, :2].mean(axis=1) < p.least_end_alone
+    half_seen |= evidence.end[kept, 2] < _NO_WARM_END
     partly_seen = evidence.end[kept].min(axis=1) < _WHOLE_END
     for gap_mm, doubtful in ((p.udder_mm, half_seen), (p.widest_udder_mm, partly_seen)):
         for i in _of_another(ends_mm, merit[kept], gap_mm):
@@ -365,6 +399,7 @@ def _alone(teats: Array, evidence: Evidence, p: Parameters) -> list[str | None]:
     one_sees = _one_sees_a_side(evidence) & (evidence.end[:, :2].min(axis=1) < _LEAST_END_THEN)
     rules: list[tuple[NDArray[np.bool_], str]] = [
         *in_one,
+        (evidence.goes_on, "its sides are seen beyond its end"),
         (one_sees, "a side of it is seen in one picture only"),
         (evidence.misfit_px > p.greatest_misfit_px, OUTLINE),
         (~sized, _SIZE),
@@ -409,7 +444,8 @@ def _end_unseen(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     of_followed = np.where(close, _LEAST_FOLLOWED_CLOSE, _LEAST_FOLLOWED)
     little = end < np.where(followed, of_followed, p.least_end)[:, None]
     short = (little & ~by_other[:, None]) | (alone | gap)[:, None]
-    return np.asarray(short & ~thermal_ends(evidence, p)[:, None])
+    stops = evidence.stops & (mean > _LEAST_STOPPING) & (evidence.misfit_px < p.good_misfit_px)
+    return np.asarray(short & ~(stops | thermal_ends(evidence, p))[:, None])
 
 
 def _one_sided(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:

@@ -36,8 +36,6 @@ from detector.fused.depth_search import (
 from detector.fused.fit import Parameters, View, upright
 from detector.fused.model import COUNT, Rows, apexes, axes
 from detector.fused.refine import (
-    FAR_MM,
-    NEAR_MM,
     OPTICAL_FINE,
     OPTICAL_FLOOR_PX,
     OPTICAL_ROUGH,
@@ -54,6 +52,8 @@ from detector.fused.refine import (
     refine_slid,
     shaped_again,
     slide_ends,
+    slide_to_round,
+    NEAR_MM,
     unaliased,
     world_covariances,
 )
@@ -84,7 +84,7 @@ class FusedDetector:
 
     settings: Parameters = field(default_factory=Parameters)
     name: str = "fused"  # in the registry
-    version: str = "9"  # counted up when an answer on any frame set changes
+    version: str = "10"  # counted up when an answer on any frame set changes
 
     covariance_leaves_out: ClassVar[str] = (
         "what the ends of one frame have in common (each end has its own covariance); where the"
@@ -237,7 +237,7 @@ def _fit(
     views = tuple(each.view for each in maps)
 
     def weighed(fitted: Fitted) -> _Candidates:
-        return _weigh(fitted, thermal, p)
+        return _weigh(fitted, views, thermal, p)
 
     def judge(candidates: _Candidates) -> _Judged:
         return _judge(candidates, thermal, p)
@@ -249,13 +249,13 @@ def _fit(
         if bridging:
             starts, left_out = one_sided(judged.fitted.teats[bridging], p, len(views))
             more += weighed(fine(starts, left_out, views, p))
-        slid = slide_ends(doubtful, views, NEAR_MM)
+        slid = np.concatenate([slide_to_round(doubtful, views, NEAR_MM), slide_ends(doubtful, views)])
         if len(slid):
             more += weighed(refine_slid(slid, views, p))
         judged = judge(more)
         # farther only where none is near, as an arm may show what looks like an end too
         same = on_one_bar(judged.fitted.teats)[np.ix_(shifted, judged.accepted)].any(axis=1)
-        slid = slide_ends(doubtful[~same], views, FAR_MM)
+        slid = slide_to_round(doubtful[~same], views, np.arange(15.0, 49.0))
         if len(slid):
             judged = judge(judged.candidates + weighed(refine_slid(slid, views, p)))
     unlike = shapes(judged.fitted.teats, judged.evidence, judged.reasons, p)
@@ -280,14 +280,14 @@ def _from_starts(
     except pictures.UnusableError:
         if len(rest) == 0:
             raise
-        return _judge(_weigh(refine(rest, views, p), thermal, p), thermal, p)
-    judged = _judge(_weigh(fitted, thermal, p), thermal, p)
+        return _judge(_weigh(refine(rest, views, p), views, thermal, p), thermal, p)
+    judged = _judge(_weigh(fitted, views, thermal, p), thermal, p)
     if len(rest) == 0 or (
         settled(judged.evidence, judged.reasons, p)
         and _unexplained(judged.fitted.teats[judged.accepted], thermal, ends) == 0
     ):
         return judged
-    return _judge(_weigh(refine(rest, views, p, judged.fitted), thermal, p), thermal, p)
+    return _judge(_weigh(refine(rest, views, p, judged.fitted), views, thermal, p), thermal, p)
 
 
 def _judge(candidates: _Candidates, thermal: _Thermal, p: Parameters) -> _Judged:
@@ -295,11 +295,13 @@ def _judge(candidates: _Candidates, thermal: _Thermal, p: Parameters) -> _Judged
     return _Judged(candidates, objections(candidates.fitted.teats, candidates.evidence, level, p))
 
 
-def _weigh(fitted: Fitted, thermal: _Thermal, p: Parameters) -> _Candidates:
+def _weigh(
+    fitted: Fitted, views: tuple[View, ...], thermal: _Thermal, p: Parameters
+) -> _Candidates:
     covariances = end_covariances(fitted, p)
     motion, size = thermal.view.camera_from_teats, thermal.px_a_sensor_px
     warmth = warmth_across(fitted.teats, thermal.view.field, thermal.lens, motion, size)
-    return _Candidates(fitted, covariances, weigh(fitted, covariances, warmth))
+    return _Candidates(fitted, covariances, weigh(fitted, covariances, warmth, views))
 
 
 def thermal_picture(frames: Frames, calibration: Calibration) -> _Thermal:

@@ -130,13 +130,15 @@ class Parameters:
     end_unlike_share: float = 0.08
     # and of an end that optical pictures see in part and the thermal one not at all;
     end_in_part_sd_mm: float = 1.7
-    half_end_sd_mm: float = 4.0  # and of hardly more than half of one that its sides lead to;
+    end_led_to_sd_mm: float = 3.5  # and of one that its sides lead to,
+    end_at_stop_sd_mm: float = 1.0  # or that is where both stop;
     # of an end that only the thermal picture shows;
     thermal_end_sd_mm: float = 2.0
     # along the line of sight, where one picture shows a side that the other doesn't; and no whole
     # end either
     one_sees_sd_mm: float = 1.0
     one_sees_in_part_sd_mm: float = 1.5
+    unlike_sd_mm: float = 2.5  # or of both side and end one more than the other
     # across one with a side that an optical picture doesn't show, more where its sides are short
     one_side_sd_mm: float = 0.15
     short_one_side_sd_mm: float = 1.0
