@@ -64,7 +64,8 @@ _UNLIKE_SIDES, _UNLIKE = 0.5, 0.2  # one picture shows a side, or some of it, th
 _CLEAR_END, _CLEAR_SIDES = 0.65, 0.75  # of an outline that nothing but a teat has
 _CLEAR_MISFIT_PX, _CLOSE_MISFIT_PX = 0.1, 0.12
 _SURE_MISFIT_PX, _SURE_MM = 0.06, 1.05  # of a fit to which one side is enough
-_LEAST_END_THEN = 0.78  # where one picture shows a side that the other doesn't
+# where one picture shows a side that the other doesn't, and in a close fit
+_LEAST_END_THEN, _LEAST_END_CLOSE, _CLOSE_THEN_PX = 0.78, 0.7, 0.08
 # of the end in one picture and of the sides in both, where the other shows no end but the thermal
 _END_ALONE, _SIDES_ALONE = 0.85, 0.6
 # of the thermal end, and of all sides, of a teat whose end only the thermal picture shows
@@ -396,7 +397,8 @@ def _alone(teats: Array, evidence: Evidence, p: Parameters) -> list[str | None]:
     sized = (barrel_mm > p.least_radius_mm) & (barrel_mm < p.greatest_radius_mm)
     sized &= teats[:, RADIUS] > _NARROWEST_MM
     within = (teats[:, CZ] > p.nearest_mm) & (teats[:, CZ] < p.farthest_mm)
-    one_sees = _one_sees_a_side(evidence) & (evidence.end[:, :2].min(axis=1) < _LEAST_END_THEN)
+    least = np.where(evidence.misfit_px < _CLOSE_THEN_PX, _LEAST_END_CLOSE, _LEAST_END_THEN)
+    one_sees = _one_sees_a_side(evidence) & (evidence.end[:, :2].min(axis=1) < least)
     rules: list[tuple[NDArray[np.bool_], str]] = [
         *in_one,
         (evidence.goes_on, "its sides are seen beyond its end"),
@@ -452,6 +454,9 @@ def _one_sided(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     """Which of m teats show one side in the optical pictures, where that isn't enough."""
     sure = (evidence.misfit_px < _SURE_MISFIT_PX) & (evidence.sd_mm < _SURE_MM)
     enough = sure & (evidence.side.min(axis=1) > _WHOLE_SIDE)
+    whole = np.minimum(evidence.end[:, :2] - _WHOLE_END, evidence.side[:, :2] - _WHOLE_SIDE) > 0
+    close = (evidence.misfit_px < _CLEAR_MISFIT_PX) & (evidence.sd_mm < _SURE_MM)
+    enough |= whole.all(axis=1) & close
     return np.asarray((evidence.both[:, :2].max(axis=1) < p.least_side) & ~enough)
 
 
@@ -486,7 +491,8 @@ def _no_side(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     """
     end, side = evidence.end[:, :2].min(axis=1), evidence.side[:, :2].max(axis=1)
     thermal = np.minimum(evidence.end[:, 2], evidence.side[:, 2])
-    short = evidence.shaped & (evidence.end.min(axis=1) > 0.95)
+    least = np.where(evidence.misfit_px < _CLEAR_MISFIT_PX, _THERMAL_END, 0.95)
+    short = evidence.shaped & (end > 0.95) & (evidence.end[:, 2] > least)
     held = short | ((end > 0.7) & (thermal > 0.9))
     held |= (end > 0.6) & (thermal > 0.8) & (side > 0.5)
     return np.asarray((evidence.side[:, :2] < p.least_side) & ~held[:, None])
