@@ -446,8 +446,10 @@ def _end_unseen(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     of_followed = np.where(close, _LEAST_FOLLOWED_CLOSE, _LEAST_FOLLOWED)
     little = end < np.where(followed, of_followed, p.least_end)[:, None]
     short = (little & ~by_other[:, None]) | (alone | gap)[:, None]
-    stops = evidence.stops & (mean > _LEAST_STOPPING) & (evidence.misfit_px < p.good_misfit_px)
-    return np.asarray(short & ~(stops | thermal_ends(evidence, p))[:, None])
+    held = evidence.stops & (mean > _LEAST_STOPPING) & (evidence.misfit_px < p.good_misfit_px)
+    led_to = evidence.followed & (sides > _CLEAR_SIDES) & (evidence.misfit_px < _CLOSE_THEN_PX)
+    held |= led_to & (end.max(axis=1) > 0.7) & (mean > 0.53)
+    return np.asarray(short & ~(held | thermal_ends(evidence, p))[:, None])
 
 
 def _one_sided(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
