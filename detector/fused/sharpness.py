@@ -115,7 +115,7 @@ def blur_covariances(found: Sharpness, teats: Array, px_a_mm: Array, baseline_mm
     """
     known = [width for width in (found.side_px, found.end_px) if width]
     wide = max(min(known, default=0.0) - _SHARP_PX, 0.0)
-    motion = max(found.end_px - max(found.side_px, _SHARP_PX), 0.0) if found.side_px else 0.0
+    motion = max(found.end_px - max(found.side_px, _SHARP_PX), 0.0)  # or sides are unknown
     along, across = (
         np.hypot(blur * wide, by_motion * motion) ** 2 + (clip * share) ** 2
         for blur, by_motion, clip, share in zip(
