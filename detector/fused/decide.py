@@ -78,10 +78,14 @@ _OWN_OUTLINE, _OWN_WARMTH = (0.6, 0.5, 0.35), 0.2
 _EVEN = 0.06  # of a teat's warmth: how unlike the lines of one without a thermal outline may be
 _GAP = 0.5  # of a teat's warmth: cooler than such surroundings is a gap between teats,
 _COLD_GAP = 0.2  # as is what has less warmth than this, between two that have more
-# points of an end next to a side: the share that is seen where it bends; of both sides then; and how
-# far from a round end's they stop, of so far as they are followed
-_BEND, _BENDS, _LEAST_BOTH, _STOP_MM, _GOES_ON_MM, _BEYOND_MM = 5, 0.75, 0.6, 2.0, 7.5, 24.0
-_LEAST_STOPPING = 0.38  # of an end where both sides stop and bend
+# an end that is seen in part, with both sides: how many of its points are next to a side, and the
+# share of them that is seen where it bends; how far from a round end's its sides may stop; beyond
+# what they go on, unless so much of the end is seen; how far beyond the end they are looked for
+_LEAST_BOTH, _BEND, _BENDS = 0.6, 5, 0.75
+_STOP_MM, _GOES_ON_MM, _PART_OF_END, _BEYOND_MM = 2.0, 7.5, 0.75, 24.0
+# enough of an end at the sides' stop; and of one that sides lead to, in the better picture and in
+# the mean, where the fit is close
+_LEAST_STOPPING, _LED_TO, _LED_TO_PX = 0.38, (0.7, 0.53), 0.08
 _BARREL_MM, _NARROWEST_MM = 20.0, 5.5  # how far below its end a teat is judged; an end's radius
 _TEATS = 4  # of an udder
 _AXIS_MM = np.linspace(0.0, 60.0, 7)
@@ -105,9 +109,9 @@ class Evidence(Rows):
     shaped: NDArray[np.bool_]  # fitted as a short teat of any shape
     # the median distance (m, 3 parts) of the thermal outline, NaN where it shows none
     thermal_px: Array
-    # of an end that is seen in part, whether it is where both its sides stop and bend, (m,)
+    # of an end that is seen in part, whether both sides stop there and bend, or go on beyond it
     stops: NDArray[np.bool_]
-    goes_on: NDArray[np.bool_]  # or both sides go on beyond it
+    goes_on: NDArray[np.bool_]
 
     @property
     def merit(self) -> Array:
@@ -120,9 +124,7 @@ class Evidence(Rows):
         )
 
 
-def weigh(
-    fitted: Fitted, covariances: Array, warmth: Array, views: tuple[View, ...]
-) -> Evidence:
+def weigh(fitted: Fitted, covariances: Array, warmth: Array, views: tuple[View, ...]) -> Evidence:
     """Evidence from edges about m teats in views, covariances (m, 3, 3), and warmth (m, 5)."""
     seen, part = fitted.seen, FINE_OUTLINE.part
     m, n = len(fitted.weight), len(part)
@@ -143,15 +145,15 @@ def weigh(
     better, other, thermal = sides.max(axis=0), sides.min(axis=0), _thermal_offsets(fitted)
     inside, beside = warmth[:, 1:-1], warmth[:, [0, -1]]
     stops, goes_on = (np.zeros(m, dtype=bool) for _ in range(2))
-    partly = shares[END][:, :2].mean(axis=1) < _WHOLE_END
-    at = np.flatnonzero(partly & (other[:, :2].min(axis=1) > _LEAST_BOTH))
+    of_end = shares[END][:, :2].mean(axis=1)
+    at = np.flatnonzero((of_end < _WHOLE_END) & (other[:, :2].min(axis=1) > _LEAST_BOTH))
     if len(at):
-        of_end = good[at][:, :2, part == END]
-        bends = [of_end[..., ends].mean(axis=2) for ends in (slice(_BEND), slice(-_BEND, None))]
+        end = good[at][:, :2, part == END]
+        bends = [end[..., :_BEND].mean(axis=2), end[..., -_BEND:].mean(axis=2)]
         each, together = side_stops(fitted.teats[at], views, _BEYOND_MM)
         stops[at] = (np.abs(each - ROUND_MM) <= _STOP_MM).all(axis=1)
         stops[at] &= (np.minimum(*bends) > _BENDS).all(axis=1)
-        goes_on[at] = (together > _GOES_ON_MM) & (shares[END][at, :2].mean(axis=1) < 0.75)
+        goes_on[at] = (together > _GOES_ON_MM) & (of_end[at] < _PART_OF_END)
     return Evidence(
         shares[END], better, other, misfit, inside, beside, largest, fitted.followed,
         fitted.shaped, thermal, stops, goes_on,
@@ -447,8 +449,8 @@ def _end_unseen(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     little = end < np.where(followed, of_followed, p.least_end)[:, None]
     short = (little & ~by_other[:, None]) | (alone | gap)[:, None]
     held = evidence.stops & (mean > _LEAST_STOPPING) & (evidence.misfit_px < p.good_misfit_px)
-    led_to = evidence.followed & (sides > _CLEAR_SIDES) & (evidence.misfit_px < _CLOSE_THEN_PX)
-    held |= led_to & (end.max(axis=1) > 0.7) & (mean > 0.53)
+    led_to = evidence.followed & (sides > _CLEAR_SIDES) & (evidence.misfit_px < _LED_TO_PX)
+    held |= led_to & (end.max(axis=1) > _LED_TO[0]) & (mean > _LED_TO[1])
     return np.asarray(short & ~(held | thermal_ends(evidence, p))[:, None])
 
 

@@ -36,6 +36,8 @@ from detector.fused.depth_search import (
 from detector.fused.fit import Parameters, View, upright
 from detector.fused.model import COUNT, Rows, apexes, axes
 from detector.fused.refine import (
+    FAR_MM,
+    NEAR_MM,
     OPTICAL_FINE,
     OPTICAL_FLOOR_PX,
     OPTICAL_ROUGH,
@@ -51,9 +53,8 @@ from detector.fused.refine import (
     refine_again,
     refine_slid,
     shaped_again,
-    slide_ends,
     slide_to_round,
-    NEAR_MM,
+    slide_to_stop,
     unaliased,
     world_covariances,
 )
@@ -249,15 +250,15 @@ def _fit(
         if bridging:
             starts, left_out = one_sided(judged.fitted.teats[bridging], p, len(views))
             more += weighed(fine(starts, left_out, views, p))
-        slid = np.concatenate([slide_to_round(doubtful, views, NEAR_MM), slide_ends(doubtful, views)])
-        if len(slid):
-            more += weighed(refine_slid(slid, views, p))
+        slid = [slide_to_round(doubtful, views, NEAR_MM), slide_to_stop(doubtful, views)]
+        if len(doubtful):
+            more += weighed(refine_slid(np.concatenate(slid), views, p))
         judged = judge(more)
         # farther only where none is near, as an arm may show what looks like an end too
         same = on_one_bar(judged.fitted.teats)[np.ix_(shifted, judged.accepted)].any(axis=1)
-        slid = slide_to_round(doubtful[~same], views, np.arange(15.0, 49.0))
-        if len(slid):
-            judged = judge(judged.candidates + weighed(refine_slid(slid, views, p)))
+        far = slide_to_round(doubtful[~same], views, FAR_MM)
+        if len(far):
+            judged = judge(judged.candidates + weighed(refine_slid(far, views, p)))
     unlike = shapes(judged.fitted.teats, judged.evidence, judged.reasons, p)
     if unlike:
         judged = judge(weighed(shaped_again(judged.fitted, unlike, p, views)))

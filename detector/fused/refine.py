@@ -222,13 +222,14 @@ def on_one_bar(teats: Array) -> NDArray[np.bool_]:
 
 
 _END_OUTLINE = Outline(np.array([1.0]), (np.arange(18) + 0.5) / 18)
-NEAR_MM = np.arange(-14.0, 15.0)  # towards the end
+NEAR_MM, FAR_MM = np.arange(-14.0, 15.0), np.arange(15.0, 49.0)  # towards the end
 # of the best place's share of an end, and of the whole end: so much must be seen where an end may
 # be
 _NEARLY, _LEAST_END = 0.72, 0.5
 _CLOSE_PX = 0.6
-_FROM_FOOT_MM, FAR_MM = 12.0, 60.0  # sides are followed from below an end's middle to beyond it
-_GOES_ON = 0.6  # of a side's edges are seen where it goes on
+# sides are followed from below an end's middle to beyond it; more than this share of their edges is
+# seen where they go on
+_FROM_FOOT_MM, _FARTHEST_MM, _GOES_ON = 12.0, 60.0, 0.6
 ROUND_MM = 3.0  # beyond its middle a round end looks straight
 # of the usual spread of heights: an end that is seen in part doesn't give both shape and place
 _SHAPE = 0.3
@@ -305,39 +306,36 @@ def refine_slid(slid: Array, views: tuple[View, ...], p: Parameters) -> Fitted:
     return replace(more, followed=np.ones(len(slid), dtype=bool))
 
 
-def side_stops(
-    teats: Array, views: tuple[View, ...], beyond_mm: float
-) -> tuple[Array, Array]:
-    """Where the straight sides of teats (m, 8) stop being seen, mm beyond the middle of the end:
-    each side in both optical pictures (m, 4), and all together (m,). ``beyond_mm``: at most.
+def side_stops(teats: Array, views: tuple[View, ...], beyond_mm: float) -> tuple[Array, Array]:
+    """Where the straight sides of teats (m, 8) stop being seen, mm beyond the middle of the end, at
+    most ``beyond_mm``: each side in both optical pictures (m, 4), and all together (m,).
     """
-    m, along = len(teats), np.arange(-beyond_mm, _FROM_FOOT_MM + 1.0)
+    along = np.arange(-beyond_mm, _FROM_FOOT_MM + 1.0)
     outline = Outline(along, np.array([0.5]))
-    jacobian = np.zeros((m, 2 * len(outline.part), COUNT))
+    jacobian = np.zeros((len(teats), 2 * len(outline.part), COUNT))
     seen = look(teats, views[:2], outline, jacobian, fine=True)
     near = (np.abs(seen.offset_px) < _CLOSE_PX) & (seen.clarity > LEAST_CLEAR)
-    near = near.reshape(m, 2, -1)
-    a = len(along)  # both sides from the foot on
-    sides = np.concatenate([near[..., :a], near[..., : -a - 1 : -1]], axis=1)
+    near, count = near.reshape(len(teats), 2, -1), len(along)
+    from_foot = np.concatenate([near[..., :count], near[..., : -count - 1 : -1]], axis=1)
 
-    def stops(share: Array) -> Array:
-        seen_until = np.cumsum(share - _GOES_ON, axis=-1)
-        last = np.take(-along[::-1], seen_until.argmax(axis=-1))
-        return np.where(seen_until.max(axis=-1) > 0, last, -_FROM_FOOT_MM)
+    def stops_mm(share: Array) -> Array:
+        gain = np.cumsum(share - _GOES_ON, axis=-1)
+        last = -along[::-1][gain.argmax(axis=-1)]
+        return np.where(gain.max(axis=-1) > 0, last, -_FROM_FOOT_MM)
 
-    return stops(sides), stops(sides.mean(axis=1))
+    return stops_mm(from_foot), stops_mm(from_foot.mean(axis=1))
 
 
-def slide_ends(teats: Array, views: tuple[View, ...]) -> Array:
-    """Teats (m, 8) with ends moved along their axes to where the straight sides stop in both
-    optical pictures. Light paints rims on a teat, but its sides go on until its end.
+def slide_to_stop(teats: Array, views: tuple[View, ...]) -> Array:
+    """Teats (m, 8) with ends moved along their axes to where the straight sides stop in the optical
+    pictures: light paints rims on a teat, but its sides go on until its end.
     """
     if len(teats) == 0:
         return teats
+    _, stop = side_stops(teats, views, _FARTHEST_MM)
     slid = teats.copy()
     slid[:, HEIGHT] = 1.0
-    _, stops = side_stops(teats, views, FAR_MM)
-    slid[:, :3] -= (stops - ROUND_MM)[:, None] * axes(teats)
+    slid[:, :3] -= (stop - ROUND_MM)[:, None] * axes(teats)
     return slid
 
 
