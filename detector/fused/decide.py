@@ -350,7 +350,7 @@ def doubts(
     bridging, shifted = [i for i in open_ if half[i] and not both[i]], [i for i in open_ if both[i]]
     bridging = [i for i, reason in enumerate(reasons) if reason == _LEANS] + bridging
     one_each = [i for n, i in enumerate(shifted) if not same[i, shifted[:n]].any()]
-    return bridging[: p.most_doubts], one_each[: p.most_doubts]
+    return bridging[: p.most_bridging], one_each[: p.most_shifted]
 
 
 def shapes(teats: Array, evidence: Evidence, reasons: list[str | None], p: Parameters) -> list[int]:
