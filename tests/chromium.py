@@ -18,8 +18,9 @@ from axe_playwright_python.sync_playwright import (  # type: ignore[import-untyp
 )
 from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 
+from reports.pdf import NAMES
+
 Scheme = Literal["light", "dark"]
-NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 ARGUMENTS = (
     *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"),
     *("--disable-background-networking", "--disable-component-update"),
@@ -67,7 +68,9 @@ def chromium() -> str:
         pytest.fail("no browser is installed, and TEATBENCH_NEED_BROWSER says that one has to be")
     if found is None:
         names = ", ".join(NAMES)
-        pytest.skip(f"needs a browser ({names}); on Debian: apt-get install chromium")
+        pytest.skip(
+            f"needs a browser ({names}); on Debian: apt-get install chromium-headless-shell"
+        )
     return found
 
 
