@@ -146,8 +146,9 @@ class Camera:
 
     @property
     def matrix(self) -> Array:
-        """OpenCV's camera matrix (3, 3), which knows no skew."""
-        return np.array([[self.fc[0], 0, self.cc[0]], [0, self.fc[1], self.cc[1]], [0, 0, 1.0]])
+        """The camera matrix (3, 3); OpenCV's functions pass over its skew."""
+        (fx, fy), (cx, cy) = self.fc, self.cc
+        return np.array([[fx, self.alpha_c * fx, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
     def project(self, points_mm: ArrayLike) -> Array:
         """Pixels (n, 2) of points (n, 3), camera's frame; NaN for a point not in front."""

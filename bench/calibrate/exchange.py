@@ -70,7 +70,7 @@ def write_opencv(part: Part, path: Path) -> None:
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     storage.write("image_size", np.array(left.image_size, dtype=np.int32).reshape(1, 2))
     for number, camera in ((1, left), (2, right)):
-        storage.write(f"M{number}", _matrix(camera))
+        storage.write(f"M{number}", camera.matrix)
         storage.write(f"D{number}", np.array(camera.kc).reshape(1, 5))
     if motion:
         storage.write("R", np.array(motion.R))
@@ -119,7 +119,7 @@ def write_bouguet(part: Part, path: Path) -> None:
             f"{key}_{side}": np.array(getattr(camera, key)).reshape(-1, 1)
             for key in ("fc", "cc", "kc")
         }
-        values |= {f"alpha_c_{side}": camera.alpha_c, f"KK_{side}": _matrix(camera)}
+        values |= {f"alpha_c_{side}": camera.alpha_c, f"KK_{side}": camera.matrix}
     with path.open("wb") as file:
         savemat(file, values)
 
@@ -140,7 +140,7 @@ def write_ros(part: Part, path: Path, camera: str) -> None:
         raise ConfigError.plain(
             f"the calibration has no lens of the {camera} camera: name another with --camera"
         )
-    K = _matrix(lens)
+    K = lens.matrix
 
     def matrix(values: Array) -> dict[str, Any]:
         rows, columns = values.shape
@@ -202,9 +202,3 @@ def _pair(part: Part) -> tuple[Camera, Camera, Motion | None]:
             "the file holds no stereo pair ([cameras.left] and [cameras.right])"
         )
     return part.left, part.right, part.right_from_left
-
-
-def _matrix(camera: Camera) -> Array:
-    K = camera.matrix
-    K[0, 1] = camera.fc[0] * camera.alpha_c
-    return K

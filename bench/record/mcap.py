@@ -101,8 +101,7 @@ MESSAGES: tuple[type[Message], ...] = (*_OF_FOXGLOVE, PosesInFrame, Log, Bath, A
 
 def camera(at: Timestamp, frame: str, lens: Camera) -> CameraCalibration:
     """As the ROS model plumb_bob has it: K row by row, D = (k1, k2, p1, p2, k3)."""
-    (fx, fy), (cx, cy) = lens.fc, lens.cc
-    K = np.array([[fx, lens.alpha_c * fx, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    K = lens.matrix
     return CameraCalibration(
         timestamp=at,
         frame_id=frame,

@@ -18,7 +18,7 @@ from bench.rig.devices import Cameras
 from bench.rig.model import Cameras as CamerasTable
 from bench.rig.model import Checks
 from detector.calibration import Calibration
-from detector.geometry import Array, Camera
+from detector.geometry import Array
 from instruments.camera.frame import FrameError, FrameFault, FrameSet, Grey
 from instruments.camera.quality import edge_blur_px, level_dn, missing_rows, saturated_share, spread
 from instruments.errors import DeviceError
@@ -39,7 +39,7 @@ class StereoOrder:
 
     def __init__(self, calibration: Calibration) -> None:
         left, right, motion = calibration.left, calibration.right, calibration.right_from_left
-        K, D = zip(*(_matrices(camera) for camera in (left, right)), strict=True)
+        K, D = [left.matrix, right.matrix], [np.array(left.kc), np.array(right.kc)]
         size = left.image_size
         T = motion.T.reshape(3, 1)
         R1, R2, P1, P2, *_ = cv2.stereoRectify(
@@ -85,12 +85,6 @@ class StereoOrder:
         gradient = np.asarray(cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=1), dtype=np.float64)
         limit = 4.0 * float(np.sqrt(np.mean(gradient**2)))
         return np.clip(gradient, -limit, limit)  # one strong edge must not outweigh all others
-
-
-def _matrices(camera: Camera) -> tuple[Array, Array]:
-    K = camera.matrix
-    K[0, 1] = camera.alpha_c * camera.fc[0]
-    return K, np.array(camera.kc)
 
 
 def _maps(K: Array, D: Array, R: Any, P: Any, size: tuple[int, int]) -> Maps:

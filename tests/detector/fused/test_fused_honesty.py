@@ -127,6 +127,14 @@ def members() -> list[Seen]:
         pytest.param("hot_body_at_ends", (999, 61025), id="most of an end in the thermal picture"),
         pytest.param("cooler_bodies", (999, 61032), id="one side, warm on both"),
         pytest.param("hot_body_at_ends", (999, 60034), id="a nomination's fourth best depth"),
+        pytest.param("hot_body_at_ends", (777, 31212), id="an end where both sides stop and bend"),
+        pytest.param("cluttered", (999, 60100), id="an end slid to where the sides stop"),
+        pytest.param("hot_body_at_ends", (777, 31336), id="four ends that may be too high or low"),
+        pytest.param("anywhere", (999, 62054), id="half an end that sides lead to, closely"),
+        pytest.param("cool_quarters", (20261128, 500007), id="a cool quarter beside a warm one"),
+        pytest.param("cooler_bodies", (20261128, 500428), id="a whole end and one whole side"),
+        pytest.param("cooler_bodies", (20261128, 500284), id="a short end, mostly warm, no side"),
+        pytest.param("cooler_bodies", (20261128, 500421), id="close, a side in one picture only"),
     ],
 )
 def test_each_visible_end_is_found_and_none_else(
@@ -144,6 +152,8 @@ def test_each_visible_end_is_found_and_none_else(
         pytest.param("cooler_bodies", 777, 31270, id="sides that lead to half an end"),
         pytest.param("hot_body_at_ends", 999, 60005, id="sides that lead to an arm's rim"),
         pytest.param("missing_or_hidden", 999, 60104, id="a side and two thirds, not close"),
+        pytest.param("anywhere", 20261128, 500207, id="sides that go on beyond half an end"),
+        pytest.param("cluttered", 999, 60054, id="a hose 290 mm from the nearest end, not warm"),
     ],
 )
 def test_nothing_false_is_found(family: str, noise: int, member: int) -> None:
@@ -165,9 +175,19 @@ def every_end_and_none_else(members: list[Seen]) -> None:
         assert counts.matched == counts.visible, one.family
 
 
-@pytest.mark.parametrize(("family", "member"), [("cow_teats", 1047), ("overlapping", 1032)])
-def test_a_teat_that_shows_one_side_states_how_little_that_tells(family: str, member: int) -> None:
-    (one,) = seen((family,), (member,))
+@pytest.mark.parametrize(
+    ("family", "noise", "member"),
+    [
+        pytest.param("cow_teats", 1, 1047, id="one side"),
+        pytest.param("overlapping", 1, 1032, id="one side, touching"),
+        pytest.param("hot_body_at_ends", 777, 31247, id="half an end that sides lead to"),
+        pytest.param("cooler_bodies", 777, 31219, id="end and side, one picture shows less"),
+    ],
+)
+def test_a_teat_that_is_seen_in_part_states_how_little_that_tells(
+    family: str, noise: int, member: int
+) -> None:
+    (one,) = seen((family,), (member,), noise)
     assert max(normalised(one)) < scipy.stats.chi2.ppf(1 - 1e-4, 3)
 
 
