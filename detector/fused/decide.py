@@ -17,7 +17,6 @@ from detector.fused.fit import Parameters, View
 from detector.fused.model import (
     CZ,
     END,
-    HEIGHT,
     LEAN_X,
     LEAN_Z,
     RADIUS,
@@ -31,7 +30,6 @@ from detector.fused.model import (
 from detector.fused.refine import (
     FINE_OUTLINE,
     ROUND_MM,
-    SHAPE_ALONG_MM,
     Fitted,
     on_one_bar,
     side_stops,
@@ -59,8 +57,8 @@ _UNSURE = "its place is too unsure"
 _WORSE = "a better one is in the same place"
 _FAR = "it is too far from the other ends to be of their udder"
 _LEAST_SHAPED_END, _WHOLE_SIDE = 0.4, 0.97  # of a short teat's end; of a long one's side
-_WHOLE_END, _LEAST_OTHER_SIDE = 0.9, 0.2
-_UNLIKE_SIDES, _UNLIKE = 0.5, 0.2  # one picture shows a side, or some of it, that the other doesn't
+WHOLE_END = 0.9
+UNLIKE_SIDES = 0.5  # one picture shows a side that the other doesn't
 _CLEAR_END, _CLEAR_SIDES = 0.65, 0.75  # of an outline that nothing but a teat has
 _CLEAR_MISFIT_PX, _CLOSE_MISFIT_PX = 0.1, 0.12
 _SURE_MISFIT_PX, _SURE_MM = 0.06, 1.05  # of a fit to which one side is enough
@@ -146,7 +144,7 @@ def weigh(fitted: Fitted, covariances: Array, warmth: Array, views: tuple[View, 
     inside, beside = warmth[:, 1:-1], warmth[:, [0, -1]]
     stops, goes_on = (np.zeros(m, dtype=bool) for _ in range(2))
     of_end = shares[END][:, :2].mean(axis=1)
-    at = np.flatnonzero((of_end < _WHOLE_END) & (other[:, :2].min(axis=1) > _LEAST_BOTH))
+    at = np.flatnonzero((of_end < WHOLE_END) & (other[:, :2].min(axis=1) > _LEAST_BOTH))
     if len(at):
         end = good[at][:, :2, part == END]
         bends = [end[..., :_BEND].mean(axis=2), end[..., -_BEND:].mean(axis=2)]
@@ -158,43 +156,6 @@ def weigh(fitted: Fitted, covariances: Array, warmth: Array, views: tuple[View, 
         shares[END], better, other, misfit, inside, beside, largest, fitted.followed,
         fitted.shaped, thermal, stops, goes_on,
     )  # fmt: skip
-
-
-def unlike_covariances(teats: Array, evidence: Evidence, p: Parameters) -> Array:
-    """(m, 3, 3) mm^2 of the ends of teats (m, 8), right camera's frame: what a teat that isn't the
-    model's, or of which too little is seen, adds to its fit's covariance.
-    """
-    axis = axes(teats)
-    across = np.cross(axis, teats[:, :3])
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    optical, thermal_end = evidence.end[:, :2].mean(axis=1), evidence.thermal_px[:, END]
-    partly = optical < _WHOLE_END
-    # the other side of an end that is seen in part may be a neighbour's
-    one_side = (evidence.both[:, :2].min(axis=1) <= p.least_side) | (
-        partly & (evidence.both[:, 2] <= _LEAST_OTHER_SIDE)
-    )
-    short = evidence.shaped | (evidence.side.max(axis=1) < _WHOLE_SIDE)
-    in_part = partly & np.isnan(thermal_end)
-    unlike_mm = teats[:, RADIUS] * np.abs(teats[:, HEIGHT] - 1.0)
-    in_part_mm = np.where(evidence.followed, p.end_led_to_sd_mm, p.end_in_part_sd_mm)
-    in_part_mm[evidence.stops] = p.end_at_stop_sd_mm
-    along2 = (p.end_unlike_share * unlike_mm) ** 2 + in_part_mm**2 * in_part
-    along2 += (short & ~evidence.shaped) * SHAPE_ALONG_MM**2
-    along2 += thermal_ends(evidence, p) * p.thermal_end_sd_mm**2
-    short_seen = evidence.shaped | (evidence.side[:, :2].max(axis=1) < _WHOLE_SIDE)
-    across2 = one_side * np.where(short_seen, p.short_one_side_sd_mm, p.one_side_sd_mm) ** 2
-    sight = teats[:, :3] / np.linalg.norm(teats[:, :3], axis=1, keepdims=True)
-    sides, ends = (np.ptp(share[:, :2], axis=1) for share in (evidence.both, evidence.end))
-    deep2 = (sides > _UNLIKE_SIDES) * p.one_sees_sd_mm**2
-    deep2 += _one_sees_a_side(evidence) * p.one_sees_in_part_sd_mm**2
-    unlike = (sides > _UNLIKE) & (ends > 0.5 * _UNLIKE) & np.isfinite(thermal_end)
-    deep2 += (unlike | (ends > _UNLIKE_SIDES)) * p.unlike_sd_mm**2
-    return np.asarray(
-        np.einsum("m,mi,mj->mij", along2, axis, axis)
-        + np.einsum("m,mi,mj->mij", across2, across, across)
-        + np.einsum("m,mi,mj->mij", deep2, sight, sight)
-        + np.einsum("m,ij->mij", short * p.short_sd_mm**2, np.eye(3))
-    )
 
 
 def _share(good: NDArray[np.bool_], open_: NDArray[np.bool_]) -> Array:
@@ -256,7 +217,7 @@ def objections(
     )
     whole &= evidence.misfit_px < p.good_misfit_px
     # another teat that of all but one, where all pictures show the whole end
-    in_all = (evidence.end.min(axis=1) > _WHOLE_END) & (evidence.misfit_px < _CLEAR_MISFIT_PX)
+    in_all = (evidence.end.min(axis=1) > WHOLE_END) & (evidence.misfit_px < _CLEAR_MISFIT_PX)
     in_all &= evidence.side[:, :2].min(axis=1) > _CLEAR_SIDES
     lines_cold = np.where(in_all, 2, whole)
     least = np.sort(evidence.warmth, axis=1)[np.arange(len(teats)), lines_cold]
@@ -283,7 +244,7 @@ def objections(
     ends_mm = apexes(teats[kept])
     half_seen = evidence.end[kept, :2].mean(axis=1) < p.least_end_alone
     half_seen |= evidence.end[kept, 2] < _NO_WARM_END
-    partly_seen = evidence.end[kept].min(axis=1) < _WHOLE_END
+    partly_seen = evidence.end[kept].min(axis=1) < WHOLE_END
     for gap_mm, doubtful in ((p.udder_mm, half_seen), (p.widest_udder_mm, partly_seen)):
         for i in _of_another(ends_mm, merit[kept], gap_mm):
             if doubtful[i] or evidence.shaped[kept[i]]:
@@ -400,7 +361,7 @@ def _alone(teats: Array, evidence: Evidence, p: Parameters) -> list[str | None]:
     sized &= teats[:, RADIUS] > _NARROWEST_MM
     within = (teats[:, CZ] > p.nearest_mm) & (teats[:, CZ] < p.farthest_mm)
     least = np.where(evidence.misfit_px < _CLOSE_THEN_PX, _LEAST_END_CLOSE, _LEAST_END_THEN)
-    one_sees = _one_sees_a_side(evidence) & (evidence.end[:, :2].min(axis=1) < least)
+    one_sees = one_sees_a_side(evidence) & (evidence.end[:, :2].min(axis=1) < least)
     rules: list[tuple[NDArray[np.bool_], str]] = [
         *in_one,
         (evidence.goes_on, "its sides are seen beyond its end"),
@@ -420,14 +381,14 @@ def _alone(teats: Array, evidence: Evidence, p: Parameters) -> list[str | None]:
     return reasons
 
 
-def _one_sees_a_side(evidence: Evidence) -> NDArray[np.bool_]:
+def one_sees_a_side(evidence: Evidence) -> NDArray[np.bool_]:
     """Of which of m teats one picture shows a side that the other doesn't, and warmth hardly an
     end: two things may be taken for one, at a wrong depth.
     """
     return np.asarray(
-        (np.ptp(evidence.both[:, :2], axis=1) > _UNLIKE_SIDES)
+        (np.ptp(evidence.both[:, :2], axis=1) > UNLIKE_SIDES)
         & (evidence.end[:, 2] < 0.7)
-        & (evidence.end[:, :2].min(axis=1) < _WHOLE_END)
+        & (evidence.end[:, :2].min(axis=1) < WHOLE_END)
     )
 
 
@@ -458,7 +419,7 @@ def _one_sided(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     """Which of m teats show one side in the optical pictures, where that isn't enough."""
     sure = (evidence.misfit_px < _SURE_MISFIT_PX) & (evidence.sd_mm < _SURE_MM)
     enough = sure & (evidence.side.min(axis=1) > _WHOLE_SIDE)
-    whole = np.minimum(evidence.end[:, :2] - _WHOLE_END, evidence.side[:, :2] - _WHOLE_SIDE) > 0
+    whole = np.minimum(evidence.end[:, :2] - WHOLE_END, evidence.side[:, :2] - _WHOLE_SIDE) > 0
     close = (evidence.misfit_px < _CLEAR_MISFIT_PX) & (evidence.sd_mm < _SURE_MM)
     enough |= whole.all(axis=1) & close
     return np.asarray((evidence.both[:, :2].max(axis=1) < p.least_side) & ~enough)
@@ -471,7 +432,7 @@ def _too_little_seen(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     partly = (evidence.end[:, 2] >= _LEAST_WARM_END)[:, None]
     sides = (evidence.both[:, 2] > _BOTH_SIDES)[:, None]
     warm = np.isfinite(evidence.thermal_px[:, [END]])
-    warm = warm | (good & (end > p.least_end_alone) & (partly | ((end > _WHOLE_END) & sides)))
+    warm = warm | (good & (end > p.least_end_alone) & (partly | ((end > WHOLE_END) & sides)))
     least = p.least_end_one_sided * np.where(good, 1.0, 1.4)
     return np.asarray(_one_sided(evidence, p)[:, None] & ((end < least) | ~warm))
 

@@ -14,6 +14,12 @@ from numpy.typing import NDArray
 
 from detector.calibration import Calibration
 from detector.fused import fast, pictures
+from detector.fused.covariances import (
+    end_covariances,
+    unaliased,
+    unlike_covariances,
+    world_covariances,
+)
 from detector.fused.decide import (
     Evidence,
     doubts,
@@ -21,7 +27,6 @@ from detector.fused.decide import (
     objections,
     settled,
     shapes,
-    unlike_covariances,
     warmth_across,
     weigh,
 )
@@ -44,7 +49,6 @@ from detector.fused.refine import (
     THERMAL,
     THERMAL_FLOOR_PX,
     Fitted,
-    end_covariances,
     fine,
     hidden_points,
     on_one_bar,
@@ -55,8 +59,6 @@ from detector.fused.refine import (
     shaped_again,
     slide_to_round,
     slide_to_stop,
-    unaliased,
-    world_covariances,
 )
 from detector.fused.sharpness import Sharpness, blur_covariances, sharpness, too_blurred
 from detector.fused.thermal import (

@@ -1,5 +1,5 @@
 """From starts to fitted teats: a rough pass for many, a fine one for the rest, and further fits
-where needed; and the covariances of the ends.
+where needed.
 
 The rough pass looks far for plain steps; the fine pass looks close with the full edge model. Then:
 a fit that may bridge two teats is begun again on one side; an end seen in part is slid up its
@@ -13,16 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.calibration import Calibration
 from detector.fused import fast
 from detector.fused.edges import LEAST_CLEAR, Profile
 from detector.fused.fit import (
     Parameters,
     Seen,
     View,
-    apex_jacobian,
     look,
-    normal_equations,
     step,
     weights,
 )
@@ -402,156 +399,3 @@ def _inside(points: Array, outline: Array, room_px: float) -> NDArray[np.bool_]:
         right = from_start[..., 0] < way[:, 0] * from_start[..., 1] / way[:, 1]
     result[near] = beside | ((crossed & right).sum(axis=1) % 2 == 1)
     return result
-
-
-_ALIAS_SD_PX = 0.03  # of the wave's amplitude about 0, before edges are looked at
-_ALIAS_SHARE = 0.25  # how wrong the wave's form is
-
-
-def unaliased(fitted: Fitted, p: Parameters) -> tuple[Fitted, Array]:
-    """The teats, moved by what their edges are off through the pixels' grid, and these edges; and
-    what that leaves unsure of their ends, (m, 3, 3) mm^2.
-
-    A lens that is sharper than its pixels gives an edge a shift with the period of a pixel: along a
-    row in proportion to sin(2 pi x) and, for a slanted edge, the cube of its normal's part. On an
-    upright side it is the same all the way, and so one of place or depth. How large it is, is
-    estimated for each optical picture from what the fits of all teats leave over.
-    """
-    m, n, seen = len(fitted.teats), len(FINE_OUTLINE.part), fitted.seen
-    place = seen.pixels_px + np.nan_to_num(seen.offset_px)[..., None] * seen.normals
-    wave = np.nan_to_num(seen.normals**3 * np.sin(2 * np.pi * place)).sum(axis=2)
-    waves = np.zeros((m, fitted.weight.shape[1], 2))
-    for view in range(2):
-        at = slice(view * n, (view + 1) * n)
-        waves[:, at, view] = wave[:, at]
-    gain, weighted = _gain(fitted, p), fitted.weight[..., None] * waves
-    off = np.where(fitted.weight > 0, seen.offset_px, 0.0)
-    # what moving the teats explains of the waves is no evidence
-    left = weighted - fitted.weight[..., None] * (_moves(fitted) @ (gain @ waves))
-    information = np.einsum("mkv,mkw->vw", left, waves) / _STRETCH
-    evidence = np.einsum("mkv,mk->v", left, off) / _STRETCH
-    information += np.eye(2) / _ALIAS_SD_PX**2
-    amplitude_px = np.linalg.solve(information, evidence)
-    change = -(waves @ amplitude_px)
-    moved = (gain @ change[..., None])[..., 0]
-    after = seen.offset_px + change - (_moves(fitted) @ moved[..., None])[..., 0]
-    unsure_px = np.sqrt((_ALIAS_SHARE * amplitude_px) ** 2 + np.diag(np.linalg.inv(information)))
-    ends = apex_jacobian(fitted.teats) @ gain @ waves * unsure_px
-    return (
-        replace(fitted, teats=fitted.teats + moved, seen=replace(seen, offset_px=after)),
-        np.asarray(np.einsum("miv,mjv->mij", ends, ends)),
-    )
-
-
-def _moves(fitted: Fitted) -> Array:
-    """The Jacobian of edges in use (m, k, 8)."""
-    return np.where(fitted.weight[..., None] > 0, fitted.seen.jacobian, 0.0)
-
-
-def _gain(fitted: Fitted, p: Parameters) -> Array:
-    """How teats move with their edges, (m, 8, k), a px."""
-    H, _ = normal_equations(fitted.teats, fitted.seen, fitted.weight, p.prior)
-    j = _moves(fitted) * fitted.weight[..., None]
-    return np.asarray(np.linalg.solve(H, j.transpose(0, 2, 1)))
-
-
-_SUPPORT_PX = 0.3
-_LEAST_MM2 = 1e-6  # so that a covariance always has an inverse
-# of a short teat's end: along its axis and anywhere
-SHAPE_ALONG_MM, _SHAPE_ACROSS_MM = 0.7, 0.2
-_LEFT_OVER = 0.4, 5.0  # at least and at most
-_USUAL, _MORE = 0.62, 0.4  # in plain light; the more is left over, the longer are the tails
-_STRETCH = 4  # points of an outline that share a shift: some 10 px
-
-
-def end_covariances(fitted: Fitted, p: Parameters) -> Array:
-    """(m, 3, 3) mm^2 of the ends, right camera's frame, without the calibration's share.
-
-    First order (JCGM 102:2011), through the fit's gain, from: each edge's noise; what neighbouring
-    edges share (paint, shadow, sampling), by the scatter of stretches about the outline; the limb
-    correction; the end's deviation from half an ellipsoid; the unseen part of the end.
-    """
-    if fitted.shaped.any():
-        result = np.empty((len(fitted.teats), 3, 3))
-        at, rest = np.flatnonzero(fitted.shaped), np.flatnonzero(~fitted.shaped)
-        same = replace(fitted, shaped=np.zeros_like(fitted.shaped))
-        if len(rest):
-            result[rest] = end_covariances(same.take(rest), p)
-        result[at] = end_covariances(same.take(at), any_shape(p))
-        result[at] += _shape_covariances(fitted.take(at))
-        return result
-    m, k = fitted.weight.shape
-    optical = 2 * len(FINE_OUTLINE.part)
-    # how the ends move with each edge (m, 3, k), mm a px
-    gain = apex_jacobian(fitted.teats) @ _gain(fitted, p)
-    sd = np.where(fitted.weight > 0, np.nan_to_num(fitted.seen.sd_px), 0.0)
-    noise = gain * (sd * _left_over(fitted)[:, None])[:, None]
-    limb = gain[..., :optical] * fitted.seen.limb_px[:, None, :optical]
-    # both pictures show the same light
-    part = np.tile(FINE_OUTLINE.part, 2)
-    by_part = np.stack([limb[..., part == q].sum(axis=2) for q in (SIDE_A, END, SIDE_B)], axis=2)
-    stretches = gain.reshape(m, 3, k // _STRETCH, _STRETCH).sum(axis=3)
-    shift = np.full((m, 1, k // _STRETCH), THERMAL_FLOOR_PX)
-    shift[..., : optical // _STRETCH] = _stretch_shift(fitted, p)[:, None, None]
-    axis = axes(fitted.teats)[..., None]
-    near = np.abs(fitted.seen.offset_px[:, :optical]) < 2 * _SUPPORT_PX
-    shown = (near & (fitted.weight[:, :optical] > 0))[:, part == END].mean(axis=1)
-    unseen = (1.0 - shown) * p.unseen_end_sd_mm
-    moves = [
-        noise,
-        stretches * shift,
-        p.limb_share * by_part,
-        p.limb_share_of_stretch * limb.reshape(m, 3, optical // _STRETCH, _STRETCH).sum(axis=3),
-        np.hypot(p.end_shape_sd_mm, unseen)[:, None, None] * axis,
-    ]
-    return np.asarray(
-        sum(np.einsum("mik,mjk->mij", move, move) for move in moves) + _LEAST_MM2 * np.eye(3)
-    )
-
-
-def _shape_covariances(fitted: Fitted) -> Array:
-    """What the unlikeness of a teat's end to half an ellipsoid adds, (m, 3, 3) mm^2."""
-    axis = axes(fitted.teats)
-    along = np.einsum("mi,mj->mij", axis, axis)
-    return np.asarray(SHAPE_ALONG_MM**2 * along + _SHAPE_ACROSS_MM**2 * np.eye(3))
-
-
-def _left_over(fitted: Fitted) -> Array:
-    """How much the optical edges scatter about the fitted outlines, (m,), in the sds that their
-    lines give: the square root of the a posteriori variance factor (Baarda 1968), robustly.
-    """
-    at = slice(0, 2 * len(FINE_OUTLINE.part))
-    off, sd = fitted.seen.offset_px[:, at], fitted.seen.sd_px[:, at]
-    used = (fitted.weight[:, at] > 0) & np.isfinite(off)
-    off = np.where(used, np.abs(off) / np.where(used, sd, 1.0), np.inf)
-    off.sort(axis=1)
-    middle = off[np.arange(len(off)), used.sum(axis=1) // 2]
-    ratio = np.clip(middle / 0.6745, *_LEFT_OVER)
-    return np.asarray(ratio * (ratio / _USUAL) ** _MORE)
-
-
-def _stretch_shift(fitted: Fitted, p: Parameters) -> Array:
-    """Common sd (m,) px of a stretch of the optical outlines; larger where a part is unseen."""
-    k = 2 * len(FINE_OUTLINE.part)
-    used = fitted.weight[:, :k] > 0
-    offset = np.where(used, np.clip(np.nan_to_num(fitted.seen.offset_px[:, :k]), -1, 1), 0.0)
-    count = used.reshape(len(used), -1, _STRETCH).sum(axis=2)
-    mean = offset.reshape(*count.shape, _STRETCH).sum(axis=2) / np.maximum(count, 1)
-    whole = count >= _STRETCH - 1
-    scatter = np.where(
-        whole.any(axis=1), (mean**2 * whole).sum(axis=1) / np.maximum(whole.sum(axis=1), 1), 1.0
-    )
-    near = np.abs(fitted.seen.offset_px[:, :k]) < _SUPPORT_PX
-    support = np.maximum((used & near).mean(axis=1), 0.2)
-    return np.asarray(np.sqrt(p.stretch_least_px**2 + p.stretch_share**2 * scatter) / support)
-
-
-def world_covariances(own: Array, ends_mm: Array, calibration: Calibration) -> Array:
-    """(m, 3, 3) mm^2, world: ``own`` (right camera's frame) and calibration's at ``ends_mm``."""
-    R = calibration.world_from_right.R
-    total = R @ own @ R.T
-    if calibration.covariance is None or len(own) == 0:
-        return np.asarray(total)
-    return np.asarray(
-        total + calibration.covariance_of(calibration.world_from_right.apply(ends_mm))
-    )
