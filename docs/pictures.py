@@ -23,6 +23,7 @@ from bench.cli.main import main as teatbench
 from bench.rig.loading import find_rig
 from bench.script.model import find_script
 from instruments.operators.mailbox import NotOpenError, give_answer, read_prompt
+from reports.pdf import NAMES
 
 FOLDER = Path(__file__).resolve().parent / "pictures"
 TRIAL = 13  # of demo: two teats touch, one is behind another
@@ -34,7 +35,6 @@ QUICK = {
     "slope_k_per_min = 0.01": "slope_k_per_min = 10.0\nteat_slope_k_per_min = 10.0",
 }
 LONG_S = 180.0
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 
 
 def shot(png: bytes) -> np.ndarray:
@@ -129,9 +129,9 @@ def save(picture: np.ndarray, path: Path) -> None:
 @contextmanager
 def window() -> Iterator[Page]:
     """A page in the machine's browser. Raises SystemExit where there is none."""
-    browser = next((found for found in map(shutil.which, BROWSERS) if found), None)
+    browser = next((found for found in map(shutil.which, NAMES) if found), None)
     if browser is None:
-        raise SystemExit(f"no browser is installed (looked for {', '.join(BROWSERS)})")
+        raise SystemExit(f"no browser is installed (looked for {', '.join(NAMES)})")
     with sync_playwright() as playwright:
         launched = playwright.chromium.launch(executable_path=browser, args=["--no-sandbox"])
         yield launched.new_page(viewport={"width": 1440, "height": 900})

@@ -13,6 +13,7 @@ from detector.calibration import Calibration
 from detector.fused.decide import (
     UNLIKE_SIDES,
     WHOLE_END,
+    WHOLE_SIDE,
     Evidence,
     one_sees_a_side,
     thermal_ends,
@@ -175,7 +176,7 @@ def world_covariances(own: Array, ends_mm: Array, calibration: Calibration) -> A
     )
 
 
-_WHOLE_SIDE, _LEAST_OTHER_SIDE = 0.97, 0.2  # of a long teat's better side; of a teat's own other
+_LEAST_OTHER_SIDE = 0.2  # of a teat's own other side
 # one picture shows more of both than the other: of a side, of an end
 _UNLIKE_SIDE, _UNLIKE_END = 0.2, 0.1
 
@@ -193,7 +194,7 @@ def unlike_covariances(teats: Array, evidence: Evidence, p: Parameters) -> Array
     one_side = (evidence.both[:, :2].min(axis=1) <= p.least_side) | (
         partly & (evidence.both[:, 2] <= _LEAST_OTHER_SIDE)
     )
-    short = evidence.shaped | (evidence.side.max(axis=1) < _WHOLE_SIDE)
+    short = evidence.shaped | (evidence.side.max(axis=1) < WHOLE_SIDE)
     in_part = partly & np.isnan(thermal_end)
     unlike_mm = teats[:, RADIUS] * np.abs(teats[:, HEIGHT] - 1.0)
     in_part_mm = np.where(evidence.followed, p.end_led_to_sd_mm, p.end_in_part_sd_mm)
@@ -201,7 +202,7 @@ def unlike_covariances(teats: Array, evidence: Evidence, p: Parameters) -> Array
     along2 = (p.end_unlike_share * unlike_mm) ** 2 + in_part_mm**2 * in_part
     along2 += (short & ~evidence.shaped) * _SHAPE_ALONG_MM**2
     along2 += thermal_ends(evidence, p) * p.thermal_end_sd_mm**2
-    short_seen = evidence.shaped | (evidence.side[:, :2].max(axis=1) < _WHOLE_SIDE)
+    short_seen = evidence.shaped | (evidence.side[:, :2].max(axis=1) < WHOLE_SIDE)
     across2 = one_side * np.where(short_seen, p.short_one_side_sd_mm, p.one_side_sd_mm) ** 2
     sight = teats[:, :3] / np.linalg.norm(teats[:, :3], axis=1, keepdims=True)
     sides, ends = (np.ptp(share[:, :2], axis=1) for share in (evidence.both, evidence.end))

@@ -56,7 +56,7 @@ ELSEWHERE = "the thermal picture shows its outline elsewhere"
 _UNSURE = "its place is too unsure"
 _WORSE = "a better one is in the same place"
 _FAR = "it is too far from the other ends to be of their udder"
-_LEAST_SHAPED_END, _WHOLE_SIDE = 0.4, 0.97  # of a short teat's end; of a long one's side
+_LEAST_SHAPED_END, WHOLE_SIDE = 0.4, 0.97  # of a short teat's end; of a long one's side
 WHOLE_END = 0.9
 UNLIKE_SIDES = 0.5  # one picture shows a side that the other doesn't
 _CLEAR_END, _CLEAR_SIDES = 0.65, 0.75  # of an outline that nothing but a teat has
@@ -318,7 +318,7 @@ def shapes(teats: Array, evidence: Evidence, reasons: list[str | None], p: Param
     """Of teats (m, 8), those that show an end in all pictures but don't fit: one a place."""
     end = evidence.end.min(axis=1) > _LEAST_SHAPED_END
     rejected = np.array([reason is not None for reason in reasons])
-    unlike = (evidence.side.max(axis=1) < _WHOLE_SIDE) & (
+    unlike = (evidence.side.max(axis=1) < WHOLE_SIDE) & (
         rejected | (evidence.misfit_px > p.good_misfit_px / 3)
     )
     same = on_one_bar(teats)
@@ -418,8 +418,8 @@ def _end_unseen(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
 def _one_sided(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     """Which of m teats show one side in the optical pictures, where that isn't enough."""
     sure = (evidence.misfit_px < _SURE_MISFIT_PX) & (evidence.sd_mm < _SURE_MM)
-    enough = sure & (evidence.side.min(axis=1) > _WHOLE_SIDE)
-    whole = np.minimum(evidence.end[:, :2] - WHOLE_END, evidence.side[:, :2] - _WHOLE_SIDE) > 0
+    enough = sure & (evidence.side.min(axis=1) > WHOLE_SIDE)
+    whole = np.minimum(evidence.end[:, :2] - WHOLE_END, evidence.side[:, :2] - WHOLE_SIDE) > 0
     close = (evidence.misfit_px < _CLEAR_MISFIT_PX) & (evidence.sd_mm < _SURE_MM)
     enough |= whole.all(axis=1) & close
     return np.asarray((evidence.both[:, :2].max(axis=1) < p.least_side) & ~enough)

@@ -252,8 +252,8 @@ def _fit(
         if bridging:
             starts, left_out = one_sided(judged.fitted.teats[bridging], p, len(views))
             more += weighed(fine(starts, left_out, views, p))
-        slid = [slide_to_round(doubtful, views, NEAR_MM), slide_to_stop(doubtful, views)]
         if len(doubtful):
+            slid = [slide_to_round(doubtful, views, NEAR_MM), slide_to_stop(doubtful, views)]
             more += weighed(refine_slid(np.concatenate(slid), views, p))
         judged = judge(more)
         # farther only where none is near, as an arm may show what looks like an end too

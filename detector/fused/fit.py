@@ -87,8 +87,8 @@ class Parameters:
     most_fits: int = 36
     whole_end: float = 0.7  # share of the rounded end, below which a fit may have bridged two teats
     whole_end_both: float = 0.85  # where both sides are seen
-    most_bridging: int = 3  # fits that may have; and whose ends may be too high or low
-    most_shifted: int = 5
+    most_bridging: int = 3  # fits that may have bridged two
+    most_shifted: int = 5  # and whose ends may be too high or low
     most_shapes: int = 6  # fits that are tried again as short teats of any shape
     least_side: float = 0.5  # share of the better side's outline that must be seen, a picture
     # of the rounded end's: in each picture; in both where the thermal one doesn't show it; where

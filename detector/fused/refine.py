@@ -327,8 +327,6 @@ def slide_to_stop(teats: Array, views: tuple[View, ...]) -> Array:
     """Teats (m, 8) with ends moved along their axes to where the straight sides stop in the optical
     pictures: light paints rims on a teat, but its sides go on until its end.
     """
-    if len(teats) == 0:
-        return teats
     _, stop = side_stops(teats, views, _FARTHEST_MM)
     slid = teats.copy()
     slid[:, HEIGHT] = 1.0
