@@ -79,7 +79,7 @@ _LEAST_MM2 = 1e-6  # so that a covariance always has an inverse
 # of a short teat's end: along its axis and anywhere
 _SHAPE_ALONG_MM, _SHAPE_ACROSS_MM = 0.7, 0.2
 _LEFT_OVER = 0.4, 5.0  # at least and at most
-_USUAL, _MORE = 0.62, 0.4  # in plain light; the more is left over, the longer are the tails
+_USUAL, _MORE = 0.7, 0.5  # in plain light; the more is left over, the longer are the tails
 _STRETCH = 4  # points of an outline that share a shift: some 10 px
 
 
@@ -204,6 +204,7 @@ def unlike_covariances(teats: Array, evidence: Evidence, p: Parameters) -> Array
     along2 += thermal_ends(evidence, p) * p.thermal_end_sd_mm**2
     short_seen = evidence.shaped | (evidence.side[:, :2].max(axis=1) < WHOLE_SIDE)
     across2 = one_side * np.where(short_seen, p.short_one_side_sd_mm, p.one_side_sd_mm) ** 2
+    across2 += (evidence.both[:, :2].min(axis=1) < WHOLE_END) * p.part_of_side_sd_mm**2
     sight = teats[:, :3] / np.linalg.norm(teats[:, :3], axis=1, keepdims=True)
     sides, ends = (np.ptp(share[:, :2], axis=1) for share in (evidence.both, evidence.end))
     deep2 = (sides > UNLIKE_SIDES) * p.one_sees_sd_mm**2

@@ -42,11 +42,18 @@ _CLOSE_PX, _MOST_SD_PX = 0.6, 1.2
 _LEAST_FOLLOWED, _LEAST_FOLLOWED_CLOSE = 0.3, 0.2
 _BOTH_SIDES, _LEAST_WARM_END = 0.8, 0.4  # seen of both sides; of the thermal end, of a warm one
 _NO_WARM_END = 0.2  # of one that isn't
+_FAR_WARM_END = 0.7  # of one that is so far from the others that it may be no teat's
+# half of an end, and most of it; of the other side; an sd: with less of them, nothing else may be
+# doubtful
+_HALF, _MOST, _LEAST_OTHER, _UNSURE_MM, _HALF_WARM = 0.6, 0.8, 0.5, 2.5, 0.5
 _LEAST_BETWEEN, _LEAST_COLD = 0.65, 0.6  # of the end, where no side is warm; where one isn't
 # merit of the farthest end that sides lead to: a nearer one shows up to 0.28 more of itself, in two
 # pictures, twice
 _FARTHEST = 0.9
 _SHAPED = 2.0  # of a fit of any shape: it was begun where the usual shape doesn't fit
+# sensor px, of a fit that isn't close and of others: a teat's thermal outline is 0.15 within its
+# optical one
+_ALL_ROUND_PX, _HOTTER_K = (-0.02, 0.05), 1.0
 _WARM = 0.9  # of the thermal outline: what makes up for optical edges
 _BOTH_WARM, _LESS = 0.85, 0.03  # of it with both sides; how much less is enough then
 _LEANS = "it leans more than a teat does"
@@ -67,12 +74,14 @@ _LEAST_END_THEN, _LEAST_END_CLOSE, _CLOSE_THEN_PX = 0.78, 0.7, 0.08
 # of the end in one picture and of the sides in both, where the other shows no end but the thermal
 _END_ALONE, _SIDES_ALONE = 0.85, 0.6
 # of the thermal end, and of all sides, of a teat whose end only the thermal picture shows
-_THERMAL_END, _ALL_SIDES = 0.7, 0.9
+_THERMAL_END, _THERMAL_END_ALONE, _ALL_SIDES = 0.7, 0.8, 0.9
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
 _ACROSS = (-1.7, -0.6, 0.0, 0.6, 1.7)  # of the radius: two lines beside it
 # shares of the thermal outline (end, better side, other) that make it one of its own, and how
 # unlike its surroundings it must be, as a share of the warmest teat's
 _OWN_OUTLINE, _OWN_WARMTH = (0.6, 0.5, 0.35), 0.2
+# of the median warmth of so many teats that are seen well: a hose
+_TOO_WARM, _ENOUGH_CLEAR = 1.3, 3
 _EVEN = 0.06  # of a teat's warmth: how unlike the lines of one without a thermal outline may be
 _GAP = 0.5  # of a teat's warmth: cooler than such surroundings is a gap between teats,
 _COLD_GAP = 0.2  # as is what has less warmth than this, between two that have more
@@ -115,7 +124,8 @@ class Evidence(Rows):
     def merit(self) -> Array:
         """One number (m,) by which the better of two is chosen."""
         return np.asarray(
-            (2 * self.end + self.side + self.both)[:, :2].sum(axis=1)
+            (2 * self.end + self.side + 0.5 * self.both)[:, :2].sum(axis=1)
+            + self.both[:, :2].min(axis=1)
             - 4 * self.misfit_px
             + _FARTHEST * self.followed
             + _SHAPED * self.shaped
@@ -221,8 +231,15 @@ def objections(
     in_all &= evidence.side[:, :2].min(axis=1) > _CLEAR_SIDES
     lines_cold = np.where(in_all, 2, whole)
     least = np.sort(evidence.warmth, axis=1)[np.arange(len(teats)), lines_cold]
+    level = np.median(evidence.warmth, axis=1)
+    # a teat may be warmer than three others, but not something of which only half is seen
+    shown = whole & (evidence.end[:, :2].min(axis=1) > WHOLE_END)
+    partly = [i for i in clean if not shown[i]]
+    for i in _too_warm(level, [i for i in clean if whole[i]], partly, surroundings):
+        reasons[i] = "it is warmer than the teats that are seen well"
+        clean.remove(i)
     if clean:
-        reference = max(float(np.median(evidence.warmth[i])) for i in clean)
+        reference = float(level[clean].max())
         for i in clean:
             as_warm = least[i] - surroundings >= p.least_warmth * (reference - surroundings)
             no_outline = max(evidence.end[i, 2], evidence.side[i, 2]) < p.least_end
@@ -243,13 +260,21 @@ def objections(
             kept.append(i)
     ends_mm = apexes(teats[kept])
     half_seen = evidence.end[kept, :2].mean(axis=1) < p.least_end_alone
-    half_seen |= evidence.end[kept, 2] < _NO_WARM_END
+    half_seen |= evidence.end[kept, 2] < _FAR_WARM_END
     partly_seen = evidence.end[kept].min(axis=1) < WHOLE_END
     for gap_mm, doubtful in ((p.udder_mm, half_seen), (p.widest_udder_mm, partly_seen)):
         for i in _of_another(ends_mm, merit[kept], gap_mm):
             if doubtful[i] or evidence.shaped[kept[i]]:
                 reasons[kept[i]] = _FAR
     return reasons
+
+
+def _too_warm(level: Array, clear: list[int], which: list[int], surroundings: float) -> list[int]:
+    """Those of ``which`` teats whose ``level`` (m,) is well above that of the ``clear`` ones."""
+    if len(clear) < _ENOUGH_CLEAR:
+        return []
+    most = surroundings + _TOO_WARM * (float(np.median(level[clear])) - surroundings)
+    return [i for i in which if level[i] > most]
 
 
 def _of_another(ends_mm: Array, merit: Array, udder_mm: float) -> list[int]:
@@ -366,6 +391,7 @@ def _alone(teats: Array, evidence: Evidence, p: Parameters) -> list[str | None]:
         *in_one,
         (evidence.goes_on, "its sides are seen beyond its end"),
         (one_sees, "a side of it is seen in one picture only"),
+        (_too_little(evidence), "too little of its end and sides is seen for what they say"),
         (evidence.misfit_px > p.greatest_misfit_px, OUTLINE),
         (~sized, _SIZE),
         (np.abs(teats[:, [LEAN_X, LEAN_Z]]).max(axis=1) > p.greatest_lean, _LEANS),
@@ -392,6 +418,24 @@ def one_sees_a_side(evidence: Evidence) -> NDArray[np.bool_]:
     )
 
 
+def _too_little(evidence: Evidence) -> NDArray[np.bool_]:
+    """Of which of m teats the optical pictures show too little of the end, while something else is
+    doubtful too: a place that is unsure, a side that one shows only, edges that don't fit, or what
+    is warm.
+    """
+    end, thermal = evidence.end[:, :2], evidence.end[:, 2]
+    apart = evidence.misfit_px > _CLEAR_MISFIT_PX
+    one_sided = evidence.both[:, :2].min(axis=1) < _LEAST_OTHER
+    half = (end.mean(axis=1) < _HALF) & (end.max(axis=1) < _END_ALONE)
+    half &= (evidence.sd_mm > _UNSURE_MM) | (one_sided & apart)
+    cold = evidence.followed & (thermal < _NO_WARM_END)
+    cold &= apart | ((evidence.both[:, 2] < _NO_WARM_END) & (end.min(axis=1) < _LEAST_OTHER))
+    cold |= evidence.shaped & np.isnan(evidence.thermal_px[:, END])
+    no_side = evidence.both[:, :2].max(axis=1) < _LEAST_OTHER
+    no_side &= (evidence.side[:, 2] < _NO_WARM_END) & (thermal < _HALF_WARM)
+    return np.asarray(half | ((end.mean(axis=1) < _MOST) & cold) | no_side)
+
+
 def _end_unseen(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     """Of which of m teats each optical picture shows too little of the end, (m, 2)."""
     end, thermal = evidence.end[:, :2], evidence.end[:, 2]
@@ -411,6 +455,7 @@ def _end_unseen(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     short = (little & ~by_other[:, None]) | (alone | gap)[:, None]
     held = evidence.stops & (mean > _LEAST_STOPPING) & (evidence.misfit_px < p.good_misfit_px)
     led_to = evidence.followed & (sides > _CLEAR_SIDES) & (evidence.misfit_px < _LED_TO_PX)
+    led_to &= thermal > _NO_WARM_END
     held |= led_to & (end.max(axis=1) > _LED_TO[0]) & (mean > _LED_TO[1])
     return np.asarray(short & ~(held | thermal_ends(evidence, p))[:, None])
 
@@ -460,6 +505,11 @@ def _no_side(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     short = evidence.shaped & (end > 0.95) & (evidence.end[:, 2] > least)
     held = short | ((end > 0.7) & (thermal > 0.9))
     held |= (end > 0.6) & (thermal > 0.8) & (side > 0.5)
+    both_warm = evidence.both[:, 2] > 0.95
+    held |= both_warm & (end > 0.57) & (evidence.end[:, 2] > 0.95)
+    held |= both_warm & (end > WHOLE_END) & (evidence.end[:, 2] > _THERMAL_END)
+    sure = (evidence.misfit_px < _SURE_MISFIT_PX) & (evidence.sd_mm < _SURE_MM)
+    held |= sure & (evidence.end.min(axis=1) > WHOLE_SIDE) & (side > WHOLE_SIDE)
     return np.asarray((evidence.side[:, :2] < p.least_side) & ~held[:, None])
 
 
@@ -470,17 +520,27 @@ def thermal_ends(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     unseen = evidence.end[:, :2].min(axis=1) < p.least_end
     sides = evidence.both.min(axis=1) > _ALL_SIDES
     close = evidence.misfit_px < _SURE_MISFIT_PX
-    return np.asarray(unseen & sides & close & (evidence.end[:, 2] > _THERMAL_END))
+    return np.asarray(unseen & sides & close & (evidence.end[:, 2] > _THERMAL_END_ALONE))
 
 
 def _elsewhere(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     """Which of m teats warmth contradicts: beyond the end or both sides. Beyond one may be a
-    neighbour.
+    neighbour. And all round, if little: a teat that is nearer or wider.
     """
     off, most = np.nan_to_num(evidence.thermal_px), p.greatest_thermal_px
     sides = off[:, [SIDE_A, SIDE_B]]
+    known = np.isfinite(evidence.thermal_px)
+    least = np.where(evidence.misfit_px > _CLEAR_MISFIT_PX, *_ALL_ROUND_PX)
+    all_round = np.where(known, off, np.inf).min(axis=1) > least
+    all_round &= (known.sum(axis=1) > 1) & (evidence.end[:, :2].mean(axis=1) < WHOLE_END)
+    # before what is hotter a thermal outline is another
+    beside = np.nan_to_num(evidence.beside, nan=-np.inf).min(axis=1)
+    all_round &= beside < np.median(evidence.warmth, axis=1) + _HOTTER_K
     return np.asarray(
-        (np.abs(off[:, END]) > most) | (sides.min(axis=1) < -most) | (sides > most).all(axis=1)
+        all_round
+        | (np.abs(off[:, END]) > most)
+        | (sides.min(axis=1) < -most)
+        | (sides > most).all(axis=1)
     )
 
 

@@ -1,8 +1,9 @@
 """How wide and how clipped the edges of fitted teats are, and what that does to their ends.
 
-An edge's width is its contrast over its greatest slope: some 1.6 px in a sharp picture, 5 with a
-Gaussian blur of 2 px, L after a motion of L px. Motion along a teat widens its end alone. The
-factors were measured on our own renderer's scenes, blurred and overexposed (docs/detectors.md).
+An edge's width is that of its slope at half of its greatest (full width at half maximum): some 1.5
+px in a sharp picture, 5 with a Gaussian blur of 2 px. A limb that darkens beside the edge, or
+shade, hardly changes it. Motion along a teat widens the middle of its end alone. The factors were
+measured on our own renderer's scenes, blurred and overexposed (docs/detectors.md).
 """
 
 from __future__ import annotations
@@ -12,24 +13,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.fused.edges import CLEAR, sample
+from detector.fused.edges import LEAST_CLEAR, sample
 from detector.fused.fit import View
 from detector.fused.model import END, apexes, axes
 from detector.fused.refine import FINE_OUTLINE, Fitted
 from detector.geometry import Array
 
 _X_PX = np.arange(-6.0, 6.5, 0.5)
-_LEVEL_PX, _SLOPE_PX = 4.0, 3.0  # levels are beyond, the greatest slope within
-_OUTER, _INNER = np.flatnonzero(_X_PX >= _LEVEL_PX), np.flatnonzero(_X_PX <= -_LEVEL_PX)
-_MIDDLE = np.flatnonzero(np.abs(_X_PX[1:-1]) <= _SLOPE_PX)
+_STEP_PX = _X_PX[2] - _X_PX[0]  # over which slopes are taken
+_MIDDLE = np.flatnonzero(np.abs(_X_PX[1:-1]) <= 3.0)  # where an edge's slope is greatest
+_UPWARDS = 0.7  # of a normal: the part of an end that motion along a teat smears
 _LEAST_LINES = 4
 _KNOWN = 0.3  # of a frame's teats and pictures, or nothing is known
-# contrast, in noises and as a share of the profile's range: or it is paint, texture or a limb
-_CLEAR_STEP, _MONOTONOUS = 15.0, 0.7
-_SHARP_PX, _MOST_PX = 2.0, 4.2  # wider edges widen covariances; beyond that there are no ends
-_MOST_UNLIKE_PX = 1.6  # an end's edges over its sides': the whole end is smeared
+_CLEAR_SLOPE = 8.0  # in noises of the mean profile
+_SHARP_PX, _MOST_PX = 1.8, 4.2  # wider edges widen covariances; beyond that there are no ends
+_MOST_UNLIKE_PX = 2.0  # an end's edges over its sides': the whole end is smeared
 # sd along the teat and across it, px: a px of width, a px that motion adds, a share clipped
-_BLUR, _MOTION, _CLIPPED = (0.35, 0.06), (2.0, 0.4), (0.5, 0.17)
+_BLUR, _MOTION, _CLIPPED = (0.35, 0.06), (0.6, 0.15), (0.5, 0.17)
 _CLIPPED_DISPARITY_PX = 0.09
 _CLIPPED_LEVEL = 0.996  # of the greatest intensity
 
@@ -48,7 +48,6 @@ class Sharpness:
 def sharpness(fitted: Fitted, views: tuple[View, View]) -> Sharpness:
     """Of the edges that the fits found in both optical pictures."""
     n, m = len(FINE_OUTLINE.part), len(fitted.teats)
-    parts = (FINE_OUTLINE.part != END, FINE_OUTLINE.part == END)
     if m == 0:
         return Sharpness(0.0, 0.0, np.zeros((0, 2)))
     seen, outer = fitted.seen, _X_PX > 1.5  # clear of the edge
@@ -60,14 +59,17 @@ def sharpness(fitted: Fitted, views: tuple[View, View]) -> Sharpness:
         middles = seen.pixels_px[:, at] + offset[..., None] * normals - view.corner_px
         lines = sample(view.field, middles.reshape(-1, 2), normals.reshape(-1, 2), _X_PX)
         lines = lines.reshape(m, n, -1)
-        usable = (fitted.weight[:, at] > 0) & (seen.clarity[:, at] > CLEAR)
+        usable = (fitted.weight[:, at] > 0) & (seen.clarity[:, at] > LEAST_CLEAR)
         usable &= np.isfinite(lines[..., 0])
+        of_end = FINE_OUTLINE.part == END
+        parts = (usable & ~of_end, usable & of_end & (np.abs(normals[..., 1]) > _UPWARDS))
         white = lines >= _CLIPPED_LEVEL * float(view.field.max())
         for k, part in enumerate(parts):
             for i in range(m):
-                which = usable[i] & part
+                which = part[i]
                 if which.sum() >= _LEAST_LINES:
-                    widths[i, number, k] = _width(lines[i, which].mean(axis=0), view.noise)
+                    noise = view.noise / np.sqrt(which.sum())
+                    widths[i, number, k] = _width(lines[i, which].mean(axis=0), noise)
                     if white[i, which].any():
                         shares = [white[i, which][:, beyond].mean() for beyond in (inner, outer)]
                         clipped[i, number, k] = max(shares)
@@ -76,13 +78,23 @@ def sharpness(fitted: Fitted, views: tuple[View, View]) -> Sharpness:
 
 
 def _width(profile: NDArray[np.float32], noise: float) -> float:
-    """Contrast over greatest slope, px; NaN where it is no clear step from level to level."""
-    high, low = profile[_OUTER].mean(), profile[_INNER].mean()
-    slope = np.abs(profile[2:] - profile[:-2]) / (_X_PX[2] - _X_PX[0])
-    contrast = float(abs(high - low))
-    width = contrast / max(float(slope[_MIDDLE].max()), 1e-6)
-    step = contrast > max(_CLEAR_STEP * noise, _MONOTONOUS * float(np.ptp(profile)))
-    return width if step and width > 1.0 else np.nan
+    """Full width at half maximum of the slope, px; NaN where there is no clear one."""
+    slope = (profile[2:] - profile[:-2]) / _STEP_PX
+    peak = int(_MIDDLE[np.abs(slope[_MIDDLE]).argmax()])
+    greatest = float(abs(slope[peak]))
+    if greatest < _CLEAR_SLOPE * np.sqrt(2.0) * noise / _STEP_PX:
+        return np.nan
+    share = slope * np.sign(slope[peak]) / greatest
+    return 0.5 * float(_STEP_PX) * sum(_to_half(way) for way in (share[peak::-1], share[peak:]))
+
+
+def _to_half(share: NDArray[np.float32]) -> float:
+    """How many samples it is until ``share``, at first 1, falls to a half."""
+    below = np.flatnonzero(share < 0.5)
+    if len(below) == 0:
+        return float(len(share) - 1)
+    i = int(below[0])
+    return i - float((0.5 - share[i]) / (share[i - 1] - share[i]))
 
 
 def _lower_quartile(widths_px: Array) -> float:
@@ -90,7 +102,8 @@ def _lower_quartile(widths_px: Array) -> float:
     0 where hardly one is known.
     """
     known = widths_px[np.isfinite(widths_px)]
-    return float(np.percentile(known, 25)) if len(known) >= _KNOWN * widths_px.size else 0.0
+    enough = len(known) >= max(_KNOWN * widths_px.size, 2)
+    return float(np.percentile(known, 25)) if enough else 0.0
 
 
 def too_blurred(found: Sharpness) -> str | None:

@@ -70,10 +70,18 @@ def agreement(
     shift, weight = thermal_offsets(some)
     known = weight > _LEAST_INFORMATION
     columns, down = (
-        float(np.median(shift[known[:, i], i])) if known[:, i].any() else np.nan for i in range(2)
+        _middle(shift[known[:, i], i]) if known[:, i].any() else np.nan for i in range(2)
     )
     pooled = float(rows @ row_weight / max(row_weight.sum(), 1e-9))
     return Agreement(len(which), pooled, (columns, down), ratio)
+
+
+def _middle(shifts: Array) -> float:
+    """The median; of an even number the middle one nearer to 0, or 0 between them: cameras that
+    disagree shift more than half of the teats.
+    """
+    low, high = np.sort(shifts)[[(len(shifts) - 1) // 2, len(shifts) // 2]]
+    return float(np.clip(0.0, low, high))
 
 
 def disagreement(found: Agreement, fitted: Fitted, calibration: Calibration) -> str | None:
