@@ -79,7 +79,7 @@ _LEAST_MM2 = 1e-6  # so that a covariance always has an inverse
 # of a short teat's end: along its axis and anywhere
 _SHAPE_ALONG_MM, _SHAPE_ACROSS_MM = 0.7, 0.2
 _LEFT_OVER = 0.4, 5.0  # at least and at most
-_USUAL, _MORE = 0.7, 0.5  # in plain light; the more is left over, the longer are the tails
+_USUAL, _MORE = 0.72, 0.8  # in plain light; the more is left over, the longer are the tails
 _STRETCH = 4  # points of an outline that share a shift: some 10 px
 
 

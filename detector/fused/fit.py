@@ -106,7 +106,7 @@ class Parameters:
     greatest_thermal_px: float = 1.2  # how far the thermal outline may lie off, sensor pixels
     good_misfit_px: float = 0.15
     greatest_misfit_px: float = 0.35
-    greatest_sd_mm: float = 6.0  # of an end, along the axis where it is the least sure
+    greatest_sd_mm: float = 7.5  # of an end, along the axis where it is the least sure
     # of the way from the surroundings' temperature to the warmest teat's
     least_warmth: float = 0.78
     # a gap that parts udders from half ends, and from all but those that all pictures show whole
@@ -141,7 +141,7 @@ class Parameters:
     one_sees_in_part_sd_mm: float = 1.5
     unlike_sd_mm: float = 2.5  # or of both side and end one more than the other
     # across one with a side that an optical picture doesn't show, more where its sides are short
-    one_side_sd_mm: float = 0.11
+    one_side_sd_mm: float = 0.13
     short_one_side_sd_mm: float = 1.0
     part_of_side_sd_mm: float = 0.04  # or in part: a neighbour's may run into it
     short_sd_mm: float = 0.29  # anywhere, of one with short sides
