@@ -111,7 +111,7 @@ def test_a_terminal_that_closes_ends_the_run_in_safe(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_trip_ends_a_prompt_without_enter_and_reminders_come_before(tmp_path: Path) -> None:
-    fault = '[[emulation.faults]]\ninstrument = "bath"\nname = "low level"\nat_s = 3.0'
+    fault = '[[emulation.faults]]\ninstrument = "bath"\nname = "low level"\nat_s = 6.0'
     with started(tmp_path, operator_more="remind_s = 0.5", emulation=fault) as terminal:
         terminal.expect(ABORT_KEY)
         for _ in range(2):
