@@ -10,14 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from detector.calibration import Calibration
-from detector.fused.decide import (
-    UNLIKE_SIDES,
-    WHOLE_END,
-    WHOLE_SIDE,
-    Evidence,
-    one_sees_a_side,
-    thermal_ends,
-)
+from detector.fused.decide import UNLIKE_SIDES, WHOLE_SIDE, one_sees_a_side, thermal_ends
+from detector.fused.evidence import WHOLE_END, Evidence
 from detector.fused.fit import Parameters, apex_jacobian, normal_equations
 from detector.fused.model import END, HEIGHT, RADIUS, SIDE_A, SIDE_B, axes
 from detector.fused.refine import FINE_OUTLINE, THERMAL_FLOOR_PX, Fitted, any_shape

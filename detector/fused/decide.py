@@ -6,14 +6,14 @@ place, warmth, no overlap with a better teat. A doubt rejects.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from detector.fused.edges import CLEAR
-from detector.fused.fit import Parameters, View
+from detector.fused.evidence import WHOLE_END, Evidence
+from detector.fused.fit import Parameters
 from detector.fused.model import (
     CZ,
     END,
@@ -23,21 +23,12 @@ from detector.fused.model import (
     SIDE_A,
     SIDE_B,
     TAPER,
-    Rows,
     apexes,
     axes,
 )
-from detector.fused.refine import (
-    FINE_OUTLINE,
-    ROUND_MM,
-    Fitted,
-    on_one_bar,
-    side_stops,
-)
-from detector.fused.thermal import Field
-from detector.geometry import Array, Camera, Motion
+from detector.fused.refine import on_one_bar
+from detector.geometry import Array
 
-_CLOSE_PX, _MOST_SD_PX = 0.6, 1.2
 # of an end in one picture, where both sides were followed up to it; and closely
 _LEAST_FOLLOWED, _LEAST_FOLLOWED_CLOSE = 0.3, 0.2
 _BOTH_SIDES, _LEAST_WARM_END = 0.8, 0.4  # seen of both sides; of the thermal end, of a warm one
@@ -47,10 +38,6 @@ _FAR_WARM_END = 0.7  # of one that is so far from the others that it may be no t
 # doubtful
 _HALF, _MOST, _LEAST_OTHER, _UNSURE_MM, _HALF_WARM = 0.6, 0.8, 0.5, 2.5, 0.5
 _LEAST_BETWEEN, _LEAST_COLD = 0.65, 0.6  # of the end, where no side is warm; where one isn't
-# merit of the farthest end that sides lead to: a nearer one shows up to 0.28 more of itself, in two
-# pictures, twice
-_FARTHEST = 0.9
-_SHAPED = 2.0  # of a fit of any shape: it was begun where the usual shape doesn't fit
 # sensor px, of a fit that isn't close and of others: a teat's thermal outline is 0.15 within its
 # optical one
 _ALL_ROUND_PX, _HOTTER_K = (-0.02, 0.05), 1.0
@@ -64,7 +51,6 @@ _UNSURE = "its place is too unsure"
 _WORSE = "a better one is in the same place"
 _FAR = "it is too far from the other ends to be of their udder"
 _LEAST_SHAPED_END, WHOLE_SIDE = 0.4, 0.97  # of a short teat's end; of a long one's side
-WHOLE_END = 0.9
 UNLIKE_SIDES = 0.5  # one picture shows a side that the other doesn't
 _CLEAR_END, _CLEAR_SIDES = 0.65, 0.75  # of an outline that nothing but a teat has
 _CLEAR_MISFIT_PX, _CLOSE_MISFIT_PX = 0.1, 0.12
@@ -75,8 +61,6 @@ _LEAST_END_THEN, _LEAST_END_CLOSE, _CLOSE_THEN_PX = 0.78, 0.7, 0.08
 _END_ALONE, _SIDES_ALONE = 0.85, 0.6
 # of the thermal end, and of all sides, of a teat whose end only the thermal picture shows
 _THERMAL_END, _THERMAL_END_ALONE, _ALL_SIDES = 0.7, 0.8, 0.9
-_ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
-_ACROSS = (-1.7, -0.6, 0.0, 0.6, 1.7)  # of the radius: two lines beside it
 # shares of the thermal outline (end, better side, other) that make it one of its own, and how
 # unlike its surroundings it must be, as a share of the warmest teat's
 _OWN_OUTLINE, _OWN_WARMTH = (0.6, 0.5, 0.35), 0.2
@@ -85,11 +69,6 @@ _TOO_WARM, _ENOUGH_CLEAR = 1.3, 3
 _EVEN = 0.06  # of a teat's warmth: how unlike the lines of one without a thermal outline may be
 _GAP = 0.5  # of a teat's warmth: cooler than such surroundings is a gap between teats,
 _COLD_GAP = 0.2  # as is what has less warmth than this, between two that have more
-# an end that is seen in part, with both sides: how many of its points are next to a side, and the
-# share of them that is seen where it bends; how far from a round end's its sides may stop; beyond
-# what they go on, unless so much of the end is seen; how far beyond the end they are looked for
-_LEAST_BOTH, _BEND, _BENDS = 0.6, 5, 0.75
-_STOP_MM, _GOES_ON_MM, _PART_OF_END, _BEYOND_MM = 2.0, 7.5, 0.75, 24.0
 # enough of an end at the sides' stop; and of one that sides lead to, in the better picture and in
 # the mean, where the fit is close
 _LEAST_STOPPING, _LED_TO, _LED_TO_PX = 0.38, (0.7, 0.53), 0.08
@@ -98,159 +77,14 @@ _TEATS = 4  # of an udder
 _AXIS_MM = np.linspace(0.0, 60.0, 7)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Evidence(Rows):
-    """For m fitted teats: seen shares of the outline (m, 3 views: left, right, thermal); misfit px
-    (m,); warmth (m, 3 lines), and beside it, or NaN; largest standard deviation mm (m,).
-    """
-
-    end: Array
-    side: Array  # the better side
-    both: Array  # the other
-    misfit_px: Array
-    warmth: Array
-    beside: Array  # (m, 2 lines)
-    sd_mm: Array
-    # whether both sides were followed up to where the last of an end is seen
-    followed: NDArray[np.bool_]
-    shaped: NDArray[np.bool_]  # fitted as a short teat of any shape
-    # the median distance (m, 3 parts) of the thermal outline, NaN where it shows none
-    thermal_px: Array
-    # of an end that is seen in part, whether both sides stop there and bend, or go on beyond it
-    stops: NDArray[np.bool_]
-    goes_on: NDArray[np.bool_]
-
-    @property
-    def merit(self) -> Array:
-        """One number (m,) by which the better of two is chosen."""
-        return np.asarray(
-            (2 * self.end + self.side + 0.5 * self.both)[:, :2].sum(axis=1)
-            + self.both[:, :2].min(axis=1)
-            - 4 * self.misfit_px
-            + _FARTHEST * self.followed
-            + _SHAPED * self.shaped
-        )
-
-
-def weigh(fitted: Fitted, covariances: Array, warmth: Array, views: tuple[View, ...]) -> Evidence:
-    """Evidence from edges about m teats in views, covariances (m, 3, 3), and warmth (m, 5)."""
-    seen, part = fitted.seen, FINE_OUTLINE.part
-    m, n = len(fitted.weight), len(part)
-    offset, weight, sd = (
-        np.nan_to_num(a.reshape(m, -1, n), nan=9.0)
-        for a in (seen.offset_px, fitted.weight, seen.sd_px)
-    )
-    good = (weight > 0) & (np.abs(offset) < _CLOSE_PX) & (sd < _MOST_SD_PX)
-    open_ = ~fitted.hidden.reshape(m, -1, n)
-    shares = {
-        p: _share(good[:, :, part == p], open_[:, :, part == p]) for p in (SIDE_A, END, SIDE_B)
-    }
-    optical = weight[:, :2].reshape(m, -1)
-    squares = (offset[:, :2].reshape(m, -1) ** 2 * optical).sum(axis=1)
-    misfit = np.sqrt(squares / np.maximum(optical.sum(axis=1), 1e-9))
-    sides = np.stack([shares[SIDE_A], shares[SIDE_B]])
-    largest = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
-    better, other, thermal = sides.max(axis=0), sides.min(axis=0), _thermal_offsets(fitted)
-    inside, beside = warmth[:, 1:-1], warmth[:, [0, -1]]
-    stops, goes_on = (np.zeros(m, dtype=bool) for _ in range(2))
-    of_end = shares[END][:, :2].mean(axis=1)
-    at = np.flatnonzero((of_end < WHOLE_END) & (other[:, :2].min(axis=1) > _LEAST_BOTH))
-    if len(at):
-        end = good[at][:, :2, part == END]
-        bends = [end[..., :_BEND].mean(axis=2), end[..., -_BEND:].mean(axis=2)]
-        each, together = side_stops(fitted.teats[at], views, _BEYOND_MM)
-        stops[at] = (np.abs(each - ROUND_MM) <= _STOP_MM).all(axis=1)
-        stops[at] &= (np.minimum(*bends) > _BENDS).all(axis=1)
-        goes_on[at] = (together > _GOES_ON_MM) & (of_end[at] < _PART_OF_END)
-    return Evidence(
-        shares[END], better, other, misfit, inside, beside, largest, fitted.followed,
-        fitted.shaped, thermal, stops, goes_on,
-    )  # fmt: skip
-
-
-def _share(good: NDArray[np.bool_], open_: NDArray[np.bool_]) -> Array:
-    """Share (m, views) of good points of those not hidden (m, views, k); mostly hidden: missing."""
-    return np.asarray(
-        (good & open_).sum(axis=2) / np.maximum(open_.sum(axis=2), 0.4 * good.shape[2])
-    )
-
-
-def _thermal_offsets(fitted: Fitted) -> Array:
-    """Median offsets (m, 3 parts) of thermal edges, sensor px; NaN where few edges are clear."""
-    part = FINE_OUTLINE.part
-    thermal = slice(2 * len(part), 3 * len(part))
-    open_, offset = ~fitted.hidden[:, thermal], fitted.seen.offset_px[:, thermal]
-    clear = open_ & (fitted.seen.clarity[:, thermal] > CLEAR) & np.isfinite(offset)
-    medians = np.full((len(clear), 3), np.nan)
-    values = np.where(clear, offset, np.inf)
-    for p in (SIDE_A, END, SIDE_B):
-        at = part == p
-        count = clear[:, at].sum(axis=1)
-        enough = count > 0.5 * np.maximum(open_[:, at].sum(axis=1), 0.3 * at.sum())
-        ranked, rows = np.sort(values[:, at], axis=1), np.flatnonzero(enough)
-        middle = count[rows]
-        medians[rows, p] = 0.5 * (ranked[rows, (middle - 1) // 2] + ranked[rows, middle // 2])
-    return medians
-
-
-def warmth_across(
-    teats: Array, warm: Field, lens: Camera, thermal_from_right: Motion, px_a_sensor_px: float
-) -> Array:
-    """Medians (m, 5) of the thermal picture along lines down teats (m, 8): one to the left, three
-    inside, one to the right; NaN outside.
-    """
-    axis = axes(teats)
-    line = teats[:, None, None, :3] + _ALONG_MM[:, None] * axis[:, None, None]
-    across = np.cross(axis, [0.0, 0.0, -1.0])[:, None, None]
-    aside = np.array(_ACROSS)[:, None, None] * teats[:, None, None, RADIUS, None] * across
-    points = (line + aside).reshape(-1, 3)
-    pixels = (lens.project(thermal_from_right.apply(points)) + 0.5) / px_a_sensor_px - 0.5
-    shape = (len(teats), len(_ACROSS), len(_ALONG_MM), 2)
-    at = np.rint(np.nan_to_num(pixels, nan=-1.0)).astype(int).reshape(shape)
-    rows, columns = warm.shape
-    inside = (at[..., 0] >= 0) & (at[..., 0] < columns) & (at[..., 1] >= 0) & (at[..., 1] < rows)
-    values = warm[np.clip(at[..., 1], 0, rows - 1), np.clip(at[..., 0], 0, columns - 1)]
-    half = len(_ALONG_MM) // 2  # the median of an odd number
-    middle = np.partition(values, half, axis=2)[..., half]
-    return np.where(inside.mean(axis=2) > 0.5, middle, np.nan)
-
-
 def objections(
     teats: Array, evidence: Evidence, surroundings: float, p: Parameters
 ) -> list[str | None]:
     """Why teats (m, 8) are rejected, or None. ``surroundings``: the level without warmth."""
     reasons = _alone(teats, evidence, p)
     clean = [i for i, reason in enumerate(reasons) if reason is None]
-    # a straw may hide the warmth of one line
-    whole = (evidence.end[:, :2].min(axis=1) > _CLEAR_END) & (
-        evidence.both[:, :2].min(axis=1) > _CLEAR_SIDES
-    )
-    whole &= evidence.misfit_px < p.good_misfit_px
-    # another teat that of all but one, where all pictures show the whole end
-    in_all = (evidence.end.min(axis=1) > WHOLE_END) & (evidence.misfit_px < _CLEAR_MISFIT_PX)
-    in_all &= evidence.side[:, :2].min(axis=1) > _CLEAR_SIDES
-    lines_cold = np.where(in_all, 2, whole)
-    least = np.sort(evidence.warmth, axis=1)[np.arange(len(teats)), lines_cold]
-    level = np.median(evidence.warmth, axis=1)
-    # a teat may be warmer than three others, but not something of which only half is seen
-    shown = whole & (evidence.end[:, :2].min(axis=1) > WHOLE_END)
-    partly = [i for i in clean if not shown[i]]
-    for i in _too_warm(level, [i for i in clean if whole[i]], partly, surroundings):
-        reasons[i] = "it is warmer than the teats that are seen well"
-        clean.remove(i)
-    if clean:
-        reference = float(level[clean].max())
-        for i in clean:
-            as_warm = least[i] - surroundings >= p.least_warmth * (reference - surroundings)
-            no_outline = max(evidence.end[i, 2], evidence.side[i, 2]) < p.least_end
-            full = reference - surroundings
-            even = np.ptp(evidence.warmth[i]) <= _EVEN * abs(full)
-            # nothing else has its outline in all pictures, however cool
-            as_shown = in_all[i] and even and least[i] - surroundings > _COLD_GAP * full
-            if (no_outline and not even) or not (
-                as_warm or as_shown or _own_warmth(evidence, i, surroundings, reference)
-            ):
-                reasons[i] = "it isn't warm all over"
+    for i, reason in _unlike_in_warmth(evidence, clean, surroundings, p):
+        reasons[i] = reason
     kept: list[int] = []
     merit = evidence.merit
     for i in sorted((i for i in clean if reasons[i] is None), key=lambda i: -merit[i]):
@@ -269,12 +103,37 @@ def objections(
     return reasons
 
 
-def _too_warm(level: Array, clear: list[int], which: list[int], surroundings: float) -> list[int]:
-    """Those of ``which`` teats whose ``level`` (m,) is well above that of the ``clear`` ones."""
-    if len(clear) < _ENOUGH_CLEAR:
-        return []
-    most = surroundings + _TOO_WARM * (float(np.median(level[clear])) - surroundings)
-    return [i for i in which if level[i] > most]
+def _unlike_in_warmth(
+    evidence: Evidence, clean: list[int], surroundings: float, p: Parameters
+) -> Iterator[tuple[int, str]]:
+    """Which of the ``clean`` teats aren't as warm as teats are, and why."""
+    end, misfit_px = evidence.end, evidence.misfit_px
+    # a straw may hide the warmth of one line
+    whole = (end[:, :2].min(axis=1) > _CLEAR_END) & (misfit_px < p.good_misfit_px)
+    whole &= evidence.both[:, :2].min(axis=1) > _CLEAR_SIDES
+    # another teat that of all but one, where all pictures show the whole end
+    in_all = (end.min(axis=1) > WHOLE_END) & (misfit_px < _CLEAR_MISFIT_PX)
+    in_all &= evidence.side[:, :2].min(axis=1) > _CLEAR_SIDES
+    lines_cold = np.where(in_all, 2, whole)
+    least = np.sort(evidence.warmth, axis=1)[np.arange(len(end)), lines_cold]
+    warmth = np.median(evidence.warmth, axis=1) - surroundings
+    # a teat may be warmer than three others, but not something of which only half is seen
+    clear = [i for i in clean if whole[i]]
+    most = _TOO_WARM * float(np.median(warmth[clear])) if len(clear) >= _ENOUGH_CLEAR else np.inf
+    partly = end[:, :2].min(axis=1) <= WHOLE_END
+    too_warm = [i for i in clean if warmth[i] > most and (partly[i] or not whole[i])]
+    yield from ((i, "it is warmer than the teats that are seen well") for i in too_warm)
+    left = [i for i in clean if i not in too_warm]
+    full = max((float(warmth[i]) for i in left), default=0.0)
+    for i in left:
+        as_warm = least[i] - surroundings >= p.least_warmth * full
+        no_outline = max(end[i, 2], evidence.side[i, 2]) < p.least_end
+        even = np.ptp(evidence.warmth[i]) <= _EVEN * abs(full)
+        # nothing else has its outline in all pictures, however cool
+        as_shown = in_all[i] and even and least[i] - surroundings > _COLD_GAP * full
+        own = as_warm or as_shown or _own_warmth(evidence, i, surroundings, full)
+        if not own or (no_outline and not even):
+            yield i, "it isn't warm all over"
 
 
 def _of_another(ends_mm: Array, merit: Array, udder_mm: float) -> list[int]:
@@ -288,13 +147,13 @@ def _of_another(ends_mm: Array, merit: Array, udder_mm: float) -> list[int]:
     return [i for i, each in enumerate(weight) if each != best]
 
 
-def _own_warmth(evidence: Evidence, i: int, surroundings: float, reference: float) -> bool:
+def _own_warmth(evidence: Evidence, i: int, surroundings: float, full: float) -> bool:
     """Whether the thermal picture shows the teat's own outline, warmer or cooler than what is
-    beside it. ``reference``: the warmest teat.
+    beside it. ``full``: the warmth of the warmest teat.
     """
     shares = [evidence.end[i, 2], evidence.side[i, 2], evidence.both[i, 2]]
     beside = np.nan_to_num(evidence.beside[i], nan=surroundings)
-    inside, full = float(np.median(evidence.warmth[i])), reference - surroundings
+    inside = float(np.median(evidence.warmth[i]))
     unlike = inside - beside
     own = all(share >= least for share, least in zip(shares, _OWN_OUTLINE, strict=True))
     cold = inside - surroundings < _COLD_GAP * full

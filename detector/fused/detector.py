@@ -20,16 +20,7 @@ from detector.fused.covariances import (
     unlike_covariances,
     world_covariances,
 )
-from detector.fused.decide import (
-    Evidence,
-    doubts,
-    maybe_hidden,
-    objections,
-    settled,
-    shapes,
-    warmth_across,
-    weigh,
-)
+from detector.fused.decide import doubts, maybe_hidden, objections, settled, shapes
 from detector.fused.depth_search import (
     Map,
     best_starts,
@@ -38,6 +29,7 @@ from detector.fused.depth_search import (
     sweep_bars,
     sweep_ends,
 )
+from detector.fused.evidence import Evidence, warmth_across, weigh
 from detector.fused.fit import Parameters, View, upright
 from detector.fused.model import COUNT, Rows, apexes, axes
 from detector.fused.refine import (

@@ -1,0 +1,146 @@
+"""What the pictures show of fitted teats: how much of each outline, how close it is, and warmth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detector.fused.edges import CLEAR
+from detector.fused.fit import View
+from detector.fused.model import END, RADIUS, SIDE_A, SIDE_B, Rows, axes
+from detector.fused.refine import FINE_OUTLINE, ROUND_MM, Fitted, side_stops
+from detector.fused.thermal import Field
+from detector.geometry import Array, Camera, Motion
+
+_CLOSE_PX, _MOST_SD_PX = 0.6, 1.2
+WHOLE_END = 0.9
+# merit of the farthest end that sides lead to: a nearer one shows up to 0.28 more of itself, in two
+# pictures, twice
+_FARTHEST = 0.9
+_SHAPED = 2.0  # of a fit of any shape: it was begun where the usual shape doesn't fit
+_ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
+_ACROSS = (-1.7, -0.6, 0.0, 0.6, 1.7)  # of the radius: two lines beside it
+# an end that is seen in part, with both sides: how many of its points are next to a side, and the
+# share of them that is seen where it bends; how far from a round end's its sides may stop; beyond
+# what they go on, unless so much of the end is seen; how far beyond the end they are looked for
+_LEAST_BOTH, _BEND, _BENDS = 0.6, 5, 0.75
+_STOP_MM, _GOES_ON_MM, _PART_OF_END, _BEYOND_MM = 2.0, 7.5, 0.75, 24.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence(Rows):
+    """For m fitted teats: seen shares of the outline (m, 3 views: left, right, thermal); misfit px
+    (m,); warmth (m, 3 lines), and beside it, or NaN; largest standard deviation mm (m,).
+    """
+
+    end: Array
+    side: Array  # the better side
+    both: Array  # the other
+    misfit_px: Array
+    warmth: Array
+    beside: Array  # (m, 2 lines)
+    sd_mm: Array
+    # whether both sides were followed up to where the last of an end is seen
+    followed: NDArray[np.bool_]
+    shaped: NDArray[np.bool_]  # fitted as a short teat of any shape
+    # the median distance (m, 3 parts) of the thermal outline, NaN where it shows none
+    thermal_px: Array
+    # of an end that is seen in part, whether both sides stop there and bend, or go on beyond it
+    stops: NDArray[np.bool_]
+    goes_on: NDArray[np.bool_]
+
+    @property
+    def merit(self) -> Array:
+        """One number (m,) by which the better of two is chosen."""
+        return np.asarray(
+            (2 * self.end + self.side + 0.5 * self.both)[:, :2].sum(axis=1)
+            + self.both[:, :2].min(axis=1)
+            - 4 * self.misfit_px
+            + _FARTHEST * self.followed
+            + _SHAPED * self.shaped
+        )
+
+
+def weigh(fitted: Fitted, covariances: Array, warmth: Array, views: tuple[View, ...]) -> Evidence:
+    """Evidence from edges about m teats in views, covariances (m, 3, 3), and warmth (m, 5)."""
+    seen, part = fitted.seen, FINE_OUTLINE.part
+    m, n = len(fitted.weight), len(part)
+    offset, weight, sd = (
+        np.nan_to_num(a.reshape(m, -1, n), nan=9.0)
+        for a in (seen.offset_px, fitted.weight, seen.sd_px)
+    )
+    good = (weight > 0) & (np.abs(offset) < _CLOSE_PX) & (sd < _MOST_SD_PX)
+    open_ = ~fitted.hidden.reshape(m, -1, n)
+    shares = {
+        p: _share(good[:, :, part == p], open_[:, :, part == p]) for p in (SIDE_A, END, SIDE_B)
+    }
+    optical = weight[:, :2].reshape(m, -1)
+    squares = (offset[:, :2].reshape(m, -1) ** 2 * optical).sum(axis=1)
+    misfit = np.sqrt(squares / np.maximum(optical.sum(axis=1), 1e-9))
+    sides = np.stack([shares[SIDE_A], shares[SIDE_B]])
+    largest = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
+    better, other, thermal = sides.max(axis=0), sides.min(axis=0), _thermal_offsets(fitted)
+    inside, beside = warmth[:, 1:-1], warmth[:, [0, -1]]
+    stops, goes_on = (np.zeros(m, dtype=bool) for _ in range(2))
+    of_end = shares[END][:, :2].mean(axis=1)
+    at = np.flatnonzero((of_end < WHOLE_END) & (other[:, :2].min(axis=1) > _LEAST_BOTH))
+    if len(at):
+        end = good[at][:, :2, part == END]
+        bends = [end[..., :_BEND].mean(axis=2), end[..., -_BEND:].mean(axis=2)]
+        each, together = side_stops(fitted.teats[at], views, _BEYOND_MM)
+        stops[at] = (np.abs(each - ROUND_MM) <= _STOP_MM).all(axis=1)
+        stops[at] &= (np.minimum(*bends) > _BENDS).all(axis=1)
+        goes_on[at] = (together > _GOES_ON_MM) & (of_end[at] < _PART_OF_END)
+    return Evidence(
+        shares[END], better, other, misfit, inside, beside, largest, fitted.followed,
+        fitted.shaped, thermal, stops, goes_on,
+    )  # fmt: skip
+
+
+def _share(good: NDArray[np.bool_], open_: NDArray[np.bool_]) -> Array:
+    """Share (m, views) of good points of those not hidden (m, views, k); mostly hidden: missing."""
+    return np.asarray(
+        (good & open_).sum(axis=2) / np.maximum(open_.sum(axis=2), 0.4 * good.shape[2])
+    )
+
+
+def _thermal_offsets(fitted: Fitted) -> Array:
+    """Median offsets (m, 3 parts) of thermal edges, sensor px; NaN where few edges are clear."""
+    part = FINE_OUTLINE.part
+    thermal = slice(2 * len(part), 3 * len(part))
+    open_, offset = ~fitted.hidden[:, thermal], fitted.seen.offset_px[:, thermal]
+    clear = open_ & (fitted.seen.clarity[:, thermal] > CLEAR) & np.isfinite(offset)
+    medians = np.full((len(clear), 3), np.nan)
+    values = np.where(clear, offset, np.inf)
+    for p in (SIDE_A, END, SIDE_B):
+        at = part == p
+        count = clear[:, at].sum(axis=1)
+        enough = count > 0.5 * np.maximum(open_[:, at].sum(axis=1), 0.3 * at.sum())
+        ranked, rows = np.sort(values[:, at], axis=1), np.flatnonzero(enough)
+        middle = count[rows]
+        medians[rows, p] = 0.5 * (ranked[rows, (middle - 1) // 2] + ranked[rows, middle // 2])
+    return medians
+
+
+def warmth_across(
+    teats: Array, warm: Field, lens: Camera, thermal_from_right: Motion, px_a_sensor_px: float
+) -> Array:
+    """Medians (m, 5) of the thermal picture along lines down teats (m, 8): one to the left, three
+    inside, one to the right; NaN outside.
+    """
+    axis = axes(teats)
+    line = teats[:, None, None, :3] + _ALONG_MM[:, None] * axis[:, None, None]
+    across = np.cross(axis, [0.0, 0.0, -1.0])[:, None, None]
+    aside = np.array(_ACROSS)[:, None, None] * teats[:, None, None, RADIUS, None] * across
+    points = (line + aside).reshape(-1, 3)
+    pixels = (lens.project(thermal_from_right.apply(points)) + 0.5) / px_a_sensor_px - 0.5
+    shape = (len(teats), len(_ACROSS), len(_ALONG_MM), 2)
+    at = np.rint(np.nan_to_num(pixels, nan=-1.0)).astype(int).reshape(shape)
+    rows, columns = warm.shape
+    inside = (at[..., 0] >= 0) & (at[..., 0] < columns) & (at[..., 1] >= 0) & (at[..., 1] < rows)
+    values = warm[np.clip(at[..., 1], 0, rows - 1), np.clip(at[..., 0], 0, columns - 1)]
+    half = len(_ALONG_MM) // 2  # the median of an odd number
+    middle = np.partition(values, half, axis=2)[..., half]
+    return np.where(inside.mean(axis=2) > 0.5, middle, np.nan)
