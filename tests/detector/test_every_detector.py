@@ -93,6 +93,7 @@ def is_an_answer(found: Detection) -> None:
     assert not [word for word in ("\n", "Error", "Traceback") if word in reason]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("what", list(MET))
 def test_it_works_or_says_why_not(name: str, what: str, frames: Pictures, rig: Calibration) -> None:
@@ -116,6 +117,7 @@ def test_a_calibration_without_a_thermal_pose(name: str, frames: Pictures) -> No
     is_an_answer(create(name, []).detect(frames, calibration))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_16_bit_pictures_are_the_8_bit_ones(name: str, frames: Pictures, rig: Calibration) -> None:
     narrow, wide = (create(name, []).detect(f, rig) for f in (frames, MET["16-bit"](frames)))
@@ -125,6 +127,7 @@ def test_16_bit_pictures_are_the_8_bit_ones(name: str, frames: Pictures, rig: Ca
         assert np.allclose(a.world_mm, b.world_mm, atol=0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_read_only_pictures_are_enough(name: str, frames: Pictures, rig: Calibration) -> None:
     fixed = every(np.copy)(frames)

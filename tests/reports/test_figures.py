@@ -146,6 +146,7 @@ def test_any_amount_of_data_makes_a_sound_drawing_that_turns_for_the_dark(
             assert f"{key}-{role}" in tag
 
 
+@pytest.mark.slow
 def test_two_drawings_share_no_id() -> None:
     first = svg_facts(error_histogram([1.0, 2.0], 5.0), "first").ids
     second = svg_facts(error_histogram([1.0, 2.0], 5.0, name="second"), "second").ids

@@ -107,6 +107,7 @@ def test_a_board_that_is_not_seen_is_asked_for_again_with_the_reason(tmp_path: P
     assert lab.text[0].startswith("position 1: refused: no 7 x 5 chessboard found")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lab", "why"),
     [

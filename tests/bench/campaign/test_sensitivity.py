@@ -160,6 +160,7 @@ def test_wrong_use_is_explained(arguments: str, why: str, tmp_path: Path, said: 
     assert wrong.out == ""
 
 
+@pytest.mark.slow
 def test_a_scene_that_cannot_stand_before_the_cameras_is_reported(tmp_path: Path) -> None:
     quantity = replace(QUANTITIES["range"], values=(3.0,))
     plan = Study(families=Study.names([quantity]), scenes=1, detectors=("thesis",))

@@ -170,6 +170,7 @@ def test_a_trend_with_tilt_is_shown_with_its_slope_and_interval() -> None:
     assert "z error with tilt of the teat" in drawn.caption
 
 
+@pytest.mark.slow
 def test_no_trend_few_poses_and_unknown_tilts_say_what_they_are() -> None:
     parts = list(trend_parts(tilted(8, 0.0), "fused"))
     part = message(parts, Table, "Trends of the error")

@@ -177,6 +177,7 @@ def test_serial_instruments_on_pseudo_terminals() -> None:
     clock.close()
 
 
+@pytest.mark.slow
 def test_pseudo_terminals_where_there_are_none(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

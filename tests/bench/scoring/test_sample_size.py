@@ -120,6 +120,7 @@ def test_the_smallest_shift_against_statsmodels(n: int) -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_smallest_shift_by_experiment() -> None:
     shift = detectable_shift(12, 1.0)
     assert shift is not None
@@ -128,6 +129,7 @@ def test_the_smallest_shift_by_experiment() -> None:
     assert float(np.mean(np.abs(t) > 2.201)) == pytest.approx(0.8, abs=0.012)
 
 
+@pytest.mark.slow
 def test_the_poses_for_a_shift() -> None:
     # the textbook's one-sample t test with effect 0.5, 5 %, 80 %
     assert poses_for_shift(0.5, 1.0) == 34

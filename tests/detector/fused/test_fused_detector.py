@@ -103,6 +103,7 @@ def test_calibration_uncertainty_is_added(
         assert np.allclose(more, np.diag([4.0, 0.0, 0.0]), atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gap_mm", [0.0, 1.5])
 def test_touching_teats_are_told_apart(find: Find, udder: list[Body], gap_mm: float) -> None:
     """The thermal picture shows one broad thing; greys differ a little."""
@@ -136,6 +137,7 @@ def test_a_teat_that_one_camera_doesnt_see_is_hidden(
     assert found.hidden == 1
 
 
+@pytest.mark.slow
 def test_the_trace_gives_every_rejected_candidates_reason(find: Find, udder: list[Body]) -> None:
     found = find([*udder[:3], replace(udder[3], seen_by="LT")])
     assert [stage.name for stage in found.trace] == ["thermal", "starts", "decisions"]

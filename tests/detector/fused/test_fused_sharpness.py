@@ -55,6 +55,7 @@ def test_blurred_pictures_are_a_reason(
     assert says in found.reason
 
 
+@pytest.mark.slow
 def test_clipped_and_slightly_blurred_pictures_widen_covariances(
     frames: Pictures, rig: Calibration
 ) -> None:
@@ -69,6 +70,7 @@ def test_clipped_and_slightly_blurred_pictures_widen_covariances(
     assert (blurred > 1.2 * plain).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kelvin", [296.5, 287.0])
 def test_a_quarter_of_another_warmth_is_a_teat(find: Find, kelvin: float) -> None:
     """Cooler than the others, and colder than the room."""

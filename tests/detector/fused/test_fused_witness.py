@@ -42,6 +42,7 @@ def test_cameras_that_disagree_are_a_reason(
     assert says in str(FusedDetector().detect(frames, Applied.parse(change).stated(exact)).reason)
 
 
+@pytest.mark.slow
 def test_a_calibration_that_states_so_much_may_be_off_by_it(
     frames: Pictures, rig: Calibration
 ) -> None:
@@ -50,6 +51,7 @@ def test_a_calibration_that_states_so_much_may_be_off_by_it(
     assert len(FusedDetector().detect(frames, Applied("row", 1.0).stated(loose)).teats) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ["column=0", "column=0.5", "column=-0.5", "focal=0.2"])
 def test_a_small_fault_is_covered_by_what_is_stated(
     frames: Pictures, rig: Calibration, change: str

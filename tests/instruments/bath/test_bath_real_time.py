@@ -158,6 +158,7 @@ def over_tcp() -> Iterator[tuple[Bath, BathEmulator, RealClock]]:
             bath.close()
 
 
+@pytest.mark.slow
 def test_in_real_time_it_works_from_several_threads() -> None:
     before = threading.active_count()
     with over_tcp() as (bath, emulator, _):

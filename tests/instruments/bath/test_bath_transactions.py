@@ -503,6 +503,7 @@ def test_a_url_that_is_none_is_refused_with_why(url: str, said: str) -> None:
     assert said in str(caught.value)
 
 
+@pytest.mark.slow
 @given(url=st.text(max_size=40))
 def test_any_text_is_a_line_or_is_refused(url: str) -> None:
     try:

@@ -387,6 +387,7 @@ def test_events_of_milliseconds_and_buttons(
     assert seen == events
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(st.integers(1, 50), st.integers(0, 3)), max_size=80))
 def test_events_alternate_and_agree_with_what_is_down(steps: list[tuple[int, int]]) -> None:
     debouncer, now_ms = Debouncer(), 0

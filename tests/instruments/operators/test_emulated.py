@@ -92,6 +92,7 @@ def touched_teats(who: EmulatedOperator, here: World, teats: list[int]) -> list[
     return at
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mistakes", "touched"),
     [

@@ -173,6 +173,7 @@ def test_light_is_shared_between_dark_and_light_by_area() -> None:
     assert pictures[0] == pytest.approx(0.5 * (pictures[1] + pictures[2]), rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_board_from_behind_is_plain() -> None:
     away = replace(UPRIGHT, corner_mm=(-50.0, 300.0, 260.0), across=(-1.0, 0.0, 0.0))
     u, v = by_opencv(renderer().cameras[0], UPRIGHT.corners_mm).round().astype(int).T

@@ -148,6 +148,7 @@ def test_the_rounded_end_reaches_its_apex() -> None:
     assert rows[-1] + 0.5 - covered == pytest.approx(top, abs=0.05)
 
 
+@pytest.mark.slow
 def test_nothing_seen_beside_the_outline() -> None:
     share = hidden_share("left", ball((-180.0, 230.0, 200.0), 11.0))
     (u, v), radius = renderer().cameras[0].project(np.array([[-180.0, 230.0, 200.0]]))[0], 13.5

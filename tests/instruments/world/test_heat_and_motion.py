@@ -81,6 +81,7 @@ def test_a_shiny_thing_shows_the_room() -> None:
     assert 20.3 < seen.max() < 21.2
 
 
+@pytest.mark.slow
 def test_board_and_table_have_temperatures_of_their_own() -> None:
     state = replace(NOBODY, backdrop=replace(PLAIN, board_k=0.5, table_k=-0.4))
     seen = renderer().thermal.expected_k(state) - 273.15

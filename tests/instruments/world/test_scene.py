@@ -79,6 +79,7 @@ def test_the_thermal_picture_follows_the_rig_file() -> None:
         Renderer.from_calibration(table, 1)
 
 
+@pytest.mark.slow
 def test_teats_have_their_own_temperatures() -> None:
     state = replace(warm(), teat_temps_c=(30.0, 31.0, 32.0, 33.0))
     seen = renderer().thermal.expected_k(state)

@@ -82,6 +82,7 @@ def test_leans_are_as_named() -> None:
     assert max(leans_deg(found.phantom).max() for found in members("ideal")) <= 2.01
 
 
+@pytest.mark.slow
 def test_overlapping_teats_touch_and_cover() -> None:
     for found in members("overlapping"):
         ends, radii = found.phantom.bases_mm, [teat.shape.radius_mm for teat in found.phantom.teats]
@@ -98,6 +99,7 @@ def _covered(camera: CameraModel, found: Situation, near: int, far: int) -> bool
     return bool(0.0 < abs(pixels[near, 0] - pixels[far, 0]) < sum(radii))
 
 
+@pytest.mark.slow
 def test_what_is_warm_and_cold_is_so() -> None:
     teat, room = 32.5, 20.0
 
@@ -142,6 +144,7 @@ def test_quarters_are_cooler_than_the_warmest_and_rooms_warm() -> None:
     assert 29.0 < max(rooms_c) <= 31.0
 
 
+@pytest.mark.slow
 def test_straws_lie_before_teats_and_legs_behind() -> None:
     for found in members("straw_and_legs"):
         straws = [thing.hulls[0] for thing in found.objects if thing.name == "straw"]
@@ -158,6 +161,7 @@ def test_straws_lie_before_teats_and_legs_behind() -> None:
         assert all(23.0 < scene.temperature_c("teat") + leg.offset_k < 31.0 for leg in legs)
 
 
+@pytest.mark.slow
 def test_teats_of_a_cow_end_where_their_axes_leave_them() -> None:
     flat, lengths = 0, []
     for found in members("cow_teats"):
@@ -188,6 +192,7 @@ def test_teats_of_a_cow_end_where_their_axes_leave_them() -> None:
     assert scene.teat_fall > SceneState(Phantom(()), (), 33.0, 20.0).teat_fall
 
 
+@pytest.mark.slow
 def test_pipes_cross_behind_the_teats_about_as_high_as_their_ends() -> None:
     kinds = set()
     for found in members("cluttered"):
