@@ -73,7 +73,8 @@ _LEAST_MM2 = 1e-6  # so that a covariance always has an inverse
 # of a short teat's end: along its axis and anywhere
 _SHAPE_ALONG_MM, _SHAPE_ACROSS_MM = 0.7, 0.2
 _LEFT_OVER = 0.4, 5.0  # at least and at most
-_USUAL, _MORE = 0.72, 0.8  # in plain light; the more is left over, the longer are the tails
+# in plain light, and of a short teat of any shape; the more is left over, the longer are the tails
+_USUAL, _MORE = (0.72, 0.62), (0.8, 0.4)
 _STRETCH = 4  # points of an outline that share a shift: some 10 px
 
 
@@ -84,15 +85,17 @@ def end_covariances(fitted: Fitted, p: Parameters) -> Array:
     edges share (paint, shadow, sampling), by the scatter of stretches about the outline; the limb
     correction; the end's deviation from half an ellipsoid; the unseen part of the end.
     """
-    if fitted.shaped.any():
-        result = np.empty((len(fitted.teats), 3, 3))
-        at, rest = np.flatnonzero(fitted.shaped), np.flatnonzero(~fitted.shaped)
-        same = replace(fitted, shaped=np.zeros_like(fitted.shaped))
-        if len(rest):
-            result[rest] = end_covariances(same.take(rest), p)
-        result[at] = end_covariances(same.take(at), any_shape(p))
-        result[at] += _shape_covariances(fitted.take(at))
-        return result
+    result = np.empty((len(fitted.teats), 3, 3))
+    for shaped, priors in ((False, p), (True, any_shape(p))):
+        at = np.flatnonzero(fitted.shaped == shaped)
+        if len(at):
+            result[at] = _by_edges(fitted.take(at), priors)
+    at = np.flatnonzero(fitted.shaped)
+    result[at] += _shape_covariances(fitted.take(at))
+    return result
+
+
+def _by_edges(fitted: Fitted, p: Parameters) -> Array:
     m, k = fitted.weight.shape
     optical = 2 * len(FINE_OUTLINE.part)
     # how the ends move with each edge (m, 3, k), mm a px
@@ -140,7 +143,8 @@ def _left_over(fitted: Fitted) -> Array:
     off.sort(axis=1)
     middle = off[np.arange(len(off)), used.sum(axis=1) // 2]
     ratio = np.clip(middle / 0.6745, *_LEFT_OVER)
-    return np.asarray(ratio * (ratio / _USUAL) ** _MORE)
+    usual, more = (np.where(fitted.shaped, *values[::-1]) for values in (_USUAL, _MORE))
+    return np.asarray(ratio * (ratio / usual) ** more)
 
 
 def _stretch_shift(fitted: Fitted, p: Parameters) -> Array:

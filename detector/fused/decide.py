@@ -38,9 +38,9 @@ _FAR_WARM_END = 0.7  # of one that is so far from the others that it may be no t
 # doubtful
 _HALF, _MOST, _LEAST_OTHER, _UNSURE_MM, _HALF_WARM = 0.6, 0.8, 0.5, 2.5, 0.5
 _LEAST_BETWEEN, _LEAST_COLD = 0.65, 0.6  # of the end, where no side is warm; where one isn't
-# sensor px, of a fit that isn't close and of others: a teat's thermal outline is 0.15 within its
-# optical one
-_ALL_ROUND_PX, _HOTTER_K = (-0.02, 0.05), 1.0
+# sensor px, of a short teat of any shape, a fit that isn't close, and others: a teat's thermal
+# outline is 0.15 within its optical one
+_ALL_ROUND_PX, _HOTTER_K = (0.15, -0.02, 0.05), 1.0
 _WARM = 0.9  # of the thermal outline: what makes up for optical edges
 _BOTH_WARM, _LESS = 0.85, 0.03  # of it with both sides; how much less is enough then
 _LEANS = "it leans more than a teat does"
@@ -120,8 +120,8 @@ def _unlike_in_warmth(
     # a teat may be warmer than three others, but not something of which only half is seen
     clear = [i for i in clean if whole[i]]
     most = _TOO_WARM * float(np.median(warmth[clear])) if len(clear) >= _ENOUGH_CLEAR else np.inf
-    partly = end[:, :2].min(axis=1) <= WHOLE_END
-    too_warm = [i for i in clean if warmth[i] > most and (partly[i] or not whole[i])]
+    shown = (whole | in_all) & (end[:, :2].min(axis=1) > WHOLE_END)
+    too_warm = [i for i in clean if warmth[i] > most and not shown[i]]
     yield from ((i, "it is warmer than the teats that are seen well") for i in too_warm)
     left = [i for i in clean if i not in too_warm]
     full = max((float(warmth[i]) for i in left), default=0.0)
@@ -286,12 +286,14 @@ def _too_little(evidence: Evidence) -> NDArray[np.bool_]:
     apart = evidence.misfit_px > _CLEAR_MISFIT_PX
     one_sided = evidence.both[:, :2].min(axis=1) < _LEAST_OTHER
     half = (end.mean(axis=1) < _HALF) & (end.max(axis=1) < _END_ALONE)
-    half &= (evidence.sd_mm > _UNSURE_MM) | (one_sided & apart)
+    faint = ~evidence.shaped & (evidence.side[:, :2].max(axis=1) < WHOLE_END)
+    half &= ((evidence.sd_mm > _UNSURE_MM) & ~evidence.shaped) | ((one_sided | faint) & apart)
     cold = evidence.followed & (thermal < _NO_WARM_END)
     cold &= apart | ((evidence.both[:, 2] < _NO_WARM_END) & (end.min(axis=1) < _LEAST_OTHER))
     cold |= evidence.shaped & np.isnan(evidence.thermal_px[:, END])
-    no_side = evidence.both[:, :2].max(axis=1) < _LEAST_OTHER
-    no_side &= (evidence.side[:, 2] < _NO_WARM_END) & (thermal < _HALF_WARM)
+    alone = evidence.both[:, :2].max(axis=1) < _LEAST_OTHER
+    no_side = one_sided & (evidence.side[:, 2] < _NO_WARM_END) & (end.min(axis=1) < WHOLE_SIDE)
+    no_side &= thermal < np.where(alone, _HALF_WARM, _NO_WARM_END)
     return np.asarray(half | ((end.mean(axis=1) < _MOST) & cold) | no_side)
 
 
@@ -389,7 +391,8 @@ def _elsewhere(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     off, most = np.nan_to_num(evidence.thermal_px), p.greatest_thermal_px
     sides = off[:, [SIDE_A, SIDE_B]]
     known = np.isfinite(evidence.thermal_px)
-    least = np.where(evidence.misfit_px > _CLEAR_MISFIT_PX, *_ALL_ROUND_PX)
+    apart = evidence.misfit_px > _CLEAR_MISFIT_PX
+    least = np.select([evidence.shaped, apart], _ALL_ROUND_PX[:2], _ALL_ROUND_PX[2])
     all_round = np.where(known, off, np.inf).min(axis=1) > least
     all_round &= (known.sum(axis=1) > 1) & (evidence.end[:, :2].mean(axis=1) < WHOLE_END)
     # before what is hotter a thermal outline is another
