@@ -150,6 +150,8 @@ def members() -> list[Seen]:
         pytest.param("cooler_bodies", (1111, 71146), id="whole end, both sides in warmth only"),
         pytest.param("cooler_bodies", (1111, 71172), id="end and sides whole in warmth only"),
         pytest.param("overlapping", (1111, 70248), id="a whole end, one side in one picture"),
+        pytest.param("cool_quarters", (20261130, 700638), id="the warmest quarter, a side in part"),
+        pytest.param("cow_teats", (1111, 70098), id="a shape whose edges fit nothing closely"),
     ],
 )
 def test_each_visible_end_is_found_and_none_else(
@@ -178,6 +180,8 @@ def test_each_visible_end_is_found_and_none_else(
         pytest.param("hot_body_at_ends", 20261129, 600776, id="half an end, nothing of it warm"),
         pytest.param("hot_body_at_ends", 20261129, 600981, id="an end that isn't warm, not close"),
         pytest.param("cooler_bodies", 1113, 73122, id="two thirds of a thermal end alone"),
+        pytest.param("missing_or_hidden", 20261130, 700379, id="half an end with faint sides"),
+        pytest.param("overlapping", 20261130, 700939, id="a side in one picture, nothing warm"),
     ],
 )
 def test_nothing_false_is_found(family: str, noise: int, member: int) -> None:
