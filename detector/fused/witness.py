@@ -38,18 +38,16 @@ _SDS = 3.0  # of what the calibration states
 @dataclass(frozen=True, slots=True)
 class Agreement:
     """How far the cameras disagree: right rows against left, px; thermal against optical
-    columns and rows, sensor px; NaN where no teat shows it. ``ratio``: sensor px a px of disparity.
+    columns and rows, sensor px, most teats by as much or more; NaN where no teat shows it.
+    ``disparity_px``: what would explain the median of the thermal columns; 0 if unknown.
+    ``ratio``: sensor px a px of disparity.
     """
 
     teats: int
     rows_px: float
     thermal_px: tuple[float, float]
+    disparity_px: float
     ratio: float
-
-    @property
-    def disparity_px(self) -> float:
-        """The disparity (px) that would explain what the thermal columns show; 0 if unknown."""
-        return abs(float(np.nan_to_num(self.thermal_px[0]))) / self.ratio
 
 
 def agreement(
@@ -62,7 +60,7 @@ def agreement(
     thermal_mm = abs(float((pose.R.T @ pose.T)[0]))
     optical = calibration.right.fc[0] * calibration.baseline_mm
     ratio = max(lens.fc[0] / size * thermal_mm / optical, 1e-3)
-    nothing = Agreement(0, np.nan, (np.nan, np.nan), ratio)
+    nothing = Agreement(0, np.nan, (np.nan, np.nan), 0.0, ratio)
     if not which:
         return nothing
     some = fitted.take(which)
@@ -73,7 +71,9 @@ def agreement(
         _middle(shift[known[:, i], i]) if known[:, i].any() else np.nan for i in range(2)
     )
     pooled = float(rows @ row_weight / max(row_weight.sum(), 1e-9))
-    return Agreement(len(which), pooled, (columns, down), ratio)
+    across = shift[known[:, 0], 0]
+    disparity = abs(float(np.median(across))) / ratio if len(across) else 0.0
+    return Agreement(len(which), pooled, (columns, down), disparity, ratio)
 
 
 def _middle(shifts: Array) -> float:
