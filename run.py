@@ -24,7 +24,7 @@ VENV = ROOT / ".venv"
 CONSTRAINTS = ROOT / "constraints.txt"
 NEEDED = (3, 11)
 PYTEST_OPTIONS = (
-    *("-n", str(4 * (os.cpu_count() or 1))),  # most of a test in real time is waiting
+    *("-n", str(3 * (os.cpu_count() or 1))),  # most of a test in real time is waiting
     *("--dist", "loadfile", "--no-loadscope-reorder"),  # slow files first: tests/conftest.py
     *("--max-worker-restart", "0"),  # a test that killed its worker would kill the next one
 )
