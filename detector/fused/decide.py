@@ -250,7 +250,7 @@ def _alone(teats: Array, evidence: Evidence, p: Parameters) -> list[str | None]:
         *in_one,
         (evidence.goes_on, "its sides are seen beyond its end"),
         (one_sees, "a side of it is seen in one picture only"),
-        (_too_little(evidence), "too little of its end and sides is seen for what they say"),
+        (_too_little(evidence), "part of its end is seen, and something else is doubtful too"),
         (evidence.misfit_px > p.greatest_misfit_px, OUTLINE),
         (~sized, _SIZE),
         (np.abs(teats[:, [LEAN_X, LEAN_Z]]).max(axis=1) > p.greatest_lean, _LEANS),
