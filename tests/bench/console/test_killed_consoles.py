@@ -90,12 +90,15 @@ EXACT = (
 
 
 def contents(folder: Path) -> tuple[list[Row], Floats]:
-    """What a run's record says but for its times: trials, touches, truths and what was found, in
-    their order; and where all of it is, mm.
+    """What a run's record says but for its times: trials, touches and truths in their order, and
+    what was found from left to right, as a detector lists the surest end first and a trembling
+    hand moves which that is; and where all of it is, mm.
     """
     rows: list[Row] = []
     for trial in read_run(folder).trials:
-        rows += [trial.head, *trial.touches, *trial.truth, *trial.found]
+        found = sorted(trial.found, key=lambda row: row["x_mm"])
+        rows += [trial.head, *trial.touches, *trial.truth]
+        rows += [{**row, "number": number} for number, row in enumerate(found)]
     places = [[row[f"{axis}_mm"] for axis in "xyz"] for row in rows if "x_mm" in row]
     return [{key: row[key] for key in EXACT if key in row} for row in rows], np.array(places)
 
