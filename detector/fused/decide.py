@@ -43,6 +43,11 @@ _LEAST_BETWEEN, _LEAST_COLD = 0.65, 0.6  # of the end, where no side is warm; wh
 _ALL_ROUND_PX, _HOTTER_K = (0.15, -0.02, 0.05), 1.0
 _WARM = 0.9  # of the thermal outline: what makes up for optical edges
 _BOTH_WARM, _LESS = 0.85, 0.03  # of it with both sides; how much less is enough then
+# of the thermal end, and of the end in both optical pictures and in the mean; how far beyond the
+# fit warmth may reach, sensor px: what makes up for sides in the optical pictures
+_WARM_ARC, _HALF_ARC, _BEYOND_PX = 0.78, (0.45, 0.5), 0.12
+_ALIKE_PX = 0.15  # the misfit of nothing that looks like a teat's end by chance
+_WHOLE_SD_MM = 13.0  # of an end that all pictures show whole
 _LEANS = "it leans more than a teat does"
 _SIZE = "it isn't of a teat's size"
 OUTLINE = "its outline isn't that of a teat"
@@ -246,6 +251,9 @@ def _alone(teats: Array, evidence: Evidence, p: Parameters) -> list[str | None]:
     within = (teats[:, CZ] > p.nearest_mm) & (teats[:, CZ] < p.farthest_mm)
     least = np.where(evidence.misfit_px < _CLOSE_THEN_PX, _LEAST_END_CLOSE, _LEAST_END_THEN)
     one_sees = one_sees_a_side(evidence) & (evidence.end[:, :2].min(axis=1) < least)
+    led_to = evidence.followed & (evidence.side.min(axis=1) > WHOLE_SIDE)
+    one_sees &= ~(led_to & (evidence.misfit_px < _LED_TO_PX))
+    most_mm = np.where(evidence.end.min(axis=1) > WHOLE_END, _WHOLE_SD_MM, p.greatest_sd_mm)
     rules: list[tuple[NDArray[np.bool_], str]] = [
         *in_one,
         (evidence.goes_on, "its sides are seen beyond its end"),
@@ -257,7 +265,7 @@ def _alone(teats: Array, evidence: Evidence, p: Parameters) -> list[str | None]:
         (~within, "it is outside of the working volume"),
         (np.isnan(evidence.warmth.sum(axis=1)), "the thermal picture doesn't reach it"),
         (_elsewhere(evidence, p), ELSEWHERE),
-        (evidence.sd_mm > p.greatest_sd_mm, _UNSURE),
+        (evidence.sd_mm > most_mm, _UNSURE),
     ]
     reasons: list[str | None] = [None] * len(teats)
     for objected, words in reversed(rules):
@@ -327,8 +335,18 @@ def _one_sided(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     enough = sure & (evidence.side.min(axis=1) > WHOLE_SIDE)
     whole = np.minimum(evidence.end[:, :2] - WHOLE_END, evidence.side[:, :2] - WHOLE_SIDE) > 0
     close = (evidence.misfit_px < _CLEAR_MISFIT_PX) & (evidence.sd_mm < _SURE_MM)
-    enough |= whole.all(axis=1) & close
+    enough |= (whole.all(axis=1) & close) | _warm_outline(evidence)
     return np.asarray((evidence.both[:, :2].max(axis=1) < p.least_side) & ~enough)
+
+
+def _warm_outline(evidence: Evidence) -> NDArray[np.bool_]:
+    """Of which of m teats warmth shows the outline all round and not beyond the fit, and the
+    optical pictures half of the end.
+    """
+    end, beyond = evidence.end, np.nan_to_num(evidence.thermal_px).max(axis=1)
+    warm = (end[:, 2] > _WARM_ARC) & (evidence.both[:, 2] > _WARM) & (beyond < _BEYOND_PX)
+    half = (end[:, :2].min(axis=1) > _HALF_ARC[0]) & (end[:, :2].mean(axis=1) > _HALF_ARC[1])
+    return np.asarray(warm & half & (evidence.misfit_px < _ALIKE_PX))
 
 
 def _too_little_seen(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
@@ -368,7 +386,9 @@ def _no_side(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     held |= (end > 0.6) & (thermal > 0.8) & (side > 0.5)
     both_warm = evidence.both[:, 2] > 0.95
     held |= both_warm & (end > 0.57) & (evidence.end[:, 2] > 0.95)
-    held |= both_warm & (end > WHOLE_END) & (evidence.end[:, 2] > _THERMAL_END)
+    of_end = evidence.end[:, :2].mean(axis=1)
+    alike = evidence.misfit_px < _ALIKE_PX
+    held |= alike & (of_end > 0.7) & (evidence.end[:, 2] > 0.4) & (evidence.side[:, 2] > _WARM)
     sure = (evidence.misfit_px < _SURE_MISFIT_PX) & (evidence.sd_mm < _SURE_MM)
     held |= sure & (evidence.end.min(axis=1) > WHOLE_SIDE) & (side > WHOLE_SIDE)
     return np.asarray((evidence.side[:, :2] < p.least_side) & ~held[:, None])

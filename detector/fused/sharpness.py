@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from detector.fused.edges import LEAST_CLEAR, sample
 from detector.fused.fit import View
-from detector.fused.model import END, apexes, axes
+from detector.fused.model import END, SIDE_A, SIDE_B, apexes, axes
 from detector.fused.refine import FINE_OUTLINE, Fitted
 from detector.geometry import Array
 
@@ -52,7 +52,7 @@ def sharpness(fitted: Fitted, views: tuple[View, View]) -> Sharpness:
         return Sharpness(0.0, 0.0, np.zeros((0, 2)))
     seen, outer = fitted.seen, _X_PX > 1.5  # clear of the edge
     inner = outer[::-1]
-    widths, clipped = np.full((m, 2, 2), np.nan), np.zeros((m, 2, 2))
+    widths, clipped = np.full((m, 2, 3), np.nan), np.zeros((m, 2, 3))
     for number, view in enumerate(views):
         at = slice(number * n, (number + 1) * n)
         offset, normals = np.nan_to_num(seen.offset_px[:, at]), seen.normals[:, at]
@@ -61,20 +61,25 @@ def sharpness(fitted: Fitted, views: tuple[View, View]) -> Sharpness:
         lines = lines.reshape(m, n, -1)
         usable = (fitted.weight[:, at] > 0) & (seen.clarity[:, at] > LEAST_CLEAR)
         usable &= np.isfinite(lines[..., 0])
-        of_end = FINE_OUTLINE.part == END
-        parts = (usable & ~of_end, usable & of_end & (np.abs(normals[..., 1]) > _UPWARDS))
+        # one side may be darker than what is behind it, the other brighter
+        usable &= (FINE_OUTLINE.part != END) | (np.abs(normals[..., 1]) > _UPWARDS)
         white = lines >= _CLIPPED_LEVEL * float(view.field.max())
-        for k, part in enumerate(parts):
+        for k in (SIDE_A, SIDE_B, END):
             for i in range(m):
-                which = part[i]
+                which = usable[i] & (FINE_OUTLINE.part == k)
                 if which.sum() >= _LEAST_LINES:
                     noise = view.noise / np.sqrt(which.sum())
                     widths[i, number, k] = _width(lines[i, which].mean(axis=0), noise)
                     if white[i, which].any():
                         shares = [white[i, which][:, beyond].mean() for beyond in (inner, outer)]
                         clipped[i, number, k] = max(shares)
-    side, end = (_lower_quartile(widths[..., part]) for part in range(2))
-    return Sharpness(side, end, clipped.max(axis=1))
+    sides = np.array([SIDE_A, SIDE_B])
+    most = clipped.max(axis=1)
+    return Sharpness(
+        _lower_quartile(widths[..., sides]),
+        _lower_quartile(widths[..., END]),
+        np.column_stack([most[:, sides].max(axis=1), most[:, END]]),
+    )
 
 
 def _width(profile: NDArray[np.float32], noise: float) -> float:
@@ -98,8 +103,8 @@ def _to_half(share: NDArray[np.float32]) -> float:
 
 
 def _lower_quartile(widths_px: Array) -> float:
-    """Of a part's widths (m, 2), NaN where unknown: blur widens all of them, a shaded end its own.
-    0 where hardly one is known.
+    """Of a part's widths, NaN where unknown: blur widens all of them, a shaded end its own. 0 where
+    hardly one is known.
     """
     known = widths_px[np.isfinite(widths_px)]
     enough = len(known) >= max(_KNOWN * widths_px.size, 2)

@@ -152,6 +152,11 @@ def members() -> list[Seen]:
         pytest.param("overlapping", (1111, 70248), id="a whole end, one side in one picture"),
         pytest.param("cool_quarters", (20261130, 700638), id="the warmest quarter, a side in part"),
         pytest.param("cow_teats", (1111, 70098), id="a shape whose edges fit nothing closely"),
+        pytest.param("low_contrast", (1114, 80092), id="a dark and a bright side: no motion"),
+        pytest.param("cooler_bodies", (1114, 80574), id="most of the end, a side in warmth only"),
+        pytest.param("low_contrast", (1114, 80345), id="half the end, the outline in warmth"),
+        pytest.param("cooler_bodies", (1114, 80580), id="both sides lead to it in one picture"),
+        pytest.param("overlapping", (1114, 80725), id="a whole end at an unsure place"),
     ],
 )
 def test_each_visible_end_is_found_and_none_else(
