@@ -116,6 +116,8 @@ def _unlike_in_warmth(
     # a straw may hide the warmth of one line
     whole = (end[:, :2].min(axis=1) > _CLEAR_END) & (misfit_px < p.good_misfit_px)
     whole &= evidence.both[:, :2].min(axis=1) > _CLEAR_SIDES
+    one_side = np.minimum(end[:, :2].min(axis=1), evidence.side.min(axis=1)) > WHOLE_SIDE
+    whole |= one_side & (misfit_px < _SURE_MISFIT_PX)
     # another teat that of all but one, where all pictures show the whole end
     in_all = (end.min(axis=1) > WHOLE_END) & (misfit_px < _CLEAR_MISFIT_PX)
     in_all &= evidence.side[:, :2].min(axis=1) > _CLEAR_SIDES
@@ -313,7 +315,7 @@ def _end_unseen(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     close = evidence.misfit_px < _SURE_MISFIT_PX
     least = np.where(followed, p.least_end_followed, p.least_end_alone)
     least[followed & close & (evidence.both[:, 2] > _BOTH_SIDES)] = p.least_end_sure
-    alone = (mean < least) & (thermal < np.where(followed, _LEAST_BETWEEN, 0.5))
+    alone = (mean < least) & (thermal < np.where(followed, _THERMAL_END, 0.5))
     # a gap has two sides too
     warm = np.isfinite(evidence.thermal_px[:, [SIDE_A, SIDE_B]])
     cold = evidence.followed & ~warm.any(axis=1)
@@ -326,6 +328,12 @@ def _end_unseen(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     led_to = evidence.followed & (sides > _CLEAR_SIDES) & (evidence.misfit_px < _LED_TO_PX)
     led_to &= thermal > _NO_WARM_END
     held |= led_to & (end.max(axis=1) > _LED_TO[0]) & (mean > _LED_TO[1])
+    # before an arm as warm as it is, warmth shows a side of a teat, but nothing of its end
+    within = np.nan_to_num(evidence.thermal_px[:, [SIDE_A, SIDE_B]], nan=-1.0).max(axis=1) < 0.0
+    before_arm = within & (evidence.side[:, 2] > 0.45) & (thermal < 0.1) & ~evidence.goes_on
+    before_arm &= (sides > _BOTH_SIDES) & (evidence.side[:, :2].min(axis=1) > 0.95)
+    before_arm &= evidence.followed & (evidence.misfit_px < _LED_TO_PX)
+    held |= before_arm & (end.min(axis=1) > 0.4) & (mean > 0.45)
     return np.asarray(short & ~(held | thermal_ends(evidence, p))[:, None])
 
 
@@ -387,7 +395,7 @@ def _no_side(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     both_warm = evidence.both[:, 2] > 0.95
     held |= both_warm & (end > 0.57) & (evidence.end[:, 2] > 0.95)
     of_end = evidence.end[:, :2].mean(axis=1)
-    alike = evidence.misfit_px < _ALIKE_PX
+    alike = (evidence.misfit_px < _ALIKE_PX) & ~evidence.shaped
     held |= alike & (of_end > 0.7) & (evidence.end[:, 2] > 0.4) & (evidence.side[:, 2] > _WARM)
     sure = (evidence.misfit_px < _SURE_MISFIT_PX) & (evidence.sd_mm < _SURE_MM)
     held |= sure & (evidence.end.min(axis=1) > WHOLE_SIDE) & (side > WHOLE_SIDE)
@@ -415,13 +423,16 @@ def _elsewhere(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     least = np.select([evidence.shaped, apart], _ALL_ROUND_PX[:2], _ALL_ROUND_PX[2])
     all_round = np.where(known, off, np.inf).min(axis=1) > least
     all_round &= (known.sum(axis=1) > 1) & (evidence.end[:, :2].mean(axis=1) < WHOLE_END)
+    # what is cold and before one side hides its warmth
+    within = known.all(axis=1) & (np.abs(off[:, END]) < 0.3) & (np.abs(sides.max(axis=1)) < 0.3)
+    within &= (evidence.misfit_px < 0.07) & (evidence.end[:, :2].mean(axis=1) > 0.65)
     # before what is hotter a thermal outline is another
     beside = np.nan_to_num(evidence.beside, nan=-np.inf).min(axis=1)
     all_round &= beside < np.median(evidence.warmth, axis=1) + _HOTTER_K
     return np.asarray(
         all_round
         | (np.abs(off[:, END]) > most)
-        | (sides.min(axis=1) < -most)
+        | ((sides.min(axis=1) < -most) & ~within)
         | (sides > most).all(axis=1)
     )
 
