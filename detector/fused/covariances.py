@@ -74,7 +74,7 @@ _LEAST_MM2 = 1e-6  # so that a covariance always has an inverse
 _SHAPE_ALONG_MM, _SHAPE_ACROSS_MM = 0.7, 0.2
 _LEFT_OVER = 0.4, 5.0  # at least and at most
 # in plain light, and of a short teat of any shape; the more is left over, the longer are the tails
-_USUAL, _MORE = (0.72, 0.62), (0.8, 0.4)
+_USUAL, _MORE = (0.78, 0.62), (0.8, 0.4)
 _STRETCH = 4  # points of an outline that share a shift: some 10 px
 
 
@@ -112,7 +112,7 @@ def _by_edges(fitted: Fitted, p: Parameters) -> Array:
     axis = axes(fitted.teats)[..., None]
     near = np.abs(fitted.seen.offset_px[:, :optical]) < 2 * _SUPPORT_PX
     shown = (near & (fitted.weight[:, :optical] > 0))[:, part == END].mean(axis=1)
-    unseen = (1.0 - shown) * p.unseen_end_sd_mm
+    unseen = (1.0 - shown) ** 2 * p.unseen_end_sd_mm
     moves = [
         noise,
         stretches * shift,
@@ -175,8 +175,23 @@ def world_covariances(own: Array, ends_mm: Array, calibration: Calibration) -> A
 
 
 _LEAST_OTHER_SIDE = 0.2  # of a teat's own other side
+_NEIGHBOUR_PX = 0.1  # how far beyond a side warmth goes on, sensor px, where a neighbour is
+_DISPARITY_A_PX2 = 7.8  # sd of the disparity, px, of the square of the misfit
+_FAR_WITHIN_PX, _MORE_WITHIN = -0.3, 2.0  # sensor px; of a variance
 # one picture shows more of both than the other: of a side, of an end
 _UNLIKE_SIDE, _UNLIKE_END = 0.2, 0.1
+
+
+def at_least(own: Array, depth_mm: Array, evidence: Evidence, calibration: Calibration) -> Array:
+    """Covariances ``own`` (m, 3, 3) of fits ``depth_mm`` (m,) away, widened to the disparity by
+    which fits with such edges were off, and where the thermal outline is far within theirs.
+    """
+    mm_a_px = depth_mm**2 / (calibration.right.fc[0] * calibration.baseline_mm)
+    least_mm = mm_a_px * _DISPARITY_A_PX2 * evidence.misfit_px**2
+    wider = np.maximum(1.0, least_mm**2 / own[:, 2, 2])
+    within = np.nan_to_num(evidence.thermal_px).min(axis=1) < _FAR_WITHIN_PX
+    wider *= np.where(within, _MORE_WITHIN, 1.0)
+    return np.asarray(own * wider[:, None, None])
 
 
 def unlike_covariances(teats: Array, evidence: Evidence, p: Parameters) -> Array:
@@ -203,9 +218,13 @@ def unlike_covariances(teats: Array, evidence: Evidence, p: Parameters) -> Array
     short_seen = evidence.shaped | (evidence.side[:, :2].max(axis=1) < WHOLE_SIDE)
     across2 = one_side * np.where(short_seen, p.short_one_side_sd_mm, p.one_side_sd_mm) ** 2
     across2 += (evidence.both[:, :2].min(axis=1) < WHOLE_END) * p.part_of_side_sd_mm**2
+    covered = ~one_side & (evidence.both[:, 2] <= _LEAST_OTHER_SIDE)
+    across2 += covered * np.where(evidence.followed, p.covered_led_to_sd_mm, p.covered_sd_mm) ** 2
+    beyond = np.nan_to_num(evidence.thermal_px[:, [SIDE_A, SIDE_B]], nan=-1.0).max(axis=1)
+    across2 += (one_side & (beyond > _NEIGHBOUR_PX)) * p.neighbour_sd_mm**2
     sight = teats[:, :3] / np.linalg.norm(teats[:, :3], axis=1, keepdims=True)
     sides, ends = (np.ptp(share[:, :2], axis=1) for share in (evidence.both, evidence.end))
-    deep2 = (sides > UNLIKE_SIDES) * p.one_sees_sd_mm**2
+    deep2 = (sides > UNLIKE_SIDES) * (p.one_sees_mm_a_px * evidence.misfit_px) ** 2
     deep2 += one_sees_a_side(evidence) * p.one_sees_in_part_sd_mm**2
     unlike = (sides > _UNLIKE_SIDE) & (ends > _UNLIKE_END) & np.isfinite(thermal_end)
     deep2 += (unlike | (ends > UNLIKE_SIDES)) * p.unlike_sd_mm**2

@@ -135,15 +135,19 @@ class Parameters:
     end_at_stop_sd_mm: float = 1.0  # or that is where both stop;
     # of an end that only the thermal picture shows;
     thermal_end_sd_mm: float = 2.0
-    # along the line of sight, where one picture shows a side that the other doesn't; and no whole
-    # end either
-    one_sees_sd_mm: float = 1.0
+    # along the line of sight, where one picture shows a side that the other doesn't: a px of
+    # misfit; and no whole end either
+    one_sees_mm_a_px: float = 10.0
     one_sees_in_part_sd_mm: float = 1.5
     unlike_sd_mm: float = 2.5  # or of both side and end one more than the other
     # across one with a side that an optical picture doesn't show, more where its sides are short
-    one_side_sd_mm: float = 0.13
+    one_side_sd_mm: float = 0.05
     short_one_side_sd_mm: float = 1.0
-    part_of_side_sd_mm: float = 0.04  # or in part: a neighbour's may run into it
+    part_of_side_sd_mm: float = 0.03  # or in part: a neighbour's may run into it;
+    neighbour_sd_mm: float = 0.3  # with one side, and a neighbour as warm;
+    # with both, of which warmth shows one, where sides led to the end, and else
+    covered_led_to_sd_mm: float = 0.4
+    covered_sd_mm: float = 0.035
     short_sd_mm: float = 0.29  # anywhere, of one with short sides
     # sd of the disparity where a calibration states no uncertainty: what a frame's thermal outlines
     # leave unknown on the thesis's rig
