@@ -40,7 +40,7 @@ def run(given: argparse.Namespace) -> int:
             outcomes(load_offsets(path), rig.calibration)
             print("nothing wrong. This script opens no instrument.")
             return CODES.met
-        from bench.report.thesis import run_offsets
+        from bench.report.pixel_offsets import run_offsets
 
         return _offsets_reported(run_offsets(rig, path, given.out))
     script = load_script(path, rig.rig.limits.set_point_c)
@@ -148,7 +148,7 @@ def score(given: argparse.Namespace) -> int:
 
 
 def _offsets_reported(folder: Path) -> int:
-    from bench.report.thesis import offset_text, report_offsets
+    from bench.report.pixel_offsets import offset_text, report_offsets
 
     page, loaded, found, verdict = report_offsets(folder)
     for one in found:
@@ -164,7 +164,7 @@ def _offsets_reported(folder: Path) -> int:
 def report(given: argparse.Namespace) -> int:
     from bench.cli.verdict import show_verdict
     from bench.report.page import PDF, REPORT, write_run_report
-    from bench.report.thesis import is_offset_run
+    from bench.report.pixel_offsets import is_offset_run
     from reports.pdf import find_browser, print_pdf
     from reports.render import WHOLE
     from reports.trust import PageError

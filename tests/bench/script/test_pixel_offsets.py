@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from bench.config import ConfigError
-from bench.report.thesis import beyond_axes, published_move_mm
+from bench.report.pixel_offsets import beyond_axes, published_move_mm
 from bench.rig.loading import find_rig, load_rig
 from bench.script.model import TRIALS, find_script
 from bench.script.pixel_offsets import (
