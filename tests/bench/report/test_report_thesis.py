@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 from bench.record.reader import RunRecord
+from bench.report.pixel_offsets import offset_page
 from bench.report.thesis import (
     PLANE,
     elsewhere_table,
     largest_region_mm,
-    offset_page,
     places_of,
     published_counts,
     thesis_chapter,
