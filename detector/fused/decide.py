@@ -78,7 +78,6 @@ _COLD_GAP = 0.2  # as is what has less warmth than this, between two that have m
 # the mean, where the fit is close
 _LEAST_STOPPING, _LED_TO, _LED_TO_PX = 0.38, (0.7, 0.53), 0.08
 _BARREL_MM, _NARROWEST_MM = 20.0, 5.5  # how far below its end a teat is judged; an end's radius
-_TEATS = 4  # of an udder
 _AXIS_MM = np.linspace(0.0, 60.0, 7)
 
 
@@ -105,6 +104,8 @@ def objections(
         for i in _of_another(ends_mm, merit[kept], gap_mm):
             if doubtful[i] or evidence.shaped[kept[i]]:
                 reasons[kept[i]] = _FAR
+    for i in [i for i in kept if reasons[i] is None][p.teats :]:  # the best come first
+        reasons[i] = "it is one more than an udder has teats, and the worst"
     return reasons
 
 
@@ -170,11 +171,11 @@ def _own_warmth(evidence: Evidence, i: int, surroundings: float, full: float) ->
 
 
 def settled(evidence: Evidence, reasons: list[str | None], p: Parameters) -> bool:
-    """Whether four teats or more are accepted, all of them with their whole ends and sides."""
+    """Whether an udder of teats is accepted, all of them with their whole ends and sides."""
     accepted = [i for i, reason in enumerate(reasons) if reason is None]
     end, side = evidence.end[accepted, :2], evidence.both[accepted, :2]
     whole = (end > p.whole_end_both) & (side > _CLEAR_SIDES)
-    return bool(len(accepted) >= _TEATS and whole.all())
+    return bool(len(accepted) >= p.teats and whole.all())
 
 
 def doubts(

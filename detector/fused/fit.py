@@ -78,6 +78,7 @@ class Parameters:
     greatest_radius_mm: float = 15.0
     greatest_lean: float = 0.5  # slope, some 27 degrees: teats lean by less than 20 either way
     prior: Prior = field(default_factory=Prior)
+    teats: int = 4  # of an udder: no more are given
     most_nominations: int = 20
     most_bars: int = 8
     starts_per_nomination: int = 4

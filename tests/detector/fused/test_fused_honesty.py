@@ -187,6 +187,9 @@ def test_each_visible_end_is_found_and_none_else(
         pytest.param("cooler_bodies", 1113, 73122, id="two thirds of a thermal end alone"),
         pytest.param("missing_or_hidden", 20261130, 700379, id="half an end with faint sides"),
         pytest.param("overlapping", 20261130, 700939, id="a side in one picture, nothing warm"),
+        pytest.param("anywhere", 20261202, 900229, id="a fifth end, whole"),
+        pytest.param("cluttered", 20261202, 900505, id="a fifth end, both sides"),
+        pytest.param("hot_body_at_ends", 20261202, 900794, id="a fifth end before an arm"),
     ],
 )
 def test_nothing_false_is_found(family: str, noise: int, member: int) -> None:
