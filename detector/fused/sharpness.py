@@ -52,7 +52,7 @@ def sharpness(fitted: Fitted, views: tuple[View, View]) -> Sharpness:
         return Sharpness(0.0, 0.0, np.zeros((0, 2)))
     seen, outer = fitted.seen, _X_PX > 1.5  # clear of the edge
     inner = outer[::-1]
-    widths, clipped = np.full((m, 2, 3), np.nan), np.zeros((m, 2, 3))
+    widths, clipped = np.full((m, 2, 2), np.nan), np.zeros((m, 2, 2))
     for number, view in enumerate(views):
         at = slice(number * n, (number + 1) * n)
         offset, normals = np.nan_to_num(seen.offset_px[:, at]), seen.normals[:, at]
@@ -61,25 +61,25 @@ def sharpness(fitted: Fitted, views: tuple[View, View]) -> Sharpness:
         lines = lines.reshape(m, n, -1)
         usable = (fitted.weight[:, at] > 0) & (seen.clarity[:, at] > LEAST_CLEAR)
         usable &= np.isfinite(lines[..., 0])
-        # one side may be darker than what is behind it, the other brighter
-        usable &= (FINE_OUTLINE.part != END) | (np.abs(normals[..., 1]) > _UPWARDS)
+        of_end = FINE_OUTLINE.part == END
+        parts = (usable & ~of_end, usable & of_end & (np.abs(normals[..., 1]) > _UPWARDS))
         white = lines >= _CLIPPED_LEVEL * float(view.field.max())
-        for k in (SIDE_A, SIDE_B, END):
+        # a side that is darker than what is behind it, and one that is brighter, are alike
+        steps = np.where(usable, lines[..., outer].mean(axis=2) - lines[..., inner].mean(axis=2), 0)
+        for one in (SIDE_A, SIDE_B):
+            of_side = FINE_OUTLINE.part == one
+            lines[:, of_side] *= np.sign(steps[:, of_side].sum(axis=1))[:, None, None]
+        for k, part in enumerate(parts):
             for i in range(m):
-                which = usable[i] & (FINE_OUTLINE.part == k)
+                which = part[i]
                 if which.sum() >= _LEAST_LINES:
                     noise = view.noise / np.sqrt(which.sum())
                     widths[i, number, k] = _width(lines[i, which].mean(axis=0), noise)
                     if white[i, which].any():
                         shares = [white[i, which][:, beyond].mean() for beyond in (inner, outer)]
                         clipped[i, number, k] = max(shares)
-    sides = np.array([SIDE_A, SIDE_B])
-    most = clipped.max(axis=1)
-    return Sharpness(
-        _lower_quartile(widths[..., sides]),
-        _lower_quartile(widths[..., END]),
-        np.column_stack([most[:, sides].max(axis=1), most[:, END]]),
-    )
+    side, end = (_lower_quartile(widths[..., part]) for part in range(2))
+    return Sharpness(side, end, clipped.max(axis=1))
 
 
 def _width(profile: NDArray[np.float32], noise: float) -> float:
@@ -103,8 +103,8 @@ def _to_half(share: NDArray[np.float32]) -> float:
 
 
 def _lower_quartile(widths_px: Array) -> float:
-    """Of a part's widths, NaN where unknown: blur widens all of them, a shaded end its own. 0 where
-    hardly one is known.
+    """Of a part's widths (m, 2), NaN where unknown: blur widens all of them, a shaded end its own.
+    0 where hardly one is known.
     """
     known = widths_px[np.isfinite(widths_px)]
     enough = len(known) >= max(_KNOWN * widths_px.size, 2)
