@@ -215,6 +215,14 @@ def test_motion_along_the_teats_is_a_reason(family: str, member: int) -> None:
     assert "by motion along the columns" in one.answer.reason
 
 
+def test_motion_across_the_teats_is_a_reason() -> None:
+    """Of 9 px: the gap between touching teats looks sharp, and an end was given 93 mm from any."""
+    (one,) = seen(("overlapping",), (92010,), 779, lambda image: cv2.blur(image, (9, 1)))
+    assert one.answer.teats == ()
+    assert one.answer.reason is not None
+    assert "by motion along the rows" in one.answer.reason
+
+
 def test_nothing_false_is_said_of_any_family(members: list[Seen]) -> None:
     every_end_and_none_else(members)
 
