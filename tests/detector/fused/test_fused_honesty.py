@@ -157,6 +157,9 @@ def members() -> list[Seen]:
         pytest.param("low_contrast", (1114, 80345), id="half the end, the outline in warmth"),
         pytest.param("cooler_bodies", (1114, 80580), id="both sides lead to it in one picture"),
         pytest.param("overlapping", (1114, 80725), id="a whole end at an unsure place"),
+        pytest.param("missing_or_hidden", (1115, 83176), id="something cold before one side"),
+        pytest.param("missing_or_hidden", (1115, 83389), id="one cold line of a whole end"),
+        pytest.param("hot_body_at_ends", (1115, 83031), id="half an end before a warm arm"),
     ],
 )
 def test_each_visible_end_is_found_and_none_else(
