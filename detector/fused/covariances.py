@@ -182,7 +182,7 @@ _FAR_WITHIN_PX, _MORE_WITHIN = -0.3, 2.0  # sensor px; of a variance
 _UNLIKE_SIDE, _UNLIKE_END = 0.2, 0.1
 
 
-def at_least(own: Array, depth_mm: Array, evidence: Evidence, calibration: Calibration) -> Array:
+def widened(own: Array, depth_mm: Array, evidence: Evidence, calibration: Calibration) -> Array:
     """Covariances ``own`` (m, 3, 3) of fits ``depth_mm`` (m,) away, widened to the disparity by
     which fits with such edges were off, and where the thermal outline is far within theirs.
     """

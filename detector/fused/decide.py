@@ -46,7 +46,6 @@ _BOTH_WARM, _LESS = 0.85, 0.03  # of it with both sides; how much less is enough
 # of the thermal end, and of the end in both optical pictures and in the mean; how far beyond the
 # fit warmth may reach, sensor px: what makes up for sides in the optical pictures
 _WARM_ARC, _HALF_ARC, _BEYOND_PX = 0.78, (0.45, 0.5), 0.12
-_ALIKE_PX = 0.15  # the misfit of nothing that looks like a teat's end by chance
 _WHOLE_SD_MM = 13.0  # of an end that all pictures show whole
 _LEANS = "it leans more than a teat does"
 _SIZE = "it isn't of a teat's size"
@@ -332,8 +331,8 @@ def _end_unseen(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     # before an arm as warm as it is, warmth shows a side of a teat, but nothing of its end
     within = np.nan_to_num(evidence.thermal_px[:, [SIDE_A, SIDE_B]], nan=-1.0).max(axis=1) < 0.0
     before_arm = within & (evidence.side[:, 2] > 0.45) & (thermal < 0.1) & ~evidence.goes_on
-    before_arm &= (sides > _BOTH_SIDES) & (evidence.side[:, :2].min(axis=1) > 0.95)
-    before_arm &= evidence.followed & (evidence.misfit_px < _LED_TO_PX)
+    before_arm &= followed & (evidence.side[:, :2].min(axis=1) > 0.95)
+    before_arm &= evidence.misfit_px < _LED_TO_PX
     held |= before_arm & (end.min(axis=1) > 0.4) & (mean > 0.45)
     return np.asarray(short & ~(held | thermal_ends(evidence, p))[:, None])
 
@@ -344,18 +343,18 @@ def _one_sided(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     enough = sure & (evidence.side.min(axis=1) > WHOLE_SIDE)
     whole = np.minimum(evidence.end[:, :2] - WHOLE_END, evidence.side[:, :2] - WHOLE_SIDE) > 0
     close = (evidence.misfit_px < _CLEAR_MISFIT_PX) & (evidence.sd_mm < _SURE_MM)
-    enough |= (whole.all(axis=1) & close) | _warm_outline(evidence)
+    enough |= (whole.all(axis=1) & close) | _warm_outline(evidence, p)
     return np.asarray((evidence.both[:, :2].max(axis=1) < p.least_side) & ~enough)
 
 
-def _warm_outline(evidence: Evidence) -> NDArray[np.bool_]:
+def _warm_outline(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     """Of which of m teats warmth shows the outline all round and not beyond the fit, and the
     optical pictures half of the end.
     """
     end, beyond = evidence.end, np.nan_to_num(evidence.thermal_px).max(axis=1)
     warm = (end[:, 2] > _WARM_ARC) & (evidence.both[:, 2] > _WARM) & (beyond < _BEYOND_PX)
     half = (end[:, :2].min(axis=1) > _HALF_ARC[0]) & (end[:, :2].mean(axis=1) > _HALF_ARC[1])
-    return np.asarray(warm & half & (evidence.misfit_px < _ALIKE_PX))
+    return np.asarray(warm & half & (evidence.misfit_px < p.good_misfit_px))
 
 
 def _too_little_seen(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
@@ -396,8 +395,8 @@ def _no_side(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     both_warm = evidence.both[:, 2] > 0.95
     held |= both_warm & (end > 0.57) & (evidence.end[:, 2] > 0.95)
     of_end = evidence.end[:, :2].mean(axis=1)
-    alike = (evidence.misfit_px < _ALIKE_PX) & ~evidence.shaped
-    held |= alike & (of_end > 0.7) & (evidence.end[:, 2] > 0.4) & (evidence.side[:, 2] > _WARM)
+    good = (evidence.misfit_px < p.good_misfit_px) & ~evidence.shaped
+    held |= good & (of_end > 0.7) & (evidence.end[:, 2] > 0.4) & (evidence.side[:, 2] > _WARM)
     sure = (evidence.misfit_px < _SURE_MISFIT_PX) & (evidence.sd_mm < _SURE_MM)
     held |= sure & (evidence.end.min(axis=1) > WHOLE_SIDE) & (side > WHOLE_SIDE)
     return np.asarray((evidence.side[:, :2] < p.least_side) & ~held[:, None])

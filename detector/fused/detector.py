@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from detector.calibration import Calibration
 from detector.fused import fast, pictures
 from detector.fused.covariances import (
-    at_least,
     end_covariances,
     unaliased,
     unlike_covariances,
+    widened,
     world_covariances,
 )
 from detector.fused.decide import doubts, maybe_hidden, objections, settled, shapes
@@ -404,7 +404,7 @@ def _answers(
     teats, ends = fitted.teats, apexes(fitted.teats)
     world = calibration.world_from_right.apply(ends)
     own = own + end_covariances(fitted, p) + unlike_covariances(teats, accepted.evidence, p)
-    own = at_least(own, ends[:, 2], accepted.evidence, calibration)
+    own = widened(own, ends[:, 2], accepted.evidence, calibration)
     own += calibration_covariances(cameras, ends, calibration, p)
     px_a_mm = calibration.right.fc[0] / ends[:, 2]
     own = own + blur_covariances(edges, teats, px_a_mm, calibration.baseline_mm)

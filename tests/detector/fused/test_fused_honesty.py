@@ -279,6 +279,6 @@ def test_normalised_squared_errors_are_those_of_honest_covariances(members: list
     sums = np.concatenate([normalised(one) for one in members])
     n = len(sums)
     assert n > 80
-    assert 2.0 < np.mean(sums) < 4.0
+    assert 2.0 < np.mean(sums) < scipy.stats.chi2.ppf(0.975, 3 * n) / n
     # no end far beyond what is stated of it
     assert np.max(sums) < scipy.stats.chi2.ppf(1 - 0.001 / n, 3)
