@@ -56,8 +56,7 @@ class Map:
     @classmethod
     def of(cls, view: View, blur_px: float) -> Map:
         """The map of a view."""
-        gx, gy = (np.pad(g, 1) for g in strengths(view.field, blur_px, noises=3.0))
-        return cls(gx, gy, view)
+        return cls(*strengths(view.field, blur_px, noises=3.0, border=1), view)
 
 
 def depths_mm(calibration: Calibration, p: Parameters) -> Array:
@@ -175,6 +174,14 @@ def _scores(
 ) -> Array:
     """Scores (shifts, m) of teats (m, 8) in one picture."""
     camera, motion, m = each.view.camera, each.view.camera_from_teats, len(teats)
+    arc = np.column_stack([-np.cos(_ARC), np.sin(_ARC)])
+    if loops := fast.compiled():
+        swells = np.array(np.broadcast_to(swell, m), dtype=float)
+        found = loops.across(
+            each.gx, each.gy, shifts, np.ascontiguousarray(teats), swells, each.view.numbers,
+            each.view.corner_px, arc, _BELOW, end,
+        )  # fmt: skip
+        return np.asarray(found)
     down_mm = np.column_stack([teats[:, LEAN_X], np.ones(m), np.zeros(m)])
     points = motion.apply(np.concatenate([teats[:, :3], teats[:, :3] + 20.0 * down_mm]))
     pixels = camera.project(points)
@@ -184,11 +191,7 @@ def _scores(
     down /= np.linalg.norm(down, axis=1, keepdims=True)
     right = np.column_stack([down[:, 1], -down[:, 0]])
     half = (swell * teats[:, RADIUS] * camera.fc[0] / np.maximum(points[:m, 2], 1.0))[:, None]
-    at, arc = middle - each.view.corner_px, np.column_stack([-np.cos(_ARC), np.sin(_ARC)])
-    if loops := fast.compiled():
-        wide = np.ascontiguousarray(half[:, 0])
-        left, other, top = loops.across(each.gx, each.gy, shifts, at, down, wide, arc, _BELOW, end)
-        return joined(top, left, other)
+    at = middle - each.view.corner_px
     arc = arc[:, :1, None] * down + arc[:, 1:, None] * right
     below = _BELOW[:, None, None] * down
     left, other = (

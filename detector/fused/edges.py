@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from types import ModuleType
 
 import cv2
 import numpy as np
@@ -64,15 +65,18 @@ class Profile:
 
     @cached_property
     def rows(self) -> Array:
-        """Orthonormal bases (c * g, s) of what a step at each place may look like."""
-        bases = np.stack([np.linalg.qr(self._shapes(place))[0] for place in self.places])
+        """Orthonormal bases (c * g, s) of what a step at each place may look like, without the
+        level, which all have in common.
+        """
+        bases = np.stack([np.linalg.qr(self._shapes(place))[0][:, 1:] for place in self.places])
         rows = bases.transpose(2, 0, 1).reshape(-1, len(self.offsets))
         return np.ascontiguousarray(_rounded(rows, _BASES))
 
     @cached_property
     def columns(self) -> Array:
-        """The same with a sample a row, (s, c * g), and rows of zeros to a multiple of four."""
-        return np.ascontiguousarray(np.pad(self.rows.T, ((0, -len(self.offsets) % 4), (0, 0))))
+        """The same with a sample a row, (s, c * g), and zeros to multiples of four and eight."""
+        more = (0, -len(self.offsets) % 4), (0, -len(self.rows) % 8)
+        return np.ascontiguousarray(np.pad(self.rows.T, more))
 
     @cached_property
     def flat(self) -> Array:
@@ -131,12 +135,12 @@ class Edges:
 
 def sample(field: Field, middles_px: Array, normals: Array, offsets_px: Array) -> Field:
     """Intensities (n, s) at ``offsets_px`` along ``normals`` from ``middles_px``; NaN outside."""
-    rows, columns = field.shape
     if loops := fast.compiled():
-        x, y, inside = loops.places(middles_px, normals, offsets_px, rows, columns)
-        values = cv2.remap(field, x, y, cv2.INTER_CUBIC)
-        values[~inside] = np.nan
-        return np.asarray(values, dtype=np.float32)
+        values = np.empty((len(middles_px), len(offsets_px)), dtype=np.float32)
+        places = middles_px[None], normals[None], np.zeros(1, dtype=np.intp), 0, len(middles_px)
+        sample_into(loops, values, field, np.zeros(2), places, offsets_px)
+        return values
+    rows, columns = field.shape
     middles = np.where(np.isnan(middles_px), -1e4, middles_px).astype(np.float32)
     directions = np.where(np.isnan(normals), 0.0, normals).astype(np.float32)
     along = offsets_px.astype(np.float32)
@@ -149,6 +153,24 @@ def sample(field: Field, middles_px: Array, normals: Array, offsets_px: Array) -
     return np.asarray(values, dtype=np.float32)
 
 
+def sample_into(
+    loops: ModuleType,
+    lines: Field,
+    field: Field,
+    corner_px: Array,
+    places: tuple[Array, Array, NDArray[np.intp], int, int],
+    offsets_px: Array,
+) -> None:
+    """`sample` by compiled loops, into ``lines`` (n, s) of a field whose first pixel is at
+    ``corner_px`` (2,). ``places``: middles and normals (., k, 2), which rows of these, and of each
+    the first and how many.
+    """
+    rows, columns = field.shape
+    x, y, inside = loops.places(*places, corner_px, offsets_px, rows, columns)
+    cv2.remap(field, x, y, cv2.INTER_CUBIC, dst=lines)
+    lines[~inside] = np.nan
+
+
 def find_edges(lines: Field, profile: Profile, noise: Array | float) -> Edges:
     """The likeliest edge of each line (m, n, s): m outlines of n neighbouring lines. ``noise``: an
     intensity's sd, (m,) or of all.
@@ -158,13 +180,7 @@ def find_edges(lines: Field, profile: Profile, noise: Array | float) -> Edges:
     """
     m, n, _ = lines.shape
     usable, noises = np.isfinite(lines[..., 0]), np.array(np.broadcast_to(noise, m), dtype=float)
-    if loops := fast.compiled():
-        offset, sd, clarity = loops.edges(
-            np.ascontiguousarray(lines), noises, profile.columns, profile.flat, profile.places,
-            profile.pull, profile.grid_px, _NEIGHBOURS, CLEAR, _DOUBT, _steps(noises),
-        )  # fmt: skip
-    else:
-        offset, sd, clarity = _alone_or_together(lines, noises, profile)
+    offset, sd, clarity = _alone_or_together(lines, noises, profile)
     found, sure = np.where(usable, offset[0], np.nan), np.where(usable, clarity[0], 0.0)
     if not profile.limb:
         none = np.zeros((m, n))
@@ -173,6 +189,24 @@ def find_edges(lines: Field, profile: Profile, noise: Array | float) -> Edges:
     limb[~(np.abs(limb) < _MOST_LIMB_PX)] = np.nan
     more = np.sqrt(np.maximum(sd[0] ** 2 - sd[1] ** 2, 0.0))
     return Edges(found, sd[0], sure, limb, more)
+
+
+def find_edges_into(
+    loops: ModuleType,
+    lines: Field,
+    profile: Profile,
+    noise: Array,
+    which: NDArray[np.intp],
+    first: int,
+    edges: tuple[Array, ...],
+) -> None:
+    """`find_edges` and `lit_alike` by compiled loops of lines (views, m, n, s), with noise (views,):
+    into rows ``which`` (m,) of offsets and so on (., k), from column ``first`` on.
+    """
+    loops.edges(
+        lines, noise, _steps(noise), profile.columns, profile.flat, profile.places, profile.pull,
+        profile.grid_px, _NEIGHBOURS, CLEAR, _DOUBT, LIGHT, which, first, *edges,
+    )  # fmt: skip
 
 
 def _alone_or_together(lines: Field, noise: Array, profile: Profile) -> tuple[Array, Array, Array]:
@@ -213,13 +247,13 @@ def _left_over(lines: Field, profile: Profile, steps: Array) -> tuple[Field, Fie
     energy = np.einsum("ns,ns->n", y, y)
     along = (profile.rows @ y.T).reshape(-1, len(profile.places), len(y))
     along *= along
-    left = np.empty((len(along) // 2, *along.shape[1:]), dtype=np.float32)
-    rest = energy
-    for model, (one, other) in zip(left[::-1], along.reshape(-1, 2, *along.shape[1:]), strict=True):
-        rest = rest - one
-        rest -= other
-        np.maximum(rest, 0, out=model, casting="same_kind")
-    straight = energy - ((y @ profile.flat) ** 2).sum(axis=1)
+    level, slope = ((y @ profile.flat) ** 2).T
+    left = np.empty((1 + profile.limb, *along.shape[1:]), dtype=np.float32)
+    rest = energy - level - along[0]
+    np.maximum(rest, 0, out=left[-1], casting="same_kind")
+    if profile.limb:
+        np.maximum(rest - along[1] - along[2], 0, out=left[0], casting="same_kind")
+    straight = energy - (level + slope)
     return left, np.maximum(straight, 1e-6).astype(np.float32)
 
 
@@ -251,6 +285,18 @@ _LIMB_NEIGHBOURS = 9  # points along an outline that are lit alike: some 20 mm
 _UNLIKE = 0.5
 # how sure a step is found without a fall of brightness and with one (standard deviation)
 _PLAIN_PX, _SHADED_PX = 0.02, 0.06
+LIGHT = np.array([_MOST_LIMB_PX, _LIMB_NEIGHBOURS, _UNLIKE, _PLAIN_PX, _SHADED_PX])
+
+
+def lit_alike(edges: Edges) -> Edges:
+    """Edges (views, m, n) corrected by the outlines' common fall of brightness."""
+    shared_px = shared_limb(edges.limb_px)
+    own = own_share(shared_px, edges.limb_sd_px)
+    known = np.isfinite(edges.limb_px)
+    offset = edges.offset_px + np.where(known, (1 - own) * (shared_px - edges.limb_px), 0.0)
+    sd = np.sqrt(edges.sd_px**2 - np.where(known, (1 - own**2) * edges.limb_sd_px**2, 0.0))
+    limb = np.broadcast_to(shared_px, sd.shape)
+    return Edges(offset, sd, edges.clarity, limb, edges.limb_sd_px)
 
 
 def shared_limb(own_px: Array) -> Array:

@@ -6,10 +6,13 @@ weak priors on size, lean, taper and height. Derivatives are closed forms.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
+from functools import cache
 from itertools import groupby
+from types import ModuleType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from detector.calibration import Calibration
 from detector.fused import fast
@@ -19,9 +22,10 @@ from detector.fused.edges import (
     Field,
     Profile,
     find_edges,
-    own_share,
+    find_edges_into,
+    lit_alike,
     sample,
-    shared_limb,
+    sample_into,
 )
 from detector.fused.model import (
     COUNT,
@@ -29,6 +33,7 @@ from detector.fused.model import (
     LEAN_X,
     LEAN_Z,
     RADIUS,
+    STEP_MM,
     Outline,
     Rows,
     axes,
@@ -51,6 +56,13 @@ class View:
     rough: Profile
     fine: Profile
     floor_px: float
+    # fx, fy, cx, cy, k1, k2, p1, p2, k3, skew; the motion's matrix and translation: (22,)
+    numbers: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        camera, motion = self.camera, self.camera_from_teats
+        numbers = np.concatenate([camera.lens, [camera.alpha_c], motion.R.ravel(), motion.T])
+        object.__setattr__(self, "numbers", numbers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,31 +184,99 @@ class Seen(Rows):
     limb_px: Array  # by how much brightness that falls towards the limb moved the edges hereabouts
     limb_sd_px: Array  # the noise of each line's own
 
+    @classmethod
+    def empty(cls, m: int, n: int, views: tuple[View, ...]) -> Seen:
+        """Of m outlines of n points, before anything is looked at; Jacobians are zero."""
+        k = len(views) * n
+        offset, sd, clarity, limb, limb_sd = np.empty((5, m, k))
+        floor = np.empty((m, k))
+        floor[:] = np.repeat([view.floor_px for view in views], n)
+        pixels, normals = np.empty((2, m, k, 2))
+        jacobian = np.zeros((m, k, COUNT))
+        return cls(offset, sd, clarity, floor, jacobian, pixels, normals, limb, limb_sd)
+
+    def copied(self) -> Seen:
+        """The same, but for Jacobian and floor in arrays of its own."""
+        kept = {"jacobian", "floor_px"}
+        values = ((name, getattr(self, name)) for name in self.__slots__)
+        return Seen(*(value if name in kept else value.copy() for name, value in values))
+
 
 def look(
     teats: Array,
     views: tuple[View, ...],
     outline: Outline,
-    jacobian: Array | None = None,
     *,
     fine: bool,
+    slopes_too: bool = True,
+    known: Seen | None = None,
+    which: NDArray[np.intp] | None = None,
 ) -> Seen:
-    """Edges about teats (m, 8). ``jacobian``: of teats nearby, instead of a new one."""
+    """Edges about teats (m, 8); their Jacobian is zero unless asked for. With ``known`` edges about
+    teats nearby: anew of teats ``which`` in ``views``, which are the first of the known ones'; the
+    rest and the Jacobian are those known.
+    """
+    n = len(outline.part)
+    if loops := fast.compiled():
+        return _look(loops, teats, views, outline, fine, slopes_too, known, which)
+    some = teats if which is None else teats[which]
     cameras = [(view.camera, view.camera_from_teats) for view in views]
-    pixels, normals, slopes = outlines(teats, cameras, outline, slopes_too=jacobian is None)
+    pixels, normals, slopes = outlines(
+        some, cameras, outline, slopes_too=slopes_too and known is None
+    )
     profiles = [view.fine if fine else view.rough for view in views]
     found, first = list[Edges](), 0
     for profile, alike in groupby(profiles):  # both optical pictures together
         at = slice(first, first := first + len(list(alike)))
         edges = _edges(views[at], profile, pixels[at], normals[at])
-        found.append(_lit_alike(edges) if fine and profile.limb else edges)
+        found.append(lit_alike(edges) if profile.limb else edges)
     offset, sd, clarity, limb, limb_sd = (
         np.concatenate([getattr(edges, f.name) for edges in found]) for f in fields(Edges)
     )
     floor = np.broadcast_to(np.array([v.floor_px for v in views])[:, None, None], offset.shape)
     values = (offset, sd, clarity, floor, slopes, pixels, normals, limb, limb_sd)
-    seen = Seen(*(a.swapaxes(0, 1).reshape(len(teats), -1, *a.shape[3:]) for a in values))
-    return seen if jacobian is None else replace(seen, jacobian=jacobian)
+    seen = Seen(*(a.swapaxes(0, 1).reshape(len(some), -1, *a.shape[3:]) for a in values))
+    if known is None:
+        return seen
+    changed = known.copied()
+    for name in set(Seen.__slots__) - {"jacobian", "floor_px"}:
+        getattr(changed, name)[which, : len(views) * n] = getattr(seen, name)
+    return changed
+
+
+def _look(
+    loops: ModuleType,
+    teats: Array,
+    views: tuple[View, ...],
+    outline: Outline,
+    fine: bool,
+    slopes_too: bool,
+    known: Seen | None,
+    which: NDArray[np.intp] | None,
+) -> Seen:
+    """`look` by compiled loops."""
+    m, n = len(teats), len(outline.part)
+    which = np.arange(m) if which is None else which
+    seen = known.copied() if known else Seen.empty(m, n, views)
+    cameras = np.stack([view.numbers for view in views])
+    teats = np.ascontiguousarray(teats[which])
+    loops.outlines(
+        teats, cameras, outline.along_mm, outline.over_end, STEP_MM, slopes_too and known is None,
+        which, seen.pixels_px, seen.normals, seen.jacobian,
+    )  # fmt: skip
+    first = 0
+    for profile, group in groupby(views, lambda view: view.fine if fine else view.rough):
+        alike = list(group)
+        lines = np.empty((len(alike), len(teats) * n, len(profile.offsets)), dtype=np.float32)
+        for k, (view, one) in enumerate(zip(alike, lines, strict=True)):
+            places = seen.pixels_px, seen.normals, which, first + k * n, n
+            sample_into(loops, one, view.field, view.corner_px, places, profile.offsets)
+        edges = seen.offset_px, seen.sd_px, seen.clarity, seen.limb_px, seen.limb_sd_px
+        noise = np.array([view.noise for view in alike])
+        lines = lines.reshape(len(alike), len(teats), n, -1)
+        find_edges_into(loops, lines, profile, noise, which, first, edges)
+        first += len(alike) * n
+    return seen
 
 
 def _edges(views: tuple[View, ...], profile: Profile, pixels: Array, normals: Array) -> Edges:
@@ -213,17 +293,7 @@ def _edges(views: tuple[View, ...], profile: Profile, pixels: Array, normals: Ar
     return Edges(*(getattr(found, f.name).reshape(shape) for f in fields(found)))
 
 
-def _lit_alike(edges: Edges) -> Edges:
-    """Edges (views, m, n) corrected by the outlines' common fall of brightness."""
-    shared_px = shared_limb(edges.limb_px)
-    own = own_share(shared_px, edges.limb_sd_px)
-    known = np.isfinite(edges.limb_px)
-    offset = edges.offset_px + np.where(known, (1 - own) * (shared_px - edges.limb_px), 0.0)
-    sd = np.sqrt(edges.sd_px**2 - np.where(known, (1 - own**2) * edges.limb_sd_px**2, 0.0))
-    limb = np.broadcast_to(shared_px, sd.shape)
-    return Edges(offset, sd, edges.clarity, limb, edges.limb_sd_px)
-
-
+_DAMPING = 1e-4
 # of a step, and of teats after it
 _LONGEST = np.array([4.0, 4.0, 30.0, 0.15, 0.15, 2.0, 0.05, 0.2])
 _LEAST = np.array([-np.inf, -np.inf, -np.inf, -0.8, -0.8, 4.0, -0.25, 0.5])
@@ -258,16 +328,29 @@ def normal_equations(teats: Array, seen: Seen, weight: Array, prior: Prior) -> t
         r = np.where(weight > 0, seen.offset_px, 0.0)
         weighted = (j * weight[..., None]).transpose(0, 2, 1)
         H, b = weighted @ j, (weighted @ r[..., None])[..., 0]
+    usual, sure = _usual(prior)
+    return H + np.diag(sure), b + sure * np.where(sure > 1e-6, usual - teats, 0.0)
+
+
+@cache
+def _usual(prior: Prior) -> tuple[Array, Array]:
+    """Means and inverse variances (8,) of a teat's numbers."""
     mean = np.array([0, 0, 0, 0, 0, prior.radius_mm, 0, 1])
     sds = (prior.lean_sd, prior.lean_sd, prior.radius_sd_mm, prior.taper_sd, prior.height_sd)
-    sure = np.array([1e-8, 1e-8, 1e-8, *(sd**-2 for sd in sds)])
-    return H + np.diag(sure), b + sure * np.where(sure > 1e-6, mean - teats, 0.0)
+    return mean, np.array([1e-8, 1e-8, 1e-8, *(sd**-2 for sd in sds)])
 
 
 def step(teats: Array, seen: Seen, weight: Array, prior: Prior) -> Array:
     """Teats (m, 8) after one damped step, no longer than makes sense."""
+    if loops := fast.compiled():
+        usual, sure = _usual(prior)
+        moved = loops.step(
+            np.ascontiguousarray(teats), seen.jacobian, seen.offset_px, weight, usual, sure,
+            _DAMPING, _LONGEST, _LEAST, _MOST,
+        )  # fmt: skip
+        return np.asarray(moved)
     H, b = normal_equations(teats, seen, weight, prior)
-    H = H + 1e-4 * np.einsum("mii->mi", H)[:, :, None] * np.eye(COUNT)
+    H = H + _DAMPING * np.einsum("mii->mi", H)[:, :, None] * np.eye(COUNT)
     change = np.linalg.solve(H, b[..., None])[..., 0]
     change *= 1 / np.maximum(1.0, np.abs(change / _LONGEST).max(axis=1, keepdims=True))
     moved = teats + np.nan_to_num(change)

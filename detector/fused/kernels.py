@@ -149,28 +149,27 @@ def _slope(
 
 
 @_compiled(
-    "Tuple((f8[:,:,:,::1],f8[:,:,:,::1],f8[:,:,:,::1]))"
-    "(f8[:,::1],f8[:,:,::1],f8[:,::1],f8[:,::1],f8[::1],f8[::1],f8,b1)"
+    "void(f8[:,::1],f8[:,::1],f8[::1],f8[::1],f8,b1,i8[::1],f8[:,:,::1],f8[:,:,::1],f8[:,:,::1])"
 )
 def outlines(
     teats: Array,
-    R: Array,
-    T: Array,
-    lenses: Array,
+    cameras: Array,
     along: Array,
     over: Array,
     step_mm: float,
     slopes_too: bool,
-) -> tuple[Array, Array, Array]:
-    """`model.outlines`: pixels, normals (views, m, n, 2), Jacobians (views, m, n, 8). ``lenses``
-    (views, 10): fx, fy, cx, cy, k1, k2, p1, p2, k3, skew.
+    which: NDArray[np.intp],
+    pixels: Array,
+    normals: Array,
+    jacobian: Array,
+) -> None:
+    """`model.outlines` of teats (m, 8) in ``cameras`` (views, 22), numbers of `fit.View`: fills
+    rows ``which`` (m,) of pixels, normals (., views * n, 2) and Jacobians (., views * n, 8).
     """
-    views, m, n = len(R), len(teats), 2 * len(along) + len(over)
-    pixels, normals = np.empty((views, m, n, 2)), np.empty((views, m, n, 2))
-    jacobian = np.zeros((views, m, n, 8))
+    n = 2 * len(along) + len(over)
     arms, outward, turned = np.empty((n, 3)), np.empty((n, 3)), np.empty((2, 3))
     axis, centre = np.empty(3), np.empty(3)
-    for i in range(m):
+    for i in range(len(teats)):
         teat = teats[i]
         own = np.array([teat[3], 1.0, teat[4]])
         length = np.sqrt(_dot(own, own))
@@ -178,26 +177,27 @@ def outlines(
         for d in range(3):
             turned[0, d] = ((d == 0) - own[d] * own[0]) / length
             turned[1, d] = ((d == 2) - own[d] * own[2]) / length
-        for v in range(views):
+        for v in range(len(cameras)):
+            lens, R, T = cameras[v, :10], cameras[v, 10:19].reshape(3, 3), cameras[v, 19:]
             for d in range(3):
-                axis[d] = _dot(R[v, d], own)
-                centre[d] = _dot(R[v, d], teat[:3]) + T[v, d]
+                axis[d] = _dot(R[d], own)
+                centre[d] = _dot(R[d], teat[:3]) + T[d]
             _contour(teat, centre, axis, along, over, arms, outward)
-            at, normal = pixels[v, i], normals[v, i]
+            at, first = slice(v * n, (v + 1) * n), v * n
+            place, normal = pixels[which[i], at], normals[which[i], at]
             for j in range(n):
-                at[j, 0], at[j, 1] = _pixel(centre, arms[j], outward[j], 0.0, lenses[v])
+                place[j, 0], place[j, 1] = _pixel(centre, arms[j], outward[j], 0.0, lens)
             for j in range(n):
-                before, after = at[max(j - 1, 0)], at[min(j + 1, n - 1)]
+                before, after = place[max(j - 1, 0)], place[min(j + 1, n - 1)]
                 x, y = after[0] - before[0], after[1] - before[1]
                 length = np.sqrt(x * x + y * y)
                 normal[j, 0], normal[j, 1] = y / length, -x / length
             if slopes_too:
                 for j in range(n):
-                    moved = _pixel(centre, arms[j], outward[j], step_mm, lenses[v])
-                    px = (moved[0] - at[j, 0]) * normal[j, 0] + (moved[1] - at[j, 1]) * normal[j, 1]
-                    px /= step_mm
-                    _slope(teat, own, turned, R[v], px, arms[j], outward[j], jacobian[v, i, j])
-    return pixels, normals, jacobian
+                    x, y = _pixel(centre, arms[j], outward[j], step_mm, lens)
+                    px = (x - place[j, 0]) * normal[j, 0] + (y - place[j, 1]) * normal[j, 1]
+                    slope = jacobian[which[i], first + j]
+                    _slope(teat, own, turned, R, px / step_mm, arms[j], outward[j], slope)
 
 
 @_within
@@ -286,19 +286,50 @@ def _left_over(
                     + d * columns[k + 3, q]
                 )
         for q in range(g):
-            rest = energy - along[q] * along[q] - along[g + q] * along[g + q]
+            rest = energy - level * level - along[q] * along[q]
             left[models - 1, j, q] = max(rest, 0.0)
             if models == 2:
-                a, b = along[2 * g + q], along[3 * g + q]
+                a, b = along[g + q], along[2 * g + q]
                 left[0, j, q] = max(rest - a * a - b * b, 0.0)
 
 
+@_within
+def _lit_alike(
+    light: Array, views: int, offset: Array, sd: Array, limb: Array, limb_sd: Array
+) -> None:
+    """`edges.lit_alike` of one outline, arrays (views * n,)."""
+    _, neighbours, unlike_share, plain_px, shaded_px = light
+    n, half = len(offset) // views, int(neighbours) // 2
+    total, known, own_px = np.zeros(n), np.zeros(n), limb.copy()
+    for v in range(views):
+        for j in range(n):
+            if np.isfinite(own_px[v * n + j]):
+                known[j] += 1.0
+                total[j] += own_px[v * n + j]
+    for j in range(n):
+        added = counted = 0.0
+        for i in range(j - half, j + half + 1):
+            near = min(max(i, 0), n - 1)
+            added, counted = added + total[near], counted + known[near]
+        shared = added / max(counted, 0.5)
+        unlike = (unlike_share * shared) ** 2 + plain_px**2
+        for v in range(views):
+            k = v * n + j
+            own = unlike / (unlike + limb_sd[k] ** 2 + shaded_px**2)
+            limb[k] = shared
+            if np.isfinite(own_px[k]):
+                offset[k] += (1 - own) * (shared - own_px[k])
+                sd[k] = np.sqrt(sd[k] ** 2 - (1 - own**2) * limb_sd[k] ** 2)
+
+
 @_compiled(
-    "f8[:,:,:,::1](f4[:,:,::1],f8[::1],f8[:,::1],f8[:,::1],f8[::1],f4[::1],f8,i8,f8,f8,f8[::1])"
+    "void(f4[:,:,:,::1],f8[::1],f8[::1],f8[:,::1],f8[:,::1],f8[::1],f4[::1],f8,i8,f8,f8,f8[::1],"
+    "i8[::1],i8,f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1])"
 )
 def edges(
     lines: Field,
     noise: Array,
+    steps: Array,
     columns: Array,
     flat: Array,
     places: Array,
@@ -307,84 +338,123 @@ def edges(
     neighbours: int,
     clear: float,
     doubt: float,
-    steps: Array,
-) -> Array:
-    """`edges._alone_or_together`: offset, standard deviation and clarity (3, k, m, n) of lines
-    (m, n, s), by each of the k models; ``columns`` (s, c * g), with zeros below to fours.
+    light: Array,
+    which: NDArray[np.intp],
+    first: int,
+    offset: Array,
+    sd: Array,
+    clarity: Array,
+    limb: Array,
+    limb_sd: Array,
+) -> None:
+    """`edges.find_edges` of lines (views, m, n, s), NaN beyond a picture, and `edges.lit_alike`:
+    fills rows ``which`` (m,) of offsets and so on (., k), from column ``first`` on. ``columns``
+    (s, c * g), with zeros below and to the right; ``noise``, ``steps`` (views,); ``light``:
+    `edges.LIGHT`.
     """
-    m, n, s = lines.shape
+    views, m, n, s = lines.shape
     g = len(places)
-    models = columns.shape[1] // g // 2
-    result, joint = np.empty((3, models, m, n)), np.empty((3, n))
+    models = (columns.shape[1] // g + 1) // 2
+    result, joint = np.empty((3, models, n)), np.empty((3, n))
     left, together = np.empty((models, n, g), dtype=_f4), np.empty((n, g), dtype=_f4)
     straight, shared = np.empty(n, dtype=_f4), np.empty(n, dtype=_f4)
     every = np.arange(n)
-    for i in range(m):
-        _left_over(lines[i], columns, flat, steps[i], left, straight)
-        floor, many = _f4(s * noise[i] ** 2), _f4(s * neighbours)
-        for k in range(models):
-            found = result[:, k, i]
-            _likeliest(left[k], straight, places, pull, floor, _f4(s), grid_px, every, found)
-        faint = np.flatnonzero(result[2, 0, i] < clear)
-        if len(faint) == 0:
-            continue
-        _summed(straight.reshape(n, 1), neighbours, shared.reshape(n, 1))
-        for k in range(models):
-            _summed(left[k], neighbours, together)
-            at_least = _f4(neighbours) * floor
-            _likeliest(together, shared, places, pull, at_least, many, grid_px, faint, joint)
-            for j in faint:
-                result[0, k, i, j] = joint[0, j]
-                result[1, k, i, j] = joint[1, j] * np.sqrt(neighbours)
-                result[2, k, i, j] = min(doubt * joint[2, j], 0.9 * clear)
-    return result
+    for v in range(views):
+        floor, many = _f4(s * noise[v] ** 2), _f4(s * neighbours)
+        for i in range(m):
+            row, at = which[i], slice(first + v * n, first + (v + 1) * n)
+            _left_over(lines[v, i], columns, flat, steps[v], left, straight)
+            for k in range(models):
+                found = result[:, k]
+                _likeliest(left[k], straight, places, pull, floor, _f4(s), grid_px, every, found)
+            faint = np.flatnonzero(result[2, 0] < clear)
+            if len(faint):
+                _summed(straight.reshape(n, 1), neighbours, shared.reshape(n, 1))
+                for k in range(models):
+                    _summed(left[k], neighbours, together)
+                    least = _f4(neighbours) * floor
+                    _likeliest(together, shared, places, pull, least, many, grid_px, faint, joint)
+                    for j in faint:
+                        result[0, k, j] = joint[0, j]
+                        result[1, k, j] = joint[1, j] * np.sqrt(neighbours)
+                        result[2, k, j] = min(doubt * joint[2, j], 0.9 * clear)
+            offset[row, at], sd[row, at], clarity[row, at] = result[0, 0], result[1, 0], result[2, 0]
+            limb[row, at] = limb_sd[row, at] = 0.0
+            for j in range(n):
+                c = first + v * n + j
+                if np.isnan(lines[v, i, j, 0]):
+                    offset[row, c], clarity[row, c] = np.nan, 0.0
+                if models == 2:
+                    away = offset[row, c] - result[0, 1, j]
+                    limb[row, c] = away if abs(away) < light[0] else np.nan
+                    more = result[1, 0, j] ** 2 - result[1, 1, j] ** 2
+                    limb_sd[row, c] = np.sqrt(max(more, 0.0))
+    if models == 2:
+        for i in range(m):
+            row, at = which[i], slice(first, first + views * n)
+            _lit_alike(light, views, offset[row, at], sd[row, at], limb[row, at], limb_sd[row, at])
 
 
 @_compiled(
-    "f4[:,:,::1](f4[:,::1],f4[:,::1],f4[:,::1],f8[:,::1],f8[:,::1],f8[::1],f8[:,::1],f8[::1],b1)"
+    "f4[:,::1](f4[:,::1],f4[:,::1],f4[:,::1],f8[:,::1],f8[::1],f8[::1],f8[::1],f8[:,::1],f8[::1],"
+    "b1)"
 )
 def across(
     gx: Field,
     gy: Field,
     shifts: Field,
-    at: Array,
-    down: Array,
-    half: Array,
+    teats: Array,
+    swell: Array,
+    camera: Array,
+    corner: Array,
     arc: Array,
     below: Array,
     end: bool,
 ) -> Field:
-    """The loop of `depth_search._scores`: strengths (left side, other, round end; shifts, m) of
-    outlines about ``at`` (m, 2), ``down`` (m, 2) the axis, ``half`` (m,) as wide. ``arc`` (k, 2):
-    of the end, down and to the right.
+    """`depth_search._scores` (shifts, m) of teats (m, 8), each with its ``swell`` (m,).
+    ``camera`` (22,): numbers of `fit.View`; ``arc`` (k, 2): of the end, down and to the right.
     """
     rows, columns = gx.shape
-    result = np.ones((3, len(shifts), len(at)), dtype=_f4)
-    for part in range(3 if end else 2):
-        count = len(below) if part < 2 else len(arc)
-        for i in range(len(at)):
-            right_x, right_y = down[i, 1], -down[i, 0]
-            side = 2.0 * part - 1.0
-            result[part, :, i] = 0.0
+    lens, R, T = camera[:10], camera[10:19].reshape(3, 3), camera[19:]
+    result, sums = np.empty((len(shifts), len(teats)), dtype=_f4), np.ones((3, len(shifts)), _f4)
+    middle, lower, none = np.empty(3), np.empty(3), np.zeros(3)
+    for i in range(len(teats)):
+        teat = teats[i]
+        for d in range(3):
+            middle[d] = _dot(R[d], teat[:3]) + T[d]
+            lower[d] = middle[d] + 20.0 * (R[d, 0] * teat[3] + R[d, 1])
+        x0, y0 = _pixel(middle, none, none, 0.0, lens)
+        x1, y1 = _pixel(lower, none, none, 0.0, lens)
+        down_x, down_y = x1 - x0, y1 - y0
+        length = np.sqrt(down_x * down_x + down_y * down_y)
+        if not np.isfinite(length):
+            result[:, i] = 0.0
+            continue
+        down_x, down_y = down_x / length, down_y / length
+        half = swell[i] * teat[5] * lens[0] / max(middle[2], 1.0)
+        for part in range(3 if end else 2):
+            side, count = 2.0 * part - 1.0, len(below) if part < 2 else len(arc)
+            sums[part] = 0.0
             for k in range(count):
                 if part < 2:
-                    nx, ny = side * right_x, side * right_y
-                    way_x, way_y = below[k] * down[i, 0] + nx, below[k] * down[i, 1] + ny
+                    nx, ny = side * down_y, -side * down_x
+                    way_x, way_y = below[k] * down_x + nx, below[k] * down_y + ny
                 else:
-                    nx = arc[k, 0] * down[i, 0] + arc[k, 1] * right_x
-                    ny = arc[k, 0] * down[i, 1] + arc[k, 1] * right_y
+                    nx = arc[k, 0] * down_x + arc[k, 1] * down_y
+                    ny = arc[k, 0] * down_y - arc[k, 1] * down_x
                     way_x, way_y = nx, ny
-                x, y = _f4(at[i, 0] + half[i] * way_x), _f4(at[i, 1] + half[i] * way_y)
+                x, y = _f4(x0 - corner[0] + half * way_x), _f4(y0 - corner[1] + half * way_y)
                 normal_x, normal_y = _f4(nx), _f4(ny)
                 for j in range(len(shifts)):
                     u = x + (shifts[j, 0] + _f4(1.5))
                     v = y + (shifts[j, 1] + _f4(1.5))
                     column = int(min(max(u, _f4(0)), _f4(columns - 1)))
                     row = int(min(max(v, _f4(0)), _f4(rows - 1)))
-                    strength = gx[row, column] * normal_x + gy[row, column] * normal_y
-                    result[part, j, i] += abs(strength)
-            for j in range(len(shifts)):
-                result[part, j, i] /= _f4(count)
+                    sums[part, j] += abs(gx[row, column] * normal_x + gy[row, column] * normal_y)
+            sums[part] /= _f4(count)
+        for j in range(len(shifts)):
+            better, other = max(sums[0, j], sums[1, j]), min(sums[0, j], sums[1, j])
+            result[j, i] = sums[2, j] * (_f4(0.7) * better + _f4(0.3) * other)
     return result
 
 
@@ -415,19 +485,31 @@ def _known(value: float, instead: float) -> float:
     return instead if np.isnan(value) else value
 
 
-@_compiled("Tuple((f4[:,::1],f4[:,::1],b1[::1]))(f8[:,::1],f8[:,::1],f8[::1],i8,i8)")
+@_compiled(
+    "Tuple((f4[:,::1],f4[:,::1],b1[::1]))"
+    "(f8[:,:,::1],f8[:,:,::1],i8[::1],i8,i8,f8[::1],f8[::1],i8,i8)"
+)
 def places(
-    middles: Array, normals: Array, offsets: Array, rows: int, columns: int
+    middles: Array,
+    normals: Array,
+    which: NDArray[np.intp],
+    first: int,
+    n: int,
+    corner: Array,
+    offsets: Array,
+    rows: int,
+    columns: int,
 ) -> tuple[Field, Field, NDArray[np.bool_]]:
-    """The first part of `edges.sample`: columns and rows (n, s) of samples along lines, and which
-    lines (n,) are inside.
+    """The first part of `edges.sample`, of ``n`` lines from ``first`` on of rows ``which`` (m,):
+    columns and rows (m * n, s) of their samples, and which lines (m * n,) are inside.
     """
-    n, s = len(middles), len(offsets)
-    x, y = np.empty((n, s), dtype=_f4), np.empty((n, s), dtype=_f4)
-    inside = np.empty(n, dtype=np.bool_)
-    for j in range(n):
-        u, v = _f4(_known(middles[j, 0], -1e4)), _f4(_known(middles[j, 1], -1e4))
-        right, down = _f4(_known(normals[j, 0], 0.0)), _f4(_known(normals[j, 1], 0.0))
+    m, s = len(which), len(offsets)
+    x, y = np.empty((m * n, s), dtype=_f4), np.empty((m * n, s), dtype=_f4)
+    inside = np.empty(m * n, dtype=np.bool_)
+    for j in range(m * n):
+        middle, normal = middles[which[j // n], first + j % n], normals[which[j // n], first + j % n]
+        u, v = _f4(_known(middle[0] - corner[0], -1e4)), _f4(_known(middle[1] - corner[1], -1e4))
+        right, down = _f4(_known(normal[0], 0.0)), _f4(_known(normal[1], 0.0))
         for k in range(s):
             x[j, k], y[j, k] = u + _f4(offsets[k]) * right, v + _f4(offsets[k]) * down
         inside[j] = (
@@ -464,6 +546,45 @@ def weights(
     return result
 
 
+@_compiled("void(f8[:,::1],f8[:,::1],f8[:,::1],b1[:,::1],i8,i8,f8[::1])")
+def trusted(
+    weight: Array,
+    offset: Array,
+    floor: Array,
+    hidden: NDArray[np.bool_],
+    of_side: int,
+    of_end: int,
+    limits: Array,
+) -> None:
+    """The last part of `refine._trusted`: takes from ``weight`` (m, k) what is doubtful. Points of
+    a side and an end; ``limits``: `refine._LIMITS`.
+    """
+    close_floors, least_side, least_alone, most_other = limits
+    m, n = len(weight), 2 * of_side + of_end
+    views, third = weight.shape[1] // n, of_end // 3
+    close = np.empty(weight.shape[1], dtype=np.bool_)
+    share, covered = np.empty(views), np.empty(views, dtype=np.bool_)
+    for i in range(m):
+        for j in range(len(close)):
+            near = abs(offset[i, j]) < min(close_floors * floor[i, j], 1.0)
+            close[j] = near and weight[i, j] > 0
+        for first, beside in ((0, of_side), (of_side + of_end, of_side + of_end - third)):
+            for v in range(views):
+                shown = good = 0
+                for j in range(v * n + first, v * n + first + of_side):
+                    shown += not hidden[i, j]
+                    good += close[j]
+                share[v] = good / max(shown, 0.3 * of_side)
+                covered[v] = shown < 0.5 * of_side
+            least = min(1.0 if covered[0] else share[0], 1.0 if covered[1] else share[1])
+            doubtful = least < most_other and max(share[0], share[1]) > least_alone
+            for v in range(views):
+                if share[v] < least_side or (v < 2 and doubtful):
+                    weight[i, v * n + first : v * n + first + of_side] = 0.0
+                if v < 2 and doubtful:
+                    weight[i, v * n + beside : v * n + beside + third] = 0.0
+
+
 @_compiled("Tuple((f8[:,:,::1],f8[:,::1]))(f8[:,:,::1],f8[:,::1],f8[:,::1])")
 def squares(jacobian: Array, offset: Array, weight: Array) -> tuple[Array, Array]:
     """The sums of `fit.normal_equations`: matrices (m, 8, 8) and right sides (m, 8)."""
@@ -481,6 +602,73 @@ def squares(jacobian: Array, offset: Array, weight: Array) -> tuple[Array, Array
                         H[i, p, q] += weighted[p] * row[q]
                     b[i, p] += weighted[p] * offset[i, j]
     return H, b
+
+
+@_compiled(
+    "f8[:,::1](f8[:,::1],f8[:,:,::1],f8[:,::1],f8[:,::1],f8[::1],f8[::1],f8,f8[::1],f8[::1],f8[::1])"
+)
+def step(
+    teats: Array,
+    jacobian: Array,
+    offset: Array,
+    weight: Array,
+    usual: Array,
+    sure: Array,
+    damping: float,
+    longest: Array,
+    least: Array,
+    most: Array,
+) -> Array:
+    """`fit.step` of teats (m, 8): the rest are its own numbers."""
+    H, b = squares(jacobian, offset, weight)
+    moved, change = np.empty_like(teats), np.empty(8)
+    for i in range(len(teats)):
+        A = H[i]
+        for p in range(8):
+            A[p, p] = (A[p, p] + sure[p]) * (1.0 + damping)
+            if sure[p] > 1e-6:
+                b[i, p] += sure[p] * (usual[p] - teats[i, p])
+        # Cholesky's factor, below the diagonal and on it
+        for p in range(8):
+            for q in range(p + 1):
+                total = A[p, q]
+                for r in range(q):
+                    total -= A[p, r] * A[q, r]
+                A[p, q] = np.sqrt(total) if p == q else total / A[q, q]
+        for p in range(8):
+            change[p] = b[i, p]
+            for r in range(p):
+                change[p] -= A[p, r] * change[r]
+            change[p] /= A[p, p]
+        too_long = 1.0
+        for p in range(7, -1, -1):
+            for r in range(p + 1, 8):
+                change[p] -= A[r, p] * change[r]
+            change[p] /= A[p, p]
+            too_long = max(too_long, abs(change[p]) / longest[p])
+        for p in range(8):
+            value = teats[i, p] + _known(change[p] / too_long, 0.0)
+            moved[i, p] = min(max(value, least[p]), most[p])
+    return moved
+
+
+@_compiled("Tuple((f8[:,::1],i8[::1]))(f8[:,:,::1],f8[:,::1],f8[:,::1],i8,f8)")
+def follow(
+    jacobian: Array, offset: Array, change: Array, k: int, still_px: float
+) -> tuple[Array, NDArray[np.intp]]:
+    """The first part of `refine._look_again`: offsets (m, .) after a ``change`` (m, 8), and whose
+    first ``k`` points moved by more than ``still_px`` somewhere.
+    """
+    result, moving = np.empty_like(offset), np.zeros(len(offset), dtype=np.bool_)
+    for i in range(len(offset)):
+        for j in range(offset.shape[1]):
+            moves = 0.0
+            for p in range(8):
+                moves += jacobian[i, j, p] * change[i, p]
+            result[i, j] = offset[i, j] - moves
+            if j < k and not abs(moves) < still_px:
+                moving[i] = True
+    return result, np.flatnonzero(moving)
 
 
 @_compiled("b1[::1](f8[:,::1],f8[:,::1],f8)")

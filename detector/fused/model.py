@@ -10,12 +10,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Self, cast
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.fused import fast
 from detector.geometry import Array, Camera, Motion
 
 # the end's middle, the axis, its radius, the sides' slope, its height in radii
@@ -121,7 +120,7 @@ def pixels_of(points: Array, camera: Camera) -> Array:
     return camera.project(points.reshape(-1, 3)).reshape(*points.shape[:2], 2)
 
 
-_STEP_MM = 0.1  # outward, to see how far the outline moves
+STEP_MM = 0.1  # outward, to see how far the outline moves
 
 
 def outlines(
@@ -131,13 +130,6 @@ def outlines(
     pixels (views, m, n, 2), outward normals, and how far they move outward (views, m, n, 8), px a
     unit of each number; zeros unless asked for.
     """
-    if loops := fast.compiled():
-        R = np.stack([motion.R for _, motion in cameras])
-        T = np.stack([motion.T for _, motion in cameras])
-        lenses = np.array([[*c.fc, *c.cc, *c.kc, c.alpha_c] for c, _ in cameras])
-        rows, along, over = np.ascontiguousarray(teats), outline.along_mm, outline.over_end
-        found = loops.outlines(rows, R, T, lenses, along, over, _STEP_MM, slopes_too)
-        return cast("tuple[Array, Array, Array]", found)
     contour = _contours(teats, [motion for _, motion in cameras], outline)
     views, m, n = len(cameras), len(teats), contour.points.shape[1]
     parts = [slice(i * m, (i + 1) * m) for i in range(views)]
@@ -152,8 +144,8 @@ def outlines(
     for i, (at, (camera, motion)) in enumerate(zip(parts, cameras, strict=True)):
         if slopes_too:
             one = Contour(contour.points[at], contour.normals[at], contour.from_centre[at])
-            outward = pixels_of(one.points + _STEP_MM * one.normals, camera) - pixels[at]
-            px_a_mm = np.einsum("mnd,mnd->mn", outward, normals[at]) / _STEP_MM
+            outward = pixels_of(one.points + STEP_MM * one.normals, camera) - pixels[at]
+            px_a_mm = np.einsum("mnd,mnd->mn", outward, normals[at]) / STEP_MM
             jacobian[i] = slopes(teats, one, px_a_mm, motion)
     return pixels.reshape(views, m, n, 2), normals.reshape(views, m, n, 2), jacobian
 

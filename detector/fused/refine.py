@@ -52,6 +52,7 @@ _ROUGH_SCALE, _FINE_SCALE = 20.0, 3.0  # floors beyond which an edge counts for 
 _LEAST_SIDE, _CLOSE = 0.4, 12.0  # of a side's edges, within so many floors, or it isn't seen
 # seen so well in one picture, and so badly in the other, it is no teat's side
 _LEAST_ALONE, _MOST_OTHER = 0.7, 0.15
+_LIMITS = np.array([_CLOSE, _LEAST_SIDE, _LEAST_ALONE, _MOST_OTHER])
 _STILL_PX = 0.02  # an outline that moves by less needs no new look
 _LEAST_SHARE, _NEAR_PX = 0.5, 1.5  # of the rough outline, near an edge
 _ONE_MM = np.array([0.5, 0.5, 2.0])  # two nearly fine fits nearer than this lead to one place
@@ -121,17 +122,16 @@ def _look_again(
     """Edges after a ``change`` (m, 8): optical ones anew where outlines moved, thermal kept."""
     outline = FINE_OUTLINE if fine else ROUGH_OUTLINE
     k = 2 * len(outline.part)
-    moves = (seen.jacobian @ change[..., None])[..., 0]
-    seen = replace(seen, offset_px=seen.offset_px - moves)
-    moving = np.flatnonzero(~(np.abs(moves[:, :k]).max(axis=1) < _STILL_PX))
-    if len(moving):
-        optical = look(teats[moving], views[:2], outline, seen.jacobian[moving, :k], fine=fine)
-        found = {name: getattr(seen, name) for name in Seen.__slots__}
-        for name in set(found) - {"jacobian", "floor_px"}:
-            found[name] = found[name].copy()
-            found[name][moving, :k] = getattr(optical, name)
-        seen = Seen(**found)
-    return seen
+    if loops := fast.compiled():
+        offset, moving = loops.follow(seen.jacobian, seen.offset_px, change, k, _STILL_PX)
+    else:
+        moves = (seen.jacobian @ change[..., None])[..., 0]
+        offset = seen.offset_px - moves
+        moving = np.flatnonzero(~(np.abs(moves[:, :k]).max(axis=1) < _STILL_PX))
+    seen = replace(seen, offset_px=offset)
+    if len(moving) == 0:
+        return seen
+    return look(teats, views[:2], outline, fine=fine, known=seen, which=moving)
 
 
 def _trusted(seen: Seen, hidden: NDArray[np.bool_], number: int) -> Array:
@@ -140,6 +140,10 @@ def _trusted(seen: Seen, hidden: NDArray[np.bool_], number: int) -> Array:
     """
     weight = np.where(hidden, 0.0, weights(seen, _FINE_SCALE))
     if number == 0:
+        return weight
+    if loops := fast.compiled():
+        counts = len(FINE_OUTLINE.along_mm), len(FINE_OUTLINE.over_end)
+        loops.trusted(weight, seen.offset_px, seen.floor_px, hidden, *counts, _LIMITS)
         return weight
     shape = (len(weight), -1, len(FINE_OUTLINE.part))
     near = np.abs(seen.offset_px) < np.minimum(_CLOSE * seen.floor_px, 1.0)
@@ -309,8 +313,7 @@ def side_stops(teats: Array, views: tuple[View, ...], beyond_mm: float) -> tuple
     """
     along = np.arange(-beyond_mm, _FROM_FOOT_MM + 1.0)
     outline = Outline(along, np.array([0.5]))
-    jacobian = np.zeros((len(teats), 2 * len(outline.part), COUNT))
-    seen = look(teats, views[:2], outline, jacobian, fine=True)
+    seen = look(teats, views[:2], outline, fine=True, slopes_too=False)
     near = (np.abs(seen.offset_px) < _CLOSE_PX) & (seen.clarity > LEAST_CLEAR)
     near, count = near.reshape(len(teats), 2, -1), len(along)
     from_foot = np.concatenate([near[..., :count], near[..., : -count - 1 : -1]], axis=1)
@@ -349,8 +352,7 @@ def slide_to_round(teats: Array, views: tuple[View, ...], slide_mm: Array) -> Ar
     axis = axes(teats)[:, None]
     slid[..., :3] -= (teats[:, RADIUS] * (teats[:, HEIGHT] - 1.0))[:, None, None] * axis
     slid[..., :3] -= slide_mm[:, None] * axis
-    jacobian = np.zeros((m * count, 2 * len(_END_OUTLINE.part), COUNT))
-    seen = look(slid.reshape(-1, COUNT), views[:2], _END_OUTLINE, jacobian, fine=True)
+    seen = look(slid.reshape(-1, COUNT), views[:2], _END_OUTLINE, fine=True, slopes_too=False)
     part = np.tile(_END_OUTLINE.part == END, 2)
     good = np.abs(seen.offset_px) < _CLOSE_PX
     good &= seen.clarity > LEAST_CLEAR

@@ -140,16 +140,24 @@ def _best(
     )
 
 
-def strengths(picture: Field, blur_px: float = 0.8, noises: float = 4.0) -> tuple[Field, Field]:
-    """Gradient (x, y), each length squeezed below 1; one half at ``noises`` times the noise's."""
+def strengths(
+    picture: Field, blur_px: float = 0.8, noises: float = 4.0, border: int = 0
+) -> tuple[Field, Field]:
+    """Gradient (x, y), each length squeezed below 1; one half at ``noises`` times the noise's. With
+    a ``border`` of zeros.
+    """
     smooth = cv2.GaussianBlur(picture, (0, 0), blur_px)
-    gx, gy = (
-        cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3, scale=0.125) for order in ((1, 0), (0, 1))
-    )
-    length = cv2.magnitude(gx, gy)
-    noise = median(length[::3, ::3])
-    squeezed = 1.0 / (length + max(noises * noise, 1e-6))
-    return gx * squeezed, gy * squeezed
+    rows, columns = picture.shape
+    gx, gy = np.zeros((2, rows + 2 * border, columns + 2 * border), dtype=np.float32)
+    inner = np.s_[border : border + rows, border : border + columns]
+    for g, order in ((gx, (1, 0)), (gy, (0, 1))):
+        cv2.Sobel(smooth, cv2.CV_32F, *order, dst=g[inner], ksize=3, scale=0.125)
+    squeezed = cv2.magnitude(gx, gy)
+    squeezed += max(noises * median(squeezed[inner][::3, ::3]), 1e-6)
+    np.reciprocal(squeezed, out=squeezed)
+    gx *= squeezed
+    gy *= squeezed
+    return gx, gy
 
 
 def _scores(
