@@ -146,12 +146,14 @@ def best_starts(ends: Starts, sides: Starts, maps: tuple[Map, ...], p: Parameter
 def _apart(starts: Starts, chosen: list[int], first: int, p: Parameters) -> list[int]:
     """The best from ``first`` on beside those ``chosen``; one near a better one counts for less."""
     places, more = apexes(starts.teats), list[int]()
-    near = np.linalg.norm(places[:, None] - places, axis=2) < _NEAR_MM
-    left = starts.score * starts.nominated * _NEAR ** near[chosen].sum(axis=0)
+    squares = (places**2).sum(axis=1)
+    near = squares[chosen, None] + squares - 2 * places[chosen] @ places.T < _NEAR_MM**2
+    left = starts.score * starts.nominated * _NEAR ** near.sum(axis=0)
     left[[*range(first), *chosen]] = 0.0
     while len(more) < p.more_bar_starts and left.max(initial=0.0) > 0.0:
         more.append(int(left.argmax()))
-        left = np.where(near[more[-1]], _NEAR * left, left)
+        beside = ((places - places[more[-1]]) ** 2).sum(axis=1) < _NEAR_MM**2
+        left = np.where(beside, _NEAR * left, left)
         left[more[-1]] = 0.0
     return more
 

@@ -374,8 +374,8 @@ def _start(
 def optical_views(
     left: NDArray[Any], right: NDArray[Any], calibration: Calibration, guesses: Array
 ) -> list[View]:
-    """The parts of both pictures that the guesses (n, d, 8) reach."""
-    points = guesses[..., :3].reshape(-1, 3)
+    """The parts of both pictures that the guesses (n, d, 8) from near to far reach."""
+    points = guesses[:, [0, -1], :3].reshape(-1, 3)
     points = np.concatenate([points, points + np.array([0.0, 60.0, 0.0])])
     profiles = OPTICAL_ROUGH, OPTICAL_FINE, OPTICAL_FLOOR_PX
     made = []

@@ -73,16 +73,11 @@ class Profile:
         return np.ascontiguousarray(_rounded(rows, _BASES))
 
     @cached_property
-    def columns(self) -> Array:
-        """The same with a sample a row, (s, c * g), and zeros to multiples of four and eight."""
-        more = (0, -len(self.offsets) % 4), (0, -len(self.rows) % 8)
-        return np.ascontiguousarray(np.pad(self.rows.T, more))
-
-    @cached_property
     def flat(self) -> Array:
-        """Orthonormal basis (s, c) of lines without an edge: a level and a slope."""
+        """Orthonormal basis (c, s) of lines without an edge: a level and a slope."""
         columns = [np.ones_like(self.offsets), self.offsets]
-        return _rounded(np.linalg.qr(np.column_stack(columns))[0], _BASES)
+        basis = np.linalg.qr(np.column_stack(columns))[0].T
+        return np.ascontiguousarray(_rounded(basis, _BASES))
 
     @cached_property
     def pull(self) -> Field:
@@ -204,7 +199,7 @@ def find_edges_into(
     into rows ``which`` (m,) of offsets and so on (., k), from column ``first`` on.
     """
     loops.edges(
-        lines, noise, _steps(noise), profile.columns, profile.flat, profile.places, profile.pull,
+        lines, noise, _steps(noise), profile.rows, profile.flat, profile.places, profile.pull,
         profile.grid_px, _NEIGHBOURS, CLEAR, _DOUBT, LIGHT, which, first, *edges,
     )  # fmt: skip
 
@@ -247,7 +242,7 @@ def _left_over(lines: Field, profile: Profile, steps: Array) -> tuple[Field, Fie
     energy = np.einsum("ns,ns->n", y, y)
     along = (profile.rows @ y.T).reshape(-1, len(profile.places), len(y))
     along *= along
-    level, slope = ((y @ profile.flat) ** 2).T
+    level, slope = (profile.flat @ y.T) ** 2
     left = np.empty((1 + profile.limb, *along.shape[1:]), dtype=np.float32)
     rest = energy - level - along[0]
     np.maximum(rest, 0, out=left[-1], casting="same_kind")

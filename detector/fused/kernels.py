@@ -32,6 +32,11 @@ def _within(loop: Loop) -> Loop:
     return cast("Loop", numba.njit(error_model="numpy")(loop))
 
 
+def _exact(loop: Loop) -> Loop:
+    """The same, of sums that are exact in any order."""
+    return cast("Loop", numba.njit(error_model="numpy", fastmath={"contract", "reassoc"})(loop))
+
+
 @_within
 def _dot(a: Array, b: Array) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]  # type: ignore[no-any-return]
@@ -252,45 +257,47 @@ def _summed(values: Field, size: int, result: Field) -> None:
             total[i] += np.float64(values[last, i]) - np.float64(values[first, i])
 
 
+@_exact
+def _centred(line: Field, flat: Array, steps: float, y: Array) -> tuple[float, float, float]:
+    """Fills ``y`` with a line (s,) in whole ``steps`` about its mean; its energy, and its products
+    with ``flat`` (2, s).
+    """
+    s, mean = len(line), 0.0
+    for k in range(s):
+        mean += line[k]
+    mean /= s
+    unit = 1.0 / steps  # a power of two
+    for k in range(s):
+        y[k] = np.rint((line[k] - mean) * steps) * unit
+    energy = level = slope = 0.0
+    for k in range(s):
+        energy += y[k] * y[k]
+        level += y[k] * flat[0, k]
+        slope += y[k] * flat[1, k]
+    return energy, level, slope
+
+
 @_within
 def _left_over(
-    lines: Field, columns: Array, flat: Array, steps: float, left: Field, straight: Field
+    lines: Field, rows: Array, flat: Array, steps: float, left: Field, straight: Field
 ) -> None:
-    """`edges._left_over` of lines (n, s): fills residuals of steps (k, n, g) and straight (n,).
-    Its sums are exact: their order is that of the fastest.
-    """
-    n, s = lines.shape
-    models, _, g = left.shape
-    y, along = np.zeros(len(columns)), np.empty(columns.shape[1])
+    """`edges._left_over` of lines (n, s): fills residuals of steps (k, n, g) and straight (n,)."""
+    models, n, g = left.shape
+    y, sums = np.zeros(lines.shape), np.zeros((n, 3))
     for j in range(n):
-        mean = 0.0
-        for k in range(s):
-            y[k] = 0.0 if np.isnan(lines[j, k]) else lines[j, k]
-            mean += y[k]
-        mean /= s
-        energy = level = slope = 0.0
-        for k in range(s):
-            y[k] = np.rint((y[k] - mean) * steps) / steps
-            energy += y[k] * y[k]
-            level += y[k] * flat[k, 0]
-            slope += y[k] * flat[k, 1]
+        if not np.isnan(lines[j, 0]):
+            sums[j, 0], sums[j, 1], sums[j, 2] = _centred(lines[j], flat, steps, y[j])
+    products = np.dot(y, rows.T)
+    for j in range(n):
+        energy, level, slope = sums[j]
+        along, rest = products[j], energy - level * level
         straight[j] = max(energy - (level * level + slope * slope), 1e-6)
-        along[:] = 0.0
-        for k in range(0, len(y), 4):
-            a, b, c, d = y[k], y[k + 1], y[k + 2], y[k + 3]
-            for q in range(len(along)):
-                along[q] += (
-                    a * columns[k, q]
-                    + b * columns[k + 1, q]
-                    + c * columns[k + 2, q]
-                    + d * columns[k + 3, q]
-                )
         for q in range(g):
-            rest = energy - level * level - along[q] * along[q]
-            left[models - 1, j, q] = max(rest, 0.0)
+            one = rest - along[q] * along[q]
+            left[models - 1, j, q] = max(one, 0.0)
             if models == 2:
                 a, b = along[g + q], along[2 * g + q]
-                left[0, j, q] = max(rest - a * a - b * b, 0.0)
+                left[0, j, q] = max(one - a * a - b * b, 0.0)
 
 
 @_within
@@ -330,7 +337,7 @@ def edges(
     lines: Field,
     noise: Array,
     steps: Array,
-    columns: Array,
+    rows: Array,
     flat: Array,
     places: Array,
     pull: Field,
@@ -348,13 +355,12 @@ def edges(
     limb_sd: Array,
 ) -> None:
     """`edges.find_edges` of lines (views, m, n, s), NaN beyond a picture, and `edges.lit_alike`:
-    fills rows ``which`` (m,) of offsets and so on (., k), from column ``first`` on. ``columns``
-    (s, c * g), with zeros below and to the right; ``noise``, ``steps`` (views,); ``light``:
-    `edges.LIGHT`.
+    fills rows ``which`` (m,) of offsets and so on (., k), from column ``first`` on. ``rows`` (c * g,
+    s); ``noise``, ``steps`` (views,); ``light``: `edges.LIGHT`.
     """
     views, m, n, s = lines.shape
     g = len(places)
-    models = (columns.shape[1] // g + 1) // 2
+    models = (len(rows) // g + 1) // 2
     result, joint = np.empty((3, models, n)), np.empty((3, n))
     left, together = np.empty((models, n, g), dtype=_f4), np.empty((n, g), dtype=_f4)
     straight, shared = np.empty(n, dtype=_f4), np.empty(n, dtype=_f4)
@@ -363,7 +369,7 @@ def edges(
         floor, many = _f4(s * noise[v] ** 2), _f4(s * neighbours)
         for i in range(m):
             row, at = which[i], slice(first + v * n, first + (v + 1) * n)
-            _left_over(lines[v, i], columns, flat, steps[v], left, straight)
+            _left_over(lines[v, i], rows, flat, steps[v], left, straight)
             for k in range(models):
                 found = result[:, k]
                 _likeliest(left[k], straight, places, pull, floor, _f4(s), grid_px, every, found)

@@ -89,15 +89,20 @@ def bars(
         return _NONE
     scores = _scores(False, gx, gy, at, HALF_WIDTHS_PX, _BAR_LEANS)
     found = _best(at, scores, HALF_WIDTHS_PX, _BAR_LEANS)
-    order = [int(i) for i in np.argsort(-found.score, kind="stable") if found.score[i] > _LEAST_BAR]
+    order = np.argsort(-found.score, kind="stable")
+    order = order[found.score[order] > _LEAST_BAR]
+
+    def beside(middle: Array, lean: float) -> NDArray[np.intp]:
+        """Of the order, what is beside such a bar."""
+        apart = _beside(found.centre_px[order].T, found.lean[order], middle, lean)
+        return order[apart > _APART_PX]
+
+    for middle, lean in clear:
+        order = beside(middle, lean)
     kept: list[int] = []
-    for i in order:
-        middle, lean = found.centre_px[i], found.lean[i]
-        if len(kept) < most and all(
-            _beside(middle, lean, other, slope) > _APART_PX for other, slope in clear
-        ):
-            kept.append(i)
-            clear.append((middle, lean))
+    while len(order) and len(kept) < most:
+        kept.append(int(order[0]))
+        order = beside(found.centre_px[kept[-1]], found.lean[kept[-1]])
     return found.take(np.array(kept, dtype=np.intp))
 
 
@@ -123,7 +128,7 @@ def unexplained(
     return count
 
 
-def _beside(a: Array, lean_a: float, b: Array, lean_b: float) -> Array:
+def _beside(a: Array, lean_a: Array | float, b: Array, lean_b: float) -> Array:
     """Distance across two bars half way between their middles, px; ``a`` may be many, (2, n)."""
     half = 0.5 * (b[1] - a[1])
     return np.asarray(np.abs((a[0] + lean_a * half) - (b[0] - lean_b * half)))
