@@ -69,12 +69,15 @@ def _gain(fitted: Fitted, p: Parameters) -> Array:
 
 
 _SUPPORT_PX = 0.3
+# the half of an end that is farthest out, in both optical pictures: it says where the end is
+_TIP = np.tile(FINE_OUTLINE.part == END, 2)
+_TIP[np.flatnonzero(_TIP).reshape(2, 4, -1)[:, [0, -1]].ravel()] = False
 _LEAST_MM2 = 1e-6  # so that a covariance always has an inverse
 # of a short teat's end: along its axis and anywhere
 _SHAPE_ALONG_MM, _SHAPE_ACROSS_MM = 0.7, 0.2
 _LEFT_OVER = 0.4, 5.0  # at least and at most
 # in plain light, and of a short teat of any shape; the more is left over, the longer are the tails
-_USUAL, _MORE = (0.78, 0.62), (0.8, 0.4)
+_USUAL, _MORE = (0.79, 0.62), (0.8, 0.4)
 _STRETCH = 4  # points of an outline that share a shift: some 10 px
 
 
@@ -111,7 +114,7 @@ def _by_edges(fitted: Fitted, p: Parameters) -> Array:
     shift[..., : optical // _STRETCH] = _stretch_shift(fitted, p)[:, None, None]
     axis = axes(fitted.teats)[..., None]
     near = np.abs(fitted.seen.offset_px[:, :optical]) < 2 * _SUPPORT_PX
-    shown = (near & (fitted.weight[:, :optical] > 0))[:, part == END].mean(axis=1)
+    shown = (near & (fitted.weight[:, :optical] > 0))[:, _TIP].mean(axis=1)
     unseen = (1.0 - shown) ** 2 * p.unseen_end_sd_mm
     moves = [
         noise,
@@ -148,7 +151,7 @@ def _left_over(fitted: Fitted) -> Array:
 
 
 def _stretch_shift(fitted: Fitted, p: Parameters) -> Array:
-    """Common sd (m,) px of a stretch of the optical outlines; larger where a part is unseen."""
+    """Common sd (m,) px of a stretch of the optical outlines."""
     k = 2 * len(FINE_OUTLINE.part)
     used = fitted.weight[:, :k] > 0
     offset = np.where(used, np.clip(np.nan_to_num(fitted.seen.offset_px[:, :k]), -1, 1), 0.0)
@@ -158,9 +161,7 @@ def _stretch_shift(fitted: Fitted, p: Parameters) -> Array:
     scatter = np.where(
         whole.any(axis=1), (mean**2 * whole).sum(axis=1) / np.maximum(whole.sum(axis=1), 1), 1.0
     )
-    near = np.abs(fitted.seen.offset_px[:, :k]) < _SUPPORT_PX
-    support = np.maximum((used & near).mean(axis=1), 0.2)
-    return np.asarray(np.sqrt(p.stretch_least_px**2 + p.stretch_share**2 * scatter) / support)
+    return np.asarray(np.sqrt(p.stretch_least_px**2 + p.stretch_share**2 * scatter))
 
 
 def world_covariances(own: Array, ends_mm: Array, calibration: Calibration) -> Array:

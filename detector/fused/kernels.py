@@ -384,7 +384,11 @@ def edges(
                         result[0, k, j] = joint[0, j]
                         result[1, k, j] = joint[1, j] * np.sqrt(neighbours)
                         result[2, k, j] = min(doubt * joint[2, j], 0.9 * clear)
-            offset[row, at], sd[row, at], clarity[row, at] = result[0, 0], result[1, 0], result[2, 0]
+            offset[row, at], sd[row, at], clarity[row, at] = (
+                result[0, 0],
+                result[1, 0],
+                result[2, 0],
+            )
             limb[row, at] = limb_sd[row, at] = 0.0
             for j in range(n):
                 c = first + v * n + j
@@ -513,7 +517,10 @@ def places(
     x, y = np.empty((m * n, s), dtype=_f4), np.empty((m * n, s), dtype=_f4)
     inside = np.empty(m * n, dtype=np.bool_)
     for j in range(m * n):
-        middle, normal = middles[which[j // n], first + j % n], normals[which[j // n], first + j % n]
+        middle, normal = (
+            middles[which[j // n], first + j % n],
+            normals[which[j // n], first + j % n],
+        )
         u, v = _f4(_known(middle[0] - corner[0], -1e4)), _f4(_known(middle[1] - corner[1], -1e4))
         right, down = _f4(_known(normal[0], 0.0)), _f4(_known(normal[1], 0.0))
         for k in range(s):
