@@ -37,19 +37,18 @@ def unaliased(fitted: Fitted, p: Parameters) -> tuple[Fitted, Array]:
     for view in range(2):
         at = slice(view * n, (view + 1) * n)
         waves[:, at, view] = wave[:, at]
-    gain, weighted = _gain(fitted, p), fitted.weight[..., None] * waves
+    by_waves, weighted = _moved_by(waves, fitted, p), fitted.weight[..., None] * waves
     off = np.where(fitted.weight > 0, seen.offset_px, 0.0)
     # what moving the teats explains of the waves is no evidence
-    left = weighted - fitted.weight[..., None] * (_moves(fitted) @ (gain @ waves))
+    left = weighted - fitted.weight[..., None] * (_moves(fitted) @ by_waves)
     information = np.einsum("mkv,mkw->vw", left, waves) / _STRETCH
     evidence = np.einsum("mkv,mk->v", left, off) / _STRETCH
     information += np.eye(2) / _ALIAS_SD_PX**2
     amplitude_px = np.linalg.solve(information, evidence)
-    change = -(waves @ amplitude_px)
-    moved = (gain @ change[..., None])[..., 0]
+    change, moved = -(waves @ amplitude_px), -(by_waves @ amplitude_px)
     after = seen.offset_px + change - (_moves(fitted) @ moved[..., None])[..., 0]
     unsure_px = np.sqrt((_ALIAS_SHARE * amplitude_px) ** 2 + np.diag(np.linalg.inv(information)))
-    ends = apex_jacobian(fitted.teats) @ gain @ waves * unsure_px
+    ends = apex_jacobian(fitted.teats) @ by_waves * unsure_px
     return (
         replace(fitted, teats=fitted.teats + moved, seen=replace(seen, offset_px=after)),
         np.asarray(np.einsum("miv,mjv->mij", ends, ends)),
@@ -61,11 +60,19 @@ def _moves(fitted: Fitted) -> Array:
     return np.where(fitted.weight[..., None] > 0, fitted.seen.jacobian, 0.0)
 
 
-def _gain(fitted: Fitted, p: Parameters) -> Array:
-    """How teats move with their edges, (m, 8, k), a px."""
+def _moved_by(edges_px: Array, fitted: Fitted, p: Parameters) -> Array:
+    """How teats move (m, 8, w) with their edges, each of which moves outward by (m, k, w)."""
     H, _ = normal_equations(fitted.teats, fitted.seen, fitted.weight, p.prior)
-    j = _moves(fitted) * fitted.weight[..., None]
-    return np.asarray(np.linalg.solve(H, j.transpose(0, 2, 1)))
+    pull = (_moves(fitted) * fitted.weight[..., None]).transpose(0, 2, 1)
+    return np.asarray(np.linalg.solve(H, pull @ edges_px))
+
+
+def _end_gain(fitted: Fitted, p: Parameters) -> Array:
+    """How ends move with each edge (m, 3, k), mm a px."""
+    H, _ = normal_equations(fitted.teats, fitted.seen, fitted.weight, p.prior)
+    of_ends = np.linalg.solve(H, apex_jacobian(fitted.teats).transpose(0, 2, 1))
+    pull = _moves(fitted) * fitted.weight[..., None]
+    return np.asarray((pull @ of_ends).transpose(0, 2, 1))
 
 
 _SUPPORT_PX = 0.3
@@ -101,8 +108,7 @@ def end_covariances(fitted: Fitted, p: Parameters) -> Array:
 def _by_edges(fitted: Fitted, p: Parameters) -> Array:
     m, k = fitted.weight.shape
     optical = 2 * len(FINE_OUTLINE.part)
-    # how the ends move with each edge (m, 3, k), mm a px
-    gain = apex_jacobian(fitted.teats) @ _gain(fitted, p)
+    gain = _end_gain(fitted, p)
     sd = np.where(fitted.weight > 0, np.nan_to_num(fitted.seen.sd_px), 0.0)
     noise = gain * (sd * _left_over(fitted)[:, None])[:, None]
     limb = gain[..., :optical] * fitted.seen.limb_px[:, None, :optical]
@@ -123,9 +129,8 @@ def _by_edges(fitted: Fitted, p: Parameters) -> Array:
         p.limb_share_of_stretch * limb.reshape(m, 3, optical // _STRETCH, _STRETCH).sum(axis=3),
         np.hypot(p.end_shape_sd_mm, unseen)[:, None, None] * axis,
     ]
-    return np.asarray(
-        sum(np.einsum("mik,mjk->mij", move, move) for move in moves) + _LEAST_MM2 * np.eye(3)
-    )
+    every = np.concatenate(moves, axis=2)
+    return np.asarray(every @ every.transpose(0, 2, 1) + _LEAST_MM2 * np.eye(3))
 
 
 def _shape_covariances(fitted: Fitted) -> Array:

@@ -88,10 +88,11 @@ def objections(
     clean = [i for i, reason in enumerate(reasons) if reason is None]
     for i, reason in _unlike_in_warmth(evidence, clean, surroundings, p):
         reasons[i] = reason
-    kept: list[int] = []
-    merit = evidence.merit
-    for i in sorted((i for i in clean if reasons[i] is None), key=lambda i: -merit[i]):
-        if any(_passes_through(teats[i], teats[k], p.overlap) for k in kept):
+    merit, kept = evidence.merit, list[int]()
+    order = sorted((i for i in clean if reasons[i] is None), key=lambda i: -merit[i])
+    through = _pass_through(teats[order], teats[order], p.overlap)
+    for n, i in enumerate(order):
+        if any(through[n, order.index(k)] for k in kept):
             reasons[i] = _WORSE
         else:
             kept.append(i)
@@ -220,7 +221,7 @@ def shapes(teats: Array, evidence: Evidence, reasons: list[str | None], p: Param
             end[i]
             and unlike[i]
             and not same[i, kept + sound].any()
-            and not any(_passes_through(teats[i], teats[k], p.overlap) for k in sound)
+            and not _pass_through(teats[[i]], teats[sound], p.overlap).any()
         ):
             kept.append(i)
     return kept[: p.most_shapes]
@@ -437,8 +438,9 @@ def _elsewhere(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     )
 
 
-def _passes_through(a: Array, b: Array, share: float) -> bool:
-    """Whether two solid teats (8,) would be in one another."""
-    first, second = (t[:3] + _AXIS_MM[:, None] * axes(t[None]) for t in (a, b))
-    nearest = np.linalg.norm(first[:, None] - second[None], axis=2).min()
-    return bool(nearest < share * (a[RADIUS] + b[RADIUS]))
+def _pass_through(first: Array, second: Array, share: float) -> NDArray[np.bool_]:
+    """Whether solid teats (m, 8) would be in others (k, 8): (m, k)."""
+    one, other = (t[:, None, :3] + _AXIS_MM[:, None] * axes(t)[:, None] for t in (first, second))
+    apart = ((one[:, None, :, None] - other[None, :, None]) ** 2).sum(axis=4)
+    least = share * (first[:, None, RADIUS] + second[None, :, RADIUS])
+    return np.asarray(apart.min(axis=(2, 3), initial=np.inf) < least**2)

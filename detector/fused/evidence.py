@@ -132,7 +132,7 @@ def warmth_across(
     """
     axis = axes(teats)
     line = teats[:, None, None, :3] + _ALONG_MM[:, None] * axis[:, None, None]
-    across = np.cross(axis, [0.0, 0.0, -1.0])[:, None, None]
+    across = (axis[:, [1, 0, 2]] * [-1.0, 1.0, 0.0])[:, None, None]  # at right angles to depth too
     aside = np.array(_ACROSS)[:, None, None] * teats[:, None, None, RADIUS, None] * across
     points = (line + aside).reshape(-1, 3)
     pixels = (lens.project(thermal_from_right.apply(points)) + 0.5) / px_a_sensor_px - 0.5

@@ -9,6 +9,7 @@ sides; and points hidden by an accepted teat are left out.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -258,6 +259,7 @@ def refine_again(
     return found[0] if len(found) == 1 else found[0] + found[1]
 
 
+@cache
 def any_shape(p: Parameters) -> Parameters:
     """The prior of short teats: tapered, and flat to pointed."""
     prior = replace(p.prior, lean_sd=0.12, radius_sd_mm=2.5, taper_sd=0.07, height_sd=0.35)
