@@ -55,6 +55,7 @@ from detector.fused.refine import (
 )
 from detector.fused.sharpness import Sharpness, blur_covariances, sharpness, too_blurred
 from detector.fused.thermal import (
+    ROOM_PX,
     Nominations,
     bars,
     levels,
@@ -343,7 +344,7 @@ def _start(
     trace: list[Stage],
 ) -> tuple[Array, tuple[Map, ...], Nominations]:
     warm = thermal.view.field
-    gx, gy = strengths(warm)
+    gx, gy = strengths(warm, border=ROOM_PX)
     ends = nominate(gx, gy, p.most_nominations)
     upright = bars(warm, gx, gy, thermal.levels, ends, p.most_bars)
     shown = {

@@ -458,8 +458,10 @@ def across(
                 for j in range(len(shifts)):
                     u = x + (shifts[j, 0] + _f4(1.5))
                     v = y + (shifts[j, 1] + _f4(1.5))
-                    column = int(min(max(u, _f4(0)), _f4(columns - 1)))
-                    row = int(min(max(v, _f4(0)), _f4(rows - 1)))
+                    column, row = int(u), int(v)
+                    if not (0 <= u < columns and 0 <= v < rows):
+                        column = int(min(max(u, _f4(0)), _f4(columns - 1)))
+                        row = int(min(max(v, _f4(0)), _f4(rows - 1)))
                     sums[part, j] += abs(gx[row, column] * normal_x + gy[row, column] * normal_y)
             sums[part] /= _f4(count)
         for j in range(len(shifts)):

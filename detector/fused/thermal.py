@@ -26,7 +26,7 @@ _ARC = np.radians([-65.0, -40.0, -15.0, 15.0, 40.0, 65.0])
 _BELOW_PX = np.array([1.0, 4.0, 7.0, 10.0, 13.0, 16.0])
 _BAR_LEANS = (-0.22, 0.0, 0.22)
 _ROUGH_WIDTHS_PX, _MOST_TIPS = (3.6, 6.0), 250
-_ROOM_PX = 34
+ROOM_PX = 34  # of zeros about the gradients, for outlines beyond the picture
 _APART_PX = 4.0
 # strengths, 0 to 1
 _STEEP, _LEAST_END, _LEAST_BAR, _CLEAR_END, _SURE_END = 0.35, 0.25, 0.45, 0.8, 0.85
@@ -54,8 +54,10 @@ def levels(temperature: Field) -> Array:
 
 
 def nominate(gx: Field, gy: Field, most: int) -> Nominations:
-    """At most ``most`` ends, best first, by `strengths` of a picture in which warm is high."""
-    steep = np.abs(gy)
+    """At most ``most`` ends, best first, by `strengths`, with a border of `ROOM_PX`, of a picture in
+    which warm is high.
+    """
+    steep = np.abs(gy[ROOM_PX:-ROOM_PX, ROOM_PX:-ROOM_PX])
     v, u = np.nonzero((steep > _STEEP) & (steep >= cv2.dilate(steep, np.ones((3, 1))) - 1e-6))
     if len(u) == 0:
         return _NONE
@@ -74,7 +76,7 @@ def bars(
     temperature: Field, gx: Field, gy: Field, between: Array, ends: Nominations, most: int
 ) -> Nominations:
     """At most ``most`` upright warm bars without a clear end of ``ends``, by a picture, its
-    `strengths` and `levels`; `centre_px` is on the bar. For ends before something as warm, where
+    `strengths`, as `nominate`'s, and `levels`; `centre_px` is on the bar. For ends before something as warm, where
     only sides show.
     """
     low, high = between
@@ -157,11 +159,11 @@ def strengths(
     inner = np.s_[border : border + rows, border : border + columns]
     for g, order in ((gx, (1, 0)), (gy, (0, 1))):
         cv2.Sobel(smooth, cv2.CV_32F, *order, dst=g[inner], ksize=3, scale=0.125)
-    squeezed = cv2.magnitude(gx, gy)
-    squeezed += max(noises * median(squeezed[inner][::3, ::3]), 1e-6)
+    squeezed = cv2.magnitude(gx[inner], gy[inner], smooth)
+    squeezed += max(noises * median(squeezed[::3, ::3]), 1e-6)
     np.reciprocal(squeezed, out=squeezed)
-    gx *= squeezed
-    gy *= squeezed
+    gx[inner] *= squeezed
+    gy[inner] *= squeezed
     return gx, gy
 
 
@@ -176,10 +178,8 @@ def _scores(
     """Scores (shapes, n) of bars of each half width px and lean with their tips, for ``end``, or
     above their sides at whole pixels ``at`` (n, 2).
     """
-    # flat, with a border of zeros for outlines beyond the picture
-    columns = gx.shape[1] + 2 * _ROOM_PX
-    flat_x, flat_y = np.pad(gx, _ROOM_PX).ravel(), np.pad(gy, _ROOM_PX).ravel()
-    whole = at.astype(np.intp) + _ROOM_PX
+    columns, flat_x, flat_y = gx.shape[1], gx.ravel(), gy.ravel()
+    whole = at.astype(np.intp) + ROOM_PX
     start = whole[:, 1] * columns + whole[:, 0]
     found = []
     for width in widths:
