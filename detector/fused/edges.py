@@ -131,10 +131,10 @@ class Edges:
 def sample(field: Field, middles_px: Array, normals: Array, offsets_px: Array) -> Field:
     """Intensities (n, s) at ``offsets_px`` along ``normals`` from ``middles_px``; NaN outside."""
     if loops := fast.compiled():
-        values = np.empty((len(middles_px), len(offsets_px)), dtype=np.float32)
+        lines: Field = np.empty((len(middles_px), len(offsets_px)), dtype=np.float32)
         places = middles_px[None], normals[None], np.zeros(1, dtype=np.intp), 0, len(middles_px)
-        sample_into(loops, values, field, np.zeros(2), places, offsets_px)
-        return values
+        sample_into(loops, lines, field, np.zeros(2), places, offsets_px)
+        return lines
     rows, columns = field.shape
     middles = np.where(np.isnan(middles_px), -1e4, middles_px).astype(np.float32)
     directions = np.where(np.isnan(normals), 0.0, normals).astype(np.float32)
@@ -195,7 +195,7 @@ def find_edges_into(
     first: int,
     edges: tuple[Array, ...],
 ) -> None:
-    """`find_edges` and `lit_alike` by compiled loops of lines (views, m, n, s), with noise (views,):
+    """`find_edges` and `lit_alike` by compiled loops, of lines (views, m, n, s) and noise (views,):
     into rows ``which`` (m,) of offsets and so on (., k), from column ``first`` on.
     """
     loops.edges(

@@ -6,6 +6,7 @@ weak priors on size, lean, taper and height. Derivatives are closed forms.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field, fields
 from functools import cache
 from itertools import groupby
@@ -57,7 +58,7 @@ class View:
     fine: Profile
     floor_px: float
     # fx, fy, cx, cy, k1, k2, p1, p2, k3, skew; the motion's matrix and translation: (22,)
-    numbers: Array = field(init=False)
+    numbers: Array = dataclasses.field(init=False)
 
     def __post_init__(self) -> None:
         camera, motion = self.camera, self.camera_from_teats
@@ -273,8 +274,8 @@ def _look(
             sample_into(loops, one, view.field, view.corner_px, places, profile.offsets)
         edges = seen.offset_px, seen.sd_px, seen.clarity, seen.limb_px, seen.limb_sd_px
         noise = np.array([view.noise for view in alike])
-        lines = lines.reshape(len(alike), len(teats), n, -1)
-        find_edges_into(loops, lines, profile, noise, which, first, edges)
+        given = lines.reshape(len(alike), len(teats), n, -1)
+        find_edges_into(loops, given, profile, noise, which, first, edges)
         first += len(alike) * n
     return seen
 

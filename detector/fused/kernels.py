@@ -2,8 +2,9 @@
 its docstring names gives, and is tested against it.
 
 Compiled for one signature when this module is imported, and kept on disk (beside the module, else
-in the user's cache, or in NUMBA_CACHE_DIR). No fast mathematics: a sum has numpy's order where the
-order shows.
+in the user's cache, or in NUMBA_CACHE_DIR). What is kept is as old as the file of a loop: so one
+file has all. No fast mathematics but for sums that are exact: others have numpy's order where it
+shows.
 """
 
 from __future__ import annotations
@@ -301,6 +302,37 @@ def _left_over(
 
 
 @_within
+def _with_neighbours(
+    left: Field,
+    straight: Field,
+    places: Array,
+    pull: Field,
+    floor: np.float32,
+    freedom: np.float32,
+    grid_px: float,
+    neighbours: int,
+    clear: float,
+    doubt: float,
+    result: Array,
+) -> None:
+    """The second part of `edges._alone_or_together`: ``result`` (3, k, n) of faint lines anew."""
+    faint = np.flatnonzero(result[2, 0] < clear)
+    if len(faint) == 0:
+        return
+    models, n, g = left.shape
+    together, shared, joint = np.empty((n, g), _f4), np.empty((n, 1), _f4), np.empty((3, n))
+    _summed(straight.reshape(n, 1), neighbours, shared)
+    least = _f4(neighbours) * floor
+    for k in range(models):
+        _summed(left[k], neighbours, together)
+        _likeliest(together, shared[:, 0], places, pull, least, freedom, grid_px, faint, joint)
+        for j in faint:
+            result[0, k, j] = joint[0, j]
+            result[1, k, j] = joint[1, j] * np.sqrt(neighbours)
+            result[2, k, j] = min(doubt * joint[2, j], 0.9 * clear)
+
+
+@_within
 def _lit_alike(
     light: Array, views: int, offset: Array, sd: Array, limb: Array, limb_sd: Array
 ) -> None:
@@ -355,16 +387,14 @@ def edges(
     limb_sd: Array,
 ) -> None:
     """`edges.find_edges` of lines (views, m, n, s), NaN beyond a picture, and `edges.lit_alike`:
-    fills rows ``which`` (m,) of offsets and so on (., k), from column ``first`` on. ``rows`` (c * g,
-    s); ``noise``, ``steps`` (views,); ``light``: `edges.LIGHT`.
+    fills rows ``which`` (m,) of offsets and so on (., k), from column ``first`` on. ``rows``
+    (c * g, s); ``noise``, ``steps`` (views,); ``light``: `edges.LIGHT`.
     """
     views, m, n, s = lines.shape
     g = len(places)
     models = (len(rows) // g + 1) // 2
-    result, joint = np.empty((3, models, n)), np.empty((3, n))
-    left, together = np.empty((models, n, g), dtype=_f4), np.empty((n, g), dtype=_f4)
-    straight, shared = np.empty(n, dtype=_f4), np.empty(n, dtype=_f4)
-    every = np.arange(n)
+    result, every = np.empty((3, models, n)), np.arange(n)
+    left, straight = np.empty((models, n, g), dtype=_f4), np.empty(n, dtype=_f4)
     for v in range(views):
         floor, many = _f4(s * noise[v] ** 2), _f4(s * neighbours)
         for i in range(m):
@@ -373,17 +403,9 @@ def edges(
             for k in range(models):
                 found = result[:, k]
                 _likeliest(left[k], straight, places, pull, floor, _f4(s), grid_px, every, found)
-            faint = np.flatnonzero(result[2, 0] < clear)
-            if len(faint):
-                _summed(straight.reshape(n, 1), neighbours, shared.reshape(n, 1))
-                for k in range(models):
-                    _summed(left[k], neighbours, together)
-                    least = _f4(neighbours) * floor
-                    _likeliest(together, shared, places, pull, least, many, grid_px, faint, joint)
-                    for j in faint:
-                        result[0, k, j] = joint[0, j]
-                        result[1, k, j] = joint[1, j] * np.sqrt(neighbours)
-                        result[2, k, j] = min(doubt * joint[2, j], 0.9 * clear)
+            _with_neighbours(
+                left, straight, places, pull, floor, many, grid_px, neighbours, clear, doubt, result
+            )
             offset[row, at], sd[row, at], clarity[row, at] = (
                 result[0, 0],
                 result[1, 0],
@@ -587,8 +609,8 @@ def trusted(
             for v in range(views):
                 shown = good = 0
                 for j in range(v * n + first, v * n + first + of_side):
-                    shown += not hidden[i, j]
-                    good += close[j]
+                    shown += 0 if hidden[i, j] else 1
+                    good += 1 if close[j] else 0
                 share[v] = good / max(shown, 0.3 * of_side)
                 covered[v] = shown < 0.5 * of_side
             least = min(1.0 if covered[0] else share[0], 1.0 if covered[1] else share[1])
@@ -619,6 +641,28 @@ def squares(jacobian: Array, offset: Array, weight: Array) -> tuple[Array, Array
     return H, b
 
 
+@_within
+def _solve(A: Array, b: Array, x: Array) -> None:
+    """Fills ``x`` (n,) with the solution of a positive definite A (n, n), by Cholesky's factor,
+    which A holds afterwards, on its diagonal and below.
+    """
+    n = len(b)
+    for p in range(n):
+        x[p] = b[p]
+        for q in range(p + 1):
+            total = A[p, q]
+            for r in range(q):
+                total -= A[p, r] * A[q, r]
+            A[p, q] = np.sqrt(total) if p == q else total / A[q, q]
+        for r in range(p):
+            x[p] -= A[p, r] * x[r]
+        x[p] /= A[p, p]
+    for p in range(n - 1, -1, -1):
+        for r in range(p + 1, n):
+            x[p] -= A[r, p] * x[r]
+        x[p] /= A[p, p]
+
+
 @_compiled(
     "f8[:,::1](f8[:,::1],f8[:,:,::1],f8[:,::1],f8[:,::1],f8[::1],f8[::1],f8,f8[::1],f8[::1],f8[::1])"
 )
@@ -643,23 +687,9 @@ def step(
             A[p, p] = (A[p, p] + sure[p]) * (1.0 + damping)
             if sure[p] > 1e-6:
                 b[i, p] += sure[p] * (usual[p] - teats[i, p])
-        # Cholesky's factor, below the diagonal and on it
-        for p in range(8):
-            for q in range(p + 1):
-                total = A[p, q]
-                for r in range(q):
-                    total -= A[p, r] * A[q, r]
-                A[p, q] = np.sqrt(total) if p == q else total / A[q, q]
-        for p in range(8):
-            change[p] = b[i, p]
-            for r in range(p):
-                change[p] -= A[p, r] * change[r]
-            change[p] /= A[p, p]
+        _solve(A, b[i], change)
         too_long = 1.0
-        for p in range(7, -1, -1):
-            for r in range(p + 1, 8):
-                change[p] -= A[r, p] * change[r]
-            change[p] /= A[p, p]
+        for p in range(8):
             too_long = max(too_long, abs(change[p]) / longest[p])
         for p in range(8):
             value = teats[i, p] + _known(change[p] / too_long, 0.0)

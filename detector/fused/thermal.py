@@ -54,8 +54,8 @@ def levels(temperature: Field) -> Array:
 
 
 def nominate(gx: Field, gy: Field, most: int) -> Nominations:
-    """At most ``most`` ends, best first, by `strengths`, with a border of `ROOM_PX`, of a picture in
-    which warm is high.
+    """At most ``most`` ends, best first, by `strengths` of a picture in which warm is high, with a
+    border of `ROOM_PX`.
     """
     steep = np.abs(gy[ROOM_PX:-ROOM_PX, ROOM_PX:-ROOM_PX])
     v, u = np.nonzero((steep > _STEEP) & (steep >= cv2.dilate(steep, np.ones((3, 1))) - 1e-6))
@@ -76,8 +76,8 @@ def bars(
     temperature: Field, gx: Field, gy: Field, between: Array, ends: Nominations, most: int
 ) -> Nominations:
     """At most ``most`` upright warm bars without a clear end of ``ends``, by a picture, its
-    `strengths`, as `nominate`'s, and `levels`; `centre_px` is on the bar. For ends before something as warm, where
-    only sides show.
+    `strengths` with a border of `ROOM_PX`, and its `levels`; `centre_px` is on the bar. For ends
+    before something as warm, where only sides show.
     """
     low, high = between
     rows, columns = np.nonzero(temperature[::4] > low + 0.4 * (high - low))
@@ -159,7 +159,7 @@ def strengths(
     inner = np.s_[border : border + rows, border : border + columns]
     for g, order in ((gx, (1, 0)), (gy, (0, 1))):
         cv2.Sobel(smooth, cv2.CV_32F, *order, dst=g[inner], ksize=3, scale=0.125)
-    squeezed = cv2.magnitude(gx[inner], gy[inner], smooth)
+    squeezed: Field = np.asarray(cv2.magnitude(gx[inner], gy[inner], smooth), dtype=np.float32)
     squeezed += max(noises * median(squeezed[::3, ::3]), 1e-6)
     np.reciprocal(squeezed, out=squeezed)
     gx[inner] *= squeezed

@@ -6,10 +6,12 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import fields, replace
 from pathlib import Path
 from types import ModuleType
 from typing import ParamSpec, TypeVar
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -17,9 +19,17 @@ from numpy.typing import NDArray
 from detector.calibration import Calibration, load_calibration
 from detector.fused import fast
 from detector.fused.detector import FusedDetector
-from detector.fused.edges import Profile, find_edges
-from detector.fused.model import COUNT, RADIUS, outlines
-from detector.fused.refine import FINE_OUTLINE, OPTICAL_FINE, OPTICAL_ROUGH, THERMAL
+from detector.fused.edges import Edges, Profile, find_edges, find_edges_into, lit_alike
+from detector.fused.fit import Parameters, Seen, View, look, step
+from detector.fused.model import COUNT, RADIUS
+from detector.fused.refine import (
+    FINE_OUTLINE,
+    OPTICAL_FINE,
+    OPTICAL_ROUGH,
+    ROUGH_OUTLINE,
+    THERMAL,
+    _trusted,
+)
 from detector.geometry import Motion
 from detector.protocol import Detection
 from tests.detector.conftest import recorded
@@ -73,40 +83,116 @@ def drawn_teats(count: int) -> NDArray[np.float64]:
     return rng.uniform(low, high, (count, COUNT))
 
 
+@pytest.fixture(scope="module")
+def views(rig: Calibration) -> tuple[View, ...]:
+    """All cameras before pictures of smooth noise."""
+    rng, made = np.random.default_rng(0), list[View]()
+    assert rig.thermal.lens is not None
+    assert rig.thermal_from_right is not None
+    for camera, motion, profiles in (
+        (rig.left, rig.right_from_left.inverse(), (OPTICAL_ROUGH, OPTICAL_FINE)),
+        (rig.right, Motion.identity(), (OPTICAL_ROUGH, OPTICAL_FINE)),
+        (rig.thermal.lens, rig.thermal_from_right, (THERMAL, THERMAL)),
+    ):
+        columns, rows = camera.image_size
+        field = cv2.GaussianBlur(
+            rng.normal(0.0, 900.0, (rows, columns)).astype(np.float32), (0, 0), 6
+        )
+        made.append(View(field, np.array([3.0, 5.0]), 2.0, camera, motion, *profiles, 0.05))
+    return tuple(made)
+
+
+def nearly_the_same(slow: Seen, quick: Seen) -> None:
+    for name in ("pixels_px", "normals", "jacobian", "floor_px"):
+        one, other = getattr(slow, name), getattr(quick, name)
+        np.testing.assert_allclose(other, one, rtol=1e-8, atol=1e-8, err_msg=name)
+    for name in ("offset_px", "sd_px", "clarity", "limb_px", "limb_sd_px"):
+        # samples are rounded to 1/32 px: a last bit may send one to the next
+        one, other = getattr(slow, name), getattr(quick, name)
+        alike = np.isclose(one, other, rtol=1e-6, atol=1e-6, equal_nan=True)
+        assert alike.mean() > 0.995, name
+
+
 @pytest.mark.slow
-def test_outlines_and_their_slopes_are_equal(both: Both, rig: Calibration) -> None:
+@pytest.mark.parametrize("fine", [True, False])
+def test_looks_are_equal(both: Both, views: tuple[View, ...], fine: bool) -> None:
+    outline = FINE_OUTLINE if fine else ROUGH_OUTLINE
     teats = drawn_teats(40)
     teats[3, 2] = -500.0  # behind the cameras
     teats[4, :3], teats[4, RADIUS] = (0.0, 0.0, 5.0), 20.0  # a camera is inside
-    assert rig.thermal.lens is not None
-    assert rig.thermal_from_right is not None
-    cameras = [
-        (rig.left, rig.right_from_left.inverse()),
-        (rig.right, Motion.identity()),
-        (rig.thermal.lens, rig.thermal_from_right),
-    ]
-    for slopes_too in (True, False):
-        slow, quick = both(outlines, teats, cameras, FINE_OUTLINE, slopes_too=slopes_too)
-        for one, other in zip(slow, quick, strict=True):
-            np.testing.assert_allclose(other, one, rtol=1e-9, atol=1e-9)
-    assert np.isnan(slow[0][:, 3:5]).any()
-    assert np.isfinite(slow[0][:, 5:]).all()
+    slow, quick = both(look, teats, views, outline, fine=fine)
+    nearly_the_same(slow, quick)
+    assert np.isnan(slow.pixels_px[3:5]).any()
+    assert np.isfinite(slow.pixels_px[5:]).all()
+    assert np.isfinite(slow.offset_px).mean() > 0.5
+    which, k = np.array([2, 4, 7]), 2 * len(outline.part)
+    moved = teats + 0.5
+    slow, quick = both(look, moved, views[:2], outline, fine=fine, known=quick, which=which)
+    nearly_the_same(slow, quick)
+    assert not np.array_equal(
+        quick.pixels_px[2, :k], look(teats, views, outline, fine=fine).pixels_px[2, :k]
+    )
+    assert not look(teats, views, outline, fine=fine, slopes_too=False).jacobian.any()
+
+
+def test_a_look_again_changes_nothing_else(both: Both, views: tuple[View, ...]) -> None:
+    teats, which = drawn_teats(6), np.array([1, 4])
+    k = 2 * len(FINE_OUTLINE.part)
+    first, _ = both(look, teats, views, FINE_OUTLINE, fine=True)
+    before = first.copied()
+    for again in both(
+        look, teats + 0.5, views[:2], FINE_OUTLINE, fine=True, known=first, which=which
+    ):
+        for name in Seen.__slots__:
+            old, new = getattr(first, name), getattr(again, name)
+            assert np.array_equal(old, getattr(before, name), equal_nan=True)
+            assert np.array_equal(old[[0, 2, 3, 5]], new[[0, 2, 3, 5]], equal_nan=True)
+            assert np.array_equal(old[:, k:], new[:, k:], equal_nan=True)
+        assert not np.array_equal(first.pixels_px[which, :k], again.pixels_px[which, :k])
 
 
 @pytest.mark.parametrize("profile", [OPTICAL_FINE, OPTICAL_ROUGH, THERMAL])
 @pytest.mark.parametrize(("contrast", "noise"), [(60.0, 2.0), (8.0, 3.0), (3e4, 90.0), (5.0, 0.05)])
 def test_edges_are_equal_to_the_last_bit(
-    both: Both, profile: Profile, contrast: float, noise: float
+    loops: ModuleType, profile: Profile, contrast: float, noise: float
 ) -> None:
     rng = np.random.default_rng(round(contrast))
-    places = rng.uniform(-3.0, 3.0, (6, 50, 1))
-    lines = contrast * (rng.random((6, 50, 1)) + np.tanh(profile.offsets - places))
+    places = rng.uniform(-3.0, 3.0, (2, 3, 50, 1))
+    lines = contrast * (rng.random((2, 3, 50, 1)) + np.tanh(profile.offsets - places))
     lines += rng.normal(0.0, noise, lines.shape)
-    lines[1, 5:9], lines[2] = np.nan, 40.0  # beyond the picture; without any edge
-    slow, quick = both(find_edges, lines.astype(np.float32), profile, noise)
-    for name in ("offset_px", "sd_px", "clarity", "limb_px", "limb_sd_px"):
-        assert np.array_equal(getattr(slow, name), getattr(quick, name), equal_nan=True), name
-    assert np.isfinite(slow.offset_px).any()
+    lines[0, 1, 5:9], lines[1, 2] = np.nan, 40.0  # beyond the picture; without any edge
+    given = lines.astype(np.float32)
+    edges = find_edges(given.reshape(6, 50, -1), profile, noise)
+    edges = Edges(*(getattr(edges, f.name).reshape(2, 3, 50) for f in fields(edges)))
+    by_light = lit_alike(edges) if profile.limb else edges
+    found = [np.full((5, 110), 7.0) for _ in fields(Edges)]  # of which rows and columns are filled
+    which = np.array([0, 3, 4])
+    find_edges_into(loops, given, profile, np.full(2, noise), which, 4, tuple(found))
+    for f, filled in zip(fields(Edges), found, strict=True):
+        one = getattr(by_light, f.name).swapaxes(0, 1).reshape(3, -1)
+        if f.name == "clarity" or not profile.limb:
+            assert np.array_equal(one, filled[which, 4:104], equal_nan=True), f.name
+        np.testing.assert_allclose(filled[which, 4:104], one, rtol=1e-12, atol=1e-12)
+        assert (filled[[1, 2]] == 7.0).all()
+        assert (filled[:, :4] == 7.0).all()
+    assert np.isfinite(found[0][which, 4:104]).any()
+
+
+def test_steps_and_trust_are_equal(both: Both, views: tuple[View, ...]) -> None:
+    teats, p = drawn_teats(20), Parameters()
+    seen, _ = both(look, teats, views, FINE_OUTLINE, fine=True)
+    close = 0.3 * np.nan_to_num(seen.offset_px)  # so that sides are seen, and some aren't
+    seen = replace(seen, offset_px=close)
+    hidden = np.zeros(close.shape, dtype=bool)
+    hidden[:9, 10:60], hidden[5:, 90:110] = True, True
+    slow, quick = both(_trusted, seen, hidden, 1)
+    np.testing.assert_allclose(quick, slow, rtol=1e-12)
+    untrusted, _ = both(_trusted, seen, hidden, 0)
+    assert 0 < (slow > 0).sum() < (untrusted > 0).sum()
+    for weight in (slow, untrusted):
+        one, other = both(step, teats, seen, weight, p.prior)
+        np.testing.assert_allclose(other, one, rtol=1e-9, atol=1e-9)
+        assert np.abs(one - teats).max() > 0.1
 
 
 def same(slow: Detection, quick: Detection) -> None:
