@@ -32,11 +32,11 @@ def unaliased(fitted: Fitted, p: Parameters) -> tuple[Fitted, Array]:
     """
     m, n, seen = len(fitted.teats), len(FINE_OUTLINE.part), fitted.seen
     place = seen.pixels_px + np.nan_to_num(seen.offset_px)[..., None] * seen.normals
-    wave = np.nan_to_num(seen.normals**3 * np.sin(2 * np.pi * place)).sum(axis=2)
     waves = np.zeros((m, fitted.weight.shape[1], 2))
     for view in range(2):
         at = slice(view * n, (view + 1) * n)
-        waves[:, at, view] = wave[:, at]
+        wave = seen.normals[:, at] ** 3 * np.sin(2 * np.pi * place[:, at])
+        waves[:, at, view] = np.nan_to_num(wave).sum(axis=2)
     by_waves, weighted = _moved_by(waves, fitted, p), fitted.weight[..., None] * waves
     off = np.where(fitted.weight > 0, seen.offset_px, 0.0)
     # what moving the teats explains of the waves is no evidence

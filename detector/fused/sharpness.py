@@ -51,8 +51,8 @@ def sharpness(fitted: Fitted, views: tuple[View, View]) -> Sharpness:
     if m == 0:
         return Sharpness(0.0, 0.0, np.zeros((0, 2)))
     seen, outer = fitted.seen, _X_PX > 1.5  # clear of the edge
-    inner = outer[::-1]
-    widths, clipped = np.full((m, 2, 2), np.nan), np.zeros((m, 2, 2))
+    inner, of_end = outer[::-1], FINE_OUTLINE.part == END
+    widths, clipped = np.full((m, 2, 2), np.nan), np.zeros((m, 2, 2))  # by picture and part
     for number, view in enumerate(views):
         at = slice(number * n, (number + 1) * n)
         offset, normals = np.nan_to_num(seen.offset_px[:, at]), seen.normals[:, at]
@@ -61,45 +61,47 @@ def sharpness(fitted: Fitted, views: tuple[View, View]) -> Sharpness:
         lines = lines.reshape(m, n, -1)
         usable = (fitted.weight[:, at] > 0) & (seen.clarity[:, at] > LEAST_CLEAR)
         usable &= np.isfinite(lines[..., 0])
-        of_end = FINE_OUTLINE.part == END
-        parts = (usable & ~of_end, usable & of_end & (np.abs(normals[..., 1]) > _UPWARDS))
+        lines[~usable] = 0.0
         white = lines >= _CLIPPED_LEVEL * float(view.field.max())
+        beyond = np.stack([white[..., side].mean(axis=2) for side in (inner, outer)], axis=2)
         # a side that is darker than what is behind it, and one that is brighter, are alike
-        steps = np.where(usable, lines[..., outer].mean(axis=2) - lines[..., inner].mean(axis=2), 0)
+        steps = lines[..., outer].mean(axis=2) - lines[..., inner].mean(axis=2)
         for one in (SIDE_A, SIDE_B):
             of_side = FINE_OUTLINE.part == one
             lines[:, of_side] *= np.sign(steps[:, of_side].sum(axis=1))[:, None, None]
-        for k, part in enumerate(parts):
-            for i in range(m):
-                which = part[i]
-                if which.sum() >= _LEAST_LINES:
-                    noise = view.noise / np.sqrt(which.sum())
-                    widths[i, number, k] = _width(lines[i, which].mean(axis=0), noise)
-                    if white[i, which].any():
-                        shares = [white[i, which][:, beyond].mean() for beyond in (inner, outer)]
-                        clipped[i, number, k] = max(shares)
+        upwards = of_end & (np.abs(normals[..., 1]) > _UPWARDS)
+        for k, part in enumerate((usable & ~of_end, usable & upwards)):
+            count = part.sum(axis=1)
+            known = count >= _LEAST_LINES
+            share = (part / np.maximum(count, 1)[:, None])[:, None]
+            noise = view.noise / np.sqrt(np.maximum(count, 1))
+            widths[known, number, k] = _widths((share @ lines)[:, 0], noise)[known]
+            clipped[known, number, k] = (share @ beyond)[known, 0].max(axis=1)
     side, end = (_lower_quartile(widths[..., part]) for part in range(2))
     return Sharpness(side, end, clipped.max(axis=1))
 
 
-def _width(profile: NDArray[np.float32], noise: float) -> float:
-    """Full width at half maximum of the slope, px; NaN where there is no clear one."""
-    slope = (profile[2:] - profile[:-2]) / _STEP_PX
-    peak = int(_MIDDLE[np.abs(slope[_MIDDLE]).argmax()])
-    greatest = float(abs(slope[peak]))
-    if greatest < _CLEAR_SLOPE * np.sqrt(2.0) * noise / _STEP_PX:
-        return np.nan
-    share = slope * np.sign(slope[peak]) / greatest
-    return 0.5 * float(_STEP_PX) * sum(_to_half(way) for way in (share[peak::-1], share[peak:]))
+def _widths(profiles: Array, noise: Array) -> Array:
+    """Full widths at half maximum of the slopes of profiles (n, s), px; NaN where there is no clear
+    one.
+    """
+    slope = (profiles[:, 2:] - profiles[:, :-2]) / _STEP_PX
+    peak = _MIDDLE[np.abs(slope[:, _MIDDLE]).argmax(axis=1)]
+    greatest = slope[np.arange(len(slope)), peak]
+    clear = np.abs(greatest) >= _CLEAR_SLOPE * np.sqrt(2.0) * noise / _STEP_PX
+    share = slope / np.where(clear, greatest, np.inf)[:, None]
+    samples = _to_half(share, peak) + _to_half(share[:, ::-1], share.shape[1] - 1 - peak)
+    return np.where(clear, 0.5 * _STEP_PX * samples, np.nan)
 
 
-def _to_half(share: NDArray[np.float32]) -> float:
-    """How many samples it is until ``share``, at first 1, falls to a half."""
-    below = np.flatnonzero(share < 0.5)
-    if len(below) == 0:
-        return float(len(share) - 1)
-    i = int(below[0])
-    return i - float((0.5 - share[i]) / (share[i - 1] - share[i]))
+def _to_half(share: Array, peak: NDArray[np.intp]) -> Array:
+    """How many samples (n,) after its peak, where it is 1, ``share`` (n, s) falls to a half."""
+    below = (share < 0.5) & (np.arange(share.shape[1]) > peak[:, None])
+    at, row = np.maximum(below.argmax(axis=1), 1), np.arange(len(share))
+    fall = share[row, at - 1] - share[row, at]
+    part = (0.5 - share[row, at]) / np.where(fall > 0, fall, 1.0)
+    last = share.shape[1] - 1.0
+    return np.asarray(np.where(below.any(axis=1), at - part, last) - peak)
 
 
 def _lower_quartile(widths_px: Array) -> float:

@@ -95,10 +95,9 @@ def views(rig: Calibration) -> tuple[View, ...]:
         (rig.thermal.lens, rig.thermal_from_right, (THERMAL, THERMAL)),
     ):
         columns, rows = camera.image_size
-        field = cv2.GaussianBlur(
-            rng.normal(0.0, 900.0, (rows, columns)).astype(np.float32), (0, 0), 6
-        )
-        made.append(View(field, np.array([3.0, 5.0]), 2.0, camera, motion, *profiles, 0.05))
+        noise = rng.normal(0.0, 900.0, (rows, columns)).astype(np.float32)
+        smooth = np.asarray(cv2.GaussianBlur(noise, (0, 0), 6), dtype=np.float32)
+        made.append(View(smooth, np.array([3.0, 5.0]), 2.0, camera, motion, *profiles, 0.05))
     return tuple(made)
 
 
