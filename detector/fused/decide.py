@@ -124,7 +124,7 @@ def _unlike_in_warmth(
     in_all &= evidence.side[:, :2].min(axis=1) > _CLEAR_SIDES
     lines_cold = np.where(in_all, 2, whole)
     least = np.sort(evidence.warmth, axis=1)[np.arange(len(end)), lines_cold]
-    warmth = np.median(evidence.warmth, axis=1) - surroundings
+    warmth = evidence.usual_warmth - surroundings
     # a teat may be warmer than three others, but not something of which only half is seen
     clear = [i for i in clean if whole[i]]
     most = _TOO_WARM * float(np.median(warmth[clear])) if len(clear) >= _ENOUGH_CLEAR else np.inf
@@ -161,7 +161,7 @@ def _own_warmth(evidence: Evidence, i: int, surroundings: float, full: float) ->
     """
     shares = [evidence.end[i, 2], evidence.side[i, 2], evidence.both[i, 2]]
     beside = np.nan_to_num(evidence.beside[i], nan=surroundings)
-    inside = float(np.median(evidence.warmth[i]))
+    inside = float(evidence.usual_warmth[i])
     unlike = inside - beside
     own = all(share >= least for share, least in zip(shares, _OWN_OUTLINE, strict=True))
     cold = inside - surroundings < _COLD_GAP * full
@@ -421,7 +421,8 @@ def _elsewhere(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     sides = off[:, [SIDE_A, SIDE_B]]
     known = np.isfinite(evidence.thermal_px)
     apart = evidence.misfit_px > _CLEAR_MISFIT_PX
-    least = np.select([evidence.shaped, apart], _ALL_ROUND_PX[:2], _ALL_ROUND_PX[2])
+    of_shaped, of_apart, of_others = _ALL_ROUND_PX
+    least = np.where(evidence.shaped, of_shaped, np.where(apart, of_apart, of_others))
     all_round = np.where(known, off, np.inf).min(axis=1) > least
     all_round &= (known.sum(axis=1) > 1) & (evidence.end[:, :2].mean(axis=1) < WHOLE_END)
     # what is cold and before one side hides its warmth
@@ -429,7 +430,7 @@ def _elsewhere(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     within &= (evidence.misfit_px < 0.07) & (evidence.end[:, :2].mean(axis=1) > 0.65)
     # before what is hotter a thermal outline is another
     beside = np.nan_to_num(evidence.beside, nan=-np.inf).min(axis=1)
-    all_round &= beside < np.median(evidence.warmth, axis=1) + _HOTTER_K
+    all_round &= beside < evidence.usual_warmth + _HOTTER_K
     return np.asarray(
         all_round
         | (np.abs(off[:, END]) > most)

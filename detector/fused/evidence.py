@@ -52,6 +52,11 @@ class Evidence(Rows):
     goes_on: NDArray[np.bool_]
 
     @property
+    def usual_warmth(self) -> Array:
+        """Of the middle one of the three lines (m,)."""
+        return np.asarray(np.sort(self.warmth, axis=1)[:, 1])
+
+    @property
     def merit(self) -> Array:
         """One number (m,) by which the better of two is chosen."""
         return np.asarray(
