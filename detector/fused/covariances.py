@@ -75,7 +75,7 @@ def _end_gain(fitted: Fitted, p: Parameters) -> Array:
     return np.asarray((pull @ of_ends).transpose(0, 2, 1))
 
 
-_SUPPORT_PX = 0.3
+_SHOWN_PX = 0.6  # how far off an edge may be that shows an end
 # the half of an end that is farthest out, in both optical pictures: it says where the end is
 _TIP = np.tile(FINE_OUTLINE.part == END, 2)
 _TIP[np.flatnonzero(_TIP).reshape(2, 4, -1)[:, [0, -1]].ravel()] = False
@@ -119,7 +119,7 @@ def _by_edges(fitted: Fitted, p: Parameters) -> Array:
     shift = np.full((m, 1, k // _STRETCH), THERMAL_FLOOR_PX)
     shift[..., : optical // _STRETCH] = _stretch_shift(fitted, p)[:, None, None]
     axis = axes(fitted.teats)[..., None]
-    near = np.abs(fitted.seen.offset_px[:, :optical]) < 2 * _SUPPORT_PX
+    near = np.abs(fitted.seen.offset_px[:, :optical]) < _SHOWN_PX
     shown = (near & (fitted.weight[:, :optical] > 0))[:, _TIP].mean(axis=1)
     unseen = (1.0 - shown) ** 2 * p.unseen_end_sd_mm
     moves = [
