@@ -75,7 +75,7 @@ def _end_gain(fitted: Fitted, p: Parameters) -> Array:
     return np.asarray((pull @ of_ends).transpose(0, 2, 1))
 
 
-_SHOWN_PX = 0.6  # how far off an edge may be that shows an end
+_SHOWN_PX, _SUPPORT_PX = 0.6, 0.3  # how far off an edge may be that shows an end, or an outline
 # the half of an end that is farthest out, in both optical pictures: it says where the end is
 _TIP = np.tile(FINE_OUTLINE.part == END, 2)
 _TIP[np.flatnonzero(_TIP).reshape(2, 4, -1)[:, [0, -1]].ravel()] = False
@@ -88,8 +88,9 @@ _USUAL, _MORE = (0.79, 0.62), (0.8, 0.4)
 _STRETCH = 4  # points of an outline that share a shift: some 10 px
 
 
-def end_covariances(fitted: Fitted, p: Parameters) -> Array:
-    """(m, 3, 3) mm^2 of the ends, right camera's frame, without the calibration's share.
+def end_covariances(fitted: Fitted, p: Parameters, *, to_decide: bool = False) -> Array:
+    """(m, 3, 3) mm^2 of the ends, right camera's frame, without the calibration's share. Those
+    ``to_decide`` by whether there is a teat are larger where less of its outline is seen.
 
     First order (JCGM 102:2011), through the fit's gain, from: each edge's noise; what neighbouring
     edges share (paint, shadow, sampling), by the scatter of stretches about the outline; the limb
@@ -99,13 +100,13 @@ def end_covariances(fitted: Fitted, p: Parameters) -> Array:
     for shaped, priors in ((False, p), (True, any_shape(p))):
         at = np.flatnonzero(fitted.shaped == shaped)
         if len(at):
-            result[at] = _by_edges(fitted.take(at), priors)
+            result[at] = _by_edges(fitted.take(at), priors, to_decide)
     at = np.flatnonzero(fitted.shaped)
     result[at] += _shape_covariances(fitted.take(at))
     return result
 
 
-def _by_edges(fitted: Fitted, p: Parameters) -> Array:
+def _by_edges(fitted: Fitted, p: Parameters, to_decide: bool) -> Array:
     m, k = fitted.weight.shape
     optical = 2 * len(FINE_OUTLINE.part)
     gain = _end_gain(fitted, p)
@@ -117,10 +118,11 @@ def _by_edges(fitted: Fitted, p: Parameters) -> Array:
     by_part = np.stack([limb[..., part == q].sum(axis=2) for q in (SIDE_A, END, SIDE_B)], axis=2)
     stretches = gain.reshape(m, 3, k // _STRETCH, _STRETCH).sum(axis=3)
     shift = np.full((m, 1, k // _STRETCH), THERMAL_FLOOR_PX)
-    shift[..., : optical // _STRETCH] = _stretch_shift(fitted, p)[:, None, None]
+    off, used = np.abs(fitted.seen.offset_px[:, :optical]), fitted.weight[:, :optical] > 0
+    support = np.maximum((used & (off < _SUPPORT_PX)).mean(axis=1), 0.2) if to_decide else 1.0
+    shift[..., : optical // _STRETCH] = (_stretch_shift(fitted, p) / support)[:, None, None]
     axis = axes(fitted.teats)[..., None]
-    near = np.abs(fitted.seen.offset_px[:, :optical]) < _SHOWN_PX
-    shown = (near & (fitted.weight[:, :optical] > 0))[:, _TIP].mean(axis=1)
+    shown = (used & (off < _SHOWN_PX))[:, part == END if to_decide else _TIP].mean(axis=1)
     unseen = (1.0 - shown) ** 2 * p.unseen_end_sd_mm
     moves = [
         noise,

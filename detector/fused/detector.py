@@ -295,7 +295,7 @@ def _judge(candidates: _Candidates, thermal: _Thermal, p: Parameters) -> _Judged
 def _weigh(
     fitted: Fitted, views: tuple[View, ...], thermal: _Thermal, p: Parameters
 ) -> _Candidates:
-    covariances = end_covariances(fitted, p)
+    covariances = end_covariances(fitted, p, to_decide=True)
     motion, size = thermal.view.camera_from_teats, thermal.px_a_sensor_px
     warmth = warmth_across(fitted.teats, thermal.view.field, thermal.lens, motion, size)
     return _Candidates(fitted, covariances, weigh(fitted, covariances, warmth, views))
