@@ -193,6 +193,7 @@ def test_each_visible_end_is_found_and_none_else(
         pytest.param("anywhere", 20261202, 900229, id="a fifth end, whole"),
         pytest.param("cluttered", 20261202, 900505, id="a fifth end, both sides"),
         pytest.param("hot_body_at_ends", 20261202, 900794, id="a fifth end before an arm"),
+        pytest.param("missing_or_hidden", 20261204, 1101153, id="of which little says where it is"),
     ],
 )
 def test_nothing_false_is_found(family: str, noise: int, member: int) -> None:
