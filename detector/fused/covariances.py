@@ -124,13 +124,15 @@ def _by_edges(fitted: Fitted, p: Parameters, to_decide: bool) -> Array:
     axis = axes(fitted.teats)[..., None]
     shown = (used & (off < _SHOWN_PX))[:, part == END if to_decide else _TIP].mean(axis=1)
     unseen = (1.0 - shown) ** 2 * p.unseen_end_sd_mm
-    moves = [
-        noise,
-        stretches * shift,
-        p.limb_share * by_part,
-        p.limb_share_of_stretch * limb.reshape(m, 3, optical // _STRETCH, _STRETCH).sum(axis=3),
-        np.hypot(p.end_shape_sd_mm, unseen)[:, None, None] * axis,
-    ]
+    if to_decide:
+        of_part, of_stretch = p.limb_shares_to_decide
+        by_stretch = limb.reshape(m, 3, optical // _STRETCH, _STRETCH).sum(axis=3)
+        by_light = [of_part * by_part, of_stretch * by_stretch]
+    else:
+        unlike = gain[..., :optical] @ fitted.seen.unlike_px[:, :optical, None]
+        by_light = [p.limb_share * by_part, p.unlike_light_share * unlike]
+    shape = np.hypot(p.end_shape_sd_mm, unseen)[:, None, None] * axis
+    moves = [noise, stretches * shift, *by_light, shape]
     every = np.concatenate(moves, axis=2)
     return np.asarray(every @ every.transpose(0, 2, 1) + _LEAST_MM2 * np.eye(3))
 

@@ -283,15 +283,28 @@ _PLAIN_PX, _SHADED_PX = 0.02, 0.06
 LIGHT = np.array([_MOST_LIMB_PX, _LIMB_NEIGHBOURS, _UNLIKE, _PLAIN_PX, _SHADED_PX])
 
 
-def lit_alike(edges: Edges) -> Edges:
+@dataclass(frozen=True)
+class LitEdges:
+    """Edges after `lit_alike`. ``limb_px``: by how much brightness that falls towards the limb
+    moved the edges hereabouts; ``unlike_px``: how much farther out a line's own would put its edge.
+    """
+
+    offset_px: Array
+    sd_px: Array
+    clarity: Array
+    limb_px: Array
+    unlike_px: Array
+
+
+def lit_alike(edges: Edges) -> LitEdges:
     """Edges (views, m, n) corrected by the outlines' common fall of brightness."""
     shared_px = shared_limb(edges.limb_px)
     own = own_share(shared_px, edges.limb_sd_px)
     known = np.isfinite(edges.limb_px)
-    offset = edges.offset_px + np.where(known, (1 - own) * (shared_px - edges.limb_px), 0.0)
+    unlike = np.where(known, (1 - own) * (edges.limb_px - shared_px), 0.0)
     sd = np.sqrt(edges.sd_px**2 - np.where(known, (1 - own**2) * edges.limb_sd_px**2, 0.0))
     limb = np.broadcast_to(shared_px, sd.shape)
-    return Edges(offset, sd, edges.clarity, limb, edges.limb_sd_px)
+    return LitEdges(edges.offset_px - unlike, sd, edges.clarity, limb, unlike)
 
 
 def shared_limb(own_px: Array) -> Array:

@@ -21,6 +21,7 @@ from detector.fused.edges import (
     LEAST_CLEAR,
     Edges,
     Field,
+    LitEdges,
     Profile,
     find_edges,
     find_edges_into,
@@ -132,10 +133,12 @@ class Parameters:
     stretch_least_px: float = 0.007
     # and as a share of how the stretches' means scatter about the fitted outline
     stretch_share: float = 0.15
-    # how wrong the correction for the fall of brightness towards the limb may be, as a share of it,
-    # a part
-    limb_share: float = 0.55
-    limb_share_of_stretch: float = 0.2  # of the outline, and a stretch of it
+    # how wrong the correction for the fall of brightness towards the limb may be: as a share of it,
+    # a part of the outline; as a share of what each line's own would change. And of the correction,
+    # a part and a stretch, where it is decided whether there is a teat.
+    limb_share: float = 0.475
+    unlike_light_share: float = 0.5
+    limb_shares_to_decide: tuple[float, float] = (0.55, 0.2)
     # how far an end may be from that of half an ellipsoid that fits its outline
     end_shape_sd_mm: float = 0.025
     # how much less sure an end is along its axis, of which nothing is seen
@@ -183,18 +186,18 @@ class Seen(Rows):
     pixels_px: Array  # (m, views * n, 2)
     normals: Array
     limb_px: Array  # by how much brightness that falls towards the limb moved the edges hereabouts
-    limb_sd_px: Array  # the noise of each line's own
+    unlike_px: Array  # how much farther out a line's own would put its edge
 
     @classmethod
     def empty(cls, m: int, n: int, views: tuple[View, ...]) -> Seen:
         """Of m outlines of n points, before anything is looked at; Jacobians are zero."""
         k = len(views) * n
-        offset, sd, clarity, limb, limb_sd = np.empty((5, m, k))
+        offset, sd, clarity, limb, unlike = np.empty((5, m, k))
         floor = np.empty((m, k))
         floor[:] = np.repeat([view.floor_px for view in views], n)
         pixels, normals = np.empty((2, m, k, 2))
         jacobian = np.zeros((m, k, COUNT))
-        return cls(offset, sd, clarity, floor, jacobian, pixels, normals, limb, limb_sd)
+        return cls(offset, sd, clarity, floor, jacobian, pixels, normals, limb, unlike)
 
     def copied(self) -> Seen:
         """The same, but for Jacobian and floor in arrays of its own."""
@@ -226,16 +229,15 @@ def look(
         some, cameras, outline, slopes_too=slopes_too and known is None
     )
     profiles = [view.fine if fine else view.rough for view in views]
-    found, first = list[Edges](), 0
+    found, first = list[LitEdges](), 0
     for profile, alike in groupby(profiles):  # both optical pictures together
         at = slice(first, first := first + len(list(alike)))
-        edges = _edges(views[at], profile, pixels[at], normals[at])
-        found.append(lit_alike(edges) if profile.limb else edges)
-    offset, sd, clarity, limb, limb_sd = (
-        np.concatenate([getattr(edges, f.name) for edges in found]) for f in fields(Edges)
+        found.append(lit_alike(_edges(views[at], profile, pixels[at], normals[at])))
+    offset, sd, clarity, limb, unlike = (
+        np.concatenate([getattr(edges, f.name) for edges in found]) for f in fields(LitEdges)
     )
     floor = np.broadcast_to(np.array([v.floor_px for v in views])[:, None, None], offset.shape)
-    values = (offset, sd, clarity, floor, slopes, pixels, normals, limb, limb_sd)
+    values = (offset, sd, clarity, floor, slopes, pixels, normals, limb, unlike)
     seen = Seen(*(a.swapaxes(0, 1).reshape(len(some), -1, *a.shape[3:]) for a in values))
     if known is None:
         return seen
@@ -272,7 +274,7 @@ def _look(
         for k, (view, one) in enumerate(zip(alike, lines, strict=True)):
             places = seen.pixels_px, seen.normals, which, first + k * n, n
             sample_into(loops, one, view.field, view.corner_px, places, profile.offsets)
-        edges = seen.offset_px, seen.sd_px, seen.clarity, seen.limb_px, seen.limb_sd_px
+        edges = seen.offset_px, seen.sd_px, seen.clarity, seen.limb_px, seen.unlike_px
         noise = np.array([view.noise for view in alike])
         given = lines.reshape(len(alike), len(teats), n, -1)
         find_edges_into(loops, given, profile, noise, which, first, edges)

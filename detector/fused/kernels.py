@@ -334,9 +334,11 @@ def _with_neighbours(
 
 @_within
 def _lit_alike(
-    light: Array, views: int, offset: Array, sd: Array, limb: Array, limb_sd: Array
+    light: Array, views: int, offset: Array, sd: Array, limb: Array, apart: Array
 ) -> None:
-    """`edges.lit_alike` of one outline, arrays (views * n,)."""
+    """`edges.lit_alike` of one outline, arrays (views * n,). ``apart``: noise of a line's own limb,
+    then what is unlike.
+    """
     _, neighbours, unlike_share, plain_px, shaded_px = light
     n, half = len(offset) // views, int(neighbours) // 2
     total, known, own_px = np.zeros(n), np.zeros(n), limb.copy()
@@ -354,11 +356,13 @@ def _lit_alike(
         unlike = (unlike_share * shared) ** 2 + plain_px**2
         for v in range(views):
             k = v * n + j
-            own = unlike / (unlike + limb_sd[k] ** 2 + shaded_px**2)
-            limb[k] = shared
+            own = unlike / (unlike + apart[k] ** 2 + shaded_px**2)
+            limb[k], moved = shared, 0.0
             if np.isfinite(own_px[k]):
-                offset[k] += (1 - own) * (shared - own_px[k])
-                sd[k] = np.sqrt(sd[k] ** 2 - (1 - own**2) * limb_sd[k] ** 2)
+                moved = (1 - own) * (own_px[k] - shared)
+                sd[k] = np.sqrt(sd[k] ** 2 - (1 - own**2) * apart[k] ** 2)
+            offset[k] -= moved
+            apart[k] = moved
 
 
 @_compiled(
@@ -384,7 +388,7 @@ def edges(
     sd: Array,
     clarity: Array,
     limb: Array,
-    limb_sd: Array,
+    apart: Array,
 ) -> None:
     """`edges.find_edges` of lines (views, m, n, s), NaN beyond a picture, and `edges.lit_alike`:
     fills rows ``which`` (m,) of offsets and so on (., k), from column ``first`` on. ``rows``
@@ -411,7 +415,7 @@ def edges(
                 result[1, 0],
                 result[2, 0],
             )
-            limb[row, at] = limb_sd[row, at] = 0.0
+            limb[row, at] = apart[row, at] = 0.0
             for j in range(n):
                 c = first + v * n + j
                 if np.isnan(lines[v, i, j, 0]):
@@ -420,11 +424,11 @@ def edges(
                     away = offset[row, c] - result[0, 1, j]
                     limb[row, c] = away if abs(away) < light[0] else np.nan
                     more = result[1, 0, j] ** 2 - result[1, 1, j] ** 2
-                    limb_sd[row, c] = np.sqrt(max(more, 0.0))
+                    apart[row, c] = np.sqrt(max(more, 0.0))
     if models == 2:
         for i in range(m):
             row, at = which[i], slice(first, first + views * n)
-            _lit_alike(light, views, offset[row, at], sd[row, at], limb[row, at], limb_sd[row, at])
+            _lit_alike(light, views, offset[row, at], sd[row, at], limb[row, at], apart[row, at])
 
 
 @_compiled(
