@@ -60,18 +60,24 @@ def _moves(fitted: Fitted) -> Array:
     return np.where(fitted.weight[..., None] > 0, fitted.seen.jacobian, 0.0)
 
 
+def _equations(fitted: Fitted, p: Parameters) -> tuple[Array, Array]:
+    """The normal equations' matrices (m, 8, 8), and how edges pull at their right sides
+    (m, k, 8), a px.
+    """
+    H, _ = normal_equations(fitted.teats, fitted.seen, fitted.weight, p.prior)
+    return H, _moves(fitted) * fitted.weight[..., None]
+
+
 def _moved_by(edges_px: Array, fitted: Fitted, p: Parameters) -> Array:
     """How teats move (m, 8, w) with their edges, each of which moves outward by (m, k, w)."""
-    H, _ = normal_equations(fitted.teats, fitted.seen, fitted.weight, p.prior)
-    pull = (_moves(fitted) * fitted.weight[..., None]).transpose(0, 2, 1)
-    return np.asarray(np.linalg.solve(H, pull @ edges_px))
+    H, pull = _equations(fitted, p)
+    return np.asarray(np.linalg.solve(H, pull.transpose(0, 2, 1) @ edges_px))
 
 
 def _end_gain(fitted: Fitted, p: Parameters) -> Array:
     """How ends move with each edge (m, 3, k), mm a px."""
-    H, _ = normal_equations(fitted.teats, fitted.seen, fitted.weight, p.prior)
+    H, pull = _equations(fitted, p)
     of_ends = np.linalg.solve(H, apex_jacobian(fitted.teats).transpose(0, 2, 1))
-    pull = _moves(fitted) * fitted.weight[..., None]
     return np.asarray((pull @ of_ends).transpose(0, 2, 1))
 
 

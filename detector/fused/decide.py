@@ -88,14 +88,15 @@ def objections(
     clean = [i for i, reason in enumerate(reasons) if reason is None]
     for i, reason in _unlike_in_warmth(evidence, clean, surroundings, p):
         reasons[i] = reason
-    merit, kept = evidence.merit, list[int]()
+    merit, first = evidence.merit, list[int]()  # places in the order
     order = sorted((i for i in clean if reasons[i] is None), key=lambda i: -merit[i])
     through = _pass_through(teats[order], teats[order], p.overlap)
     for n, i in enumerate(order):
-        if any(through[n, order.index(k)] for k in kept):
+        if through[n, first].any():
             reasons[i] = _WORSE
         else:
-            kept.append(i)
+            first.append(n)
+    kept = [order[n] for n in first]
     ends_mm = apexes(teats[kept])
     half_seen = evidence.end[kept, :2].mean(axis=1) < p.least_end_alone
     half_seen |= evidence.end[kept, 2] < _FAR_WARM_END

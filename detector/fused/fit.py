@@ -7,7 +7,7 @@ weak priors on size, lean, taper and height. Derivatives are closed forms.
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from functools import cache
 from itertools import groupby
 from types import ModuleType
@@ -91,7 +91,7 @@ class Parameters:
     least_radius_mm: float = 7.5  # teats are 8 to 14 mm in radius
     greatest_radius_mm: float = 15.0
     greatest_lean: float = 0.5  # slope, some 27 degrees: teats lean by less than 20 either way
-    prior: Prior = field(default_factory=Prior)
+    prior: Prior = dataclasses.field(default_factory=Prior)
     teats: int = 4  # of an udder: no more are given
     most_nominations: int = 20
     most_bars: int = 8

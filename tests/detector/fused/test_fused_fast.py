@@ -152,7 +152,7 @@ def test_a_look_again_changes_nothing_else(both: Both, views: tuple[View, ...]) 
 
 @pytest.mark.parametrize("profile", [OPTICAL_FINE, OPTICAL_ROUGH, THERMAL])
 @pytest.mark.parametrize(("contrast", "noise"), [(60.0, 2.0), (8.0, 3.0), (3e4, 90.0), (5.0, 0.05)])
-def test_edges_are_equal_to_the_last_bit(
+def test_edges_and_their_correction_by_light_are_equal(
     loops: ModuleType, profile: Profile, contrast: float, noise: float
 ) -> None:
     rng = np.random.default_rng(round(contrast))
