@@ -200,7 +200,6 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.timeout(900)
 @pytest.mark.parametrize("page", sorted({block.page for block in RUN_HERE if block.commands}))
 def test_the_commands_of_a_page_run_in_their_order(
     page: str, desk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -8,12 +8,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from detector.calibration import Calibration
 from detector.fused.decide import UNLIKE_SIDES, WHOLE_SIDE, one_sees_a_side, thermal_ends
 from detector.fused.evidence import WHOLE_END, Evidence
 from detector.fused.fit import Parameters, apex_jacobian, normal_equations
-from detector.fused.model import END, HEIGHT, RADIUS, SIDE_A, SIDE_B, axes
+from detector.fused.model import END, HEIGHT, RADIUS, SIDE_A, SIDE_B, apexes, axes
 from detector.fused.refine import FINE_OUTLINE, THERMAL_FLOOR_PX, Fitted, any_shape
 from detector.geometry import Array
 
@@ -86,12 +87,16 @@ _SHOWN_PX, _SUPPORT_PX = 0.6, 0.3  # how far off an edge may be that shows an en
 _TIP = np.tile(FINE_OUTLINE.part == END, 2)
 _TIP[np.flatnonzero(_TIP).reshape(2, 4, -1)[:, [0, -1]].ravel()] = False
 _LEAST_MM2 = 1e-6  # so that a covariance always has an inverse
-# of a short teat's end: along its axis and anywhere
-_SHAPE_ALONG_MM, _SHAPE_ACROSS_MM = 0.7, 0.2
+# of a short teat's end: along its axis and anywhere; in full where its edges are this far off, and
+# at the least
+_SHAPE_ALONG_MM, _SHAPE_ACROSS_MM, _SHAPE_PX, _LEAST_SHAPE = 0.7, 0.2, 0.1, 0.3
 _LEFT_OVER = 0.4, 5.0  # at least and at most
 # in plain light, and of a short teat of any shape; the more is left over, the longer are the tails
-_USUAL, _MORE = (0.79, 0.62), (0.8, 0.4)
+_USUAL, _MORE = (0.72, 0.62), (0.83, 0.4)
 _STRETCH = 4  # points of an outline that share a shift: some 10 px
+# to decide: what is left over, px that a stretch has in common, mm of an end's shape
+_USUAL_TO_DECIDE, _MORE_TO_DECIDE = (0.79, 0.62), (0.8, 0.4)
+_LEAST_TO_DECIDE_PX, _SHAPE_TO_DECIDE_MM = 0.007, 0.025
 
 
 def end_covariances(fitted: Fitted, p: Parameters, *, to_decide: bool = False) -> Array:
@@ -107,8 +112,9 @@ def end_covariances(fitted: Fitted, p: Parameters, *, to_decide: bool = False) -
         at = np.flatnonzero(fitted.shaped == shaped)
         if len(at):
             result[at] = _by_edges(fitted.take(at), priors, to_decide)
-    at = np.flatnonzero(fitted.shaped)
-    result[at] += _shape_covariances(fitted.take(at))
+    if to_decide:
+        at = np.flatnonzero(fitted.shaped)
+        result[at] += _shape_covariances(fitted.take(at))
     return result
 
 
@@ -117,7 +123,7 @@ def _by_edges(fitted: Fitted, p: Parameters, to_decide: bool) -> Array:
     optical = 2 * len(FINE_OUTLINE.part)
     gain = _end_gain(fitted, p)
     sd = np.where(fitted.weight > 0, np.nan_to_num(fitted.seen.sd_px), 0.0)
-    noise = gain * (sd * _left_over(fitted)[:, None])[:, None]
+    noise = gain * (sd * _left_over(fitted, to_decide)[:, None])[:, None]
     limb = gain[..., :optical] * fitted.seen.limb_px[:, None, :optical]
     # both pictures show the same light
     part = np.tile(FINE_OUTLINE.part, 2)
@@ -126,7 +132,8 @@ def _by_edges(fitted: Fitted, p: Parameters, to_decide: bool) -> Array:
     shift = np.full((m, 1, k // _STRETCH), THERMAL_FLOOR_PX)
     off, used = np.abs(fitted.seen.offset_px[:, :optical]), fitted.weight[:, :optical] > 0
     support = np.maximum((used & (off < _SUPPORT_PX)).mean(axis=1), 0.2) if to_decide else 1.0
-    shift[..., : optical // _STRETCH] = (_stretch_shift(fitted, p) / support)[:, None, None]
+    common = _stretch_shift(fitted, p, to_decide) / support
+    shift[..., : optical // _STRETCH] = common[:, None, None]
     axis = axes(fitted.teats)[..., None]
     shown = (used & (off < _SHOWN_PX))[:, part == END if to_decide else _TIP].mean(axis=1)
     unseen = (1.0 - shown) ** 2 * p.unseen_end_sd_mm
@@ -137,7 +144,8 @@ def _by_edges(fitted: Fitted, p: Parameters, to_decide: bool) -> Array:
     else:
         unlike = gain[..., :optical] @ fitted.seen.unlike_px[:, :optical, None]
         by_light = [p.limb_share * by_part, p.unlike_light_share * unlike]
-    shape = np.hypot(p.end_shape_sd_mm, unseen)[:, None, None] * axis
+    shape_mm = _SHAPE_TO_DECIDE_MM if to_decide else p.end_shape_sd_mm
+    shape = np.hypot(shape_mm, unseen)[:, None, None] * axis
     moves = [noise, stretches * shift, *by_light, shape]
     every = np.concatenate(moves, axis=2)
     return np.asarray(every @ every.transpose(0, 2, 1) + _LEAST_MM2 * np.eye(3))
@@ -150,7 +158,7 @@ def _shape_covariances(fitted: Fitted) -> Array:
     return np.asarray(_SHAPE_ALONG_MM**2 * along + _SHAPE_ACROSS_MM**2 * np.eye(3))
 
 
-def _left_over(fitted: Fitted) -> Array:
+def _left_over(fitted: Fitted, to_decide: bool) -> Array:
     """How much the optical edges scatter about the fitted outlines, (m,), in the sds that their
     lines give: the square root of the a posteriori variance factor (Baarda 1968), robustly.
     """
@@ -161,11 +169,12 @@ def _left_over(fitted: Fitted) -> Array:
     off.sort(axis=1)
     middle = off[np.arange(len(off)), used.sum(axis=1) // 2]
     ratio = np.clip(middle / 0.6745, *_LEFT_OVER)
-    usual, more = (np.where(fitted.shaped, *values[::-1]) for values in (_USUAL, _MORE))
+    known = (_USUAL_TO_DECIDE, _MORE_TO_DECIDE) if to_decide else (_USUAL, _MORE)
+    usual, more = (np.where(fitted.shaped, *values[::-1]) for values in known)
     return np.asarray(ratio * (ratio / usual) ** more)
 
 
-def _stretch_shift(fitted: Fitted, p: Parameters) -> Array:
+def _stretch_shift(fitted: Fitted, p: Parameters, to_decide: bool) -> Array:
     """Common sd (m,) px of a stretch of the optical outlines."""
     k = 2 * len(FINE_OUTLINE.part)
     used = fitted.weight[:, :k] > 0
@@ -176,7 +185,10 @@ def _stretch_shift(fitted: Fitted, p: Parameters) -> Array:
     scatter = np.where(
         whole.any(axis=1), (mean**2 * whole).sum(axis=1) / np.maximum(whole.sum(axis=1), 1), 1.0
     )
-    return np.asarray(np.sqrt(p.stretch_least_px**2 + p.stretch_share**2 * scatter))
+    unlike = np.where(used, np.abs(fitted.seen.unlike_px[:, :k]), 0.0).sum(axis=1)
+    by_light = p.stretch_unlike_share * unlike / np.maximum(used.sum(axis=1), 1)
+    least = _LEAST_TO_DECIDE_PX if to_decide else by_light
+    return np.asarray(np.sqrt(least**2 + p.stretch_share**2 * scatter))
 
 
 def world_covariances(own: Array, ends_mm: Array, calibration: Calibration) -> Array:
@@ -192,10 +204,11 @@ def world_covariances(own: Array, ends_mm: Array, calibration: Calibration) -> A
 
 _LEAST_OTHER_SIDE = 0.2  # of a teat's own other side
 _NEIGHBOUR_PX = 0.1  # how far beyond a side warmth goes on, sensor px, where a neighbour is
-_DISPARITY_A_PX2 = 7.8  # sd of the disparity, px, of the square of the misfit
-_FAR_WITHIN_PX, _MORE_WITHIN = -0.3, 2.0  # sensor px; of a variance
+_DISPARITY_A_PX2 = 4.8  # sd of the disparity, px, of the square of the misfit
+_FAR_WITHIN_PX, _MORE_WITHIN = -0.3, 1.9  # sensor px; of a variance
 # one picture shows more of both than the other: of a side, of an end
 _UNLIKE_SIDE, _UNLIKE_END = 0.2, 0.1
+_BESIDE_MM, _BESIDE_DOWN_MM = 32.0, 60.0  # where another teat may be before a side of one
 
 
 def widened(own: Array, depth_mm: Array, evidence: Evidence, calibration: Calibration) -> Array:
@@ -229,11 +242,12 @@ def unlike_covariances(teats: Array, evidence: Evidence, p: Parameters) -> Array
     in_part_mm = np.where(evidence.followed, p.end_led_to_sd_mm, p.end_in_part_sd_mm)
     in_part_mm[evidence.stops] = p.end_at_stop_sd_mm
     along2 = (p.end_unlike_share * unlike_mm) ** 2 + in_part_mm**2 * in_part
-    along2 += (short & ~evidence.shaped) * _SHAPE_ALONG_MM**2
+    along2 += (p.end_misfit_mm_a_px2 * evidence.end_misfit_px**2) ** 2
+    shape = short * np.clip(evidence.misfit_px / _SHAPE_PX, _LEAST_SHAPE, 1.0)
+    along2 += (shape * _SHAPE_ALONG_MM) ** 2
     along2 += thermal_ends(evidence, p) * p.thermal_end_sd_mm**2
     short_seen = evidence.shaped | (evidence.side[:, :2].max(axis=1) < WHOLE_SIDE)
     across2 = one_side * np.where(short_seen, p.short_one_side_sd_mm, p.one_side_sd_mm) ** 2
-    across2 += (evidence.both[:, :2].min(axis=1) < WHOLE_END) * p.part_of_side_sd_mm**2
     covered = ~one_side & (evidence.both[:, 2] <= _LEAST_OTHER_SIDE)
     across2 += covered * np.where(evidence.followed, p.covered_led_to_sd_mm, p.covered_sd_mm) ** 2
     beyond = np.nan_to_num(evidence.thermal_px[:, [SIDE_A, SIDE_B]], nan=-1.0).max(axis=1)
@@ -244,9 +258,22 @@ def unlike_covariances(teats: Array, evidence: Evidence, p: Parameters) -> Array
     deep2 += one_sees_a_side(evidence) * p.one_sees_in_part_sd_mm**2
     unlike = (sides > _UNLIKE_SIDE) & (ends > _UNLIKE_END) & np.isfinite(thermal_end)
     deep2 += (unlike | (ends > UNLIKE_SIDES)) * p.unlike_sd_mm**2
+    deep2 += _alone(teats, evidence, p) * p.alone_sd_mm**2
     return np.asarray(
         np.einsum("m,mi,mj->mij", along2, axis, axis)
         + np.einsum("m,mi,mj->mij", across2, across, across)
         + np.einsum("m,mi,mj->mij", deep2, sight, sight)
-        + np.einsum("m,ij->mij", short * p.short_sd_mm**2, np.eye(3))
+        + np.einsum("m,ij->mij", (shape * p.short_sd_mm) ** 2, np.eye(3))
+        + np.einsum("m,ij->mij", (shape * evidence.shaped * _SHAPE_ACROSS_MM) ** 2, np.eye(3))
     )
+
+
+def _alone(teats: Array, evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
+    """Which of teats (m, 8) show one side in every picture, and no other teat is near: what hides
+    the other side is unknown, and its edge may be taken for the teat's.
+    """
+    ends = apexes(teats)
+    across, down, _ = np.abs(ends[:, None] - ends).transpose(2, 0, 1)
+    near = (across < _BESIDE_MM) & (down < _BESIDE_DOWN_MM)
+    one_side = evidence.both.max(axis=1) <= p.least_side
+    return np.asarray(one_side & ~evidence.shaped & (near.sum(axis=1) == 1))

@@ -31,7 +31,7 @@ _STOP_MM, _GOES_ON_MM, _PART_OF_END, _BEYOND_MM = 2.0, 7.5, 0.75, 24.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence(Rows):
-    """For m fitted teats: seen shares of the outline (m, 3 views: left, right, thermal); misfit px
+    """For m fitted teats: seen shares of the outline (m, 3 views: left, right, thermal); misfits px
     (m,); warmth (m, 3 lines), and beside it, or NaN; largest standard deviation mm (m,).
     """
 
@@ -39,6 +39,7 @@ class Evidence(Rows):
     side: Array  # the better side
     both: Array  # the other
     misfit_px: Array
+    end_misfit_px: Array  # of the rounded end
     warmth: Array
     beside: Array  # (m, 2 lines)
     sd_mm: Array
@@ -81,9 +82,8 @@ def weigh(fitted: Fitted, covariances: Array, warmth: Array, views: tuple[View, 
     shares = {
         p: _share(good[:, :, part == p], open_[:, :, part == p]) for p in (SIDE_A, END, SIDE_B)
     }
-    optical = weight[:, :2].reshape(m, -1)
-    squares = (offset[:, :2].reshape(m, -1) ** 2 * optical).sum(axis=1)
-    misfit = np.sqrt(squares / np.maximum(optical.sum(axis=1), 1e-9))
+    misfit = _misfit(offset[:, :2], weight[:, :2])
+    end_misfit = _misfit(offset[:, :2, part == END], weight[:, :2, part == END])
     sides = np.stack([shares[SIDE_A], shares[SIDE_B]])
     largest = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
     better, other, thermal = sides.max(axis=0), sides.min(axis=0), _thermal_offsets(fitted)
@@ -99,9 +99,15 @@ def weigh(fitted: Fitted, covariances: Array, warmth: Array, views: tuple[View, 
         stops[at] &= (np.minimum(*bends) > _BENDS).all(axis=1)
         goes_on[at] = (together > _GOES_ON_MM) & (of_end[at] < _PART_OF_END)
     return Evidence(
-        shares[END], better, other, misfit, inside, beside, largest, fitted.followed,
+        shares[END], better, other, misfit, end_misfit, inside, beside, largest, fitted.followed,
         fitted.shaped, thermal, stops, goes_on,
     )  # fmt: skip
+
+
+def _misfit(offset_px: Array, weight: Array) -> Array:
+    """Root mean square (m,) of edges (m, views, k), weighted."""
+    squares = (offset_px**2 * weight).sum(axis=(1, 2))
+    return np.asarray(np.sqrt(squares / np.maximum(weight.sum(axis=(1, 2)), 1e-9)))
 
 
 def _share(good: NDArray[np.bool_], open_: NDArray[np.bool_]) -> Array:

@@ -129,23 +129,24 @@ class Parameters:
     widest_udder_mm: float = 320.0
     # two teats' axes are never closer than this share of the sum of their radii
     overlap: float = 0.85
-    # what a short stretch of an outline has in common (paint, shadow, sampling) at the least,
-    stretch_least_px: float = 0.007
-    # and as a share of how the stretches' means scatter about the fitted outline
+    # what a short stretch of an outline has in common (paint, shadow, sampling): a share of how the
+    # stretches' means scatter about the fitted outline, and of how unlike the lines' light is
     stretch_share: float = 0.15
+    stretch_unlike_share: float = 0.385
     # how wrong the correction for the fall of brightness towards the limb may be: as a share of it,
     # a part of the outline; as a share of what each line's own would change. And of the correction,
     # a part and a stretch, where it is decided whether there is a teat.
-    limb_share: float = 0.475
+    limb_share: float = 0.5
     unlike_light_share: float = 0.5
     limb_shares_to_decide: tuple[float, float] = (0.55, 0.2)
     # how far an end may be from that of half an ellipsoid that fits its outline
-    end_shape_sd_mm: float = 0.025
+    end_shape_sd_mm: float = 0.01
     # how much less sure an end is along its axis, of which nothing is seen
     unseen_end_sd_mm: float = 1.2
     # beside what a fit says of itself, by how far fits were off (path-traced frames; seed 7 from
     # member 1000 on). Along a teat: this share of how unlike half a ball its end is,
-    end_unlike_share: float = 0.08
+    end_unlike_share: float = 0.16
+    end_misfit_mm_a_px2: float = 4.2  # of the square of its edges' misfit,
     # and of an end that optical pictures see in part and the thermal one not at all;
     end_in_part_sd_mm: float = 1.7
     end_led_to_sd_mm: float = 3.5  # and of one that its sides lead to,
@@ -157,10 +158,11 @@ class Parameters:
     one_sees_mm_a_px: float = 10.0
     one_sees_in_part_sd_mm: float = 1.5
     unlike_sd_mm: float = 2.5  # or of both side and end one more than the other
+    # and where no picture shows one of its sides and no other teat is before it
+    alone_sd_mm: float = 0.8
     # across one with a side that an optical picture doesn't show, more where its sides are short
-    one_side_sd_mm: float = 0.05
+    one_side_sd_mm: float = 0.043
     short_one_side_sd_mm: float = 1.0
-    part_of_side_sd_mm: float = 0.03  # or in part: a neighbour's may run into it;
     neighbour_sd_mm: float = 0.3  # with one side, and a neighbour as warm;
     # with both, of which warmth shows one, where sides led to the end, and else
     covered_led_to_sd_mm: float = 0.4

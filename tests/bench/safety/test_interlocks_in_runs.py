@@ -172,7 +172,7 @@ SILENT_LOOK_S = 8.0  # a look at a bath that does not answer takes up to seven s
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(550)
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a symbolic link")
 def test_a_trip_during_a_prompt_makes_safe_at_once_and_stays_until_it_is_acknowledged(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
