@@ -104,8 +104,9 @@ def end_covariances(fitted: Fitted, p: Parameters, *, to_decide: bool = False) -
     ``to_decide`` by whether there is a teat are larger where less of its outline is seen.
 
     First order (JCGM 102:2011), through the fit's gain, from: each edge's noise; what neighbouring
-    edges share (paint, shadow, sampling), by the scatter of stretches about the outline; the limb
-    correction; the end's deviation from half an ellipsoid; the unseen part of the end.
+    edges share (paint, shadow, sampling), by the scatter of stretches about the outline and by how
+    unlike the lines' light is; the limb correction; the end's deviation from half an ellipsoid; the
+    unseen part of the end.
     """
     result = np.empty((len(fitted.teats), 3, 3))
     for shaped, priors in ((False, p), (True, any_shape(p))):
@@ -204,7 +205,7 @@ def world_covariances(own: Array, ends_mm: Array, calibration: Calibration) -> A
 
 _LEAST_OTHER_SIDE = 0.2  # of a teat's own other side
 _NEIGHBOUR_PX = 0.1  # how far beyond a side warmth goes on, sensor px, where a neighbour is
-_DISPARITY_A_PX2 = 4.8  # sd of the disparity, px, of the square of the misfit
+_DISPARITY_A_PX2 = 6.3  # sd of the disparity, px, of the square of the misfit
 _FAR_WITHIN_PX, _MORE_WITHIN = -0.3, 1.9  # sensor px; of a variance
 # one picture shows more of both than the other: of a side, of an end
 _UNLIKE_SIDE, _UNLIKE_END = 0.2, 0.1

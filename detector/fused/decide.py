@@ -29,8 +29,7 @@ from detector.fused.model import (
 from detector.fused.refine import on_one_bar
 from detector.geometry import Array
 
-# of an end in one picture, where both sides were followed up to it; and closely
-_LEAST_FOLLOWED, _LEAST_FOLLOWED_CLOSE = 0.3, 0.2
+_LEAST_FOLLOWED = 0.3  # of an end in one picture, where both sides were followed up to it
 _BOTH_SIDES, _LEAST_WARM_END = 0.8, 0.4  # seen of both sides; of the thermal end, of a warm one
 _NO_WARM_END = 0.2  # of one that isn't
 _FAR_WARM_END = 0.7  # of one that is so far from the others that it may be no teat's
@@ -323,8 +322,7 @@ def _end_unseen(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     cold = evidence.followed & ~warm.any(axis=1)
     gap = ~warm.all(axis=1) & (mean < np.where(cold, _LEAST_BETWEEN, _LEAST_COLD))
     by_other = (end.max(axis=1) > _END_ALONE) & (thermal > _WARM) & (sides > _SIDES_ALONE)
-    of_followed = np.where(close, _LEAST_FOLLOWED_CLOSE, _LEAST_FOLLOWED)
-    little = end < np.where(followed, of_followed, p.least_end)[:, None]
+    little = end < np.where(followed, _LEAST_FOLLOWED, p.least_end)[:, None]
     short = (little & ~by_other[:, None]) | (alone | gap)[:, None]
     held = evidence.stops & (mean > _LEAST_STOPPING) & (evidence.misfit_px < p.good_misfit_px)
     led_to = evidence.followed & (sides > _CLEAR_SIDES) & (evidence.misfit_px < _LED_TO_PX)
@@ -345,7 +343,8 @@ def _one_sided(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     enough = sure & (evidence.side.min(axis=1) > WHOLE_SIDE)
     whole = np.minimum(evidence.end[:, :2] - WHOLE_END, evidence.side[:, :2] - WHOLE_SIDE) > 0
     close = (evidence.misfit_px < _CLEAR_MISFIT_PX) & (evidence.sd_mm < _SURE_MM)
-    enough |= (whole.all(axis=1) & close) | _warm_outline(evidence, p)
+    warm = np.maximum(evidence.end[:, 2], evidence.side[:, 2]) > _NO_WARM_END
+    enough |= (whole.all(axis=1) & close & warm) | _warm_outline(evidence, p)
     return np.asarray((evidence.both[:, :2].max(axis=1) < p.least_side) & ~enough)
 
 
@@ -363,7 +362,7 @@ def _too_little_seen(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     """Of which of m teats each optical picture shows one side and too little of the end, (m, 2)."""
     end = evidence.end[:, :2]
     good = (evidence.misfit_px < p.good_misfit_px)[:, None]
-    partly = (evidence.end[:, 2] >= _LEAST_WARM_END)[:, None]
+    partly = ((evidence.end[:, 2] >= _LEAST_WARM_END) & ~evidence.shaped)[:, None]
     sides = (evidence.both[:, 2] > _BOTH_SIDES)[:, None]
     warm = np.isfinite(evidence.thermal_px[:, [END]])
     warm = warm | (good & (end > p.least_end_alone) & (partly | ((end > WHOLE_END) & sides)))

@@ -132,11 +132,11 @@ class Parameters:
     # what a short stretch of an outline has in common (paint, shadow, sampling): a share of how the
     # stretches' means scatter about the fitted outline, and of how unlike the lines' light is
     stretch_share: float = 0.15
-    stretch_unlike_share: float = 0.385
+    stretch_unlike_share: float = 0.34
     # how wrong the correction for the fall of brightness towards the limb may be: as a share of it,
     # a part of the outline; as a share of what each line's own would change. And of the correction,
     # a part and a stretch, where it is decided whether there is a teat.
-    limb_share: float = 0.5
+    limb_share: float = 0.485
     unlike_light_share: float = 0.5
     limb_shares_to_decide: tuple[float, float] = (0.55, 0.2)
     # how far an end may be from that of half an ellipsoid that fits its outline
@@ -161,7 +161,7 @@ class Parameters:
     # and where no picture shows one of its sides and no other teat is before it
     alone_sd_mm: float = 0.8
     # across one with a side that an optical picture doesn't show, more where its sides are short
-    one_side_sd_mm: float = 0.043
+    one_side_sd_mm: float = 0.06
     short_one_side_sd_mm: float = 1.0
     neighbour_sd_mm: float = 0.3  # with one side, and a neighbour as warm;
     # with both, of which warmth shows one, where sides led to the end, and else

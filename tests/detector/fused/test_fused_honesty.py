@@ -194,6 +194,9 @@ def test_each_visible_end_is_found_and_none_else(
         pytest.param("cluttered", 20261202, 900505, id="a fifth end, both sides"),
         pytest.param("hot_body_at_ends", 20261202, 900794, id="a fifth end before an arm"),
         pytest.param("missing_or_hidden", 20261204, 1101153, id="of which little says where it is"),
+        pytest.param("cooler_bodies", 20261206, 1300645, id="a quarter of an end, closely"),
+        pytest.param("overlapping", 20261206, 1300322, id="a whole end, nothing of it warm"),
+        pytest.param("cow_teats", 20261206, 1300413, id="a side of a short teat, no warm end"),
     ],
 )
 def test_nothing_false_is_found(family: str, noise: int, member: int) -> None:
@@ -246,9 +249,11 @@ def every_end_and_none_else(members: list[Seen]) -> None:
         pytest.param("overlapping", 1, 1032, id="one side, touching"),
         pytest.param("hot_body_at_ends", 999, 60002, id="half an end that sides lead to"),
         pytest.param("cooler_bodies", 777, 31219, id="end and side, one picture shows less"),
+        pytest.param("cluttered", 1127, 110613, id="a post behind the end disturbs its edges"),
+        pytest.param("cluttered", 1127, 110363, id="one side in all pictures, a post before it"),
     ],
 )
-def test_a_teat_that_is_seen_in_part_states_how_little_that_tells(
+def test_what_is_hidden_or_disturbed_of_a_teat_widens_its_covariance(
     family: str, noise: int, member: int
 ) -> None:
     (one,) = seen((family,), (member,), noise)
