@@ -343,7 +343,7 @@ def _one_sided(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     enough = sure & (evidence.side.min(axis=1) > WHOLE_SIDE)
     whole = np.minimum(evidence.end[:, :2] - WHOLE_END, evidence.side[:, :2] - WHOLE_SIDE) > 0
     close = (evidence.misfit_px < _CLEAR_MISFIT_PX) & (evidence.sd_mm < _SURE_MM)
-    warm = np.maximum(evidence.end[:, 2], evidence.side[:, 2]) > _NO_WARM_END
+    warm = np.isfinite(evidence.thermal_px).any(axis=1)
     enough |= (whole.all(axis=1) & close & warm) | _warm_outline(evidence, p)
     return np.asarray((evidence.both[:, :2].max(axis=1) < p.least_side) & ~enough)
 
@@ -385,7 +385,8 @@ def _unsure_side(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
 def _no_side(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     """Of which of m teats each optical picture shows no side, (m, 2), where thermal edges don't
     make up for it: end well seen in both, end and a side in the thermal one, less clearly where the
-    other optical picture shows a side; or short, its end whole.
+    other optical picture shows a side; or short, its end whole. Where no picture shows the other
+    side, both optical ones show most of the end.
     """
     end, side = evidence.end[:, :2].min(axis=1), evidence.side[:, :2].max(axis=1)
     thermal = np.minimum(evidence.end[:, 2], evidence.side[:, 2])
@@ -400,6 +401,7 @@ def _no_side(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     held |= good & (of_end > 0.7) & (evidence.end[:, 2] > 0.4) & (evidence.side[:, 2] > _WARM)
     sure = (evidence.misfit_px < _SURE_MISFIT_PX) & (evidence.sd_mm < _SURE_MM)
     held |= sure & (evidence.end.min(axis=1) > WHOLE_SIDE) & (side > WHOLE_SIDE)
+    held &= (evidence.both.max(axis=1) > p.least_side) | (end > _MOST)
     return np.asarray((evidence.side[:, :2] < p.least_side) & ~held[:, None])
 
 

@@ -196,6 +196,8 @@ def test_each_visible_end_is_found_and_none_else(
         pytest.param("missing_or_hidden", 20261204, 1101153, id="of which little says where it is"),
         pytest.param("cooler_bodies", 20261206, 1300645, id="a quarter of an end, closely"),
         pytest.param("overlapping", 20261206, 1300322, id="a whole end, nothing of it warm"),
+        pytest.param("overlapping", 20261207, 1400255, id="a whole end of which a third is warm"),
+        pytest.param("missing_or_hidden", 20261207, 1400364, id="a side in one picture, no other"),
         pytest.param("cow_teats", 20261206, 1300413, id="a side of a short teat, no warm end"),
     ],
 )
