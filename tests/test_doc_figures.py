@@ -91,7 +91,7 @@ def test_sentences_on_the_herd() -> None:
     for words in (
         (
             f"{herd['cows']} cows x {herd['visits_each']} visits (seed {herd['seed']}, looked at with"
-            f" three versions) {herd['unseen']} ends were unseen, of which `fused` saw {herd['found']} after all. It"
+            f" four versions) {herd['unseen']} ends were unseen, of which `fused` saw {herd['found']} after all. It"
             f" predicted {herd['predicted']} of the other {left}:"
         ),
         (

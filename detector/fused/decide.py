@@ -362,7 +362,8 @@ def _too_little_seen(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
     """Of which of m teats each optical picture shows one side and too little of the end, (m, 2)."""
     end = evidence.end[:, :2]
     good = (evidence.misfit_px < p.good_misfit_px)[:, None]
-    partly = ((evidence.end[:, 2] >= _LEAST_WARM_END) & ~evidence.shaped)[:, None]
+    least_warm = np.where(evidence.shaped, _THERMAL_END, _LEAST_WARM_END)
+    partly = (evidence.end[:, 2] >= least_warm)[:, None]
     sides = (evidence.both[:, 2] > _BOTH_SIDES)[:, None]
     warm = np.isfinite(evidence.thermal_px[:, [END]])
     warm = warm | (good & (end > p.least_end_alone) & (partly | ((end > WHOLE_END) & sides)))
