@@ -161,13 +161,13 @@ class Parameters:
     # and where no picture shows one of its sides and no other teat is before it
     alone_sd_mm: float = 0.8
     # across one with a side that an optical picture doesn't show, more where its sides are short
-    one_side_sd_mm: float = 0.06
+    one_side_sd_mm: float = 0.07
     short_one_side_sd_mm: float = 1.0
     neighbour_sd_mm: float = 0.3  # with one side, and a neighbour as warm;
     # with both, of which warmth shows one, where sides led to the end, and else
     covered_led_to_sd_mm: float = 0.4
     covered_sd_mm: float = 0.035
-    short_sd_mm: float = 0.29  # anywhere, of one with short sides
+    short_sd_mm: float = 0.32  # anywhere, of one with short sides
     # sd of the disparity where a calibration states no uncertainty: what a frame's thermal outlines
     # leave unknown on the thesis's rig
     calibration_px: float = 0.35
