@@ -246,6 +246,7 @@ def unlike_covariances(teats: Array, evidence: Evidence, p: Parameters) -> Array
     along2 += (p.end_misfit_mm_a_px2 * evidence.end_misfit_px**2) ** 2
     shape = short * np.clip(evidence.misfit_px / _SHAPE_PX, _LEAST_SHAPE, 1.0)
     along2 += (shape * _SHAPE_ALONG_MM) ** 2
+    anywhere2 = shape**2 * (p.short_sd_mm**2 + evidence.shaped * _SHAPE_ACROSS_MM**2)
     along2 += thermal_ends(evidence, p) * p.thermal_end_sd_mm**2
     short_seen = evidence.shaped | (evidence.side[:, :2].max(axis=1) < WHOLE_SIDE)
     across2 = one_side * np.where(short_seen, p.short_one_side_sd_mm, p.one_side_sd_mm) ** 2
@@ -264,8 +265,7 @@ def unlike_covariances(teats: Array, evidence: Evidence, p: Parameters) -> Array
         np.einsum("m,mi,mj->mij", along2, axis, axis)
         + np.einsum("m,mi,mj->mij", across2, across, across)
         + np.einsum("m,mi,mj->mij", deep2, sight, sight)
-        + np.einsum("m,ij->mij", (shape * p.short_sd_mm) ** 2, np.eye(3))
-        + np.einsum("m,ij->mij", (shape * evidence.shaped * _SHAPE_ACROSS_MM) ** 2, np.eye(3))
+        + np.einsum("m,ij->mij", anywhere2, np.eye(3))
     )
 
 
