@@ -107,10 +107,10 @@ def test_check_names_every_instrument_that_does_not_answer(tmp_path: Path, said:
 
 @pytest.mark.slow
 def test_detect_and_score_take_frames_that_another_program_rendered(
-    shared_data: Path, tmp_path: Path, said: Said
+    tmp_path: Path, said: Said
 ) -> None:
     """The first of them: what detectors find in all is for their own tests."""
-    whole, some = shared_data / "path_traced", tmp_path / "some"
+    whole, some = ROOT / "tests" / "data" / "path_traced", tmp_path / "some"
     (some / "frames").mkdir(parents=True)
     for path in [*whole.glob("*.*"), *sorted((whole / "frames").iterdir())[:SOME]]:
         copy = some / path.relative_to(whole)
