@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord
+from bench.results.exports import why_without_verdict
 from bench.results.verdicts import Judgement, calls_of, run_verdict
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.rates import percent_apart
@@ -142,12 +142,14 @@ def margin(decision: Decision) -> str:
 
 def headline(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdict, str, str]:
     """The run's verdict, why, and what to do next; a detector without answers comes first."""
+    why = why_without_verdict(run)
     if run.damage:
-        why = f"{NOT_AS_WRITTEN}, so that nothing is decided by it. {shortened(run.damage)}"
         then = "Put back the run's folder from a copy; 'teatbench store check' lists all that is"
         return "no verdict", why, f"{then} damaged."
-    if run.ending != "finished":
-        return "aborted", _why_ended(run), AFTER_FAULT if run.ending == "faulted" else AFTER_END
+    if why:
+        if run.ending == "interrupted" and run.guardian:
+            why += f" {guardian_text(run.guardian)}"
+        return "aborted", why, AFTER_FAULT if run.ending == "faulted" else AFTER_END
     verdict, why, then = _finished(run, judgements)
     silent = [message for name in run.detectors for message in _silence(run, name)]
     if not silent:
@@ -207,18 +209,6 @@ def _finished(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerd
     )
     names = list(dict.fromkeys(decision.name for _, decision in worst))
     return verdict.value, why, _next_action(verdict, names, judgements[0].of_bench)
-
-
-def _why_ended(run: RunRecord) -> str:
-    message = [event["text"] for event in run.events if event["kind"] in ("fault", "aborted")]
-    done, planned = len(run.trials), run.facts.get("planned", "?")
-    if run.ending == "interrupted":
-        died = f"The bench died before the run was over; {done} of {planned} trials are kept."
-        return f"{died} {guardian_text(run.guardian)}" if run.guardian else died
-    return (
-        f"The run was {run.ending} after {done} of {planned} trials:"
-        f" {message[-1].rstrip('.') if message else 'no reason was recorded'}."
-    )
 
 
 def guardian_text(record: Mapping[str, Any]) -> str:

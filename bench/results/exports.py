@@ -7,14 +7,15 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from bench.files import write_synced
-from bench.record.check import NOT_AS_WRITTEN, printed_chain
+from bench.record.check import NOT_AS_WRITTEN, printed_chain, shortened
 from bench.record.reader import RunRecord
 from bench.results.verdicts import Judgement, run_verdict
-from bench.scoring.decisions import Verdict
+from bench.scoring.decisions import Decision, Verdict
 from reports.sanitize import csv_text, sanitized
 
 COLUMNS = (
@@ -108,21 +109,74 @@ def _chain(run: RunRecord) -> Any:
 
 
 def _junit_xml(run: RunRecord, judgements: Sequence[Judgement]) -> str:
-    """A test case a requirement: not met is a failure, undecided is skipped with its reason."""
+    """A test case a requirement: not met is a failure, undecided is skipped with its reason. A run
+    without a verdict has a case of its own that is an error, for readers of this file alone.
+    """
+    cases = [
+        (judgement.detector, decision.name, *_outcome(decision))
+        for judgement in judgements
+        for decision in judgement.decisions
+    ]
+    why = why_without_verdict(run)
+    if why:
+        ended = "the run has a verdict"
+        cases = [(who, name, "skipped", why, "") for who, name, *_ in cases]
+        cases = [*((who, ended, "error", why, "") for who in run.detectors), *cases]
+    elif not cases:
+        nothing = "nothing was scored, so no requirement was decided"
+        cases = [(who, "requirements", "skipped", nothing, "") for who in run.detectors]
+    started, took_s = _span(run)
+    share_s = f"{took_s / max(1, len(cases)):.3f}"
     root = ET.Element("testsuites", name=str(run.facts.get("title", run.folder.name)))
-    for judgement in judgements:
-        suite = ET.SubElement(root, "testsuite", name=judgement.detector)
-        for decision in judgement.decisions:
-            named = {"classname": judgement.detector, "name": decision.name}
+    root.set("time", f"{took_s:.3f}")
+    for detector in dict.fromkeys(who for who, *_ in cases):
+        suite = ET.SubElement(root, "testsuite", name=detector, timestamp=started)
+        for _, name, kind, message, rule in (one for one in cases if one[0] == detector):
+            named = {"classname": detector, "name": name, "time": share_s}
             case = ET.SubElement(suite, "testcase", named)
-            if decision.verdict is Verdict.NOT_MET:
-                ET.SubElement(case, "failure", message=decision.sentence).text = decision.rule
-            elif decision.verdict is not Verdict.MET:
-                why = f"{decision.verdict.value}: {decision.sentence}"
-                ET.SubElement(case, "skipped", message=why)
-        failures, skipped = (len(suite.findall(f".//{kind}")) for kind in ("failure", "skipped"))
-        numbers = {"tests": len(suite), "failures": failures, "skipped": skipped, "errors": 0}
-        suite.attrib |= {name: str(number) for name, number in numbers.items()}
+            if kind:
+                ET.SubElement(case, kind, message=message).text = rule or None
+        kinds = {"failures": "failure", "skipped": "skipped", "errors": "error"}
+        numbers = {name: len(suite.findall(f".//{kind}")) for name, kind in kinds.items()}
+        suite.attrib |= {name: str(n) for name, n in {"tests": len(suite), **numbers}.items()}
+        suite.set("time", f"{float(share_s) * len(suite):.3f}")
     ET.indent(root)
     text = sanitized(ET.tostring(root, encoding="unicode"))
     return f'<?xml version="1.0" encoding="utf-8"?>\n{text}\n'
+
+
+def _outcome(decision: Decision) -> tuple[str, str, str]:
+    """The element of a case, its message and its text; an empty element where it is met."""
+    if decision.verdict is Verdict.MET:
+        return "", "", ""
+    if decision.verdict is Verdict.NOT_MET:
+        return "failure", decision.sentence, decision.rule
+    return "skipped", f"{decision.verdict.value}: {decision.sentence}", ""
+
+
+def why_without_verdict(run: RunRecord) -> str:
+    """Why nothing is decided by ``run``: it is damaged or did not finish; empty where it may be."""
+    if run.damage:
+        return f"{NOT_AS_WRITTEN}, so that nothing is decided by it. {shortened(run.damage)}"
+    if run.ending == "finished":
+        return ""
+    done, planned = len(run.trials), run.facts.get("planned", "?")
+    if run.ending == "interrupted":
+        return f"The bench died before the run was over; {done} of {planned} trials are kept."
+    message = [event["text"] for event in run.events if event["kind"] in ("fault", "aborted")]
+    return (
+        f"The run was {run.ending} after {done} of {planned} trials:"
+        f" {message[-1].rstrip('.') if message else 'no reason was recorded'}."
+    )
+
+
+def _span(run: RunRecord) -> tuple[str, float]:
+    """When the run began, ISO 8601, and how long it took, in seconds to its last event; 0 where a
+    damaged record doesn't tell.
+    """
+    started = str(run.facts["wall_started"])
+    with suppress(ValueError, TypeError):
+        begun = datetime.fromisoformat(started)
+        ended = (datetime.fromisoformat(event["wall_time"]) for event in run.events)
+        return started, (max(begun, *ended, begun) - begun).total_seconds()
+    return started, 0.0

@@ -1,0 +1,130 @@
+"""junit.xml of every ending, read by a library that others use and held against the attributes and
+children that Jenkins' xunit plug-in allows (its junit-10.xsd), typed from there.
+"""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import pytest
+from junitparser import Error, JUnitXml, Skipped
+
+from bench.record.check import NOT_AS_WRITTEN
+from bench.record.reader import RunRecord
+from bench.results.exports import write_exports
+from bench.results.verdicts import Judgement
+from bench.scoring.decisions import Decision, Verdict
+
+SUREFIRE_TIME = re.compile(r"(([0-9]{0,3},)*[0-9]{3}|[0-9]{0,3})*(\.[0-9]{0,3})?")
+# element: required attributes, other attributes, children
+SCHEMA: dict[str, tuple[set[str], set[str], set[str]]] = {
+    "testsuites": (set(), {"name", "time", "tests", "failures", "errors"}, {"testsuite"}),
+    "testsuite": (
+        {"name", "tests", "failures", "errors"},
+        {"group", "time", "skipped", "timestamp", "hostname", "id", "package"},
+        {"testsuite", "properties", "testcase", "system-out", "system-err"},
+    ),
+    "testcase": (
+        {"name"},
+        {"time", "classname", "group"},
+        {"skipped", "error", "failure", "system-out", "system-err"},
+    ),
+    **{kind: (set(), {"type", "message"}, set()) for kind in ("skipped", "error", "failure")},
+}
+FACTS: dict[str, Any] = {
+    "title": "Quick",
+    "detectors": ["fused", "thesis"],
+    "planned": 18,
+    "wall_started": "2026-11-26T22:00:00+00:00",
+}
+
+
+def event(kind: str, text: str) -> dict[str, Any]:
+    return {"kind": kind, "text": text, "wall_time": "2026-11-26T22:01:30.250+00:00"}
+
+
+def decision(name: str, verdict: Verdict) -> Decision:
+    words = f"{name} in words"
+    return Decision(name=name, verdict=verdict, limit=5.0, rule="the rule", sentence=words)
+
+
+JUDGED = (
+    Judgement("fused", (decision("error", Verdict.MET), decision("false", Verdict.NOT_MET))),
+    Judgement("thesis", (decision("error", Verdict.INCONCLUSIVE),)),
+)
+CHAINED = "the chain is broken at link 3"
+ENDINGS = {
+    "finished": (RunRecord(Path("run"), FACTS | {"ending": "finished"}), ""),
+    "faulted": (
+        RunRecord(
+            Path("run"),
+            FACTS | {"ending": "faulted"},
+            events=(event("fault", "bath: no answer for 12 s."),),
+        ),
+        "The run was faulted after 0 of 18 trials: bath: no answer for 12 s.",
+    ),
+    "aborted": (
+        RunRecord(Path("run"), FACTS | {"ending": "aborted"}, events=(event("aborted", "Ctrl-C"),)),
+        "The run was aborted after 0 of 18 trials: Ctrl-C.",
+    ),
+    "interrupted": (
+        RunRecord(Path("run"), FACTS),
+        "The bench died before the run was over; 0 of 18 trials are kept.",
+    ),
+    "damaged": (
+        RunRecord(Path("run"), FACTS | {"ending": "finished"}, damage=(CHAINED,)),
+        f"{NOT_AS_WRITTEN}, so that nothing is decided by it. {CHAINED}.",
+    ),
+}
+
+
+def written(run: RunRecord, judgements: tuple[Judgement, ...], folder: Path) -> Path:
+    write_exports(run, judgements, folder)
+    return folder / "junit.xml"
+
+
+@pytest.mark.parametrize("judged", [(), JUDGED], ids=["nothing scored", "scored"])
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_a_reader_of_it_alone_sees_how_the_run_ended(
+    ending: str, judged: tuple[Judgement, ...], tmp_path: Path
+) -> None:
+    run, why = ENDINGS[ending]
+    read = JUnitXml.fromfile(str(written(run, judged, tmp_path)))
+    suites = list(read)
+    assert [suite.name for suite in suites] == ["fused", "thesis"]
+    for suite in suites:
+        cases = list(suite)
+        assert cases
+        assert suite.tests == len(cases)
+        errors = [case.name for case in cases if any(isinstance(r, Error) for r in case.result)]
+        assert suite.errors == len(errors) == (1 if why else 0)
+        assert suite.skipped == sum(isinstance(r, Skipped) for c in cases for r in c.result)
+        if why:
+            assert {r.message for case in cases for r in case.result} == {why}
+            assert all(case.result for case in cases)  # nothing has passed
+        if not judged and not why:
+            assert suite.skipped == len(cases)
+
+
+@pytest.mark.parametrize("judged", [(), JUDGED], ids=["nothing scored", "scored"])
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_it_is_as_jenkins_plug_in_takes_it_and_has_its_times(
+    ending: str, judged: tuple[Judgement, ...], tmp_path: Path
+) -> None:
+    root = ET.parse(written(ENDINGS[ending][0], judged, tmp_path)).getroot()
+    assert root.tag == "testsuites"
+    for element in root.iter():
+        required, others, children = SCHEMA[element.tag]
+        assert required <= set(element.attrib) <= required | others, element.attrib
+        assert {child.tag for child in element} <= children
+        if element.tag.startswith("test"):
+            assert SUREFIRE_TIME.fullmatch(element.attrib["time"])
+    for suite in root:
+        assert suite.attrib["timestamp"] == FACTS["wall_started"]
+        of_cases = sum(float(case.attrib["time"]) for case in suite)
+        assert of_cases == pytest.approx(float(suite.attrib["time"]), abs=0.01)
+    took_s = 90.25 if ENDINGS[ending][0].events else 0.0
+    assert float(root.attrib["time"]) == took_s
