@@ -14,6 +14,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from bench.campaign.chunk import digest_of_frames
+from bench.campaign.ledger import Ledger
 from bench.campaign.plan import Plan, open_plan
 from bench.campaign.search import (
     NothingFitsError,
@@ -24,7 +25,6 @@ from bench.campaign.search import (
     search,
 )
 from bench.config import ConfigError, read_text, writing
-from bench.files import write_synced
 from bench.results.answers import close_detectors
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.scenes import draw, warm
@@ -156,7 +156,7 @@ def write_found(found: Found, folder: Path) -> None:
         " shares of the\nparameters' ranges; values are the parameters in their own units."
     )
     with writing(folder):
-        write_synced(folder / SEARCH, toml_text(table, heading).encode("utf-8"))
+        Ledger(folder).write(SEARCH, toml_text(table, heading).encode("utf-8"))
 
 
 def read_failures(folder: Path) -> tuple[Plan, dict[int, Failure]]:
@@ -168,7 +168,7 @@ def read_failures(folder: Path) -> tuple[Plan, dict[int, Failure]]:
             " was given"
         )
     try:
-        table = tomllib.loads(read_text(path))
+        table = tomllib.loads(Ledger(folder).checked_bytes(SEARCH).decode("utf-8"))
         failures = [Failure(**one) for one in table.get("failures", ())]
         return Plan.model_validate(table["plan"]), {one.number: one for one in failures}
     except (tomllib.TOMLDecodeError, KeyError, TypeError, ValidationError) as error:

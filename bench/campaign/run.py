@@ -6,6 +6,7 @@ stopped goes on where it was: what is done is what the folder holds.
 
 from __future__ import annotations
 
+import hashlib
 import uuid
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
@@ -17,6 +18,7 @@ from typing import Protocol
 from filelock import FileLock, Timeout
 
 from bench.campaign.chunk import ASIDE, Rows
+from bench.campaign.ledger import Ledger
 from bench.campaign.plan import Chunk, Plan, differences, open_plan, plan_text, read_plan
 from bench.campaign.shards import SHARDS, Shards, no_campaign
 from bench.config import ConfigError, writing
@@ -31,6 +33,7 @@ def plan_of(folder: Path) -> Plan:
     """The plan of the campaign in ``folder``. Raises ConfigError where there is none."""
     if not (folder / PLAN).is_file():
         raise no_campaign(folder)
+    Ledger(folder).checked_bytes(PLAN)
     return read_plan(folder / PLAN)
 
 
@@ -88,7 +91,8 @@ class Campaign:
         self.job, self.made_by = open_plan(plan)
         self.shards = Shards(folder)
         path = folder / PLAN
-        if path.exists():
+        self._text = plan_text(plan, self.made_by).encode("utf-8")
+        if path.exists() and not self._restorable():
             kept = read_plan(path, type(plan))
             if not kept.made_by:
                 raise ConfigError.plain(
@@ -100,22 +104,38 @@ class Campaign:
                     f"{folder} holds a campaign of another kind, whose rows don't go with these:\n"
                     f"{lines}\nName another --out, or go back to what made it."
                 )
-        elif (folder / SHARDS).exists():
+            self.shards.ledger.checked_bytes(PLAN)
+        elif (folder / SHARDS).exists() and not self._restorable():
             raise ConfigError.plain(f"{folder} has {SHARDS} but no {PLAN}; name another --out")
+
+    def _restorable(self) -> bool:
+        """Whether the folder's plan was this one, whatever has become of its file."""
+        digest = self.shards.ledger.state().get(PLAN)
+        return digest == hashlib.sha256(self._text).hexdigest()
 
     def begin(self) -> None:
         """Write the plan, where it isn't there. Raises ConfigError where it can't be written."""
         with writing(self.folder):
             (self.folder / SHARDS).mkdir(parents=True, exist_ok=True)
-            if not (self.folder / PLAN).exists():
-                text = plan_text(self.plan, self.made_by)
+            path = self.folder / PLAN
+            if not path.exists() or (self._restorable() and path.read_bytes() != self._text):
+                self.shards.ledger.add(PLAN, self._text)
                 # a job array's first jobs may all be here at once, with the same text
                 new = self.folder / f"plan-{uuid.uuid4().hex}"
-                write_synced(new, text.encode("utf-8"))
-                new.replace(self.folder / PLAN)
+                write_synced(new, self._text)
+                new.replace(path)
 
-    def run(self, executor: Executor, report: Callable[[Status], None]) -> Status:
-        """Do what is not done yet; ``report`` gets how far it is after each chunk."""
+    def run(
+        self,
+        executor: Executor,
+        report: Callable[[Status], None],
+        say: Callable[[str], None] = lambda _: None,
+    ) -> Status:
+        """Do what is not done yet, or is damaged, which is said; ``report`` gets how far it is
+        after each chunk.
+        """
+        if damage := self.shards.remove_damaged():
+            say(f"{self.folder}: rows are damaged ({damage}); these chunks are done again")
         families = self._known()
         done = self.shards.done()
         report(self._status(families))
@@ -139,6 +159,7 @@ class Campaign:
     def do_chunk(self, number: int, executor: Executor) -> Rows | None:
         """The rows of one chunk, written; None where it was done before."""
         chunk = self.plan.chunk(number)
+        self.shards.remove_damaged(f"{chunk.family}-{chunk.number:06d}.")
         if (chunk.family, chunk.number) in self.shards.done():
             return None
         ((one, rows),) = executor.results(iter([chunk]))

@@ -13,6 +13,7 @@ from pathlib import Path
 from pydantic import field_validator
 
 from bench.campaign.chunk import ASIDE, WRONG
+from bench.campaign.ledger import LEDGER
 from bench.campaign.limits import Limit, limit_at
 from bench.campaign.plan import Plan
 from bench.campaign.quantities import Quantity, Varied, varied
@@ -63,6 +64,7 @@ def opened(plan: Study, folder: Path) -> Campaign:
     except OtherCampaignError:
         shutil.rmtree(folder / SHARDS)
         (folder / PLAN).unlink()
+        (folder / LEDGER).unlink(missing_ok=True)
         return Campaign(plan, folder)
 
 

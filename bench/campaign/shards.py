@@ -11,7 +11,9 @@ from __future__ import annotations
 import hashlib
 import re
 import tempfile
-from collections.abc import Iterable, Sequence
+import threading
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import astuple, dataclass, fields
 from functools import cached_property
 from itertools import chain
@@ -21,11 +23,12 @@ from typing import Any
 import duckdb
 
 from bench.campaign.chunk import SHARES, Rows, SceneRow, Taken, TeatRow
+from bench.campaign.ledger import Damage, Ledger
 from bench.config import ConfigError
-from bench.files import write_synced
 
 SHARDS = "shards"
 MERGED = 64  # chunks in one file, at most
+MOST_ROWS, MOST_S = 1_000_000, 300.0  # of a query
 INSERTED = 100  # rows in one statement: a statement takes as long as ten rows
 SIZES = {"int": "INTEGER", "float": "FLOAT", "str": "VARCHAR", "Sequence[int]": "UTINYINT[]"}
 COUNTS = (
@@ -69,6 +72,7 @@ class Shards:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder / SHARDS
+        self.ledger = Ledger(folder)
 
     @cached_property
     def _writer(self) -> duckdb.DuckDBPyConnection:
@@ -76,9 +80,11 @@ class Shards:
         return duckdb.connect(config={"threads": 1})
 
     def files(self) -> list[Shard]:
-        """What is to be read, in order: no chunk twice."""
+        """What is to be read, in order: no chunk twice, nothing that the ledger doesn't name."""
         kept: list[Shard] = []
-        for shard in sorted(self._all(), key=lambda one: (one.family, one.first, -one.last)):
+        named = self.ledger.state()
+        ours = (one for one in self._all() if self._name(one.path) in named)
+        for shard in sorted(ours, key=lambda one: (one.family, one.first, -one.last)):
             above = kept[-1] if kept and kept[-1].family == shard.family else None
             if above is None or shard.first > above.last:
                 kept.append(shard)
@@ -119,15 +125,53 @@ class Shards:
         self.remove(set(self._all()) - set(self.files()))
 
     def remove(self, shards: Iterable[Shard]) -> None:
-        for shard in shards:
+        """The ledger first: what it still names and isn't there was lost."""
+        gone = list(shards)
+        if gone:
+            self.ledger.remove(map(self._name, (shard.path for shard in gone)))
+        for shard in gone:
             shard.path.unlink(missing_ok=True)
 
-    def connect(self) -> duckdb.DuckDBPyConnection:
-        """A database with the views `scenes`, `teats` and `parameters`."""
+    def remove_damaged(self, chunk: str = "") -> Damage:
+        """Forget what is not as it was written, so that it is done again, of the file of one
+        ``chunk`` or of all; gives back what was.
+        """
+        damage = self.ledger.damage(f"{SHARDS}/{chunk}")
+        if damage:
+            self.ledger.remove((*damage.changed, *damage.missing, *damage.unknown))
+        for name in (*damage.changed, *damage.unknown):
+            (self.ledger.folder / name).unlink(missing_ok=True)
+        return damage
+
+    def check(self) -> None:
+        """Raises ConfigError where a file isn't as it was written, or is missing."""
+        if damage := self.ledger.damage(f"{SHARDS}/"):
+            raise ConfigError.plain(
+                f"{self.ledger.folder}: the campaign's rows are damaged: {damage}. Give the command"
+                " 'teatbench campaign run' that made them again: it does these chunks anew."
+            )
+
+    @contextmanager
+    def connect(self, *, loaded: bool = False) -> Iterator[duckdb.DuckDBPyConnection]:
+        """A database with the views `scenes`, `teats` and `parameters`, once the files are checked;
+        with ``loaded``, of rows in memory, which reads no file any more. Raises ConfigError, for
+        what the database refuses too.
+        """
+        self.check()
         paths = [shard.path for shard in self.files()]
-        db = duckdb.connect()
+        with duckdb.connect(config={"autoinstall_known_extensions": False}) as db:
+            try:
+                self._views(db, paths, "TABLE" if loaded else "VIEW")
+                if loaded:
+                    db.execute("SET enable_external_access = false; SET lock_configuration = true")
+                yield db
+            except (duckdb.Error, RuntimeError, UnicodeError) as error:
+                where = self.ledger.folder
+                raise ConfigError.plain(f"{where}: the database refuses: {error}") from error
+
+    def _views(self, db: duckdb.DuckDBPyConnection, paths: Sequence[Path], kind: str) -> None:
         if paths:
-            db.execute("CREATE VIEW everything AS " + _read(paths))
+            db.execute(f"CREATE {kind} everything AS {_read(paths)}")
         else:
             db.execute(f"CREATE TABLE everything ({TABLE})")
         left_out = "teats, parameters, shares"
@@ -140,7 +184,6 @@ class Shards:
             f"CREATE VIEW parameters AS SELECT {names}, failure, unnest(string_split(parameters,"
             f" ',')) AS name, unnest(shares) / {SHARES}.0 AS share FROM everything"
         )
-        return db
 
     def digest(self) -> str:
         """SHA-256 in hex of all rows, sorted, without what was measured."""
@@ -169,7 +212,12 @@ class Shards:
                 f"COPY (FROM rows ORDER BY {', '.join(KEYS)}) TO {quoted(path)}"
                 " (FORMAT parquet, COMPRESSION zstd, PARQUET_VERSION v2)"
             )
-            write_synced(self.folder / f"{name}.parquet", path.read_bytes())
+            self.ledger.write(f"{SHARDS}/{name}.parquet", path.read_bytes())
+
+    @staticmethod
+    def _name(path: Path) -> str:
+        """As the ledger has it."""
+        return f"{SHARDS}/{path.name}"
 
 
 def _lines(rows: Rows) -> list[tuple[Any, ...]]:
@@ -204,12 +252,15 @@ def no_campaign(folder: Path) -> ConfigError:
 
 
 def query(folder: Path, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
-    """The columns' names and the rows that ``sql`` asks for of `scenes` and `teats`. Raises
-    ConfigError for a folder without shards, and with the database's own words.
+    """The columns' names and the rows that ``sql`` asks for of `scenes` and `teats`, which can't
+    reach a file or a network. Raises ConfigError for a folder without shards, for damaged ones, for
+    more than MOST_ROWS or MOST_S, and with the database's own words.
     """
     if not (folder / SHARDS).is_dir():
         raise no_campaign(folder)
-    with Shards(folder).connect() as db:
+    with Shards(folder).connect(loaded=True) as db:
+        timer = threading.Timer(MOST_S, db.interrupt)
+        timer.start()
         try:
             # nothing at all for nothing asked
             found: duckdb.DuckDBPyConnection | None = db.execute(sql)
@@ -217,6 +268,20 @@ def query(folder: Path, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
                 raise ConfigError.plain(
                     "the query is empty: ask for rows, as 'SELECT * FROM scenes'"
                 )
-            return [column[0] for column in found.description or ()], found.fetchall()
-        except duckdb.Error as error:
+            names = [column[0] for column in found.description or ()]
+            rows = found.fetchmany(MOST_ROWS + 1)
+        except duckdb.InterruptException as error:
+            raise ConfigError.plain(
+                f"the query took more than {MOST_S:g} s: ask for less"
+            ) from error
+        except (duckdb.Error, RuntimeError, UnicodeError) as error:
             raise ConfigError.plain(f"the query is refused: {error}") from error
+        finally:
+            timer.cancel()
+            timer.join()
+        if len(rows) > MOST_ROWS:
+            raise ConfigError.plain(
+                f"the query gives more than {MOST_ROWS:,} rows: count or group them, or end it with"
+                " LIMIT"
+            )
+        return names, rows

@@ -55,7 +55,7 @@ def finish(campaign: Campaign, what: str, workers: int | None, dask: str | None)
             working(what, pace="scenes") as shown,
             executor(campaign, workers, dask, shown.say) as made,
         ):
-            return campaign.run(made, lambda status: shown(*progress(status)))
+            return campaign.run(made, lambda status: shown(*progress(status)), shown.say)
     except KeyboardInterrupt:
         complain("interrupted; give the same command again to go on where it stopped", CODES.fault)
     except PoolError as error:
@@ -309,6 +309,8 @@ def _print_status(given: argparse.Namespace, campaign: Campaign, status: Status,
             for rate, (low, high) in spans
         ]
         print(f"{plain_table(heads, rows)}\ndigest: {digest}\nReport: {page}")
+    if other := campaign.shards.ledger.compare_rows(status.done, digest):
+        return complain(other, CODES.fault)
     return _aside(aside)
 
 

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import argparse
+import ipaddress
 import secrets
 import socket
 import subprocess
 import sys
+import threading
 import webbrowser
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import IO, cast
 
 from bench.cli.verdict import on_a_desktop
 from bench.config import ConfigError
-from bench.rig.urls import is_loopback
 
 HERE = "127.0.0.1"
+UP_S = 20.0  # a busy machine reads its modules slowly; then the run begins without its address
 EXPOSED = (
     "Other machines can reach this console, over a network that can be read and without"
     " encryption. Whoever has the address above, token included, may answer prompts and start and"
@@ -29,61 +32,87 @@ def console(given: argparse.Namespace) -> None:
         import uvicorn
 
         from bench.console.app import Console, make_app
+        from bench.console.guard import shedding
     except ImportError as error:
         raise ConfigError.plain(
             f"the console needs {error.name}, which isn't installed: pip install"
             " 'teatbench[console]'"
         ) from error
-    token, address = secrets.token_urlsafe(24), given.listen
-    with _listening(address, given.port) as listener:
-        port = listener.getsockname()[1]
-        names = {address, HERE, "localhost"} if is_loopback(address) else {address}
-        if address in ("0.0.0.0", "::"):  # noqa: S104 - asked for, and said what it means
-            raise ConfigError.plain(
-                "--listen takes the one address of this machine that others may use, not all of"
-                " them: its name is checked in each request"
-            )
+    try:
+        given.runs.mkdir(parents=True, exist_ok=True)
+        next(given.runs.iterdir(), None)
+    except OSError as error:
+        why = f"the folder of runs, {given.runs}, can't be used: {error.strerror or error}"
+        raise ConfigError.plain(f"{why}. Name another one with --runs.") from error
+    token = secrets.token_urlsafe(24)
+    with _listening(given.listen, given.port) as listener:
+        bound, port = listener.getsockname()[:2]
+        inside = _numbered(bound).is_loopback
+        names = dict.fromkeys([bound, given.listen, *([HERE, "localhost"] if inside else [])])
         hosts = [f"[{name}]:{port}" if ":" in name else f"{name}:{port}" for name in names]
-        origin = f"http://{hosts[0]}" if len(names) == 1 else f"http://{HERE}:{port}"
-        page = f"{origin}/#{token}"
-        print(f"console {page}", flush=True)
-        if not is_loopback(address):
+        origin = f"http://{hosts[0]}"
+        print(f"console {origin}/#{token}", flush=True)
+        if not inside:
             print(EXPOSED, file=sys.stderr, flush=True)
         if not given.no_open and on_a_desktop():
-            webbrowser.open(page)
-        given.runs.mkdir(parents=True, exist_ok=True)
+            webbrowser.open(f"{origin}/#{token}")
         app = make_app(Console(given.runs.resolve(), Path.cwd(), origin), token, hosts)
         config = uvicorn.Config(
             app,
-            log_level="error",
+            http=shedding(),
+            log_level="critical",
             access_log=False,
             server_header=False,
             timeout_graceful_shutdown=1,
             ws="none",
         )
-        uvicorn.Server(config).run(sockets=[listener])
+        with suppress(KeyboardInterrupt):
+            uvicorn.Server(config).run(sockets=[listener])
+
+
+def _numbered(address: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
+    """A bound address; one of IPv4 where it is mapped into IPv6."""
+    found = ipaddress.ip_address(address.partition("%")[0])
+    return getattr(found, "ipv4_mapped", None) or found
 
 
 @contextmanager
 def _listening(address: str, port: int) -> Iterator[socket.socket]:
-    """Raises ConfigError where the address can't be had."""
+    """Raises ConfigError where the address can't be had, or is all of the machine's, however that
+    was spelled: what counts is what the socket is bound to.
+    """
     kind = socket.AF_INET6 if ":" in address else socket.AF_INET
     try:
         listener = socket.create_server((address, port), family=kind)
-    except OSError as error:
-        why = f"the console can't listen on {address}, port {port}: {error.strerror or error}"
-        raise ConfigError.plain(f"{why}. Name another one with --port.") from error
+    except (OSError, UnicodeError, OverflowError) as error:
+        reason = getattr(error, "strerror", None) or error
+        why = f"the console can't listen on {address!r}, port {port}: {reason}"
+        raise ConfigError.plain(f"{why}. Name another one with --listen or --port.") from error
     with listener:
+        if _numbered(listener.getsockname()[0]).is_unspecified:
+            raise ConfigError.plain(
+                f"--listen {address!r} is every address of this machine: give the one that others"
+                " may use, whose name is checked in each request"
+            )
         yield listener
 
 
 @contextmanager
 def beside(runs: Path) -> Iterator[None]:
-    """A console over ``runs`` in a process of its own, which prints its address. Whatever becomes
-    of it changes nothing for the run. At a terminal it stays after the run until Ctrl-C.
+    """A console over ``runs`` in a process of its own, which prints its address before the run
+    begins. Whatever becomes of it changes nothing for the run. At a terminal it stays after the run
+    until Ctrl-C.
     """
-    command = [sys.executable, "-m", "bench.cli", "console", "--runs", str(runs)]
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
+    command = [sys.executable, "-X", "utf8", "-m", "bench.cli", "console", "--runs", str(runs)]
+    process = subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, encoding="utf-8"
+    )
+    lines = cast(IO[str], process.stdout)
+    printing = threading.Thread(
+        target=lambda: print(lines.readline(), end="", flush=True), name="console", daemon=True
+    )
+    printing.start()
+    printing.join(UP_S)
     try:
         yield
         if sys.stdout.isatty() and process.poll() is None:
@@ -93,3 +122,5 @@ def beside(runs: Path) -> Iterator[None]:
     finally:
         process.terminate()
         process.wait()
+        printing.join()
+        lines.close()

@@ -36,6 +36,8 @@ STATIC = Path(__file__).parent / "static"
 POLL_S = 0.05  # between two looks at a run's files
 BEAT_S = 10.0  # a comment, so that a connection that went away is noticed
 LONGEST = 400  # of a name or an answer
+MOST_PAGES, QUEUED = 500, 2000  # pages that follow runs; news that one may not have read yet
+BODY_S = 8.0  # a request's body has come by then
 # a report has scripts and styles of its own, and may reach nothing of the console's
 REPORT_POLICY = (
     "sandbox allow-scripts allow-popups; default-src 'none'; img-src {0} data:; connect-src 'none';"
@@ -66,6 +68,73 @@ class Lease:
         return {"mine": self.client == client, "name": self.name, "since": self.since}
 
 
+News = tuple[str, Any]  # "event", "live", "prompt" or "lease", and its value
+
+
+@dataclass(slots=True, eq=False)
+class Page:
+    """A page that follows a run: what it has not read yet. ``lost``: it reads too slowly."""
+
+    news: asyncio.Queue[News] = field(default_factory=lambda: asyncio.Queue(QUEUED))
+    lost: bool = False
+
+    def put(self, news: News) -> None:
+        try:
+            self.news.put_nowait(news)
+        except asyncio.QueueFull:
+            self.lost = True  # the browser connects anew, from the last number that it has
+
+
+@dataclass(slots=True)
+class Pages:
+    """Which pages follow which run: each run's folder is polled once for all of them."""
+
+    following: dict[Path, set[Page]] = field(default_factory=dict)
+    polls: dict[Path, asyncio.Task[None]] = field(default_factory=dict)
+
+    @property
+    def count(self) -> int:
+        return sum(map(len, self.following.values()))
+
+    def add(self, folder: Path, lease: Lease) -> Page | None:
+        """A page for this run; None where there are too many."""
+        if self.count >= MOST_PAGES:
+            return None
+        page = Page()
+        self.following.setdefault(folder, set()).add(page)
+        if folder not in self.polls:
+            self.polls[folder] = asyncio.create_task(self._poll(folder, lease))
+        return page
+
+    def remove(self, folder: Path, page: Page) -> None:
+        pages = self.following.get(folder, set())
+        pages.discard(page)
+        if not pages:
+            self.following.pop(folder, None)
+            if poll := self.polls.pop(folder, None):
+                poll.cancel()
+
+    async def _poll(self, folder: Path, lease: Lease) -> None:
+        events = watching.Events(folder)
+        came = await _off(lambda: list(events.recent()))
+        seen: dict[str, Any] = {}
+        while True:
+            now: dict[str, Any] = {
+                "live": watching.live(folder),
+                "prompt": watching.prompt(folder),
+                "lease": (lease.client, lease.name, lease.since),
+            }
+            news: list[News] = [("event", event) for event in came]
+            news += [(name, value) for name, value in now.items() if seen.get(name) != value]
+            seen = now
+            for page in self.following.get(folder, ()):
+                for one in news:
+                    page.put(one)
+            if not came:
+                await asyncio.sleep(POLL_S)
+            came = await _off(lambda: list(events.new()))
+
+
 @dataclass(slots=True)
 class Console:
     """The routes. ``runs`` is the folder of runs, ``rigs`` the one with rig files and scripts."""
@@ -75,6 +144,7 @@ class Console:
     origin: str
     lease: Lease = field(default_factory=Lease)
     tickets: dict[str, Path] = field(default_factory=dict)
+    pages: Pages = field(default_factory=Pages)
 
     def routes(self) -> list[Route | Mount]:
         one = "/api/runs/{run}"
@@ -101,7 +171,8 @@ class Console:
         ]
 
     async def listed(self, _: Request) -> Response:
-        return JSONResponse({"runs": await _off(watching.listed, self.runs)})
+        found = await _off(watching.listed, self.runs)
+        return JSONResponse({"runs": found, "pages": self.pages.count})
 
     async def snapshot(self, request: Request) -> Response:
         found = await _off(watching.snapshot, self._folder(request))
@@ -111,39 +182,44 @@ class Console:
         """Server-sent events: `snapshot`, then `event` (by number), `live`, `prompt`, `lease`."""
         folder, last = self._folder(request), request.headers.get("last-event-id", "")
         after = int(last) if last.isdecimal() else None
-        lines = self._watched(folder, _client(request), after)
+        if (page := self.pages.add(folder, self.lease)) is None:
+            return _refused(503, f"{MOST_PAGES} pages follow runs already: close some")
+        lines = self._watched(page, folder, _client(request), after)
         return StreamingResponse(lines, media_type="text/event-stream")
 
-    async def _watched(self, folder: Path, client: str, after: int | None) -> AsyncIterator[bytes]:
-        """Generates as fast as the client reads."""
-        first = {**await _off(watching.snapshot, folder), "lease": self.lease.as_seen_by(client)}
-        yield _sse("snapshot", first)
-        events = watching.Events(folder)
-        if after is None:
-            after = max([first["number"], *(one["number"] for one in events.recent())])
-        seen: dict[str, Any] = {name: first[name] for name in ("live", "prompt", "lease")}
-        quiet_s = 0.0
-        while True:
-            came = False
-            for event in await _off(lambda: list(events.new())):
-                if event["number"] > after:
-                    after, came = event["number"], True
-                    yield _sse("event", event, event["number"])
-            now = {
-                "live": watching.live(folder),
-                "prompt": watching.prompt(folder),
-                "lease": self.lease.as_seen_by(client),
-            }
-            for name, value in now.items():
-                if value != seen[name]:
-                    seen[name], came = value, True
-                    yield _sse(name, value)
-            quiet_s = 0.0 if came else quiet_s + POLL_S
-            if quiet_s >= BEAT_S:
-                quiet_s = 0.0
-                yield b": still here\n\n"
-            if not came:
-                await asyncio.sleep(POLL_S)
+    async def _watched(
+        self, page: Page, folder: Path, client: str, after: int | None
+    ) -> AsyncIterator[bytes]:
+        """Generates as fast as the client reads; ends where it reads too slowly."""
+        try:
+            lease = self.lease.as_seen_by(client)
+            first = {**await _off(watching.snapshot, folder), "lease": lease}
+            yield _sse("snapshot", first)
+            recent = await _off(lambda: list(watching.Events(folder).recent()))
+            if after is None:
+                after = first["number"]
+            seen: dict[str, Any] = {name: first[name] for name in ("live", "prompt", "lease")}
+            news: list[News] = [("event", event) for event in recent]
+            while True:
+                for kind, value in news:
+                    if kind == "event":
+                        if value["number"] > after:
+                            after = value["number"]
+                            yield _sse("event", value, after)
+                        continue
+                    now = self.lease.as_seen_by(client) if kind == "lease" else value
+                    if now != seen[kind]:
+                        seen[kind] = now
+                        yield _sse(kind, now)
+                if page.lost:
+                    return
+                try:
+                    news = [await asyncio.wait_for(page.news.get(), BEAT_S)]
+                except TimeoutError:
+                    news = []
+                    yield b": still here\n\n"
+        finally:
+            self.pages.remove(folder, page)
 
     async def trials(self, request: Request) -> Response:
         return JSONResponse({"trials": await _off(watching.trials, self._folder(request))})
@@ -297,7 +373,12 @@ def _client(request: Request) -> str:
 async def _body(request: Request) -> dict[str, Any]:
     """Raises BadBodyError."""
     try:
-        found = json.loads(await request.body())
+        found = json.loads(await asyncio.wait_for(request.body(), BODY_S))
+        json.dumps(found, ensure_ascii=False).encode()
+    except TimeoutError as error:
+        raise BadBodyError(f"the body has not come within {BODY_S:g} s") from error
+    except UnicodeEncodeError as error:
+        raise BadBodyError("the body has a lone surrogate, which is no character") from error
     except (ValueError, RecursionError) as error:
         raise BadBodyError(f"the body is not JSON: {error}") from error
     if not isinstance(found, dict):

@@ -8,6 +8,7 @@ come as JSON.
 
 from __future__ import annotations
 
+import asyncio
 import hmac
 from collections.abc import Collection
 
@@ -28,6 +29,7 @@ HEADERS = {
     "cross-origin-opener-policy": "same-origin",
 }
 MOST_BYTES = 1 << 16  # of a request's body
+REQUEST_S = 8.0  # a request's head has come by then
 
 
 class Guard:
@@ -77,3 +79,42 @@ class Guard:
         if not length.isdecimal() or int(length) > MOST_BYTES:
             return 413, f"a request's body has a stated length of at most {MOST_BYTES} bytes"
         return None
+
+
+def shedding() -> type[asyncio.Protocol]:
+    """uvicorn's protocol, which closes a connection on which no whole head of a request came within
+    REQUEST_S of its first byte or of the connection.
+    """
+    from uvicorn.protocols.http.h11_impl import H11Protocol
+
+    class Shedding(H11Protocol):
+        _deadline: asyncio.TimerHandle | None = None
+
+        def connection_made(self, transport: asyncio.BaseTransport) -> None:
+            super().connection_made(transport)  # type: ignore[arg-type]
+            self._watch()
+
+        def data_received(self, data: bytes) -> None:
+            super().data_received(data)
+            self._watch()
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            super().connection_lost(exc)
+            if self._deadline:
+                self._deadline.cancel()
+
+        def _watch(self) -> None:
+            """A request that is being answered has no deadline here; half of one has."""
+            answering = self.cycle is not None and not self.cycle.response_complete
+            if answering and self._deadline:
+                self._deadline.cancel()
+                self._deadline = None
+            elif not answering and self._deadline is None and not self.transport.is_closing():
+                self._deadline = self.loop.call_later(REQUEST_S, self._shed)
+
+        def _shed(self) -> None:
+            self._deadline = None
+            if self.cycle is None or self.cycle.response_complete:
+                self.transport.abort()
+
+    return Shedding

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from bench.campaign.chunk import ASIDE, Rows, SceneRow, Taken, TeatRow
+from bench.campaign.ledger import Ledger
 from bench.campaign.perturbations import Applied
 from bench.campaign.plan import Plan, plan_text
 from bench.campaign.shards import Shards
@@ -33,7 +34,7 @@ def written(
     """A campaign of two families: `d` loses so many of the second, its ends are so far off."""
     asked = Plan(**{"families": ("ideal", "overlapping"), "scenes": SCENES, **(plan or {})})
     (folder / "shards").mkdir(parents=True)
-    (folder / "plan.toml").write_text(plan_text(asked, MADE_BY), encoding="utf-8")
+    Ledger(folder).write("plan.toml", plan_text(asked, MADE_BY).encode("utf-8"))
     for family in asked.families:
         rows, teats = [], []
         for member in range(SCENES):
@@ -109,4 +110,6 @@ def test_what_can_not_be_compared_is_refused(old: Path, tmp_path: Path, said: Sa
     wrong = said(2, "campaign compare {} {} --detector e", old, strict).err
     assert "no detector of those named" in wrong
     (tmp_path / "strict" / "shards").rename(tmp_path / "strict" / "gone")
-    assert "no scene has been scored" in said(2, "campaign compare {} {}", old, strict).err
+    assert (
+        "missing: shards/ideal-000000.parquet" in said(2, "campaign compare {} {}", old, strict).err
+    )

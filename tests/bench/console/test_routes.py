@@ -170,3 +170,10 @@ def test_one_operator_at_a_time_and_whoever_has_the_token_may_abort(console: Con
     assert post(answers, "two", words="abort")[0] == 200
     status, said = post(answers, "one", words="go", name="the desk")
     assert (status, said["by"]) == (409, "a browser")
+
+
+@pytest.mark.parametrize("body", [b'{"name": "\\ud800"}', b'{"\\udfff": 1}', b'{"a": ["\\ud83d"]}'])
+def test_a_lone_surrogate_is_no_text(console: Console, body: bytes) -> None:
+    length = {"content-length": str(len(body)), "x-client": "one"}
+    status, _, text = call(console, "POST", "/api/lease", GOOD | length, body)
+    assert (status, b"surrogate" in text) == (422, True)
