@@ -54,6 +54,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
                 complete(top)
             return _run(top.parse_args(arguments))
+    except Exception as error:
+        return _unforeseen(error)
     finally:
         sys.stdout, sys.stderr = streams
 
@@ -86,21 +88,28 @@ def _run(given: argparse.Namespace) -> int:
     except BrokenPipeError:  # the reader of our output has gone (`| head`)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return CODES.met
-    # a disk that is full, a folder that may not be written, amid whatever the command did
-    except OSError as error:
-        if (
-            error.errno == errno.ENAMETOOLONG
-            or getattr(error, "winerror", 0) == FILENAME_EXCED_RANGE
-        ):
+
+
+MEMORY_WORDS = ("insufficient memory", "cannot allocate memory", "failed to map segment")
+
+
+def _unforeseen(error: Exception) -> int:
+    """Of the system amid whatever the command did, or a mistake of ours: its exit code must not
+    look like a requirement that isn't met, which Python's own would.
+    """
+    if isinstance(error, MemoryError) or any(w in str(error).lower() for w in MEMORY_WORDS):
+        why = "out of memory: give the machine, or the limit that it works under (ulimit -v), more"
+        return complain(f"{why}, or ask for less at once ({error})", CODES.fault)
+    if isinstance(error, OSError):
+        windows_says = getattr(error, "winerror", 0) == FILENAME_EXCED_RANGE
+        if error.errno == errno.ENAMETOOLONG or windows_says:
             return complain(f"{error}: give it a shorter name", CODES.wrong_use)
         return complain(
             f"{error}. Is the disk full, or the folder read-only?" if error.errno else str(error),
             CODES.fault,
         )
-    # must not look like a requirement that isn't met, which Python's own code for it would
-    except Exception:
-        traceback.print_exc()
-        return complain("internal error; please report the traceback above", CODES.fault)
+    traceback.print_exception(error)
+    return complain("internal error; please report the traceback above", CODES.fault)
 
 
 class TopParser(argparse.ArgumentParser):

@@ -35,7 +35,8 @@ MARK = "TEATBENCH_DETECTOR"
 HARD_LIMIT = 4.0
 LONGEST_LINE = 1 << 20
 KEPT_STDERR = 1 << 14
-_LOOK_S = 0.25
+_LOOKS_S = 0.02, 0.25  # between two looks at its memory, by how much is left
+_MIB_A_S = 2048.0  # a process on one core touches new memory as fast as that
 _END_S = 5.0
 _UNASKED_LINES = 100
 _MIB = 1 << 20
@@ -89,22 +90,24 @@ class Child:
 
     def line(self, limit_s: float) -> bytes:
         """Its next line. Raises ChildSilent after ``limit_s``, ChildFault at end, flood, memory."""
-        deadline_s = self._stopwatch() + limit_s
+        deadline_s, look_s = self._stopwatch() + limit_s, _LOOKS_S[0]
         while True:
             left_s = deadline_s - self._stopwatch()
             if left_s <= 0:
                 raise ChildSilent(self._lines.unfinished and f", stuck{self._lines.unfinished}")
             try:
-                line = self._lines.whole.get(timeout=min(left_s, _LOOK_S))
+                line = self._lines.whole.get(timeout=min(left_s, look_s))
             except queue.Empty:
-                self.check_limits()
+                look_s = self.check_limits()
                 continue
             if line is None:
                 raise ChildFault(self._lines.problem or self._ending())
             return line
 
-    def check_limits(self) -> None:
-        """Raises ChildFault for too much memory, or where its supervisor is gone."""
+    def check_limits(self) -> float:
+        """Seconds in which it can't take what is left of its memory. Raises ChildFault for too much
+        memory, or where its supervisor is gone.
+        """
         code = self._process.poll()
         # it ends as its command does, and that is no signal's number
         if code is not None and code < 0:
@@ -113,6 +116,9 @@ class Child:
         if self._memory_mib is not None and used_mib is not None and used_mib > self._memory_mib:
             allowed = f"{self._memory_mib:g} MiB are allowed"
             raise ChildFault(f"took {used_mib:.0f} MiB of memory, {allowed}")
+        if self._memory_mib is None or used_mib is None:
+            return _LOOKS_S[1]
+        return min(max((self._memory_mib - used_mib) / _MIB_A_S, _LOOKS_S[0]), _LOOKS_S[1])
 
     def complaints(self) -> str:
         """What came on its standard error since this was last asked."""

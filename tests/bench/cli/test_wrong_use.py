@@ -178,3 +178,22 @@ def test_a_port_that_cannot_be_opened_is_named(said: Said) -> None:
 @pytest.mark.parametrize("command", ["run", "run --rig", "score", "detect", "report", "emulate"])
 def test_a_name_that_is_too_long_is_named_as_that(command: str, tmp_path: Path, said: Said) -> None:
     assert "disk full" not in said(2, f"{command} {{}}", tmp_path / ("long" * 80)).err
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        ImportError("libcv2.so: failed to map segment from shared object"),
+        OSError(12, "Cannot allocate memory"),
+        RuntimeError("OpenCV: Insufficient memory"),
+    ],
+)
+def test_a_limit_of_memory_ends_with_a_sentence(
+    error: Exception, said: Said, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("bench.cli.main.call", fail)
+    assert "out of memory: give the machine" in said(3, "runs").err
