@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(given: argparse.Namespace) -> int:
     from bench.config import ConfigError
-    from instruments.camera.recording import RecordingError
+    from bench.record.recording import RecordingError
     from instruments.captures.capture import CaptureError
     from instruments.errors import InstrumentError
     from instruments.operators.operator import OperatorAbort, OperatorSkip

@@ -21,6 +21,7 @@ from scipy.special import stdtrit
 
 from bench.config import ConfigError
 from bench.record.reader import TrialRecord, points_mm, read_run
+from bench.record.recording import Recording, RecordingError, TruthRow
 from bench.record.schema import DATABASE
 from bench.scoring.decisions import Decision, Verdict
 from bench.script.model import CamerasRequirement
@@ -35,7 +36,6 @@ from detector.fused.known_ends import (
 from detector.fused.pictures import UnusableError
 from detector.geometry import Array
 from instruments.camera.frame import FrameSet
-from instruments.camera.recording import Recording, RecordingError, TruthRow
 
 LEAST_POSES, MOST_POSES = 3, 24
 CONFIDENCE = 0.95  # of an interval, two-sided
