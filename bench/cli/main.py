@@ -130,7 +130,7 @@ class _Version(argparse.Action):
     """Loads what computes fused, and so says whether it can be used here."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from detector.fused import fast
+        from detector.outline import fast
 
         kernels = fast.chosen()
         why = f" ({kernels.why})" if kernels.why else ""

@@ -26,15 +26,15 @@ from bench.record.schema import DATABASE
 from bench.scoring.decisions import Decision, Verdict
 from bench.script.model import CamerasRequirement
 from detector.calibration import Calibration
-from detector.fused.known_ends import (
+from detector.geometry import Array
+from detector.outline.known_ends import (
     NO_THERMAL_MM,
     REACH_PX,
     THERMAL_REACH_PX,
     EndOffsets,
     offsets_at,
 )
-from detector.fused.pictures import UnusableError
-from detector.geometry import Array
+from detector.outline.pictures import UnusableError
 from instruments.camera.frame import FrameSet
 
 LEAST_POSES, MOST_POSES = 3, 24

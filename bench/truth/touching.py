@@ -38,7 +38,7 @@ from bench.truth.uncertainty import (
     TruthUncertainty,
     triple,
 )
-from detector.fused.known_ends import EndOffsets
+from detector.outline.known_ends import EndOffsets
 from instruments.clock import Clock, wall_time
 from instruments.errors import DeviceError, LimitError, TouchAgainError
 from instruments.microscribe.configuration import Identity
