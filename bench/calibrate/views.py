@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from bench.config import ConfigError
 from bench.files import png_bytes, write_synced
+from bench.record.recording import RecordingError, read_grey
 from bench.rig.loading import drawn
 from detector.calibration.boards import Board
 from detector.calibration.cameras import (
@@ -31,7 +32,6 @@ from detector.calibration.cameras import (
 from detector.calibration.corners import Found, SubPixel, ViewRefusedError, find_board, order_alike
 from detector.calibration.diagnosis import PairView
 from instruments.camera.frame import Grey
-from instruments.camera.recording import RecordingError, read_grey
 from instruments.operators.operator import BoardAsked, Operator, OperatorEnough
 from instruments.world.boards import Pattern
 

@@ -17,13 +17,13 @@ import numpy as np
 
 from bench.campaign.perturbations import Applied
 from bench.campaign.quantities import AT, varied
+from bench.record.recording import FIELDS, TruthRow
 from bench.results.answers import Answer, examine, score_answer
 from bench.rig.scenes import Drawn, draw, warm
 from bench.scoring.scene import SceneScore
 from detector.calibration import Calibration, ParameterCovariance
 from detector.protocol import Detector, Outcome, Teat
 from instruments.camera.frame import FrameSet
-from instruments.camera.recording import FIELDS, TruthRow
 from instruments.clock import processor_s, stopwatch_s
 from instruments.world.draws import Parameter
 from instruments.world.scene import Renderer

@@ -25,12 +25,12 @@ from bench.campaign.search import (
     search,
 )
 from bench.config import ConfigError, read_text, writing
+from bench.record.recording import RecordingError, RecordingWriter
 from bench.results.answers import close_detectors
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.scenes import draw, warm
 from bench.scoring.weighted import WeightedRate
 from bench.toml import toml_text
-from instruments.camera.recording import RecordingError, RecordingWriter
 from instruments.world.situations import Around
 
 SEARCH = "search.toml"

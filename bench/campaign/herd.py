@@ -18,6 +18,7 @@ from datetime import UTC, datetime, timedelta
 from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -26,11 +27,11 @@ from bench.campaign.visits import Confirmed, VisitStore
 from bench.config import ConfigError
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.scenes import draw, rig_renderer, warm
+from detector import registry
 from detector.calibration import Calibration
-from detector.fused.detector import FusedDetector
 from detector.geometry import Array
 from detector.history import last_visit
-from detector.protocol import Context, Detection
+from detector.protocol import Context, Detection, WithContext
 from instruments.world.draws import PLACES, Draw, plain, udder
 from instruments.world.objects import make_object
 from instruments.world.phantom import Phantom, PlatePose, Teat
@@ -44,6 +45,7 @@ GOES_DRY = 0.0006  # a quarter and visit
 BY_HAND = 0.5  # of hidden teats that are attached after all
 OWN_MM, ATTACHED_MM = 1.0, 0.4  # a teat's own variation; how well an attached end is known
 NEAR_MM = 30.0  # a prediction farther from any unseen end invents a teat
+DETECTOR = "fused"  # the one that ships and makes use of a history
 VISITS, ROWS = "visits.sqlite", "herd.csv"
 POST_MM = 38.0  # before a hidden end
 FIRST = 3  # visits that only make the history
@@ -173,7 +175,7 @@ def run_herd(
 def of_cow(folder: Path, seed: int, number: int, cows: int, visits: int) -> list[Guess]:
     """The guesses of one cow's visits."""
     renderer, calibration = _bench(seed)
-    store, detector = VisitStore(folder / VISITS), FusedDetector()
+    store, detector = VisitStore(folder / VISITS), cast("WithContext", registry.create(DETECTOR))
     found: list[Guess] = []
     for k, stand in enumerate(Cow(seed, number, visits).stands):
         if k < FIRST:

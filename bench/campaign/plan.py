@@ -31,7 +31,7 @@ from bench.scoring.sequential import confidence_sequence
 from bench.script.detectors import EXEC, FILE, introduced, make_detectors
 from bench.toml import toml_text
 from detector.calibration import Calibration
-from detector.fused import fast
+from detector.outline import fast
 from detector.protocol import Detector
 from instruments.world.scene import Renderer
 

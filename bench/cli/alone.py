@@ -15,13 +15,13 @@ from contextlib import ExitStack, contextmanager
 from bench.cli.arguments import CODES, complain, print_values
 from bench.cli.verdict import on_a_desktop
 from bench.config import ConfigError
+from bench.record.recording import RecordingWriter
 from bench.rig import alone as rig_alone
 from bench.rig.alone import open_alone, open_stage, shown
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.live_page import live_page
 from bench.rig.model import Stage as StageTable
 from instruments.camera.quality import edge_blur_px
-from instruments.camera.recording import RecordingWriter
 from instruments.errors import LimitError
 from instruments.stage.driver import Stage
 

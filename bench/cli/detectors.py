@@ -23,9 +23,9 @@ from bench.files import write_synced
 from bench.script.detectors import DECLARED, declared, make_detectors
 
 if TYPE_CHECKING:
+    from bench.record.recording import TruthRow
     from bench.results.answers import Answer
     from detector.protocol import Detector, Teat
-    from instruments.camera.recording import TruthRow
 
 # whose first member that the detector was not trained on is shown where no recording is named
 SITUATION = "ideal"
@@ -133,8 +133,8 @@ def _python(library: str = "") -> str:
 def try_out(given: argparse.Namespace) -> int:
     """Ask twice about one frame: what answers once may not read on."""
     from bench.cli.terminal import working
+    from bench.record.recording import Recording
     from bench.results.answers import Examiner, close_detectors
-    from instruments.camera.recording import Recording
 
     detectors = make_detectors([given.word])
     try:

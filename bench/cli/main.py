@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(given: argparse.Namespace) -> int:
     from bench.config import ConfigError
-    from instruments.camera.recording import RecordingError
+    from bench.record.recording import RecordingError
     from instruments.captures.capture import CaptureError
     from instruments.errors import InstrumentError
     from instruments.operators.operator import OperatorAbort, OperatorSkip
@@ -139,7 +139,7 @@ class _Version(argparse.Action):
     """Loads what computes fused, and so says whether it can be used here."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from detector.fused import fast
+        from detector.outline import fast
 
         kernels = fast.chosen()
         why = f" ({kernels.why})" if kernels.why else ""

@@ -28,8 +28,8 @@ from bench.report.wording import number, table, xyz
 from bench.scoring.errors import Floats
 from bench.scoring.scene import SceneScore
 from detector.calibration import Calibration
-from detector.fused.model import COUNT, Outline, contours, pixels_of
 from detector.geometry import Motion
+from detector.outline.model import COUNT, Outline, contours, pixels_of
 from detector.protocol import Outcome
 from instruments.world.situations import spoken
 from reports.frames import (

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.record.recording import TruthRow
 from bench.scoring.scene import SceneScore, score_scene
 from detector.calibration import Calibration
 from detector.protocol import (
@@ -29,7 +30,6 @@ from detector.protocol import (
     Teat,
     depth_of,
 )
-from instruments.camera.recording import TruthRow
 from instruments.clock import load_per_processor, processor_s, stopwatch_s
 from reports.sanitize import sanitized
 

@@ -21,21 +21,21 @@ from scipy.special import stdtrit
 
 from bench.config import ConfigError
 from bench.record.reader import TrialRecord, points_mm, read_run
+from bench.record.recording import Recording, RecordingError, TruthRow
 from bench.record.schema import DATABASE
 from bench.scoring.decisions import Decision, Verdict
 from bench.script.model import CamerasRequirement
 from detector.calibration import Calibration
-from detector.fused.known_ends import (
+from detector.geometry import Array
+from detector.outline.known_ends import (
     NO_THERMAL_MM,
     REACH_PX,
     THERMAL_REACH_PX,
     EndOffsets,
     offsets_at,
 )
-from detector.fused.pictures import UnusableError
-from detector.geometry import Array
+from detector.outline.pictures import UnusableError
 from instruments.camera.frame import FrameSet
-from instruments.camera.recording import Recording, RecordingError, TruthRow
 
 LEAST_POSES, MOST_POSES = 3, 24
 CONFIDENCE = 0.95  # of an interval, two-sided

@@ -18,6 +18,7 @@ from pathlib import Path
 from bench.config import ConfigError, did_you_mean
 from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord, TrialRecord, read_run
+from bench.record.recording import FILES
 from bench.record.schema import SCRIPT
 from bench.results.verdicts import (
     DetectorRequirement,
@@ -33,7 +34,6 @@ from bench.results.verdicts import (
 from bench.scoring.comparison import Compared, Gate, ScenePair, compare
 from bench.scoring.decisions import Verdict
 from bench.scoring.scene import Pool, pool
-from instruments.camera.recording import FILES
 
 SAME_PLACE_MM = 10.0  # a hand sets a phantom up within a few mm; scripts move it by 25 mm
 # other pictures are a detector's own

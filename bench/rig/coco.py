@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bench import __version__
 from bench.config import ConfigError
 from bench.files import write_synced
-from instruments.camera.recording import FILES
+from bench.record.recording import FILES
 from instruments.world.labels import Labeller, Labels
 from instruments.world.scene import Renderer
 from instruments.world.state import SceneState

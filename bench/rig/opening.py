@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
+from bench.record.recording import Recording, RecordingCameras
 from bench.rig.devices import AnyArm, Cameras, Devices
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import LoadedRig
@@ -25,7 +26,6 @@ from instruments.camera.files import FileCamera
 from instruments.camera.frame import Conversion
 from instruments.camera.genicam import DeviceTime, GenicamCamera
 from instruments.camera.opencv import OpenCvCamera
-from instruments.camera.recording import Recording, RecordingCameras
 from instruments.captures.capture import CaptureFile
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import DeviceError, InstrumentError

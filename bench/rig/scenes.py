@@ -16,6 +16,7 @@ import numpy as np
 
 from bench.config import ConfigError, read_text
 from bench.files import write_synced
+from bench.record.recording import RecordingError, RecordingWriter, TruthRow
 from bench.rig.coco import CocoFile
 from bench.rig.loading import LoadedRig, drawn
 from bench.rig.model import make_renderer
@@ -23,7 +24,6 @@ from detector.calibration import Calibration, dump_calibration
 from detector.calibration.boards import Board
 from instruments.camera.emulator import frame_set
 from instruments.camera.frame import FrameSet
-from instruments.camera.recording import RecordingError, RecordingWriter, TruthRow
 from instruments.world import boards
 from instruments.world.phantom import Phantom
 from instruments.world.plant import PlantConstants

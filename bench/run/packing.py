@@ -19,8 +19,8 @@ import numpy as np
 from bench.config import ConfigError
 from bench.files import sha256_of, write_synced
 from bench.record.reader import RunRecord, read_run
+from bench.record.recording import Recording, RecordingError, RecordingWriter
 from bench.run.recordings import Recorder
-from instruments.camera.recording import Recording, RecordingError, RecordingWriter
 from reports.sanitize import csv_text
 
 SUMS, CARD, DESCRIPTION, BUDGETS = "SHA256SUMS", "README.md", "datapackage.json", "budgets.csv"

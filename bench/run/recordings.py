@@ -17,6 +17,7 @@ import numpy as np
 
 from bench.config import ConfigError, read_calibration, read_text
 from bench.record.reader import RunRecord
+from bench.record.recording import Recording, RecordingError, RecordingWriter, TruthRow
 from bench.results.answers import Answer, Examiner, close_detectors, one_line
 from bench.results.cameras_agree import truth_rows
 from bench.script.detectors import make_detectors
@@ -24,7 +25,6 @@ from bench.truth.carrying import resumed
 from bench.truth.uncertainty import How
 from detector.protocol import Detection, Outcome
 from instruments.camera.frame import FrameSet
-from instruments.camera.recording import Recording, RecordingError, RecordingWriter, TruthRow
 
 RECORDED = "recorded to"  # fact: the recording's folder
 SHOWN_LINES = 5

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from bench.config import ConfigError, read_calibration, read_config, read_text
 from bench.record.reader import read_run
+from bench.record.recording import Recording
 from bench.record.schema import RULES, SCRIPT
 from bench.record.writer import Store, new_run_folder
 from bench.results.answers import Examiner
@@ -44,7 +45,6 @@ from bench.script.model import CAMERAS_RULE, RECORDING_RULES, LoadedScript, Rule
 from bench.script.planned_trials import pose_set
 from bench.truth.touching import truth_row
 from detector.protocol import Detector
-from instruments.camera.recording import Recording
 from instruments.captures.capture import CaptureFile
 from instruments.clock import wall_time
 from instruments.errors import InstrumentError

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bench.config import ConfigError
 from bench.record.reader import RunRecord, TrialRecord
+from bench.record.recording import TruthRow
 from bench.record.schema import Row
 from bench.record.writer import Store
 from bench.results.answers import Answer, Examiner, score_answers
@@ -52,7 +53,6 @@ from bench.truth.touching import (
 from bench.truth.uncertainty import How
 from detector.protocol import Detector, Served
 from instruments.camera.frame import FrameSet
-from instruments.camera.recording import TruthRow
 from instruments.clock import wall_time
 from instruments.errors import DeviceError, LimitError
 from instruments.operators.operator import Arrangement, NextTrial, OperatorRepeat, OperatorSkip

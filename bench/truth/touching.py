@@ -23,6 +23,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from bench.record.recording import TruthRow
 from bench.record.schema import Row
 from bench.rig.arm_files import TableFrame
 from bench.rig.model import Arm
@@ -37,8 +38,7 @@ from bench.truth.uncertainty import (
     TruthUncertainty,
     triple,
 )
-from detector.fused.known_ends import EndOffsets
-from instruments.camera.recording import TruthRow
+from detector.outline.known_ends import EndOffsets
 from instruments.clock import Clock, wall_time
 from instruments.errors import DeviceError, LimitError, TouchAgainError
 from instruments.microscribe.configuration import Identity

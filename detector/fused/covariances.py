@@ -13,10 +13,13 @@ from numpy.typing import NDArray
 from detector.calibration import Calibration
 from detector.fused.decide import UNLIKE_SIDES, WHOLE_SIDE, one_sees_a_side, thermal_ends
 from detector.fused.evidence import WHOLE_END, Evidence
-from detector.fused.fit import Parameters, apex_jacobian, normal_equations
-from detector.fused.model import END, HEIGHT, RADIUS, SIDE_A, SIDE_B, apexes, axes
-from detector.fused.refine import FINE_OUTLINE, THERMAL_FLOOR_PX, Fitted, any_shape
+from detector.fused.parameters import Parameters
+from detector.fused.refine import any_shape
 from detector.geometry import Array
+from detector.outline.fine import FINE_OUTLINE, Fitted
+from detector.outline.fit import apex_jacobian, normal_equations
+from detector.outline.model import END, HEIGHT, RADIUS, SIDE_A, SIDE_B, apexes, axes
+from detector.outline.views import THERMAL_FLOOR_PX
 
 _ALIAS_SD_PX = 0.03  # of the wave's amplitude about 0, before edges are looked at
 _ALIAS_SHARE = 0.25  # how wrong the wave's form is

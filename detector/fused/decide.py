@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from detector.fused.evidence import WHOLE_END, Evidence
-from detector.fused.fit import Parameters
-from detector.fused.model import (
+from detector.fused.parameters import Parameters
+from detector.fused.refine import on_one_bar
+from detector.geometry import Array
+from detector.outline.model import (
     CZ,
     END,
     LEAN_X,
@@ -26,8 +28,6 @@ from detector.fused.model import (
     apexes,
     axes,
 )
-from detector.fused.refine import on_one_bar
-from detector.geometry import Array
 
 _LEAST_FOLLOWED = 0.3  # of an end in one picture, where both sides were followed up to it
 _BOTH_SIDES, _LEAST_WARM_END = 0.8, 0.4  # seen of both sides; of the thermal end, of a warm one

@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.calibration import Calibration
-from detector.fused import fast
-from detector.fused.fit import Parameters, View
-from detector.fused.model import COUNT, HEIGHT, LEAN_X, RADIUS, Rows, apexes, axes
+from detector.fused.parameters import Parameters
 from detector.fused.thermal import Field, Nominations, joined, strengths
 from detector.geometry import Array, Camera, Motion
+from detector.outline import fast
+from detector.outline.fit import View
+from detector.outline.model import COUNT, HEIGHT, LEAN_X, RADIUS, Rows, apexes, axes
 
 _DISPARITY_STEP_PX = 2.5
 _CROSS_PX = np.array(

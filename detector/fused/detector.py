@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.calibration import Calibration
-from detector.fused import fast, pictures
 from detector.fused.covariances import (
     end_covariances,
     unaliased,
@@ -31,18 +30,10 @@ from detector.fused.depth_search import (
     sweep_ends,
 )
 from detector.fused.evidence import Evidence, warmth_across, weigh
-from detector.fused.fit import Parameters, View, upright
-from detector.fused.model import COUNT, Rows, apexes, axes
+from detector.fused.parameters import Parameters
 from detector.fused.refine import (
     FAR_MM,
     NEAR_MM,
-    OPTICAL_FINE,
-    OPTICAL_FLOOR_PX,
-    OPTICAL_ROUGH,
-    THERMAL,
-    THERMAL_FLOOR_PX,
-    Fitted,
-    fine,
     hidden_points,
     on_one_bar,
     one_sided,
@@ -64,13 +55,17 @@ from detector.fused.thermal import (
     unexplained,
 )
 from detector.fused.witness import Agreement, agreement, calibration_covariances, disagreement
-from detector.geometry import Array, Camera, Motion
+from detector.geometry import Array, Camera
 from detector.history import predicted
+from detector.outline import fast, pictures
+from detector.outline.fine import Fitted, fine
+from detector.outline.fit import View, upright
+from detector.outline.model import COUNT, Rows, apexes, axes
+from detector.outline.views import optical_views, thermal_view
 from detector.protocol import Context, Detection, Frames, Stage, Teat
 
 _SAME_MM, _CHI2_99 = 15.0, 11.345  # two answers on one end; 99 % of three degrees of freedom
 _BESIDE_PX = np.array([-1.0, 0.0, 1.0])  # disparities about an expected end
-_ROOM_PX = 60  # about the nominations: half a teat's width, and as far down as the fit looks
 _OPTICAL_BLUR_PX, _THERMAL_BLUR_PX = 1.5, 0.8  # as much as a start may be off
 _ROOM_ABOVE_MM = 110.0  # how far above a bar's visible part its end may be
 
@@ -122,7 +117,7 @@ class FusedDetector:
             return answer
         world = np.array([teat.world_mm for teat in expected.values()])
         ends = calibration.world_from_right.inverse().apply(world)
-        starts = upright(ends, calibration, _BESIDE_PX, self.settings).reshape(-1, COUNT)
+        starts = upright(ends, calibration, _BESIDE_PX, self.settings.prior).reshape(-1, COUNT)
         with suppress(pictures.UnusableError):
             again = _detect(frames, calibration, self.settings, [], starts)
             if _as_expected(again, answer, expected):
@@ -166,7 +161,7 @@ def _detect(
     """``more`` teats (m, 8): where fits begin beside what the pictures suggest."""
     left = pictures.optical(frames.left, calibration.left.image_size, "left")
     right = pictures.optical(frames.right, calibration.right.image_size, "right")
-    thermal = thermal_picture(frames, calibration)
+    thermal = _thermal(frames, calibration)
     teats, maps, ends = _start(thermal, left, right, calibration, p, trace)
     judged = _fit(teats if more is None else np.concatenate([more, teats]), maps, thermal, ends, p)
     # every fitted teat with evidence and objection, empty if accepted
@@ -245,7 +240,7 @@ def _fit(
         more, doubtful = judged.candidates, judged.fitted.teats[shifted]
         if bridging:
             starts, left_out = one_sided(judged.fitted.teats[bridging], p, len(views))
-            more += weighed(fine(starts, left_out, views, p))
+            more += weighed(fine(starts, left_out, views, p.prior))
         if len(doubtful):
             slid = [slide_to_round(doubtful, views, NEAR_MM), slide_to_stop(doubtful, views)]
             more += weighed(refine_slid(np.concatenate(slid), views, p))
@@ -301,38 +296,13 @@ def _weigh(
     return _Candidates(fitted, covariances, weigh(fitted, covariances, warmth, views))
 
 
-def thermal_picture(frames: Frames, calibration: Calibration) -> _Thermal:
-    warm = pictures.thermal(frames, calibration.thermal)
-    camera, motion = calibration.thermal, calibration.thermal_from_right
-    lens = camera.lens
-    if lens is None or motion is None:
-        raise pictures.UnusableError(
-            "the calibration has no lens and pose of the thermal camera, by which fused goes from"
-            " thermal to optical"
-        )
-    size, down = (
-        delivered / sensor
-        for delivered, sensor in zip(camera.image_size, camera.sensor_size, strict=True)
-    )
-    if abs(size - down) > 0.01 * size:
-        raise pictures.UnusableError(
-            f"the thermal picture is stretched: {size:g} pixels a sensor pixel across, {down:g}"
-            " down"
-        )
-    fx, fy, cx, cy = (*lens.fc, *lens.cc)
-    sensor = Camera(
-        (warm.shape[1], warm.shape[0]),
-        (fx / size, fy / size),
-        ((cx + 0.5) / size - 0.5, (cy + 0.5) / size - 0.5),
-        lens.alpha_c,
-        lens.kc,
-    )
-    # it can't take a shadow for a teat
-    view = View(
-        warm, np.zeros(2), pictures.noise_of(warm), sensor, motion, THERMAL, THERMAL,
-        THERMAL_FLOOR_PX,
-    )  # fmt: skip
-    return _Thermal(view, lens, size, levels(warm))
+def _thermal(frames: Frames, calibration: Calibration) -> _Thermal:
+    """Raises UnusableError."""
+    view, camera = thermal_view(frames, calibration), calibration.thermal
+    if camera.lens is None:
+        raise ValueError("a thermal view without a lens")
+    size = camera.image_size[0] / camera.sensor_size[0]
+    return _Thermal(view, camera.lens, size, levels(view.field))
 
 
 def _start(
@@ -370,23 +340,6 @@ def _start(
     teats = best_starts(by_end, by_sides, maps, p)
     trace.append(Stage("starts", {"teats": teats}))
     return teats, (*maps, coarse), ends
-
-
-def optical_views(
-    left: NDArray[Any], right: NDArray[Any], calibration: Calibration, guesses: Array
-) -> list[View]:
-    """The parts of both pictures that the guesses (n, d, 8) from near to far reach."""
-    points = guesses[:, [0, -1], :3].reshape(-1, 3)
-    points = np.concatenate([points, points + np.array([0.0, 60.0, 0.0])])
-    profiles = OPTICAL_ROUGH, OPTICAL_FINE, OPTICAL_FLOOR_PX
-    made = []
-    for picture, camera, motion in (
-        (left, calibration.left, calibration.right_from_left.inverse()),
-        (right, calibration.right, Motion.identity()),
-    ):
-        near, corner = pictures.region(picture, camera.project(motion.apply(points)), _ROOM_PX)
-        made.append(View(near, corner, pictures.noise_of(near), camera, motion, *profiles))
-    return made
 
 
 def _answers(

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.fused.edges import CLEAR
-from detector.fused.fit import View
-from detector.fused.model import END, RADIUS, SIDE_A, SIDE_B, Rows, axes
-from detector.fused.refine import FINE_OUTLINE, ROUND_MM, Fitted, side_stops
+from detector.fused.refine import ROUND_MM, side_stops
 from detector.fused.thermal import Field
 from detector.geometry import Array, Camera, Motion
+from detector.outline.edges import CLEAR
+from detector.outline.fine import FINE_OUTLINE, Fitted
+from detector.outline.fit import View
+from detector.outline.model import END, RADIUS, SIDE_A, SIDE_B, Rows, axes
 
 _CLOSE_PX, _MOST_SD_PX = 0.6, 1.2
 WHOLE_END = 0.9

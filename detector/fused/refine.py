@@ -8,23 +8,28 @@ sides; and points hidden by an accepted teat are left out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.fused import fast
-from detector.fused.edges import LEAST_CLEAR, Profile
-from detector.fused.fit import (
-    Parameters,
-    Seen,
-    View,
-    look,
-    step,
-    weights,
+from detector.fused.parameters import Parameters
+from detector.geometry import Array
+from detector.outline import fast
+from detector.outline.edges import LEAST_CLEAR
+from detector.outline.fine import (
+    FINE_OUTLINE,
+    FINE_STEPS,
+    ROUGH_OUTLINE,
+    ROUGH_SCALE,
+    Fitted,
+    fine,
+    look_again,
+    next_to,
 )
-from detector.fused.model import (
+from detector.outline.fit import Seen, View, look, step, weights
+from detector.outline.model import (
     COUNT,
     CX,
     CZ,
@@ -35,42 +40,17 @@ from detector.fused.model import (
     SIDE_B,
     TAPER,
     Outline,
-    Rows,
     apexes,
     axes,
 )
-from detector.fused.pictures import UnusableError
-from detector.geometry import Array
+from detector.outline.pictures import UnusableError
 
-ROUGH_OUTLINE, FINE_OUTLINE = Outline.of(55.0, 8, 12), Outline.of(72.0, 28, 24)
-OPTICAL_ROUGH = Profile(7.0, 1.0, 5.0, 0.5, 1.2, limb=False, pull_px=4.0)
-OPTICAL_FINE = Profile(5.0, 0.5, 2.0, 0.25, 0.8, limb=True, pull_px=1.5)
-THERMAL = Profile(4.0, 0.5, 2.0, 0.25, 1.0, limb=False, pull_px=2.0)
-OPTICAL_FLOOR_PX, THERMAL_FLOOR_PX = 0.05, 0.4
 _MOST_A_BAR = 2
-_ROUGH_STEPS, FINE_STEPS = 2, 4
-_ROUGH_SCALE, _FINE_SCALE = 20.0, 3.0  # floors beyond which an edge counts for less
-_LEAST_SIDE, _CLOSE = 0.4, 12.0  # of a side's edges, within so many floors, or it isn't seen
-# seen so well in one picture, and so badly in the other, it is no teat's side
-_LEAST_ALONE, _MOST_OTHER = 0.7, 0.15
-_LIMITS = np.array([_CLOSE, _LEAST_SIDE, _LEAST_ALONE, _MOST_OTHER])
-_STILL_PX = 0.02  # an outline that moves by less needs no new look
+_ROUGH_STEPS = 2
 _LEAST_SHARE, _NEAR_PX = 0.5, 1.5  # of the rough outline, near an edge
 _ONE_MM = np.array([0.5, 0.5, 2.0])  # two nearly fine fits nearer than this lead to one place
 # two rough fits nearer than this are one; depth is the least sure
 _SAME_MM = np.array([2.5, 2.5, 8.0])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Fitted(Rows):
-    """Teats (m, 8), right camera's frame, the edges about them, and weights (m, k)."""
-
-    teats: Array
-    seen: Seen
-    weight: Array
-    hidden: NDArray[np.bool_]  # (m, k): behind another teat, or left out
-    followed: NDArray[np.bool_]  # (m,): up both sides to where the last of an end is seen
-    shaped: NDArray[np.bool_]  # (m,): not of the usual shape: of any taper and height of its end
 
 
 def refine(
@@ -86,91 +66,15 @@ def refine(
             return known
         raise UnusableError("the optical pictures show no outline where the thermal one is warm")
     hidden = np.zeros((len(teats), len(views) * len(FINE_OUTLINE.part)), dtype=bool)
-    nearly = fine(teats, hidden, views, p, steps=2)
+    nearly = fine(teats, hidden, views, p.prior, steps=2)
     # in each place go on with the one with most of its outline seen
     ends, kept = apexes(nearly.teats), list[int]()
     for i in np.argsort(-(nearly.weight > 0).sum(axis=1), kind="stable").tolist():
         if all(np.abs((ends[i] - ends[k]) / _ONE_MM).max() > 1 for k in kept):
             kept.append(i)
     best = nearly.take(sorted(kept))
-    found = fine(best.teats, best.hidden, views, p, best.seen, steps=FINE_STEPS - 2, first=2)
+    found = fine(best.teats, best.hidden, views, p.prior, best.seen, steps=FINE_STEPS - 2, first=2)
     return known + found if known else found
-
-
-def fine(
-    teats: Array,
-    hidden: NDArray[np.bool_],
-    views: tuple[View, ...],
-    p: Parameters,
-    seen: Seen | None = None,
-    steps: int = FINE_STEPS,
-    first: int = 0,
-) -> Fitted:
-    """Teats (m, 8) after ``steps`` fine steps, ``first`` of them done; ``seen``: if known."""
-    seen = look(teats, views, FINE_OUTLINE, fine=True) if seen is None else seen
-    for number in range(first, first + steps):
-        moved = step(teats, seen, _trusted(seen, hidden, number), p.prior)
-        seen = _look_again(seen, moved, moved - teats, views, fine=True)
-        teats = moved
-    weight = _trusted(seen, hidden, first + steps)
-    no = np.zeros(len(teats), dtype=bool)
-    return Fitted(teats, seen, weight, hidden, no, no)
-
-
-def _look_again(
-    seen: Seen, teats: Array, change: Array, views: tuple[View, ...], *, fine: bool
-) -> Seen:
-    """Edges after a ``change`` (m, 8): optical ones anew where outlines moved, thermal kept."""
-    outline = FINE_OUTLINE if fine else ROUGH_OUTLINE
-    k = 2 * len(outline.part)
-    if loops := fast.compiled():
-        offset, moving = loops.follow(seen.jacobian, seen.offset_px, change, k, _STILL_PX)
-    else:
-        moves = (seen.jacobian @ change[..., None])[..., 0]
-        offset = seen.offset_px - moves
-        moving = np.flatnonzero(~(np.abs(moves[:, :k]).max(axis=1) < _STILL_PX))
-    seen = replace(seen, offset_px=offset)
-    if len(moving) == 0:
-        return seen
-    return look(teats, views[:2], outline, fine=fine, known=seen, which=moving)
-
-
-def _trusted(seen: Seen, hidden: NDArray[np.bool_], number: int) -> Array:
-    """Weights (m, k) in the fine pass; after its first step only sides that both pictures show,
-    where nothing hides them. What only one shows is likely another thing's outline.
-    """
-    weight = np.where(hidden, 0.0, weights(seen, _FINE_SCALE))
-    if number == 0:
-        return weight
-    if loops := fast.compiled():
-        counts = len(FINE_OUTLINE.along_mm), len(FINE_OUTLINE.over_end)
-        loops.trusted(weight, seen.offset_px, seen.floor_px, hidden, *counts, _LIMITS)
-        return weight
-    shape = (len(weight), -1, len(FINE_OUTLINE.part))
-    near = np.abs(seen.offset_px) < np.minimum(_CLOSE * seen.floor_px, 1.0)
-    close, each = ((weight > 0) & near).reshape(shape), weight.reshape(shape)
-    open_ = ~hidden.reshape(shape)
-    for side in (SIDE_A, SIDE_B):
-        at = FINE_OUTLINE.slices[side]
-        shown = open_[:, :, at].sum(axis=2)
-        share = close[:, :, at].sum(axis=2) / np.maximum(shown, 0.3 * (at.stop - at.start))
-        covered = open_[:, :2, at].mean(axis=2) < 0.5
-        doubtful = np.where(covered, 1.0, share[:, :2]).min(axis=1) < _MOST_OTHER
-        doubtful &= share[:, :2].max(axis=1) > _LEAST_ALONE
-        unseen = share < _LEAST_SIDE
-        unseen[:, :2] |= doubtful[:, None]
-        each[:, :, at] *= ~unseen[..., None]
-        each[:, :2, _next_to(side, 3)] *= ~doubtful[:, None, None]
-    return each.reshape(weight.shape)
-
-
-def _next_to(side: int, parts: int) -> slice:
-    """The points of the end, in the part of so many that is next to a side."""
-    end = FINE_OUTLINE.slices[END]
-    count = (end.stop - end.start) // parts
-    return (
-        slice(end.start, end.start + count) if side == SIDE_A else slice(end.stop - count, end.stop)
-    )
 
 
 def _rough(teats: Array, views: tuple[View, ...], p: Parameters, known_mm: Array) -> Array:
@@ -180,8 +84,8 @@ def _rough(teats: Array, views: tuple[View, ...], p: Parameters, known_mm: Array
     seen = look(teats, views, ROUGH_OUTLINE, fine=False)
     for least, same in ((0.6 * _LEAST_SHARE, 0.4), (_LEAST_SHARE, 1.0)):
         for _ in range(_ROUGH_STEPS):
-            moved = step(teats, seen, weights(seen, _ROUGH_SCALE), prior)
-            seen = _look_again(seen, moved, moved - teats, views, fine=False)
+            moved = step(teats, seen, weights(seen, ROUGH_SCALE), prior)
+            seen = look_again(seen, moved, moved - teats, views, fine=False)
             teats = moved
         kept = _distinct(teats, seen, least, same * _SAME_MM, p.most_fits, known_mm)
         if len(kept) == 0:
@@ -197,7 +101,7 @@ def _distinct(
     of a known end (k, 3).
     """
     near = np.abs(seen.offset_px) < _NEAR_PX
-    near &= weights(seen, _ROUGH_SCALE) > 0
+    near &= weights(seen, ROUGH_SCALE) > 0
     optical = near[:, : 2 * near.shape[1] // 3]
     share, ends = np.maximum(near.mean(axis=1), optical.mean(axis=1)), apexes(teats)
     same = np.abs((ends[:, None] - ends) / same_mm).max(axis=2) <= 1
@@ -252,7 +156,7 @@ def refine_again(
         at = np.flatnonzero(fitted.shaped == shaped)
         if len(at):
             lean_sd = _UPRIGHT * priors.prior.lean_sd
-            upright = replace(priors, prior=replace(priors.prior, lean_sd=lean_sd))
+            upright = replace(priors.prior, lean_sd=lean_sd)
             left_out = hidden[at] | fitted.hidden[at]
             again = fine(fitted.teats[at], left_out, views, upright, steps=FINE_STEPS - 1)
             found.append(replace(again, followed=fitted.followed[at], shaped=fitted.shaped[at]))
@@ -279,7 +183,7 @@ def shaped_again(
         [FINE_OUTLINE.along_mm[::-1], FINE_OUTLINE.along_mm]
     )
     hidden = np.tile(along > _SHORT_MM, (len(teats), len(views)))
-    found = fine(teats, hidden, views, any_shape(p), steps=FINE_STEPS + 1)
+    found = fine(teats, hidden, views, any_shape(p).prior, steps=FINE_STEPS + 1)
     unlike = np.isin(np.arange(len(fitted.teats)), which)
     return replace(fitted, shaped=unlike) + replace(found, shaped=np.ones(len(teats), dtype=bool))
 
@@ -295,7 +199,7 @@ def one_sided(teats: Array, p: Parameters, views: int) -> tuple[Array, NDArray[n
         start[:, RADIUS], start[:, TAPER] = p.prior.radius_mm, 0.0
         starts.append(start)
         left_out = FINE_OUTLINE.part == lost
-        left_out[_next_to(lost, 2)] = True
+        left_out[next_to(lost, 2)] = True
         left_out = np.tile(left_out, views)
         masks.append(np.repeat(left_out[None], len(teats), axis=0))
     return np.concatenate(starts), np.concatenate(masks)
@@ -303,7 +207,7 @@ def one_sided(teats: Array, p: Parameters, views: int) -> tuple[Array, NDArray[n
 
 def refine_slid(slid: Array, views: tuple[View, ...], p: Parameters) -> Fitted:
     """Fits from ``slid`` (n, 8), followed up their sides."""
-    tight = replace(p, prior=replace(p.prior, height_sd=_SHAPE * p.prior.height_sd))
+    tight = replace(p.prior, height_sd=_SHAPE * p.prior.height_sd)
     shape = (len(slid), len(views) * len(FINE_OUTLINE.part))
     more = fine(slid, np.zeros(shape, dtype=bool), views, tight)
     return replace(more, followed=np.ones(len(slid), dtype=bool))

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.fused.edges import LEAST_CLEAR, sample
-from detector.fused.fit import View
-from detector.fused.model import END, SIDE_A, SIDE_B, apexes, axes
-from detector.fused.refine import FINE_OUTLINE, Fitted
 from detector.geometry import Array
+from detector.outline.edges import LEAST_CLEAR, sample
+from detector.outline.fine import FINE_OUTLINE, Fitted
+from detector.outline.fit import View
+from detector.outline.model import END, SIDE_A, SIDE_B, apexes, axes
 
 _X_PX = np.arange(-6.0, 6.5, 0.5)
 _STEP_PX = _X_PX[2] - _X_PX[0]  # over which slopes are taken

@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.fused import fast
-from detector.fused.model import Rows
-from detector.fused.pictures import median
 from detector.geometry import Array
+from detector.outline import fast
+from detector.outline.model import Rows
+from detector.outline.pictures import median
 
 Field = NDArray[np.float32]
 HALF_WIDTHS_PX = (2.4, 3.2, 4.2, 5.5, 7.0)

@@ -19,19 +19,19 @@ import numpy as np
 from detector.calibration import Calibration
 from detector.calibration.bundle import LENS, POSE
 from detector.fused.decide import ELSEWHERE, OUTLINE
-from detector.fused.edges import CLEAR
-from detector.fused.fit import Parameters, normal_equations
-from detector.fused.model import apexes
-from detector.fused.refine import FINE_OUTLINE, Fitted
+from detector.fused.parameters import Parameters
 from detector.geometry import Array, Camera, Motion
+from detector.outline.fine import Fitted
+from detector.outline.model import apexes
+from detector.outline.offsets import row_offsets, thermal_offsets
 
 # beyond these no calibration of a rig that is fit for use is off
 _ROWS_PX = 0.4
 _THERMAL_PX = np.array([0.25, 0.6])  # sensor px, columns and rows: an end is less sure than a side
 _OF_FEW = 0.5  # one teat alone may have a warm neighbour: so much more for one, half for two
 _LEAST_INFORMATION = 300.0  # of a teat's thermal outline: a standard deviation of 0.06 px
-_EDGE_PX, _ROBUST_PX = 0.2, 0.3  # of thermal edges: sd beyond noise; farther off counts for less
-_SHIFT_SD, _SWELL_SD = 0.5, 0.5  # px, before a teat is looked at: no end, no rows
+
+
 _SDS = 3.0  # of what the calibration states
 
 
@@ -64,7 +64,7 @@ def agreement(
     if not which:
         return nothing
     some = fitted.take(which)
-    rows, row_weight = row_offsets(some, p)
+    rows, row_weight = row_offsets(some, p.prior)
     shift, weight = thermal_offsets(some)
     known = weight > _LEAST_INFORMATION
     columns, down = (
@@ -103,44 +103,6 @@ def disagreement(found: Agreement, fitted: Fitted, calibration: Calibration) -> 
     like = f", as by {off[1] / found.ratio:.1f} px of disparity" if worst == 1 else ""
     size = float(np.hypot(*off[1:]))
     return f"cameras disagree by {size:.2g} px (thermal against optical{like}): {check}"
-
-
-def row_offsets(fitted: Fitted, p: Parameters) -> tuple[Array, Array]:
-    """Rows px (m,) by which the right picture's edges are off, each teat free; their weights."""
-    n = len(FINE_OUTLINE.part)
-    seen, weight = fitted.seen, fitted.weight
-    H, _ = normal_equations(fitted.teats, seen, weight, p.prior)
-    used = weight > 0
-    j = np.where(used[..., None], seen.jacobian, 0.0) * weight[..., None]
-    r = np.where(used, seen.offset_px, 0.0)
-    down = np.zeros_like(r)
-    down[:, n : 2 * n] = seen.normals[:, n : 2 * n, 1]
-    down = np.where(used, down, 0.0)
-    b, a = (np.einsum("mki,mk->mi", j, x) for x in (down, r))
-    explained = np.linalg.solve(H, b[..., None])[..., 0]
-    weight_of_rows = (weight * down**2).sum(axis=1) - (b * explained).sum(axis=1)
-    score = (weight * down * r).sum(axis=1) - (a * explained).sum(axis=1)
-    return score / np.maximum(weight_of_rows, 1e-9), weight_of_rows
-
-
-def thermal_offsets(fitted: Fitted) -> tuple[Array, Array]:
-    """Shifts (m, 2) sensor px of thermal outlines, each free to swell; their weights (m, 2)."""
-    n = len(FINE_OUTLINE.part)
-    at = slice(2 * n, 3 * n)
-    seen, off = fitted.seen, fitted.seen.offset_px[:, at]
-    clear = np.isfinite(off) & (seen.clarity[:, at] > CLEAR) & ~fitted.hidden[:, at]
-    weight = np.where(clear, 1.0 / (seen.sd_px[:, at] ** 2 + _EDGE_PX**2), 0.0)
-    off = np.where(clear, off, 0.0)
-    moves = np.concatenate([np.nan_to_num(seen.normals[:, at]), np.ones((*off.shape, 1))], axis=2)
-    least = np.diag([_SHIFT_SD**-2, _SHIFT_SD**-2, _SWELL_SD**-2])
-    trusted = weight
-    for _ in range(3):
-        G = np.einsum("mki,mk,mkj->mij", moves, trusted, moves) + least
-        b = np.einsum("mki,mk->mi", moves, trusted * off)
-        shift = np.linalg.solve(G, b[..., None])[..., 0]
-        left = off - np.einsum("mki,mi->mk", moves, shift)
-        trusted = weight / (1 + (left / _ROBUST_PX) ** 2)
-    return shift[:, :2], np.diagonal(G, axis1=1, axis2=2)[:, :2]
 
 
 def _stated_px(ends_mm: Array, calibration: Calibration) -> Array:

@@ -22,6 +22,7 @@ from typing import Any
 from rich.console import Console
 
 from bench.cli.terminal import TerminalProgress
+from bench.record.recording import RecordingCameras
 from bench.record.schema import Row
 from bench.record.writer import Store
 from bench.results.answers import Examiner
@@ -32,7 +33,6 @@ from bench.run.start import run_script
 from bench.run.trial import TrialRun
 from bench.safety.signals import CTRL_CLOSE_EVENT, Handler, installed
 from bench.script.model import load_script
-from instruments.camera.recording import RecordingCameras
 from instruments.stage.driver import Stage
 from tests.bench.forked import as_in_a_shell, context, take
 from tests.bench.real_rig import Child, RealRig

@@ -17,10 +17,10 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from bench.record.recording import RecordingWriter
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import LoadedRig, find_rig, load_rig
 from bench.script.phantom import shipped_phantom
-from instruments.camera.recording import RecordingWriter
 from instruments.clock import RealClock
 from instruments.operators.operator import Arrangement, Touch
 from tests.bench.commands import words

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
+from bench.record.recording import Recording
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.scenes import draw, record, rig_renderer, warm
 from detector import registry
 from detector.calibration import Calibration
-from detector.fused import fast
+from detector.outline import fast
 from detector.protocol import Detection
 from instruments.camera.frame import FrameSet
-from instruments.camera.recording import Recording
 from instruments.world.situations import SITUATIONS, situation
 from tests.benchmarks.figures import figure
 

@@ -135,7 +135,7 @@ def test_a_shipped_board_is_printed_in_true_size(name: str, tmp_path: Path) -> N
     dots_per_mm = 4
     figure.set_dpi(25.4 * dots_per_mm)
     figure.savefig(tmp_path / "board.png", dpi=25.4 * dots_per_mm)
-    from instruments.camera.recording import read_grey
+    from bench.record.recording import read_grey
 
     image = read_grey(tmp_path / "board.png")
     assert image.shape == (height * dots_per_mm, width * dots_per_mm)

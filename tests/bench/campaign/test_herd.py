@@ -19,10 +19,10 @@ from bench.campaign import herd
 from bench.campaign.herd import ROWS, VISITS, Cow, Guess, judged, score
 from bench.campaign.visits import Confirmed, VisitStore
 from bench.config import ConfigError
+from bench.record.recording import TruthRow
 from bench.results.answers import Answer, score_answer
 from bench.rig.loading import LoadedRig
 from detector.protocol import Context, Detection, Teat
-from instruments.camera.recording import TruthRow
 from tests.bench.commands import Said
 
 NOON = datetime(2026, 3, 1, 12, tzinfo=UTC)

@@ -22,8 +22,8 @@ from bench.campaign.search import (
     grade_mm,
     search,
 )
+from bench.record.recording import Recording
 from bench.scoring.errors import Floats
-from instruments.camera.recording import Recording
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said, teatbench
 

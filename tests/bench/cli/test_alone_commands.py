@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.record.recording import Recording
 from bench.rig.alone import step
 from instruments.camera.emulator import EmulatedCameras
-from instruments.camera.recording import Recording
 from instruments.camera.stream import StreamServer
 from instruments.clock import RealClock
 from instruments.stage.emulator import GRBL_HAL, MARLIN, Fault, StageEmulator

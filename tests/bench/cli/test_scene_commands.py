@@ -11,10 +11,10 @@ from pycocotools.coco import COCO
 from scipy.ndimage import binary_dilation
 
 from bench.config import ConfigError, read_calibration, read_config
+from bench.record.recording import Recording, RecordingError, read_grey
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import EmulatedOptical, EmulatedThermal, Rig
 from bench.rig.scenes import chosen, record, rig_renderer, warm
-from instruments.camera.recording import Recording, RecordingError, read_grey
 from instruments.world.situations import SITUATIONS, situation
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said, teatbench, words

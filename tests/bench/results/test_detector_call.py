@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 from bench.record.reader import TrialRecord
+from bench.record.recording import TruthRow
 from bench.results.answers import Answer, Examiner, close_detectors, examine, score_answer
 from bench.run.rows import detection_rows, stage_pictures
 from bench.scoring.scene import scene_from_dict
 from detector.calibration import Calibration
 from detector.protocol import Detection, DetectionFailure, Frames, Outcome, Served, Stage, Teat
 from instruments.camera.frame import FrameSet
-from instruments.camera.recording import TruthRow
 
 TRUTH = [
     TruthRow("ideal", "1", (0.0, 0.0, 100.0), True, 0.2),

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from bench.record.recording import Recording, RecordingCameras, RecordingWriter
 from bench.rig.frame_capture import HINTS, FrameTaker
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import Cameras as CamerasTable
 from instruments.camera.emulator import FAULTS, EmulatedCameras
 from instruments.camera.frame import FrameFault, FrameSet
-from instruments.camera.recording import Recording, RecordingCameras, RecordingWriter
 from instruments.errors import DeviceError, LinkError
 from tests.bench.operated_runs import record_of, texts
 from tests.instruments.camera.small_world import GalleryWorld

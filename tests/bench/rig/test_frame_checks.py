@@ -14,13 +14,13 @@ import pytest
 from numpy.typing import NDArray
 
 from bench.config import read_calibration
+from bench.record.recording import Recording
 from bench.rig.frame_capture import FrameChecks, StereoOrder
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import Checks, FocusTable
 from detector.calibration import Calibration
 from instruments.camera.emulator import FAULTS, KEPT_BACK, EmulatedCameras
 from instruments.camera.frame import FrameFault, FrameSet
-from instruments.camera.recording import Recording
 from instruments.world.situations import situation as drawn_situation
 from tests.instruments.camera.small_world import GalleryWorld, SmallWorld
 from tests.situations import SITUATIONS, situation

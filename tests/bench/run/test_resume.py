@@ -20,6 +20,7 @@ from bench.cli.main import main
 from bench.config import ConfigError
 from bench.record.check import check_run
 from bench.record.reader import RunRecord, read_run
+from bench.record.recording import Recording, RecordingWriter
 from bench.record.writer import Store
 from bench.run.events import EVENT, RunState
 from bench.run.lock import locked, run_lock
@@ -28,7 +29,6 @@ from bench.run.resume import what_is_left
 from bench.run.start import RunOptions
 from bench.run.trial import TrialRun
 from bench.truth.carrying import REFERENCE_FACT, CarriedTruth
-from instruments.camera.recording import Recording, RecordingWriter
 from tests.bench.commands import Said
 from tests.bench.forked import begin
 from tests.bench.killed_runs import (

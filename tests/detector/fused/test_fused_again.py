@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from detector.fused import depth_search
-from detector.fused.fit import Parameters
-from detector.fused.model import CX
+from detector.fused.parameters import Parameters
 from detector.fused.refine import _inside
+from detector.outline.model import CX
 from tests.detector.fused.conftest import Body, Find
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from detector.calibration import Calibration, ParameterCovariance
 from detector.fused.detector import FusedDetector
-from detector.fused.fit import Parameters
+from detector.fused.parameters import Parameters
 from detector.protocol import Detection, Detector, Teat
 from tests.detector.fused.conftest import Body, Draw, Find
 

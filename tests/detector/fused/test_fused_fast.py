@@ -17,20 +17,15 @@ import pytest
 from numpy.typing import NDArray
 
 from detector.calibration import Calibration, load_calibration
-from detector.fused import fast
 from detector.fused.detector import FusedDetector
-from detector.fused.edges import Edges, Profile, find_edges, find_edges_into, lit_alike
-from detector.fused.fit import Parameters, Seen, View, look, step
-from detector.fused.model import COUNT, RADIUS
-from detector.fused.refine import (
-    FINE_OUTLINE,
-    OPTICAL_FINE,
-    OPTICAL_ROUGH,
-    ROUGH_OUTLINE,
-    THERMAL,
-    _trusted,
-)
+from detector.fused.parameters import Parameters
 from detector.geometry import Motion
+from detector.outline import fast
+from detector.outline.edges import Edges, Profile, find_edges, find_edges_into, lit_alike
+from detector.outline.fine import FINE_OUTLINE, ROUGH_OUTLINE, _trusted
+from detector.outline.fit import Seen, View, look, step
+from detector.outline.model import COUNT, RADIUS
+from detector.outline.views import OPTICAL_FINE, OPTICAL_ROUGH, THERMAL
 from detector.protocol import Detection
 from tests.detector.conftest import recorded
 from tests.detector.fused.conftest import Body, Draw

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from detector.calibration import Calibration
-from detector.fused.model import (
+from detector.geometry import Motion
+from detector.outline.model import (
     COUNT,
     END,
     HEIGHT,
@@ -23,7 +24,6 @@ from detector.fused.model import (
     pixels_of,
     slopes,
 )
-from detector.geometry import Motion
 
 TEATS = np.array(
     [

@@ -1,4 +1,4 @@
-"""Which loops the fused detector runs: numba's (`kernels`) where the extra ``fast`` is installed,
+"""Which loops the fits of outlines run: numba's (`kernels`) where the extra ``fast`` is installed,
 else numpy's, which say what is right.
 """
 
@@ -30,7 +30,7 @@ def chosen() -> Chosen:
         return Chosen(None, "numpy", f"{VARIABLE}=numpy is set")
     try:
         numba = import_module("numba")
-        return Chosen(import_module("detector.fused.kernels"), f"numba {numba.__version__}")
+        return Chosen(import_module("detector.outline.kernels"), f"numba {numba.__version__}")
     except ModuleNotFoundError as error:
         if error.name == "numba":
             return Chosen(None, "numpy", "numba isn't installed: pip install 'teatbench[fast]'")

@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from instruments.camera.frame import FrameSet
-from instruments.camera.recording import (
+from bench.record.recording import (
     FIELDS,
     Recording,
     RecordingCameras,
@@ -19,6 +18,7 @@ from instruments.camera.recording import (
     RecordingWriter,
     TruthRow,
 )
+from instruments.camera.frame import FrameSet
 from instruments.errors import DeviceError
 
 HEAD = "frame,situation,teat,x_mm,y_mm,z_mm,visible\n"

@@ -1,5 +1,5 @@
-"""The hot loops of the fused detector, compiled by numba: each gives what the numpy function that
-its docstring names gives, and is tested against it.
+"""The hot loops of the fits, and of the fused detector's searches, compiled by numba: each gives
+what the numpy function that its docstring names gives, and is tested against it.
 
 Compiled for one signature when this module is imported, and kept on disk (beside the module, else
 in the user's cache, or in NUMBA_CACHE_DIR). What is kept is as old as the file of a loop: so one

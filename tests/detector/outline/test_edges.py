@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from detector.fused.edges import (
+from detector.outline.edges import (
     CLEAR,
     LEAST_CLEAR,
     Profile,
@@ -15,7 +15,7 @@ from detector.fused.edges import (
     sample,
     shared_limb,
 )
-from detector.fused.refine import OPTICAL_FINE
+from detector.outline.views import OPTICAL_FINE
 
 Lines = NDArray[np.float32]
 

@@ -3,7 +3,7 @@
 A teat is fitted to both optical pictures from starts at the known end and a few disparities beside
 it; what the fit's end is off the known one, in columns of the left picture against the right's, is
 the disparity that the calibration gets wrong. Rows and the thermal picture are measured as the
-detector's own witness does (detector.fused.witness), the latter about the known end.
+detector's own witness does (detector.outline.offsets), the latter about the known end.
 
 An outline is found within some pixels of where it is looked for. So it is looked for again where
 the pictures put it until it stays, and, where few ends are found or they contradict each other, at
@@ -21,13 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.calibration import Calibration
-from detector.fused import pictures
-from detector.fused.detector import optical_views, thermal_picture
-from detector.fused.fit import Parameters, View, look, step, upright, weights
-from detector.fused.model import COUNT, END, apexes
-from detector.fused.refine import FINE_OUTLINE, ROUGH_OUTLINE, Fitted, fine
-from detector.fused.witness import row_offsets, thermal_offsets
 from detector.geometry import Array
+from detector.outline import pictures
+from detector.outline.fine import FINE_OUTLINE, ROUGH_OUTLINE, Fitted, fine
+from detector.outline.fit import Prior, View, look, step, upright, weights
+from detector.outline.model import COUNT, END, apexes
+from detector.outline.offsets import row_offsets, thermal_offsets
+from detector.outline.views import optical_views, thermal_view
 from detector.protocol import Frames
 
 _BESIDE_PX = np.arange(-7.5, 7.6, 2.5)  # disparities about the known one
@@ -80,10 +80,10 @@ def offsets_at(frames: Frames, calibration: Calibration, ends_mm: Array) -> list
             seen = max((seen, *(one for one in tried if one.good)), key=lambda one: one.ends)
     thermal, thermal_mm = np.full((len(known), 2), np.nan), np.full(len(known), NO_THERMAL_MM)
     with suppress(pictures.UnusableError):  # no lens, no thermal picture
-        warm = thermal_picture(frames, calibration)
-        thermal = _thermal(seen, warm.view, known)
-        depth = warm.view.camera_from_teats.apply(known)[:, 2]
-        thermal_mm = depth / warm.view.camera.fc[0]
+        warm = thermal_view(frames, calibration)
+        thermal = _thermal(seen, warm, known)
+        depth = warm.camera_from_teats.apply(known)[:, 2]
+        thermal_mm = depth / warm.camera.fc[0]
     figures = np.column_stack([seen.disparity_px, seen.rows_px, thermal])
     figures[~seen.measured] = np.nan
     focal = calibration.right.fc[0]
@@ -132,15 +132,15 @@ def _seen(
     """
     x_left, x_right, y = shift
     stated = stated.moved("left", "cx", x_left).moved("right", "cx", x_right)
-    p = Parameters()
+    prior = Prior()
     for _ in range(_AGAIN if shift == (0.0, 0.0, 0.0) else _AGAIN_SHIFTED):
         calibration = stated.moved("right", "cy", y)
-        starts = upright(known, calibration, _BESIDE_PX, p)
+        starts = upright(known, calibration, _BESIDE_PX, prior)
         views = tuple(optical_views(left, right, calibration, starts))
-        fitted = _fitted(starts.reshape(-1, COUNT), views, p)
+        fitted = _fitted(starts.reshape(-1, COUNT), views, prior)
         best = _best(fitted, known)
         some = fitted.take(np.maximum(best, 0))
-        rows, _ = row_offsets(some, p)
+        rows, _ = row_offsets(some, prior)
         down = float(np.median(rows[best >= 0])) if (best >= 0).any() else np.nan
         stays = abs(down) < _STAYS_PX
         if stays or not abs(y + down) < REACH_PX[1]:
@@ -194,13 +194,13 @@ def _thermal_near(seen: _Seen, there: Array, view: View, moved: Array) -> Array:
     return np.full((len(there), 2), np.nan)
 
 
-def _fitted(teats: Array, views: tuple[View, ...], p: Parameters) -> Fitted:
-    tight = replace(p.prior, taper_sd=0.5 * p.prior.taper_sd, height_sd=0.2 * p.prior.height_sd)
+def _fitted(teats: Array, views: tuple[View, ...], prior: Prior) -> Fitted:
+    tight = replace(prior, taper_sd=0.5 * prior.taper_sd, height_sd=0.2 * prior.height_sd)
     for _ in range(_ROUGH_STEPS):
         seen = look(teats, views, ROUGH_OUTLINE, fine=False)
         teats = step(teats, seen, weights(seen, _ROUGH_SCALE), tight)
     hidden = np.zeros((len(teats), len(views) * len(FINE_OUTLINE.part)), dtype=bool)
-    return fine(teats, hidden, views, p)
+    return fine(teats, hidden, views, prior)
 
 
 def _best(fitted: Fitted, known: Array) -> NDArray[np.intp]:

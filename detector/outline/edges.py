@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.special import ndtr
 
-from detector.fused import fast
 from detector.geometry import Array
+from detector.outline import fast
 
 Field = NDArray[np.float32]
 _NEIGHBOURS = 7  # lines that may be taken together where one alone is too faint

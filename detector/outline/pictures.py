@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.calibration import ThermalCamera
-from detector.fused.edges import Field
+from detector.outline.edges import Field
 from detector.protocol import Frames
 
 _GREY = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
@@ -40,7 +40,7 @@ def thermal(frames: Frames, camera: ThermalCamera) -> Field:
             raise UnusableError("the radiometric thermal picture has pixels that are no numbers")
         return np.ascontiguousarray(kelvin, dtype=np.float32)
     if frames.thermal is None:
-        raise UnusableError("there is no thermal picture, by which fused finds what is a teat")
+        raise UnusableError("there is no thermal picture, which shows what is as warm as a teat")
     grey = _grey(frames.thermal, "thermal")
     _check_size(grey, camera.image_size, "thermal")
     upright = grey[:, ::-1] if camera.mirrored else grey

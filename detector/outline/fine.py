@@ -1,0 +1,113 @@
+"""The fine pass: teats near the right places are fitted closely, with the full model of edges, and
+only to sides that both pictures show.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detector.geometry import Array
+from detector.outline import fast
+from detector.outline.fit import Prior, Seen, View, look, step, weights
+from detector.outline.model import END, SIDE_A, SIDE_B, Outline, Rows
+
+ROUGH_OUTLINE, FINE_OUTLINE = Outline.of(55.0, 8, 12), Outline.of(72.0, 28, 24)
+FINE_STEPS = 4
+# floors beyond which an edge counts for less
+ROUGH_SCALE, _FINE_SCALE = 20.0, 3.0
+_LEAST_SIDE, _CLOSE = 0.4, 12.0  # of a side's edges, within so many floors, or it isn't seen
+# seen so well in one picture, and so badly in the other, it is no teat's side
+_LEAST_ALONE, _MOST_OTHER = 0.7, 0.15
+_LIMITS = np.array([_CLOSE, _LEAST_SIDE, _LEAST_ALONE, _MOST_OTHER])
+_STILL_PX = 0.02  # an outline that moves by less needs no new look
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted(Rows):
+    """Teats (m, 8), right camera's frame, the edges about them, and weights (m, k)."""
+
+    teats: Array
+    seen: Seen
+    weight: Array
+    hidden: NDArray[np.bool_]  # (m, k): behind another teat, or left out
+    followed: NDArray[np.bool_]  # (m,): up both sides to where the last of an end is seen
+    shaped: NDArray[np.bool_]  # (m,): not of the usual shape: of any taper and height of its end
+
+
+def fine(
+    teats: Array,
+    hidden: NDArray[np.bool_],
+    views: tuple[View, ...],
+    prior: Prior,
+    seen: Seen | None = None,
+    steps: int = FINE_STEPS,
+    first: int = 0,
+) -> Fitted:
+    """Teats (m, 8) after ``steps`` fine steps, ``first`` of them done; ``seen``: if known."""
+    seen = look(teats, views, FINE_OUTLINE, fine=True) if seen is None else seen
+    for number in range(first, first + steps):
+        moved = step(teats, seen, _trusted(seen, hidden, number), prior)
+        seen = look_again(seen, moved, moved - teats, views, fine=True)
+        teats = moved
+    weight = _trusted(seen, hidden, first + steps)
+    no = np.zeros(len(teats), dtype=bool)
+    return Fitted(teats, seen, weight, hidden, no, no)
+
+
+def look_again(
+    seen: Seen, teats: Array, change: Array, views: tuple[View, ...], *, fine: bool
+) -> Seen:
+    """Edges after a ``change`` (m, 8): optical ones anew where outlines moved, thermal kept."""
+    outline = FINE_OUTLINE if fine else ROUGH_OUTLINE
+    k = 2 * len(outline.part)
+    if loops := fast.compiled():
+        offset, moving = loops.follow(seen.jacobian, seen.offset_px, change, k, _STILL_PX)
+    else:
+        moves = (seen.jacobian @ change[..., None])[..., 0]
+        offset = seen.offset_px - moves
+        moving = np.flatnonzero(~(np.abs(moves[:, :k]).max(axis=1) < _STILL_PX))
+    seen = replace(seen, offset_px=offset)
+    if len(moving) == 0:
+        return seen
+    return look(teats, views[:2], outline, fine=fine, known=seen, which=moving)
+
+
+def _trusted(seen: Seen, hidden: NDArray[np.bool_], number: int) -> Array:
+    """Weights (m, k) in the fine pass; after its first step only sides that both pictures show,
+    where nothing hides them. What only one shows is likely another thing's outline.
+    """
+    weight = np.where(hidden, 0.0, weights(seen, _FINE_SCALE))
+    if number == 0:
+        return weight
+    if loops := fast.compiled():
+        counts = len(FINE_OUTLINE.along_mm), len(FINE_OUTLINE.over_end)
+        loops.trusted(weight, seen.offset_px, seen.floor_px, hidden, *counts, _LIMITS)
+        return weight
+    shape = (len(weight), -1, len(FINE_OUTLINE.part))
+    near = np.abs(seen.offset_px) < np.minimum(_CLOSE * seen.floor_px, 1.0)
+    close, each = ((weight > 0) & near).reshape(shape), weight.reshape(shape)
+    open_ = ~hidden.reshape(shape)
+    for side in (SIDE_A, SIDE_B):
+        at = FINE_OUTLINE.slices[side]
+        shown = open_[:, :, at].sum(axis=2)
+        share = close[:, :, at].sum(axis=2) / np.maximum(shown, 0.3 * (at.stop - at.start))
+        covered = open_[:, :2, at].mean(axis=2) < 0.5
+        doubtful = np.where(covered, 1.0, share[:, :2]).min(axis=1) < _MOST_OTHER
+        doubtful &= share[:, :2].max(axis=1) > _LEAST_ALONE
+        unseen = share < _LEAST_SIDE
+        unseen[:, :2] |= doubtful[:, None]
+        each[:, :, at] *= ~unseen[..., None]
+        each[:, :2, next_to(side, 3)] *= ~doubtful[:, None, None]
+    return each.reshape(weight.shape)
+
+
+def next_to(side: int, parts: int) -> slice:
+    """The points of the end, in the part of so many that is next to a side."""
+    end = FINE_OUTLINE.slices[END]
+    count = (end.stop - end.start) // parts
+    return (
+        slice(end.start, end.start + count) if side == SIDE_A else slice(end.stop - count, end.stop)
+    )
