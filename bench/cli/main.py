@@ -11,7 +11,7 @@ import traceback
 from collections.abc import Sequence
 from functools import cache
 from textwrap import wrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bench import __version__
 from bench.cli.arguments import CODES, EXIT_CODES, call, complain
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 FILENAME_EXCED_RANGE = 206  # of Windows, which gives it the errno of a file that is not there
 
 HELP_COLUMNS = 78
+FEW = 8  # choices that a message lists
 MORE_HELP = "'teatbench COMMAND --help' has a command's arguments, and an example of it."
 
 # What libraries read when they are loaded. OpenCV and its FFmpeg would write to the terminal
@@ -112,7 +113,26 @@ def _unforeseen(error: Exception) -> int:
     return complain("internal error; please report the traceback above", CODES.fault)
 
 
-class TopParser(argparse.ArgumentParser):
+class Parser(argparse.ArgumentParser):
+    """Names what was meant where a word is not known, and lists choices only where they are few."""
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        choices = list(action.choices or ())
+        if action.choices is None or value in choices:
+            return
+        from difflib import get_close_matches
+
+        near = get_close_matches(str(value), map(str, choices), n=3, cutoff=0.6)
+        said = " or ".join(f"'{one}'" for one in near)
+        rest = f"choose from {', '.join(map(str, choices))}"
+        if near:
+            rest = f"did you mean {said}?"
+        elif len(choices) > FEW:
+            rest = f"'{self.prog} --help' lists all {len(choices)}"
+        raise argparse.ArgumentError(action, f"invalid choice: {value!r} ({rest})")
+
+
+class TopParser(Parser):
     """The help of all commands has them by task, with an example each."""
 
     def format_help(self) -> str:
@@ -171,7 +191,7 @@ def parser() -> argparse.ArgumentParser:
                 title="commands",
                 metavar="COMMAND",
                 required=group in ("", *GROUPS),
-                parser_class=argparse.ArgumentParser,  # only the first has tasks
+                parser_class=Parser,  # only the first has tasks
             )
         parsers[name] = subparsers[group].add_parser(
             own,
