@@ -52,12 +52,13 @@ def standby_after(plant: Plant) -> float:
 def guardian_record(
     folder: Path, done: Callable[[dict[str, Any]], bool] = lambda _: True
 ) -> dict[str, Any]:
-    """What the guardian has written in ``folder``, once it is ``done``."""
+    """What the last guardian has written in ``folder``, once it is ``done``."""
     text: dict[str, Any] = {}
 
     def there() -> bool:
-        path = folder / "guardian.json"
-        text.update(json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {})
+        for path in sorted(folder.glob("guardian*.json"))[-1:]:
+            text.clear()
+            text.update(json.loads(path.read_text(encoding="utf-8")))
         return bool(text) and done(text)
 
     within(PATIENCE_S, there, "the guardian's record")
