@@ -264,6 +264,7 @@ def _guarded_instruments(
             name = GUARDIAN.format(store.session)
             client = GuardianClient(target, store.folder, heartbeat, name)
             stack.enter_context(client)
+            client.heats = bool(client.taken_from)  # or not yet
             if client.taken_from:
                 text = f"{client.taken_from}; this session has the bath now"
                 store.event(None, "guardian", text, wall_time())

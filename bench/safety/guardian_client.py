@@ -124,7 +124,7 @@ class GuardianClient:
     ) -> None:
         self._heartbeat = heartbeat
         self.taken_from = ""  # who acted on the bath until now, and how that ended
-        self.heats = False  # whether the bench has the bath, and may have started it
+        self.heats = True  # whether the bench may leave the bath on
         self._ended = threading.Event()
         self._said = threading.Event()  # its first line, or its end
         self._ready = False
@@ -173,10 +173,10 @@ class GuardianClient:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Left without ``done``, the guardian takes the bath over, unless nothing heats yet."""
+        """Left without ``done``, the guardian takes the bath over, unless nothing heats."""
         if self._ended.is_set():
             return
-        if self.heats or self.taken_from:
+        if self.heats:
             self.hand_over()
         else:
             self.done()

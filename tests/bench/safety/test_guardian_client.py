@@ -50,8 +50,8 @@ def test_done_lets_the_guardian_go_and_leaves_the_bath_alone(hot: HotBath) -> No
 
 @pytest.mark.slow
 def test_left_without_a_word_the_guardian_takes_over(hot: HotBath) -> None:
-    with guardian_of(hot) as line:
-        line.heats = True
+    with guardian_of(hot):
+        pass
     standby_after(hot.plant)
     assert hot.record()["cause"] == "gave up"
 
