@@ -27,8 +27,8 @@ from bench.record.writer import Store
 from bench.results.answers import Examiner
 from bench.rig.devices import Devices
 from bench.rig.loading import load_rig
-from bench.run.events import RunState
 from bench.run import start
+from bench.run.events import RunState
 from bench.run.start import resume_run, run_script
 from bench.run.trial import TrialRun
 from bench.safety.bath_monitor import BathMonitor
