@@ -23,12 +23,12 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from instruments.bath.connection import LineError, parse_line
-from instruments.clock import stopwatch_s
 from instruments.errors import LimitError
 
 HAND_OVER_S = 5.0  # a guardian that acts answers within a tenth of a second
 POLL_S = 0.05
 MODULE = ".guardian"  # in the command line of each
+HANDED_OVER = "handed_over"
 
 
 def write_note(path: Path, note: Mapping[str, Any]) -> None:
@@ -74,10 +74,10 @@ class BathLock:
         self._url = url
 
     def take(self) -> str:
-        """Hold the bath from now on; gives back whom it was taken from, "" where nobody acted.
-        Raises LimitError where a guardian keeps it.
+        """Hold the bath from now on; gives back who may have left it on, "" for nobody. Raises
+        LimitError where a guardian keeps it.
         """
-        taken = ""
+        ended = ""
         try:
             self._owner.acquire(timeout=0)
         except Timeout:
@@ -86,15 +86,23 @@ class BathLock:
             except Timeout:
                 raise self._kept("another session is just taking it over") from None
             try:
-                taken = self._wait()
+                ended = self._wait()
             finally:
                 self._next.release()
-        self._say(acting=False)
-        return taken
+        # one that has ended as it should takes its note away
+        if (before := self._read()) and not ended:
+            how = "handed the bath over" if before.get(HANDED_OVER) else "ended without a last word"
+            ended = f"{_named(before)} {how}"
+        self._say()
+        return ended
 
     def acts(self) -> None:
         """The bench is gone: from here on the bath is handed over to whoever waits for it."""
         self._say(acting=True)
+
+    def hand_over(self) -> None:
+        """Say so, to whoever waits; the process has to end now."""
+        self._say(acting=True, **{HANDED_OVER: True})
 
     @property
     def wanted(self) -> bool:
@@ -108,40 +116,38 @@ class BathLock:
             return False
 
     def release(self) -> None:
+        """Nothing is left to do on the bath."""
+        with suppress(OSError):
+            self._note.unlink(missing_ok=True)
         self._owner.release()
 
     def _wait(self) -> str:
-        """Until the bath is free. Raises Timeout."""
-        start_s, holder = stopwatch_s(), self._holder()
-        while stopwatch_s() - start_s < HAND_OVER_S:
-            holder = self._holder() or holder
-            with suppress(Timeout):
-                self._owner.acquire(timeout=POLL_S, poll_interval=POLL_S / 2)
-                return f"{_named(holder)} handed the bath over" if holder.get("acting") else ""
-        if not holder:
+        """Until the bath is free; who had to be ended for that. Raises LimitError."""
+        with suppress(Timeout):
+            self._owner.acquire(timeout=HAND_OVER_S, poll_interval=POLL_S)
+            return ""
+        holder = self._read()
+        if not holder or MODULE not in _command(int(holder["pid"])):
             raise self._kept("a process that doesn't say who it is holds it")
         if not holder.get("acting") and _lives(int(holder["bench"])):
             raise self._kept(f"{_named(holder)} guards it for a bench that lives")
         _end(int(holder["pid"]))
-        try:
+        with suppress(Timeout):
             self._owner.acquire(timeout=HAND_OVER_S, poll_interval=POLL_S)
-        except Timeout:
-            raise self._kept(f"{_named(holder)} doesn't answer, and can't be ended") from None
-        return f"{_named(holder)} did not answer for {HAND_OVER_S:g} s and was ended"
+            return f"{_named(holder)} did not answer for {HAND_OVER_S:g} s and was ended"
+        raise self._kept(f"{_named(holder)} doesn't answer, and can't be ended")
 
     def _kept(self, why: str) -> LimitError:
         hint = "Wait for its end, or end that process."
         return LimitError(f"bath at {self._url}", f"another guardian has it: {why}", hint=hint)
 
-    def _say(self, *, acting: bool) -> None:
-        write_note(self._note, self._me | {"acting": acting})
+    def _say(self, **more: bool) -> None:
+        """In the note; another user's can't be written, and the lock is what counts."""
+        write_note(self._note, self._me | more)
 
-    def _holder(self) -> Mapping[str, Any]:
-        """Who says that it holds the bath; empty where that process is no guardian any more."""
-        with suppress(OSError, ValueError, LookupError, TypeError):
-            holder = json.loads(self._note.read_text(encoding="utf-8"))
-            if MODULE in _command(int(holder["pid"])):
-                return dict(holder)
+    def _read(self) -> Mapping[str, Any]:
+        with suppress(OSError, ValueError, TypeError):
+            return dict(json.loads(self._note.read_text(encoding="utf-8")))
         return {}
 
 

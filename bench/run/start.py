@@ -27,6 +27,8 @@ from bench.run.context import RunContext
 from bench.run.engine import Engine
 from bench.run.estimate import needs, read_durations
 from bench.run.events import Events, Progress, RunState
+from bench.run.interruptions import Requests
+from bench.run.live import Live
 from bench.run.lock import lock_path, locked, run_lock
 from bench.run.packing import check_pack
 from bench.run.recordings import RECORDED, Recorder, recorder_again
@@ -213,6 +215,8 @@ def _run(
         expected = needs(rig, script, read_durations(store.folder.parent, rig)).time
         trials = len(script.planned)
         to_do = trials - len(left.done) if left else trials
+        Requests(store.folder, how.typed, events.warn).forget()
+        Live(store.folder).end()
         note = time_left(expected.settling_s + to_do * expected.each_s(trials))
         how.begun(f"{to_do} trials, {note} of the bench's time. Run folder: {store.folder}")
         with (

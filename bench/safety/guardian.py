@@ -144,15 +144,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"guardian: {error}\n")
         return 2
     preferred = _raise_priority()
-    sys.stdout.write(f"{READY} {taken}\n")
-    sys.stdout.flush()
+    _tell_bench(f"{READY} {taken}")
     lost = HeartbeatReader(sys.stdin.fileno(), sys.stdout.fileno(), given.bench).wait_for_loss()
     if lost is None:
         lock.release()
         return 0
     cause, why, last_sign_s = lost
-    with contextlib.suppress(OSError):  # a bench that died
-        os.write(sys.stdout.fileno(), f"{ACTS}\n".encode())
+    _tell_bench(ACTS)
     noticed, silent = wall_time(), timedelta(seconds=stopwatch_s() - last_sign_s)
     facts: dict[str, Any] = {"cause": cause, "why": why, "bath": given.url}
     facts |= {"guardian": os.getpid(), **preferred}
@@ -169,6 +167,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if reached else 1
 
 
+def _tell_bench(line: str) -> None:
+    """To a bench that may have died: the end of the input says so."""
+    with contextlib.suppress(OSError):
+        os.write(sys.stdout.fileno(), line.encode() + b"\n")
+
+
 @contextlib.contextmanager
 def _handed_over(lock: BathLock, record: Record) -> Iterator[None]:
     """What is done within ends, and this process, once another guardian waits for the bath."""
@@ -177,6 +181,7 @@ def _handed_over(lock: BathLock, record: Record) -> Iterator[None]:
     def look() -> None:
         while not over.wait(WANTED_S):
             if lock.wanted:
+                lock.hand_over()
                 record.hand_over()
 
     looks = threading.Thread(target=look, daemon=True)

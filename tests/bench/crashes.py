@@ -197,7 +197,7 @@ STATES = {
     "settling": ("settling", 1),
     "moving": ("moving", 2),
     "capture": ("photographing", 2),
-    "touch": ("touching", 5),
+    "touch": ("touching", 6),
     "detect": ("detecting", 2),
     "storing": ("storing", 2),
     "going to safe": ("going to safe", 1),
@@ -273,7 +273,7 @@ def killed_in(rig: RealRig, state: str, *, silent: bool, with_guardian: str) -> 
         running.signal("SIGKILL")
         running.process.join(60)
         assert running.process.exitcode == -signal.SIGKILL
-    return guardian.pid
+    return int(guardian.pid)
 
 
 def guardians_of(pid: int) -> list[psutil.Process]:

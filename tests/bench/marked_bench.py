@@ -167,7 +167,7 @@ MARKS: dict[str, Callable[[], None]] = {
     "signing on": lambda: begins(MicroScribe, "sign_on", "signing on", LINGER_S),
     "heating": lambda: begins(BathMonitor, "heating", "heating", LINGER_S),
     "photographing": lambda: begins(CameraSet, "capture", "photographing", LINGER_S),
-    "touching": lambda: begins(Toucher, "touch_one", "touching", LINGER_S),
+    "touching": lambda: begins(Toucher, "_touch_end", "touching", LINGER_S),
     "ending": ending,
     "hanging": hanging,
     "mistaken": mistaken,
