@@ -11,7 +11,7 @@ import signal
 import sqlite3
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -204,7 +204,9 @@ STATES = {
     "at the end": ("ending", 1),
 }
 REACHED, SILENT = "reached", "silent"
-# what becomes of the guardian until the run is resumed, by whether the bath answers at the death
+# what becomes of the guardian until the run is resumed, by whether the bath answers at the death;
+# with a pump of its own there is also PUMP_ON: it has acted, and waits to stop the pump
+PUMP_ON = "running the pump on"
 GUARDIANS = {
     REACHED: ("acted", "at once", "gone", "frozen"),
     SILENT: ("acted later", "trying", "gone", "frozen"),
@@ -233,8 +235,9 @@ def undisturbed(folder: Path) -> dict[str, list[Any]]:
 
 def crash(folder: Path, state: str, bath: str, how: str, **more: Any) -> Outcome:
     """Kill a bench in ``state`` and resume its run to the end."""
-    with lasting_rig(folder, **more) as rig:
+    with lasting_rig(folder, **more) as rig, ended_at_last() as left:
         guardian = killed_in(rig, state, silent=bath == SILENT, with_guardian=how)
+        left.append(guardian)
         run = rig.run_folder()
         wait_for_the_guardian(rig, guardian, how)
         if how == "trying":
@@ -255,6 +258,17 @@ def crash(folder: Path, state: str, bath: str, how: str, **more: Any) -> Outcome
             assert guardian_text(one)
         latched = rig.rig_path.with_name("lab.tripped.json").exists()
         return Outcome(run, record.sessions, seconds, trials_of(run), said, latched)
+
+
+@contextmanager
+def ended_at_last() -> Iterator[list[int]]:
+    """Processes that are not left behind by a test that fails."""
+    left: list[int] = []
+    try:
+        yield left
+    finally:
+        for pid in filter(alive, left):
+            psutil.Process(pid).kill()
 
 
 def killed_in(rig: RealRig, state: str, *, silent: bool, with_guardian: str) -> int:
@@ -289,21 +303,28 @@ def alive(pid: int) -> bool:
 
 
 def wait_for_the_guardian(rig: RealRig, guardian: int, how: str) -> None:
+    if how == PUMP_ON:
+        within(60.0, lambda: "pump" in acted(rig), "the pump runs on")
+        assert rig.twin.world.plant.pump == "on"
     if how == "acted later":
         within(60.0, lambda: tries(rig) > 0, "a try that failed")
         silence(rig, on=False)
     if how in ("acted", "acted later"):
         within(60.0, lambda: not alive(guardian), "the guardian has acted and gone")
-        assert read_run(rig.run_folder()).guardians[1]["standby"] is True
+        assert acted(rig)["standby"] is True
     elif how == "trying":
         within(60.0, lambda: tries(rig) > 0, "a try that failed")
     elif how == "gone":
         within(60.0, lambda: not alive(guardian), "the guardian has died")
 
 
+def acted(rig: RealRig) -> Mapping[str, Any]:
+    """What the first session's guardian has written."""
+    return read_run(rig.run_folder()).guardians.get(1, {})
+
+
 def tries(rig: RealRig) -> int:
-    found = read_run(rig.run_folder()).guardians.get(1)
-    return int(found["tries"]) if found else 0
+    return int(acted(rig).get("tries", 0))
 
 
 def silence(rig: RealRig, *, on: bool = True) -> None:

@@ -18,7 +18,16 @@ import pytest
 if sys.platform == "win32":
     pytest.skip("kills benches with POSIX signals", allow_module_level=True)
 
-from tests.bench.crashes import CELLS, GUARDIANS, REACHED, SILENT, STATES, crash, undisturbed
+from tests.bench.crashes import (
+    CELLS,
+    GUARDIANS,
+    PUMP_ON,
+    REACHED,
+    SILENT,
+    STATES,
+    crash,
+    undisturbed,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -43,11 +52,13 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Trials:
     return trials
 
 
-def cells_end_as(whole: Trials, cells: Sequence[Cell], folder: Path) -> list[tuple[str, float]]:
+def cells_end_as(
+    whole: Trials, cells: Sequence[Cell], folder: Path, **more: Any
+) -> list[tuple[str, float]]:
     """Crash in all ``cells``; how long each resumed bench took, for the summary."""
     with ThreadPoolExecutor(AT_ONCE) as pool:
         jobs = {
-            cell: pool.submit(crash, folder / "-".join(cell).replace(" ", "-"), *cell)
+            cell: pool.submit(crash, folder / "-".join(cell).replace(" ", "-"), *cell, **more)
             for cell in cells
         }
         outcomes = {cell: job.result() for cell, job in jobs.items()}
@@ -77,4 +88,26 @@ def test_a_run_is_resumed_after_a_crash_in_any_state(
 ) -> None:
     took = cells_end_as(whole, [(state, bath, how) for state in STATES], tmp_path)
     assert len(took) == len(STATES) == 13
+    request.node.user_properties.extend((f"s to the end, {cell}", round(s, 1)) for cell, s in took)
+
+
+@pytest.mark.weekly
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize(
+    ("more", "kinds"),
+    [
+        ({"pty": True}, [(REACHED, "at once"), (SILENT, "trying"), (SILENT, "frozen")]),
+        ({"pump": True}, [(REACHED, PUMP_ON), (SILENT, "trying"), (REACHED, "gone")]),
+    ],
+    ids=["serial ports", "a pump on a relay"],
+)
+def test_a_port_or_a_pump_that_an_old_guardian_holds_goes_to_the_next_session(
+    more: dict[str, Any],
+    kinds: list[tuple[str, str]],
+    whole: Trials,
+    tmp_path: Path,
+    request: pytest.FixtureRequest,
+) -> None:
+    cells = [(state, *kind) for state in ("settling", "touch") for kind in kinds]
+    took = cells_end_as(whole, cells, tmp_path, profile="eurotherm-2400", **more)
     request.node.user_properties.extend((f"s to the end, {cell}", round(s, 1)) for cell, s in took)
