@@ -49,6 +49,26 @@ def test_done_lets_the_guardian_go_and_leaves_the_bath_alone(hot: HotBath) -> No
 
 
 @pytest.mark.slow
+def test_what_another_guardian_wrote_is_not_taken_for_this_one_s(hot: HotBath) -> None:
+    (hot.folder / "guardian.json").write_text('{"standby": true}', encoding="utf-8")
+    with guardian_of(hot) as line:
+        start_s = time.monotonic()
+        while time.monotonic() - start_s < 2.0 * BEAT_S:
+            assert line.lost is None
+            time.sleep(0.05)
+        line.done()
+    assert hot.plant.running
+
+
+@pytest.mark.slow
+def test_left_before_anything_heats_the_guardian_leaves_the_bath_alone(hot: HotBath) -> None:
+    with guardian_of(hot) as line:
+        line.heats = False
+    assert hot.plant.running
+    assert list(hot.folder.iterdir()) == []
+
+
+@pytest.mark.slow
 def test_left_without_a_word_the_guardian_takes_over(hot: HotBath) -> None:
     with guardian_of(hot):
         pass
