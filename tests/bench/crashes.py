@@ -12,7 +12,7 @@ import sqlite3
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -247,8 +247,9 @@ def crash(folder: Path, state: str, bath: str, how: str, **more: Any) -> Outcome
         start_s = time.monotonic()
         said = resumed(rig, run, 0)
         seconds = time.monotonic() - start_s
-        if psutil.pid_exists(guardian):
-            within(60.0, lambda: not alive(guardian), "the old guardian has ended")
+        with suppress(psutil.NoSuchProcess):  # one that was frozen before it had the bath
+            psutil.Process(guardian).resume()
+        within(60.0, lambda: not alive(guardian), "the old guardian has ended")
         assert not rig.twin.world.plant.running
         assert check_run(run).whole
         record = read_run(run)
