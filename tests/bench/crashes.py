@@ -102,7 +102,7 @@ url = "{thermal}"
 frozen = false
 
 [limits]
-bath_silence_s = 3.0
+bath_silence_s = 30.0
 {emulation}
 """
 
