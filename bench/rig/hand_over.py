@@ -50,7 +50,9 @@ def bath_name(url: str) -> str:
         place = url
     else:
         unit = f"-{line.unit_id}" if line.unit_id not in (None, 1) else ""
-        place = os.path.realpath(line.device) if line.device else f"{line.host}-{line.port}{unit}"
+        place = line.device or f"{line.host}-{line.port}{unit}"
+        if place.startswith("/"):  # a port may have several paths
+            place = os.path.realpath(place)
     plain = re.sub(r"[^a-z0-9.]+", "-", place.lower()).strip("-")[:60]
     return f"{plain}-{sha256(place.lower().encode()).hexdigest()[:8]}"
 
