@@ -251,6 +251,8 @@ class Console:
         number = request.path_params["number"]
         if words.strip().lower() not in ABORTS and not self.lease.held_by(client, name):
             return _refused(403, f"{self.lease.name} answers prompts; take over first")
+        if not watching.under_way(folder):
+            return _refused(409, "this run is not under way")
         try:
             taken = await _off(give_answer, folder, number, words, name or "a browser")
         except AlreadyAnsweredError as error:

@@ -68,7 +68,8 @@ def _card(folder: Path) -> dict[str, Any]:
     if ending == "finished":  # part of a run has no verdict
         with suppress(OSError, ValueError, KeyError):
             written = json.loads((folder / RUN_JSON).read_text(encoding="utf-8"))
-            verdicts = {one["detector"]: one["verdict"] for one in written["judgements"]}
+            if written["ending"] == ending:  # else of an earlier session
+                verdicts = {one["detector"]: one["verdict"] for one in written["judgements"]}
     return {
         "name": folder.name,
         "title": facts["title"],
@@ -111,7 +112,9 @@ def _thumbnails(folder: Path, _: int) -> tuple[tuple[str, str], ...]:
 
 
 def live(folder: Path) -> dict[str, Any] | None:
-    """The run as it is now; None where no run is under way."""
+    """The run as it is now; None where no run is under way: a killed bench leaves its last."""
+    if not under_way(folder):
+        return None
     try:
         found = json.loads((folder / FOLDER / LIVE).read_bytes())
     except (OSError, ValueError):
@@ -122,7 +125,7 @@ def live(folder: Path) -> dict[str, Any] | None:
 def prompt(folder: Path) -> dict[str, Any] | None:
     """The prompt that waits for an answer; None while none does."""
     asked = read_prompt(folder)
-    if not asked or not asked["open"]:
+    if not asked or not asked["open"] or not under_way(folder):
         return None
     return {**asked, "picture": asked["kind"] == "set up" and (folder / SET_UP).is_dir()}
 
@@ -197,7 +200,7 @@ def frame(folder: Path, trial: str, camera: str) -> Path | None:
 def live_frame(folder: Path, camera: str) -> Path | None:
     """The last picture of a run under way; None where there is none."""
     path = folder / FOLDER / f"{camera}.jpg"
-    return path if camera in CAMERAS and path.is_file() else None
+    return path if camera in CAMERAS and path.is_file() and under_way(folder) else None
 
 
 @dataclass(slots=True)

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from bench.config import ConfigError
 from bench.files import sha256_of
 from bench.record.chain import COLUMNS, Head, fact_fingerprint, fingerprint, linked
 from bench.record.reader import as_written, known_version
-from bench.record.schema import DATABASE, LATER_WORD, tables_of
+from bench.record.schema import DATABASE, GUARDIAN_FACT, GUARDIAN_FILES, LATER_WORD, tables_of
 from instruments.errors import InstrumentError
 
 NOT_AS_WRITTEN = "The record is NOT as it was written"
@@ -72,7 +73,7 @@ def check_run(folder: Path, digest: str | None = None) -> Checked:
             for table, rowid, parent, _ in db.execute("PRAGMA foreign_key_check"):
                 row = f"table {table}, row {rowid}"
                 findings.append(_damage(f"{row}: what it refers to in {parent} is not there"))
-            for finding in _frames(db, folder):
+            for finding in chain(_frames(db, folder), _guardians(db, folder)):
                 findings.append(finding)
             for finding in _provenance(db, folder, version, digest, links):
                 findings.append(finding)
@@ -161,6 +162,25 @@ def _frames(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
         else:
             why = "the bench died or gave the trial up while it was written"
             yield _note(f"{path.as_posix()} belongs to no finished trial: {why}")
+
+
+def _guardians(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
+    """What guardians wrote has to be what the next session found; the last has no such witness."""
+    there = {path.name for path in folder.glob(GUARDIAN_FILES)}
+    pattern = GUARDIAN_FACT.format(GUARDIAN_FILES)
+    found = db.execute("SELECT key, value FROM facts WHERE key GLOB ?", (pattern,))
+    kept = {key.removeprefix(GUARDIAN_FACT.format("")): json.loads(text) for key, text in found}
+    for name in sorted(kept.keys() | there):
+        try:
+            record = json.loads((folder / name).read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            yield _damage(f"{name} can't be read: {getattr(error, 'strerror', None) or error}")
+            continue
+        if name not in kept:
+            why = "its guardian wrote it after the bench had died"
+            yield _note(f"{name} is in no link of the chain: {why}")
+        elif record != kept[name]:
+            yield _damage(f"{name} is not as the next session found it")
 
 
 def _file(folder: Path, name: Any, sha256: Any) -> Iterator[Finding]:

@@ -20,6 +20,9 @@ from bench.record.chain import Head, head_of
 from bench.record.schema import (
     DATABASE,
     GUARDIAN,
+    GUARDIAN_BEFORE,
+    GUARDIAN_FACT,
+    GUARDIAN_FILES,
     OF_A_TRIAL,
     SCHEMA_VERSION,
     Row,
@@ -168,7 +171,8 @@ class TrialRecord:
 class RunRecord:
     """A run as it stands on disk. ``bath`` has columns t_s, temp_c, power_percent (n, 3);
     ``external_c`` (n,) is nan without a sensor. ``head``: last link of the chain, number 0 without
-    one. ``damage``: what isn't as it was written, with which no verdict holds.
+    one. ``guardians``: what those did that had to act, by session. ``damage``: what isn't as it was
+    written, with which no verdict holds.
     """
 
     folder: Path
@@ -180,7 +184,8 @@ class RunRecord:
     bath: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     bath_states: tuple[str, ...] = ()
     external_c: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    guardian: Mapping[str, Any] | None = None
+    sessions: int = 1
+    guardians: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
     head: Head | None = None
     damage: tuple[str, ...] = ()
 
@@ -188,6 +193,11 @@ class RunRecord:
     def ending(self) -> str:
         """``finished``, ``aborted``, ``faulted``, or ``interrupted`` where the bench died."""
         return str(self.facts.get("ending", "interrupted"))
+
+    @property
+    def guardian(self) -> Mapping[str, Any] | None:
+        """What the last session's guardian did; None where it had nothing to do."""
+        return self.guardians.get(self.sessions)
 
     @property
     def counted(self) -> tuple[TrialRecord, ...]:
@@ -221,6 +231,7 @@ def _read(folder: Path, db: sqlite3.Connection, damage: tuple[str, ...]) -> RunR
     bath = list(db.execute(query))
     columns = [[np.nan if row[k] is None else row[k] for k in range(4)] for row in bath]
     table = np.array(columns, dtype=np.float64).reshape(-1, 4)
+    begun = dict(db.execute("SELECT number, wall_time FROM sessions"))
     return RunRecord(
         folder=folder,
         facts=facts,
@@ -231,22 +242,40 @@ def _read(folder: Path, db: sqlite3.Connection, damage: tuple[str, ...]) -> RunR
         bath=table[:, :3],
         bath_states=tuple(row["state"] for row in bath),
         external_c=table[:, 3],
-        guardian=_guardian(folder / GUARDIAN),
+        sessions=max(begun, default=1),
+        guardians=_guardians(folder, begun, facts),
         head=head_of(db),
         damage=damage,
     )
 
 
-def _guardian(path: Path) -> Mapping[str, Any] | None:
-    """What the guardian wrote; it writes whole files only."""
-    if not path.is_file():
-        return None
-    try:
-        return dict(json.loads(path.read_text(encoding="utf-8")))
-    except ValueError as error:
-        raise ConfigError.plain(
-            f"{path} can't be read: {error}. Delete it to see the rest of the run."
-        ) from error
+def guardian_files(folder: Path) -> dict[str, Mapping[str, Any]]:
+    """What guardians wrote, by the file's name: they write whole files. Raises ConfigError."""
+    found: dict[str, Mapping[str, Any]] = {}
+    for path in folder.glob(GUARDIAN_FILES):
+        try:
+            found[path.name] = dict(json.loads(path.read_text(encoding="utf-8")))
+        except ValueError as error:
+            raise ConfigError.plain(
+                f"{path} can't be read: {error}. Delete it to see the rest of the run."
+            ) from error
+    return found
+
+
+def _guardians(
+    folder: Path, begun: Mapping[int, str], facts: Mapping[str, Any]
+) -> dict[int, Mapping[str, Any]]:
+    """What they wrote, by session; ``begun``: when each began."""
+    files = guardian_files(folder)
+
+    def wrote(name: str) -> Mapping[str, Any] | None:
+        return files.get(name) or facts.get(GUARDIAN_FACT.format(name))
+
+    records = {number: wrote(f"{GUARDIAN.format(number)}.json") for number in begun}
+    if before := wrote(GUARDIAN_BEFORE):
+        noticed = str(before.get("wall_noticed", ""))
+        records[max((number for number in begun if begun[number] <= noticed), default=1)] = before
+    return {number: record for number, record in sorted(records.items()) if record}
 
 
 def _trials(db: sqlite3.Connection) -> Iterator[TrialRecord]:

@@ -15,7 +15,9 @@ from typing import Any
 Row = Mapping[str, Any]
 SCHEMA_VERSION = 5
 DATABASE, SCRIPT, RULES = "run.sqlite", "script.toml", "rules.toml"
-GUARDIAN = "guardian.json"  # written by the guardian, when it had to act
+GUARDIAN = "guardian-{}"  # .json of a session: its guardian had to act; .log: what that one said
+GUARDIAN_BEFORE = "guardian.json"  # of an older bench, for all sessions of a run
+GUARDIAN_FILES, GUARDIAN_FACT = "guardian*.json", "wall {}"  # by name, once a session follows
 
 OF_A_TRIAL = ("frames", "touches", "truth", "detections", "found", "scores")
 LATER_WORD = "facts"  # the one table whose rows are written over

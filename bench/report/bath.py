@@ -193,8 +193,9 @@ def _care_parts(run: RunRecord) -> Iterator[Part]:
     if tested := facts.get("cut-out tested"):
         entries["independent cut-out tested on"] = tested
     yield key_values("Care", entries)
-    if run.guardian:
-        yield Paragraph(guardian_text(run.guardian), tone="warn")
+    for session, record in run.guardians.items():
+        whose = f"Session {session}: " if run.sessions > 1 else ""
+        yield Paragraph(f"{whose}{guardian_text(record)}", tone="warn")
     trip = facts.get("trip", {})
     asleep = "asleep: the controller doesn't report what it needs"
     states = dict.fromkeys(facts["interlocks asleep"], asleep)

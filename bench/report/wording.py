@@ -219,6 +219,12 @@ def guardian_text(record: Mapping[str, Any]) -> str:
         "hung": f"The bench hung ({why}); its last sign of life was at {record['wall_last_sign']}",
         "gave up": f"At {when} the bench gave up: {why}",
     }[record["cause"]]
+    if not record["standby"] and "handed_over" in record:
+        return (
+            f"{what}; the guardian had not reached the bath in {record['tries']} tries"
+            f" ({record['error']}) when it handed it over to a later session at"
+            f" {record['handed_over']}."
+        )
     if not record["standby"]:
         return (
             f"{what}; THE GUARDIAN COULD NOT REACH THE BATH in {record['tries']} tries"
@@ -226,6 +232,8 @@ def guardian_text(record: Mapping[str, Any]) -> str:
         )
     more = " The hung bench kept the port and was ended." if record.get("killed") else ""
     more += f" The pump {record['pump']}." if "pump" in record else ""
+    if "handed_over" in record:
+        more += f" It handed the bath over to a later session at {record['handed_over']}."
     return (
         f"{what}; the guardian had the bath in standby at {record['wall_safe']},"
         f" {record['seconds']:.1f} s after it took notice.{more}"

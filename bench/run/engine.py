@@ -112,7 +112,6 @@ class Engine:
     def _work(self) -> None:
         ctx, planned, again = self._ctx, self._ctx.script.planned, self._recovery.run
         set_point_c = ctx.script.script.bath.set_point_c
-        self._requests.forget()
         ctx.check_interrupts = self._requests.look_between
         ctx.states.to(RunState.PREPARING)
         ctx.note("preparing")

@@ -285,6 +285,9 @@ def event_lines(path: Path | None) -> Iterator[FileIO | None]:
         yield None
         return
     try:
+        if path.is_file():
+            with FileIO(path, "r+") as there:  # a bench that was killed may have left half a line
+                _last_number(there)
         file = FileIO(path, "a")
     except OSError as error:
         why = f"--events {path}: it can't be opened: {error.strerror or error}"

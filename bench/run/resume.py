@@ -19,8 +19,8 @@ import numpy as np
 
 from bench.config import ConfigError, read_text
 from bench.files import Picture
-from bench.record.reader import RunRecord, TrialRecord, read_run
-from bench.record.schema import SCRIPT, Row
+from bench.record.reader import RunRecord, TrialRecord, guardian_files, read_run
+from bench.record.schema import GUARDIAN_FACT, SCRIPT, Row
 from bench.record.writer import Store, Tables
 from bench.rig.loading import LoadedRig, load_rig
 from bench.run.events import EVENT, RunState
@@ -135,6 +135,12 @@ class RehearsedStore(Store):
         self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float]
     ) -> list[Row]:
         return [] if self.silent else super().frames(trial, images, exposed_s)
+
+
+def keep_guardians(store: Store) -> None:
+    """Into the chain: what the guardians of earlier sessions did, once none of them acts."""
+    for name, record in guardian_files(store.folder).items():
+        store.fact(GUARDIAN_FACT.format(name), record)
 
 
 def open_store(left: ResumePoint, *, rehearsed: bool) -> Store:

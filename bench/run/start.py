@@ -5,7 +5,8 @@ folder and one report.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,23 +16,35 @@ from numpy.typing import NDArray
 from bench.config import ConfigError, read_calibration, read_config, read_text
 from bench.record.reader import read_run
 from bench.record.recording import Recording
-from bench.record.schema import RULES, SCRIPT
+from bench.record.schema import GUARDIAN, RULES, SCRIPT
 from bench.record.writer import Store, new_run_folder
 from bench.results.answers import Examiner
 from bench.results.cameras_agree import can_tell, spread, where_seen
+from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import in_virtual_time, open_instruments
+from bench.rig.urls import EMULATED
 from bench.run.context import RunContext
 from bench.run.engine import Engine
 from bench.run.estimate import needs, read_durations
 from bench.run.events import Events, Progress, RunState
+from bench.run.interruptions import Requests
+from bench.run.live import Live
 from bench.run.lock import lock_path, locked, run_lock
 from bench.run.packing import check_pack
 from bench.run.recordings import RECORDED, Recorder, recorder_again
-from bench.run.resume import ASKED, RehearsedStore, ResumePoint, files_of, open_store, what_is_left
+from bench.run.resume import (
+    ASKED,
+    RehearsedStore,
+    ResumePoint,
+    files_of,
+    keep_guardians,
+    open_store,
+    what_is_left,
+)
 from bench.run.rows import write_facts
 from bench.run.trial import refuse_carry, write_trial
-from bench.safety.guardian_client import GuardianTarget, guarded
+from bench.safety.guardian_client import GuardianClient, GuardianTarget, Heartbeat, signs_of
 from bench.safety.latch import refuse_latched, refuse_untested_cut_out
 from bench.safety.signals import current, undisturbed
 from bench.script.calibration_age import (
@@ -46,7 +59,7 @@ from bench.script.planned_trials import pose_set
 from bench.truth.touching import truth_row
 from detector.protocol import Detector
 from instruments.captures.capture import CaptureFile
-from instruments.clock import wall_time
+from instruments.clock import VirtualClock, wall_time
 from instruments.errors import InstrumentError
 from instruments.operators.operator import time_left
 
@@ -202,41 +215,32 @@ def _run(
         expected = needs(rig, script, read_durations(store.folder.parent, rig)).time
         trials = len(script.planned)
         to_do = trials - len(left.done) if left else trials
+        Requests(store.folder, how.typed, events.warn).forget()
+        Live(store.folder).end()
         note = time_left(expected.settling_s + to_do * expected.each_s(trials))
         how.begun(f"{to_do} trials, {note} of the bench's time. Run folder: {store.folder}")
         with (
             events.kept_in(store.folder),
-            open_instruments(
-                rig,
-                seed=how.seed or 0,
-                realtime=how.realtime,
-                capture=how.capture,
-                screen=events.aside,
-                start_s=left.last_s + BETWEEN_S if left else 0.0,
-                folder=store.folder,
-            ) as devices,
+            _guarded_instruments(rig, store, how, events, left) as (devices, heartbeat, guardian),
         ):
             refuse_other_cameras(rig.calibration.record, devices.cameras.identity)
-            bath, inferred = devices.bath, rig.rig.bath.allow_inferred
-            target = GuardianTarget(
-                bath.url, rig.profile_source, bath.pump_url, rig.relay_source, inferred
+            ctx = RunContext(rig, script, devices, store, events, heartbeat, guardian)
+            engine = Engine(
+                ctx,
+                under_test,
+                exact_ends=devices.exact_ends,
+                recorder=recorder,
+                left=left,
+                typed=how.typed,
+                expected=expected,
             )
-            with guarded(target, store.folder, devices.clock) as (heartbeat, guardian_client):
-                ctx = RunContext(rig, script, devices, store, events, heartbeat, guardian_client)
-                engine = Engine(
-                    ctx,
-                    under_test,
-                    exact_ends=devices.exact_ends,
-                    recorder=recorder,
-                    left=left,
-                    typed=how.typed,
-                    expected=expected,
-                )
-                try:
-                    return store.folder, engine.run()
-                finally:
-                    if guardian_client and engine.bath_is_safe:
-                        guardian_client.done()
+            if guardian:
+                guardian.heats = True
+            try:
+                return store.folder, engine.run()
+            finally:
+                if guardian and engine.bath_is_safe:
+                    guardian.done()
     # before the engine had the instruments: nothing was switched on
     except (InstrumentError, KeyboardInterrupt) as error:
         if isinstance(store, RehearsedStore):
@@ -246,6 +250,50 @@ def _run(
         return store.folder, _end(store, RunState.FAULTED, str(error))
     finally:
         store.close()
+
+
+@contextmanager
+def _guarded_instruments(
+    rig: LoadedRig, store: Store, how: RunOptions, events: Events, left: ResumePoint | None
+) -> Iterator[tuple[Devices, Heartbeat, GuardianClient | None]]:
+    """The instruments and, in real time, their guardian: before them, since an earlier one may have
+    the bath and its port; behind them where the bath is this process's own.
+    """
+    heartbeat = Heartbeat()
+    with ExitStack() as stack:
+
+        def guardian_of(url: str, pump_url: str) -> GuardianClient:
+            profiles, inferred = (rig.profile_source, rig.relay_source), rig.rig.bath.allow_inferred
+            target = GuardianTarget(url, profiles[0], pump_url, profiles[1], inferred)
+            name = GUARDIAN.format(store.session)
+            client = GuardianClient(target, store.folder, heartbeat, name)
+            stack.enter_context(client)
+            client.heats = bool(client.taken_from)  # or not yet
+            if client.taken_from:
+                text = f"{client.taken_from}; this session has the bath now"
+                store.event(None, "guardian", text, wall_time())
+                events.warn(f"{text[0].upper()}{text[1:]}.")
+            return client
+
+        bath, guardian = rig.rig.bath, None
+        if bath.url != EMULATED:
+            guardian = guardian_of(bath.url, bath.pump_url)
+        if left:
+            keep_guardians(store)
+        opened = open_instruments(
+            rig,
+            seed=how.seed or 0,
+            realtime=how.realtime,
+            capture=how.capture,
+            screen=events.aside,
+            start_s=left.last_s + BETWEEN_S if left else 0.0,
+            folder=store.folder,
+        )
+        devices = stack.enter_context(opened)
+        if bath.url == EMULATED and not isinstance(devices.clock, VirtualClock):
+            guardian = guardian_of(devices.bath.url, devices.bath.pump_url)
+        stack.enter_context(signs_of(heartbeat, devices.clock))
+        yield devices, heartbeat, guardian
 
 
 def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequence[str]) -> Path:

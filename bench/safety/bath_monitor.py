@@ -57,6 +57,7 @@ class BathMonitor:
 
     def __post_init__(self) -> None:
         self._lock = threading.RLock()
+        self._gate_lock = threading.Lock()  # never held while the bath is waited for
         self._running = self._safe = False
         self._trip: Exception | None = None
         self._act_again_s = self._answered_s = self._planned_s = self.clock.now()
@@ -70,14 +71,16 @@ class BathMonitor:
 
     @property
     def why_not_stable(self) -> str:
-        return "; ".join(self.gate.reasons)
+        with self._gate_lock:
+            return "; ".join(self.gate.reasons)
 
     def stable_in_s(self, expected_s: float) -> float:
         """How long until the gate opens, expected ``expected_s`` after heating began."""
         if self.state is State.STABLE:
             return 0.0
         heated_s = 0.0 if self._heating_s is None else self.clock.now() - self._heating_s
-        return max(expected_s - heated_s, self.gate.at_least_s)
+        with self._gate_lock:
+            return max(expected_s - heated_s, self.gate.at_least_s)
 
     @property
     def tripped(self) -> Exception | None:
@@ -92,7 +95,7 @@ class BathMonitor:
 
     def heating(self) -> None:
         """The bath has been started: what was read before is no evidence of stability."""
-        with self._lock:
+        with self._lock, self._gate_lock:
             self.gate.restart()
             self._heating_s = self.clock.now()
             self.interlocks.heating(self.gate.set_point_c)
@@ -142,9 +145,10 @@ class BathMonitor:
         self._answered_s = reading.t_s
         self.last = reading
         raw, teat_c = self.moving(reading), reading.external_c
-        state = self.gate.add(
-            reading.t_s, reading.temp_c, raw=raw, alarm=bool(reading.alarm), teat_c=teat_c
-        )
+        with self._gate_lock:
+            state = self.gate.add(
+                reading.t_s, reading.temp_c, raw=raw, alarm=bool(reading.alarm), teat_c=teat_c
+            )
         self.record(
             {
                 "t_s": reading.t_s,

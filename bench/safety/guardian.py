@@ -2,17 +2,18 @@
 hangs.
 
     python -m bench.safety.guardian --url tcp://host:502 --profile julabo-presto --record
-    runs/…/guardian.json
+    runs/…/guardian-1.json
 
 The bench starts it and writes lines to its standard input: ``alive`` once a second, ``hung: …``
 when its main thread makes no progress, ``done`` once it has made the bath safe itself, ``take
 over`` when it could not. The end of the input without a last word is the bench's death: it comes at
 once, however the bench died, on every system. Each ``alive`` is echoed on its standard output, so
-that the bench notices a guardian that is frozen. While the bench lives the guardian owns nothing:
-no link, no file. All that it needs is loaded before, and locked in memory where the system allows
-it, because a dying machine may have no disk any more. A pump with a switch of its own runs on for a
-minute behind the heater, and then stops; the ports are free meanwhile. It is no safety function: it
-dies with the computer.
+that the bench notices a guardian that is frozen. While the bench lives the guardian owns no link,
+and the bath's lock (`hand_over`), by which the next session's guardian takes the bath from one that
+acts. All that it needs is loaded before, and locked in memory where the system allows it, because a
+dying machine may have no disk any more. A pump with a switch of its own runs on for a minute behind
+the heater, and then stops; the ports are free meanwhile. It is no safety function: it dies with the
+computer.
 """
 
 from __future__ import annotations
@@ -20,17 +21,17 @@ from __future__ import annotations
 import argparse
 import contextlib
 import ctypes
-import json
 import os
 import queue
 import signal
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+from bench.rig.hand_over import BathLock, write_note
 from instruments.bath.driver import Bath, PumpAt
 from instruments.bath.profile import PUMP, load_profile, load_relay
 from instruments.bath.sequence import OFF, ON, OVERRUN_S, cause_of
@@ -39,14 +40,36 @@ from instruments.device_file import DeviceFileError
 from instruments.errors import InstrumentError, LinkError
 
 READY, ALIVE, HUNG, DONE, TAKE_OVER = "ready", "alive", "hung: ", "done", "take over"
+ACTS = "acts"  # to the bench, which may live after all
 HANG_S = 10.0  # without a word from the bench
 LOOK_S = 0.25  # between looks at whether the bench is being ended
+WANTED_S = 0.1  # between looks at whether another guardian waits for the bath
 PAUSE_S = 1.0  # between attempts, but for the first few
 GIVE_UP_S = 300.0  # then an operator has long been there, or never comes
 NICE = (-20, -10, -5)  # the first that the system grants
 MCL_CURRENT, MCL_ONFAULT = 1, 4  # mman.h of Linux
 # they are meant for the bench; the end of the input always ends us
 IGNORED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+
+
+class Record:
+    """What the guardian writes down, at ``path``: one state at a time, from any thread."""
+
+    def __init__(self, path: Path, facts: dict[str, Any]) -> None:
+        self._path = path
+        self._facts = facts
+        self._lock = threading.Lock()
+
+    def add(self, **facts: Any) -> None:
+        with self._lock:
+            self._facts |= facts
+            write_note(self._path, self._facts)
+
+    def hand_over(self) -> None:
+        """The last word, and the end of this process, whatever its other thread waits for."""
+        with self._lock:
+            write_note(self._path, self._facts | {"handed_over": _text(wall_time())})
+            os._exit(0)
 
 
 class HeartbeatReader:
@@ -115,26 +138,59 @@ def main(arguments: Sequence[str] | None = None) -> int:
             identify=False,
             pump=pump,
         )
-    except (DeviceFileError, InstrumentError) as error:
+        lock = BathLock(given.url, given.record, given.bench)
+        taken = lock.take()
+    except (DeviceFileError, InstrumentError, OSError) as error:
         sys.stderr.write(f"guardian: {error}\n")
         return 2
     preferred = _raise_priority()
-    sys.stdout.write(READY + "\n")
-    sys.stdout.flush()
+    _tell_bench(f"{READY} {taken}")
     lost = HeartbeatReader(sys.stdin.fileno(), sys.stdout.fileno(), given.bench).wait_for_loss()
     if lost is None:
+        lock.release()
         return 0
     cause, why, last_sign_s = lost
+    _tell_bench(ACTS)
     noticed, silent = wall_time(), timedelta(seconds=stopwatch_s() - last_sign_s)
-    record: dict[str, Any] = {"cause": cause, "why": why, "bath": given.url}
-    record |= {"guardian": os.getpid(), **preferred}
-    record |= {"wall_last_sign": _text(noticed - silent), "wall_noticed": _text(noticed)}
+    facts: dict[str, Any] = {"cause": cause, "why": why, "bath": given.url}
+    facts |= {"guardian": os.getpid(), **preferred}
+    facts |= {"wall_last_sign": _text(noticed - silent), "wall_noticed": _text(noticed)}
+    record = Record(given.record, facts | {"standby": False, "tries": 0, "error": "not tried yet"})
+    lock.acts()
     hung = given.bench if cause == "hung" else None
-    reached = _make_safe(bath, clock, given.record, record, bench=hung)
-    if reached and bath.pump == "own":
-        _run_pump_on(bath, clock, given.record, record, given.overrun_s)
-    bath.close()
+    with _handed_over(lock, record):
+        reached = _make_safe(bath, clock, record, bench=hung)
+        if reached and bath.pump == "own":
+            _run_pump_on(bath, clock, record, given.overrun_s)
+        bath.close()
+    lock.release()
     return 0 if reached else 1
+
+
+def _tell_bench(line: str) -> None:
+    """To a bench that may have died: the end of the input says so."""
+    with contextlib.suppress(OSError):
+        os.write(sys.stdout.fileno(), line.encode() + b"\n")
+
+
+@contextlib.contextmanager
+def _handed_over(lock: BathLock, record: Record) -> Iterator[None]:
+    """What is done within ends, and this process, once another guardian waits for the bath."""
+    over = threading.Event()
+
+    def look() -> None:
+        while not over.wait(WANTED_S):
+            if lock.wanted:
+                lock.hand_over()
+                record.hand_over()
+
+    looks = threading.Thread(target=look, daemon=True)
+    looks.start()
+    try:
+        yield
+    finally:
+        over.set()
+        looks.join()
 
 
 def _is_dying(process: int) -> bool:
@@ -165,9 +221,7 @@ def _raise_priority() -> dict[str, Any]:
     return got
 
 
-def _make_safe(
-    bath: Bath, clock: RealClock, path: Path, record: dict[str, Any], *, bench: int | None
-) -> bool:
+def _make_safe(bath: Bath, clock: RealClock, record: Record, *, bench: int | None) -> bool:
     """Standby, tried for GIVE_UP_S. ``bench`` hangs and may hold the port."""
     start_s, tries = stopwatch_s(), 0
     while stopwatch_s() - start_s < GIVE_UP_S:
@@ -175,38 +229,31 @@ def _make_safe(
         try:
             bath.safe()
         except Exception as error:  # whatever it is, the next try may succeed
-            _write(path, record | {"standby": False, "tries": tries, "error": cause_of(error)})
+            record.add(standby=False, tries=tries, error=cause_of(error))
             if bench is not None and isinstance(error, LinkError):
-                record["killed"] = _kill(bench)
+                record.add(killed=_kill(bench))
                 bench = None
             clock.sleep(min(PAUSE_S, 0.1 * tries))
             continue
-        record |= {
-            "standby": True,
-            "tries": tries,
-            "seconds": round(stopwatch_s() - start_s, 3),
-            "wall_safe": _text(wall_time()),
-        }
-        _write(path, record)
+        seconds = round(stopwatch_s() - start_s, 3)
+        record.add(
+            standby=True, tries=tries, seconds=seconds, wall_safe=_text(wall_time()), error=""
+        )
         return True
     return False
 
 
-def _run_pump_on(
-    bath: Bath, clock: RealClock, path: Path, record: dict[str, Any], overrun_s: float
-) -> None:
+def _run_pump_on(bath: Bath, clock: RealClock, record: Record, overrun_s: float) -> None:
     """Let the pump carry off the heater's heat, then stop it, unless the bath is started again."""
     try:
         bath.set(PUMP, ON)
-        record["pump"] = f"runs on for {overrun_s:g} s"
-        _write(path, record)
+        record.add(pump=f"runs on for {overrun_s:g} s")
         bath.close()  # the ports are free for a person who comes to look
         clock.sleep(overrun_s)
         bath.set(PUMP, OFF)
-        record["pump"] = f"ran on for {overrun_s:g} s and is off"
+        record.add(pump=f"ran on for {overrun_s:g} s and is off")
     except InstrumentError as error:
-        record["pump"] = f"was left as it was: {error}"
-    _write(path, record)
+        record.add(pump=f"was left as it was: {error}")
 
 
 def _kill(bench: int) -> bool:
@@ -217,17 +264,6 @@ def _kill(bench: int) -> bool:
         os.kill(bench, getattr(signal, "SIGKILL", signal.SIGTERM))
         return True
     return False
-
-
-def _write(path: Path, record: dict[str, Any]) -> None:
-    """Whole or not at all; a disk that is full or gone doesn't keep the guardian from acting."""
-    part = path.with_name(path.name + ".part")
-    with contextlib.suppress(OSError):
-        with part.open("w", encoding="utf-8") as file:
-            json.dump(record, file, indent=1)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
 
 
 def _text(when: datetime) -> str:

@@ -20,9 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, cast
 
-from bench.record.schema import GUARDIAN
-from bench.safety.guardian import ALIVE, DONE, HUNG, READY, TAKE_OVER
-from instruments.clock import Clock, RealClock, VirtualClock, stopwatch_s
+from bench.safety.guardian import ACTS, ALIVE, DONE, HUNG, READY, TAKE_OVER
+from instruments.clock import Clock, RealClock, stopwatch_s
 from instruments.errors import LinkError
 
 BRIEF_S = 10.0  # what needs no word of its own is over by then
@@ -91,7 +90,6 @@ class Heartbeat:
         return None
 
 
-LOG = "guardian.log"
 BEAT_S = 1.0
 UNANSWERED = 3  # beats; one more, and the oldest has had no echo for so many times BEAT_S
 END_S = 5.0
@@ -117,17 +115,25 @@ class GuardianTarget:
 
 
 class GuardianClient:
-    """A running guardian of ``target``, its record in ``folder``. Raises LinkError."""
+    """A running guardian of ``target``, with record and log of this ``name`` in ``folder``. Where
+    another one acted on the bath, that one has ended before. Raises LinkError.
+    """
 
-    def __init__(self, target: GuardianTarget, folder: Path, heartbeat: Heartbeat) -> None:
+    def __init__(
+        self, target: GuardianTarget, folder: Path, heartbeat: Heartbeat, name: str = "guardian"
+    ) -> None:
         self._heartbeat = heartbeat
+        self.taken_from = ""  # who acted on the bath until now, and how that ended
+        self.heats = True  # whether the bench may leave the bath on
         self._ended = threading.Event()
         self._said = threading.Event()  # its first line, or its end
         self._ready = False
         self._unanswered = 0
-        self._log, self._acted = folder / LOG, folder / GUARDIAN
+        self._acts = False
+        self._log = folder / f"{name}.log"
         command = [sys.executable, "-X", "utf8", "-m", "bench.safety.guardian", *target.arguments]
-        command += ["--record", str(folder.resolve() / GUARDIAN), "--bench", str(os.getpid())]
+        record = folder.resolve() / f"{name}.json"
+        command += ["--record", str(record), "--bench", str(os.getpid())]
         with self._log.open("wb") as log:
             self._process = _spawn(command, log)
         self._pipe_in = cast(IO[bytes], self._process.stdin)
@@ -148,7 +154,7 @@ class GuardianClient:
         code = self._process.poll()
         if self._ended.is_set():
             return None
-        if code is None and not self._acted.is_file():
+        if code is None and not self._acts:
             silent = self._unanswered > UNANSWERED
             return f"it has not answered for {UNANSWERED * BEAT_S:g} s" if silent else None
         if code:
@@ -167,9 +173,13 @@ class GuardianClient:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Left without ``done``, the guardian takes the bath over."""
-        if not self._ended.is_set():
+        """Left without ``done``, the guardian takes the bath over, unless nothing heats."""
+        if self._ended.is_set():
+            return
+        if self.heats:
             self.hand_over()
+        else:
+            self.done()
 
     def _end(self, word: str) -> None:
         self._ended.set()
@@ -202,11 +212,14 @@ class GuardianClient:
         )
 
     def _listen(self) -> None:
-        """That it is ready, then an echo of each beat; on a thread, to its end."""
+        """That it is ready, an echo of each beat, that it acts; on a thread, to its end."""
         with cast(IO[bytes], self._process.stdout) as pipe:
-            self._ready = pipe.readline().decode().strip() == READY
+            first, _, self.taken_from = pipe.readline().decode("utf-8", "replace").partition(" ")
+            self.taken_from = self.taken_from.strip()
+            self._ready = first.strip() == READY
             self._said.set()
-            for _ in pipe:
+            for line in pipe:
+                self._acts = self._acts or line.strip() == ACTS.encode()
                 self._unanswered = 0
 
     def _beat(self) -> None:
@@ -238,19 +251,13 @@ def _spawn(command: list[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
 
 
 @contextmanager
-def guarded(
-    target: GuardianTarget, folder: Path, clock: Clock
-) -> Iterator[tuple[Heartbeat, GuardianClient | None]]:
-    """Heartbeats and their guardian; none under virtual time, where the bath is emulated."""
-    heartbeat = Heartbeat()
-    if isinstance(clock, VirtualClock):
-        yield heartbeat, None
+def signs_of(heartbeat: Heartbeat, clock: Clock) -> Iterator[None]:
+    """Whatever looks at a clock of real time shows life."""
+    if not isinstance(clock, RealClock):
+        yield
         return
-    if isinstance(clock, RealClock):
-        clock.subscribe(heartbeat.alive)
+    clock.subscribe(heartbeat.alive)
     try:
-        with GuardianClient(target, folder, heartbeat) as guardian_client:
-            yield heartbeat, guardian_client
+        yield
     finally:
-        if isinstance(clock, RealClock):
-            clock.subscribe(None)
+        clock.subscribe(None)

@@ -271,7 +271,7 @@ RULES = (
         lambda _: None,  # no reading shows it: `TripHandler` trips this row
         "a reading",
         lambda _now, _limits: None,
-        "See guardian.json and guardian.log in the run's folder.",
+        "See guardian-1.log in the run's folder, or that of a later session.",
     ),
 )
 

@@ -46,7 +46,9 @@ class Given:
 
 
 class Mailbox:
-    """The run's end. ``folder`` is the run's; numbers go on from those of an earlier session."""
+    """The run's end. ``folder`` is the run's; numbers go on from those of an earlier session, whose
+    open prompt nobody waits for any more.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder / FOLDER
@@ -55,6 +57,8 @@ class Mailbox:
         last = read_prompt(folder)
         self._number = max([0, *said, int(last["number"]) if last else 0])
         self._prompt: dict[str, Any] = {}
+        if last and last["open"]:
+            self._show({**last, "open": False, "by": BENCH})
 
     def open(self, prompt: op.Prompt) -> None:
         """Publish ``prompt``. Raises OSError."""

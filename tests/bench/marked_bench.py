@@ -28,11 +28,17 @@ from bench.record.writer import Store
 from bench.results.answers import Examiner
 from bench.rig.devices import Devices
 from bench.rig.loading import load_rig
+from bench.run import start
 from bench.run.events import RunState
-from bench.run.start import run_script
+from bench.run.start import resume_run, run_script
 from bench.run.trial import TrialRun
+from bench.safety.bath_monitor import BathMonitor
+from bench.safety.guardian_client import GuardianClient
 from bench.safety.signals import CTRL_CLOSE_EVENT, Handler, installed
 from bench.script.model import load_script
+from bench.truth.touching import Toucher
+from instruments.camera.cameras import CameraSet
+from instruments.microscribe.driver import MicroScribe
 from instruments.stage.driver import Stage
 from tests.bench.forked import as_in_a_shell, context, take
 from tests.bench.real_rig import Child, RealRig
@@ -108,6 +114,19 @@ def mistaken() -> None:
     put(RecordingCameras, "capture", divides)
 
 
+def ending() -> None:
+    """The bath is safe, and the record doesn't say yet how the run ended."""
+    fact = Store.fact
+
+    def marked(store: Store, key: str, value: Any) -> None:
+        if key == "ending":
+            say("ending")
+            time.sleep(LINGER_S)
+        fact(store, key, value)
+
+    put(Store, "fact", marked)
+
+
 class ClosingWindow:
     """Stands in for Windows: a second after the bench has begun to settle it calls the handler, and
     ends the process behind it.
@@ -141,15 +160,30 @@ MARKS: dict[str, Callable[[], None]] = {
     "detecting": lambda: begins(Examiner, "ask", "detecting", LINGER_S),
     "storing": storing,
     "going to safe": lambda: begins(Devices, "make_safe", "going to safe", LINGER_S),
+    "starting the guardian": lambda: begins(
+        GuardianClient, "_await_ready", "starting the guardian", LINGER_S
+    ),
+    "bringing up": lambda: begins(start, "open_instruments", "bringing up", LINGER_S),
+    "signing on": lambda: begins(MicroScribe, "sign_on", "signing on", LINGER_S),
+    "heating": lambda: begins(BathMonitor, "heating", "heating", LINGER_S),
+    "photographing": lambda: begins(CameraSet, "capture", "photographing", LINGER_S),
+    "touching": lambda: begins(Toucher, "_touch_end", "touching", LINGER_S),
+    "ending": ending,
     "hanging": hanging,
     "mistaken": mistaken,
 }
 
 
 def child(
-    answers: Connection, said: Connection, step: str, rig: Path, script: Path, out: Path
+    answers: Connection,
+    said: Connection,
+    step: str,
+    rig: Path,
+    script: Path,
+    out: Path,
+    run: Path | None,
 ) -> None:
-    """The process: a bench at the two pipes."""
+    """The process: a bench at the two pipes. ``run``: one to be resumed."""
     take((answers, said, said))
     sys.stdout = sys.stderr  # line by line
     as_in_a_shell()
@@ -157,23 +191,25 @@ def child(
     register = ClosingWindow().register if step == "closing" else None
     loaded = load_rig(rig)
     with installed(register), TerminalProgress(Console()) as progress:
-        _, ending = run_script(
-            loaded, load_script(script, loaded.rig.limits.set_point_c), out, progress
-        )
+        if run:
+            _, ending = resume_run(run, progress)
+        else:
+            loaded_script = load_script(script, loaded.rig.limits.set_point_c)
+            _, ending = run_script(loaded, loaded_script, out, progress)
     print(f"ended: {ending.value}", flush=True)
     sys.exit(CODES[ending])
 
 
 class MarkedBench(Child):
-    """A running bench that tells of its steps."""
+    """A running bench that tells of its steps; it resumes ``run`` where that is given."""
 
-    def __init__(self, rig: RealRig, step: str) -> None:
+    def __init__(self, rig: RealRig, step: str, run: Path | None = None) -> None:
         forking = context()
         answers, self._answers = forking.Pipe(duplex=False)
         self._out, said = forking.Pipe(duplex=False)
         paths = (rig.rig_path, rig.script_path, rig.out)
         self.process = forking.Process(
-            target=child, args=(answers, said, step, *paths), daemon=True
+            target=child, args=(answers, said, step, *paths, run), daemon=True
         )
         self.process.start()
         for end in (answers, said):
@@ -205,9 +241,9 @@ class MarkedBench(Child):
 
 
 @contextmanager
-def marked_bench(rig: RealRig, step: str) -> Iterator[MarkedBench]:
+def marked_bench(rig: RealRig, step: str, run: Path | None = None) -> Iterator[MarkedBench]:
     """A bench on ``rig`` that tells of ``step``; killed at the end if it still runs."""
-    running = MarkedBench(rig, step)
+    running = MarkedBench(rig, step, run)
     try:
         yield running
     finally:

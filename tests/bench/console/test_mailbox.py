@@ -77,7 +77,10 @@ def test_numbers_go_on_after_a_session_that_was_killed(tmp_path: Path) -> None:
     first.open(PROMPT)
     give_answer(tmp_path, 1, "go", "a browser")
     first.open(PROMPT)  # and no word from it any more
-    Mailbox(tmp_path).open(PROMPT)
+    second = Mailbox(tmp_path)
+    with pytest.raises(NotOpenError):
+        give_answer(tmp_path, 2, "go", "a browser that still shows it")
+    second.open(PROMPT)
     prompt = read_prompt(tmp_path)
     assert prompt is not None
     assert (prompt["number"], prompt["open"]) == (3, True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import shutil
+from collections.abc import Iterator
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,11 @@ from hypothesis import strategies as st
 from starlette.routing import Mount, Route
 
 from bench.console.app import Console, make_app
+from bench.console.watching import listed
+from bench.run.live import LIVE
+from bench.run.lock import locked, run_lock
 from instruments.operators import operator as op
-from instruments.operators.mailbox import Mailbox
+from instruments.operators.mailbox import Mailbox, read_answer
 from tests.bench.small_run import KEPT
 
 TOKEN, HOST, TICKET = "right-token", "127.0.0.1:8421", "ticket"
@@ -25,11 +29,12 @@ NAMES = ("..", "%2e%2e", "run/../run", "/etc", "C:\\", "", "<script>", "\x00", "
 
 
 @pytest.fixture(scope="module")
-def console(tmp_path_factory: pytest.TempPathFactory) -> Console:
+def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
     here = tmp_path_factory.mktemp("here")
     folder = Path(shutil.copytree(KEPT, here / "runs" / "kept"))
     Mailbox(folder).open(op.Prompt("touch", "Touch it."))
-    return Console(here / "runs", here, f"http://{HOST}")
+    with locked(run_lock(folder), "a run", print, "run"):
+        yield Console(here / "runs", here, f"http://{HOST}")
 
 
 def call(console: Console, method: str, path: str, headers: dict[str, str], body: bytes) -> Any:
@@ -177,3 +182,32 @@ def test_a_lone_surrogate_is_no_text(console: Console, body: bytes) -> None:
     length = {"content-length": str(len(body)), "x-client": "one"}
     status, _, text = call(console, "POST", "/api/lease", GOOD | length, body)
     assert (status, b"surrogate" in text) == (422, True)
+
+
+def test_what_a_killed_bench_left_open_is_neither_shown_nor_answered(tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(KEPT, tmp_path / "runs" / "killed"))
+    Mailbox(folder).open(op.Prompt("touch", "Touch it."))
+    for name in (LIVE, "left.jpg"):
+        (folder / "console" / name).write_text('{"state": "running"}', encoding="utf-8")
+    console = Console(tmp_path / "runs", tmp_path, f"http://{HOST}")
+    at = "/api/runs/killed"
+    status, _, text = call(console, "GET", at, {**GOOD, "x-client": "one"}, b"")
+    assert (status, json.loads(text)["live"], json.loads(text)["prompt"]) == (200, None, None)
+    assert call(console, "GET", f"{at}/live/left", GOOD, b"")[0] == 404
+    body = json.dumps({"words": "go"}).encode()
+    more = {**GOOD, "content-length": str(len(body)), "x-client": "one"}
+    status, _, text = call(console, "POST", f"{at}/answers/1", more, body)
+    assert (status, json.loads(text)["error"]) == (409, "this run is not under way")
+    assert read_answer(folder, 1) is None
+
+
+def test_a_verdict_of_an_earlier_session_is_not_the_run_s(tmp_path: Path) -> None:
+    """The first was ended and has a report; the second finished, and was killed before its own."""
+    folder = Path(shutil.copytree(KEPT, tmp_path / "runs" / "twice"))
+    (folder / "report").mkdir()
+    judged = {"judgements": [{"detector": "fused", "verdict": "met"}]}
+    for ending, verdicts in (("finished", {"fused": "met"}), ("faulted", {})):
+        text = json.dumps(judged | {"ending": ending})
+        (folder / "report" / "run.json").write_text(text, encoding="utf-8")
+        (card,) = listed(tmp_path / "runs")
+        assert (card["ending"], card["verdicts"]) == ("finished", verdicts)

@@ -456,15 +456,6 @@ def interrupted_at(line: int, store: Store) -> bool:
     return False
 
 
-def test_a_guardian_record_that_is_no_record_is_named(tmp_path: Path) -> None:
-    store = Store.create(tmp_path / "run", {})
-    facts(store)
-    store.close()
-    (tmp_path / "run" / "guardian.json").write_text("{", encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"guardian.json can't be read"):
-        read_run(tmp_path / "run")
-
-
 ACTIONS: tuple[tuple[type, str], ...] = (
     (Stage, "home"),
     (Stage, "move_to"),

@@ -312,6 +312,14 @@ def test_the_run_keeps_its_events_and_a_killed_one_goes_on_with_their_numbers(
     assert teatbench("store check {}", run) == 0, "it is no part of the checked record"
 
 
+def test_a_file_of_events_of_a_killed_bench_goes_on_with_whole_lines(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    path.write_bytes(b'{"number": 7, "what": "doing"}\n{"number": 8, "wh')
+    with event_lines(path) as lines:
+        Events(Silent(), lines).state("capturing")
+    assert [json.loads(line)["what"] for line in path.read_text().splitlines()] == ["doing"] * 2
+
+
 def test_a_folder_that_takes_no_events_is_named_once_and_ends_no_run(tmp_path: Path) -> None:
     files(tmp_path)
     screen, run = Silent(), tmp_path / "run"

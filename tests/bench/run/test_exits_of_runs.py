@@ -173,7 +173,7 @@ def test_instruments_that_are_gone_do_not_keep_the_others_from_safe(
             rig.twin._listeners["bath"] = Listener(
                 rig.twin.bath, clock, lock=lock, name="bath", port=bath.port
             )
-            await_record(rig.run_folder() / "guardian.json", standby=True)
+            await_record(rig.run_folder() / "guardian-1.json", standby=True)
         assert not rig.twin.world.plant.running
         run = read_run(rig.run_folder())
     texts = [event["text"] for event in run.events]

@@ -22,7 +22,10 @@ from bench.record.check import check_run
 from bench.record.reader import RunRecord, read_run
 from bench.record.recording import Recording, RecordingWriter
 from bench.record.writer import Store
+from bench.rig.opening import open_instruments
 from bench.run.events import EVENT, RunState
+from bench.run.interruptions import leave_request
+from bench.run.live import LIVE
 from bench.run.lock import locked, run_lock
 from bench.run.recordings import RECORDED, Recorder
 from bench.run.resume import what_is_left
@@ -271,6 +274,32 @@ def test_a_run_that_somebody_ended_goes_on_too(tmp_path: Path) -> None:
     run = read_run(folder)
     assert len(run.trials) == 3
     assert run.facts["deaths"] == {}, "an end that was asked for is no death"
+
+
+def test_what_a_dead_session_left_is_void_before_the_next_one_opens_anything(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is left from then on is meant for the next one."""
+    files(tmp_path)
+    run = killed_in_the_last_trial(tmp_path, "runs").folder
+    leave_request(run, "abort")
+    (run / "console").mkdir(exist_ok=True)
+    for name in (LIVE, "left.jpg"):
+        (run / "console" / name).write_bytes(b"{}")
+    opened, there = open_instruments, list[bool]()
+
+    def opening(*given: Any, **more: Any) -> Any:
+        there.append((run / "console").exists())
+        leave_request(run, "abort")
+        return opened(*given, **more)
+
+    progress = Silent()
+    with monkeypatch.context() as patched:
+        patched.setattr("bench.run.start.open_instruments", opening)
+        assert resume(tmp_path, "runs", progress)[1] is RunState.ABORTED
+    assert there == [False]
+    assert progress.warned == ["Left in the last session and not taken; it is void now: abort"]
+    assert resume(tmp_path, "runs")[1] is RunState.FINISHED
 
 
 TWO = SCRIPT.replace("}, {}]", "}]")

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from instruments.bath.emulator import BathEmulator
-from instruments.bath.profile import load_register_profile
-from instruments.clock import RealClock
-from instruments.listener import Listener
-from instruments.world.plant import Plant
-from tests.bench.safety.guards import HotBath, Measured
+from tests.bench.safety.guards import HotBath, Measured, hot_bath
 
 
 @pytest.fixture(scope="module")
@@ -34,13 +28,5 @@ def measured(request: pytest.FixtureRequest) -> Measured:
 
 @pytest.fixture
 def hot(tmp_path: Path) -> Iterator[HotBath]:
-    clock, plant = RealClock(), Plant(1, start_c=33.0)
-    plant.run(33.0)
-    emulator = BathEmulator(plant, load_register_profile("julabo-presto"), clock)
-    listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
-    try:
-        url = listener.url.replace("socket://", "tcp://")
-        yield HotBath(plant, emulator, clock, url, tmp_path)
-    finally:
-        listener.close()
-        clock.close()
+    with hot_bath(tmp_path) as bath:
+        yield bath

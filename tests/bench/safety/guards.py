@@ -5,14 +5,18 @@ stop.
 from __future__ import annotations
 
 import json
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from instruments.bath.emulator import BathEmulator
+from instruments.bath.profile import load_register_profile
 from instruments.clock import RealClock
+from instruments.listener import Listener
 from instruments.world.plant import Plant
 
 PATIENCE_S = 60.0
@@ -35,6 +39,21 @@ class HotBath:
         return guardian_record(self.folder)
 
 
+@contextmanager
+def hot_bath(folder: Path) -> Iterator[HotBath]:
+    """It heats, and guardians write in ``folder``."""
+    clock, plant = RealClock(), Plant(1, start_c=33.0)
+    plant.run(33.0)
+    emulator = BathEmulator(plant, load_register_profile("julabo-presto"), clock)
+    listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
+    try:
+        url = listener.url.replace("socket://", "tcp://")
+        yield HotBath(plant, emulator, clock, url, folder)
+    finally:
+        listener.close()
+        clock.close()
+
+
 def within(seconds: float, there: Callable[[], bool], what: str) -> float:
     """How long it took."""
     start = time.monotonic()
@@ -52,12 +71,13 @@ def standby_after(plant: Plant) -> float:
 def guardian_record(
     folder: Path, done: Callable[[dict[str, Any]], bool] = lambda _: True
 ) -> dict[str, Any]:
-    """What the guardian has written in ``folder``, once it is ``done``."""
+    """What the last guardian has written in ``folder``, once it is ``done``."""
     text: dict[str, Any] = {}
 
     def there() -> bool:
-        path = folder / "guardian.json"
-        text.update(json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {})
+        for path in sorted(folder.glob("guardian*.json"))[-1:]:
+            text.clear()
+            text.update(json.loads(path.read_text(encoding="utf-8")))
         return bool(text) and done(text)
 
     within(PATIENCE_S, there, "the guardian's record")

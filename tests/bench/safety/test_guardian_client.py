@@ -26,10 +26,9 @@ from bench.safety.guardian_client import (
     GuardianClient,
     GuardianTarget,
     Heartbeat,
-    guarded,
 )
 from instruments.bath.driver import Bath
-from instruments.clock import RealClock, VirtualClock, stopwatch_s
+from instruments.clock import RealClock, stopwatch_s
 from instruments.errors import LinkError
 from instruments.link import Link
 from tests.bench.safety.guards import PATIENCE_S, HotBath, standby_after, within
@@ -45,6 +44,26 @@ def test_done_lets_the_guardian_go_and_leaves_the_bath_alone(hot: HotBath) -> No
     with guardian_of(hot) as line:
         assert line.lost is None
         line.done()
+    assert hot.plant.running
+    assert list(hot.folder.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_what_another_guardian_wrote_is_not_taken_for_this_one_s(hot: HotBath) -> None:
+    (hot.folder / "guardian.json").write_text('{"standby": true}', encoding="utf-8")
+    with guardian_of(hot) as line:
+        start_s = time.monotonic()
+        while time.monotonic() - start_s < 2.0 * BEAT_S:
+            assert line.lost is None
+            time.sleep(0.05)
+        line.done()
+    assert hot.plant.running
+
+
+@pytest.mark.slow
+def test_left_before_anything_heats_the_guardian_leaves_the_bath_alone(hot: HotBath) -> None:
+    with guardian_of(hot) as line:
+        line.heats = False
     assert hot.plant.running
     assert list(hot.folder.iterdir()) == []
 
@@ -151,7 +170,8 @@ def test_the_guardian_is_small_and_gets_no_signal_that_is_meant_for_the_bench(
                 os.kill(line.pid, name)
             assert os.getsid(line.pid) != os.getsid(0)
             held = [str(path.readlink()) for path in Path(f"/proc/{line.pid}/fd").iterdir()]
-            assert len(held) == 3, f"pipes to the bench, its log, and nothing else: {held}"
+            assert len(held) == 4, f"pipes to the bench, its log, the bath's lock: {held}"
+            assert sum(name.endswith(".owner") for name in held) == 1
             assert sum(name.startswith("pipe:") for name in held) == 2
             assert sum(name.endswith("guardian.log") for name in held) == 1
         time.sleep(0.5)
@@ -163,12 +183,6 @@ def test_the_guardian_is_small_and_gets_no_signal_that_is_meant_for_the_bench(
 def test_a_guardian_that_cannot_start_is_reported_with_its_own_words(tmp_path: Path) -> None:
     with pytest.raises(LinkError, match=r"did not start.*no-such-family"):
         GuardianClient(GuardianTarget("tcp://127.0.0.1:1", "no-such-family"), tmp_path, Heartbeat())
-
-
-def test_under_virtual_time_there_is_nothing_to_guard(tmp_path: Path) -> None:
-    target = GuardianTarget("tcp://127.0.0.1:1", "julabo-presto")
-    with guarded(target, tmp_path, VirtualClock()) as (_, guardian_client):
-        assert guardian_client is None
 
 
 BENCH_THAT_FORKS = """

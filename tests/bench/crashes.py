@@ -1,0 +1,383 @@
+"""A bench that is killed in real time and its run resumed: the cells of the matrix.
+
+The rig is that of `emulate --write-rig`: emulators in this process, which go on when a bench of
+another process dies, cameras as streams. Its arm, hands and stage make no errors and a scene looks
+the same whenever it is seen, so that trials can be compared to the last bit.
+"""
+
+from __future__ import annotations
+
+import signal
+import sqlite3
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import psutil
+
+from bench.record.check import check_run
+from bench.record.reader import read_run
+from bench.record.schema import DATABASE
+from bench.report.wording import guardian_text
+from bench.rig.emulated_rig import EmulatedRig
+from bench.rig.loading import load_rig
+from bench.rig.urls import ELSEWHERE
+from instruments.camera.frame import FrameSet
+from instruments.camera.stream import StreamServer
+from instruments.clock import RealClock
+from instruments.listener import Listener
+from instruments.operators.remote import OperatorPort
+from tests.bench.marked_bench import MARK, marked_bench
+from tests.bench.operated_runs import write_calibration
+from tests.bench.real_rig import RealRig
+from tests.bench.safety.guards import within
+
+SCRIPT = """
+title = "Short"
+detectors = ["thesis"]
+
+[bath]
+set_point_c = 33.0
+window_s = 2.0
+slope_k_per_min = 10.0
+teat_slope_k_per_min = 10.0
+
+[[requirements]]
+kind = "bath_in_band"
+name = "bath"
+band_k = 0.5
+
+[[trials]]
+name = "place"
+situation = "ideal"
+layout = "table-5-1"
+set_up = "Teats as in table 5.1."
+poses = [{ x_mm = 12.0, y_mm = -8.0 }, { x_mm = -15.0, z_mm = 6.0 }]
+"""
+
+RIG = """
+name = "a rig that outlives its bench"
+calibration = "calibration.toml"
+
+[operator]
+url = "{operator}"
+
+[arm]
+url = "{arm}"
+touches = 1
+packets = 2
+answer_s = 60.0
+check_point_mm = [-190.0, 120.0, 15.0]
+check_touches = 2
+
+[bath]
+url = "{bath}"
+profile = "{profile}"
+cut_out_tested = "2024-03-01"
+{pump_part}
+
+[stage]
+url = "{stage}"
+feed_mm_per_min = 5000.0
+
+[cameras]
+settle_s = 0.6
+max_skew_s = 5.0
+
+[cameras.left]
+url = "{left}"
+
+[cameras.right]
+url = "{right}"
+
+[cameras.thermal]
+url = "{thermal}"
+
+[cameras.checks]
+frozen = false
+
+[limits]
+bath_silence_s = 30.0
+{emulation}
+"""
+
+EMULATION = """
+[emulation]
+bath_start_c = 33.0
+arm_accuracy_mm = 0.0
+hand_tremor_mm = 0.0
+hand_error_mm = 0.0
+
+[emulation.stage.settings]
+24 = 1500.0
+25 = 6000.0
+110 = 6000.0
+111 = 6000.0
+112 = 6000.0
+120 = 1000.0
+121 = 1000.0
+122 = 1000.0
+"""
+HERE = dict.fromkeys(("operator", "arm", "bath", "stage", "left", "right", "thermal"), "emulator:")
+PUMP = 'pump_url = "{}"\npump_profile = "modbus-relay"'
+
+
+class SteadyCameras:
+    """The cameras of ``twin``. A place of the phantom is drawn once for all rigs of a process."""
+
+    _drawn: ClassVar[dict[bytes, FrameSet]] = {}
+    _lock = threading.Lock()
+
+    def __init__(self, twin: EmulatedRig, clock: RealClock) -> None:
+        self._twin, self._clock = twin, clock
+        self._last: FrameSet | None = None
+
+    def capture(self) -> FrameSet:
+        twin = self._twin
+        with twin.world.lock:
+            ends = np.round(twin.world.ends_mm(), 3).tobytes()
+            stands = twin.stage is None or not twin.stage.velocity().any()
+        with self._lock:
+            if stands or self._last is None:
+                if ends not in self._drawn:
+                    self._drawn[ends] = twin.cameras.capture()
+                self._last = self._drawn[ends]
+        now_s = self._clock.now()
+        return replace(self._last, exposed_s=dict.fromkeys(self._last.exposed_s, now_s))
+
+
+@contextmanager
+def lasting_rig(
+    folder: Path, *, profile: str = "julabo-presto", pump: bool = False, pty: bool = False
+) -> Iterator[RealRig]:
+    """Emulators in real time and the files of a rig whose bench may die. ``pump``: a relay of its
+    own turns the bath's; ``pty``: whatever has a serial port is on a pseudo-terminal.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    write_calibration(folder)
+    cameras = """[cameras]\nurl = "emulator:"\n"""
+    text = RIG.format(
+        **HERE, profile=profile, emulation=EMULATION, pump_part=PUMP.format("emulator:") * pump
+    )
+    before, _, rest = text.partition("[cameras]")
+    twin_text = before + cameras + "[limits]" + rest.partition("[limits]")[2]
+    (folder / "twin.toml").write_text(twin_text, encoding="utf-8")
+    with (
+        closing(RealClock()) as clock,
+        EmulatedRig(load_rig(folder / "twin.toml"), clock, 3, pty=pty) as twin,
+        closing(StreamServer(SteadyCameras(twin, clock), clock)) as streams,
+        closing(
+            Listener(OperatorPort(twin.operator), clock, lock=threading.RLock(), name="operator")
+        ) as hands,
+    ):
+        urls = twin.urls | {name: f"opencv:{url}" for name, url in streams.urls.items()}
+        urls["operator"] = hands.url.replace("socket://", ELSEWHERE)
+        part = PUMP.format(urls["pump"]) if pump else ""
+        rig, script = folder / "lab.toml", folder / "short.toml"
+        text = RIG.format(**urls, profile=profile, emulation="", pump_part=part)
+        rig.write_text(text, encoding="utf-8")
+        script.write_text(SCRIPT, encoding="utf-8")
+        yield RealRig(twin, folder, rig, script)
+
+
+# ---- a cell: where the bench is killed, whether its bath can be reached, what its guardian does
+
+# the mark of each, and which time it is said: the second is of the second trial, where there is one
+STATES = {
+    "starting the guardian": ("starting the guardian", 1),
+    "bring-up": ("bringing up", 1),
+    "signing on": ("signing on", 1),
+    "homing": ("homing", 1),
+    "heating": ("heating", 1),
+    "settling": ("settling", 1),
+    "moving": ("moving", 2),
+    "capture": ("photographing", 2),
+    "touch": ("touching", 6),
+    "detect": ("detecting", 2),
+    "storing": ("storing", 2),
+    "going to safe": ("going to safe", 1),
+    "at the end": ("ending", 1),
+}
+REACHED, SILENT = "reached", "silent"
+# what becomes of the guardian until the run is resumed, by whether the bath answers at the death;
+# with a pump of its own there is also PUMP_ON: it has acted, and waits to stop the pump
+PUMP_ON = "running the pump on"
+GUARDIANS = {
+    REACHED: ("acted", "at once", "gone", "frozen"),
+    SILENT: ("acted later", "trying", "gone", "frozen"),
+}
+CELLS = [(state, bath, how) for bath in GUARDIANS for how in GUARDIANS[bath] for state in STATES]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one cell: the run's folder, its sessions, how long the resumed bench took."""
+
+    run: Path
+    sessions: int
+    seconds: float
+    trials: dict[str, list[Any]]
+    said: str
+    latched: bool
+
+
+def undisturbed(folder: Path) -> dict[str, list[Any]]:
+    with lasting_rig(folder) as rig, marked_bench(rig, "none") as running:
+        running.process.join(240)
+        assert running.process.exitcode == 0, running.said
+        return trials_of(rig.run_folder())
+
+
+def crash(folder: Path, state: str, bath: str, how: str, **more: Any) -> Outcome:
+    """Kill a bench in ``state`` and resume its run to the end."""
+    with lasting_rig(folder, **more) as rig, ended_at_last() as left:
+        guardian = killed_in(rig, state, silent=bath == SILENT, with_guardian=how)
+        left.append(guardian)
+        run = rig.run_folder()
+        wait_for_the_guardian(rig, guardian, how)
+        if how == "trying":
+            resumed(rig, run, 3)
+        if bath == SILENT:
+            silence(rig, on=False)
+        start_s = time.monotonic()
+        said = resumed(rig, run, 0)
+        seconds = time.monotonic() - start_s
+        with suppress(psutil.NoSuchProcess):  # one that was frozen before it had the bath
+            psutil.Process(guardian).resume()
+        within(60.0, lambda: not alive(guardian), "the old guardian has ended")
+        assert not rig.twin.world.plant.running
+        assert check_run(run).whole
+        record = read_run(run)
+        assert record.ending == "finished"
+        assert record.guardian is None, "the last session needed none"
+        for one in record.guardians.values():
+            assert guardian_text(one)
+        latched = rig.rig_path.with_name("lab.tripped.json").exists()
+        return Outcome(run, record.sessions, seconds, trials_of(run), said, latched)
+
+
+@contextmanager
+def ended_at_last() -> Iterator[list[int]]:
+    """Processes that are not left behind by a test that fails."""
+    left: list[int] = []
+    try:
+        yield left
+    finally:
+        for pid in filter(alive, left):
+            psutil.Process(pid).kill()
+
+
+def killed_in(rig: RealRig, state: str, *, silent: bool, with_guardian: str) -> int:
+    """The pid of the guardian that the bench left."""
+    step, nth = STATES[state]
+    with marked_bench(rig, step) as running:
+        for _ in range(nth):
+            running.wait_for(f"{MARK}{step}")
+        (guardian,) = guardians_of(running.process.pid)
+        if silent:
+            silence(rig)
+        if with_guardian == "gone":
+            guardian.kill()
+        elif with_guardian == "frozen":
+            guardian.suspend()
+        running.signal("SIGKILL")
+        running.process.join(60)
+        assert running.process.exitcode == -signal.SIGKILL
+    return int(guardian.pid)
+
+
+def guardians_of(pid: int) -> list[psutil.Process]:
+    children = psutil.Process(pid).children()
+    return [child for child in children if ".guardian" in " ".join(child.cmdline())]
+
+
+def alive(pid: int) -> bool:
+    try:
+        return bool(psutil.Process(pid).status() != psutil.STATUS_ZOMBIE)
+    except psutil.NoSuchProcess:
+        return False
+
+
+def wait_for_the_guardian(rig: RealRig, guardian: int, how: str) -> None:
+    if how == PUMP_ON:
+        within(60.0, lambda: "pump" in acted(rig), "the pump runs on")
+        assert rig.twin.world.plant.pump == "on"
+    if how == "acted later":
+        within(60.0, lambda: tries(rig) > 0, "a try that failed")
+        silence(rig, on=False)
+    if how in ("acted", "acted later"):
+        within(60.0, lambda: not alive(guardian), "the guardian has acted and gone")
+        assert acted(rig)["standby"] is True
+    elif how == "trying":
+        within(60.0, lambda: tries(rig) > 0, "a try that failed")
+    elif how == "gone":
+        within(60.0, lambda: not alive(guardian), "the guardian has died")
+
+
+def acted(rig: RealRig) -> Mapping[str, Any]:
+    """What the first session's guardian has written."""
+    return read_run(rig.run_folder()).guardians.get(1, {})
+
+
+def tries(rig: RealRig) -> int:
+    return int(acted(rig).get("tries", 0))
+
+
+def silence(rig: RealRig, *, on: bool = True) -> None:
+    with rig.twin.world.lock:
+        rig.twin.bath.fault("silence", on=on)
+
+
+def another_run(folder: Path) -> tuple[Mapping[str, Any], dict[str, list[Any]]]:
+    """A run is begun on a rig where the guardian of another one still tries, and again once the
+    bath answers: what that guardian wrote, and the last run's trials.
+    """
+    with lasting_rig(folder) as rig, ended_at_last() as left:
+        guardian = killed_in(rig, "settling", silent=True, with_guardian="trying")
+        left.append(guardian)
+        wait_for_the_guardian(rig, guardian, "trying")
+        run = rig.run_folder()
+        resumed(rig, None, 3)
+        assert not alive(guardian), "it had ended before the next one was ready"
+        silence(rig, on=False)
+        resumed(rig, None, 0)
+        assert check_run(run).whole
+        return read_run(run).guardians[1], trials_of(max(rig.out.iterdir()))
+
+
+def resumed(rig: RealRig, run: Path | None, code: int) -> str:
+    """What the bench said that resumed ``run``, or began one, and ended with ``code``."""
+    with marked_bench(rig, "none", run) as running:
+        running.process.join(240)
+        assert running.process.exitcode == code, running.said
+    return running.said
+
+
+# ---- what two runs in real time have in common
+
+VARIES = ("session", "cold", "bath_c")
+TABLES = (
+    *("trials", "skipped", "frames", "touches", "truth", "detections", "found", "invalidated"),
+    "scores",
+)
+
+
+def trials_of(run: Path) -> dict[str, list[Any]]:
+    """All rows of all trials without times, and what depends on them."""
+    with closing(sqlite3.connect(run / DATABASE)) as db:
+        found = {}
+        for table in TABLES:
+            columns = [row[1] for row in db.execute(f"PRAGMA table_info({table})")]
+            kept = [
+                name
+                for name in columns
+                if not name.startswith("wall") and not name.endswith("_s") and name not in VARIES
+            ]
+            query = f"SELECT {', '.join(kept)} FROM {table}"
+            found[table] = sorted(db.execute(query).fetchall(), key=repr)
+    return found

@@ -1,0 +1,112 @@
+"""What guardians wrote in a run's folder, read by session: of today's bench, and of one that wrote
+one file for all sessions.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+from contextlib import closing
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.config import ConfigError
+from bench.record.check import Weight, check_run
+from bench.record.reader import RunRecord, read_run
+from bench.record.schema import DATABASE
+from bench.record.writer import Store
+from bench.report.bath import _care_parts
+from bench.report.wording import guardian_text
+from bench.run.resume import keep_guardians
+from instruments.clock import wall_time
+from tests.bench.small_run import KEPT
+
+
+def acted(minutes: float = 0.0, **more: Any) -> dict[str, Any]:
+    """What a guardian writes; ``minutes`` ago."""
+    when = (wall_time() - timedelta(minutes=minutes)).isoformat(timespec="milliseconds")
+    record = {"cause": "died", "why": "its end of the pipe closed without a word", "guardian": 7}
+    record |= {"wall_last_sign": when, "wall_noticed": when, "wall_safe": when, "bath": "COM3"}
+    return record | {"standby": True, "tries": 1, "seconds": 0.01, "error": ""} | more
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    return Path(shutil.copytree(KEPT, tmp_path / "run"))
+
+
+def write(run: Path, name: str, record: dict[str, Any]) -> None:
+    (run / name).write_text(json.dumps(record), encoding="utf-8")
+
+
+def goes_on(run: Path) -> None:
+    """A further session, as resume begins it."""
+    with closing(Store(run)) as store:
+        keep_guardians(store)
+
+
+def paragraphs(record: RunRecord) -> str:
+    return repr(list(_care_parts(record)))
+
+
+def test_each_session_has_its_own_and_the_last_one_s_says_how_the_run_stands(run: Path) -> None:
+    write(run, "guardian-1.json", first := acted())
+    assert read_run(run).guardian == first
+    goes_on(run)
+    record = read_run(run)
+    assert (record.guardians, record.guardian) == ({1: first}, None), "this session needed none"
+    write(run, "guardian-2.json", second := acted(cause="hung", why="moving"))
+    record = read_run(run)
+    assert record.guardians == {1: first, 2: second}
+    assert record.guardian == second
+    assert f"Session 1: {guardian_text(first)}" in paragraphs(record)
+    assert f"Session 2: {guardian_text(second)}" in paragraphs(record)
+
+
+@pytest.mark.parametrize("session", [1, 2])
+def test_an_older_bench_s_file_belongs_to_the_session_that_it_ended(
+    run: Path, session: int
+) -> None:
+    if session == 2:
+        goes_on(run)
+    write(run, "guardian.json", before := acted(minutes=-1.0))
+    goes_on(run)
+    with closing(sqlite3.connect(run / DATABASE)) as db:  # as if the next came an hour later
+        later = (wall_time() + timedelta(hours=1)).isoformat(timespec="milliseconds")
+        db.execute("UPDATE sessions SET wall_time = ? WHERE number = ?", (later, session + 1))
+        db.commit()
+    record = read_run(run)
+    assert record.guardians == {session: before}
+    assert record.guardian is None
+
+
+def test_what_the_next_session_found_is_in_the_chain(run: Path) -> None:
+    write(run, "guardian-1.json", acted())
+    note = (
+        "guardian-1.json is in no link of the chain: its guardian wrote it after the bench had died"
+    )
+    found = [(one.weight, one.text) for one in check_run(run).findings]
+    assert (Weight.NOTE, note) in found
+    goes_on(run)
+    checked = check_run(run)
+    assert checked.whole
+    assert note not in [one.text for one in checked.findings]
+    write(run, "guardian-1.json", acted(tries=2))
+    damage = [one.text for one in check_run(run).findings if one.weight is Weight.DAMAGE]
+    assert damage == ["guardian-1.json is not as the next session found it"]
+    (run / "guardian-1.json").unlink()
+    damage = [one.text for one in check_run(run).findings if one.weight is Weight.DAMAGE]
+    assert damage == ["guardian-1.json can't be read: No such file or directory"]
+    assert read_run(run).guardians[1]["tries"] == 1, "the record has it still"
+
+
+@pytest.mark.parametrize("name", ["guardian.json", "guardian-1.json"])
+def test_one_that_is_no_record_is_named(run: Path, name: str) -> None:
+    (run / name).write_text("{", encoding="utf-8")
+    with pytest.raises(ConfigError, match=f"{name} can't be read"):
+        read_run(run)
+    assert not check_run(run).whole
