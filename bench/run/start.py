@@ -30,7 +30,7 @@ from bench.run.recordings import RECORDED, Recorder, recorder_again
 from bench.run.resume import ASKED, RehearsedStore, ResumePoint, files_of, open_store, what_is_left
 from bench.run.rows import write_facts
 from bench.run.trial import refuse_carry, write_trial
-from bench.safety.guardian_client import GuardianTarget, guarded
+from bench.rig.guardian_client import GuardianTarget, guarded
 from bench.safety.latch import refuse_latched, refuse_untested_cut_out
 from bench.safety.signals import current, undisturbed
 from bench.script.calibration_age import (

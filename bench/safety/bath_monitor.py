@@ -18,7 +18,7 @@ from bench.record.schema import Row
 from bench.record.writer import Store
 from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig
-from bench.safety.guardian_client import GuardianClient, Heartbeat
+from bench.rig.guardian_client import GuardianClient, Heartbeat
 from bench.safety.interlocks import (
     GUARDIAN,
     Interlocks,

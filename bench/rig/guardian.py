@@ -1,7 +1,7 @@
 """The guardian: a small process of its own that puts the bath into standby when the bench dies or
 hangs.
 
-    python -m bench.safety.guardian --url tcp://host:502 --profile julabo-presto --record
+    python -m bench.rig.guardian --url tcp://host:502 --profile julabo-presto --record
     runs/…/guardian.json
 
 The bench starts it and writes lines to its standard input: ``alive`` once a second, ``hung: …``
@@ -236,7 +236,7 @@ def _text(when: datetime) -> str:
 
 def _parser() -> argparse.ArgumentParser:
     about = "Puts a bath into standby when the bench that started it dies."
-    parser = argparse.ArgumentParser(prog="bench.safety.guardian", description=about)
+    parser = argparse.ArgumentParser(prog="bench.rig.guardian", description=about)
     add = parser.add_argument
     add("--url", required=True)
     add("--profile", required=True)

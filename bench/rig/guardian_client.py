@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import IO, cast
 
 from bench.record.schema import GUARDIAN
-from bench.safety.guardian import ALIVE, DONE, HUNG, READY, TAKE_OVER
+from bench.rig.guardian import ALIVE, DONE, HUNG, READY, TAKE_OVER
 from instruments.clock import Clock, RealClock, VirtualClock, stopwatch_s
 from instruments.errors import LinkError
 
@@ -126,7 +126,7 @@ class GuardianClient:
         self._ready = False
         self._unanswered = 0
         self._log, self._acted = folder / LOG, folder / GUARDIAN
-        command = [sys.executable, "-X", "utf8", "-m", "bench.safety.guardian", *target.arguments]
+        command = [sys.executable, "-X", "utf8", "-m", "bench.rig.guardian", *target.arguments]
         command += ["--record", str(folder.resolve() / GUARDIAN), "--bench", str(os.getpid())]
         with self._log.open("wb") as log:
             self._process = _spawn(command, log)
