@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, cast
 
-from bench.record.schema import GUARDIAN
 from bench.rig.guardian import ALIVE, DONE, HUNG, READY, TAKE_OVER
 from instruments.clock import Clock, RealClock, VirtualClock, stopwatch_s
 from instruments.errors import LinkError
@@ -91,7 +90,7 @@ class Heartbeat:
         return None
 
 
-LOG = "guardian.log"
+LOG, GUARDIAN = "guardian.log", "guardian.json"  # the latter is read by bench.record
 BEAT_S = 1.0
 UNANSWERED = 3  # beats; one more, and the oldest has had no echo for so many times BEAT_S
 END_S = 5.0
@@ -99,18 +98,46 @@ START_S = 30.0  # a loaded machine reads Python's modules slowly
 
 
 @dataclass(frozen=True, slots=True)
-class GuardianTarget:
-    """A bath, and the relay of its pump where it has one; profiles by name or whole path."""
+class StageTarget:
+    """A stage, as its driver is made; ``motors`` of a Zaber: device, axis, microsteps."""
 
     url: str
-    profile: str
-    pump_url: str = ""
-    pump_profile: str = ""
-    allow_inferred: bool = False
+    baud: int
+    dialect: str
+    axes: str
+    motors: tuple[tuple[int, int, float], ...] = ()
 
     @property
     def arguments(self) -> list[str]:
-        given = [f"--url={self.url}", f"--profile={self.profile}"]
+        motors = ";".join(" ".join(map(str, motor)) for motor in self.motors)
+        return [
+            f"--stage-url={self.url}",
+            f"--stage-baud={self.baud}",
+            f"--stage-dialect={self.dialect}",
+            f"--stage-axes={self.axes}",
+            *([f"--stage-motors={motors}"] if motors else []),
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class GuardianTarget:
+    """A bath, and the relay of its pump where it has one; profiles by name or whole path. With a
+    ``stage``, or a stage alone (no ``url``).
+    """
+
+    url: str = ""
+    profile: str = ""
+    pump_url: str = ""
+    pump_profile: str = ""
+    allow_inferred: bool = False
+    stage: StageTarget | None = None
+
+    @property
+    def arguments(self) -> list[str]:
+        of_stage = self.stage.arguments if self.stage else []
+        if not self.url:
+            return of_stage
+        given = [f"--url={self.url}", f"--profile={self.profile}", *of_stage]
         if self.pump_url:
             given += [f"--pump-url={self.pump_url}", f"--pump-profile={self.pump_profile}"]
         return [*given, *(["--allow-inferred"] if self.allow_inferred else [])]

@@ -18,6 +18,8 @@ from bench.record.schema import RULES, SCRIPT
 from bench.record.writer import Store, new_run_folder
 from bench.results.answers import Examiner
 from bench.results.cameras_agree import can_tell, spread, where_seen
+from bench.rig.guardian_client import guarded
+from bench.rig.leaving import target_of
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import in_virtual_time, open_instruments
 from bench.run.context import RunContext
@@ -30,7 +32,6 @@ from bench.run.recordings import RECORDED, Recorder, recorder_again
 from bench.run.resume import ASKED, RehearsedStore, ResumePoint, files_of, open_store, what_is_left
 from bench.run.rows import write_facts
 from bench.run.trial import refuse_carry, write_trial
-from bench.rig.guardian_client import GuardianTarget, guarded
 from bench.safety.latch import refuse_latched, refuse_untested_cut_out
 from bench.safety.signals import current, undisturbed
 from bench.script.calibration_age import (
@@ -211,16 +212,14 @@ def _run(
                 seed=how.seed or 0,
                 realtime=how.realtime,
                 capture=how.capture,
+                supervised=True,
                 screen=events.aside,
                 start_s=left.last_s + BETWEEN_S if left else 0.0,
                 folder=store.folder,
             ) as devices,
         ):
             refuse_other_cameras(rig.calibration.record, devices.cameras.identity)
-            bath, inferred = devices.bath, rig.rig.bath.allow_inferred
-            target = GuardianTarget(
-                bath.url, rig.profile_source, bath.pump_url, rig.relay_source, inferred
-            )
+            target = target_of(rig, devices.bath, devices.stage)
             with guarded(target, store.folder, devices.clock) as (heartbeat, guardian_client):
                 ctx = RunContext(rig, script, devices, store, events, heartbeat, guardian_client)
                 engine = Engine(

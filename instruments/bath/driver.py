@@ -92,6 +92,7 @@ class Bath:
         self.before_heating: Callable[[], None] = lambda: None
         self.heats = False  # by a call of ours, and no standby was read back since
         self.pump_on = False  # the same of a pump with its own switch
+        self.watched = True  # whether its own watchdog is set, where it has one
         self._watched_s: float | None = None  # what its watchdog was set to before us
         self._started = False
         self._times_made_safe = 0
@@ -257,7 +258,7 @@ class Bath:
     def _set_watchdog(self) -> None:
         """Have the controller stop by itself where no messages come, if it can."""
         seconds = self.profile.watchdog_s
-        if seconds is None or not self._rows.may_ask(self._rows.row(WATCHDOG)):
+        if seconds is None or not self.watched or not self._rows.may_ask(self._rows.row(WATCHDOG)):
             return
         if self._watched_s is None:
             found_s = self.get(WATCHDOG)

@@ -76,7 +76,7 @@ class Stage:
             hint = f"Declare {', '.join(DECLARABLE)}."
             raise LimitError(link.who, f"a stage has no axes {axes!r}", hint=hint)
         self.axes = axes
-        self.who = link.who
+        self.url, self.who = link.url, link.who
         self._link = link
         self._clock = clock
         match dialect:
@@ -253,12 +253,10 @@ class Stage:
         self._dialogue.brake()
 
     def stands(self) -> Status | None:
-        """The report, read now and from any thread, of a stage that stands; None where it moves
-        still, or where a question of its owner is under way. Raises as ``status``.
+        """The report, read now and from any thread, of a stage that brakes and stands; None where a
+        question of its owner is under way. Raises DeviceError if it doesn't, else as ``status``.
         """
-        status = self._dialogue.between(self._dialogue.status)
-        still = status is not None and bool({status.state, status.name} & STILL)
-        return status if still else None
+        return self._dialogue.between(self._until_still)
 
     def stop(self) -> None:
         """Bring the stage to a stand from any state, wait, and read it back. Keeps the position
