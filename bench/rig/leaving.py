@@ -56,8 +56,9 @@ def target_of(rig: LoadedRig, bath: Bath | None, stage: Stage | None) -> Guardia
 
 
 class Leaving:
-    """Watches the ``devices`` of ``rig`` from their opening to their closing. ``guards``: guardians
-    are started for them; ``leave_running``: they are left as they are, which is noted.
+    """Watches the ``devices`` of ``rig`` from their opening to their closing. ``guards``: they
+    outlive this process, and have guardians; ``leave_running``: they are left as they are, which is
+    noted.
     """
 
     def __init__(
@@ -104,8 +105,10 @@ class Leaving:
         names, why = ", ".join(unsafe), " ".join(said)
         trying = "The guardian goes on trying. " if self._guardians else ""
         what = f"NOT SAFE: {names}. {why} {trying}SWITCH IT OFF BY HAND"
+        if not self._guards:
+            what = f"{names} of the emulated rig: {why}"
         self._warn(f"{what}.")
-        return NotSafeError("rig", what)
+        return NotSafeError("rig", what) if self._guards else None
 
     def _guard(self, name: str, bath: Bath | None, stage: Stage | None) -> None:
         """Before anything is sent that heats or moves. Raises LinkError without a guardian."""

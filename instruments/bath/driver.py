@@ -93,7 +93,8 @@ class Bath:
         self.heats = False  # by a call of ours, and no standby was read back since
         self.pump_on = False  # the same of a pump with its own switch
         self.watched = True  # whether its own watchdog is set, where it has one
-        self._watched_s: float | None = None  # what its watchdog was set to before us
+        self.watchdog_s: float | None = None  # set by us, and read back
+        self._found_s: float | None = None  # what it was set to before
         self._started = False
         self._times_made_safe = 0
         if identify:
@@ -213,17 +214,12 @@ class Bath:
                     self._stands_by()
                     return
 
-    @property
-    def watchdog_s(self) -> float | None:
-        """After how long without messages its own watchdog stops it; None where we set none."""
-        return None if self._watched_s is None else self.profile.watchdog_s
-
     def release_watchdog(self, found_s: float | None = None) -> None:
         """Set its watchdog as it was found, or it would raise an alarm once we have gone.
         ``found_s``: where another has set it. What fails here costs no safety.
         """
-        watched_s, self._watched_s = self._watched_s, None
-        found_s = watched_s if found_s is None else found_s
+        ours_s, self._found_s, self.watchdog_s = self._found_s, None, None
+        found_s = ours_s if found_s is None else found_s
         if found_s is not None and self.profile.watchdog_s is not None:
             with self._lock, suppress(InstrumentError):
                 self.set(WATCHDOG, found_s)
@@ -256,15 +252,22 @@ class Bath:
             self.pump_on = wanted == row.values["on"]
 
     def _set_watchdog(self) -> None:
-        """Have the controller stop by itself where no messages come, if it can."""
+        """Have the controller stop by itself where no messages come, if it can: some models of a
+        family have no such row.
+        """
         seconds = self.profile.watchdog_s
         if seconds is None or not self.watched or not self._rows.may_ask(self._rows.row(WATCHDOG)):
             return
-        if self._watched_s is None:
+        try:
             found_s = self.get(WATCHDOG)
-            # our own of a session that died is none that a person has set
-            self._watched_s = 0.0 if found_s == seconds else found_s
-        self.set(WATCHDOG, seconds)
+            if self._found_s is None:
+                # our own of a session that died is none that a person has set
+                self._found_s = 0.0 if found_s == seconds else found_s
+            self.set(WATCHDOG, seconds)
+        except InstrumentError:
+            self.watchdog_s = None
+        else:
+            self.watchdog_s = seconds
 
     def _switch(self, relay: RegisterAccess, value: float | str) -> None:
         pump, run = relay.row(PUMP), self._rows.row("run")

@@ -164,7 +164,7 @@ def _is_switch(row: Quantity) -> bool:
     return row.access == "rw" and {"on", "off"} <= set(row.values)
 
 
-WATCHDOG_LEAST_S = 20.0  # a poll and all its retries have to feed it
+WATCHDOG_LEAST_S = 10.0  # a poll that is tried again has to feed it
 AlarmCause = Literal["level", "sensor", "over-temperature", "other"]
 CommsLoss = Literal["hold", "stop", "safe_setpoint", "unknown"]
 SHIPPED = Path(__file__).with_name("profiles")
