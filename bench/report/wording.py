@@ -229,12 +229,17 @@ def guardian_text(record: Mapping[str, Any]) -> str:
         "hung": f"The bench hung ({why}); its last sign of life was at {record['wall_last_sign']}",
         "gave up": f"At {when} the bench gave up: {why}",
     }[record["cause"]]
+    more = ""
+    if stage := record.get("stage"):
+        more = " The stage stands, by its own report."
+        if not stage["stands"]:
+            more = f" THE STAGE COULD NOT BE STOPPED ({stage['error']}): cut its power."
     if not record["standby"]:
         return (
             f"{what}; THE GUARDIAN COULD NOT REACH THE BATH in {record['tries']} tries"
-            f" ({record['error']}): switch it off by hand."
+            f" ({record['error']}): switch it off by hand.{more}"
         )
-    more = " The hung bench kept the port and was ended." if record.get("killed") else ""
+    more += " The hung bench kept the port and was ended." if record.get("killed") else ""
     more += f" The pump {record['pump']}." if "pump" in record else ""
     return (
         f"{what}; the guardian had the bath in standby at {record['wall_safe']},"

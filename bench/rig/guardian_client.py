@@ -235,6 +235,7 @@ class GuardianClient:
             self._said.set()
             for _ in pipe:
                 self._unanswered = 0
+        self._process.wait()  # its end, however late, leaves no zombie
 
     def _beat(self) -> None:
         while not self._ended.wait(BEAT_S):

@@ -254,7 +254,7 @@ class TripHandler:
         braked = attempt("stage", stage.brake) if stage and not self._held else None
         heater = attempt("heater", lambda: heater_off(self._devices.bath), "is in standby")
         if stage and braked:
-            steps.append(_held(stage) if braked.is_safe else braked)
+            steps.append(held(stage) if braked.is_safe else braked)
         self._held = self._held or all(step.is_safe for step in steps)
         steps.append(heater)
         if not self._reported:
@@ -283,7 +283,7 @@ class TripHandler:
             self._warn(f"{what}. Nothing but you keeps the next run from starting.")
 
 
-def _held(stage: Stage) -> Safing:
+def held(stage: Stage) -> Safing:
     """Whether a stage that was told to brake stands, by its own report."""
     shown: list[Status | None] = []
     found = attempt("stage", lambda: shown.append(stage.stands()), "is held")

@@ -20,8 +20,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bench.rig.loading import RIGS
 from tests.bench.forked import Running, begin
+from tests.bench.operated_runs import write_calibration
 from tests.conftest import ROOT
 
 PATIENCE_S = 240.0  # for an event that comes by itself, on a machine with ten times too much to do
@@ -37,7 +37,7 @@ url = "emulator:"
 
 [bath]
 url = "emulator:"
-profile = "{profile}"
+profile = "julabo-presto"
 cut_out_tested = "2024-03-01"
 
 [stage]
@@ -52,6 +52,11 @@ url = "emulator:"
 25 = 6000.0
 110 = 12000.0
 111 = 12000.0
+"""
+
+CAMERAS = """[cameras]
+url = "recording:recording"
+settle_s = 0.1
 """
 
 # JULABO PRESTO: function 3, holding register 0, 0 standby and 1 started (fact sheet, 1.2)
@@ -113,21 +118,25 @@ class Elsewhere:
 
 
 @contextmanager
-def emulators(folder: Path, profile: str = "julabo-presto") -> Iterator[Elsewhere]:
-    """`teatbench emulate` in a process of its own, and the rig file that it writes."""
+def emulators(folder: Path, recording: Path) -> Iterator[Elsewhere]:
+    """`teatbench emulate` in a process of its own, and the rig file that it writes, with cameras
+    that play a recording: pictures over a network come late on a busy machine.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    for name in ("calibration.toml",):
-        (folder / name).write_text((RIGS / name).read_text(encoding="utf-8"), encoding="utf-8")
-    base = folder / "base.toml"
-    base.write_text(BASE.format(profile=profile), encoding="utf-8")
+    write_calibration(folder)
+    (folder / "recording").symlink_to(recording, target_is_directory=True)
+    base, written = folder / "base.toml", folder / "written.toml"
+    base.write_text(BASE, encoding="utf-8")
     there = Elsewhere(folder)
-    with begin(["emulate", base, "--write-rig", there.rig_path]) as process:
+    with begin(["emulate", base, "--write-rig", written]) as process:
         try:
             assert process.stdout
             while "written:" not in there.said:
                 line = process.stdout.readline()
                 assert line, there.said
                 there.said += line
+            text, _, _ = written.read_text(encoding="utf-8").partition("[cameras]")
+            there.rig_path.write_text(f"{text}{CAMERAS}", encoding="utf-8")
             yield there
         finally:
             process.kill()
@@ -241,16 +250,24 @@ def on_a_terminal(
     """`teatbench` with these arguments, or a Python program."""
     master, slave = os.openpty()
     words = [str(one) for one in arguments]
-    streams = {"stdin": slave, "stdout": slave, "stderr": slave}
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
     process: Running
     if script:
         command = [sys.executable, "-c", LAUNCH, *words]
         process = subprocess.Popen(
-            command, **streams, cwd=ROOT, env=environment, start_new_session=True, encoding="utf-8"
+            command,
+            stdin=slave,
+            stdout=slave,
+            stderr=slave,
+            cwd=ROOT,
+            env=environment,
+            start_new_session=True,
+            encoding="utf-8",
         )
     else:
-        process = begin(words, **streams, environment=environment, terminal=True)
+        process = begin(
+            words, stdin=slave, stdout=slave, stderr=slave, environment=environment, terminal=True
+        )
     os.close(slave)
     dying = Dying(process, process.pid, master, capture)
     try:
