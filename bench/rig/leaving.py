@@ -205,23 +205,18 @@ class Opened(AbstractContextManager[Devices]):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> bool | None:
-        unsafe = self._leave()
-        if unsafe and error is None:
-            error, kind = unsafe, NotSafeError
-            self._opened.__exit__(None, None, None)
-            raise unsafe
+        atexit.unregister(self._at_end)
+        if self._leaving and os.getpid() != self._process:
+            return None  # forked from whoever opened them, whose links these are
+        leaving, self._leaving = self._leaving, None
+        unsafe = leaving.leave() if leaving else None
         if unsafe and error:
             error.add_note(str(unsafe))
-        return self._opened.__exit__(kind, error, trace)
+        closed = self._opened.__exit__(kind, error, trace)
+        if unsafe and not error:
+            raise unsafe
+        return closed
 
     def _at_end(self) -> None:
         with suppress(NotSafeError):  # said already
             self.__exit__(None, None, None)
-
-    def _leave(self) -> NotSafeError | None:
-        """Once, and not in a process that was forked from the one that opened them."""
-        leaving, self._leaving = self._leaving, None
-        atexit.unregister(self._at_end)
-        if leaving is None or os.getpid() != self._process:
-            return None
-        return leaving.leave()

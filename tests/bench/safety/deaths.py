@@ -13,7 +13,6 @@ import signal
 import socket
 import subprocess
 import sys
-import textwrap
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -188,6 +187,21 @@ sys.argv = sys.argv[1:]
 runpy.run_path(sys.argv[0], run_name="__main__")
 """
 
+# what the console's page does when somebody presses Start there
+CONSOLE = """
+import sys, time
+from pathlib import Path
+
+from bench.console.starting import start
+from bench.run.lock import holder_of
+from instruments.clock import RealClock
+
+out = Path(sys.argv[1])
+name = start(["run", *sys.argv[2:], "--out", str(out)], out, RealClock())
+print(f"@@ run {holder_of(out / name)['pid']}", flush=True)
+time.sleep(600.0)
+"""
+
 TRIALS = """
 title = "Short"
 detectors = ["thesis"]
@@ -308,7 +322,8 @@ HEATS, MOVES = "heats", "moves"
 @dataclass(frozen=True)
 class Way:
     """A command with ``{rig}``, ``{capture}`` and ``{out}``; what it does then (``does``) and the
-    motion that its capture begins with; ``script``: a Python program that gets how it ends.
+    motion that its capture begins with; ``script``: a Python program that gets how it ends, or that
+    starts a run (``begun``).
     """
 
     words: str
@@ -329,6 +344,9 @@ WAYS: dict[str, Way] = {
     "calibrate stage": Way(f"calibrate stage {CAPTURED} --out {{out}}/reg.toml", MOVES, "home"),
     "run": Way(f"{RUN} {CAPTURED}", HEATS),
     "run, homing": Way(f"{RUN} {CAPTURED}", MOVES, "home"),
+    "run by the console's page": Way(
+        "{console} {out} {trials} --rig {rig}", HEATS, script=True, begun="run"
+    ),
     "run beside a console": Way(f"{RUN} {CAPTURED} --console", HEATS),
 }
 
@@ -351,12 +369,12 @@ def die(there: Elsewhere, name: str, death: str, folder: Path) -> tuple[float, s
     """
     way, capture = WAYS[name], folder / "capture.jsonl"
     folder.mkdir(parents=True)
-    script, trials = folder / "script.py", folder / "trials.toml"
-    script.write_text(textwrap.dedent(SCRIPT), encoding="utf-8")
-    trials.write_text(TRIALS, encoding="utf-8")
-    places = {"rig": there.rig_path, "capture": capture, "out": folder, "trials": trials}
-    end = death if death in ENDINGS else "waits"
-    words = [word.format(**places, script=script, end=end) for word in way.words.split()]
+    places: dict[str, object] = {"rig": there.rig_path, "capture": capture, "out": folder}
+    for what, text in (("script.py", SCRIPT), ("console.py", CONSOLE), ("trials.toml", TRIALS)):
+        (folder / what).write_text(text, encoding="utf-8")
+        places[what.partition(".")[0]] = folder / what
+    places["end"] = death if death in ENDINGS else "waits"
+    words = [word.format(**places) for word in way.words.split()]
     assert not there.heats(), "the last one left it on"
     with on_a_terminal(words, capture, script=way.script) as dying:
         if death in ENDINGS:
@@ -373,7 +391,11 @@ def die(there: Elsewhere, name: str, death: str, folder: Path) -> tuple[float, s
 
 
 def begun(there: Elsewhere, dying: Dying, way: Way) -> None:
-    if way.script:
+    if way.begun == "run":  # a process of its own, which the page's end doesn't touch
+        dying.until(lambda: bool(re.search(r"@@ run \d+\s", dying.said)), "began")
+        dying.pid = int(re.findall(r"@@ run (\d+)\s", dying.said)[0])
+        dying.until(there.heats, "heated")
+    elif way.script:
         dying.until(lambda: "@@ under way" in dying.said, "began")
     elif way.does == HEATS:
         dying.until(there.heats, "heated")

@@ -56,9 +56,10 @@ FEW = [
     ("stage move", "TERM"),
     ("calibrate stage", "terminal closed"),
 ]
+NONE = [("run by the console's page", "terminal closed")]  # it has none
 ALL = [
-    *((name, death) for name in WAYS for death in DEATHS),
-    *((name, end) for name, way in WAYS.items() if way.script for end in ENDINGS),
+    *((name, death) for name in WAYS for death in DEATHS if (name, death) not in NONE),
+    *((name, end) for name in WAYS if name.startswith("script") for end in ENDINGS),
 ]
 
 
