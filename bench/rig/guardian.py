@@ -26,12 +26,13 @@ import queue
 import signal
 import sys
 import threading
-from collections.abc import Callable, Sequence
-from contextlib import closing
+from collections.abc import Sequence
 from datetime import datetime, timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from bench.rig.guardian_stage import StageStop, add_arguments
 from instruments.bath.driver import Bath, PumpAt
 from instruments.bath.profile import PUMP, load_profile, load_relay
 from instruments.bath.sequence import OFF, ON, OVERRUN_S, cause_of
@@ -44,7 +45,6 @@ HANG_S = 10.0  # without a word from the bench
 LOOK_S = 0.25  # between looks at whether the bench is being ended
 PAUSE_S = 1.0  # between attempts, but for the first few
 GIVE_UP_S = 300.0  # then an operator has long been there, or never comes
-STAGE_S = 60.0  # then its last move has ended by itself
 NICE = (-20, -10, -5)  # the first that the system grants
 MCL_CURRENT, MCL_ONFAULT = 1, 4  # mman.h of Linux
 # they are meant for the bench; the end of the input always ends us
@@ -111,7 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     clock = RealClock()
     try:
         bath = _bath_of(given, clock) if given.url else None
-        stop = stage_stop(given, clock) if given.stage_url else None
+        stop = StageStop(given, clock) if given.stage_url else None
     except (DeviceFileError, InstrumentError) as error:
         sys.stderr.write(f"guardian: {error}\n")
         return 2
@@ -127,22 +127,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     record |= {"guardian": os.getpid(), **preferred}
     record |= {"wall_last_sign": _text(noticed - silent), "wall_noticed": _text(noticed)}
     hung = given.bench if cause == "hung" else None
-    stopping = None
     # a bench that could not reach its bath has seen to its stage itself
     if stop and (cause != "gave up" or bath is None):
-        stopping = threading.Thread(target=_stop_stage, args=(stop, clock, record, hung))
-        stopping.daemon = True
-        stopping.start()
+        stop.begin(partial(_end_hung, hung, record) if hung else None)
     reached = bath is None or _make_safe(bath, clock, given.record, record, bench=hung)
-    if stopping:
-        stopping.join()
+    if stop and (stage := stop.result()):
+        record["stage"] = stage
         _write(given.record, record)
-        reached = reached and record["stage"]["stands"]
+        reached = reached and stage["stands"]
     if bath:
         if reached and bath.pump == "own":
             _run_pump_on(bath, clock, given.record, record, given.overrun_s)
         bath.close()
     return 0 if reached else 1
+
+
+def _end_hung(bench: int, record: dict[str, Any]) -> None:
+    record["killed"] = _kill(bench)
 
 
 def _bath_of(given: argparse.Namespace, clock: RealClock) -> Bath:
@@ -155,48 +156,6 @@ def _bath_of(given: argparse.Namespace, clock: RealClock) -> Bath:
         identify=False,
         pump=pump,
     )
-
-
-def stage_stop(given: argparse.Namespace, clock: RealClock) -> Callable[[], None]:
-    """Opens the stage, stops it, and reads back that it stands. Its modules are loaded here."""
-    from instruments.link import Link
-    from instruments.stage.driver import Stage
-    from instruments.stage.zaber import Motor
-
-    motors = []
-    for words in filter(None, given.stage_motors.split(";")):
-        device, axis, microsteps = words.split()
-        motors.append(Motor(int(device), int(axis), float(microsteps)))
-
-    def stop() -> None:
-        with closing(Link(given.stage_url, clock, who="stage", baud=given.stage_baud)) as link:
-            axes, dialect = given.stage_axes, given.stage_dialect
-            Stage(link, clock, axes, dialect=dialect, motors=motors).safe()
-
-    return stop
-
-
-def _stop_stage(
-    stop: Callable[[], None], clock: RealClock, record: dict[str, Any], bench: int | None
-) -> None:
-    """Tried for STAGE_S, beside the bath; its result stands under ``stage``. ``bench`` hangs."""
-    start_s, tries = stopwatch_s(), 0
-    while True:
-        tries += 1
-        try:
-            stop()
-        except Exception as error:  # whatever it is, the next try may succeed
-            record["stage"] = {"stands": False, "tries": tries, "error": cause_of(error)}
-            if bench is not None and isinstance(error, LinkError):
-                record["killed"] = _kill(bench)
-                bench = None
-            if stopwatch_s() - start_s > STAGE_S:
-                return
-            clock.sleep(min(PAUSE_S, 0.1 * tries))
-            continue
-        took_s = round(stopwatch_s() - start_s, 3)
-        record["stage"] = {"stands": True, "tries": tries, "seconds": took_s}
-        return
 
 
 def _is_dying(process: int) -> bool:
@@ -306,11 +265,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--pump-url", default="", help="the relay of a pump that the controller doesn't turn")
     add("--pump-profile", default="")
     add("--allow-inferred", action="store_true")
-    add("--stage-url", default="")
-    add("--stage-baud", type=int, default=115200)
-    add("--stage-dialect", default="grbl")
-    add("--stage-axes", default="XY")
-    add("--stage-motors", default="", help="of a Zaber: device, axis and microsteps; next")
+    add_arguments(parser)
     add("--overrun-s", type=float, default=OVERRUN_S, help="how long the pump runs on")
     add("--record", required=True, type=Path)
     add("--bench", required=True, type=int, help="the bench's process id")

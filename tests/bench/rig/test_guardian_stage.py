@@ -10,8 +10,8 @@ from contextlib import closing, suppress
 import numpy as np
 import pytest
 
-from bench.rig.guardian import _parser, _stop_stage, stage_stop
 from bench.rig.guardian_client import GuardianTarget, StageTarget
+from bench.rig.guardian_stage import StageStop, add_arguments
 from instruments.clock import RealClock
 from instruments.errors import InstrumentError
 from instruments.link import Link
@@ -27,7 +27,16 @@ FAST = {24: 3000.0, 25: 6000.0, 110: 12000.0, 111: 12000.0}
 
 
 def given(target: GuardianTarget) -> argparse.Namespace:
-    return _parser().parse_args([*target.arguments, "--record", "none", "--bench", "1"])
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    return parser.parse_args(target.arguments)
+
+
+def stopped(target: GuardianTarget, clock: RealClock) -> dict[str, object]:
+    stop = StageStop(given(target), clock)
+    assert stop.result() is None
+    stop.begin()
+    return stop.result() or {}
 
 
 @pytest.mark.parametrize(
@@ -52,10 +61,9 @@ def test_it_stops_a_stage_of_each_firmware(dialect: Dialect, spoken: Spoken, hom
             while not (_moving(device) and (homes or stage.homed)):
                 assert time.monotonic() < deadline, "it never moved"
             target = GuardianTarget(stage=StageTarget(listener.url, 115200, spoken, "XY", motors))
-            record: dict[str, dict[str, object]] = {}
-            _stop_stage(stage_stop(given(target), clock), clock, record, None)
+            found = stopped(target, clock)
             assert not _moving(device)
-            assert record["stage"]["stands"] is True
+            assert found["stands"] is True
             owner.join(120.0)
 
 
@@ -80,10 +88,9 @@ def _moves(stage: Stage) -> None:
 
 
 def test_a_stage_that_is_not_there_is_no_stand(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bench.rig.guardian.STAGE_S", 0.5)
+    monkeypatch.setattr("bench.rig.guardian_stage.STAGE_S", 0.5)
     target = GuardianTarget(stage=StageTarget("socket://127.0.0.1:9", 115200, "grbl", "XY"))
     with closing(RealClock()) as clock:
-        record: dict[str, dict[str, object]] = {}
-        _stop_stage(stage_stop(given(target), clock), clock, record, None)
-    assert record["stage"]["stands"] is False
-    assert "nothing takes the connection" in str(record["stage"]["error"])
+        found = stopped(target, clock)
+    assert found["stands"] is False
+    assert "nothing takes the connection" in str(found["error"])
