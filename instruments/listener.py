@@ -67,12 +67,12 @@ class Connection:
         with contextlib.suppress(OSError):
             self._port.write(data)
 
-    def after(self, seconds: float, action: Callable[[], None]) -> None:
-        """Run ``action`` in ``seconds`` by the clock, unless the host has gone."""
+    def after(self, seconds: float, action: Callable[[], None], *, when_gone: bool = False) -> None:
+        """Run ``action`` in ``seconds`` by the clock; ``when_gone``: though the host has gone."""
 
         def run() -> None:
             with self._lock:
-                if self.open:
+                if self.open or when_gone:
                     action()
 
         self._clock.call_at(self._clock.now() + seconds, run)

@@ -16,7 +16,6 @@ from bench.truth.registration import Registration, RegistrationError
 from bench.truth.stage_registration import around, register
 from bench.truth.touching import TipReader, Toucher, end_u_mm
 from instruments.captures.capture import CaptureFile
-from instruments.errors import InstrumentError
 from instruments.operators.operator import Arrangement, Homing
 from instruments.world.phantom import PlatePose
 
@@ -56,7 +55,7 @@ def calibrate_stage(
             f"--at: {len(poses)} positions; a registration needs three or more that don't lie on a"
             " line"
         )
-    with open_instruments(rig, seed=seed, capture=capture) as devices:
+    with open_instruments(rig, seed=seed, capture=capture, warn=report) as devices:
         stage = devices.stage
         if stage is None:
             raise ValueError("the stage is in the rig file, and is not open")
@@ -89,9 +88,5 @@ def calibrate_stage(
             )
         except RegistrationError as error:
             raise ConfigError.plain(f"no registration: {error}") from error
-        finally:  # stage still and arm signed off, whatever came before
-            for name, rest in (("stage", stage.safe), ("arm", arm.safe)):
-                try:
-                    rest()
-                except InstrumentError as error:
-                    report(f"{name} could not be made safe: {error}")
+        finally:  # the arm signed off, whatever came before
+            devices.make_safe(lambda _: None, only=("arm",))

@@ -98,13 +98,18 @@ def change(given: argparse.Namespace) -> int:
         profile_of(given.profile),
         allow_inferred=given.allow_inferred,
         capture=given.capture,
+        leave_running=True,  # a bath that runs is to go on, at another temperature
     ) as (bath, _):
         try:
             bath.set_point(given.set_point)
         except LimitError as error:
             return complain(str(error), CODES.wrong_use)
         works = bath.get("run") == bath.profile.row("run").values["started"]
-        state = "it is heating or cooling to it now" if works else "the bath is in standby"
+        state = "the bath is in standby"
+        if works:
+            state = (
+                "it is heating or cooling to it now. IT STAYS ON: 'teatbench bath standby' ends it"
+            )
         print(f"set point {bath.get('set_point'):.2f} degC; {state}")
     return CODES.met
 
@@ -162,11 +167,14 @@ def open_bath(
     allow_inferred: bool = False,
     identify: bool = True,
     capture: CaptureFile | None = None,
+    leave_running: bool = False,
 ) -> Iterator[tuple[Bath, Clock]]:
     """The bath at ``url`` in real time, and its clock. Raises InstrumentError."""
     table = BathTable.model_construct(url=url, profile="", allow_inferred=allow_inferred)
     rig = rig_of(profile, bath=table)
-    with open_instruments(rig, ("bath",), capture=capture, identify=identify) as devices:
+    with open_instruments(
+        rig, ("bath",), capture=capture, identify=identify, leave_running=leave_running
+    ) as devices:
         yield devices.bath, devices.clock
 
 

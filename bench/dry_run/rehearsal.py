@@ -184,7 +184,8 @@ def rehearse(
             )
             table = twin_rig.rig.cameras.model_copy(update={"checks": LENIENT})
             tested = replace(twin_rig, rig=twin_rig.rig.model_copy(update={"cameras": table}))
-            with open_instruments(tested, ("arm", "bath", "stage"), clock, twin=twin) as opened:
+            names = ("arm", "bath", "stage")
+            with open_instruments(tested, names, clock, twin=twin, supervised=True) as opened:
                 devices = replace(opened, cameras=cameras, operator=hands)
                 if url.startswith(SCRIPT):
                     answers = load_answers(rig.path.parent / url.removeprefix(SCRIPT))

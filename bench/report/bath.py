@@ -189,6 +189,9 @@ def _care_parts(run: RunRecord) -> Iterator[Part]:
     entries = {f"safe state, {name}": state for name, state in facts["safe states"].items()}
     entries["pump"] = facts["pump"]
     entries["when the computer dies"] = COMMS_LOSS[facts["comms loss"]]
+    if seconds := facts.get(WATCHDOG_FACT):
+        own = f"its own watchdog, set to {seconds:g} s in this run, stops it"
+        entries["when the computer and the guardian die"] = own
     entries["guardian"] = facts["guardian"]
     if tested := facts.get("cut-out tested"):
         entries["independent cut-out tested on"] = tested
@@ -213,6 +216,7 @@ def _care_parts(run: RunRecord) -> Iterator[Part]:
         yield Fold("Interlocks, when they trip and how they reset", (listed,))
 
 
+WATCHDOG_FACT = "watchdog"
 COMMS_LOSS = {
     "hold": (
         "the controller holds its last set point: the bath stays hot until the guardian or a person"

@@ -219,18 +219,23 @@ def guardian_text(record: Mapping[str, Any]) -> str:
         "hung": f"The bench hung ({why}); its last sign of life was at {record['wall_last_sign']}",
         "gave up": f"At {when} the bench gave up: {why}",
     }[record["cause"]]
+    more = ""
+    if stage := record.get("stage"):
+        more = " The stage stands, by its own report."
+        if not stage["stands"]:
+            more = f" THE STAGE COULD NOT BE STOPPED ({stage['error']}): cut its power."
     if not record["standby"] and "handed_over" in record:
         return (
             f"{what}; the guardian had not reached the bath in {record['tries']} tries"
             f" ({record['error']}) when it handed it over to a later session at"
-            f" {record['handed_over']}."
+            f" {record['handed_over']}.{more}"
         )
     if not record["standby"]:
         return (
             f"{what}; THE GUARDIAN COULD NOT REACH THE BATH in {record['tries']} tries"
-            f" ({record['error']}): switch it off by hand."
+            f" ({record['error']}): switch it off by hand.{more}"
         )
-    more = " The hung bench kept the port and was ended." if record.get("killed") else ""
+    more += " The hung bench kept the port and was ended." if record.get("killed") else ""
     more += f" The pump {record['pump']}." if "pump" in record else ""
     if "handed_over" in record:
         more += f" It handed the bath over to a later session at {record['handed_over']}."

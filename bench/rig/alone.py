@@ -193,19 +193,12 @@ def stage_of_rig(name: str) -> StageTable:
 
 @contextmanager
 def open_stage(at: StageTable, capture: CaptureFile | None = None) -> Iterator[Stage]:
-    """The stage, connected, in real time, stopped if anything fails. Raises InstrumentError."""
+    """The stage, connected, in real time, stopped at the end. Raises InstrumentError."""
     with open_instruments(rig_of(stage=at), ("stage",), capture=capture) as devices:
         stage = devices.stage
         assert stage  # noqa: S101 - it was asked for
-        try:
-            stage.connect()
-            yield stage
-        except BaseException as error:
-            try:
-                stage.safe()
-            except InstrumentError as worse:
-                error.add_note(str(worse))
-            raise
+        stage.connect()
+        yield stage
 
 
 def described(stage: Stage) -> dict[str, object]:

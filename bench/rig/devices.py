@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass
+from enum import StrEnum
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from instruments.bath.driver import Bath
-from instruments.bath.sequence import cause_of, heater_off, run_pump_on
+from instruments.bath.sequence import cause_of, heater_off, pump_off, run_pump_on
 from instruments.camera.frame import FrameSet
 from instruments.clock import Clock
 from instruments.microscribe.driver import MicroScribe
@@ -28,6 +29,48 @@ class Cameras(Protocol):
     def identity(self) -> Mapping[str, str]: ...
     def capture(self) -> FrameSet: ...
     def close(self) -> None: ...
+
+
+class Evidence(StrEnum):
+    """What a step of going to safe stands on."""
+
+    READ_BACK = "read back"
+    SENT = "sent, not acknowledged"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Safing:
+    """A step of going to safe. ``done``: what the instrument said of itself; ``detail``: why the
+    step failed, or what else there is to say.
+    """
+
+    name: str
+    evidence: Evidence
+    done: str = "is safe"
+    detail: str = ""
+
+    @property
+    def is_safe(self) -> bool:
+        """Whether the instrument itself says so."""
+        return self.evidence is Evidence.READ_BACK
+
+    @property
+    def texts(self) -> list[str]:
+        """For terminal, console, record and report: all have these."""
+        if self.evidence is Evidence.FAILED:
+            return [f"{self.name} could not be made safe: {self.detail}"]
+        if self.evidence is Evidence.SENT:
+            return [f"{self.name}: {self.detail or 'the order to stop was'} {self.evidence}"]
+        return [f"{self.name} {self.done}", *([self.detail] if self.detail else [])]
+
+
+def attempt(name: str, step: Callable[[], object], done: str = "is safe") -> Safing:
+    """``step``, whatever it raises: it reads back what it does, and may return a further text."""
+    try:
+        return Safing(name, Evidence.READ_BACK, done, str(step() or ""))
+    except BaseException as error:  # whatever it is, the next step is tried too
+        return Safing(name, Evidence.FAILED, done, cause_of(error))
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,28 +97,45 @@ class Devices:
         states = {name: driver.safe_state for name, driver in drivers.items() if driver}
         return {**states, "cameras": "nothing to make safe"}
 
+    @property
+    def active(self) -> tuple[str, ...]:
+        """What was made to heat, to move or to turn through these drivers, and was not read back at
+        rest since.
+        """
+        bath: Bath | None = self.bath  # of a rig opened in part
+        found: list[str] = []
+        if bath and bath.heats:
+            found += ["bath", "pump"]
+        elif bath and bath.pump_on:
+            found.append("pump alone")
+        if self.stage and self.stage.moves:
+            found.append("stage")
+        return tuple(found)
+
     def make_safe(
-        self, report: Callable[[str], None], cut_short: Callable[[], bool] = lambda: False
+        self,
+        report: Callable[[str], None],
+        cut_short: Callable[[], bool] = lambda: False,
+        *,
+        only: Collection[str] = ("bath", "stage", "arm", "pump"),
     ) -> tuple[str, ...]:
         """Bath to standby, stage still, arm's session ended, whatever a step raises; the names that
-        failed. ``cut_short`` ends the pump's run-on.
+        failed. ``cut_short`` ends the pump's run-on; ``only``: these of them.
         """
-        steps: dict[str, Callable[[], object]] = {"bath": lambda: heater_off(self.bath)}
-        if self.stage:
-            steps["stage"] = self.stage.safe
-        steps |= {
-            "arm": self.arm.safe,
+        steps: dict[str, Callable[[], object]] = {
+            "bath": lambda: heater_off(self.bath),
+            "stage": lambda: self.stage and self.stage.safe(),
+            "arm": lambda: self.arm.safe(),
             "pump": lambda: run_pump_on(self.bath, self.clock.sleep, cut_short),
+            "pump alone": lambda: pump_off(self.bath),
         }
         unsafe: list[str] = []
         for name, step in steps.items():
-            try:
-                said = step()
-                if name != "pump":
-                    report(f"{name} is safe")
-                if said:
-                    report(str(said))
-            except BaseException as error:
-                unsafe.append(name)
-                report(f"{name} could not be made safe: {cause_of(error)}")
+            if name not in only or (name == "stage" and self.stage is None):
+                continue
+            found = attempt(name.split()[0], step)
+            if not found.is_safe:
+                unsafe.append(found.name)
+            for text in found.texts[name.startswith("pump") and found.is_safe :]:
+                report(text)
         return tuple(unsafe)

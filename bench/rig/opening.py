@@ -5,7 +5,7 @@ names every instrument that failed.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Any, cast
 from bench.record.recording import Recording, RecordingCameras
 from bench.rig.devices import AnyArm, Cameras, Devices
 from bench.rig.emulated_rig import EmulatedRig
+from bench.rig.leaving import Leaving, Opened, to_stderr
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Emulation, OneCamera, Operator, Rig, ThermalTable
 from bench.rig.scripted_answers import load_answers
@@ -56,12 +57,14 @@ class BringUpError(InstrumentError):
         super().__init__("rig", "\n  ".join([*lines, *(str(fault) for fault in faults.values())]))
 
 
-@contextmanager
 def open_instruments(
     rig: LoadedRig,
     names: Sequence[str] = ALL,
     clock: Clock | None = None,
     *,
+    leave_running: bool = False,
+    supervised: bool = False,
+    warn: Callable[[str], None] = to_stderr,
     twin: EmulatedRig | None = None,
     seed: int | None = None,
     realtime: bool = False,
@@ -70,51 +73,83 @@ def open_instruments(
     start_s: float = 0.0,
     identify: bool = True,
     folder: Path | None = None,
-) -> Iterator[Devices]:
+) -> AbstractContextManager[Devices]:
     """The instruments ``names`` of ``rig``, closed at the end; others are None. Without ``clock``
     time is virtual where all is emulated and no person takes part. ``twin``: emulators already up;
     ``screen`` is entered around a question; ``folder``: of a run with a browser. Raises
     BringUpError, or a single instrument's fault, and ConfigError.
+
+    What was made to heat or to move is made safe at the end (NotSafeError where it could not be,
+    which ``warn`` gets too), and by a guardian where the process dies. ``leave_running``: it goes
+    on, which is noted beside the rig file; ``supervised``: the caller sees to all that.
     """
     emulated = twin is not None or any(rig.rig.urls.get(name) == EMULATED for name in names)
-    with ExitStack() as stack:
-        if clock is None:
-            person = "operator" in names and rig.rig.operator.url in PEOPLE
-            clock = (
-                VirtualClock()
-                if emulated and not realtime and not person
-                else stack.enter_context(closing(RealClock(start_s)))
-            )
-        answerer = _answerer(rig, clock, screen, folder) if "operator" in names else None
-        if emulated and twin is None:
-            twin = stack.enter_context(
-                EmulatedRig(rig, clock, rig.rig.seed if seed is None else seed)
-            )
-        openers = _openers(rig, clock, twin, capture, identify=identify)
-        opened: dict[str, Any] = {}
-        faults: dict[str, InstrumentError] = {}
-        for name in names:
-            if name in openers:
-                try:
-                    opened[name] = stack.enter_context(closing(openers[name]()))
-                except InstrumentError as fault:
-                    faults[name] = fault
-        if faults:
-            raise next(iter(faults.values())) if len(names) == 1 else BringUpError(faults)
-        has_pedals = isinstance(opened.get("arm"), MicroScribe)
-        if isinstance(answerer, Console) and twin is None and has_pedals:
-            answerer.watch_pedals(lambda: pedal_watch(opened["arm"], clock))
-        hands: Any = twin.operator if twin and "operator" in names else opened.get("operator")
-        arm: Any
-        bath: Any
-        cameras: Any
-        arm, bath, stage, cameras = (opened.get(n) for n in ("arm", "bath", "stage", "cameras"))
-        if answerer:
-            answerer.hands = hands
-        if isinstance(arm, PointArm):
-            arm.asked_of(answerer or hands)
-        exact_ends = twin.world.ends_mm if twin else None
-        yield Devices(clock, arm, bath, stage, cameras, answerer or hands, exact_ends)
+
+    def leaving(devices: Devices) -> Leaving:
+        # emulators of this process die with it
+        guards = not emulated and not isinstance(devices.clock, VirtualClock)
+        return Leaving(rig, devices, guards=guards, leave_running=leave_running, warn=warn)
+
+    def clock_in(stack: ExitStack) -> Clock:
+        person = "operator" in names and rig.rig.operator.url in PEOPLE
+        if emulated and not realtime and not person:
+            return VirtualClock()
+        return stack.enter_context(closing(RealClock(start_s)))
+
+    @contextmanager
+    def opened() -> Iterator[Devices]:
+        with ExitStack() as stack:
+            time = clock or clock_in(stack)
+            answerer = _answerer(rig, time, screen, folder) if "operator" in names else None
+            seeded = rig.rig.seed if seed is None else seed
+            world = twin
+            if emulated and world is None:
+                world = stack.enter_context(EmulatedRig(rig, time, seeded))
+            openers = _openers(rig, time, world, capture, identify=identify)
+            found = _opened(stack, names, openers)
+            yield _together(found, time, world, answerer, names)
+
+    return Opened(opened(), None if supervised else leaving)
+
+
+def _opened(
+    stack: ExitStack, names: Sequence[str], openers: Mapping[str, Callable[[], Any]]
+) -> dict[str, Any]:
+    """Each instrument, to be closed with ``stack``. Raises BringUpError, or a single fault."""
+    found: dict[str, Any] = {}
+    faults: dict[str, InstrumentError] = {}
+    for name in names:
+        if name in openers:
+            try:
+                found[name] = stack.enter_context(closing(openers[name]()))
+            except InstrumentError as fault:
+                faults[name] = fault
+    if faults:
+        raise next(iter(faults.values())) if len(names) == 1 else BringUpError(faults)
+    return found
+
+
+def _together(
+    opened: Mapping[str, Any],
+    clock: Clock,
+    twin: EmulatedRig | None,
+    answerer: PromptedOperator | None,
+    names: Sequence[str],
+) -> Devices:
+    has_pedals = isinstance(opened.get("arm"), MicroScribe)
+    if isinstance(answerer, Console) and twin is None and has_pedals:
+        answerer.watch_pedals(lambda: pedal_watch(opened["arm"], clock))
+    hands: Any = twin.operator if twin and "operator" in names else opened.get("operator")
+    arm: Any
+    bath: Any
+    cameras: Any
+    arm, bath, stage, cameras = (opened.get(n) for n in ("arm", "bath", "stage", "cameras"))
+    if answerer:
+        answerer.hands = hands
+    if isinstance(arm, PointArm):
+        arm.asked_of(answerer or hands)
+    exact_ends = twin.world.ends_mm if twin else None
+    return Devices(clock, arm, bath, stage, cameras, answerer or hands, exact_ends)
 
 
 def in_virtual_time(rig: LoadedRig, *, realtime: bool) -> bool:

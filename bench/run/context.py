@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from bench.record.writer import Store
 from bench.rig.devices import Devices
+from bench.rig.guardian_client import BRIEF_S, GuardianClient, Heartbeat
 from bench.rig.loading import LoadedRig
 from bench.run.estimate import gate_of
 from bench.run.events import EVENT, Events, RunStates
 from bench.run.live import Live, bath_state, interlock_states
 from bench.safety.bath_monitor import TripHandler
-from bench.safety.guardian_client import BRIEF_S, GuardianClient, Heartbeat
 from bench.script.model import LoadedScript
 from bench.truth.touching import TipReader
 from instruments.clock import VirtualClock, stopwatch_s, wall_time

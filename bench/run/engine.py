@@ -130,6 +130,8 @@ class Engine:
             start_bath(ctx.devices.bath, set_point_c, ctx.wait)
 
         again("starting the bath", start)
+        if (seconds := ctx.devices.bath.watchdog_s) is not None:
+            self._fact("watchdog", seconds)
         ctx.watch.heating()
         again("preparing the truth", self._truth.begin)
         for trial in planned:

@@ -21,6 +21,8 @@ from bench.record.writer import Store, new_run_folder
 from bench.results.answers import Examiner
 from bench.results.cameras_agree import can_tell, spread, where_seen
 from bench.rig.devices import Devices
+from bench.rig.guardian_client import GuardianClient, Heartbeat, signs_of
+from bench.rig.leaving import target_of
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import in_virtual_time, open_instruments
 from bench.rig.urls import EMULATED
@@ -44,7 +46,6 @@ from bench.run.resume import (
 )
 from bench.run.rows import write_facts
 from bench.run.trial import refuse_carry, write_trial
-from bench.safety.guardian_client import GuardianClient, GuardianTarget, Heartbeat, signs_of
 from bench.safety.latch import refuse_latched, refuse_untested_cut_out
 from bench.safety.signals import current, undisturbed
 from bench.script.calibration_age import (
@@ -262,9 +263,8 @@ def _guarded_instruments(
     heartbeat = Heartbeat()
     with ExitStack() as stack:
 
-        def guardian_of(url: str, pump_url: str) -> GuardianClient:
-            profiles, inferred = (rig.profile_source, rig.relay_source), rig.rig.bath.allow_inferred
-            target = GuardianTarget(url, profiles[0], pump_url, profiles[1], inferred)
+        def guardian_of(bath_url: str, pump_url: str, stage_url: str) -> GuardianClient:
+            target = target_of(rig, bath=bath_url, pump=pump_url, stage=stage_url)
             name = GUARDIAN.format(store.session)
             client = GuardianClient(target, store.folder, heartbeat, name)
             stack.enter_context(client)
@@ -277,7 +277,8 @@ def _guarded_instruments(
 
         bath, guardian = rig.rig.bath, None
         if bath.url != EMULATED:
-            guardian = guardian_of(bath.url, bath.pump_url)
+            stage = rig.rig.stage
+            guardian = guardian_of(bath.url, bath.pump_url, stage.url if stage else "")
         if left:
             keep_guardians(store)
         opened = open_instruments(
@@ -285,13 +286,15 @@ def _guarded_instruments(
             seed=how.seed or 0,
             realtime=how.realtime,
             capture=how.capture,
+            supervised=True,
             screen=events.aside,
             start_s=left.last_s + BETWEEN_S if left else 0.0,
             folder=store.folder,
         )
         devices = stack.enter_context(opened)
         if bath.url == EMULATED and not isinstance(devices.clock, VirtualClock):
-            guardian = guardian_of(devices.bath.url, devices.bath.pump_url)
+            of_stage = devices.stage.url if devices.stage else ""
+            guardian = guardian_of(devices.bath.url, devices.bath.pump_url, of_stage)
         stack.enter_context(signs_of(heartbeat, devices.clock))
         yield devices, heartbeat, guardian
 

@@ -1,1 +1,1 @@
-"""Bath monitor, stability, interlocks, latch, guardian, signals."""
+"""Bath monitor, stability, interlocks, latch, signals."""

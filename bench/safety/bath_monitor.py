@@ -12,13 +12,13 @@ from __future__ import annotations
 import sqlite3
 import threading
 from collections.abc import Callable, Hashable
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 
 from bench.record.schema import Row
 from bench.record.writer import Store
-from bench.rig.devices import Devices
+from bench.rig.devices import Devices, Evidence, Safing, attempt
+from bench.rig.guardian_client import GuardianClient, Heartbeat
 from bench.rig.loading import LoadedRig
-from bench.safety.guardian_client import GuardianClient, Heartbeat
 from bench.safety.interlocks import (
     GUARDIAN,
     Interlocks,
@@ -29,9 +29,11 @@ from bench.safety.interlocks import (
 from bench.safety.latch import latch_path, set_latch
 from bench.safety.stability import StabilityGate, State
 from instruments.bath.reading import BathReading
-from instruments.bath.sequence import cause_of, heater_off, pump_on, pump_text
+from instruments.bath.sequence import heater_off, pump_on, pump_text
 from instruments.clock import Clock, wall_time
 from instruments.errors import InstrumentError, LinkError
+from instruments.stage.driver import Stage
+from instruments.stage.protocol import Status
 
 PERIOD_S = 1.0
 AGAIN_S = 5.0  # between attempts to make safe
@@ -251,15 +253,18 @@ class TripHandler:
 
     def _act(self, trip: Exception) -> bool:
         """Go to safe; True when heater and stage are. Called again until they are."""
-        said: list[str] = []
+        stage, steps = self._devices.stage, list[Safing]()
         # first, for it takes a byte, and a bath that doesn't answer half a minute
-        stage = self._devices.stage
-        self._held = self._held or stage is None or _tried("stage", stage.brake, said, "is held")
-        safe = _tried("heater", lambda: heater_off(self._devices.bath), said, "is in standby")
+        braked = attempt("stage", stage.brake) if stage and not self._held else None
+        heater = attempt("heater", lambda: heater_off(self._devices.bath), "is in standby")
+        if stage and braked:
+            steps.append(held(stage) if braked.is_safe else braked)
+        self._held = self._held or all(step.is_safe for step in steps)
+        steps.append(heater)
         if not self._reported:
             self._reported = True
-            self._report(trip, said)
-        return safe and self._held
+            self._report(trip, [text for step in steps for text in step.texts])
+        return heater.is_safe and self._held
 
     def _report(self, trip: Exception, said: list[str]) -> None:
         """To the operator first; the record and the latch may fail without the others."""
@@ -282,11 +287,10 @@ class TripHandler:
             self._warn(f"{what}. Nothing but you keeps the next run from starting.")
 
 
-def _tried(name: str, step: Callable[[], str | None], said: list[str], done: str) -> bool:
-    try:
-        more = step()
-    except Exception as error:  # whatever it is, the next step is tried too
-        said.append(f"{name} could not be made safe: {cause_of(error)}")
-        return False
-    said += [f"{name} {done}", *([more] if more else [])]
-    return True
+def held(stage: Stage) -> Safing:
+    """Whether a stage that was told to brake stands, by its own report."""
+    shown: list[Status | None] = []
+    found = attempt("stage", lambda: shown.append(stage.stands()), "is held")
+    if shown == [None]:  # amid a question of the run's own
+        return replace(found, evidence=Evidence.SENT, detail="the order to brake was")
+    return found

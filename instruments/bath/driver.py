@@ -11,12 +11,20 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, TypeVar
 
 from instruments.bath.access import Access, Tried
 from instruments.bath.line_access import LineAccess
-from instruments.bath.profile import PUMP, LineProfile, Profile, RegisterProfile, RelayProfile
+from instruments.bath.profile import (
+    PUMP,
+    WATCHDOG,
+    LineProfile,
+    Profile,
+    RegisterProfile,
+    RelayProfile,
+)
 from instruments.bath.reading import BathReading, ChangedError
 from instruments.bath.register_access import RegisterAccess
 from instruments.bath.rows import Quantity
@@ -26,6 +34,7 @@ from instruments.errors import DeviceError, InstrumentError, LimitError
 from instruments.link import Tap
 
 SAFE_TRIES = 3
+HEATS_NOT = (PUMP, WATCHDOG)  # rows whose writing heats nothing
 
 T = TypeVar("T")
 Rows = Access[Any]
@@ -44,7 +53,8 @@ class Bath:
     """The controller at ``url``, connected and identified; may be shared by threads. Calls raise
     LinkError, ProtocolError, DeviceError, LimitError. The next call opens a broken link again, and
     identifies the controller. ``identify`` False: identified by the first call but ``safe``.
-    ``allow_inferred``: rows whose evidence is INFERRED are polled and written.
+    ``allow_inferred``: rows whose evidence is INFERRED are polled and written. ``before_heating``
+    is called before anything is written that may heat; what it raises keeps that from being sent.
     """
 
     safe_state: ClassVar[str] = (
@@ -79,6 +89,12 @@ class Bath:
             given |= {"who": f"pump at {pump.url}", "tap": pump.tap}
             self._relay = RegisterAccess(pump.url, pump.profile, clock, shared=beside, **given)
         self._identity: Mapping[str, str] = {}
+        self.before_heating: Callable[[], None] = lambda: None
+        self.heats = False  # by a call of ours, and no standby was read back since
+        self.pump_on = False  # the same of a pump with its own switch
+        self.watched = True  # whether its own watchdog is set, where it has one
+        self.watchdog_s: float | None = None  # set by us, and read back
+        self._found_s: float | None = None  # what it was set to before
         self._started = False
         self._times_made_safe = 0
         if identify:
@@ -120,10 +136,17 @@ class Bath:
         LimitError where a pump's relay would be switched off before standby.
         """
         if self._relay and name == PUMP:
-            return self._switch(self._relay, value)
+            self._switch(self._relay, value)
+            return
         row = self._rows.row(name)
         wanted = self._rows.allowed(row, value)
-        return self._retried(lambda: self._after_poll(row).set(row, wanted))
+        stops = name == "run" and wanted == row.values["standby"]
+        if not stops and name not in HEATS_NOT:
+            self._begin_heating()
+        self._note_pump(row, wanted)
+        self._retried(lambda: self._after_poll(row).set(row, wanted))
+        if stops:
+            self._stands_by()
 
     def set_point(self, set_point_c: float) -> None:
         """Change the set point, running or not."""
@@ -138,6 +161,7 @@ class Bath:
         with its own switch has to be on already.
         """
         self._rows.allowed(self._rows.row("set_point"), set_point_c)
+        self._begin_heating()
         with self._lock:
             made_safe = self._times_made_safe
             reading = self.read()
@@ -151,6 +175,7 @@ class Bath:
             for name, label in self.profile.before_start.items():
                 self.set(name, label)
             self.set("set_point", set_point_c)
+            self._set_watchdog()
             try:
                 if self._times_made_safe == made_safe:  # no event of virtual time has made safe
                     self.set("run", "started")
@@ -170,8 +195,8 @@ class Bath:
         self.set("run", "standby")
 
     def safe(self) -> None:
-        """Standby at once, in any state; tried 3 times. Raises the last error: then it must be
-        switched off by hand.
+        """Standby at once, in any state, and read back; tried 3 times. Raises the last error: then
+        it must be switched off by hand.
         """
         run = self._rows.row("run")
         with self._lock:
@@ -186,7 +211,18 @@ class Bath:
                     if not tries_left:
                         raise
                 else:
+                    self._stands_by()
                     return
+
+    def release_watchdog(self, found_s: float | None = None) -> None:
+        """Set its watchdog as it was found, or it would raise an alarm once we have gone.
+        ``found_s``: where another has set it. What fails here costs no safety.
+        """
+        ours_s, self._found_s, self.watchdog_s = self._found_s, None, None
+        found_s = ours_s if found_s is None else found_s
+        if found_s is not None and self.profile.watchdog_s is not None:
+            with self._lock, suppress(InstrumentError):
+                self.set(WATCHDOG, found_s)
 
     def close(self) -> None:
         """Close the link, leaving the controller as it is; once more is no error."""
@@ -201,9 +237,42 @@ class Bath:
             self._rows.known = False
             self._wire.connect()
 
+    def _begin_heating(self) -> None:
+        """From now on it may heat, by us."""
+        self.before_heating()
+        self.heats = True
+
+    def _stands_by(self) -> None:
+        """Standby was read back."""
+        self.heats = False
+        self.release_watchdog()
+
+    def _note_pump(self, row: Quantity, wanted: float) -> None:
+        if row.name == PUMP and "on" in row.values:
+            self.pump_on = wanted == row.values["on"]
+
+    def _set_watchdog(self) -> None:
+        """Have the controller stop by itself where no messages come, if it can: some models of a
+        family have no such row.
+        """
+        seconds = self.profile.watchdog_s
+        if seconds is None or not self.watched or not self._rows.may_ask(self._rows.row(WATCHDOG)):
+            return
+        try:
+            found_s = self.get(WATCHDOG)
+            if self._found_s is None:
+                # our own of a session that died is none that a person has set
+                self._found_s = 0.0 if found_s == seconds else found_s
+            self.set(WATCHDOG, seconds)
+        except InstrumentError:
+            self.watchdog_s = None
+        else:
+            self.watchdog_s = seconds
+
     def _switch(self, relay: RegisterAccess, value: float | str) -> None:
         pump, run = relay.row(PUMP), self._rows.row("run")
         wanted = relay.allowed(pump, value)
+        self._note_pump(pump, wanted)
         with self._lock:
             if wanted == pump.values["off"]:
                 shown = self._retried(lambda: self._rows.value(run))

@@ -33,6 +33,7 @@ class Dialect:
     def __init__(self, plant: Plant) -> None:
         self.plant = plant
         self.manual_mode = self.fahrenheit = False
+        self.watchdog_s = 0.0  # without a command for so long, it stops; 0: never
         self._shipped_c = plant.set_point_c
         self._last_c = plant.pv_c
 
@@ -61,6 +62,10 @@ class Dialect:
         """Power off and on: in standby, with the set point as shipped."""
         self.plant.standby()
         self.plant.set_point_c = self._shipped_c
+
+    def miss_host(self) -> None:
+        """Its watchdog has run out."""
+        self.plant.standby()
 
     def temperature_c(self) -> float:
         """What it measures; with a broken sensor the last value before."""
@@ -174,7 +179,9 @@ class Julabo(Dialect):
 
 class Lauda(Dialect):
     """LAUDA's commands (LOOP 100 manual, 5.11; fault characters: ECO Gold manual, p. 125). Each has
-    an answer; a blank may stand for an underscore. Chosen: the keys have no effect on it.
+    an answer; a blank may stand for an underscore. Its watchdog ends in alarm 22 (fact sheet, 4.1).
+    Chosen: the keys have no effect on it; START is confirmed and ignored in that alarm, which ends
+    when it is switched off.
     """
 
     reply_end = b"\r\n"
@@ -183,17 +190,40 @@ class Lauda(Dialect):
     READS: ClassVar[Mapping[str, Callable[[Any], str]]] = {
         "TYPE": lambda _: "RP845",
         "VERSION_R": lambda _: "1.30",
-        "STATUS": lambda on: "-1" if on.plant.alarm else "0",
+        "STATUS": lambda on: "-1" if on.plant.alarm or on.missed_host else "0",
         "STAT": lambda on: on.stat(),
         "IN_PV_00": lambda on: on.fixed(on.bath),
         "IN_PV_03": lambda on: on.fixed(on.teats),
         "IN_SP_00": lambda on: on.fixed(on.aim),
         "IN_SP_03": lambda on: on.fixed(on.shown(on.plant.constants.cut_out_c)),
+        "IN_SP_08": lambda on: on.fixed(on.watchdog_s),
         "IN_MODE_02": lambda on: "0" if on.plant.running else "1",
     }
+    WATCHDOG: ClassVar[str] = "OUT_SP_08_"
+    missed_host = False
 
     def answer(self, command: str) -> str | None:
-        return super().answer(command.strip("\n").replace(" ", "_").upper())
+        command = command.strip("\n").replace(" ", "_").upper()
+        seconds = command.removeprefix(self.WATCHDOG)
+        if seconds == command:
+            return super().answer(command)
+        if not seconds.isdecimal():
+            return self.WRONG
+        if int(seconds) > 99:
+            return self.OUTSIDE
+        self.watchdog_s = float(seconds)
+        return self.DONE
+
+    def run(self, *, on: bool) -> None:
+        super().run(on=on and not self.missed_host)
+
+    def miss_host(self) -> None:
+        super().miss_host()
+        self.missed_host = True
+
+    def reset(self) -> None:
+        super().reset()
+        self.missed_host = False
 
     def fixed(self, shown: float) -> str:
         return f"{'-' if shown < 0 else ''}{abs(shown):06.2f}"
@@ -201,7 +231,8 @@ class Lauda(Dialect):
     def stat(self) -> str:
         """Error, alarm, warning, over-temperature, low level, 0, external value missing."""
         alarm = self.plant.alarm
-        flags = (alarm == "sensor", bool(alarm), False, alarm == "over-temperature")
+        alarmed = bool(alarm) or self.missed_host
+        flags = (alarm == "sensor", alarmed, False, alarm == "over-temperature")
         return "".join(str(int(flag)) for flag in (*flags, alarm == "level", False, False))
 
 

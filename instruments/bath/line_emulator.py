@@ -12,7 +12,7 @@ from typing import ClassVar, Literal
 
 from instruments.bath.emulator import LOW_LEVEL, PLANT_FAULTS, RESET, SETTING_FAULTS, Emulator
 from instruments.bath.line_dialects import DIALECTS, Dialect
-from instruments.bath.profile import LineProfile
+from instruments.bath.profile import WATCHDOG, LineProfile
 from instruments.bath.rows import LineRow
 from instruments.clock import Clock
 from instruments.listener import Connection
@@ -46,6 +46,8 @@ class LineEmulator(Emulator):
         self.framing = "line"
         self.profile = profile
         self._buffers: dict[Connection, bytes] = {}
+        self._heard_s = 0.0
+        self._looks = False  # whether a look at the watchdog is planned
         plant.fit(circulator=profile.capabilities.pump == "with run")
 
     def connect(self, connection: Connection) -> None:
@@ -63,13 +65,33 @@ class LineEmulator(Emulator):
         for command in commands:
             if self.is_silent:
                 continue
-            self.plant.advance_to(self._clock.now())
+            self._heard_s = self._clock.now()
+            self.plant.advance_to(self._heard_s)
             answer = self.panel.answer(command.decode("ascii", errors="replace").strip("\r\n"))
             if answer is not None:
                 line = answer.encode("ascii") + self.panel.reply_end
                 for name, damage in DAMAGES.items():
                     line = damage(line) if name in self._faults else line
                 self.send(connection, line)
+            self._watch(connection)
+
+    def _watch(self, connection: Connection) -> None:
+        """Look again when the panel's watchdog will have run out, if no command comes."""
+        if self._looks or not self.panel.watchdog_s:
+            return
+        self._looks = True
+
+        def look() -> None:
+            self._looks = False
+            now_s, seconds = self._clock.now(), self.panel.watchdog_s
+            if seconds and now_s >= self._heard_s + seconds:
+                self.plant.advance_to(now_s)
+                self.panel.miss_host()
+            else:
+                self._watch(connection)
+
+        due_s = self._heard_s + self.panel.watchdog_s - self._clock.now()
+        connection.after(max(0.0, due_s), look, when_gone=True)
 
 
 def dialect_of(profile: LineProfile) -> Callable[[Plant], Dialect]:
@@ -130,6 +152,7 @@ class ByProfile(Dialect):
             "safety": plant.bath_c,
             "cut_out": plant.constants.cut_out_c,
             "power": plant.power_percent,
+            WATCHDOG: self.watchdog_s,
         }
         if row.name in known:
             return self.shown(known[row.name]) if row.unit == "degC" else known[row.name]
@@ -152,6 +175,8 @@ class ByProfile(Dialect):
             self.run(on=value == row.values["started"])
         elif row.name == "set_point":
             self.plant.set_point_c = self.meant_c(value)
+        elif row.name == WATCHDOG:
+            self.watchdog_s = value
         else:
             self._memory[row.name] = value
 

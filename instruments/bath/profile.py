@@ -23,6 +23,7 @@ from instruments.errors import LinkError
 from instruments.port_settings import PortSettings
 
 PUMP = "pump"  # the row of a pump that is switched by itself
+WATCHDOG = "watchdog"  # the row of the seconds without a message after which it stops; 0: never
 ReadFunction = Literal[1, 2, 3, 4]
 WriteFunction = Literal[5, 6, 16]
 Functions = Annotated[tuple[ReadFunction | WriteFunction, ...], Field(min_length=1)]
@@ -163,6 +164,7 @@ def _is_switch(row: Quantity) -> bool:
     return row.access == "rw" and {"on", "off"} <= set(row.values)
 
 
+WATCHDOG_LEAST_S = 10.0  # a poll that is tried again has to feed it
 AlarmCause = Literal["level", "sensor", "over-temperature", "other"]
 CommsLoss = Literal["hold", "stop", "safe_setpoint", "unknown"]
 SHIPPED = Path(__file__).with_name("profiles")
@@ -214,12 +216,14 @@ class Identity(Strict):
 
 class Profile(Device):
     """A family of controllers. ``panel_rows`` may be changed at its panel; ``remote_label``: the
-    value of the row ``remote`` under our control.
+    value of the row ``remote`` under our control. ``watchdog_s``: what its row ``watchdog`` is set
+    to while we heat.
     """
 
     remote_label: ClassVar[str] = "remote"
     comms_loss: CommsLoss
     comms_loss_evidence: Evidence
+    watchdog_s: Annotated[float, Field(ge=WATCHDOG_LEAST_S, le=600.0)] | None = None
     plausible_c: tuple[float, float] = (-5.0, 60.0)
     capabilities: Capabilities = Capabilities()
     identity: tuple[Identity, ...] = ()
@@ -275,6 +279,9 @@ class Profile(Device):
                 ("rows", at["run"], "values"),
                 "run: the labels 'standby' and 'started' are needed",
             )
+        watchdog = self.find(WATCHDOG)
+        if self.watchdog_s is not None and not (watchdog and watchdog.access == "rw"):
+            yield ("watchdog_s",), "it needs a row 'watchdog' with access 'rw'"
         yield from self._reference_faults()
 
     def _reference_faults(self) -> Faults:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from instruments.bath.profile import PUMP
 from instruments.bath.reading import BathReading
-from instruments.errors import DeviceError, InstrumentError
+from instruments.errors import DeviceError, InstrumentError, LimitError
 
 if TYPE_CHECKING:
     from instruments.bath.driver import Bath
@@ -77,14 +77,32 @@ def heater_off(bath: Bath) -> str:
 
 
 def run_pump_on(bath: Bath, sleep: Callable[[float], None], cut_short: Callable[[], bool]) -> str:
-    """Let the pump run on, then switch it off; what became of it. ``cut_short`` ends the wait."""
+    """Let the pump run on, then switch it off; what became of it. ``cut_short`` and Ctrl-C end the
+    wait. Raises InstrumentError where the pump can't be read or switched.
+    """
     if bath.pump != "own":
         return ""
+    if bath.get(PUMP) != bath.profile.row(PUMP).values[ON]:
+        return "the pump is off, so it did not run on"
     left_s = OVERRUN_S
-    while left_s > 0.0:
-        if cut_short():
-            return f"the pump was left running: the rest of its {OVERRUN_S:g} s was cut short"
-        sleep(SLICE_S)
-        left_s -= SLICE_S
+    try:
+        while left_s > 0.0:
+            if cut_short():
+                raise KeyboardInterrupt
+            sleep(SLICE_S)
+            left_s -= SLICE_S
+    except KeyboardInterrupt:
+        return f"the pump was left running: the rest of its {OVERRUN_S:g} s was cut short"
     bath.set(PUMP, OFF)
     return f"the pump ran on for {OVERRUN_S:g} s and is off"
+
+
+def pump_off(bath: Bath) -> str:
+    """Switch off a pump that was switched on without heating; what became of it. Raises
+    InstrumentError where it can't be reached.
+    """
+    try:
+        bath.set(PUMP, OFF)
+    except LimitError as error:  # the controller heats, by another's order
+        return f"the pump was left on: {error.what}"
+    return "the pump is off"

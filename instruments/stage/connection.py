@@ -8,9 +8,12 @@ with other firmwares are its subclasses. What none of them can tell is in docs/r
 
 from __future__ import annotations
 
+import threading
 from collections import deque
-from collections.abc import Callable, Iterable
-from typing import ClassVar
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from functools import wraps
+from typing import Any, ClassVar, ParamSpec, TypeVar
 
 from instruments.clock import Clock
 from instruments.errors import DeviceError, LinkError, ProtocolError
@@ -55,6 +58,58 @@ QUIET_S = 0.25
 ASK_AGAIN_S = 0.25
 LOCKED = frozenset({"Alarm", "Sleep"})
 
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def whole(question: Callable[P, R]) -> Callable[P, R]:
+    """A method of `Dialogue` that no other thread's question interrupts."""
+
+    @wraps(question)
+    def asked(*given: P.args, **more: P.kwargs) -> R:
+        dialogue: Any = given[0]
+        with dialogue.turns.taken():
+            return question(*given, **more)
+
+    return asked
+
+
+class Turns:
+    """Whose turn it is to ask. Reentrant, and taken by `with` alone: an interrupt keeps none."""
+
+    def __init__(self) -> None:
+        self._asking = threading.RLock()
+        self._next = threading.RLock()  # held by whoever waits for the turn: locks are not fair
+        self._speaker: int | None = None
+
+    @contextmanager
+    def taken(self) -> Iterator[None]:
+        """Wait for the turn, and have it meanwhile."""
+        with self._next:
+            pass
+        with self._asking:
+            before, self._speaker = self._speaker, threading.get_ident()
+            try:
+                yield
+            finally:
+                self._speaker = before
+
+    def between(self, ask: Callable[[], R], timeout_s: float) -> R | None:
+        """``ask`` between two questions of others; None where there is no such moment in time, as
+        amid this thread's own question (an event of virtual time).
+        """
+        if self._speaker == threading.get_ident() or not self._next.acquire(timeout=timeout_s):
+            return None
+        try:
+            if not self._asking.acquire(timeout=timeout_s):
+                return None
+        finally:
+            self._next.release()
+        try:
+            return ask()
+        finally:
+            self._asking.release()
+
 
 class Dialogue:
     """The conversation on one link. Raises LinkError, ProtocolError, DeviceError."""
@@ -72,12 +127,14 @@ class Dialogue:
         self.upsets = 0
         self.alarm: int | str | None = None
         self.outstanding: str | None = None  # the line whose answer hasn't come
+        self.turns = Turns()
         self._link = link
         self._clock = clock
         self._decoder = Decoder(self._parse)
         self._inbox: deque[Response] = deque()
         self._offset: Position | None = None
 
+    @whole
     def command(self, text: str, timeout_s: float = ANSWER_S) -> list[Response]:
         """Send a line and wait for its ``ok``; what was pushed meanwhile."""
         data = encode(text, who=self.who)
@@ -99,6 +156,7 @@ class Dialogue:
                 raise DeviceError(self.who, what, asked=text, hint=hint)
             pushed.append(answer)
 
+    @whole
     def status(self) -> Status:
         """A fresh status report; asked for again after an alarm, as a restarting board loses it."""
         self.wait(0.0)
@@ -186,17 +244,20 @@ class Dialogue:
         """Stop whatever it does, homing too; the position is lost. Raises LinkError."""
         self.restart()
 
+    @whole
     def wait(self, seconds: float) -> None:
         """Let time pass. Raises at once for an alarm, a restart or a malformed answer."""
         until = self._clock.now() + seconds
         while self._next(until) is not None:
             pass
 
+    @whole
     def start(self) -> Welcome:
         """On a new link: wait for the welcome after the port's reset, or reset the board."""
         self.upsets += 1
         return self._welcome() or self.restart()
 
+    @whole
     def restart(self) -> Welcome:
         """Soft reset: drop outstanding answer, alarm and input. Raises LinkError, ProtocolError."""
         self.upsets += 1
@@ -207,6 +268,20 @@ class Dialogue:
             what, hint = "no welcome after a reset", "Check power, cable and baud rate."
             raise LinkError(self.who, what, asked=SOFT_RESET, seconds=START_S, hint=hint)
         return welcome
+
+    def check_link(self) -> None:
+        """Raise LinkError where the link has gone, whatever was said on it before."""
+        with suppress(DeviceError, ProtocolError):
+            try:
+                self.status()
+            except LinkError:  # in an alarm some answer nothing
+                if not self._link.connected:
+                    raise
+        self._inbox.extend(self._decoder.feed(self._receive(self._clock.now())))
+
+    def between(self, ask: Callable[[], R]) -> R | None:
+        """``ask``, from any thread, where no other question is under way; else None."""
+        return self.turns.between(ask, STATUS_S)
 
     def _welcome(self) -> Welcome | None:
         """The welcome and what comes with it; None if nothing came. Raises ProtocolError."""

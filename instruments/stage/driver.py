@@ -13,7 +13,7 @@ turntable.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -76,7 +76,7 @@ class Stage:
             hint = f"Declare {', '.join(DECLARABLE)}."
             raise LimitError(link.who, f"a stage has no axes {axes!r}", hint=hint)
         self.axes = axes
-        self.who = link.who
+        self.url, self.who = link.url, link.who
         self._link = link
         self._clock = clock
         match dialect:
@@ -86,6 +86,9 @@ class Stage:
                 self._dialogue = MarlinDialogue(link, clock)
             case "zaber":
                 self._dialogue = ZaberDialogue(link, clock, motors)
+        # called before anything is sent that moves it; what it raises keeps that from being sent
+        self.before_moving: Callable[[], None] = lambda: None
+        self.moves = False  # by a call of ours, and no stand was read back since
         self._identified: tuple[StageIdentity, StageSettings] | None = None
         self._homed_at: int | None = None  # the count of upsets when homing succeeded
         self._move: Move | None = None
@@ -144,10 +147,12 @@ class Stage:
             hint = "Call finish_move(), or stop() and recover()."
             raise LimitError(self.who, "a move is under way", asked="home", hint=hint)
         self._move = self._homed_at = None
+        self._begin_moving()
         self._dialogue.home(self.axes, settings.homing_bound_s)
         upsets = self._dialogue.upsets
         self._check_idle("not idle after homing", "Call recover(), then home().", asked="home")
         self._homed_at = upsets
+        self.moves = False
 
     def move_to(
         self,
@@ -213,6 +218,7 @@ class Stage:
             self._dialogue.cancel_jog()
             self._until_still()
             self._move = None
+            self.moves = False
 
     def finish_move(self) -> None:
         """Wait for a move or jog. Raises DeviceError when held, too slow, or it ends elsewhere."""
@@ -224,6 +230,7 @@ class Stage:
             raise LimitError(self.who, "no move is under way", hint="Call begin_move().")
         status = self._until_over(move)
         self._move = None
+        self.moves = False
         here, steps = self._here(status), self._by_letter(self.settings.steps_per_mm)
         for axis, value in move.target_mm.items():
             if not abs(here[axis] - value) <= max(TOLERANCE_MM, 0.5 / steps[axis] + 0.001):
@@ -240,16 +247,28 @@ class Stage:
 
     def brake(self) -> None:
         """Brake without waiting, from any thread. The owner's move ends in a DeviceError. Classic
-        Grbl ignores it while homing; Marlin's costs the position. Raises LinkError.
+        Grbl ignores it while homing; Marlin's costs the position. Raises LinkError. That a byte was
+        sent says nothing of the stage: see ``stands``.
         """
         self._dialogue.brake()
 
-    def stop(self) -> None:
-        """Bring the stage to a stand from any state and wait. Keeps the position (but Marlin's);
-        resets only a controller that homes or doesn't answer. An alarm stays for the next call.
-        Raises LinkError.
+    def stands(self) -> Status | None:
+        """The report, read now and from any thread, of a stage that brakes and stands; None where a
+        question of its owner is under way. Raises DeviceError if it doesn't, else as ``status``.
         """
-        if self._dialogue.alarm is not None:
+        return self._dialogue.between(self._until_still)
+
+    def stop(self) -> None:
+        """Bring the stage to a stand from any state, wait, and read it back. Keeps the position
+        (but Marlin's); resets only a controller that homes or doesn't answer. An alarm stays for
+        the next call. Raises LinkError.
+        """
+        self._stop()
+        self.moves = False
+
+    def _stop(self) -> None:
+        if self._dialogue.alarm is not None:  # its own word; it answers nothing else until a reset
+            self._dialogue.check_link()
             return
         if self._dialogue.homing:  # then classic firmware obeys only a reset, Marlin only M112
             self._dialogue.abort()
@@ -289,6 +308,7 @@ class Stage:
         if status.state not in ("Idle", "Alarm"):
             what, hint = "neither idle nor locked after a reset", "Switch it off and on."
             raise DeviceError(self.who, what, seen=status.name, hint=hint)
+        self.moves = False
 
     def close(self) -> None:
         """Close the link. Does not stop the stage: call ``stop`` before."""
@@ -349,8 +369,14 @@ class Stage:
     ) -> None:
         seconds = 60 * math.hypot(*way.values()) / min(feed, *self.settings.rate_mm_min)
         allowed = SLACK_S + 2 * seconds
+        self._begin_moving()
         self._dialogue.send(lines)
         self._move = Move(target, self._clock.now() + allowed, allowed, jog)
+
+    def _begin_moving(self) -> None:
+        """From now on it may move, by us."""
+        self.before_moving()
+        self.moves = True
 
     def _until_over(self, move: Move) -> Status:
         """The report of an idle stage after the move. Raises DeviceError: hold, lock, deadline."""

@@ -17,7 +17,7 @@ from typing import ClassVar
 from instruments.clock import Clock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.link import Link
-from instruments.stage.connection import ANSWER_S, QUIET_S, START_S, STATUS_S, Dialogue
+from instruments.stage.connection import ANSWER_S, QUIET_S, START_S, STATUS_S, Dialogue, whole
 from instruments.stage.protocol import (
     Alarm,
     Counted,
@@ -169,6 +169,7 @@ class MarlinDialogue(Dialogue):
     def _told(self, line: str) -> list[str]:
         return [said.text for said in self.command(line) if isinstance(said, Message)] or [""]
 
+    @whole
     def command(self, text: str, timeout_s: float = ANSWER_S) -> list[Response]:
         if self._stale:
             self._synchronize()
@@ -178,6 +179,7 @@ class MarlinDialogue(Dialogue):
             self._stale = True  # an ``ok`` follows a refusal, too
             raise
 
+    @whole
     def status(self) -> Status:
         """A fresh report: "Run" while the step counts are not at the place that it was sent to."""
         if f"M113 S{BEAT_S}" not in self._told("M113"):
@@ -217,6 +219,7 @@ class MarlinDialogue(Dialogue):
 
     cancel_jog = brake
 
+    @whole
     def abort(self) -> None:
         """Stop it by M410; M112 halts a board that homes or doesn't obey, until it is
         switched off.
@@ -237,6 +240,7 @@ class MarlinDialogue(Dialogue):
             except (DeviceError, ProtocolError):
                 continue
 
+    @whole
     def start(self) -> Welcome:
         """Wait for the board's start, if opening the port resets it, and for its attention."""
         self.upsets += 1
@@ -251,6 +255,7 @@ class MarlinDialogue(Dialogue):
                     raise
         return Welcome("", "Marlin")
 
+    @whole
     def restart(self) -> Welcome:
         """Synchronise: Marlin has no restart over the wire, and a halted one has to be switched off
         and on. Raises LinkError, ProtocolError, DeviceError.

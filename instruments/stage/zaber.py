@@ -18,7 +18,7 @@ from typing import ClassVar, NamedTuple
 from instruments.clock import Clock
 from instruments.errors import DeviceError, LimitError, LinkError, ProtocolError
 from instruments.link import Link
-from instruments.stage.connection import ANSWER_S, QUIET_S, Dialogue
+from instruments.stage.connection import ANSWER_S, QUIET_S, Dialogue, whole
 from instruments.stage.protocol import (
     AXES,
     Malformed,
@@ -173,6 +173,7 @@ class ZaberDialogue(Dialogue):
             low_mm=tuple([low for low, _, _, _ in each]),
         )
 
+    @whole
     def command(self, text: str, timeout_s: float = ANSWER_S) -> list[Response]:
         """Send ``DEVICE AXIS WORDS`` and wait for its own reply. Raises as `Dialogue.command`."""
         device, axis, words = text.split(" ", 2)
@@ -207,10 +208,13 @@ class ZaberDialogue(Dialogue):
         except ValueError:
             raise ProtocolError(self.who, f"{name} is not a number", seen=text) from None
 
+    @whole
     def status(self) -> Status:
         """ "Run" while an axis moves, "Alarm" without a reference. Raises DeviceError
         for a fault.
         """
+        if not self._motors:  # another program's stage, of which only its motion is known
+            return self._unidentified()
         replies = {axis: self._where(motor) for axis, motor in self._motors.items()}
         flags = {axis: reply.flag for axis, (reply, _) in replies.items()}
         for axis, flag in flags.items():
@@ -224,6 +228,10 @@ class ZaberDialogue(Dialogue):
         letters = AXES if "A" in self._motors else AXES[:3]
         at = tuple([replies[a][1] if a in replies else 0.0 for a in letters])
         return Status(state, None, at, None, None, flags)
+
+    def _unidentified(self) -> Status:
+        busy = any(self._where(motor)[0].busy for motor in self._given)
+        return Status("Run" if busy else "Idle", None, (), None, None, {})
 
     def _where(self, motor: Motor) -> tuple[Reply, float]:
         text = f"{motor.device} {motor.axis} get pos"
@@ -275,26 +283,29 @@ class ZaberDialogue(Dialogue):
             if words.startswith("set maxspeed "):
                 self._speeds[int(device), int(number)] = int(words.rpartition(" ")[2])
 
+    @whole
     def abort(self) -> None:
         """Stop all axes and wait until they stand. Raises LinkError."""
         self.upsets += 1
         self.brake()
         until_s = self._clock.now() + STOP_S
-        while any(self._where(motor)[0].busy for motor in self._motors.values()):
+        while any(self._where(motor)[0].busy for motor in self._given):
             if self._clock.now() > until_s:
                 raise LinkError(self.who, "the stage does not stop", hint="Cut its power.")
             self.wait(POLL_S)
 
+    @whole
     def start(self) -> Welcome:
         """Opening a port resets no device: devices that move are stopped."""
         return self.restart()
 
+    @whole
     def restart(self) -> Welcome:
         """Stop all axes and clear warnings; the stage has to be homed then."""
         self.upsets += 1
         self._link.drain(QUIET_S)
         self._forget()
         self.abort()
-        for motor in self._motors.values():
+        for motor in self._given:
             self.command(f"{motor.device} {motor.axis} warnings clear")
         return Welcome("", "Zaber")

@@ -27,13 +27,13 @@ from bench.record.schema import Row
 from bench.record.writer import Store
 from bench.results.answers import Examiner
 from bench.rig.devices import Devices
+from bench.rig.guardian_client import GuardianClient
 from bench.rig.loading import load_rig
 from bench.run import start
 from bench.run.events import RunState
 from bench.run.start import resume_run, run_script
 from bench.run.trial import TrialRun
 from bench.safety.bath_monitor import BathMonitor
-from bench.safety.guardian_client import GuardianClient
 from bench.safety.signals import CTRL_CLOSE_EVENT, Handler, installed
 from bench.script.model import load_script
 from bench.truth.touching import Toucher

@@ -16,9 +16,9 @@ import pytest
 from filelock import FileLock
 
 from bench.report.wording import guardian_text
+from bench.rig.guardian import DONE
+from bench.rig.guardian_client import GuardianClient, GuardianTarget, Heartbeat
 from bench.rig.hand_over import HAND_OVER_S, BathLock, bath_name
-from bench.safety.guardian import DONE
-from bench.safety.guardian_client import GuardianClient, GuardianTarget, Heartbeat
 from instruments.errors import LimitError, LinkError
 from tests.bench.safety.guards import HotBath, guardian_record, hot_bath, standby_after, within
 from tests.conftest import ROOT
@@ -47,7 +47,7 @@ def guardian(
     hot: HotBath, bench: int, name: str = "guardian-1"
 ) -> Iterator[subprocess.Popen[bytes]]:
     """A guardian that is ready, of a bench with this process id."""
-    command = [sys.executable, "-m", "bench.safety.guardian", "--profile=julabo-presto"]
+    command = [sys.executable, "-m", "bench.rig.guardian", "--profile=julabo-presto"]
     command += [f"--url={hot.url}", f"--record={hot.folder / name}.json", f"--bench={bench}"]
     pipe = subprocess.PIPE
     with subprocess.Popen(
@@ -200,7 +200,7 @@ def test_who_waits_is_seen_as_long_as_it_waits(baths: Path) -> None:
 @pytest.mark.slow
 def test_of_two_that_ask_at_once_one_gets_the_bath(hot: HotBath, baths: Path) -> None:
     hot.emulator.fault("silence")
-    command = [sys.executable, "-m", "bench.safety.guardian", "--profile=julabo-presto"]
+    command = [sys.executable, "-m", "bench.rig.guardian", "--profile=julabo-presto"]
     command += [f"--url={hot.url}", f"--bench={os.getpid()}"]
     pipe = subprocess.PIPE
     with guardian(hot, ENDED) as old:

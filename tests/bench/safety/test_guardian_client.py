@@ -18,9 +18,9 @@ from typing import Any
 
 import pytest
 
-from bench.safety.guardian import DONE, HeartbeatReader
-from bench.safety.guardian import main as guardian
-from bench.safety.guardian_client import (
+from bench.rig.guardian import DONE, HeartbeatReader
+from bench.rig.guardian import main as guardian
+from bench.rig.guardian_client import (
     BEAT_S,
     UNANSWERED,
     GuardianClient,
@@ -117,7 +117,7 @@ def test_the_guardian_has_the_priority_and_the_memory_that_the_system_grants(hot
         )
         nice = os.getpriority(os.PRIO_PROCESS, line.pid)
         assert nice == granted("import os; os.setpriority(os.PRIO_PROCESS, 0, -20)", -20, 0)
-        lock = "import bench.safety.guardian, ctypes, sys; sys.exit(ctypes.CDLL(None).mlockall(5))"
+        lock = "import bench.rig.guardian, ctypes, sys; sys.exit(ctypes.CDLL(None).mlockall(5))"
         assert (locked >= resident) is granted(lock, True, False)
     assert {name: hot.record()[name] for name in ("nice", "memory_locked")} == {
         "nice": nice,
@@ -148,7 +148,7 @@ def test_a_mistake_in_one_try_does_not_end_the_guardian(
     with os.fdopen(read, encoding="utf-8") as end, monkeypatch.context() as patched:
         patched.setattr(sys, "stdin", end)
         patched.setattr(signal, "signal", lambda *_: None)
-        patched.setattr("bench.safety.guardian._raise_priority", dict)
+        patched.setattr("bench.rig.guardian._raise_priority", dict)
         given = ["--url", hot.url, "--profile", "julabo-presto", "--bench", "1"]
         assert guardian([*given, "--record", str(hot.folder / "guardian.json")]) == 0
     assert not hot.plant.running
@@ -187,7 +187,7 @@ def test_a_guardian_that_cannot_start_is_reported_with_its_own_words(tmp_path: P
 
 BENCH_THAT_FORKS = """
 import os, subprocess, sys, time
-command = [sys.executable, "-m", "bench.safety.guardian", "--url", sys.argv[1], "--profile", "julabo-presto", "--record", sys.argv[2]]
+command = [sys.executable, "-m", "bench.rig.guardian", "--url", sys.argv[1], "--profile", "julabo-presto", "--record", sys.argv[2]]
 child = subprocess.Popen(command + ["--bench", str(os.getpid())], stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
 child.stdout.readline()
 print("ready", flush=True)
@@ -229,7 +229,7 @@ class Stopwatch:
 @pytest.fixture
 def watch(monkeypatch: pytest.MonkeyPatch) -> Stopwatch:
     watch = Stopwatch()
-    monkeypatch.setattr("bench.safety.guardian_client.stopwatch_s", lambda: watch.now_s)
+    monkeypatch.setattr("bench.rig.guardian_client.stopwatch_s", lambda: watch.now_s)
     return watch
 
 
@@ -308,7 +308,7 @@ def test_the_last_word_of_a_bench_that_ends_is_read_before_it_counts_as_dead(
         os.write(bench_end, DONE.encode() + b"\n")
         return True
 
-    monkeypatch.setattr("bench.safety.guardian._is_dying", looked)
+    monkeypatch.setattr("bench.rig.guardian._is_dying", looked)
     with Path(os.devnull).open("wb") as echo:
         reader = HeartbeatReader(source, echo.fileno(), os.getpid())
         assert reader.wait_for_loss() is None

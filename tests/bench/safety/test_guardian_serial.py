@@ -20,7 +20,7 @@ import pytest
 
 from bench.record.reader import read_run
 from bench.report.wording import guardian_text
-from bench.safety.guardian import DONE
+from bench.rig.guardian import DONE
 from instruments.bath.emulator import BathEmulator, RelayEmulator
 from instruments.bath.profile import load_register_profile, load_relay
 from instruments.clock import RealClock
@@ -132,7 +132,7 @@ class Hot:
     def abandoned(self, overrun_s: float) -> Iterator[subprocess.Popen[bytes]]:
         """A guardian whose bench has just died."""
         more = ["--record", str(self.record), "--bench", "1", "--overrun-s", str(overrun_s)]
-        command = [sys.executable, "-m", "bench.safety.guardian", *self.arguments, *more]
+        command = [sys.executable, "-m", "bench.rig.guardian", *self.arguments, *more]
         pipe = subprocess.PIPE
         with subprocess.Popen(
             command, cwd=ROOT, stdin=pipe, stdout=pipe, start_new_session=True
@@ -200,7 +200,7 @@ def test_a_dead_relay_does_not_prevent_standby(hot: Hot) -> None:
 
 def test_a_bench_that_has_made_safe_itself_leaves_the_pump_alone(hot: Hot) -> None:
     more = [f"--record={hot.record}", "--bench=1"]
-    command = [sys.executable, "-m", "bench.safety.guardian", *hot.arguments, *more]
+    command = [sys.executable, "-m", "bench.rig.guardian", *hot.arguments, *more]
     done = subprocess.run(
         command, cwd=ROOT, input=f"{DONE}\n".encode(), stdout=subprocess.PIPE, timeout=60
     )

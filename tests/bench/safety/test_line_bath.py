@@ -67,7 +67,7 @@ def test_the_guardian_puts_a_julabo_into_standby(tmp_path: Path) -> None:
         plant.run(33.0)
         with closing(Listener(device, clock, lock=threading.RLock(), name="bath")) as listener:
             record, url = tmp_path / "guardian.json", listener.url.replace("socket", "tcp")
-            command = [sys.executable, "-m", "bench.safety.guardian", "--profile=julabo-ascii"]
+            command = [sys.executable, "-m", "bench.rig.guardian", "--profile=julabo-ascii"]
             command += [f"--url={url}", "--record", str(record), "--bench", "1"]
             pipe = subprocess.PIPE
             with subprocess.Popen(command, cwd=ROOT, stdin=pipe, stdout=pipe) as process:

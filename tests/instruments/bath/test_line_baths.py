@@ -267,17 +267,38 @@ def test_what_a_lauda_is_told() -> None:
 
     def act(typed: Typed, command: str) -> None:
         changed = {"START": ("IN_MODE_02", "0"), "STOP": ("IN_MODE_02", "1")}
+        changed |= {f"OUT_SP_08_{n}": ("IN_SP_08", f"0{n:0>2}.00") for n in ("0", "30", "45")}
         read, shown = changed.get(command, ("IN_SP_00", f"0{command[-5:]}"))
         typed.replies[read] = shown
 
-    typed = Typed(VirtualClock(), dict(LAUDA_REPLIES), confirm="OK", acts=act)
+    watched = {**LAUDA_REPLIES, "IN_SP_08": "045.00"}
+    typed = Typed(VirtualClock(), dict(watched), confirm="OK", acts=act)
     with served(typed, "lauda-ascii") as (_, bath):
         bath.start(30.5)
+        assert bath.watchdog_s == 30.0
         bath.safe()
-        assert typed.told == ["OUT_SP_00_30.50", "START", "STOP"]
+        # FIELD: the seconds without a command after which it stops, as they were before
+        heats, rests = ["OUT_SP_00_30.50", "OUT_SP_08_30", "START"], ["STOP", "OUT_SP_08_45"]
+        assert typed.told == [*heats, *rests]
         typed.confirm = "ERR_6"
         with pytest.raises(DeviceError, match="refused: impermissible value"):
             bath.set_point(31.0)
+
+
+@pytest.mark.parametrize("reply", ["ERR_3", "ERR_8", ""])
+def test_a_lauda_without_a_watchdog_heats_all_the_same(reply: str) -> None:
+    def act(typed: Typed, command: str) -> None:
+        shown = {"START": ("IN_MODE_02", "0"), "STOP": ("IN_MODE_02", "1")}
+        if command in shown:
+            typed.replies.update([shown[command]])
+
+    replies = {**LAUDA_REPLIES, "IN_SP_08": reply}
+    typed = Typed(VirtualClock(), replies, confirm="OK", acts=act)
+    with served(typed, "lauda-ascii") as (_, bath):
+        bath.start(33.0)
+        assert bath.watchdog_s is None
+        bath.safe()
+        assert typed.told == ["START", "STOP"]
 
 
 # Huber, Thermo, HAAKE, PolyScience: replies as manuals (CERTAIN) and drivers that run (FIELD) have
@@ -580,7 +601,9 @@ def test_a_client_written_from_the_julabo_manual_alone() -> None:
 DIALOGUES = {  # command > answer
     "lauda-ascii": """OUT_SP_00_30.5 > OK | IN_SP_00 > 030.50 | out_sp_00 -5 > OK | IN_SP_00 > -005.00
         START > OK | IN_MODE_02 > 0 | STAT > 0000000 | OUT_SP_00_x > ERR_5 | OUT_SP_00_900 > ERR_6
-        STRAT > ERR_3 | STOP > OK""",
+        STRAT > ERR_3 | STOP > OK
+        IN_SP_08 > 000.00 | OUT_SP_08_30 > OK | IN_SP_08 > 030.00 | OUT_SP_08_100 > ERR_6
+        OUT_SP_08_x > ERR_5 | OUT_SP_08_0 > OK""",
     # 30.5 degC; 300 degC; a little more, which is not taken
     "huber-pb": """{M000BEA > {S000BEA | {M00**** > {S000BEA | {M007530 > {S007530 | {M007531 > {S007530
         {M140001 > {S140001 | {M16**** > {S160001 | {M05**** > {S050000 | {M66**** > {S667FFF
@@ -638,6 +661,40 @@ def emulated(name: str, fault: str = "") -> Iterator[tuple[LineEmulator, Bath]]:
         if fault:
             device.fault(fault)
         yield device, bath
+
+
+def test_a_lauda_that_nobody_asks_any_more_stops_by_itself_with_an_alarm() -> None:
+    """Alarm 22 (fact sheet, 4.1): pump, heater and cooling stop. Whoever asks in time feeds it."""
+    with emulated("lauda-ascii") as (device, bath):
+        clock, plant = device._clock, device.plant
+        bath.start(33.0)
+        for _ in range(10):
+            clock.sleep(20.0)
+            assert bath.read().running
+        clock.sleep(29.0)
+        assert plant.running
+        clock.sleep(2.0)
+        assert not plant.running
+        with pytest.raises(DeviceError, match="stopped by itself"):
+            bath.read()
+        assert bath.read().alarm == 2
+        with pytest.raises(DeviceError, match="not started: alarm 2"):
+            bath.start(33.0)
+        assert not plant.running
+
+
+def test_a_lauda_that_was_left_in_standby_raises_no_alarm() -> None:
+    with emulated("lauda-ascii") as (device, bath):
+        for end in (bath.safe, bath.standby):
+            bath.start(33.0)
+            end()
+            assert device.panel.watchdog_s == 0.0
+            device._clock.sleep(120.0)
+            assert bath.read().alarm == 0
+        bath.watched = False
+        bath.start(33.0)
+        device._clock.sleep(120.0)
+        assert bath.read().running
 
 
 @pytest.mark.parametrize("name", LINE_FAMILIES)

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, cast
 
-from bench.safety.guardian import ACTS, ALIVE, DONE, HUNG, READY, TAKE_OVER
+from bench.rig.guardian import ACTS, ALIVE, DONE, HUNG, READY, TAKE_OVER
 from instruments.clock import Clock, RealClock, stopwatch_s
 from instruments.errors import LinkError
 
@@ -97,18 +97,46 @@ START_S = 30.0  # a loaded machine reads Python's modules slowly
 
 
 @dataclass(frozen=True, slots=True)
-class GuardianTarget:
-    """A bath, and the relay of its pump where it has one; profiles by name or whole path."""
+class StageTarget:
+    """A stage, as its driver is made; ``motors`` of a Zaber: device, axis, microsteps."""
 
     url: str
-    profile: str
-    pump_url: str = ""
-    pump_profile: str = ""
-    allow_inferred: bool = False
+    baud: int
+    dialect: str
+    axes: str
+    motors: tuple[tuple[int, int, float], ...] = ()
 
     @property
     def arguments(self) -> list[str]:
-        given = [f"--url={self.url}", f"--profile={self.profile}"]
+        motors = ";".join(" ".join(map(str, motor)) for motor in self.motors)
+        return [
+            f"--stage-url={self.url}",
+            f"--stage-baud={self.baud}",
+            f"--stage-dialect={self.dialect}",
+            f"--stage-axes={self.axes}",
+            *([f"--stage-motors={motors}"] if motors else []),
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class GuardianTarget:
+    """A bath, and the relay of its pump where it has one; profiles by name or whole path. With a
+    ``stage``, or a stage alone (no ``url``).
+    """
+
+    url: str = ""
+    profile: str = ""
+    pump_url: str = ""
+    pump_profile: str = ""
+    allow_inferred: bool = False
+    stage: StageTarget | None = None
+
+    @property
+    def arguments(self) -> list[str]:
+        of_stage = self.stage.arguments if self.stage else []
+        if not self.url:
+            return of_stage
+        given = [f"--url={self.url}", f"--profile={self.profile}", *of_stage]
         if self.pump_url:
             given += [f"--pump-url={self.pump_url}", f"--pump-profile={self.pump_profile}"]
         return [*given, *(["--allow-inferred"] if self.allow_inferred else [])]
@@ -131,7 +159,7 @@ class GuardianClient:
         self._unanswered = 0
         self._acts = False
         self._log = folder / f"{name}.log"
-        command = [sys.executable, "-X", "utf8", "-m", "bench.safety.guardian", *target.arguments]
+        command = [sys.executable, "-X", "utf8", "-m", "bench.rig.guardian", *target.arguments]
         record = folder.resolve() / f"{name}.json"
         command += ["--record", str(record), "--bench", str(os.getpid())]
         with self._log.open("wb") as log:
@@ -221,6 +249,7 @@ class GuardianClient:
             for line in pipe:
                 self._acts = self._acts or line.strip() == ACTS.encode()
                 self._unanswered = 0
+        self._process.wait()  # its end, however late, leaves no zombie
 
     def _beat(self) -> None:
         while not self._ended.wait(BEAT_S):

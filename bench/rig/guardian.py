@@ -1,7 +1,7 @@
-"""The guardian: a small process of its own that puts the bath into standby when the bench dies or
-hangs.
+"""The guardian: a small process of its own that puts the bath into standby, and stops the stage,
+when the bench dies or hangs.
 
-    python -m bench.safety.guardian --url tcp://host:502 --profile julabo-presto --record
+    python -m bench.rig.guardian --url tcp://host:502 --profile julabo-presto --record
     runs/…/guardian-1.json
 
 The bench starts it and writes lines to its standard input: ``alive`` once a second, ``hung: …``
@@ -28,9 +28,11 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from datetime import datetime, timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from bench.rig.guardian_stage import StageStop, add_arguments
 from bench.rig.hand_over import BathLock, write_note
 from instruments.bath.driver import Bath, PumpAt
 from instruments.bath.profile import PUMP, load_profile, load_relay
@@ -122,23 +124,18 @@ class HeartbeatReader:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Guard one bath; 0 when it is in standby or nothing was needed, 1 when not reached."""
+    """Guard one bath, one stage or both; 0 when they are safe or nothing was needed, 1 when one was
+    not reached.
+    """
     given = _parser().parse_args(arguments)
     for name in IGNORED:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     clock = RealClock()
     try:
-        pump = PumpAt(given.pump_url, load_relay(given.pump_profile)) if given.pump_url else None
-        bath = Bath(
-            given.url,
-            load_profile(given.profile),
-            clock,
-            allow_inferred=given.allow_inferred,
-            identify=False,
-            pump=pump,
-        )
-        lock = BathLock(given.url, given.record, given.bench)
+        bath = _bath_of(given, clock) if given.url else None
+        stop = StageStop(given, clock) if given.stage_url else None
+        lock = BathLock(given.url or given.stage_url, given.record, given.bench)
         taken = lock.take()
     except (DeviceFileError, InstrumentError, OSError) as error:
         sys.stderr.write(f"guardian: {error}\n")
@@ -155,16 +152,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     facts: dict[str, Any] = {"cause": cause, "why": why, "bath": given.url}
     facts |= {"guardian": os.getpid(), **preferred}
     facts |= {"wall_last_sign": _text(noticed - silent), "wall_noticed": _text(noticed)}
-    record = Record(given.record, facts | {"standby": False, "tries": 0, "error": "not tried yet"})
+    # of a stage alone there is no standby
+    facts |= {"standby": False, "tries": 0, "error": "not tried yet"} if bath else {}
+    record = Record(given.record, facts)
     lock.acts()
     hung = given.bench if cause == "hung" else None
     with _handed_over(lock, record):
-        reached = _make_safe(bath, clock, record, bench=hung)
-        if reached and bath.pump == "own":
-            _run_pump_on(bath, clock, record, given.overrun_s)
-        bath.close()
+        # a bench that could not reach its bath has seen to its stage itself
+        if stop and (cause != "gave up" or bath is None):
+            stop.begin(partial(_end_hung, hung, record) if hung else None)
+        reached = bath is None or _make_safe(bath, clock, record, bench=hung)
+        stage = stop.result() if stop else None
+        if stage:
+            record.add(stage=stage)
+        if bath:
+            if reached and bath.pump == "own":
+                _run_pump_on(bath, clock, record, given.overrun_s)
+            bath.close()
     lock.release()
-    return 0 if reached else 1
+    return 0 if reached and (stage is None or stage["stands"]) else 1
 
 
 def _tell_bench(line: str) -> None:
@@ -191,6 +197,22 @@ def _handed_over(lock: BathLock, record: Record) -> Iterator[None]:
     finally:
         over.set()
         looks.join()
+
+
+def _end_hung(bench: int, record: Record) -> None:
+    record.add(killed=_kill(bench))
+
+
+def _bath_of(given: argparse.Namespace, clock: RealClock) -> Bath:
+    pump = PumpAt(given.pump_url, load_relay(given.pump_profile)) if given.pump_url else None
+    return Bath(
+        given.url,
+        load_profile(given.profile),
+        clock,
+        allow_inferred=given.allow_inferred,
+        identify=False,
+        pump=pump,
+    )
 
 
 def _is_dying(process: int) -> bool:
@@ -228,6 +250,7 @@ def _make_safe(bath: Bath, clock: RealClock, record: Record, *, bench: int | Non
         tries += 1
         try:
             bath.safe()
+            bath.release_watchdog(0.0)  # as it is shipped: nobody asks it from now on
         except Exception as error:  # whatever it is, the next try may succeed
             record.add(standby=False, tries=tries, error=cause_of(error))
             if bench is not None and isinstance(error, LinkError):
@@ -272,13 +295,14 @@ def _text(when: datetime) -> str:
 
 def _parser() -> argparse.ArgumentParser:
     about = "Puts a bath into standby when the bench that started it dies."
-    parser = argparse.ArgumentParser(prog="bench.safety.guardian", description=about)
+    parser = argparse.ArgumentParser(prog="bench.rig.guardian", description=about)
     add = parser.add_argument
-    add("--url", required=True)
-    add("--profile", required=True)
+    add("--url", default="", help="the bath; none: only a stage is guarded")
+    add("--profile", default="")
     add("--pump-url", default="", help="the relay of a pump that the controller doesn't turn")
     add("--pump-profile", default="")
     add("--allow-inferred", action="store_true")
+    add_arguments(parser)
     add("--overrun-s", type=float, default=OVERRUN_S, help="how long the pump runs on")
     add("--record", required=True, type=Path)
     add("--bench", required=True, type=int, help="the bench's process id")

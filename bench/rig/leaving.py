@@ -1,0 +1,225 @@
+"""Whoever opens a rig leaves it safe. What heats, moves or turns by an order of ours is made safe
+at the end of the context, of the interpreter, and by a guardian of its own where the process dies.
+
+A guardian is started before the first order that heats or moves is sent: what only reads pays
+nothing, and leaves a bath as it was found. Emulators of this process need none: they die with it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from contextlib import AbstractContextManager, suppress
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+
+from bench.rig.devices import Devices
+from bench.rig.guardian_client import GuardianClient, GuardianTarget, Heartbeat, StageTarget
+from bench.rig.loading import LoadedRig
+from instruments.bath.driver import Bath
+from instruments.bath.profile import PUMP
+from instruments.bath.reading import BathReading
+from instruments.clock import wall_time
+from instruments.errors import InstrumentError, LinkError
+from instruments.stage.driver import Stage
+
+FED_TIMES = 5  # in the time after which a controller's own watchdog stops it
+LEFT = ".left-running.jsonl"  # beside the rig file
+
+
+class NotSafeError(InstrumentError):
+    """What heats or moves could not be made safe on the way out."""
+
+
+def to_stderr(text: str) -> None:
+    sys.stderr.write(f"teatbench: {text}\n")
+
+
+def target_of(rig: LoadedRig, *, bath: str = "", pump: str = "", stage: str = "") -> GuardianTarget:
+    """What a guardian needs to make safe, in another process, what is at these URLs."""
+    table, target = rig.rig.stage, GuardianTarget()
+    if bath:
+        inferred = rig.rig.bath.allow_inferred
+        target = GuardianTarget(bath, rig.profile_source, pump, rig.relay_source, inferred)
+    if stage and table:
+        motors = table.motors if table.dialect == "zaber" else ()
+        at = StageTarget(stage, table.baud, table.dialect, table.axes, tuple(motors))
+        target = replace(target, stage=at)
+    return target
+
+
+class Leaving:
+    """Watches the ``devices`` of ``rig`` from their opening to their closing. ``guards``: they
+    outlive this process, and have guardians; ``leave_running``: they are left as they are, which is
+    noted.
+    """
+
+    def __init__(
+        self,
+        rig: LoadedRig,
+        devices: Devices,
+        *,
+        guards: bool,
+        leave_running: bool,
+        warn: Callable[[str], None],
+    ) -> None:
+        self._rig = rig
+        self._devices = devices
+        self._guards = guards
+        self._leave_running = leave_running
+        self._warn = warn
+        self._guardians: dict[str, GuardianClient] = {}
+        self._folders: list[Path] = []
+        self._heartbeat = Heartbeat()
+        self._left = False
+        bath: Bath | None = devices.bath  # of a rig opened in part
+        if bath:
+            bath.before_heating = partial(self._guard, "bath", bath, None)
+            bath.watched = not leave_running
+        if devices.stage:
+            devices.stage.before_moving = partial(self._guard, "stage", None, devices.stage)
+
+    def leave(self) -> NotSafeError | None:
+        """Make safe what is not; where that fails, the guardians go on trying."""
+        self._left = True
+        active = self._devices.active
+        if self._leave_running:
+            self._note(active)
+            return None
+        said: list[str] = []
+        unsafe = self._devices.make_safe(said.append, only=active) if active else ()
+        for name, guardian in self._guardians.items():
+            (guardian.hand_over if name in unsafe else guardian.done)()
+        for folder in self._folders:
+            with suppress(OSError):  # it has acted, or goes on: its record stays
+                folder.rmdir()
+        if not unsafe:
+            return None
+        names, why = ", ".join(unsafe), " ".join(said)
+        trying = "The guardian goes on trying. " if self._guardians else ""
+        what = f"NOT SAFE: {names}. {why} {trying}SWITCH IT OFF BY HAND"
+        if not self._guards:
+            what = f"{names} of the emulated rig: {why}"
+        self._warn(f"{what}.")
+        return NotSafeError("rig", what) if self._guards else None
+
+    def _guard(self, name: str, bath: Bath | None, stage: Stage | None) -> None:
+        """Before anything is sent that heats or moves. Raises LinkError without a guardian."""
+        if bath:
+            self._feed(bath)
+        if not self._guards or self._leave_running:
+            return
+        guardian = self._guardians.get(name)
+        if guardian is None:
+            of_bath = {"bath": bath.url, "pump": bath.pump_url} if bath else {}
+            target = target_of(self._rig, **of_bath, stage=stage.url if stage else "")
+            guardian = GuardianClient(target, self._folder(), self._heartbeat)
+            self._guardians[name] = guardian
+            if guardian.taken_from:
+                self._warn(f"{guardian.taken_from}; this process has it now")
+        elif lost := guardian.lost:
+            hint = "Open the rig anew."
+            raise LinkError("guardian", f"nothing is heated or moved: {lost}", hint=hint)
+
+    def _folder(self) -> Path:
+        """For the guardian's record: beside the rig file, where there is one."""
+        beside = self._rig.path.parent if self._rig.path.is_file() else None
+        prefix = f"{self._rig.path.stem or 'teatbench'}.guardian-"
+        try:
+            folder = Path(tempfile.mkdtemp(prefix=prefix, dir=beside))
+        except OSError:  # a folder that may not be written
+            folder = Path(tempfile.mkdtemp(prefix=prefix))
+        self._folders.append(folder)
+        return folder
+
+    def _feed(self, bath: Bath) -> None:
+        """Keep a controller's own watchdog fed while this process lives, whatever else it does."""
+        seconds = bath.profile.watchdog_s
+        if seconds is None or not bath.watched:
+            return
+        clock = self._devices.clock
+
+        def feed() -> None:
+            if self._left or not bath.heats:
+                return
+            with suppress(InstrumentError):  # for whoever reads it to notice
+                bath.read()
+            clock.call_at(clock.now() + seconds / FED_TIMES, feed)
+
+        if not bath.heats:
+            clock.call_at(clock.now() + seconds / FED_TIMES, feed)
+
+    def _note(self, active: tuple[str, ...]) -> None:
+        """Write down what is left running, beside the rig file."""
+        bath: Bath | None = self._devices.bath
+        if not active or not self._rig.path.is_file():
+            return
+        note: dict[str, object] = {
+            "wall_time": wall_time().isoformat(timespec="seconds"),
+            "left_running": list(active),
+            "process": os.getpid(),
+        }
+        try:
+            if bath and bath.heats:
+                note |= _shown(bath, bath.read())
+            path = self._rig.path.with_name(self._rig.path.stem + LEFT)
+            with path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(note) + "\n")
+        except (InstrumentError, OSError) as error:
+            self._warn(f"left running, and that could not be noted: {error}")
+
+
+def _shown(bath: Bath, reading: BathReading) -> dict[str, object]:
+    pump = {"pump": bath.profile.row(PUMP).label(bath.get(PUMP))} if bath.pump == "own" else {}
+    return {"running": reading.running, "set_point_c": reading.set_point_c, **pump}
+
+
+class Opened(AbstractContextManager[Devices]):
+    """Open instruments that are left safe: at the context's end, and else at the interpreter's,
+    where the context was entered and never left.
+    """
+
+    def __init__(
+        self,
+        opened: AbstractContextManager[Devices],
+        leaving: Callable[[Devices], Leaving] | None,
+    ) -> None:
+        self._opened = opened
+        self._of = leaving
+        self._leaving: Leaving | None = None
+        self._process = 0
+
+    def __enter__(self) -> Devices:
+        devices = self._opened.__enter__()
+        if self._of:
+            self._leaving, self._process = self._of(devices), os.getpid()
+            atexit.register(self._at_end)
+        return devices
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> bool | None:
+        atexit.unregister(self._at_end)
+        if self._leaving and os.getpid() != self._process:
+            return None  # forked from whoever opened them, whose links these are
+        leaving, self._leaving = self._leaving, None
+        unsafe = leaving.leave() if leaving else None
+        if unsafe and error:
+            error.add_note(str(unsafe))
+        closed = self._opened.__exit__(kind, error, trace)
+        if unsafe and not error:
+            raise unsafe
+        return closed
+
+    def _at_end(self) -> None:
+        with suppress(NotSafeError):  # said already
+            self.__exit__(None, None, None)

@@ -1,0 +1,96 @@
+"""The guardian's way to stop a stage that another process moves: each firmware that it may be."""
+
+from __future__ import annotations
+
+import argparse
+import threading
+import time
+from contextlib import closing, suppress
+
+import numpy as np
+import pytest
+
+from bench.rig.guardian_client import GuardianTarget, StageTarget
+from bench.rig.guardian_stage import StageStop, add_arguments
+from instruments.clock import RealClock
+from instruments.errors import InstrumentError
+from instruments.link import Link
+from instruments.listener import Listener
+from instruments.stage.driver import Spoken, Stage
+from instruments.stage.emulator import CLASSIC, MARLIN, ZABER, Dialect, StageEmulator
+from instruments.stage.zaber import Motor
+
+pytestmark = pytest.mark.slow
+
+MOTORS = ((1, 1, 250.0), (2, 1, 250.0))
+FAST = {24: 3000.0, 25: 6000.0, 110: 12000.0, 111: 12000.0}
+
+
+def given(target: GuardianTarget) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    return parser.parse_args(target.arguments)
+
+
+def stopped(target: GuardianTarget, clock: RealClock) -> dict[str, object]:
+    stop = StageStop(given(target), clock)
+    assert stop.result() is None
+    stop.begin()
+    return stop.result() or {}
+
+
+@pytest.mark.parametrize(
+    ("dialect", "spoken"), [(CLASSIC, "grbl"), (MARLIN, "marlin"), (ZABER, "zaber")]
+)
+@pytest.mark.parametrize("homes", [False, True], ids=["in a move", "while it homes"])
+def test_it_stops_a_stage_of_each_firmware(dialect: Dialect, spoken: Spoken, homes: bool) -> None:
+    motors = MOTORS if spoken == "zaber" else ()
+    steps = {100: 250.0, 101: 250.0}
+    with closing(RealClock()) as clock:
+        device = StageEmulator(clock, settings=steps if homes else FAST | steps, dialect=dialect)
+        lock = threading.RLock()
+        with (
+            closing(Listener(device, clock, lock=lock, name="stage")) as listener,
+            closing(Link(listener.url, clock, who="stage")) as link,
+        ):
+            stage = Stage(link, clock, "XY", dialect=spoken, motors=map(Motor._make, motors))
+            stage.connect()
+            owner = threading.Thread(target=_homes if homes else _moves, args=(stage,))
+            owner.start()
+            deadline = time.monotonic() + 120.0
+            while not (_moving(device) and (homes or stage.homed)):
+                assert time.monotonic() < deadline, "it never moved"
+            target = GuardianTarget(stage=StageTarget(listener.url, 115200, spoken, "XY", motors))
+            found = stopped(target, clock)
+            assert not _moving(device)
+            assert found["stands"] is True
+            owner.join(120.0)
+
+
+def _moving(device: StageEmulator) -> bool:
+    before = device.position_mm()
+    time.sleep(0.1)
+    return not np.allclose(before, device.position_mm())
+
+
+def _homes(stage: Stage) -> None:
+    with suppress(InstrumentError):  # its link is taken from it
+        stage.home()
+
+
+def _moves(stage: Stage) -> None:
+    with suppress(InstrumentError):
+        stage.home()
+        x_mm, y_mm = stage.position()[:2]
+        low, high = stage.limits["X"].low_mm, stage.limits["X"].high_mm
+        there = low + 1.0 if x_mm - low > high - x_mm else high - 1.0
+        stage.move_to(there, y_mm, feed_mm_min=300.0)
+
+
+def test_a_stage_that_is_not_there_is_no_stand(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bench.rig.guardian_stage.STAGE_S", 0.5)
+    target = GuardianTarget(stage=StageTarget("socket://127.0.0.1:9", 115200, "grbl", "XY"))
+    with closing(RealClock()) as clock:
+        found = stopped(target, clock)
+    assert found["stands"] is False
+    assert "nothing takes the connection" in str(found["error"])
