@@ -267,7 +267,7 @@ class Engine:
         ctx.long("going to safe", 300.0)
         said: list[str] = []
         asked = len(current().asked)
-        ctx.watch.end()
+        ctx.trips.end()
         unsafe = ctx.devices.make_safe(said.append, lambda: len(current().asked) > asked)
         self.bath_is_safe = "bath" not in unsafe
         ctx.trips.stop()

@@ -235,6 +235,11 @@ class TripHandler:
         for key, value in facts.items():
             store.fact(key, value)
 
+    def end(self) -> None:
+        """No further readings, and none is missed: a pump may run on for longer than one takes."""
+        self.watch.end()
+        self._heartbeat.rest(WATCH)
+
     def stop(self) -> None:
         """End the watch."""
         self.watch.stop()
