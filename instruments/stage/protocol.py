@@ -104,10 +104,12 @@ class Malformed:
 
 @dataclass(frozen=True, slots=True)
 class Counted:
-    """Marlin's answer to M114: the place it was last sent to, mm, and the steps it has made."""
+    """Marlin's answer to M114: the place it was last sent to, mm, and the steps that its motors
+    have made, by letter.
+    """
 
-    sent_mm: Position
-    steps: Position
+    sent_mm: Mapping[str, float]
+    steps: Mapping[str, float]
 
 
 class Reply(NamedTuple):
@@ -167,6 +169,8 @@ def _status(raw: bytes, text: str) -> Status | Malformed:
     if not state:
         return Malformed(raw, "a status report without a state")
     fields = {name: value for name, _, value in (field.partition(":") for field in rest)}
+    if "<" in text[1:] or ">" in text[:-1] or len(fields) < len(rest):
+        return Malformed(raw, "two status reports run together")
     positions: dict[str, Position | None] = {}
     for name in ("MPos", "WPos", "WCO"):
         parts = fields[name].split(",") if name in fields else []

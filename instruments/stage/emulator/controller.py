@@ -10,8 +10,8 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 
 from instruments.clock import Clock
-from instruments.stage.emulator.carriage import Carriage
-from instruments.stage.emulator.motion import Switch, Vector
+from instruments.stage.emulator.carriage import Carriage, Switch
+from instruments.stage.emulator.motion import Vector
 from instruments.stage.emulator.store import Store
 
 Work = Generator[float, None, str | None]
@@ -126,13 +126,13 @@ class Controller(ABC):
 
     def go(self, target_mm: Sequence[float], feed_mm_s: float | None) -> None:
         """Plan a straight move to machine coordinates; no feed is a rapid move."""
-        count = tuple([at - off for at, off in zip(target_mm, self.offset_mm, strict=True)])
-        there = self.settings.whole_steps(count)
+        count = [at - off for at, off in zip(target_mm, self.offset_mm, strict=True)]
+        there = self.settings.whole_steps(count, self.carriage.motion.target)
         self.carriage.go(there, feed_mm_s, self.settings.rates, self.now)
 
     def plan(self, target_mm: Sequence[float], feed_mm_s: float | None) -> Iterator[float]:
         """As `go`, once the planner has a free place."""
-        while len(self.carriage.motion.blocks(self.now)) >= self.dialect.planner_blocks:
+        while len(self.carriage.motion.left(self.now)) >= self.dialect.planner_blocks:
             yield self.carriage.due_s(self.now)
         self.go(target_mm, feed_mm_s)
 
@@ -142,13 +142,14 @@ class Controller(ABC):
 
     def run_home(self, axes: Sequence[int]) -> Iterator[float]:
         """Home ``axes``; ends in an alarm where a switch is broken."""
-        store = self.settings.homing_only(axes)
+        homing = self.settings.homing(axes)
+        axes = [axis for one in homing.passes for axis in one]
         self.homed -= set(axes)
-        self.carriage.start_homing(store, self.broken_switches, self.now)
+        self.carriage.start_homing(homing, self.broken_switches, self.now)
         while not self.carriage.homing_over(self.now):
             yield self.carriage.due_s(self.now)
-        home_mm = store.home_mm(self.carriage.motion.position(self.now))
-        if alarm := self.carriage.finish_homing(home_mm, self.now):
+        home_mm = self.settings.home_mm(axes, self.carriage.motion.position(self.now))
+        if alarm := self.carriage.finish_homing(home_mm, axes, self.now):
             self.alarm(alarm)
             return
         for axis in axes:
