@@ -46,7 +46,9 @@ _COUNT = re.compile(rf"([A-Z]): *{_FIGURE} *")
 _COUNTS = re.compile(r"(?:[A-Z]: *-?\d+(?:\.\d+)? *)+")
 _OK = re.compile(r"ok(?! .*\bok)(?: .*)?")
 _REFUSED = re.compile(r"Unknown command:.*|Error:.*|(?:Resend:|rs) ?\d+|Home .* First")
-_STOPPED = re.compile(r"Error:.*(?:halted|stop|kill).*", re.IGNORECASE)
+_STOPPED = re.compile(
+    r"(?:Error:|!! ?).*(?:halted|stop|kill|runaway|heating failed|temp triggered).*", re.IGNORECASE
+)
 _WAITS = ("busy: paused for", "busy:paused for")
 _SETTING = re.compile(r"\b(M\d+|G2[01])\b([^;]*)")
 _WORD = re.compile(rf"([A-Z]) ?{_FIGURE}")

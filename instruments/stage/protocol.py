@@ -32,6 +32,15 @@ RAPID_OVERRIDES: dict[bytes, int] = {b"\x95": 100, b"\x96": 50, b"\x97": 25}
 # in the order of every list of numbers; A is a rotation in degrees, on boards with four axes
 AXES = "XYZA"
 Position = tuple[float, ...]
+PINS = {axis: f"limit {axis}" for axis in "XYZABC"} | {
+    "P": "probe",
+    "D": "door",
+    "R": "reset",
+    "H": "hold",
+    "S": "cycle start",
+    "E": "emergency stop",
+    "M": "motor fault",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +77,12 @@ class Status:
     def name(self) -> str:
         """The state as the controller writes it: ``Idle``, ``Hold:0``."""
         return self.state if self.substate is None else f"{self.state}:{self.substate}"
+
+
+    @property
+    def pins(self) -> list[str]:
+        """The input pins that are active, by name; no field is no pin."""
+        return [PINS.get(letter, f"pin {letter}") for letter in self.fields.get("Pn", "")]
 
 
 @dataclass(frozen=True, slots=True)

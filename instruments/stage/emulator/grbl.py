@@ -110,7 +110,7 @@ class GrblController(Controller):
         self._probed = (0.0,) * self.settings.axes, 0  # where a probing ended, and whether well
         self._until_wco = self._until_ov = 0  # reports until the next with this field
         self._asked_while_homing = self._jogged = False
-        self._pressed: set[int] = set()
+        self._pressed = set(self.carriage.pressed(self.now))  # an alarm is for those that close
 
     def _greet(self) -> None:
         self.say("")

@@ -48,7 +48,7 @@ class MarlinController(Controller):
     def alarm(self, code: int, *, critical: bool = False) -> None:  # noqa: ARG002 - as Grbl's
         self.carriage.halt(self.now)
         if code > 1:
-            self.say("Error:Homing Failed")
+            self.say("echo:Homing Failed")
         self.say(KILLED)
         self.drop()
         self.halted = True
@@ -59,6 +59,7 @@ class MarlinController(Controller):
 
     def seen(self, text: str) -> None:
         if text.startswith("M112"):
+            self.say("echo:M112 Shutdown")
             self.alarm(1)
         elif text.startswith("M410"):
             self.carriage.halt(self.now)
@@ -108,7 +109,8 @@ class MarlinController(Controller):
             case "M211":
                 words = "X{:.2f} Y{:.2f} Z{:.2f}"
                 low, high = (words.format(*ends) for ends in self.settings.ends_mm)
-                self.say(f"echo:Soft endstops: On  Min:  {low}   Max:  {high}")
+                self.say("  M211 S1 ; ON")
+                self.say(f"  Min:  {low}   Max:  {high}")
             case "M503":
                 self.say("echo:; Linear Units:")
                 self.say("echo:  G21 ; (mm)")
