@@ -78,7 +78,6 @@ class Status:
         """The state as the controller writes it: ``Idle``, ``Hold:0``."""
         return self.state if self.substate is None else f"{self.state}:{self.substate}"
 
-
     @property
     def pins(self) -> list[str]:
         """The input pins that are active, by name; no field is no pin."""

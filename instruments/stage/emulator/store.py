@@ -119,7 +119,11 @@ class Store:
         known |= LOW_END_DEFAULTS if dialect.from_low_end else {}
         if unknown := sorted(set(changes or {}) - set(known)):
             raise ValueError(f"the stage has no settings ${', $'.join(map(str, unknown))}")
-        self._usual = dict(sorted((known | dict(changes or {})).items()))
+        known |= dict(changes or {})
+        needed = [n + axis for n in (100, 110, 120, 130) for axis in range(axes)]
+        if dialect.from_low_end and (zero := [n for n in needed if not known[n]]):
+            raise ValueError(f"{dialect.name} needs ${', $'.join(map(str, zero))} above 0")
+        self._usual = dict(sorted(known.items()))
         self.restore()
 
     def restore(self) -> None:

@@ -25,7 +25,7 @@ from instruments.link import Link
 from instruments.listener import Connection, Listener
 from instruments.stage import marlin, protocol, zaber
 from instruments.stage.driver import Stage
-from instruments.stage.emulator import EMULATED, MARLIN, StageEmulator
+from instruments.stage.emulator import CLASSIC, EMULATED, MARLIN, Dialect, StageEmulator
 from instruments.stage.protocol import Alarm, Malformed, Reply, Status
 from tests.instruments.stage.board import Board
 
@@ -54,9 +54,9 @@ def typed(name: str) -> list[tuple[str, list[str]]]:
 class Port:
     """A board without a link: what it says within some seconds of virtual time."""
 
-    def __init__(self, settings: Mapping[int, float]) -> None:
+    def __init__(self, settings: Mapping[int, float], dialect: Dialect = CLASSIC) -> None:
         self.clock = VirtualClock()
-        self.emulator = StageEmulator(self.clock, settings=settings)
+        self.emulator = StageEmulator(self.clock, settings=settings, dialect=dialect)
         self._said = bytearray()
         self.emulator.connect(self)  # type: ignore[arg-type]
         self._said.clear()
@@ -295,3 +295,40 @@ def test_another_programs_parser_reads_what_the_emulated_grbl_says(
     status = next(one for one in read if isinstance(one, StatusMessage)).status
     assert (status["mode"], status["MPos"], status["FS"]) == ("Alarm", [0.0] * 3, [0.0] * 2)
     assert isinstance(parse_line("ALARM:9"), AlarmMessage)
+
+
+EXTREMES = ("0", "0.001", "255", "9" * 60)
+AFTERWARDS = (
+    "$J=G91X-1F1000",
+    "G91G1X-1Y-2F1000",
+    "G0Z-0.001",
+    "G2X1Y1I1F500",
+    "G38.3Z-1F100",
+    "G90G53G0X0",
+    "$H",
+    "G20X1",
+    "$#",
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dialect", ["Grbl", "grblHAL"])
+def test_no_setting_that_a_board_takes_ends_it(dialect: str) -> None:
+    """Whatever it makes of the lines, it can be reset and asked."""
+    numbers = Port({}, EMULATED[dialect]).emulator._controller.settings.lines()
+    for number in (line.partition("=")[0] for line in numbers):
+        for value in EXTREMES:
+            port = Port({20: 0}, EMULATED[dialect])
+            port.say(f"$X\n{number}={value}\n".encode("ascii"), 1.0)
+            for line in AFTERWARDS:
+                port.say(line.encode("ascii") + b"\n?", 900.0)
+            assert port.say(b"\x18", 1.0)
+            assert port.say(b"$G\n?", 1.0)[-1].startswith(("<", "ok"))
+
+
+@pytest.mark.parametrize("number", [*range(110, 113), *range(120, 123), 100, 101, 102])
+def test_a_rate_or_acceleration_of_nought_is_slow(number: int) -> None:
+    port = Port(OPEN)
+    assert port.say(f"${number}=0\n$J=G91X-1Y-1Z-1F1000\n".encode("ascii"), 0.1) == ["ok", "ok"]
+    port.clock.sleep(600.0)
+    assert port.say(b"?", 0.0)[0].startswith("<Idle|MPos:")
