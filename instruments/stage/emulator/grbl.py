@@ -247,7 +247,9 @@ class GrblController(Controller):
         )
 
     def _rate(self, mm_min: float) -> str:
-        return f"{mm_min / INCH_MM:.1f}" if self.settings[13] else f"{mm_min:.0f}"
+        if self.settings[13]:
+            return f"{mm_min / INCH_MM:.1f}"
+        return f"{math.floor(mm_min + 0.5)}"  # a half is rounded up
 
     def status(self) -> str:
         """A status report, as ``?`` gets it."""
@@ -361,7 +363,7 @@ class GrblController(Controller):
                 self.say(line)
         elif text == "G":
             modes = self.gcode.modes
-            self.say(f"[GC:{modes} F{self._rate(modes.feed)} S{modes.speed:.0f}]")
+            self.say(f"[GC:{modes} F{self._rate(modes.feed)} S{math.floor(modes.speed + 0.5)}]")
         elif text == "X" and self.mode is Mode.LOCKED:
             self.mode = Mode.READY
             self._message("Caution: Unlocked")
