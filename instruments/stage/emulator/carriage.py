@@ -9,23 +9,18 @@ is an argument and never goes back.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
 
 from instruments.stage.emulator.motion import (
-    SOON_S,
     AxisRates,
     Motion,
-    Run,
     Vector,
 )
 from instruments.world.phantom import PlatePose
 
 PRESSED_MM = 0.005  # how far past its edge a limit switch is closed
-SEARCH = 1.5  # times the longest travel of the pass, before a switch counts as missing
-LOCATE = 5.0  # times the pull-off
 
 
 class Switch(Enum):
@@ -34,20 +29,6 @@ class Switch(Enum):
     MISSING = "never closes"
     STUCK = "never opens again"
     CROOKED = "of the axis's two motors, one finds its switch too late"
-
-
-class Homing(NamedTuple):
-    """How a controller homes: axes pass by pass, mm, mm/s and s; the alarm of a crooked gantry."""
-
-    passes: tuple[tuple[int, ...], ...]
-    travel_mm: Vector
-    accel_mm_s2: Vector
-    seek_mm_s: float
-    creep_mm_s: float
-    pull_off_mm: float
-    debounce_s: float
-    at_far_end: frozenset[int]
-    crooked_alarm: int
 
 
 @dataclass
@@ -69,11 +50,14 @@ class AxisDrive:
     def __post_init__(self) -> None:
         self.motor = self.place
 
-    def follow(self, count: float) -> None:
-        """The count goes straight to ``count``."""
+    def follow(self, count: float, *, homing: bool = False) -> None:
+        """The count goes straight to ``count``; play is taken up while ``homing``."""
         way = count - self.count
         self.count = count
         if self.stalled or not way:
+            return
+        if homing:
+            self.place = self.motor = min(max(self.place + way, self.low), 0.0)
             return
         lost = min(abs(way), self.to_lose)
         self.to_lose -= lost
@@ -87,86 +71,10 @@ class AxisDrive:
             self.pressed and self.place == (self.low if self.at_far_end else 0.0)
         )
 
-    def recount(self, count: float, place: float | None = None) -> None:
-        """Nothing moves; from now on the controller counts from here. With ``place`` the carriage
-        stands there with the play taken up.
-        """
-        if place is not None:
-            self.place = self.motor = place
-            self.pressed = False
+    def recount(self, count: float) -> None:
+        """Nothing moves; from now on the controller counts from here."""
         self.count = count
-        self.to_lose, self.stalled = 0.0, False
-
-
-class HomingRun:
-    """The homing cycle as a function of time from ``start_s``: the axes of a pass seek their
-    switches fast, back off, find them again slowly and back off. ``alarm``: what ends it.
-    """
-
-    def __init__(
-        self, start_s: float, place_mm: Vector, homing: Homing, broken: Mapping[int, Switch]
-    ) -> None:
-        self.end_s = start_s
-        self.alarm: int | None = None
-        self._homing, self._broken = homing, broken
-        self._place = list(place_mm)  # at the end of what is laid out
-        self._runs: list[tuple[int, float, float, Run]] = []  # axis, start, direction, run
-        for axes in homing.passes:
-            if self.alarm is None:
-                self._home(axes)
-
-    def position(self, now_s: float) -> Vector:
-        """Where the carriage is, mm."""
-        place = list(self._place)
-        for axis, start_mm, sign, run in reversed(self._runs):
-            if now_s < run.end_s:
-                place[axis] = start_mm + sign * run.at(now_s)[0]
-        return tuple(place)
-
-    def _home(self, axes: Sequence[int]) -> None:
-        homing = self._homing
-        search = SEARCH * max(homing.travel_mm[axis] for axis in axes)
-        locate = LOCATE * homing.pull_off_mm
-        for reach, speed in ((search, homing.seek_mm_s), (locate, homing.creep_mm_s)):
-            if self.alarm is None:
-                self._stage([self._approach(axis, reach, speed) for axis in axes])
-            if self.alarm is None:
-                self._stage([self._back_off(axis) for axis in axes])
-
-    def _stage(self, ends_s: list[float]) -> None:
-        self.end_s = max(self.end_s, *ends_s) + self._homing.debounce_s
-
-    def _towards(self, axis: int) -> float:
-        return -1.0 if axis in self._homing.at_far_end else 1.0
-
-    def _back_off(self, axis: int) -> float:
-        if self._broken.get(axis) is Switch.STUCK or not self._homing.pull_off_mm:
-            self.alarm = 8
-        return self._run(
-            axis, -self._towards(axis), self._homing.pull_off_mm, self._homing.seek_mm_s
-        )
-
-    def _approach(self, axis: int, reach: float, speed: float) -> float:
-        towards, homing = self._towards(axis), self._homing
-        switch = -homing.travel_mm[axis] if axis in homing.at_far_end else 0.0
-        gap = max(0.0, towards * (switch - self._place[axis]))
-        broken = self._broken.get(axis)
-        if broken is Switch.MISSING or gap > reach:
-            # the carriage stops at the end of its rails, the motor goes on
-            self.alarm = 9
-            return max(self._run(axis, towards, min(gap, reach), speed), self.end_s + reach / speed)
-        if broken is Switch.CROOKED:
-            self.alarm = homing.crooked_alarm
-        return self._run(axis, towards, gap, speed)
-
-    def _run(self, axis: int, sign: float, way_mm: float, speed: float) -> float:
-        """One axis's run from ``end_s`` on; when it ends."""
-        if not way_mm:
-            return self.end_s
-        run = Run(self.end_s, way_mm, speed, self._homing.accel_mm_s2[axis])
-        self._runs.append((axis, self._place[axis], sign, run))
-        self._place[axis] += sign * way_mm
-        return run.end_s
+        self.to_lose, self.stalled, self.pressed = 0.0, False, False
 
 
 class Carriage:
@@ -186,39 +94,33 @@ class Carriage:
         self.motion = Motion((0.0,) * len(self._axes))
         self.starts = 0
         self._seen_s = -math.inf  # up to when the axes have followed the motion
-        self._homing: HomingRun | None = None
-        self._stalled_homing: Vector | None = None
-
-    @property
-    def homing(self) -> bool:
-        return self._homing is not None
+        self.homing = False
 
     def moving(self, now_s: float) -> bool:
         return self.homing or self.motion.moving(now_s)
 
     def follow(self, now_s: float) -> Motion:
         """Bring the axes up to this moment; the motion."""
-        if not self._homing and now_s > self._seen_s:
+        if now_s > self._seen_s:
             for counts in self.motion.turns(self._seen_s, now_s):
                 for axis, count in zip(self._axes, counts, strict=True):
-                    axis.follow(count)
+                    axis.follow(count, homing=self.homing)
             self._seen_s = now_s
         return self.motion
 
     def place_mm(self, now_s: float) -> Vector:
-        if self._homing:
-            return self._stalled_homing or self._homing.position(now_s)
         self.follow(now_s)
         return tuple([axis.place for axis in self._axes])
 
     def pressed(self, now_s: float) -> list[int]:
         """The axes whose limit switch is closed."""
         self.follow(now_s)
-        return [at for at, axis in enumerate(self._axes) if axis.pressed and not self._homing]
+        return [at for at, axis in enumerate(self._axes) if axis.pressed and not self.homing]
 
-    def due_s(self, now_s: float) -> float:
-        """When the running move or the homing cycle ends; ``inf`` at rest."""
-        return self._homing.end_s if self._homing else self.motion.next_end_s(now_s)
+    def to_end_mm(self, axis: int, towards: float, now_s: float) -> float:
+        """How far the carriage is from the rail's end on the side ``towards``, 1 or -1."""
+        place = self.place_mm(now_s)[axis]
+        return place - self._axes[axis].low if towards < 0 else -place
 
     def go(
         self, target_mm: Vector, feed_mm_s: float | None, rates: AxisRates, now_s: float
@@ -232,49 +134,28 @@ class Carriage:
             self.starts += 1
 
     def halt(self, now_s: float) -> None:
-        """Cut the steps."""
-        place = self.place_mm(now_s)
-        self.motion.halt(now_s)
-        if self._homing:
-            self._end_homing(place, now_s)
+        """Cut the steps, of homing too."""
+        self.follow(now_s).halt(now_s)
+        self.homing = False
 
-    def cut_power(self, now_s: float) -> None:
-        """Off and on again: the count starts at nought, the carriage stays."""
+    def count_from(self, count_mm: Vector, now_s: float) -> None:
+        """The controller counts from here, by power or at the end of homing."""
         self.halt(now_s)
-        self.motion = Motion((0.0,) * len(self._axes))
-        for axis in self._axes:
-            axis.recount(0.0)
+        self.motion = Motion(count_mm)
+        for axis, count in zip(self._axes, count_mm, strict=True):
+            axis.recount(count)
 
-    def start_homing(self, homing: Homing, broken: Mapping[int, Switch], now_s: float) -> None:
-        """Begin the cycle from where the carriage stands."""
-        self._homing = HomingRun(now_s, self.place_mm(now_s), homing, broken)
+    def start_homing(self, now_s: float) -> None:
+        """From now on moves home it."""
+        self.follow(now_s)
         self._stall(False)
-        self._stalled_homing = None
+        self.homing = True
         self.starts += 1
-
-    def finish_homing(self, home_mm: Vector, axes: Sequence[int], now_s: float) -> int | None:
-        """At the cycle's end: set the count of ``axes``, or give the alarm that ended it."""
-        if self._homing is None:
-            return None
-        alarm, place = self._homing.alarm, self.place_mm(now_s)
-        if alarm is not None:
-            self.halt(now_s)
-            return alarm
-        at_home = [home_mm[at] if at in axes else here for at, here in enumerate(place)]
-        self.motion = Motion(home_mm)
-        self._end_homing(self._stalled_homing or tuple(at_home), now_s)
-        return None
-
-    def homing_over(self, now_s: float) -> bool:
-        return self._homing is None or now_s >= self._homing.end_s - SOON_S
 
     def stall(self, now_s: float) -> None:
         """The carriage stands until the next motion; the count goes on."""
-        if self._homing:
-            self._stalled_homing = self.place_mm(now_s)
-        else:
-            self.follow(now_s)
-            self._stall(True)
+        self.follow(now_s)
+        self._stall(True)
 
     def lose_steps(self, amount_mm: float, now_s: float) -> None:
         """Lose that much on the linear axis that the running move takes furthest."""
@@ -286,13 +167,6 @@ class Carriage:
     def _stall(self, on: bool) -> None:
         for axis in self._axes:
             axis.stalled = on
-
-    def _end_homing(self, place_mm: Vector, now_s: float) -> None:
-        self._homing = self._stalled_homing = None
-        count_mm = self.motion.position(now_s)
-        for axis, place, count in zip(self._axes, place_mm, count_mm, strict=True):
-            axis.recount(count, place)
-        self._seen_s = now_s
 
 
 @dataclass(frozen=True, slots=True)

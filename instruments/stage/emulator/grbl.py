@@ -133,7 +133,9 @@ class GrblController(Controller):
 
     @property
     def next_s(self) -> float:
-        return min(self._due_s, self._resume_s, self._restart_s, self.carriage.due_s(self.now))
+        return min(
+            self._due_s, self._resume_s, self._restart_s, self.carriage.motion.next_end_s(self.now)
+        )
 
     def check_limit_switches(self) -> None:
         """A limit switch that the carriage has run into is an alarm, where $21 says so."""
@@ -492,9 +494,7 @@ class GrblController(Controller):
         if not checking:
             yield from self.until_still()
         if isinstance(action, Dwell) and not checking:
-            end = self.now + action.seconds
-            while self.now < end - SOON_S:
-                yield end
+            yield from self.until(self.now + action.seconds)
         elif isinstance(action, Flow) and action.end:
             self._message("Pgm End")
         elif isinstance(action, Flow) and not checking:

@@ -13,8 +13,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from instruments.stage.emulator.carriage import Homing
-from instruments.stage.emulator.motion import LEAST_MM_S, LEAST_MM_S2, AxisRates, Vector
+from instruments.stage.emulator.motion import AxisRates, Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,21 +196,6 @@ class Store:
         masks = [int(self._values.get(number, 0)) for number in (44, 45, 46, 47)]
         passes = (tuple(axis for axis in range(self.axes) if mask >> axis & 1) for mask in masks)
         return tuple(axes for axes in passes if axes)
-
-    def homing(self, axes: Sequence[int]) -> Homing:
-        """How ``axes`` are homed."""
-        passes = (tuple(axis for axis in one if axis in axes) for one in self.passes)
-        return Homing(
-            passes=tuple(one for one in passes if one),
-            travel_mm=self.travel_mm,
-            accel_mm_s2=tuple([max(accel, LEAST_MM_S2) for accel in self._axes(120)]),
-            seek_mm_s=max(self._values[25] / 60, LEAST_MM_S),
-            creep_mm_s=max(self._values[24] / 60, LEAST_MM_S),
-            pull_off_mm=self._values[27],
-            debounce_s=self._values[26] / 1000,
-            at_far_end=self.at_far_end,
-            crooked_alarm=self.dialect.crooked_alarm,
-        )
 
     def switch_mm(self, axis: int) -> float:
         """Where the axis's homing switch is."""

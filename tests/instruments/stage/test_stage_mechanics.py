@@ -15,9 +15,8 @@ from hypothesis import strategies as st
 
 from instruments.errors import LinkError
 from instruments.stage.emulator import Fault, Mounting
-from instruments.stage.emulator.carriage import AxisDrive, HomingRun
+from instruments.stage.emulator.carriage import AxisDrive
 from instruments.stage.emulator.motion import AxisRates, Motion, Run, Vector
-from instruments.stage.emulator.store import Store
 from tests.instruments.stage.board import LOCK, WELCOME, Board
 
 RATES = AxisRates((50.0, 50.0, 50.0), (200.0, 200.0, 200.0))
@@ -97,34 +96,30 @@ def test_any_path_with_any_holds_and_overrides_is_smooth_and_ends_at_its_target(
     assert motion.left(now + 36000) == ()
 
 
-def homed(start: Vector, store: Store) -> HomingRun:
-    return HomingRun(0.0, start, store.homing(range(3)), {})
+Make = Callable[..., Board]
 
 
-def test_homing_takes_what_its_runs_take() -> None:
-    run = homed((-150.0, -100.0, -25.0), Store({25: 1500, 24: 100, 26: 250, 27: 1}))
-
+def test_homing_takes_what_its_runs_take_axis_by_axis(board: Board) -> None:
     def seek(way: float) -> float:  # at 25 mm/s, 200 mm/s²
         return way / 25 + 25 / 200
 
     off = 2 * math.sqrt(1 / 200)
     creep = 1 / (100 / 60) + (100 / 60) / 200
-    expected = seek(25) + seek(150) + 2 * (2 * off + creep) + 8 * 0.25
-    assert run.end_s == pytest.approx(expected, abs=1e-9)
-    assert run.position(run.end_s) == pytest.approx((-1.0, -1.0, -1.0))
-    assert run.position(0.0) == (-150.0, -100.0, -25.0)
-    assert run.position(seek(25) / 2) == pytest.approx((-150.0, -100.0, -12.5))
-    assert run.alarm is None
+    ways_s = seek(25) + seek(150) + seek(137.5)
+    assert board.answered_at(b"$H\n") == pytest.approx(
+        ways_s + 3 * (2 * off + creep + 4 * 0.25), abs=1e-6
+    )
+    assert board.emulator.position_mm() == pytest.approx([-1, -1, -1])
 
 
-@given(PLACES)
-def test_homing_ends_at_the_pull_off_from_anywhere(start: Vector) -> None:
-    run = homed(start, Store())
-    assert run.alarm is None
-    assert run.position(run.end_s) == pytest.approx((-1.0, -1.0, -1.0), abs=1e-9)
-
-
-Make = Callable[..., Board]
+@pytest.mark.parametrize("far", [0, 1, 3, 7])
+def test_homing_ends_at_the_pull_off_from_anywhere(make_board: Make, far: int) -> None:
+    board = make_board({23: far}, play_mm=(0.3, 0.1, 0.0))
+    home = [-299 if far & 1 else -1, -274 if far & 2 else -1, -49 if far & 4 else -1]
+    for _ in range(2):
+        board.answered_at(b"$H\n")
+        assert board.emulator.position_mm() == pytest.approx(home)
+        board.say(b"G53G1X-37Y-270Z-3F3000\n", 30.0)
 
 
 def test_a_stalled_carriage_stands_while_the_count_goes_on(free: Board) -> None:
