@@ -181,6 +181,7 @@ class MarlinDialogue(Dialogue):
         self._steps: Position = (1.0, 1.0, 1.0)
         self._stale = False  # answers may come that belong to nothing
         self._marks = 0
+        self._told_last = ""  # since the last line was sent: the reason of a halt comes before it
 
     def identify(self, axes: str) -> tuple[StageIdentity, StageSettings]:
         if "A" in axes:
@@ -213,6 +214,7 @@ class MarlinDialogue(Dialogue):
     def command(self, text: str, timeout_s: float = ANSWER_S) -> list[Response]:
         if self._stale:
             self._synchronize()
+        self._told_last = ""
         try:
             return super().command(text, timeout_s)
         except DeviceError:
@@ -366,9 +368,13 @@ class MarlinDialogue(Dialogue):
                 what, asked = "the build doesn't know the command", self.outstanding
                 self._stale = True
                 raise DeviceError(self.who, what, asked=asked, seen=str(answer.code), hint=lacking)
+        elif isinstance(answer, Alarm) and self._told_last:
+            answer = Alarm(f"{answer.code} ({self._told_last})")
         elif isinstance(answer, Message) and answer.text.startswith(_WAITS):
             self.upsets += 1
             self._stale = True
             what, hint = "the controller waits for somebody at its panel", "Press its button."
             raise DeviceError(self.who, what, asked=self.outstanding, seen=answer.text, hint=hint)
+        elif isinstance(answer, Message) and not answer.text.startswith(("busy", "T:", "//")):
+            self._told_last = answer.text
         return super()._judge(answer)

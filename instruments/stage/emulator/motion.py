@@ -16,32 +16,29 @@ LEAST_MM_S = 1 / 60  # the firmware's slowest feed
 LEAST_MM_S2 = 0.01  # for a setting of 0, which no board can do anything with
 
 
-@dataclass(frozen=True, slots=True)
 class Run:
     """A way of ``length_mm`` > 0 from ``entry_mm_s`` to rest, at ``speed_mm_s`` between."""
 
-    start_s: float
-    length_mm: float
-    speed_mm_s: float
-    accel_mm_s2: float
-    entry_mm_s: float = 0.0
-
-    @property
-    def _phases(self) -> tuple[tuple[float, float, float], ...]:
-        """Seconds, first speed and acceleration, three times."""
-        accel, entry = self.accel_mm_s2, self.entry_mm_s
-        top = min(self.speed_mm_s, math.sqrt(accel * self.length_mm + entry**2 / 2))
+    def __init__(
+        self,
+        start_s: float,
+        length_mm: float,
+        speed_mm_s: float,
+        accel_mm_s2: float,
+        entry_mm_s: float = 0.0,
+    ) -> None:
+        self.start_s, self.length_mm = start_s, length_mm
+        accel, entry = accel_mm_s2, entry_mm_s
+        top = min(speed_mm_s, math.sqrt(accel * length_mm + entry**2 / 2))
         first = accel if top >= entry else -accel
-        cruise_mm = self.length_mm - (top**2 - entry**2) / (2 * first) - top**2 / (2 * accel)
-        return (
+        cruise_mm = length_mm - (top**2 - entry**2) / (2 * first) - top**2 / (2 * accel)
+        # seconds, first speed and acceleration of each phase
+        self._phases = (
             ((top - entry) / first, entry, first),
             (max(0.0, cruise_mm) / top, top, 0.0),
             (top / accel, top, -accel),
         )
-
-    @property
-    def end_s(self) -> float:
-        return self.start_s + sum([seconds for seconds, _, _ in self._phases])
+        self.end_s = start_s + sum([seconds for seconds, _, _ in self._phases])
 
     def at(self, now_s: float) -> tuple[float, float]:
         """How far along, mm, and how fast, mm/s."""

@@ -235,6 +235,7 @@ def test_zaber_replies(line: bytes, reply: Reply) -> None:
     assert zaber.parse(line) == reply
     assert isinstance(zaber.parse(line + b"\x01"), Malformed | Reply)
     assert isinstance(zaber.parse(b"@01 1 OK IDLE -- 0:8D"), Malformed)
+    assert isinstance(zaber.parse(line + line), Malformed), "two that ran together"
 
 
 def test_each_zaber_flag_that_is_not_harmless_costs_the_position(
