@@ -408,7 +408,7 @@ class GCode:
             origin = list(self.stored[system])
             for axis in words:
                 origin[axis] = target[axis]
-                if line.words["L"] == 20:
+                if int(line.words["L"]) == 20:
                     length = modes.tool_mm if axis == 2 else 0.0
                     origin[axis] = self.at_mm[axis] - self.g92_mm[axis] - target[axis] - length
             self.stored[system] = tuple(origin)

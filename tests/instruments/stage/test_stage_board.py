@@ -18,21 +18,6 @@ from tests.instruments.stage.board import LOCK, UNLOCKED, WELCOME, Board
 Make = Callable[..., Board]
 
 
-def test_a_locked_board_says_so_and_refuses_gcode(board: Board) -> None:
-    assert board.greeting == WELCOME + LOCK
-    assert board.say(b"G1X1F100\n") == b"error:9\r\n"
-    assert board.state() == b"Alarm"
-    assert board.say(b"$X\n") == UNLOCKED
-    assert board.state() == b"Idle"
-
-
-def test_a_board_without_homing_starts_idle(make_board: Make) -> None:
-    board = make_board({22: 0, 20: 0})
-    assert board.greeting == WELCOME
-    assert board.say(b"$H\n") == b"error:5\r\n"
-    assert board.state() == b"Idle"
-
-
 def test_settings(board: Board) -> None:
     lines = board.say(b"$$\n").split(b"\r\n")
     text = b"$20=1 $22=1 $27=1.000 $110=3000.000 $120=200.000 $130=300.000 $131=275.000 $132=50.000"
@@ -151,20 +136,6 @@ def test_slow_fields_come_first_after_a_reset_and_then_in_turn(free: Board) -> N
     reports = [free.say(b"?") for _ in range(24)]
     assert [i for i, report in enumerate(reports) if b"WCO:" in report] == [0, 10, 20]
     assert [i for i, report in enumerate(reports) if b"Ov:" in report] == [1, 11, 21]
-
-
-def test_work_coordinates_are_the_machines_less_their_offset(make_board: Make) -> None:
-    board = make_board({20: 0, 10: 2})
-    board.unlock()
-    board.say(b"G92X10Y-5\n")
-    assert (
-        board.say(b"?")
-        == b"<Idle|WPos:10.000,-5.000,0.000|Bf:15,128|FS:0,0|WCO:-10.000,5.000,0.000>\r\n"
-    )
-    board.say(b"G0X0\n", 5.0)
-    assert board.emulator.position_mm()[0] == pytest.approx(-160.0)
-    board.say(b"G53G0X0\n", 5.0)
-    assert board.emulator.position_mm()[0] == pytest.approx(-150.0)
 
 
 def test_two_runs_give_the_same_bytes(make_board: Make) -> None:
