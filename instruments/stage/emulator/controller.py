@@ -69,7 +69,7 @@ class Controller(ABC):
         """Notice a limit switch that the carriage has run into."""
 
     def say(self, text: str) -> None:
-        self.out += text.encode("ascii") + b"\r\n"
+        self.out += text.encode("ascii", "replace") + b"\r\n"
 
     def take(self, data: bytes) -> None:
         """Bytes from the host, cut anywhere."""
@@ -143,48 +143,56 @@ class Controller(ABC):
         while self.carriage.motion.moving(self.now):
             yield self.carriage.motion.next_end_s(self.now)
 
-    def until(self, end_s: float) -> Iterator[float]:
-        while self.now < end_s - SOON_S:
-            yield end_s
-
     def run_home(self, axes: Sequence[int]) -> Iterator[float]:
-        """Home ``axes`` one after the other; ends in an alarm where a switch is broken."""
+        """Home ``axes`` one after the other; ends in an alarm where a switch is broken, and without
+        one where the steps were cut.
+        """
         axes = [axis for one in self.settings.passes for axis in one if axis in axes]
         self.homed -= set(axes)
         self.carriage.start_homing(self.now)
+        broken = dict(self.broken_switches)
+        if self.settings.limits_inverted:
+            broken = dict.fromkeys(axes, Switch.STUCK)
         for axis in axes:
-            if alarm := (yield from self._find_switch(axis)):
+            if alarm := (yield from self._find_switch(axis, broken.get(axis))):
                 self.alarm(alarm)
-                return
+        if not self.carriage.homing:
+            return
         home_mm = self.settings.home_mm(axes, self.carriage.motion.target)
         self.carriage.count_from(home_mm, self.now)
         for axis in axes:
             self.offset_mm[axis] = self.settings.origin_mm[axis]
         self.homed |= set(axes)
 
-    def _find_switch(self, axis: int) -> Generator[float, None, int | None]:
+    def _find_switch(self, axis: int, broken: Switch | None) -> Generator[float, None, int | None]:
         """Seek it fast, back off, find it again slowly and back off; the alarm that ends it."""
-        store, broken = self.settings, self.broken_switches.get(axis)
+        store = self.settings
         towards = -1.0 if axis in store.at_far_end else 1.0
         pull_off, seek, creep = store[27], store[25], store[24]
         gap = self.carriage.to_end_mm(axis, towards, self.now)
         for reach, rate in ((SEARCH * store.travel_mm[axis], seek), (LOCATE * pull_off, creep)):
             missing = broken is Switch.MISSING or gap > reach
             yield from self._home_way(axis, towards * (reach if missing else gap), rate)
+            if not self.carriage.homing:
+                return None
             if missing:
                 return 9
             if broken is Switch.CROOKED:
                 return self.dialect.crooked_alarm
             yield from self._home_way(axis, -towards * pull_off, seek)
-            if broken is Switch.STUCK or not pull_off:
+            if self.carriage.homing and (broken is Switch.STUCK or not pull_off):
                 return 8
             gap = pull_off
         return None
 
     def _home_way(self, axis: int, way_mm: float, mm_min: float) -> Iterator[float]:
+        if not self.carriage.homing:
+            return
         count = list(self.carriage.motion.target)
         count[axis] += way_mm
         rates = replace(self.settings.rates, speed_mm_s=(mm_min / 60,) * self.settings.axes)
         self.carriage.go(tuple(count), None, rates, self.now)
         yield from self.until_still()
-        yield from self.until(self.now + self.settings[26] / 1000)
+        end_s = self.now + self.settings[26] / 1000
+        while self.carriage.homing and self.now < end_s - SOON_S:
+            yield end_s

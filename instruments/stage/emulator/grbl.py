@@ -15,7 +15,7 @@ from enum import Enum
 
 from instruments.clock import Clock
 from instruments.stage import protocol
-from instruments.stage.emulator.carriage import Carriage, Switch
+from instruments.stage.emulator.carriage import Carriage
 from instruments.stage.emulator.controller import Controller, Work
 from instruments.stage.emulator.gcode import (
     AXES,
@@ -448,8 +448,6 @@ class GrblController(Controller):
         if text != "H":
             raise RefusedError(3)
         self.mode = Mode.HOMING
-        if self.settings.limits_inverted:
-            self.broken_switches = dict.fromkeys(range(self.settings.axes), Switch.STUCK)
         yield from self.run_home(range(self.settings.axes))
         if not self.homed:  # an alarm has ended it, and it restarts
             self._restart_s = self.now + RESTART_S
@@ -494,7 +492,9 @@ class GrblController(Controller):
         if not checking:
             yield from self.until_still()
         if isinstance(action, Dwell) and not checking:
-            yield from self.until(self.now + action.seconds)
+            end_s = self.now + action.seconds
+            while self.now < end_s - SOON_S:
+                yield end_s
         elif isinstance(action, Flow) and action.end:
             self._message("Pgm End")
         elif isinstance(action, Flow) and not checking:

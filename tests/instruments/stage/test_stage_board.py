@@ -13,7 +13,7 @@ import pytest
 from instruments.clock import VirtualClock
 from instruments.stage.emulator import GRBL_HAL, ZABER, Fault, StageEmulator
 from instruments.stage.protocol import ALARMS
-from tests.instruments.stage.board import LOCK, UNLOCKED, WELCOME, Board
+from tests.instruments.stage.board import LOCK, WELCOME, Board
 
 Make = Callable[..., Board]
 
@@ -59,6 +59,8 @@ def test_pins_that_are_active_are_reported(make_board: Make) -> None:
     board.say(b"$5=1\n")  # not as the switches are wired
     assert b"|Pn:XYZ" in board.say(b"?")
     assert board.say(b"$H\n", 60.0).startswith(b"ALARM:8\r\n")
+    board.say(b"$X\n$5=0\n")
+    assert board.answered_at(b"$H\n") > 1.0
 
 
 def test_homing_answers_only_when_done_and_is_silent_until_then(board: Board) -> None:
