@@ -700,7 +700,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         RIG,
     ),
     "stage status": (
-        f"print who answered, state, position and travel; moves nothing, but {RESETS}",
+        f"print who answered, state, input pins, position and travel; moves nothing, but {RESETS}",
         "stage status --rig my-rig.toml",
         *STAGE_LINK,
         JSON,

@@ -39,6 +39,7 @@ from bench.rig.model import (
     FocusTable,
     Placed,
     Stage,
+    usual_stage,
 )
 from bench.rig.opening import open_instruments
 from bench.rig.scripted_answers import load_answers
@@ -64,7 +65,6 @@ from instruments.operators.operator import (
     Touch,
     no_check,
 )
-from instruments.stage.emulator.store import DEFAULTS, ROTARY_DEFAULTS
 from instruments.stage.protocol import AXES
 from instruments.stage.settings import StageSettings
 from instruments.world.phantom import spoken_name
@@ -344,7 +344,7 @@ def _stage_settings(
     if from_low_end:
         for axis, place in zip(at, places.max(axis=0).tolist(), strict=True):
             high[axis] = place + ROOM_MM
-    usual = DEFAULTS | ROTARY_DEFAULTS
+    usual = usual_stage()
     ways = {
         130 + axis: max(usual[130 + axis], high[axis] + ROOM_MM - low)
         for axis, low in zip(at, places.min(axis=0).tolist(), strict=True)

@@ -622,6 +622,13 @@ class EmulatedStage(Section):
         return None
 
 
+def usual_stage() -> dict[int, float]:
+    """The emulated stage's settings where a rig file says nothing, by Grbl's number."""
+    from instruments.stage.emulator.store import DEFAULTS, ROTARY_DEFAULTS
+
+    return DEFAULTS | ROTARY_DEFAULTS
+
+
 class Placed(Section):
     """Where something stands: X_world = R(om) X + T, a rotation vector in rad and mm."""
 

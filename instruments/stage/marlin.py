@@ -4,7 +4,7 @@ Marlin says neither whether it is homed nor what it does, and forgets its positi
 when it restarts. So the position is read from the step counts (M114), a volatile setting that we
 make unusual is asked back with each report (M113: another value means a restart), and whatever
 stops it or makes no sense costs the position. Sources: Marlin's G-code documentation; its source
-2.0 and 2.1 (M113, M114, M115, M211, language.h, e_parser).
+1.1, 2.0 and 2.1 (M113, M114, M115, M211, M503, language.h, e_parser); reports of its users.
 """
 
 from __future__ import annotations
@@ -42,93 +42,126 @@ _COUNTED_MM = 0.006  # positions come with two decimals
 
 
 _FIGURE = r"(-?\d+(?:\.\d+)?)"
-_COUNTED = re.compile(
-    rf"X:{_FIGURE} Y:{_FIGURE} Z:{_FIGURE} .*"
-    rf"Count X:\s*{_FIGURE} Y:\s*{_FIGURE} Z:\s*{_FIGURE}(?: .*)?"
+_COUNT = re.compile(rf"([A-Z]): *{_FIGURE} *")
+_COUNTS = re.compile(r"(?:[A-Z]: *-?\d+(?:\.\d+)? *)+")
+_OK = re.compile(r"ok(?! .*\bok)(?: .*)?")
+_REFUSED = re.compile(r"Unknown command:.*|Error:.*|(?:Resend:|rs) ?\d+|Home .* First")
+_STOPPED = re.compile(
+    r"(?:Error:|!! ?).*(?:halted|stop|kill|runaway|heating failed|temp triggered).*", re.IGNORECASE
 )
-_OK = re.compile(r"ok( .*)?")
-_REFUSED = re.compile(r"echo:Unknown command: .*|echo:Home .* First|Error:.*|Resend: ?\d+")
-_STOPPED = re.compile(r"Error:.*(halted|stopped|[Kk]ill).*")
-_CHATTER = ("echo:", "//", "Cap:", "FIRMWARE_NAME:", "area:", "T:", " T:", "wait", "Marlin")
+_WAITS = ("busy: paused for", "busy:paused for")
 _SETTING = re.compile(r"\b(M\d+|G2[01])\b([^;]*)")
-_WORD = re.compile(rf"([A-Z]){_FIGURE}")
-_ENDS = re.compile(
-    rf"Soft endstops:\s*(\w+)\s+Min:\s*X{_FIGURE}\s+Y{_FIGURE}\s+Z{_FIGURE}"
-    rf"\s+Max:\s*X{_FIGURE}\s+Y{_FIGURE}\s+Z{_FIGURE}",
-    re.IGNORECASE,
-)
+_WORD = re.compile(rf"([A-Z]) ?{_FIGURE}")
+_SOFT = re.compile(r"\bM211 S1\b|Soft endstops: *ON\b", re.IGNORECASE)
+_ENDS = re.compile(rf"\bMin:((?:\s*{_WORD.pattern})+)\s*Max:((?:\s*{_WORD.pattern})+)")
+LACKING = {
+    "M113": "Use a build with HOST_KEEPALIVE_FEATURE: without it a restart goes unnoticed.",
+    "M211": "Use a build with software endstops (M211 reports them).",
+    "M503": "Use a build that reports its settings in words (no DISABLE_M503).",
+}
+_NO_KINEMATICS = "Only machines whose motors are X, Y and Z (Cartesian) can be driven."
 
 
 def parse(line: bytes) -> Response:
-    """The value of one line, without its end. Never raises."""
-    try:
-        text = line.decode("ascii")
-    except UnicodeDecodeError:
-        return Malformed(line, "bytes that are not ASCII")
+    """The value of one line, without its end. Never raises.
+
+    Builds differ in blanks, in ``echo:`` and in what they tell beside: readable text that is no
+    answer is a message. A damaged answer is malformed.
+    """
+    text = line.decode("ascii", "replace").strip()
+    if not all(" " <= sign <= "~" or sign == "\t" for sign in text):
+        return Malformed(line, "bytes that are not ASCII text")
     if _OK.fullmatch(text):
         return Ok()
     if text == "start":
         return Welcome("", "Marlin")
-    if found := _COUNTED.fullmatch(text):
-        numbers = tuple(map(float, found.groups()))
-        return Counted(numbers[:3], numbers[3:])
+    if text.startswith("X:") and "Count" in text:
+        return _counted(line, text)
+    if text.startswith("ok"):
+        return Malformed(line, "an ok with something else in it")
+    while text.startswith("echo:"):  # some lines have it twice
+        text = text.removeprefix("echo:").strip()
     if _STOPPED.fullmatch(text):
         return Alarm(text)
     if _REFUSED.fullmatch(text):
         return ErrorReply(text)
-    if text.startswith(_CHATTER):
-        return Message("echo", text.removeprefix("echo:").strip())
-    return Malformed(line, "no answer of Marlin looks like this")
+    return Message("echo", text)
+
+
+def _counted(raw: bytes, text: str) -> Counted | Malformed:
+    sent, *counts = text.split("Count")
+    parts = [_COUNT.findall(part) for part in (sent, *counts)]
+    places = [{letter: float(number) for letter, number in part} for part in parts]
+    whole = all(_COUNTS.fullmatch(part.strip()) for part in (sent, *counts))
+    once = [len(part) for part in parts] == [len(place) for place in places]
+    if len(counts) != 1 or not (whole and once):
+        return Malformed(raw, "places and counts that are not one number a letter")
+    return Counted(*places)
 
 
 def read_marlin(lines: list[str], axes: str, *, who: str) -> StageSettings:
     """The settings of a stage with ``axes`` from the answers to M503 and M211. Raises ProtocolError
-    for a missing number, DeviceError for inches, home offsets or bed levelling.
+    for a missing number, DeviceError for inches, home offsets, bed levelling or other kinematics.
     """
-    found = {
-        setting[1]: {letter: float(value) for letter, value in _WORD.findall(setting[2])}
-        for line in lines
-        for setting in _SETTING.finditer(line)
-    }
-    ends = next(filter(None, map(_ENDS.search, lines)), None)
+    found: dict[str, dict[str, float]] = {}
+    for line in lines:
+        for code, words in _SETTING.findall(line):  # a line an extruder in some builds
+            figures = {letter: float(value) for letter, value in _WORD.findall(words)}
+            found.setdefault(code, {}).update(figures)
+
+    def refuse(what: str, hint: str) -> None:
+        raise DeviceError(who, what, asked="M503", hint=hint)
+
+    if "M665" in found:
+        refuse("the kinematics (M665: delta, SCARA or polar) can't be driven", _NO_KINEMATICS)
     if "G20" in found:
-        raise DeviceError(who, "the controller counts in inches", asked="M503", hint="Send G21.")
+        refuse("the controller counts in inches", "Send G21.")
     if any(found.get("M206", {}).values()):
         hint = "Send M206 X0 Y0 Z0 and M500: places would otherwise be shifted."
-        raise DeviceError(who, "the controller has home offsets", asked="M503", hint=hint)
+        refuse("the controller has home offsets", hint)
     if found.get("M420", {}).get("S"):
         hint = "Send M420 S0 and M500: its Z would otherwise follow a measured bed."
-        raise DeviceError(who, "bed levelling is on", asked="M503", hint=hint)
-    steps, rates, accels = (_axis_figures(found, code, who) for code in ("M92", "M203", "M201"))
+        refuse("bed levelling is on", hint)
+    steps, rates, accels = (
+        _axis_figures(found, code, axes, who) for code in ("M92", "M203", "M201")
+    )
+    text = "\n".join(lines)
+    ends = _ENDS.search(text)
     if ends is None:
-        hint = "Use a build with software endstops (M211 reports them)."
-        raise ProtocolError(who, "the travel is not reported", asked="M211", hint=hint)
-    low = tuple([float(ends[at]) for at in (2, 3, 4)])
-    travel = tuple([float(ends[at + 3]) - low[at - 2] for at in (2, 3, 4)])
-    if any(travel["XYZ".index(axis)] <= 0 for axis in axes):
+        what = "the travel is not reported"
+        raise ProtocolError(who, what, asked="M211", hint=LACKING["M211"])
+    low, high = (
+        {letter: float(value) for letter, value in _WORD.findall(ends[group])} for group in (1, 4)
+    )
+    travel = {axis: high.get(axis, 0.0) - low.get(axis, 0.0) for axis in "XYZ"}
+    if any(travel[axis] <= 0 for axis in axes):
         hint = "Set its bed size and travel in its configuration."
         raise DeviceError(who, "the travel is empty", asked="M211", seen=ends[0], hint=hint)
     return StageSettings(
-        travel_mm=travel,
+        travel_mm=tuple(travel.values()),
         rate_mm_min=tuple([60 * rate for rate in rates]),
         accel_mm_s2=accels,
         steps_per_mm=steps,
-        soft_limits=ends[1].upper() == "ON",
+        soft_limits=bool(_SOFT.search(text)),
         hard_limits=False,
         homing=True,
         homing_seek_mm_min=60 * HOMING_MM_S,
         homing_feed_mm_min=60 * HOMING_MM_S,
         pull_off_mm=0.0,
-        low_mm=low,
+        low_mm=tuple([low.get(axis, 0.0) for axis in "XYZ"]),
     )
 
 
-def _axis_figures(found: Mapping[str, Mapping[str, float]], code: str, who: str) -> Position:
+def _axis_figures(
+    found: Mapping[str, Mapping[str, float]], code: str, axes: str, who: str
+) -> Position:
+    """The words X, Y, Z of a setting; an axis that the build hasn't is 1 where it isn't needed."""
     words = found.get(code, {})
-    if not all(words.get(axis, 0.0) > 0 for axis in "XYZ"):
-        hint = "Use a build that reports its settings in words (no DISABLE_M503)."
-        raise ProtocolError(who, f"{code} is not usable", asked="M503", seen=str(words), hint=hint)
-    return tuple([words[axis] for axis in "XYZ"])
+    if not all(words.get(axis, 0.0) > 0 for axis in axes):
+        seen = str(dict(words)) if words else "nothing"
+        what, hint = f"{code} is not usable", LACKING["M503"]
+        raise ProtocolError(who, what, asked="M503", seen=seen, hint=hint)
+    return tuple([words.get(axis) or 1.0 for axis in "XYZ"])
 
 
 class MarlinDialogue(Dialogue):
@@ -148,22 +181,31 @@ class MarlinDialogue(Dialogue):
         self._steps: Position = (1.0, 1.0, 1.0)
         self._stale = False  # answers may come that belong to nothing
         self._marks = 0
+        self._told_last = ""  # since the last line was sent: the reason of a halt comes before it
 
     def identify(self, axes: str) -> tuple[StageIdentity, StageSettings]:
         if "A" in axes:
             raise LimitError(self.who, "Marlin is driven in X, Y and Z only", asked=axes)
         self.start()
         lines = self._told("M115")
-        named = re.search(r"FIRMWARE_NAME:Marlin (\S*)(.*?)(?: SOURCE_CODE_URL|$)", " ".join(lines))
+        said = " ".join(lines)
+        named = re.search(
+            r"FIRMWARE_NAME: ?Marlin (\S*)(.*?)(?: SOURCE_CODE_URL| [A-Z_]+:|$)", said
+        )
         if named is None:
             what, hint = "this is not Marlin", "Is this the stage's port, and its baud rate right?"
             raise ProtocolError(self.who, what, asked="M115", seen=lines[0][:60], hint=hint)
+        kinematics = re.search(r"KINEMATICS: ?(\S+)", said)
+        if kinematics and kinematics[1] != "Cartesian":
+            what = f"{kinematics[1]} kinematics can't be driven"
+            raise DeviceError(self.who, what, asked="M115", hint=_NO_KINEMATICS)
         if "Cap:EMERGENCY_PARSER:1" not in lines:
             hint = "Use a build with EMERGENCY_PARSER: only then M410 and M112 are obeyed at once."
             what = "this Marlin can't be stopped while it homes"
             raise DeviceError(self.who, what, asked="M115", hint=hint)
         settings = read_marlin(self._told("M503") + self._told("M211"), axes, who=self.who)
         self._axes, self._steps = axes, settings.steps_per_mm
+        self._counts()
         return StageIdentity("Marlin", named[1], named[2].strip(" ()"), ""), settings
 
     def _told(self, line: str) -> list[str]:
@@ -173,6 +215,7 @@ class MarlinDialogue(Dialogue):
     def command(self, text: str, timeout_s: float = ANSWER_S) -> list[Response]:
         if self._stale:
             self._synchronize()
+        self._told_last = ""
         try:
             return super().command(text, timeout_s)
         except DeviceError:
@@ -186,16 +229,35 @@ class MarlinDialogue(Dialogue):
             self.upsets += 1
             what = "the controller has restarted unnoticed: position lost"
             raise DeviceError(self.who, what, asked="M113", hint="Call recover(), then home().")
+        counted = self._counts()
+        at = tuple([counted.steps.get(x, 0.0) / n for x, n in zip("XYZ", self._steps, strict=True)])
+        off = zip("XYZ", at, self._steps, strict=True)
+        moving = any(
+            abs(place - counted.sent_mm.get(axis, place)) > 0.5 / steps + _COUNTED_MM
+            for axis, place, steps in off
+            if axis in self._axes
+        )
+        return Status("Run" if moving else "Idle", None, at, None, None, {})
+
+    def _counts(self) -> Counted:
+        """The answer to M114. Raises ProtocolError without step counts, DeviceError for those of
+        motors that are not the axes.
+        """
         said = self.command("M114", STATUS_S)
         counted = next((one for one in said if isinstance(one, Counted)), None)
         if counted is None:
             self.upsets += 1
-            hint = "A machine whose motors are not its axes (CoreXY, delta) can't be driven."
+            hint = "Use a build of Marlin whose M114 reports them (Count X: Y: Z:)."
             raise ProtocolError(self.who, "no step counts", asked="M114", hint=hint)
-        at = tuple([count / each for count, each in zip(counted.steps, self._steps, strict=True)])
-        off = zip("XYZ", at, counted.sent_mm, self._steps, strict=True)
-        moving = any(abs(a - b) > 0.5 / s + _COUNTED_MM for x, a, b, s in off if x in self._axes)
-        return Status("Run" if moving else "Idle", None, at, None, None, {})
+        if not {*self._axes} <= {*counted.steps}:
+            self.upsets += 1
+            what = f"the counts are those of the motors {', '.join(counted.steps)}"
+            if not {"A", "B", "C"} & {*counted.steps}:
+                what = f"the controller has no axis {', '.join({*self._axes} - {*counted.steps})}"
+            else:
+                what += ": CoreXY, delta and other such kinematics can't be driven"
+            raise DeviceError(self.who, what, asked="M114", hint=_NO_KINEMATICS)
+        return counted
 
     def home(self, axes: str, bound_s: float) -> None:
         self.command(f"G28 {' '.join(axes)}", bound_s)
@@ -306,4 +368,18 @@ class MarlinDialogue(Dialogue):
     def _judge(self, answer: Response) -> Response:
         if isinstance(answer, ErrorReply):
             self.upsets += 1
+            lacking = LACKING.get((self.outstanding or "").split(" ")[0])
+            if lacking and "Unknown command" in str(answer.code):
+                what, asked = "the build doesn't know the command", self.outstanding
+                self._stale = True
+                raise DeviceError(self.who, what, asked=asked, seen=str(answer.code), hint=lacking)
+        elif isinstance(answer, Alarm) and self._told_last:
+            answer = Alarm(f"{answer.code} ({self._told_last})")
+        elif isinstance(answer, Message) and answer.text.startswith(_WAITS):
+            self.upsets += 1
+            self._stale = True
+            what, hint = "the controller waits for somebody at its panel", "Press its button."
+            raise DeviceError(self.who, what, asked=self.outstanding, seen=answer.text, hint=hint)
+        elif isinstance(answer, Message) and not answer.text.startswith(("busy", "T:", "//")):
+            self._told_last = answer.text
         return super()._judge(answer)

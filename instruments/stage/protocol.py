@@ -32,6 +32,15 @@ RAPID_OVERRIDES: dict[bytes, int] = {b"\x95": 100, b"\x96": 50, b"\x97": 25}
 # in the order of every list of numbers; A is a rotation in degrees, on boards with four axes
 AXES = "XYZA"
 Position = tuple[float, ...]
+PINS = {axis: f"limit {axis}" for axis in "XYZABC"} | {
+    "P": "probe",
+    "D": "door",
+    "R": "reset",
+    "H": "hold",
+    "S": "cycle start",
+    "E": "emergency stop",
+    "M": "motor fault",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +78,11 @@ class Status:
         """The state as the controller writes it: ``Idle``, ``Hold:0``."""
         return self.state if self.substate is None else f"{self.state}:{self.substate}"
 
+    @property
+    def pins(self) -> list[str]:
+        """The input pins that are active, by name; no field is no pin."""
+        return [PINS.get(letter, f"pin {letter}") for letter in self.fields.get("Pn", "")]
+
 
 @dataclass(frozen=True, slots=True)
 class Setting:
@@ -104,10 +118,12 @@ class Malformed:
 
 @dataclass(frozen=True, slots=True)
 class Counted:
-    """Marlin's answer to M114: the place it was last sent to, mm, and the steps it has made."""
+    """Marlin's answer to M114: the place it was last sent to, mm, and the steps that its motors
+    have made, by letter.
+    """
 
-    sent_mm: Position
-    steps: Position
+    sent_mm: Mapping[str, float]
+    steps: Mapping[str, float]
 
 
 class Reply(NamedTuple):
@@ -167,6 +183,8 @@ def _status(raw: bytes, text: str) -> Status | Malformed:
     if not state:
         return Malformed(raw, "a status report without a state")
     fields = {name: value for name, _, value in (field.partition(":") for field in rest)}
+    if "<" in text[1:] or ">" in text[:-1] or len(fields) < len(rest):
+        return Malformed(raw, "two status reports run together")
     positions: dict[str, Position | None] = {}
     for name in ("MPos", "WPos", "WCO"):
         parts = fields[name].split(",") if name in fields else []

@@ -47,7 +47,7 @@ class Motor(NamedTuple):
 
 
 _REPLY = re.compile(
-    r"@(\d\d) (\d)(?: (\d\d))? (OK|RJ) (IDLE|BUSY) (--|[A-Z0-9]{2}) ([^:]*)(?::([0-9A-F]{2}))?"
+    r"@(\d\d) (\d)(?: (\d\d))? (OK|RJ) (IDLE|BUSY) (--|[A-Z0-9]{2}) ([^:@]*)(?::([0-9A-F]{2}))?"
 )
 _PUSHED = re.compile(r"[!#]\d\d \d .*")
 # flags that leave the position as it is: none, manual control, interrupted, stream, value, joystick

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from instruments.clock import Clock
 from instruments.listener import Connection
-from instruments.stage.emulator.carriage import Carriage
+from instruments.stage.emulator.carriage import Carriage, Switch
 from instruments.stage.emulator.controller import Controller
 from instruments.stage.emulator.grbl import GrblController
 from instruments.stage.emulator.marlin import MarlinController
-from instruments.stage.emulator.motion import Switch, Vector
+from instruments.stage.emulator.motion import Vector
 from instruments.stage.emulator.store import CLASSIC, Dialect, Store
 from instruments.stage.emulator.zaber import ZaberController
 

@@ -8,13 +8,16 @@ import math
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import replace
 
 from instruments.clock import Clock
-from instruments.stage.emulator.carriage import Carriage
-from instruments.stage.emulator.motion import Switch, Vector
+from instruments.stage.emulator.carriage import Carriage, Switch
+from instruments.stage.emulator.motion import SOON_S, Vector
 from instruments.stage.emulator.store import Store
 
 Work = Generator[float, None, str | None]
+SEARCH = 1.5  # times the axis's travel, before a switch counts as missing
+LOCATE = 5.0  # times the pull-off
 
 
 class Controller(ABC):
@@ -36,7 +39,7 @@ class Controller(ABC):
 
     def power_up(self) -> None:
         """Power comes, or an opened port resets the board: the count is 0 where the carriage is."""
-        self.carriage.cut_power(self.now)
+        self.carriage.count_from((0.0,) * self.settings.axes, self.now)
         self._half = b""
         self.drop()
         # machine coordinates less the motion's: right by axis once it is homed
@@ -66,7 +69,7 @@ class Controller(ABC):
         """Notice a limit switch that the carriage has run into."""
 
     def say(self, text: str) -> None:
-        self.out += text.encode("ascii") + b"\r\n"
+        self.out += text.encode("ascii", "replace") + b"\r\n"
 
     def take(self, data: bytes) -> None:
         """Bytes from the host, cut anywhere."""
@@ -126,31 +129,70 @@ class Controller(ABC):
 
     def go(self, target_mm: Sequence[float], feed_mm_s: float | None) -> None:
         """Plan a straight move to machine coordinates; no feed is a rapid move."""
-        count = tuple([at - off for at, off in zip(target_mm, self.offset_mm, strict=True)])
-        there = self.settings.whole_steps(count)
+        count = [at - off for at, off in zip(target_mm, self.offset_mm, strict=True)]
+        there = self.settings.whole_steps(count, self.carriage.motion.target)
         self.carriage.go(there, feed_mm_s, self.settings.rates, self.now)
 
     def plan(self, target_mm: Sequence[float], feed_mm_s: float | None) -> Iterator[float]:
         """As `go`, once the planner has a free place."""
-        while len(self.carriage.motion.blocks(self.now)) >= self.dialect.planner_blocks:
-            yield self.carriage.due_s(self.now)
+        while len(self.carriage.motion.left(self.now)) >= self.dialect.planner_blocks:
+            yield self.carriage.motion.next_end_s(self.now)
         self.go(target_mm, feed_mm_s)
 
     def until_still(self) -> Iterator[float]:
-        while self.moving:
-            yield self.carriage.due_s(self.now)
+        while self.carriage.motion.moving(self.now):
+            yield self.carriage.motion.next_end_s(self.now)
 
     def run_home(self, axes: Sequence[int]) -> Iterator[float]:
-        """Home ``axes``; ends in an alarm where a switch is broken."""
-        store = self.settings.homing_only(axes)
+        """Home ``axes`` one after the other; ends in an alarm where a switch is broken, and without
+        one where the steps were cut.
+        """
+        axes = [axis for one in self.settings.passes for axis in one if axis in axes]
         self.homed -= set(axes)
-        self.carriage.start_homing(store, self.broken_switches, self.now)
-        while not self.carriage.homing_over(self.now):
-            yield self.carriage.due_s(self.now)
-        home_mm = store.home_mm(self.carriage.motion.position(self.now))
-        if alarm := self.carriage.finish_homing(home_mm, self.now):
-            self.alarm(alarm)
+        self.carriage.start_homing(self.now)
+        broken = dict(self.broken_switches)
+        if self.settings.limits_inverted:
+            broken = dict.fromkeys(axes, Switch.STUCK)
+        for axis in axes:
+            if alarm := (yield from self._find_switch(axis, broken.get(axis))):
+                self.alarm(alarm)
+        if not self.carriage.homing:
             return
+        home_mm = self.settings.home_mm(axes, self.carriage.motion.target)
+        self.carriage.count_from(home_mm, self.now)
         for axis in axes:
             self.offset_mm[axis] = self.settings.origin_mm[axis]
         self.homed |= set(axes)
+
+    def _find_switch(self, axis: int, broken: Switch | None) -> Generator[float, None, int | None]:
+        """Seek it fast, back off, find it again slowly and back off; the alarm that ends it."""
+        store = self.settings
+        towards = -1.0 if axis in store.at_far_end else 1.0
+        pull_off, seek, creep = store[27], store[25], store[24]
+        gap = self.carriage.to_end_mm(axis, towards, self.now)
+        for reach, rate in ((SEARCH * store.travel_mm[axis], seek), (LOCATE * pull_off, creep)):
+            missing = broken is Switch.MISSING or gap > reach
+            yield from self._home_way(axis, towards * (reach if missing else gap), rate)
+            if not self.carriage.homing:
+                return None
+            if missing:
+                return 9
+            if broken is Switch.CROOKED:
+                return self.dialect.crooked_alarm
+            yield from self._home_way(axis, -towards * pull_off, seek)
+            if self.carriage.homing and (broken is Switch.STUCK or not pull_off):
+                return 8
+            gap = pull_off
+        return None
+
+    def _home_way(self, axis: int, way_mm: float, mm_min: float) -> Iterator[float]:
+        if not self.carriage.homing:
+            return
+        count = list(self.carriage.motion.target)
+        count[axis] += way_mm
+        rates = replace(self.settings.rates, speed_mm_s=(mm_min / 60,) * self.settings.axes)
+        self.carriage.go(tuple(count), None, rates, self.now)
+        yield from self.until_still()
+        end_s = self.now + self.settings[26] / 1000
+        while self.carriage.homing and self.now < end_s - SOON_S:
+            yield end_s

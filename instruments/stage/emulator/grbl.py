@@ -1,25 +1,35 @@
 """Emulated GRBL, grblHAL and FluidNC: states, resets, alarms, real-time bytes, the receive buffer,
-G-code, and status reports.
+``$`` lines and status reports. The G-code is in `gcode`.
 
 While a line waits for planner, dwell or homing, further bytes stay in the receive buffer; real-time
-bytes act at once. Straight moves, dwell, units, distance mode, machine coordinates, G92, jogs and
-probing; spindle, coolant and program words do nothing. Arcs, tool offsets and more work coordinates
-are error 20. Sources: the firmware's interface and command documents, and its behaviour recorded in
-a simulator.
+bytes act at once. Start-up lines set modes only. Sources: the firmware's interface and command
+documents, and its behaviour recorded in a simulator.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
 from enum import Enum
 
+from instruments.clock import Clock
 from instruments.stage import protocol
+from instruments.stage.emulator.carriage import Carriage
 from instruments.stage.emulator.controller import Controller, Work
+from instruments.stage.emulator.gcode import (
+    AXES,
+    INCH_MM,
+    Action,
+    Dwell,
+    Flow,
+    GCode,
+    Move,
+    Probing,
+    RefusedError,
+)
 from instruments.stage.emulator.motion import SOON_S, Vector
+from instruments.stage.emulator.store import Store
 
 PASS_S = 0.001  # one pass of the main loop: reports that are asked for in it are sent first
 RESTART_S = 0.02
@@ -28,33 +38,11 @@ OVERFLOW = "\n"  # stands for a line that was too long; no line can hold it
 _REALTIME = re.compile(rb"([?!~\x18\x80-\xff])")
 _LINE_END = re.compile(rb"[\r\n]")
 _DROPPED = re.compile(r"\([^)]*\)?|;.*|[\0- ]")  # comments and blanks
-_WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))?")
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)")
 # reports from one slow field to the next
 _IDLE_EVERY = 10
 _BUSY_WCO_EVERY = 30
 _BUSY_OV_EVERY = 20
-_INCH_MM = 25.4
-_AXES = "XYZA"
-_GROUPS = {
-    "G": {
-        "motion": {0.0, 1.0, 38.2, 38.3, 38.4, 38.5, 80.0},
-        "other": {4.0, 53.0, 92.0, 92.1},
-        "plane": {17.0},
-        "units": {20.0, 21.0},
-        "distance": {90.0, 91.0},
-        "feed mode": {94.0},
-        "coordinates": {54.0},
-        "tool": {40.0, 49.0},
-        "path": {61.0},
-        "arc distance": {91.1},
-    },
-    "M": {
-        "program": {0.0, 1.0, 2.0, 30.0},
-        "spindle": {3.0, 4.0, 5.0},
-        "coolant": {7.0, 8.0, 9.0},
-    },
-}
-_JOG_GROUPS = {"units", "distance", "other"}
 
 
 class Mode(Enum):
@@ -67,76 +55,24 @@ class Mode(Enum):
     HOLD = "Hold:0", "Hold:1"
     DOOR = "Door:0", "Door:2"
     SLEEP = "Sleep", "Sleep"
+    CHECK = "Check", "Check"
 
 
 DEAF = frozenset({Mode.CRITICAL, Mode.HOLD, Mode.DOOR, Mode.SLEEP})  # lines wait
 # holds, resumes and overrides are ignored
-STUBBORN = frozenset({Mode.LOCKED, Mode.CRITICAL, Mode.HOMING, Mode.SLEEP})
-
-
-class RefusedError(Exception):
-    """The line is refused with this error number."""
-
-
-@dataclass(frozen=True, slots=True)
-class Modes:
-    """What stays for later lines. ``offset_mm``: work zero in machine coordinates."""
-
-    offset_mm: Vector
-    motion: float = 0.0
-    inches: bool = False
-    relative: bool = False
-    feed_mm_min: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Words:
-    """A line taken apart: G and M numbers by modal group, and the other letters' values."""
-
-    groups: dict[str, float]
-    values: dict[str, float]
-
-
-def words(text: str, axes: int, most_line_number: float) -> Words:
-    """Take a line apart (capitals, no blanks) for a board of so many axes. Raises RefusedError."""
-    line, at = Words({}, {}), 0
-    while at < len(text):
-        found = _WORD.match(text, at)
-        if found is None:
-            raise RefusedError(1)
-        letter, number, at = found[1], found[2], found.end()
-        if number is None:
-            raise RefusedError(2)
-        value = float(number)
-        if letter in _GROUPS:
-            groups = _GROUPS[letter].items()
-            group = next((name for name, members in groups if value in members), None)
-            if group is None or group in line.groups:
-                raise RefusedError(21 if group else 20)
-            line.groups[group] = value
-        elif letter not in _AXES[:axes] + "FPNST":
-            raise RefusedError(20)
-        elif letter in line.values:
-            raise RefusedError(25)
-        elif letter in "FNPST" and value < 0:
-            raise RefusedError(4)
-        else:
-            line.values[letter] = value
-    if int(line.values.get("N", 0)) > most_line_number:
-        raise RefusedError(27)
-    return line
-
-
-def axis_numbers(place: Vector, inches: bool) -> str:
-    """The axes' numbers as reports write them; the rotation A is in degrees whatever the units."""
-    return ",".join(
-        f"{v / _INCH_MM + 0.0:.4f}" if inches and axis < 3 else f"{v + 0.0:.3f}"
-        for axis, v in enumerate(place)
-    )
+STUBBORN = frozenset({Mode.LOCKED, Mode.CRITICAL, Mode.HOMING, Mode.SLEEP, Mode.CHECK})
 
 
 class GrblController(Controller):
     """One board; X, Y, Z, and A where it has it."""
+
+    def __init__(
+        self, clock: Clock, settings: Store, carriage: Carriage, answer: Callable[[str], None]
+    ) -> None:
+        self.gcode = GCode(AXES[: settings.axes], settings.dialect.most_line_number)
+        self._startup, self._info = ["", ""], ""
+        self._afterwards: Callable[[], None] | None = None  # what comes behind a line's answer
+        super().__init__(clock, settings, carriage, answer)
 
     def power_up(self) -> None:
         super().power_up()
@@ -144,10 +80,10 @@ class GrblController(Controller):
         self.mode = Mode.LOCKED if self.settings[22] else Mode.READY
         self._greet()
 
-    def restart(self) -> None:
+    def restart(self, *, answered: bool = False) -> None:
         """What every soft reset ends in. The count stays; an alarm stays an alarm."""
         locked = self.mode in (Mode.LOCKED, Mode.CRITICAL, Mode.SLEEP)
-        if self._work:
+        if self._work and not answered:
             self.say("ok")  # the line that was in the works is answered on the way out
         self.carriage.halt(self.now)
         self.carriage.follow(self.now).override(100, 100, self.now)
@@ -169,33 +105,44 @@ class GrblController(Controller):
         self._half = b""
         self._waiting = bytearray()  # in the receive buffer
         self._resume_s = self._restart_s = math.inf  # when it goes on after a hold; has restarted
-        self._modes = Modes((0.0,) * self.settings.axes)
+        self.gcode.reset()
+        self.gcode.at_mm = self.target_mm()
+        self._probed = (0.0,) * self.settings.axes, 0  # where a probing ended, and whether well
         self._until_wco = self._until_ov = 0  # reports until the next with this field
         self._asked_while_homing = self._jogged = False
+        self._pressed = set(self.carriage.pressed(self.now))  # an alarm is for those that close
 
     def _greet(self) -> None:
         self.say("")
         self.say(self.dialect.welcome)
         if self.mode is Mode.LOCKED:
             self._message("'$H'|'$X' to unlock")
+        else:
+            self._start_up()
+
+    def _start_up(self) -> None:
+        for line in filter(None, self._startup):
+            try:
+                self.gcode.take(line)
+                self.say(f">{line}:ok")
+            except RefusedError as error:
+                self.say(f">{line}:error:{error}")
 
     def _message(self, text: str) -> None:
         self.say(f"[MSG:{self.dialect.info}{text}]")
 
     @property
     def next_s(self) -> float:
-        due_s = min(self._due_s, self._resume_s, self._restart_s)
-        return min(due_s, self.carriage.switch_due_s(self.now)) if self._hard_limits else due_s
+        return min(
+            self._due_s, self._resume_s, self._restart_s, self.carriage.motion.next_end_s(self.now)
+        )
 
     def check_limit_switches(self) -> None:
         """A limit switch that the carriage has run into is an alarm, where $21 says so."""
-        pressed = self._hard_limits and self.carriage.take_pressed(self.now)
-        if pressed and self.mode is not Mode.CRITICAL:
+        pressed = set(self.carriage.pressed(self.now))
+        if pressed - self._pressed and self.settings[21] and self.mode is not Mode.CRITICAL:
             self.alarm(1, critical=True)
-
-    @property
-    def _hard_limits(self) -> bool:
-        return bool(int(self.settings[21]) & 1)
+        self._pressed = pressed
 
     @property
     def _jogging(self) -> bool:
@@ -210,6 +157,7 @@ class GrblController(Controller):
 
     def take(self, data: bytes) -> None:
         """Bytes from the host, cut anywhere. While the board restarts they are lost."""
+        self.check_limit_switches()
         if self._restart_s < math.inf:
             return
         for at, part in enumerate(_REALTIME.split(data)):
@@ -246,12 +194,17 @@ class GrblController(Controller):
         elif byte == protocol.DOOR and self.mode is Mode.HOMING:
             self.alarm(7)
             self.restart()
-        elif self.mode in STUBBORN:
-            return
-        elif byte in (protocol.HOLD, protocol.DOOR):
+        elif self.mode not in STUBBORN:
+            self._control(byte)
+
+    def _control(self, byte: bytes) -> None:
+        """Holds, resumes and overrides."""
+        if byte in (protocol.HOLD, protocol.DOOR):
             self._hold(byte == protocol.DOOR)
         elif byte == protocol.RESUME:
-            self._resume()
+            # while it still brakes, the byte is lost
+            if self.mode in (Mode.HOLD, Mode.DOOR) and not self.moving:
+                self._resume_s = self.now + PASS_S
         elif byte == protocol.JOG_CANCEL:
             if self._jogging:
                 self.carriage.follow(self.now).cancel(self.now)
@@ -263,11 +216,6 @@ class GrblController(Controller):
             self.say(self.status())
         elif self.mode is Mode.HOMING:
             self._asked_while_homing = True
-
-    def _resume(self) -> None:
-        # while it still brakes, the byte is lost
-        if self.mode in (Mode.HOLD, Mode.DOOR) and not self.moving:
-            self._resume_s = self.now + PASS_S
 
     def _hold(self, door: bool) -> None:
         self._resume_s = math.inf
@@ -288,32 +236,47 @@ class GrblController(Controller):
             feed = 100 if change is None else min(200, max(10, feed + change))
         rapid = protocol.RAPID_OVERRIDES.get(byte, rapid)
         if (feed, rapid) != self.carriage.motion.percent:
+            self._until_ov = 0
             self.carriage.follow(self.now).override(feed, rapid, self.now)
             self.pump()
+
+    def _numbers(self, place: Vector) -> str:
+        """The axes' numbers as reports write them; the rotation A is in degrees."""
+        inches = bool(self.settings[13])
+        return ",".join(
+            f"{v / INCH_MM + 0.0:.4f}" if inches and axis < 3 else f"{v + 0.0:.3f}"
+            for axis, v in enumerate(place)
+        )
+
+    def _rate(self, mm_min: float) -> str:
+        if self.settings[13]:
+            return f"{mm_min / INCH_MM:.1f}"
+        return f"{math.floor(mm_min + 0.5)}"  # a half is rounded up
 
     def status(self) -> str:
         """A status report, as ``?`` gets it."""
         now, moving, motion = self.now, self.moving, self.carriage.motion
-        bits, inches, offset = (
-            int(self.settings[10]),
-            bool(self.settings[13]),
-            self._modes.offset_mm,
-        )
+        bits, offset = int(self.settings[10]), self.gcode.offset_mm()
         place = self.settings.whole_steps(motion.position(now))
-        work = tuple([at - zero for at, zero in zip(place, offset, strict=True)])
         jog = self.mode is Mode.READY and self._jogging
         parts = ["Jog" if jog else self.mode.value[moving]]
-        mpos, wpos = axis_numbers(place, inches), axis_numbers(work, inches)
-        parts.append(f"MPos:{mpos}" if bits & 1 else f"WPos:{wpos}")
+        if bits & 1:
+            parts.append(f"MPos:{self._numbers(place)}")
+        else:
+            work = [at - zero for at, zero in zip(place, offset, strict=True)]
+            parts.append(f"WPos:{self._numbers(tuple(work))}")
         if bits & 2:
-            free = self.dialect.planner_blocks - len(motion.blocks(now))
-            parts.append(f"Bf:{free},{self._room}")
-        parts.append(f"FS:{motion.speed(now) * 60:.0f},0")
+            parts.append(f"Bf:{self.dialect.planner_blocks - len(motion.left(now))},{self._room}")
+        parts.append(f"FS:{self._rate(motion.speed(now) * 60)},0")
+        if pins := self._pins():
+            parts.append(f"Pn:{pins}")
         busy = moving or self.mode in (Mode.HOLD, Mode.DOOR)
+        if self.gcode.offset_changed:
+            self.gcode.offset_changed, self._until_wco = False, 0
         if self._until_wco == 0:
             self._until_wco = _BUSY_WCO_EVERY if busy else _IDLE_EVERY
             self._until_ov = max(self._until_ov, 1)
-            parts.append(f"WCO:{axis_numbers(offset, inches)}")
+            parts.append(f"WCO:{self._numbers(offset)}")
         elif self._until_ov == 0:
             parts.append("Ov:{},{},100".format(*motion.percent))
             self._until_ov = _BUSY_OV_EVERY if busy else _IDLE_EVERY
@@ -322,6 +285,14 @@ class GrblController(Controller):
         if self.dialect.more_fields:
             parts += [f"H:{int(bool(self.homed))}", "TLR:0"]
         return f"<{'|'.join(parts)}>"
+
+    def _pins(self) -> str:
+        """The input pins that are active: the probe's, and the limit switches'."""
+        pressed, inverted = self.carriage.pressed(self.now), self.settings.limits_inverted
+        limits = [
+            axis for at, axis in enumerate(self.gcode.axes) if (at in pressed) is not inverted
+        ]
+        return "P" * (self.probe_closed is not bool(self.settings[6])) + "".join(limits)
 
     # The main loop
 
@@ -343,68 +314,139 @@ class GrblController(Controller):
         try:
             if text == OVERFLOW:
                 raise RefusedError(11)
-            if text.startswith("$J="):
-                yield from self._jog(text[3:])
-            elif text.startswith("$"):
+            if text.startswith("$"):
                 yield from self._system(text[1:])
             elif text:
                 yield from self._gcode(text)
         except RefusedError as error:
             return f"error:{error}"
-        if self.mode is not Mode.SLEEP:
+        afterwards, self._afterwards = self._afterwards, None
+        if afterwards is None:
             return "ok"
         self._answer("ok")
-        self._message("Sleeping")
+        afterwards()
         return None
 
     # "$" lines
 
     def _system(self, text: str) -> Iterator[float]:
-        if text == "X":
-            if self.mode is Mode.LOCKED:
-                self.mode = Mode.READY
-                self._message("Caution: Unlocked")
-        elif text == "":
-            self.say("[HLP:$$ $G $I $x=val $J=line $SLP $X $H ~ ! ? ctrl-x]")
-        elif text == "G":
-            modes = self._modes
-            units, distance = 20 if modes.inches else 21, 91 if modes.relative else 90
-            self.say(
-                f"[GC:G{modes.motion:g} G54 G17 G{units} G{distance} G94 M5 M9 T0"
-                f" F{modes.feed_mm_min:.0f} S0]"
-            )
-        elif self.dialect.configured and text.startswith("/"):
+        """Those that are taken in more states than idle and alarm; a fault's order is the
+        firmware's.
+        """
+        first = text[:1]
+        if not text:
+            self.say("[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]")
+        elif first == "J":
+            yield from self._jog(text[1:])
+        elif first in "$GCX":
+            if len(text) > 1:
+                raise RefusedError(3)
+            self._state_line(first)
+        elif first == "/" and self.dialect.configured:
             key = text.lower()
             said = self.settings.configuration(key)
             if said is None:
                 raise RefusedError(3)
             self.say(f"${key}={said}")
-        elif self.moving:
+        elif self.moving or self.mode not in (Mode.READY, Mode.LOCKED):
             raise RefusedError(8)
-        elif text == "H":
-            yield from self._home()
-        elif text == "SLP":
-            self.mode = Mode.SLEEP
+        elif first == "H":
+            yield from self._home(text)
+        elif first == "N" and len(text) > 1:
+            yield from self._store_startup(text[1:])
         else:
             self._stored(text)
 
-    def _stored(self, text: str) -> None:
-        """Settings and build: reported, or a setting written."""
-        if text in ("$", "I"):
-            for line in self.settings.lines() if text == "$" else self.dialect.identity():
+    def _state_line(self, text: str) -> None:
+        if text == "$":
+            if self.moving and not self._jogging:
+                raise RefusedError(8)
+            for line in self.settings.lines():
                 self.say(line)
-            return
-        number, equals, value = text.partition("=")
-        code = 2
-        if number[:1].isdigit():
-            with suppress(ValueError):
-                code = self.settings.write(float(number), float(value)) if equals else 3
-        if code:
-            raise RefusedError(code)
+        elif text == "G":
+            modes = self.gcode.modes
+            self.say(f"[GC:{modes} F{self._rate(modes.feed)} S{math.floor(modes.speed + 0.5)}]")
+        elif text == "X" and self.mode is Mode.LOCKED:
+            self.mode = Mode.READY
+            self._message("Caution: Unlocked")
+        elif text == "C" and self.mode is Mode.CHECK:
+            self._message("Disabled")
+            self._afterwards = lambda: self.restart(answered=True)
+        elif text == "C":
+            if self.moving or self.mode is not Mode.READY:
+                raise RefusedError(8)
+            self.mode = Mode.CHECK
+            self._message("Enabled")
 
-    def _home(self) -> Iterator[float]:
+    def _stored(self, text: str) -> None:
+        """Parameters, settings and build: reported or written."""
+        head, equals, value = text.partition("=")
+        if text == "SLP":
+            self.mode = Mode.SLEEP
+            self._afterwards = lambda: self._message("Sleeping")
+        elif head == "RST" and value in ("$", "#", "*"):
+            self._restore(value)
+        elif head == "I" and equals:
+            self._info = value
+        elif text in ("#", "N", "I"):
+            self._report(text)
+        elif text[0] in "#ISR":
+            raise RefusedError(3)
+        else:
+            number, value = _setting(text)
+            found = _NUMBER.match(value)
+            if found is None:
+                raise RefusedError(2)
+            if found.end() < len(value) or number > 255:
+                raise RefusedError(3)
+            if code := self.settings.write(int(number), float(found[0])):
+                raise RefusedError(code)
+            self.gcode.offset_changed |= number == 13
+
+    def _report(self, text: str) -> None:
+        if text == "#":
+            self._report_parameters()
+        elif text == "I":
+            for line in self.dialect.identity(self._info):
+                self.say(line)
+        else:
+            for at, line in enumerate(self._startup):
+                self.say(f"$N{at}={line}")
+
+    def _report_parameters(self) -> None:
+        for code, place in self.gcode.stored.items():
+            self.say(f"[G{code:g}:{self._numbers(place)}]")
+        self.say(f"[G92:{self._numbers(self.gcode.g92_mm)}]")
+        self.say(f"[TLO:{self._numbers((self.gcode.modes.tool_mm,))}]")
+        self._report_probe()
+
+    def _report_probe(self) -> None:
+        place, well = self._probed
+        self.say(f"[PRB:{self._numbers(place)}:{well}]")
+
+    def _restore(self, what: str) -> None:
+        if what != "#":
+            self.settings.restore()
+        if what != "$":
+            self.gcode.restore()
+        if what == "*":
+            self._startup, self._info = ["", ""], ""
+        self._message("Restoring defaults")
+        self._afterwards = lambda: self.restart(answered=True)
+
+    def _store_startup(self, text: str) -> Iterator[float]:
+        if self.mode is not Mode.READY:
+            raise RefusedError(8)
+        number, line = _setting(text)
+        yield from self._run(line)
+        if int(number) in (0, 1):
+            self._startup[int(number)] = line
+
+    def _home(self, text: str) -> Iterator[float]:
         if not self.settings[22]:
             raise RefusedError(5)
+        if text != "H":
+            raise RefusedError(3)
         self.mode = Mode.HOMING
         yield from self.run_home(range(self.settings.axes))
         if not self.homed:  # an alarm has ended it, and it restarts
@@ -415,139 +457,98 @@ class GrblController(Controller):
             self._asked_while_homing = False
             self.say(self.status())
         self.mode = Mode.READY
+        self._start_up()
 
     # G-code
-
-    def _words(self, text: str) -> Words:
-        return words(text, self.settings.axes, self.dialect.most_line_number)
 
     def _gcode(self, text: str) -> Iterator[float]:
         if self.mode is Mode.LOCKED or self._jogging:
             raise RefusedError(9)
-        line, at_mm = self._words(text), self.target_mm()
-        modes = self._modes_after(line)
-        axes = _axes(line, modes.inches)
-        other = line.groups.get("other")
-        if other == 4.0:
-            if "P" not in line.values:
-                raise RefusedError(28)
-            self._modes = modes
-            yield from self._dwell(line.values["P"])
-        elif other in (92.0, 92.1):
-            self._set_work_zero(modes, axes if other == 92.0 else None)
-        else:
-            target, probing = _target(line, modes, axes, at_mm), 38.0 < modes.motion < 39.0
-            if probing and target is None and "motion" in line.groups:
-                raise RefusedError(26)
-            if probing and target == at_mm:
-                raise RefusedError(33)
-            self._modes = modes
-            if target:
-                yield from self._probe(target) if probing else self._move(target)
+        yield from self._run(text)
 
-    def _set_work_zero(self, modes: Modes, axes: dict[int, float] | None) -> None:
-        """From now on ``axes`` have these values here; None: machine coordinates again."""
-        if axes == {}:
-            raise RefusedError(26)
-        offset = [0.0] * self.settings.axes if axes is None else list(modes.offset_mm)
-        at_mm = self.target_mm()
-        for axis, value in (axes or {}).items():
-            offset[axis] = at_mm[axis] - value
-        if tuple(offset) != modes.offset_mm:
-            self._until_wco = 0
-        self._modes = replace(modes, offset_mm=tuple(offset))
+    def _run(self, text: str) -> Iterator[float]:
+        self._follow_count()
+        for action in self.gcode.take(text):
+            yield from self._act(action)
 
-    def _modes_after(self, line: Words) -> Modes:
-        modes, groups = self._modes, line.groups
-        inches = groups.get("units", 20.0 if modes.inches else 21.0) == 20.0
-        relative = groups.get("distance", 91.0 if modes.relative else 90.0) == 91.0
-        feed = modes.feed_mm_min
-        if "F" in line.values:
-            feed = line.values["F"] * (_INCH_MM if inches else 1.0)
-        motion = groups.get("motion", modes.motion)
-        return replace(modes, motion=motion, inches=inches, relative=relative, feed_mm_min=feed)
+    def _follow_count(self) -> None:
+        """Something else than a line of G-code may have ended a motion."""
+        end_mm = self.target_mm()
+        if self.mode is not Mode.CHECK and self.settings.whole_steps(self.gcode.at_mm) != end_mm:
+            self.gcode.at_mm = end_mm
 
-    def _dwell(self, seconds: float) -> Iterator[float]:
-        yield from self.until_still()
-        end = self.now + seconds
-        while self.now < end - SOON_S:
-            yield end
-
-    def _move(self, target_mm: Vector) -> Iterator[float]:
-        if self._beyond_soft_limits(target_mm):
-            # to a stand without losing steps, then no line is taken until a reset
-            self.carriage.follow(self.now).cancel(self.now)
+    def _act(self, action: Action) -> Iterator[float]:
+        if isinstance(action, Move | Probing):
+            if self.settings[20] and self.settings.beyond_travel(action.target_mm):
+                yield from self._soft_limit()
+            if self.mode is Mode.CHECK:
+                return
+            if isinstance(action, Move):
+                yield from self._straight(action)
+            else:
+                yield from self._probe(action)
+            return
+        checking = self.mode is Mode.CHECK
+        if not checking:
             yield from self.until_still()
-            self.alarm(2, critical=True)
-            while True:
-                yield math.inf
-        modes = self._modes
-        yield from self.plan(target_mm, modes.feed_mm_min / 60 if modes.motion != 0.0 else None)
+        if isinstance(action, Dwell) and not checking:
+            end_s = self.now + action.seconds
+            while self.now < end_s - SOON_S:
+                yield end_s
+        elif isinstance(action, Flow) and action.end:
+            self._message("Pgm End")
+        elif isinstance(action, Flow) and not checking:
+            self.mode = Mode.HOLD
+            yield math.inf
+
+    def _straight(self, move: Move) -> Iterator[float]:
+        feed = None if move.feed_mm_min is None else move.feed_mm_min / 60
+        yield from self.plan(move.target_mm, feed)
         self._jogged = False
 
-    def _probe(self, target_mm: Vector) -> Iterator[float]:
-        """To the end of the way, for nothing ever touches this board's probe."""
-        kind = self._modes.motion
+    def _soft_limit(self) -> Iterator[float]:
+        """To a stand without losing steps, then no line is taken until a reset."""
+        self.carriage.follow(self.now).cancel(self.now)
         yield from self.until_still()
-        if self.probe_closed is not (kind in (38.4, 38.5)):  # those move away
+        self.alarm(2, critical=True)
+        while True:
+            yield math.inf
+
+    def _probe(self, way: Probing) -> Iterator[float]:
+        """To the end of the way, for nothing ever touches this board's probe."""
+        yield from self.until_still()
+        self._probed = self._probed[0], 0
+        if self.probe_closed is not way.away:
             self.alarm(4)
             return
-        yield from self._move(target_mm)
+        yield from self._straight(Move(way.target_mm, way.feed_mm_min))
         yield from self.until_still()
-        if kind in (38.2, 38.4):  # those must find a change
+        if way.strict:
             self.alarm(5)
-        place = self.carriage.motion.position(self.now)
-        self.say(f"[PRB:{axis_numbers(place, inches=False)}:0]")
+        else:
+            self._probed = self.target_mm(), 0
+        self._report_probe()
 
     def _jog(self, text: str) -> Iterator[float]:
-        """It leaves no mode behind."""
-        if self.mode is Mode.LOCKED or (self.moving and not self._jogged):
+        if self.mode is not Mode.READY or (self.moving and not self._jogged):
             raise RefusedError(8)
-        line = self._words(text)
-        if "F" not in line.values:
-            raise RefusedError(22)
-        modes = replace(self._modes_after(line), motion=1.0)
-        target = _target(line, modes, _axes(line, modes.inches), self.target_mm())
-        if set(line.groups) - _JOG_GROUPS or line.groups.get("other", 53.0) != 53.0:
-            raise RefusedError(16)
-        if target:
-            if self._beyond_soft_limits(target):
+        if not text.startswith("="):
+            raise RefusedError(3)
+        self._follow_count()
+        move = self.gcode.jog(text[1:])
+        if move:
+            if self.settings[20] and self.settings.beyond_travel(move.target_mm):
                 raise RefusedError(15)
-            yield from self.plan(target, modes.feed_mm_min / 60)
+            self.gcode.at_mm = move.target_mm
+            yield from self._straight(move)
             self._jogged = True
 
-    def _beyond_soft_limits(self, target_mm: Vector) -> bool:
-        return bool(self.settings[20]) and self.settings.beyond_travel(target_mm)
 
-
-def _axes(line: Words, inches: bool) -> dict[int, float]:
-    """By number; the rotation A is in degrees whatever the units."""
-    return {
-        axis: line.values[word] * (_INCH_MM if inches and axis < 3 else 1.0)
-        for axis, word in enumerate(_AXES)
-        if word in line.values
-    }
-
-
-def _target(
-    line: Words, modes: Modes, axes: dict[int, float], at_mm: Sequence[float]
-) -> Vector | None:
-    """Where a line's axis words lead to, machine coordinates; None without. Raises RefusedError."""
-    machine = line.groups.get("other") == 53.0
-    if machine and modes.motion not in (0.0, 1.0):
-        raise RefusedError(30)
-    if not axes:
-        return None
-    if modes.motion == 80.0:
-        raise RefusedError(31)
-    if modes.motion != 0.0 and modes.feed_mm_min == 0:
-        raise RefusedError(22)
-    target = list(at_mm)
-    for axis, value in axes.items():
-        if machine:
-            target[axis] = value
-        elif modes.relative:
-            target[axis] += value
-        else:
-            target[axis] = value + modes.offset_mm[axis]
-    return tuple(target)
+def _setting(text: str) -> tuple[float, str]:
+    """``number=value``. Raises RefusedError."""
+    found = _NUMBER.match(text)
+    if found is None:
+        raise RefusedError(2)
+    if text[found.end() : found.end() + 1] != "=":
+        raise RefusedError(3)
+    return float(found[0]), text[found.end() + 1 :]

@@ -3,11 +3,12 @@ apart from the driver.
 
 Lines are answered with ``ok`` in order. M410 and M112 act when their line has come, and M410 is
 then answered in its turn. Targets beyond the soft endstops are clipped without a word. Marked as
-inferred in the tests' script: the words of a failed homing.
+inferred in the tests' script: how often it says that it is busy.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 
@@ -15,7 +16,7 @@ from instruments.stage.emulator.controller import Controller, Work
 from instruments.stage.emulator.motion import SOON_S
 
 KEEPALIVE_S = 2
-_WORD = re.compile(r"([A-Z])([-+]?\d*\.?\d*)")
+_WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))?")
 FIRMWARE = (
     "FIRMWARE_NAME:Marlin 2.1.2.4 (Mar  4 2024 12:00:00) SOURCE_CODE_URL:github.com/MarlinFirmware/"
     "Marlin PROTOCOL_VERSION:1.0 MACHINE_TYPE:stage EXTRUDER_COUNT:1"
@@ -48,7 +49,7 @@ class MarlinController(Controller):
     def alarm(self, code: int, *, critical: bool = False) -> None:  # noqa: ARG002 - as Grbl's
         self.carriage.halt(self.now)
         if code > 1:
-            self.say("Error:Homing Failed")
+            self.say("echo:Homing Failed")
         self.say(KILLED)
         self.drop()
         self.halted = True
@@ -59,6 +60,7 @@ class MarlinController(Controller):
 
     def seen(self, text: str) -> None:
         if text.startswith("M112"):
+            self.say("echo:M112 Shutdown")
             self.alarm(1)
         elif text.startswith("M410"):
             self.carriage.halt(self.now)
@@ -67,7 +69,8 @@ class MarlinController(Controller):
         if self.halted or not text:
             return None
         name, _, rest = text.partition(" ")
-        words = dict(_WORD.findall(rest.upper()))
+        found = _WORD.findall(rest.upper())
+        words = {letter: float(number or 0) for letter, number in found}  # no number counts as 0
         match name:
             case "G0" | "G1":
                 yield from self._move(words)
@@ -80,7 +83,7 @@ class MarlinController(Controller):
             case "G90" | "G91":
                 self._relative = name == "G91"
             case "M113" if "S" in words:
-                self._keepalive_s = int(float(words["S"]))
+                self._keepalive_s = min(60, int(words["S"]) & 0xFF)
             case "M118":
                 self.say(re.sub(r"^E1 ", "echo:", rest))
             case "M115" | "M503" | "M211" | "M114" | "M113":
@@ -108,7 +111,8 @@ class MarlinController(Controller):
             case "M211":
                 words = "X{:.2f} Y{:.2f} Z{:.2f}"
                 low, high = (words.format(*ends) for ends in self.settings.ends_mm)
-                self.say(f"echo:Soft endstops: On  Min:  {low}   Max:  {high}")
+                self.say("  M211 S1 ; ON")
+                self.say(f"  Min:  {low}   Max:  {high}")
             case "M503":
                 self.say("echo:; Linear Units:")
                 self.say("echo:  G21 ; (mm)")
@@ -123,8 +127,8 @@ class MarlinController(Controller):
                 self.say("echo:; Home offset:")
                 self.say("echo:  M206 X0.00 Y0.00 Z0.00")
 
-    def _move(self, words: dict[str, str]) -> Iterator[float]:
-        self._feed_mm_min = float(words.get("F", self._feed_mm_min))
+    def _move(self, words: dict[str, float]) -> Iterator[float]:
+        self._feed_mm_min = words.get("F", self._feed_mm_min)
         axes = [axis for axis, letter in enumerate("XYZ") if letter in words]
         if unhomed := "".join("XYZ"[axis] for axis in axes if axis not in self.homed):
             self.say(f"echo:Home {unhomed} First")
@@ -132,16 +136,17 @@ class MarlinController(Controller):
         target = list(self.target_mm())
         low, high = self.settings.ends_mm
         for axis in axes:
-            wanted = float(words["XYZ"[axis]]) + (target[axis] if self._relative else 0.0)
+            wanted = words["XYZ"[axis]] + (target[axis] if self._relative else 0.0)
             target[axis] = min(max(wanted, low[axis]), high[axis])
         yield from self.plan(target, self._feed_mm_min / 60)
 
     def _busy(self, work: Iterator[float]) -> Iterator[float]:
         """``work``, with a word that it goes on every few seconds."""
-        say_s = self.now + self._keepalive_s
+        every_s = self._keepalive_s or math.inf  # 0 is off
+        say_s = self.now + every_s
         for due_s in work:
             while self.now < due_s - SOON_S and self.moving:
                 yield min(due_s, say_s)
                 if self.now >= say_s - SOON_S:
                     self.say("echo:busy: processing")
-                    say_s += self._keepalive_s
+                    say_s += every_s

@@ -9,7 +9,6 @@ documents'. FluidNC is from its source. Marlin and Zaber are set by Grbl's numbe
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -40,8 +39,8 @@ class Dialect:
     from_low_end: bool = False  # machine space is positive, 0 where it is homed
     resets_on_open: bool = True  # when a host opens the port
 
-    def identity(self) -> list[str]:
-        return [f"[VER:{self.build}:]", f"[OPT:{self.options}]"]
+    def identity(self, info: str = "") -> list[str]:
+        return [f"[VER:{self.build}:{info}]", f"[OPT:{self.options}]"]
 
 
 CLASSIC = Dialect()
@@ -94,6 +93,7 @@ HAL_DEFAULTS: dict[int, float] = {40: 0, 43: 1, 44: 4, 45: 3, 46: 0}
 LOW_END_DEFAULTS: dict[int, float] = {23: 15, 44: 1, 45: 2, 46: 4, 47: 8}
 ROTARY_DEFAULTS: dict[int, float] = {46: 8, 103: 100, 113: 3600, 123: 360, 133: 360}
 _WITH_DECIMALS = frozenset({11, 12, 24, 25, 27, *range(100, 140)})
+_FLAGS = frozenset({4, 5, 6, 13, 20, 21, 22, 32})
 _CLASSIC_PASSES = ((2,), (0, 1))
 
 
@@ -112,31 +112,60 @@ class Store:
     ) -> None:
         if not 3 <= axes <= dialect.most_axes:
             raise ValueError(f"{dialect.name} has 3 to {dialect.most_axes} axes, not {axes}")
-        self.axes = axes
-        self.dialect = dialect
-        self._high_mm = high_mm
+        self.axes, self.dialect, self._high_mm = axes, dialect, high_mm
         known = DEFAULTS | (HAL_DEFAULTS if dialect.homing_passes else {})
         known |= ROTARY_DEFAULTS if axes > 3 else {}
         known |= LOW_END_DEFAULTS if dialect.from_low_end else {}
         if unknown := sorted(set(changes or {}) - set(known)):
             raise ValueError(f"the stage has no settings ${', $'.join(map(str, unknown))}")
-        self._values = dict(sorted((known | dict(changes or {})).items()))
+        known |= dict(changes or {})
+        needed = [n + axis for n in (100, 110, 120, 130) for axis in range(axes)]
+        if dialect.from_low_end and (zero := [n for n in needed if not known[n]]):
+            raise ValueError(f"{dialect.name} needs ${', $'.join(map(str, zero))} above 0")
+        self._usual = dict(sorted(known.items()))
+        self.restore()
+
+    def restore(self) -> None:
+        """Set all back to what the board came with."""
+        self._values = dict(self._usual)
+
+    @property
+    def limits_inverted(self) -> bool:
+        """Whether $5 is not as the limit switches are wired: their pins then show the contrary."""
+        return self._values[5] != self._usual[5]
 
     def __getitem__(self, number: int) -> float:
         return self._values[number]
 
-    def homing_only(self, axes: Sequence[int]) -> Store:
-        """The same for homing ``axes`` alone."""
-        only, mask = copy.copy(self), sum(1 << axis for axis in axes)
-        masks = {at: int(self._values[at]) & mask for at in (44, 45, 46, 47) if at in self._values}
-        only._values = self._values | masks
-        return only
+    def lines(self) -> list[str]:
+        return [
+            f"${n}={value:.3f}" if n in _WITH_DECIMALS else f"${n}={value:.0f}"
+            for n, value in self._values.items()
+        ]
+
+    def write(self, number: int, value: float) -> int:
+        """Store a setting; 0, or the error code of a refusal."""
+        if value < 0:
+            return 4
+        if number not in self._values:
+            return 3
+        if number not in _WITH_DECIMALS:
+            value = int(value) & 0xFF if number not in (30, 31) else value
+            value = bool(value) if number in _FLAGS else value
+        if number == 0 and value < 3:
+            return 6
+        if number == 20 and value and not self._values[22]:
+            return 10
+        self._values[number] = value
+        if number == 22 and not value:
+            self._values[20] = 0  # soft limits mean nothing without homing
+        return 0
 
     @property
     def origin_mm(self) -> Vector:
         """Machine coordinates less the carriage's, which are 0 at the high end of its rails."""
         if not self.dialect.from_low_end:
-            return tuple([0.0] * self.axes)
+            return (0.0,) * self.axes
         return self._high_mm or tuple([travel - self._values[27] for travel in self.travel_mm])
 
     @property
@@ -145,27 +174,6 @@ class Store:
         high, pull_off = self.origin_mm, self._values[27]
         ends = zip(high, self.travel_mm, strict=True)
         return tuple([top - travel + pull_off for top, travel in ends]), high
-
-    def lines(self) -> list[str]:
-        return [
-            f"${n}={value:.3f}" if n in _WITH_DECIMALS else f"${n}={value:.0f}"
-            for n, value in self._values.items()
-        ]
-
-    def write(self, number: float, value: float) -> int:
-        """Store a setting; 0, or the error code of a refusal."""
-        if value < 0:
-            return 4
-        if number not in self._values:
-            return 3
-        if number == 0 and value < 3:
-            return 6
-        if number == 20 and value and not self._values[22]:
-            return 10
-        self._values[int(number)] = value
-        if number == 22 and not value:
-            self._values[20] = 0  # soft limits mean nothing without homing
-        return 0
 
     @property
     def travel_mm(self) -> Vector:
@@ -178,38 +186,42 @@ class Store:
 
     @property
     def rates(self) -> AxisRates:
-        speeds = tuple([rate / 60 for rate in self._axes(110)])
-        return AxisRates(speeds, self._axes(120), self._values[11])
+        return AxisRates(tuple([rate / 60 for rate in self._axes(110)]), self._axes(120))
+
+    @property
+    def passes(self) -> tuple[tuple[int, ...], ...]:
+        """Axes that are homed together, pass by pass."""
+        if not self.dialect.homing_passes:
+            return _CLASSIC_PASSES
+        masks = [int(self._values.get(number, 0)) for number in (44, 45, 46, 47)]
+        passes = (tuple(axis for axis in range(self.axes) if mask >> axis & 1) for mask in masks)
+        return tuple(axes for axes in passes if axes)
 
     def switch_mm(self, axis: int) -> float:
         """Where the axis's homing switch is."""
         return -self.travel_mm[axis] if axis in self.at_far_end else 0.0
 
-    def home_mm(self, before_mm: Vector) -> Vector:
-        """The count after homing; an axis without a pass keeps its own."""
+    def home_mm(self, axes: Sequence[int], before_mm: Vector) -> Vector:
+        """The count after homing ``axes``; another keeps its own."""
         home = list(before_mm)
-        for axis in (axis for axes in self.passes for axis in axes):
+        for axis in axes:
             away = self._values[27] if axis in self.at_far_end else -self._values[27]
             home[axis] = self.switch_mm(axis) + away
-        return self.whole_steps(tuple(home))
+        return self.whole_steps(home)
 
-    def whole_steps(self, at_mm: Vector) -> Vector:
-        """The nearest place that a whole number of steps reaches."""
-        pairs = zip(at_mm, self._axes(100), strict=True)
-        return tuple([round(place * steps) / steps for place, steps in pairs])
+    def whole_steps(self, at_mm: Sequence[float], now_mm: Vector | None = None) -> Vector:
+        """The nearest place that a whole number of steps reaches; without steps where it is now."""
+        axes = zip(at_mm, self._axes(100), now_mm or at_mm, strict=True)
+        return tuple([round(place * n) / n if n else now for place, n, now in axes])
 
     def beyond_travel(self, target_mm: Vector) -> bool:
         """Whether a target lies outside machine space, which is negative."""
         pairs = zip(target_mm, self.travel_mm, strict=True)
         return any(not -travel <= place <= 0 for place, travel in pairs)
 
-    @property
-    def passes(self) -> tuple[tuple[int, ...], ...]:
-        if not self.dialect.homing_passes:
-            return _CLASSIC_PASSES
-        masks = [int(self._values.get(number, 0)) for number in (44, 45, 46, 47)]
-        passes = (tuple(axis for axis in range(self.axes) if mask >> axis & 1) for mask in masks)
-        return tuple(axes for axes in passes if axes)
+    def _axes(self, first: int) -> Vector:
+        values = self._values
+        return tuple([values[number] for number in range(first, first + self.axes)])
 
     def configuration(self, key: str) -> str | None:
         """FluidNC's entry ``/axes/x/homing/cycle`` as text; None where there is none."""
@@ -235,7 +247,3 @@ class Store:
             "motor0/hard_limits": "true" if self._values[21] else "false",
             "motor0/pulloff_mm": f"{self._values[27]:.3f}",
         }.get("/".join(filter(None, more)))
-
-    def _axes(self, first: int) -> Vector:
-        values = self._values
-        return tuple([values[number] for number in range(first, first + self.axes)])

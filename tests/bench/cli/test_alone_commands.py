@@ -50,6 +50,9 @@ def test_status_says_everything_with_units(stage: Served, said: Said) -> None:
     text = json.loads(said(0, "stage status {} --json", stage.at).out)
     known = {"dialect": "grblHAL", "version": "1.1f", "state": "Alarm", "homed": False}
     assert text | known == text
+    assert text["pins"] == "none active"
+    stage.emulator.inject(Fault.PROBE_CLOSED)
+    assert json.loads(said(0, "stage status {} --json", stage.at).out)["pins"] == "probe"
     assert text["travel_x_mm"] == [-300.0, 0.0]
     assert text["travel_a_deg"] == [-360.0, 0.0]
     assert {"x_mm", "y_mm", "z_mm", "a_deg", "soft_limits", "hard_limits", "homing"} <= text.keys()

@@ -16,19 +16,11 @@ from hypothesis import strategies as st
 from instruments.errors import LinkError
 from instruments.stage.emulator import Fault, Mounting
 from instruments.stage.emulator.carriage import AxisDrive
-from instruments.stage.emulator.motion import (
-    AxisRates,
-    HomingRun,
-    Motion,
-    Vector,
-    junction_speed,
-    lay,
-    profile,
-)
-from instruments.stage.emulator.store import Store
+from instruments.stage.emulator.gcode import GCode, Move
+from instruments.stage.emulator.motion import AxisRates, Motion, Run, Vector
 from tests.instruments.stage.board import LOCK, WELCOME, Board
 
-RATES = AxisRates((50.0, 50.0, 50.0), (200.0, 200.0, 200.0), 0.01)
+RATES = AxisRates((50.0, 50.0, 50.0), (200.0, 200.0, 200.0))
 PLACES = st.tuples(st.floats(-300, 0), st.floats(-275, 0), st.floats(-50, 0))
 
 
@@ -38,36 +30,30 @@ def test_a_diagonal_move_is_as_fast_as_its_slowest_axis_allows() -> None:
     assert motion.speed(1.0) == pytest.approx(50 * math.sqrt(2))
 
 
-@given(st.floats(1e-3, 500), st.floats(0, 50), st.floats(1, 80), st.floats(10, 1000))
-def test_a_profile_covers_its_length_and_joins_without_steps(
-    length: float, entry: float, cruise: float, accel: float
+@given(st.floats(1e-3, 500), st.floats(0, 1), st.floats(1, 80), st.floats(10, 1000))
+def test_a_run_covers_its_length_and_ends_at_rest(
+    length: float, entry: float, speed: float, accel: float
 ) -> None:
-    phases = lay(profile(length, entry, cruise, 0.0, accel), 0.0)
-    last = phases[-1]
-    assert last.place_mm(last.end_s) == pytest.approx(length, rel=1e-9, abs=1e-9)
-    assert last.speed_at(last.end_s) == pytest.approx(0.0, abs=1e-5)
-    assert phases[0].speed_mm_s == entry
-    for before, after in itertools.pairwise(phases):
-        assert before.speed_at(before.end_s) == pytest.approx(after.speed_mm_s, abs=1e-6)
+    entry *= math.sqrt(2 * accel * length)  # from which it can still stop
+    run = Run(0.0, length, speed, accel, entry)
+    assert run.at(0.0) == pytest.approx((0.0, entry))
+    almost = run.at(run.end_s - 1e-6)
+    assert almost == pytest.approx((length, 0.0), abs=1e-6 * (accel + entry + 1))
+    steps = [run.at(run.end_s * n / 50) for n in range(51)]
+    for (place, fast), (further, _) in itertools.pairwise(steps):
+        assert further >= place - 1e-9
+        assert fast <= max(speed, entry) + 1e-9
 
 
-def test_the_speed_at_a_right_angle() -> None:
-    # accel 200·√2 along the bisector, deviation 0.01 mm, sin 45°/(1 - sin 45°) = 2.41421
-    expected = math.sqrt(200 * math.sqrt(2) * 0.01 * 2.414213562)
-    assert junction_speed((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), RATES) == pytest.approx(
-        expected, rel=1e-6
-    )
-    assert junction_speed((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), RATES) == 0.0
-    assert junction_speed((1.0, 0.0, 0.0), (1.0, 0.0, 0.0), RATES) == math.inf
-
-
-def test_a_straight_line_in_two_blocks_takes_as_long_as_in_one() -> None:
-    one, two = Motion((0.0, 0.0, 0.0)), Motion((0.0, 0.0, 0.0))
-    one.go((-100.0, 0.0, 0.0), 50.0, RATES, 0.0)
-    two.go((-40.0, 0.0, 0.0), 50.0, RATES, 0.0)
-    two.go((-100.0, 0.0, 0.0), 50.0, RATES, 0.3)
-    for moment in (0.3, 0.5, 0.9, 1.7, 2.2):
-        assert two.position(moment) == pytest.approx(one.position(moment), abs=1e-9)
+def test_moves_stop_at_each_end() -> None:
+    motion = Motion((0.0, 0.0, 0.0))
+    motion.go((-40.0, 0.0, 0.0), 50.0, RATES, 0.0)
+    motion.go((-100.0, 0.0, 0.0), 50.0, RATES, 0.3)
+    corner_s = 40 / 50 + 50 / 200
+    assert motion.next_end_s(0.3) == pytest.approx(corner_s)
+    assert motion.position(corner_s) == pytest.approx((-40.0, 0.0, 0.0))
+    assert motion.speed(corner_s) == pytest.approx(0.0, abs=1e-9)
+    assert motion.next_end_s(corner_s) == pytest.approx(corner_s + 60 / 50 + 50 / 200)
 
 
 def test_a_hold_brakes_within_v_squared_over_2a_and_the_rest_follows_after_it() -> None:
@@ -78,7 +64,7 @@ def test_a_hold_brakes_within_v_squared_over_2a_and_the_rest_follows_after_it() 
     assert not motion.moving(1.5)
     assert motion.position(9.0) == pytest.approx((-56.25 - 6.25, 0, 0))
     assert motion.target == (-100.0, 0.0, 0.0)
-    assert len(motion.blocks(9.0)) == 1
+    assert len(motion.left(9.0)) == 1
     motion.resume(10.0)
     assert motion.next_end_s(10.0) == pytest.approx(10 + 37.5 / 50 + 0.25)
     assert motion.position(12.0) == (-100.0, 0.0, 0.0)
@@ -86,18 +72,19 @@ def test_a_hold_brakes_within_v_squared_over_2a_and_the_rest_follows_after_it() 
 
 @given(
     st.lists(st.tuples(PLACES, st.floats(1, 60)), min_size=1, max_size=6),
-    st.lists(st.floats(0.01, 2.0), max_size=5),
+    st.lists(st.tuples(st.floats(0.01, 2.0), st.sampled_from((10, 100, 200))), max_size=5),
 )
-def test_any_path_with_any_holds_is_smooth_and_ends_at_its_target(
-    moves: list[tuple[Vector, float]], holds: list[float]
+def test_any_path_with_any_holds_and_overrides_is_smooth_and_ends_at_its_target(
+    moves: list[tuple[Vector, float]], holds: list[tuple[float, int]]
 ) -> None:
     motion, now = Motion((-1.0, -1.0, -1.0)), 0.0
     for target, feed in moves:
         motion.go(target, feed, RATES, now)
-    for run in holds:
+    for run, percent in holds:
         before = motion.position(now + run - 1e-6)
         assert math.dist(before, motion.position(now + run)) <= 1e-6 * 50 * math.sqrt(3) + 1e-9
         now += run
+        motion.override(percent, 100, now)
         motion.hold(now)
         assert (
             math.dist(motion.position(now), motion.position(now + 1e-6))
@@ -106,34 +93,34 @@ def test_any_path_with_any_holds_is_smooth_and_ends_at_its_target(
         now += 1.0  # 87 mm/s at 200 mm/s² stand within 0.44 s
         assert not motion.moving(now)
         motion.resume(now)
-    assert motion.position(now + 3600) == moves[-1][0]
-    assert motion.blocks(now + 3600) == ()
-
-
-def test_homing_takes_what_its_runs_take() -> None:
-    store = Store({25: 1500, 24: 100, 26: 250, 27: 1})
-    run = HomingRun((-150.0, -100.0, -25.0), store, {})
-
-    def seek(way: float) -> float:  # to a dead stop at 25 mm/s, 200 mm/s²
-        return way / 25 + 25 / (2 * 200)
-
-    off = 2 * math.sqrt(1 / 200)
-    creep = 1 / (100 / 60) + (100 / 60) / (2 * 200)
-    expected = seek(25) + seek(150) + 2 * (2 * off + creep) + 8 * 0.25
-    assert run.end_s == pytest.approx(expected, abs=1e-9)
-    assert run.position(run.end_s) == pytest.approx((-1.0, -1.0, -1.0))
-    assert run.position(0.0) == (-150.0, -100.0, -25.0)
-    assert run.alarm is None
-
-
-@given(PLACES)
-def test_homing_ends_at_the_pull_off_from_anywhere(start: Vector) -> None:
-    run = HomingRun(start, Store(), {})
-    assert run.alarm is None
-    assert run.position(run.end_s) == pytest.approx((-1.0, -1.0, -1.0), abs=1e-9)
+    assert motion.position(now + 36000) == moves[-1][0]
+    assert motion.left(now + 36000) == ()
 
 
 Make = Callable[..., Board]
+
+
+def test_homing_takes_what_its_runs_take_axis_by_axis(board: Board) -> None:
+    def seek(way: float) -> float:  # at 25 mm/s, 200 mm/s²
+        return way / 25 + 25 / 200
+
+    off = 2 * math.sqrt(1 / 200)
+    creep = 1 / (100 / 60) + (100 / 60) / 200
+    ways_s = seek(25) + seek(150) + seek(137.5)
+    assert board.answered_at(b"$H\n") == pytest.approx(
+        ways_s + 3 * (2 * off + creep + 4 * 0.25), abs=1e-6
+    )
+    assert board.emulator.position_mm() == pytest.approx([-1, -1, -1])
+
+
+@pytest.mark.parametrize("far", [0, 1, 3, 7])
+def test_homing_ends_at_the_pull_off_from_anywhere(make_board: Make, far: int) -> None:
+    board = make_board({23: far}, play_mm=(0.3, 0.1, 0.0))
+    home = [-299 if far & 1 else -1, -274 if far & 2 else -1, -49 if far & 4 else -1]
+    for _ in range(2):
+        board.answered_at(b"$H\n")
+        assert board.emulator.position_mm() == pytest.approx(home)
+        board.say(b"G53G1X-37Y-270Z-3F3000\n", 30.0)
 
 
 def test_a_stalled_carriage_stands_while_the_count_goes_on(free: Board) -> None:
@@ -242,21 +229,19 @@ def test_play_of_an_axis_that_homes_to_its_far_end_is_on_the_other_side(make_boa
 
 
 @pytest.mark.parametrize(
-    ("lines", "after_s"),
-    [
-        (b"G1X200F3000\n", 150 / 50 + 50 / 400),  # count 0 is 150 mm from the switch
-        (b"G1X-50F3000\nG1X160\nG4P0\n", (50 / 50 + 0.25) + (200 / 50 + 0.125)),
-    ],
-    ids=["at once", "on the second leg"],
+    "lines", [b"G1X200F3000\n", b"G1X-50F3000\nG1X160\nG4P0\n"], ids=["at once", "second leg"]
 )
-def test_a_switch_at_the_rails_end_closes_at_its_moment(
-    free: Board, lines: bytes, after_s: float
+def test_a_switch_at_the_rails_end_is_noticed_with_the_next_report(
+    free: Board, lines: bytes
 ) -> None:
-    free.links[-1].write(lines)
-    start = free.clock.now()
-    assert free.links[-1].read_until(b"ALARM:1\r\n", 60.0).endswith(b"ok\r\nALARM:1\r\n")
-    assert free.clock.now() - start == pytest.approx(after_s, abs=2e-3)
+    said = free.say(lines)
+    while b"ALARM" not in said and free.clock.now() < 60:
+        said += free.say(b"?", 0.2)
     assert free.emulator.position_mm()[0] == pytest.approx(0.0)
+    assert said.endswith(b"ALARM:1\r\n[MSG:Reset to continue]\r\n")
+    count = float(said.split(b"MPos:")[-1].split(b",")[0])
+    assert 140 < count < 150, "the last one before it was hit, 150 mm from where it started"
+    assert b"|Pn:X|" in free.say(b"\x18?")
 
 
 def test_at_the_end_without_a_switch_the_motor_loses_its_steps(free: Board) -> None:
@@ -283,7 +268,7 @@ def test_without_hard_limits_the_switch_says_nothing(make_board: Make) -> None:
 def test_a_drive_never_leaves_its_rails_or_its_play(
     counts: list[float], play: float, at_far_end: bool, place: float
 ) -> None:
-    axis = AxisDrive(place, low=-50.0, high=0.0, play=play, at_far_end=at_far_end)
+    axis = AxisDrive(place, low=-50.0, play=play, at_far_end=at_far_end)
     for count in counts:
         before, was = axis.place, axis.count
         axis.follow(count)
@@ -304,7 +289,7 @@ def test_a_drive_never_leaves_its_rails_or_its_play(
 def test_a_drive_fed_in_pieces_of_straight_lines_ends_the_same(
     ends: list[float], pieces: int, play: float, lost: float
 ) -> None:
-    whole, cut = (AxisDrive(-25.0, low=-50.0, high=0.0, play=play, to_lose=lost) for _ in range(2))
+    whole, cut = (AxisDrive(-25.0, low=-50.0, play=play, to_lose=lost) for _ in range(2))
     at = 0.0
     for end in ends:
         whole.follow(end)
@@ -361,3 +346,28 @@ def test_the_plates_pose_by_hand(
 ) -> None:
     got = mounting.pose(place)
     assert (got.x_mm, got.y_mm, got.z_mm, got.yaw_rad) == pytest.approx(pose, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("line", "centre", "radius", "turn_deg"),
+    [
+        ("G2X1Y1I1F500", (1.0, 0.0), 1.0, -90.0),
+        ("G3X1Y1I1F500", (1.0, 0.0), 1.0, 270.0),
+        ("G3X1Y1J1F500", (0.0, 1.0), 1.0, 90.0),
+        ("G2X2Y0R1F500", (1.0, 0.0), 1.0, -180.0),
+        ("G2X1Y1R-1F500", (0.0, 1.0), 1.0, -270.0),
+        ("G3X1Y1R1F500", (0.0, 1.0), 1.0, 90.0),
+        ("G2X0Y0I3F500", (3.0, 0.0), 3.0, -360.0),
+    ],
+)
+def test_an_arc_goes_round_its_centre(
+    line: str, centre: tuple[float, float], radius: float, turn_deg: float
+) -> None:
+    """Signs by hand: G2 is clockwise, and a negative R is the longer way round."""
+    places = [one.target_mm for one in GCode("XYZ", 1e7).take(line) if isinstance(one, Move)]
+    ways = [(x - centre[0], y - centre[1]) for x, y, _ in [(0.0, 0.0, 0.0), *places]]
+    assert [math.hypot(*way) for way in ways] == pytest.approx([radius] * len(ways))
+    angles = [math.degrees(math.atan2(y, x)) for x, y in ways]
+    turns = [(after - at + 180) % 360 - 180 for at, after in itertools.pairwise(angles)]
+    assert sum(turns) == pytest.approx(turn_deg)
+    assert max(map(abs, turns)) <= 10 + 1e-9

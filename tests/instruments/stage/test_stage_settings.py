@@ -44,8 +44,9 @@ def test_fluidncs_travel_goes_from_its_homing_place() -> None:
     assert limits["Y"] == AxisLimits(-300.0, 0.0)
 
 
-def test_marlins_settings_as_its_source_words_them() -> None:
-    settings = read_marlin([M92, M203, M201, ENDS], "XYZ", who="stage")
+@pytest.mark.parametrize("ends", [[ENDS], ["M211 S1 ; ON", ENDS.partition("  ")[2]]])
+def test_marlins_settings_as_its_source_words_them(ends: list[str]) -> None:
+    settings = read_marlin([M92, M203, M201, *ends], "XYZ", who="stage")
     assert settings.steps_per_mm == (80.0, 80.0, 400.0)
     assert settings.rate_mm_min == (18000.0, 18000.0, 300.0)
     assert settings.limits["Y"] == AxisLimits(-2.0, 220.0)
