@@ -27,7 +27,7 @@ from bench.config import ConfigError, did_you_mean
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import Bath as BathTable
 from bench.rig.opening import open_instruments, rig_of
-from bench.safety.interlocks import moving_of
+from bench.safety.liveness import Liveness
 from bench.safety.latch import acknowledge as acknowledge_latch
 from bench.safety.latch import latch_path, read_latch
 from bench.safety.stability import StabilityGate, State
@@ -289,7 +289,7 @@ class BathView:
 
 def watch_bath(bath: Bath, clock: Clock, console: Console, seconds: float) -> None:
     """Read and show once a second for ``seconds``; a line a reading without a terminal."""
-    view = BathView(StabilityGate(bath.get("set_point")), moving_of(bath.profile))
+    view = BathView(StabilityGate(bath.get("set_point")), Liveness(bath.profile))
     started = bath.profile.row("run").values["started"]
     end_s = clock.now() + seconds
     with Live(console=console, auto_refresh=False, transient=False) as live:
