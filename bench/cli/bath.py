@@ -27,9 +27,9 @@ from bench.config import ConfigError, did_you_mean
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import Bath as BathTable
 from bench.rig.opening import open_instruments, rig_of
-from bench.safety.liveness import Liveness
 from bench.safety.latch import acknowledge as acknowledge_latch
 from bench.safety.latch import latch_path, read_latch
+from bench.safety.liveness import Liveness
 from bench.safety.stability import StabilityGate, State
 from instruments.bath.access import NOT_READ
 from instruments.bath.driver import Bath

@@ -19,6 +19,7 @@ from bench.record.schema import Row
 from bench.record.writer import Store
 from bench.results.answers import Answer, Examiner, score_answers
 from bench.results.cameras_agree import where_seen
+from bench.results.teats_seen import TEATS_FACT, teats_seen
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Stage as StageSettings
@@ -27,7 +28,6 @@ from bench.run.context import RunContext
 from bench.run.events import RunState
 from bench.run.recordings import Recorder
 from bench.run.rows import detection_tables, stage_pictures
-from bench.results.teats_seen import TEATS_FACT, teats_seen
 from bench.run.set_up_picture import write_set_up_picture
 from bench.safety.stability import State
 from bench.script.model import LoadedScript, Rules
@@ -350,9 +350,7 @@ class TrialRun:
         shown = [k for k, row in enumerate(rows) if row.visible]
         ends_mm = np.array([rows[k].xyz_mm for k in shown]).reshape(-1, 3)
         axes = trial.phantom.moved(trial.pose).axes[shown]
-        seen = teats_seen(
-            frames, ctx.rig.calibration, ends_mm, axes, bath_c=bath_c, room_c=room_c
-        )
+        seen = teats_seen(frames, ctx.rig.calibration, ends_mm, axes, bath_c=bath_c, room_c=room_c)
         if why := seen.cold(bath_c, room_c):
             hint = "Does the pump turn, and does the water go through the teats? Is room_c right?"
             raise DeviceError("bath", why, asked="the level of the teats", hint=hint)

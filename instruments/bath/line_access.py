@@ -114,7 +114,7 @@ class Lines(Session):
             self._wait(self._open)
         self.clock.sleep(self.received_s + self._gap_s - self.clock.now())
         link = self.up()
-        while self.receive(link, 0.0):  # what lies there unasked answers nothing
+        if self.drop_unasked(link):
             self.in_step = False
         self._buffer = b""
         question = Question(command, self.clock.now())
