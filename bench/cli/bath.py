@@ -79,7 +79,7 @@ def learn(given: argparse.Namespace) -> int:
     """Asks for each row by itself and writes nothing: for a profile that is being made."""
     profile = profile_of(given.profile)
     with open_bath(given.port, profile, identify=False, capture=given.capture) as (bath, _):
-        tried = list(bath.try_rows())
+        tried, doubt = list(bath.try_rows()), bath.doubt
     answered = [one for one in tried if one.answered]
     if given.json:
         print(json.dumps([asdict(one) for one in tried]))
@@ -89,6 +89,8 @@ def learn(given: argparse.Namespace) -> int:
             print(f"{'+' if one.answered else '-'} {one.row:{width}}  {one.asked}: {one.said}")
         asked = [one for one in tried if one.asked != NOT_READ]
         print(f"{len(answered)} of {len(asked)} rows that can be read made sense")
+    if doubt:
+        return complain(f"bath at {given.port}: no controller answers: {doubt}", CODES.fault)
     return CODES.met if answered else CODES.fault
 
 
@@ -117,7 +119,7 @@ def watch(given: argparse.Namespace) -> None:
             print("left as it is; 'teatbench bath standby' switches the heater off")
 
 
-def standby(given: argparse.Namespace) -> None:
+def standby(given: argparse.Namespace) -> int:
     profile = profile_of(given.profile)
     with open_bath(given.port, profile, identify=False, capture=given.capture) as (bath, _):
         bath.safe()
@@ -125,7 +127,11 @@ def standby(given: argparse.Namespace) -> None:
             print(f"in standby at {bath.read().temp_c:.2f} degC")
         # what matters is done; an alarm or a broken sensor doesn't undo it
         except InstrumentError as error:
+            if bath.doubt:
+                what = f"bath at {given.port}: standby was sent, but no controller answers"
+                return complain(f"{what}: {bath.doubt}. Look at the bath.", CODES.fault)
             print(f"in standby; no temperature: {error}")
+    return CODES.met
 
 
 def acknowledge(given: argparse.Namespace) -> None:

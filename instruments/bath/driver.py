@@ -90,6 +90,11 @@ class Bath:
         return dict(self._identity)
 
     @property
+    def doubt(self) -> str:
+        """Why what answers may be no controller at all; empty for no reason."""
+        return self._rows.doubt
+
+    @property
     def pump(self) -> Literal["none", "with run", "own"]:
         """``with run``: turns while the controller is started; ``own``: has its own switch."""
         return self.profile.capabilities.pump
