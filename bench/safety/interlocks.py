@@ -89,7 +89,7 @@ def frozen(look: Look) -> str | None:
 
 def lifeless(look: Look) -> str | None:
     heats = look.asked_c is not None and look.now.running is not False
-    if look.lived or not heats or look.now.power_percent == 0.0:
+    if look.lived or not heats:
         return None
     lasted_s = look.now.t_s - look.since.t_s
     return f"the reading has stood at {look.now.temp_c:.2f} degC for {lasted_s:.0f} s"
@@ -357,7 +357,9 @@ class Interlocks:
         """The first rule of the table that trips with this reading."""
         settled = self._has_settled(now)
         before, self._sign = self._sign, self._liveness(now)
-        lived = before != self._sign
+        # a coarse reading may stand while a bath without heat cools by a tenth
+        rests = self._liveness.coarse and now.power_percent == 0.0
+        lived = rests or before != self._sign
         earlier = self._earlier(now)
         for rule in self._active:
             since = self._since.setdefault(rule.name, now)

@@ -16,6 +16,8 @@ from instruments.bath.profile import Profile
 from instruments.bath.reading import BathReading
 
 COARSE_K = 0.05  # a reading in steps of more than this stands still in the best of baths
+# of the output: a sensor that stops makes it turn once, from its last jump to the integral's way
+TURNS_WITHIN_S = 60.0
 SAME_K = 1e-4  # two readings of a float that differ by less are one
 
 
@@ -27,6 +29,7 @@ class Liveness:
         self._seen_k = math.inf  # the smallest change so far
         self._last: BathReading | None = None
         self._risen: bool | None = None  # the way that the output moved last
+        self._turned_s = -math.inf
         self._signs = 0
 
     @property
@@ -51,12 +54,15 @@ class Liveness:
             self._seen_k = min(self._seen_k, change_k)
 
     def _turned(self, before: BathReading, now: BathReading) -> bool:
-        """Whether the output, which went one way, goes the other now."""
+        """Whether the output, which went one way, goes the other now, not for the first time."""
         was, output = before.power_percent, now.power_percent
         if was is None or output is None or output == was:
             return False
         risen, self._risen = self._risen, output > was
-        return risen is not None and risen is not self._risen
+        if risen is None or risen is self._risen:
+            return False
+        last_s, self._turned_s = self._turned_s, now.t_s
+        return now.t_s - last_s <= TURNS_WITHIN_S
 
     @staticmethod
     def _other_moved(before: BathReading, now: BathReading) -> bool:

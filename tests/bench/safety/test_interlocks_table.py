@@ -38,7 +38,7 @@ from tests.bench.safety.calm import CALM
 from tests.conftest import ROOT
 
 COLD = replace(CALM, power_percent=0.0)
-FROM_S, TO_S = 200.0, 800.0  # the trouble comes and goes
+FROM_S, TO_S = 200.0, 900.0  # the trouble comes and goes
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,7 @@ WALKS = {
         121.0,
         replace(CALM, power_percent=30.0),
     ),
+    "lifeless reading": Walk(lambda t: replace(CALM, temp_c=32.99), 602.0, CALM),
     "rate": Walk(lambda t: replace(CALM, temp_c=33.0 - (t - FROM_S) * 4.5 / 60), 32.0, CALM),
     "loop break": Walk(
         lambda t: replace(CALM, temp_c=33.0 - (t - FROM_S) * 1e-4, power_percent=95.0), 121.0, CALM
@@ -211,8 +212,8 @@ def test_a_temperature_is_coarse_above_steps_of_a_twentieth_of_a_kelvin(
         for row in profile.rows
     )
     moving = Liveness(profile.model_copy(update={"rows": rows}))
-    signs = [moving(replace(CALM, power_percent=power)) for power in (2.0, 3.0, 2.0)]
-    assert (signs[0] != signs[2]) is alive
+    signs = [moving(replace(CALM, power_percent=power)) for power in (2.0, 3.0, 2.0, 3.0)]
+    assert (signs[0] != signs[3]) is alive
 
 
 LIMITS = {
