@@ -3,6 +3,8 @@ sensor at them.
 
 What a camera shows is off by its offset and by the paint, several kelvin for some, so that only
 half of the way from the room to the bath is asked for: teats whose water stands are at the room.
+But the offset stays: teats that are colder than they were in the same run show more closely that
+their water stands.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from instruments.camera.frame import FrameSet
 TEATS_FACT = "teats not measured"  # of a run: why the temperature at the teats wasn't
 INWARD_MM = (6.0, 10.0, 14.0, 18.0)  # along the axis from the end: on the teat, whatever its radius
 WARM_SHARE = 0.5  # of the way from the room to the bath
+FALL_K = 2.0  # in a run, of one and the same camera
 LEAST_SPAN_K = 4.0  # between room and bath, for a camera to tell one from the other
 ZERO_C_K = 273.15
 
@@ -30,14 +33,24 @@ class TeatsSeen:
     temps_c: tuple[float, ...] = ()
     why_not: str = ""
 
-    def cold(self, bath_c: float, room_c: float) -> str:
-        """What is wrong, where most of the teats are no warmer than the room; else empty."""
-        if not self.temps_c:
+    @property
+    def level_c(self) -> float | None:
+        """Of most of the teats; None where none is shown."""
+        return median(self.temps_c) if self.temps_c else None
+
+    def cold(self, bath_c: float, room_c: float, before_c: float | None = None) -> str:
+        """What is wrong, where most of the teats are no warmer than the room, or left the level
+        ``before_c`` at which this run saw them first; else empty.
+        """
+        seen_c, least_c = self.level_c, room_c + WARM_SHARE * (bath_c - room_c)
+        if seen_c is None:
             return ""
-        seen_c, least_c = median(self.temps_c), room_c + WARM_SHARE * (bath_c - room_c)
-        wrong = seen_c < least_c if bath_c > room_c else seen_c > least_c
         shown = f"the thermal camera shows the teats at {seen_c:.1f} degC"
-        return f"{shown}, and the bath reads {bath_c:.2f} degC" if wrong else ""
+        if (seen_c < least_c) if bath_c > room_c else (seen_c > least_c):
+            return f"{shown}, and the bath reads {bath_c:.2f} degC"
+        if before_c is not None and abs(seen_c - before_c) > FALL_K:
+            return f"{shown}, {before_c:.1f} degC at first; the bath reads {bath_c:.2f} degC"
+        return ""
 
 
 def teats_seen(

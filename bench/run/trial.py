@@ -261,6 +261,7 @@ class TrialRun:
         self._recorder = recorder
         self.rehearsing = False
         self._teats_unknown = ""
+        self._teats_first_c: float | None = None  # as the thermal camera saw them
         self._before: Arrangement | None = None  # with a picture
         # what of a pose the stage does; the operator does the rest
         self._axes = rig.stage.axes if ctx.devices.stage and rig.stage else ""
@@ -351,9 +352,11 @@ class TrialRun:
         ends_mm = np.array([rows[k].xyz_mm for k in shown]).reshape(-1, 3)
         axes = trial.phantom.moved(trial.pose).axes[shown]
         seen = teats_seen(frames, ctx.rig.calibration, ends_mm, axes, bath_c=bath_c, room_c=room_c)
-        if why := seen.cold(bath_c, room_c):
+        if why := seen.cold(bath_c, room_c, self._teats_first_c):
             hint = "Does the pump turn, and does the water go through the teats? Is room_c right?"
             raise DeviceError("bath", why, asked="the level of the teats", hint=hint)
+        if self._teats_first_c is None:
+            self._teats_first_c = seen.level_c
         if seen.why_not and self._teats_unknown != seen.why_not:
             self._teats_unknown = seen.why_not
             ctx.store.fact(TEATS_FACT, seen.why_not)

@@ -362,7 +362,7 @@ def main() -> None:
         recording = record_one(Path(made) / "recording")
         for found in pool.map(lambda cell: outcomes(*cell, recording), cells):
             for one in found:
-                last = [line for line in one.said.splitlines() if line.strip()][-4:]
+                last = [line for line in one.said.splitlines() if "127.0.0.1" in line][-3:]
                 print(f"{one.name}: exit {one.code}, {one.seconds:.1f} s, {one.mb:.0f} MB")
                 print("".join(f"    {line[:240]}\n" for line in last), end="", flush=True)
                 print(f"    sent: {one.received[:100]!r}", flush=True)
