@@ -91,7 +91,10 @@ def learn(given: argparse.Namespace) -> int:
         print(f"{len(answered)} of {len(asked)} rows that can be read made sense")
     if doubt:
         return complain(f"bath at {given.port}: no controller answers: {doubt}", CODES.fault)
-    return CODES.met if answered else CODES.fault
+    if not answered:
+        why = next((one.said for one in tried if one.asked != NOT_READ), "it can't be read")
+        return complain(f"bath at {given.port}: no row made sense: {why}", CODES.fault)
+    return CODES.met
 
 
 def change(given: argparse.Namespace) -> int:

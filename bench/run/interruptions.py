@@ -76,7 +76,7 @@ def diagnosis(fault: InstrumentError) -> tuple[str, str]:
 
 EVERY_S = 2.0  # between attempts to reach it
 # while a run is being prepared: nothing is lost yet, and it may be another device altogether
-PREPARING_S = 30.0
+PREPARING_S = 20.0
 SETTLED_S = 1.0
 
 

@@ -25,6 +25,7 @@ from instruments.clock import Clock
 from instruments.errors import DeviceError, InstrumentError, LimitError
 from instruments.link import Tap
 
+FUTILE_S = 20.0
 SAFE_TRIES = 3
 
 T = TypeVar("T")
@@ -114,11 +115,18 @@ class Bath:
         return self._retried(lambda: self._after_poll(row).value(row))
 
     def try_rows(self) -> Iterator[Tried]:
-        """Ask each row of a profile that is being made, and write nothing. Raises LinkError."""
+        """Ask each row of a profile that is being made, and write nothing; no more than FUTILE_S
+        where nothing makes sense. Raises LinkError.
+        """
+        clock, answered = self._rows.clock, False
+        until_s = clock.now() + FUTILE_S
         with self._lock:
             for row in self._rows.profile.rows:
                 self._connect()
-                yield self._rows.tried(row)
+                yield (one := self._rows.tried(row))
+                answered = (answered or one.answered) and not self.doubt
+                if not answered and clock.now() > until_s:
+                    return
 
     def set(self, name: str, value: float | str) -> None:
         """Write a row (a number or a label) where it has another value, and read it back. Raises

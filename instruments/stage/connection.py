@@ -219,7 +219,8 @@ class Dialogue:
             seen += data
             if welcome := _last_welcome(self._decoder, data):
                 break
-            wait.until_s = min(start_s + BOOT_S, self._clock.now() + START_S)
+            if b"\n" in data:  # a board that starts talks in lines
+                wait.until_s = min(start_s + BOOT_S, self._clock.now() + START_S)
         if welcome is None and seen:
             what, hint = "this is not GRBL: no welcome", "Is this the stage's port, at 115200 baud?"
             took_s = self._clock.now() - start_s

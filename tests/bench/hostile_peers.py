@@ -8,6 +8,7 @@ prints the table; ``tests/bench/cli/test_hostile_peers.py`` holds it.
 from __future__ import annotations
 
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -26,10 +27,11 @@ from instruments.bath.profile import load_register_profile
 from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.world.plant import Plant
+from tests.bench.forked import begin
 from tests.bench.real_rig import record_one
-from tests.conftest import ROOT
 
-WITHIN_S, MOST_MB = 65.0, 200.0
+# a process that has loaded the bench, but nothing else, takes 110 MB
+WITHIN_S, MOST_MORE_MB = 65.0, 90.0
 
 
 def crc(data: bytes) -> bytes:
@@ -93,24 +95,42 @@ class HostilePeer:
     def __init__(self, kind: Kind) -> None:
         self._kind = kind
         self._server = socket.create_server(("127.0.0.1", 0))
+        self._ended = threading.Event()
+        self._connections: list[socket.socket] = []
+        self._threads: list[threading.Thread] = []
         self.port: int = self._server.getsockname()[1]
         self.received: list[bytes] = []
-        threading.Thread(target=self._accept, daemon=True).start()
+        self._start(self._accept)
 
     def close(self) -> None:
+        """End all of it; nothing is left behind."""
+        self._ended.set()
         with suppress(OSError):
             self._server.shutdown(socket.SHUT_RDWR)
-        self._server.close()
+        self._threads[0].join()
+        for connection in self._connections:
+            with suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
+        for thread in self._threads:
+            thread.join()
+        for one in (self._server, *self._connections):
+            one.close()
+
+    def _start(self, work: Callable[..., None], *arguments: socket.socket) -> None:
+        thread = threading.Thread(target=work, args=arguments, daemon=True)
+        self._threads.append(thread)
+        thread.start()
 
     def _accept(self) -> None:
         with suppress(OSError):
             while True:
                 connection, _ = self._server.accept()
+                self._connections.append(connection)
                 if self._kind.hangs_up:
                     connection.close()
                     continue
-                for work in (self._read, self._stream):
-                    threading.Thread(target=work, args=(connection,), daemon=True).start()
+                self._start(self._read, connection)
+                self._start(self._stream, connection)
 
     def _read(self, connection: socket.socket) -> None:
         with suppress(OSError):
@@ -118,12 +138,12 @@ class HostilePeer:
             while data := connection.recv(65536):
                 self.received.append(data)
                 connection.sendall(self._kind.reply(data))
+            connection.shutdown(socket.SHUT_RDWR)
 
     def _stream(self, connection: socket.socket) -> None:
         with suppress(OSError):
-            while self._kind.stream:
+            while self._kind.stream and not self._ended.wait(self._kind.pause_s):
                 connection.sendall(self._kind.stream)
-                time.sleep(self._kind.pause_s)
 
 
 @contextmanager
@@ -283,6 +303,54 @@ class Outcome:
     def name(self) -> str:
         return f"{self.command}, {self.link}, {self.kind}"
 
+    @property
+    def faults(self) -> list[str]:
+        """What of it is not as it has to be."""
+        found = []
+        if self.code is None or self.seconds > WITHIN_S:
+            found.append(f"it took {self.seconds:.0f} s")
+        if self.mb > MOST_MORE_MB:
+            found.append(f"it took {self.mb:.0f} MB")
+        if "Traceback" in self.said or "mistake of the bench" in self.said:
+            found.append("it calls it a mistake of its own")
+        if self.code != (0 if self.command == "init" else 3):
+            found.append(f"it ended with {self.code}")
+        if self.command == "init" and "nothing that is known" not in self.said:
+            found.append("it found an instrument")
+        if self.command != "init" and "127.0.0.1" not in self.said:
+            found.append("it does not say who")
+        if self.heats:
+            found.append("the bath beside it heats")
+        return found + [f"it sent {one!r}" for one in self.dangerous]
+
+    @property
+    def dangerous(self) -> list[bytes]:
+        """What was sent that moves, heats or changes a setting; standby is asked for."""
+        if self.command == "bath standby":
+            return []
+        return [one[0] for one in _MOVES.finditer(self.received)] + [
+            one for one in _writes(self.received) if self.link.startswith(("bath, M", "bath, R"))
+        ]
+
+
+# lines that move or heat: G-code with axes, homing, jogs; Zaber's; circulators' set and start
+_MOVES = re.compile(
+    rb"\$H|\$J|G28|G[0-3] ?[XYZA]|move (?:abs|rel)|\d home|out_[a-z]+_\d\d|SS ?\d|SO ?1", re.I
+)
+_WRITES = (5, 6, 15, 16)
+
+
+def _writes(sent: bytes) -> list[bytes]:
+    """Requests of Modbus that write: TCP's by their heads, RTU's by their check sums."""
+    found = [
+        one[0] for one in re.finditer(rb"..\0\0\0[\x06-\xff].([\x05\x06\x0f\x10])", sent, re.S)
+    ]
+    for at in range(len(sent) - 7):
+        unit_on = sent[at : at + 8]
+        if unit_on[1] in _WRITES[:2] and crc(unit_on[:6]) == unit_on[6:]:
+            found.append(unit_on)
+    return found
+
 
 def outcomes(link: str, kind: str, recording: Path) -> list[Outcome]:
     """Each command of ``link``, one after another, at a peer of ``kind``."""
@@ -313,28 +381,18 @@ def sound_bath(profile: str) -> Iterator[tuple[Plant, str]]:
 
 
 def _outcome(link: str, kind: str, arguments: list[str], peer: HostilePeer) -> Outcome:
-    start_s, code, peak = time.monotonic(), None, 0
+    start_s, code, said = time.monotonic(), None, list[str]()
     environment = {**os.environ, "COLUMNS": "300"}
-    with subprocess.Popen(
-        [sys.executable, "-m", "bench.cli", *arguments],
-        cwd=ROOT,
-        env=environment,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        encoding="utf-8",
-        errors="replace",
-    ) as process:
-        said: list[str] = []
+    with begin(arguments, stdin=subprocess.PIPE, environment=environment) as process:
+        first = peak = _resident_kb(process.pid)
         reader = threading.Thread(
             target=lambda: said.append(process.stdout.read() if process.stdout else "")
         )
         reader.start()
-        if process.stdin:
-            with suppress(OSError):  # a person who agrees to everything
-                process.stdin.write("\n" * 200)
-                process.stdin.close()
+        with suppress(OSError):  # a person who agrees to everything
+            assert process.stdin is not None
+            process.stdin.write("\n" * 200)
+            process.stdin.close()
         while (code := process.poll()) is None and time.monotonic() - start_s < 2 * WITHIN_S:
             peak = max(peak, _resident_kb(process.pid))
             time.sleep(0.05)
@@ -344,13 +402,13 @@ def _outcome(link: str, kind: str, arguments: list[str], peer: HostilePeer) -> O
         reader.join()
     command = " ".join(word for word in arguments[:2] if not word.startswith(("-", "/")))
     sent = b"".join(peer.received)
-    return Outcome(link, kind, command, code, seconds, peak / 1024, "".join(said), sent)
+    return Outcome(link, kind, command, code, seconds, (peak - first) / 1024, "".join(said), sent)
 
 
 def _resident_kb(pid: int) -> int:
     with suppress(OSError):
         for line in Path(f"/proc/{pid}/status").read_text(encoding="ascii").splitlines():
-            if line.startswith("VmHWM:"):
+            if line.startswith("VmRSS:"):
                 return int(line.split()[1])
     return 0
 
@@ -363,7 +421,8 @@ def main() -> None:
         for found in pool.map(lambda cell: outcomes(*cell, recording), cells):
             for one in found:
                 last = [line for line in one.said.splitlines() if "127.0.0.1" in line][-3:]
-                print(f"{one.name}: exit {one.code}, {one.seconds:.1f} s, {one.mb:.0f} MB")
+                wrong = f" WRONG: {'; '.join(one.faults)}" if one.faults else ""
+                print(f"{one.name}: exit {one.code}, {one.seconds:.1f} s, +{one.mb:.0f} MB{wrong}")
                 print("".join(f"    {line[:240]}\n" for line in last), end="", flush=True)
                 print(f"    sent: {one.received[:100]!r}", flush=True)
 
