@@ -424,7 +424,7 @@ def main() -> None:
     cells = [cell for cell in CELLS if not only or any(word in " ".join(cell) for word in only)]
     with ThreadPoolExecutor(6) as pool, TemporaryDirectory() as made:
         recording = record_one(Path(made) / "recording")
-        for found in pool.map(lambda cell: outcomes(*cell, recording), cells):
+        for found in pool.map(lambda cell: outcomes(cell[0], cell[1], recording), cells):
             for one in found:
                 last = [line for line in one.said.splitlines() if "127.0.0.1" in line][-3:]
                 wrong = f" WRONG: {'; '.join(one.faults)}" if one.faults else ""

@@ -117,11 +117,11 @@ def test_the_server_of_hostile_peers_is_what_it_says() -> None:
     with hostile("zeros") as peer:
         client = ModbusTcpClient("127.0.0.1", port=peer.port)
         assert client.read_holding_registers(0, count=4).registers == [0, 0, 0, 0]
-        client.close()
+        client.close()  # type: ignore[no-untyped-call]
     with hostile("exceptions") as peer:
         client = ModbusTcpClient("127.0.0.1", port=peer.port)
         assert client.read_holding_registers(0, count=4).isError()
-        client.close()
+        client.close()  # type: ignore[no-untyped-call]
 
 
 @pytest.mark.slow

@@ -108,9 +108,8 @@ def test_teats_that_cool_in_a_run_end_it(tmp_path: Path) -> None:
     (fault,) = [event["text"] for event in run.events if event["kind"] == "fault"]
     assert "degC at first" in fault
     last_s = run.trials[-1].head["captured_s"]
-    assert 13.0 * (1.0 - math.exp(-last_s / 652.0)) < 2.0 + 1.0, (
-        "K that the teats have lost by then"
-    )
+    lost_k = 13.0 * (1.0 - math.exp(-last_s / 652.0))  # since the pump stopped
+    assert lost_k < 1.0 + 2.0 + 0.5, "before the first look, since then, and in one trial"
 
 
 SHORT = """
