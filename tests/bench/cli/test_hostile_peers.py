@@ -46,20 +46,21 @@ def test_every_command_ends_well(link: str, kind: str, recording: Path) -> None:
     assert not {name: found for name, found in wrong.items() if found[0]}
 
 
+COMMANDS = {
+    "arm read --port socket://{} --homed": (*ENDLESS, "closing at once", "echo"),
+    "bath read --port tcp://{} --profile julabo-presto": QUICK,
+    "bath read --port rtu+tcp://{} --profile omega-cn7": QUICK,
+    "bath read --port tcp://{} --profile julabo-ascii": (*ENDLESS, "zeros", "exceptions"),
+    "bath learn --port tcp://{} --profile julabo-magio": QUICK,
+    "bath standby --port rtu+tcp://{} --profile watlow-pm-map1": ("endless data", "zeros"),
+    "stage status --port socket://{} --dialect grbl": (*ENDLESS, "closing at once"),
+    "stage status --port socket://{} --dialect marlin": ENDLESS,
+}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", QUICK)
 @pytest.mark.parametrize(
-    "command",
-    [
-        "arm read --port socket://{} --homed",
-        "bath read --port tcp://{} --profile julabo-presto",
-        "bath read --port rtu+tcp://{} --profile omega-cn7",
-        "bath read --port tcp://{} --profile julabo-ascii",
-        "bath learn --port tcp://{} --profile julabo-magio",
-        "bath standby --port rtu+tcp://{} --profile watlow-pm-map1",
-        "stage status --port socket://{} --dialect grbl",
-        "stage status --port socket://{} --dialect marlin",
-    ],
+    ("command", "kind"), [(command, kind) for command, kinds in COMMANDS.items() for kind in kinds]
 )
 def test_a_command_ends_in_time_and_says_why(
     command: str, kind: str, capsys: pytest.CaptureFixture[str]
@@ -100,7 +101,7 @@ def test_no_wait_of_a_link_is_longer_than_its_deadline(kind: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", [*QUICK, "another protocol's banner"])
+@pytest.mark.parametrize("kind", [*ENDLESS, "closing at once", "echo", "exceptions"])
 def test_an_operator_that_is_none_is_named(kind: str) -> None:
     with closing(RealClock()) as clock, hostile(kind) as peer:
         url = f"socket://127.0.0.1:{peer.port}"

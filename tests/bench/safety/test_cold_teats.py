@@ -19,7 +19,9 @@ from bench.script.model import TRIALS
 from tests.bench.operated_runs import write_calibration
 from tests.bench.safety.wide_scripts import RELAY, wide
 
-SCRIPTS = sorted(path.stem for path in TRIALS.glob("*.toml"))
+SCRIPTS = sorted(  # of a bath: one only computes
+    path.stem for path in TRIALS.glob("*.toml") if "[bath]" in path.read_text(encoding="utf-8")
+)
 RIG = """
 name = "cold"
 calibration = "calibration.toml"
