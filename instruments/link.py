@@ -24,13 +24,17 @@ import serial
 from serial.tools import list_ports
 
 from instruments.clock import HUNG_S, Clock, VirtualClock, Wire
-from instruments.errors import LinkError
+from instruments.errors import LinkError, ProtocolError
 from instruments.port_settings import PortSettings, with_lines
 
 SLICE_S = 1.0
 LOOK_S = 0.002
 EIGHT_N_ONE = PortSettings()
 SOCKETS = ("socket://", "tcp://", "rtu+tcp://")
+# in one wait: at 115200 baud so much takes a minute and a half, longer than any wait for an answer
+MOST_BYTES = 1 << 20
+LATE_S = 1.0  # what came in time on a busy machine is read until so long after the deadline
+SEEN_BYTES = 60  # of what came, in an error
 COUNTED_S = 2.0  # real time until bytes that an emulator has counted must have come over loopback
 
 SYSFS = Path("/sys")
@@ -52,6 +56,38 @@ class Tap:
 
     def closed(self, why: str = "") -> None:
         """The host closed the link, or it broke because of ``why``. Called once a link."""
+
+
+class Reception:
+    """One wait for what a peer sends, which ends by itself whatever it sends: at ``until_s``, at
+    the latest LATE_S behind it, or with more than ``MOST_BYTES`` bytes, which no instrument says.
+    """
+
+    def __init__(self, who: str, clock: Clock, until_s: float) -> None:
+        self.until_s = until_s
+        self._who, self._clock, self._start_s, self._count = who, clock, clock.now(), 0
+
+    @property
+    def left_s(self) -> float:
+        """Until the deadline; 0 behind it."""
+        return max(0.0, self.until_s - self._clock.now())
+
+    @property
+    def over(self) -> bool:
+        """Whether not even what lies there already is taken any more; what came first always is."""
+        return self._count > 0 and self._clock.now() > self.until_s + LATE_S
+
+    def took(self, data: bytes) -> None:
+        """Count ``data``. Raises ProtocolError for a peer that sends without pause."""
+        self._count += len(data)
+        if self._count > MOST_BYTES:
+            raise ProtocolError(
+                self._who,
+                f"it sends without pause: {self._count >> 10} KB, and no answer among them",
+                seen=data[:SEEN_BYTES],
+                seconds=self._clock.now() - self._start_s,
+                hint="Is this the instrument's port, and at its rate?",
+            )
 
 
 class Link:
@@ -143,6 +179,20 @@ class Link:
             if data or left_s <= SLICE_S:
                 return data
 
+    def reception(self, until_s: float) -> Reception:
+        """A wait until ``until_s`` on the clock, for `incoming`."""
+        return Reception(self.who, self.clock, until_s)
+
+    def incoming(self, wait: Reception) -> Iterator[bytes]:
+        """What comes within ``wait``, piece by piece; the first also when its time is over. Ends
+        where nothing comes. Raises LinkError, ProtocolError.
+        """
+        while data := self.receive(wait.left_s):
+            wait.took(data)
+            yield data
+            if wait.over:
+                return
+
     def read(self, count: int, timeout_s: float) -> bytes:
         """``count`` bytes, or fewer after ``timeout_s``. Raises LinkError."""
         return self._collect(lambda data: count if len(data) >= count else None, timeout_s)
@@ -156,15 +206,15 @@ class Link:
         return self._collect(end, timeout_s)
 
     def drain(self, silence_s: float, *, at_most_s: float = 5.0) -> bytes:
-        """Read all until ``silence_s`` without a byte, or ``at_most_s`` have passed."""
-        got = b""
-        deadline = self.clock.now() + at_most_s
-        while self.clock.now() < deadline:
-            data = self.receive(silence_s)
-            if not data:
-                break
-            got += data
-        return got
+        """Read all until ``silence_s`` without a byte, or ``at_most_s`` have passed. Raises
+        LinkError; ProtocolError for a peer that sends without pause.
+        """
+        got: list[bytes] = []
+        wait = self.reception(self.clock.now() + at_most_s)
+        while wait.left_s and (data := self.receive(min(silence_s, wait.left_s))):
+            wait.took(data)
+            got.append(data)
+        return b"".join(got)
 
     def close(self) -> None:
         """May be repeated. Until ``reopen`` all other calls raise LinkError."""
@@ -191,14 +241,13 @@ class Link:
 
     def _collect(self, end: Callable[[bytes], int | None], timeout_s: float) -> bytes:
         """All up to ``end`` of what has come; None while that is not there."""
-        data, deadline = b"", self.clock.now() + timeout_s
-        while (at := end(data)) is None:
-            more = self.receive(max(0.0, deadline - self.clock.now()))
-            if not more:
-                return data
+        data = b""
+        for more in self.incoming(self.reception(self.clock.now() + timeout_s)):
             data += more
-        self._buffer = data[at:] + self._buffer
-        return data[:at]
+            if (at := end(data)) is not None:
+                self._buffer = data[at:] + self._buffer
+                return data[:at]
+        return data
 
     def _receive_really(self, timeout_s: float) -> bytes:
         try:

@@ -27,9 +27,9 @@ from bench.config import ConfigError, did_you_mean
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import Bath as BathTable
 from bench.rig.opening import open_instruments, rig_of
-from bench.safety.interlocks import moving_of
 from bench.safety.latch import acknowledge as acknowledge_latch
 from bench.safety.latch import latch_path, read_latch
+from bench.safety.liveness import Liveness
 from bench.safety.stability import StabilityGate, State
 from instruments.bath.access import NOT_READ
 from instruments.bath.driver import Bath
@@ -79,7 +79,7 @@ def learn(given: argparse.Namespace) -> int:
     """Asks for each row by itself and writes nothing: for a profile that is being made."""
     profile = profile_of(given.profile)
     with open_bath(given.port, profile, identify=False, capture=given.capture) as (bath, _):
-        tried = list(bath.try_rows())
+        tried, doubt = list(bath.try_rows()), bath.doubt
     answered = [one for one in tried if one.answered]
     if given.json:
         print(json.dumps([asdict(one) for one in tried]))
@@ -89,7 +89,12 @@ def learn(given: argparse.Namespace) -> int:
             print(f"{'+' if one.answered else '-'} {one.row:{width}}  {one.asked}: {one.said}")
         asked = [one for one in tried if one.asked != NOT_READ]
         print(f"{len(answered)} of {len(asked)} rows that can be read made sense")
-    return CODES.met if answered else CODES.fault
+    if doubt:
+        return complain(f"bath at {given.port}: no controller answers: {doubt}", CODES.fault)
+    if not answered:
+        why = next((one.said for one in tried if one.asked != NOT_READ), "it can't be read")
+        return complain(f"bath at {given.port}: no row made sense: {why}", CODES.fault)
+    return CODES.met
 
 
 def change(given: argparse.Namespace) -> int:
@@ -122,7 +127,7 @@ def watch(given: argparse.Namespace) -> None:
             print("left as it is; 'teatbench bath standby' switches the heater off")
 
 
-def standby(given: argparse.Namespace) -> None:
+def standby(given: argparse.Namespace) -> int:
     profile = profile_of(given.profile)
     with open_bath(given.port, profile, identify=False, capture=given.capture) as (bath, _):
         bath.safe()
@@ -130,7 +135,11 @@ def standby(given: argparse.Namespace) -> None:
             print(f"in standby at {bath.read().temp_c:.2f} degC")
         # what matters is done; an alarm or a broken sensor doesn't undo it
         except InstrumentError as error:
+            if bath.doubt:
+                what = f"bath at {given.port}: standby was sent, but no controller answers"
+                return complain(f"{what}: {bath.doubt}. Look at the bath.", CODES.fault)
             print(f"in standby; no temperature: {error}")
+    return CODES.met
 
 
 def acknowledge(given: argparse.Namespace) -> None:
@@ -297,7 +306,7 @@ class BathView:
 
 def watch_bath(bath: Bath, clock: Clock, console: Console, seconds: float) -> None:
     """Read and show once a second for ``seconds``; a line a reading without a terminal."""
-    view = BathView(StabilityGate(bath.get("set_point")), moving_of(bath.profile))
+    view = BathView(StabilityGate(bath.get("set_point")), Liveness(bath.profile))
     started = bath.profile.row("run").values["started"]
     end_s = clock.now() + seconds
     with Live(console=console, auto_refresh=False, transient=False) as live:

@@ -19,6 +19,7 @@ from bench.record.reader import RunRecord, TrialRecord
 from bench.record.schema import RULES, SCRIPT, Row
 from bench.results.cameras_agree import cameras_of, decide_cameras
 from bench.results.stated_arm import STATED_FACT, VERIFICATION_FACT, arm_checks, too_small
+from bench.results.teats_seen import TEATS_FACT
 from bench.rig.arm_files import Limits, LocationTest, Verification, broken_by, from_dict, gaps_of
 from bench.scoring.decisions import (
     Decision,
@@ -286,7 +287,8 @@ def _decide(rule: Requirement, run: RunRecord, scores: Pool, detector: str) -> D
             temps = [t.head["bath_c"] for t in run.trials if t.head["bath_c"] is not None]
             held = sum(abs(temp - set_point_c) <= rule.band_k for temp in temps)
             what = f"bath within {rule.band_k:g} K of the set point at every capture"
-            return decide_condition(rule.name, what, held=held, of=len(temps))
+            decision = decide_condition(rule.name, what, held=held, of=len(temps))
+            return _teats_measured(decision, run.facts)
         case ArmRequirement():
             return decide_arm(rule, run.facts)
         case CalibrationRequirement():
@@ -295,6 +297,17 @@ def _decide(rule: Requirement, run: RunRecord, scores: Pool, detector: str) -> D
             return decide_cameras(rule, cameras_of(run.counted))
     u_mm = truth_u_mm([run], scores, detector)
     return decide_detector(rule, scores, latency_of(run, detector), u_mm)
+
+
+def _teats_measured(decision: Decision, facts: Mapping[str, Any]) -> Decision:
+    """The bath's decision; inconclusive where nothing showed that the teats are as warm."""
+    why = facts.get(TEATS_FACT)
+    if why is None:
+        return decision
+    sentence = f"{decision.sentence} The temperature at the teats was not measured: {why}."
+    met = decision.verdict is Verdict.MET
+    verdict = Verdict.INCONCLUSIVE if met else decision.verdict
+    return replace(decision, verdict=verdict, sentence=sentence)
 
 
 def decide_detector(

@@ -33,6 +33,7 @@ from instruments.camera.quality import edge_blur_px, level_dn, saturated_share
 from instruments.captures.capture import CaptureFile
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import DeviceError, InstrumentError
+from instruments.microscribe.driver import MicroScribe
 from instruments.stage.driver import Stage
 from instruments.stage.settings import check_within, declared
 
@@ -294,8 +295,10 @@ def check_rig(
 
 def _arm(arm: Any) -> Iterator[tuple[str, str]]:
     arm.sign_on()
-    packet = arm.poll()
-    yield "counts", " ".join(str(count) for count in packet.counts)
+    if isinstance(arm, MicroScribe):  # others say where their points come from, in the record
+        yield "counts", " ".join(str(count) for count in arm.poll().counts)
+    else:
+        yield from ((key, str(value)) for key, value in arm.record().items())
     for warning in arm.warnings:
         yield "warning", warning
     yield "position", "only after homing is confirmed ('teatbench run' asks for it)"

@@ -29,12 +29,13 @@ from bench.rig.opening import open_instruments, rig_of
 from bench.rig.urls import bath_url, serial_url
 from instruments.bath.profile import load_profile, profile_names
 from instruments.clock import Clock
-from instruments.errors import InstrumentError
+from instruments.errors import InstrumentError, ProtocolError
 from instruments.link import Link
 from instruments.stage import marlin, zaber
 from instruments.stage.connection import BOOT_S
 from instruments.stage.protocol import STATUS_QUERY, Decoder, Message, Reply, Status, Welcome
 
+TALKS_S, TALK_BYTES = 1.0, 200
 LISTEN_S = 2.5  # a board that the port's opening resets says its welcome within this
 
 
@@ -70,6 +71,9 @@ def probe(url: str, clock: Clock, report: Callable[[str], None]) -> Found | None
                 report(f"{url}: {error}")
     if not _is(bath_url, url):
         return None
+    if _talks(url, clock):
+        report(f"{url}: it talks without being asked, which no bath does")
+        return None
     fitting: dict[str, str] = {}
     for name in profile_names():
         report(f"{url}: bath, {name}?")
@@ -78,6 +82,17 @@ def probe(url: str, clock: Clock, report: Callable[[str], None]) -> Found | None
     if not fitting:
         return None
     return Found("bath", url, next(iter(fitting.values())), tuple(fitting))
+
+
+def _talks(url: str, clock: Clock) -> bool:
+    """Whether something comes unasked for as long as one listens."""
+    try:
+        with closing(Link(url, clock, who="bath")) as link:
+            return len(link.drain(0.2, at_most_s=TALKS_S)) > TALK_BYTES
+    except ProtocolError:
+        return True
+    except InstrumentError:  # it can't be opened so; a profile may know how
+        return False
 
 
 def _is(check: Callable[[str], str], url: str) -> bool:

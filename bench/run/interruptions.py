@@ -75,6 +75,8 @@ def diagnosis(fault: InstrumentError) -> tuple[str, str]:
 
 
 EVERY_S = 2.0  # between attempts to reach it
+# while a run is being prepared: nothing is lost yet, and it may be another device altogether
+PREPARING_S = 20.0
 SETTLED_S = 1.0
 
 
@@ -118,7 +120,9 @@ class Recovery:
         are = "are" if name == "cameras" else "is"
         self._missing = (fault, policy)
         ctx.away = name
-        started_s = ctx.clock.now()
+        started_s, patience_s = ctx.clock.now(), self._patience_s
+        if ctx.states.current is RunState.PREPARING:
+            patience_s = min(patience_s, PREPARING_S)
         if name == "arm":
             ctx.ask(Release())
         with ctx.states.during(RunState.PAUSED):
@@ -126,8 +130,8 @@ class Recovery:
             then = f"{policy.check} It goes on by itself when the {name} {are} back."
             ctx.events.warn(f"{fault}\nThe run is paused. {then}")
             while not self._back(name):
-                if ctx.clock.now() - started_s >= self._patience_s:
-                    why = f"the {name} did not come back within {self._patience_s:g} s"
+                if ctx.clock.now() - started_s >= patience_s:
+                    why = f"the {name} did not come back within {patience_s:g} s"
                     ctx.event("given up", why)
                     raise fault
                 ctx.wait(EVERY_S)

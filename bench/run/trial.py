@@ -20,6 +20,7 @@ from bench.record.schema import Row
 from bench.record.writer import Store
 from bench.results.answers import Answer, Examiner, score_answers
 from bench.results.cameras_agree import where_seen
+from bench.results.teats_seen import TEATS_FACT, teats_seen
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Stage as StageSettings
@@ -259,6 +260,8 @@ class TrialRun:
         self._exact_ends = exact_ends
         self._recorder = recorder
         self.rehearsing = False
+        self._teats_unknown = ""
+        self._teats_first_c: float | None = None  # as the thermal camera saw them
         self._before: Arrangement | None = None  # with a picture
         # what of a pose the stage does; the operator does the rest
         self._axes = rig.stage.axes if ctx.devices.stage and rig.stage else ""
@@ -288,19 +291,24 @@ class TrialRun:
         asked = replace(trial.arrangement(self._axes), unattended=self._truth.unattended(there))
         visible = ctx.ask(self._pictured(trial, asked)).visible
         ctx.wait(self._rig.cameras.settle_s)
-        frames = self._capture_settled(trial.id)
-        captured_s = ctx.clock.now()
-        if ctx.store.keeps_pictures:
-            ctx.live.frames(frames)
-        bath, bath_state = ctx.watch.last, ctx.watch.state
-        ctx.events.state("taking the truth")
-        truth = self._truth.of_trial(there)
-        ctx.check()
-        answers = self._detect(frames)
+        while True:
+            frames = self._capture_settled(trial.id)
+            captured_s = ctx.clock.now()
+            if ctx.store.keeps_pictures:
+                ctx.live.frames(frames)
+            bath, bath_state = ctx.watch.last, ctx.watch.state
+            ctx.events.state("taking the truth")
+            truth = self._truth.of_trial(there)
+            ctx.check()
+            if self._bath_lived(captured_s):
+                break
         rows = [
             TruthRow(trial.situation, str(i), t.point_mm, visible[i - 1], t.uncertainty.u_mm)
             for i, t in enumerate(truth.points, 1)
         ]
+        if bath is not None and bath.external_c is None and not self._rig.cameras.recorded:
+            self._look_at_teats(trial, frames, rows, bath.temp_c)
+        answers = self._detect(frames)
         away_s = ctx.states.away_s - settled_s
         note = f"suspended for {away_s:.1f} s: the bath had left its band"
         head: Row = {
@@ -321,6 +329,37 @@ class TrialRun:
 
     def _stable(self) -> bool:
         return self._ctx.watch.state == State.STABLE
+
+    def _bath_lived(self, captured_s: float) -> bool:
+        """Wait for a sign of life of the bath's reading after the capture: the last value of a
+        sensor that stopped says nothing of the teats. False where none comes.
+        """
+        watch = self._ctx.watch
+        while not (lived := watch.lived_since(captured_s)) and self._stable():
+            self._ctx.events.state("waiting for a sign of life of the bath's sensor")
+            self._ctx.wait(1.0)
+        return lived or self._rig.cameras.recorded
+
+    def _look_at_teats(
+        self, trial: PlannedTrial, frames: FrameSet, rows: list[TruthRow], bath_c: float
+    ) -> None:
+        """Where no sensor is at the teats, the thermal camera tells. Raises DeviceError for cold
+        ones; what can't be told is a fact of the run.
+        """
+        ctx, emulation = self._ctx, self._rig.emulation
+        room_c = emulation.ambient_c if self._rig.emulated else self._rig.bath.room_c
+        shown = [k for k, row in enumerate(rows) if row.visible]
+        ends_mm = np.array([rows[k].xyz_mm for k in shown]).reshape(-1, 3)
+        axes = trial.phantom.moved(trial.pose).axes[shown]
+        seen = teats_seen(frames, ctx.rig.calibration, ends_mm, axes, bath_c=bath_c, room_c=room_c)
+        if why := seen.cold(bath_c, room_c, self._teats_first_c):
+            hint = "Does the pump turn, and does the water go through the teats? Is room_c right?"
+            raise DeviceError("bath", why, asked="the level of the teats", hint=hint)
+        if self._teats_first_c is None:
+            self._teats_first_c = seen.level_c
+        if seen.why_not and self._teats_unknown != seen.why_not:
+            self._teats_unknown = seen.why_not
+            ctx.store.fact(TEATS_FACT, seen.why_not)
 
     def _settle(self) -> None:
         """Wait until the stability gate is open. Raises DeviceError after the script's time."""

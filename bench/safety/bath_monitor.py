@@ -23,10 +23,10 @@ from bench.safety.interlocks import (
     GUARDIAN,
     Interlocks,
     InterlockTrip,
-    moving_of,
     rule_named,
 )
 from bench.safety.latch import latch_path, set_latch
+from bench.safety.liveness import Liveness
 from bench.safety.stability import StabilityGate, State
 from instruments.bath.reading import BathReading
 from instruments.bath.sequence import heater_off, pump_on, pump_text
@@ -75,6 +75,11 @@ class BathMonitor:
     def why_not_stable(self) -> str:
         with self._gate_lock:
             return "; ".join(self.gate.reasons)
+
+    def lived_since(self, t_s: float) -> bool:
+        """Whether the bath's reading has shown a sign of life after ``t_s``."""
+        with self._lock:
+            return self.gate.moved_s > t_s
 
     def stable_in_s(self, expected_s: float) -> float:
         """How long until the gate opens, expected ``expected_s`` after heating began."""
@@ -219,7 +224,7 @@ class TripHandler:
             self._act,
             pump_on=lambda reading: pump_on(devices.bath, reading),
             also=self._also,
-            moving=moving_of(rig.profile),
+            moving=Liveness(rig.profile),
         )
         room_c = rig.rig.emulation.ambient_c if rig.rig.emulated else rig.rig.bath.room_c
         accuracy = rig.rig.bath.model_dump(include={"accuracy_k", "external_accuracy_k"})

@@ -16,11 +16,14 @@ from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
 
 from bench.rig.model import Limits
+from bench.safety.liveness import Liveness
 from instruments.bath.profile import Profile
 from instruments.bath.reading import BathReading
 
 RATE_SPAN_S = 30.0  # a rate from two readings a second apart would be all noise
 FROZEN_S, FROZEN_OUTPUT_PERCENT = 120.0, 20.0
+# at any output: whatever holds the bath then, it is no controller that sees it
+LIFELESS_S = 600.0
 LOOP_BREAK_S, LOOP_BREAK_OUTPUT_PERCENT = 120.0, 90.0
 # the weakest bath of section 4.3 rises by 2.4 K in the time that the rule gives it
 LOOP_RISE_K = 0.1
@@ -32,7 +35,7 @@ SAME_SET_POINT_K = 0.06  # a controller may show tenths
 class Look:
     """One reading in its context. ``asked_c``: the set point asked for, None before. ``since``: the
     last reading without the fault; ``earlier``: one RATE_SPAN_S older. ``settled``: the other
-    sensors have followed.
+    sensors have followed. ``lived``: the reading has shown a sign of life since the one before.
     """
 
     now: BathReading
@@ -41,6 +44,7 @@ class Look:
     asked_c: float | None
     pump_on: bool | None
     settled: bool
+    lived: bool
     limits: Limits
     profile: Profile
 
@@ -81,6 +85,14 @@ def frozen(look: Look) -> str | None:
     lasted_s = look.now.t_s - look.since.t_s
     stood = f"the reading has stood at {look.now.temp_c:.2f} degC for {lasted_s:.0f} s"
     return f"{stood} with the output at {output:.0f} %"
+
+
+def lifeless(look: Look) -> str | None:
+    heats = look.asked_c is not None and look.now.running is not False
+    if look.lived or not heats:
+        return None
+    lasted_s = look.now.t_s - look.since.t_s
+    return f"the reading has stood at {look.now.temp_c:.2f} degC for {lasted_s:.0f} s"
 
 
 def too_fast(look: Look) -> str | None:
@@ -208,6 +220,15 @@ RULES = (
         needs=OUTPUT,
     ),
     Rule(
+        "lifeless reading",
+        f"no sign of life of the sensor for {LIFELESS_S:g} s while the bath may heat",
+        lifeless,
+        COLD_AND_PLAUSIBLE,
+        not_cold_and_plausible,
+        "Switch the controller off and on; check the sensor.",
+        after_s=LIFELESS_S,
+    ),
+    Rule(
         "rate",
         f"faster than bath_rate_k_per_min over {RATE_SPAN_S:g} s",
         too_fast,
@@ -288,7 +309,6 @@ PLAIN = (  # of a reading, in the record, beside the raw values
     *("t_s", "temp_c", "external_c", "safety_c", "power_percent", "alarm", "running"),
     "set_point_c",
 )
-COARSE_K = 0.05  # a reading in steps of more than this stands still in the best of baths
 
 
 class InterlockTrip(Exception):  # noqa: N818 - the field's word
@@ -320,6 +340,8 @@ class Interlocks:
         self._recent: deque[BathReading] = deque()
         self._near_since_s = math.nan
         self._asked_c: float | None = None
+        self._liveness = Liveness(profile)
+        self._sign: Hashable = None
 
     @property
     def inactive(self) -> tuple[str, ...]:
@@ -334,10 +356,14 @@ class Interlocks:
     def add(self, now: BathReading, pump_on: bool | None = None) -> InterlockTrip | None:
         """The first rule of the table that trips with this reading."""
         settled = self._has_settled(now)
+        before, self._sign = self._sign, self._liveness(now)
+        # a coarse reading may stand while a bath without heat cools by a tenth
+        rests = self._liveness.coarse and now.power_percent == 0.0
+        lived = rests or before != self._sign
         earlier = self._earlier(now)
         for rule in self._active:
             since = self._since.setdefault(rule.name, now)
-            seen = (now, since, earlier, self._asked_c, pump_on, settled)
+            seen = (now, since, earlier, self._asked_c, pump_on, settled, lived)
             why = rule.wrong(Look(*seen, self._limits, self._profile))
             if why is None:
                 self._since[rule.name] = now
@@ -385,12 +411,3 @@ class Interlocks:
             elif math.isnan(self._near_since_s):
                 self._near_since_s = now.t_s
         return not math.isnan(self._near_since_s) and now.t_s - self._near_since_s >= SETTLED_S
-
-
-def moving_of(profile: Profile) -> Callable[[BathReading], Hashable]:
-    """What has to change while the controller lives: the temperature; of a coarse one
-    the output.
-    """
-    if profile.row("temperature").step <= COARSE_K:
-        return lambda reading: reading.raw
-    return lambda reading: (reading.raw, reading.power_percent)

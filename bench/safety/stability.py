@@ -2,8 +2,9 @@
 settling, stable.
 
 Criteria after ASTM E2488 practice: mean, half range and least-squares slope over the window, with
-hysteresis on leaving; a sensor at the teats, where there is one, has a slope of its own to keep. A
-reading comes with its time. A frozen reading, a gap or an alarm is never evidence of stability.
+hysteresis on leaving; a sensor at the teats, where there is one, has a level and a slope of its own
+to keep. A reading comes with its time. A frozen reading, a gap, an alarm or a sensor at the teats
+that fell silent is never evidence of stability.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections import deque
 from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
-from math import isfinite
+from math import inf, isfinite
 
 import numpy as np
 
@@ -73,7 +74,8 @@ class State(StrEnum):
 class StabilityGate:
     """Feed every reading to `add`; ask `state` and `reasons`. Limits are the script's.
     `min_distinct` raw readings must differ within the window, and one may repeat for `frozen_s`.
-    Where a good bath shows one value only (0.1 K steps), put another value that moves into `raw`.
+    Where a good bath shows one value only (0.1 K steps), put another sign of life into `raw`.
+    ``teat_level_k``: how far the teats may be from the set point, whatever the bath reads.
     """
 
     set_point_c: float
@@ -82,6 +84,7 @@ class StabilityGate:
     half_range_k: float = 0.05
     slope_k_per_min: float = 0.01
     teat_slope_k_per_min: float = 0.02
+    teat_level_k: float = 1.0
     leave_k: float = 0.15
     max_gap_s: float = 5.0
     min_distinct: int = 2
@@ -94,6 +97,8 @@ class StabilityGate:
     window: Window = field(default_factory=Window, init=False, repr=False)
     near: Window = field(default_factory=Window, init=False, repr=False)
     _teats: Window = field(default_factory=Window, init=False, repr=False)
+    _teats_last: tuple[float, float] | None = field(default=None, init=False, repr=False)
+    _teats_gone: bool = field(default=False, init=False, repr=False)
 
     def __post_init__(self) -> None:
         self.restart(self.set_point_c)  # refuses a set point that is not finite
@@ -108,6 +113,8 @@ class StabilityGate:
         self._last, self._raw, self._raw_since_s = None, None, 0.0
         self._alarm = False
         self.window, self.near, self._teats = Window(), Window(), Window()
+        if self._teats_last is not None:  # a sensor that was there has to be there again
+            self._teats_last, self._teats_gone = (-inf, 0.0), True
 
     def change_set_point(self, set_point_c: float) -> None:
         """A new set point restarts the gate; the same one again doesn't."""
@@ -143,10 +150,7 @@ class StabilityGate:
             self._state = State.SETTLING
         if not alarm and not self.frozen:
             self.window.add(t_s, temp_c - self.set_point_c, value, self.window_s)
-            if teat_c is None or not isfinite(teat_c):
-                self._teats = Window()  # a sensor that has gone asks for nothing any more
-            else:
-                self._teats.add(t_s, teat_c - self.set_point_c, teat_c, self.window_s)
+        self._add_teats(t_s, teat_c, evidence=not alarm and not self.frozen)
         if abs(temp_c - self.set_point_c) > self.leave_k:
             self._state, self.near = State.HEATING, Window()
         elif self._state is not State.STABLE:
@@ -157,6 +161,26 @@ class StabilityGate:
         if self._state is not State.HEATING and not alarm and not self.frozen:
             self.near.add(t_s, temp_c - self.set_point_c, value, self.window_s)
         return self._state
+
+    def _add_teats(self, t_s: float, teat_c: float | None, *, evidence: bool) -> None:
+        """What the sensor at the teats shows; while they are off or it is gone, no evidence."""
+        if teat_c is not None and isfinite(teat_c):
+            self._teats_last = t_s, teat_c - self.set_point_c
+            if evidence:
+                self._teats.add(t_s, self._teats_last[1], teat_c, self.window_s)
+        if self._teats_last is None:
+            return
+        last_s, away_k = self._teats_last
+        self._teats_gone = t_s - last_s > self.max_gap_s + TIME_SLACK_S
+        if self._teats_gone or abs(away_k) > self.teat_level_k + self.leave_k:
+            self._teats = Window()
+            if self._state is State.STABLE:
+                self._state, self.near = State.SETTLING, Window()
+
+    @property
+    def moved_s(self) -> float:
+        """When the raw reading changed last; before the first reading, never."""
+        return -inf if self._last is None else self._raw_since_s
 
     @property
     def state(self) -> State:
@@ -187,9 +211,18 @@ class StabilityGate:
         yield half_range > limit, f"half the range {half_range:.3f} K", limit
         slope, limit = 60.0 * w.slope, self.slope_k_per_min
         yield abs(slope) > limit, f"slope {slope:+.3f} K/min", limit
-        # 0 without a sensor at the teats
-        slope = 60.0 * self._teats.slope if len(self._teats) > 1 else 0.0
-        limit = self.teat_slope_k_per_min
+        yield from self._teat_criteria()
+
+    def _teat_criteria(self) -> Iterator[tuple[bool, str, float]]:
+        """The same of the sensor at the teats; nothing where there never was one."""
+        if self._teats_last is None:
+            return
+        teats, (_, away_k), limit = self._teats, self._teats_last, self.teat_level_k
+        yield self._teats_gone, "no value of the sensor at the teats", 1
+        yield abs(away_k) > limit, f"teats {away_k:+.2f} K from the set point", limit
+        short = teats.span_s < self.window_s - TIME_SLACK_S
+        yield short, f"teats on their level for {teats.span_s:.0f} s", self.window_s
+        slope, limit = 60.0 * teats.slope if len(teats) > 1 else 0.0, self.teat_slope_k_per_min
         yield abs(slope) > limit, f"slope at the teats {slope:+.3f} K/min", limit
 
     @property
@@ -201,8 +234,13 @@ class StabilityGate:
         if self.frozen:
             why = f"the reading has not changed for more than {self.frozen_s:g} s"
             return [f"{why}: does the controller still run?"]
+        if self._teats_gone:
+            return ["the sensor at the teats gives no value any more: look at it and its plug"]
         if self._state is State.HEATING and last is not None:
             return [f"{last[1]:.2f} degC, needs {self.set_point_c:g} ± {self.leave_k:g}"]
+        if self._teats_last and abs(self._teats_last[1]) > self.teat_level_k:
+            teats = f"the teats are {self._teats_last[1]:+.2f} K from the set point"
+            return [f"{teats}, needs ± {self.teat_level_k:g}: does the pump turn?"]
         if len(w) < 2:
             return ["too few readings"]
         short = w.span_s < self.window_s - TIME_SLACK_S

@@ -90,6 +90,20 @@ CAMERAS_RULE = RECORDING_RULES.with_name("cameras.toml")  # of a recording that 
 Rate = Annotated[float, Field(gt=0, lt=1)]
 
 
+# K: beyond these a gate or a band says nothing of a bath any more. Teats at rest are 0.3 K below a
+# bath of 33 degC, 0.6 K with a slow flow and 1.2 K with the room at 10 degC; cold ones 13 K.
+WIDEST_K = {"leave_k": 1.0, "half_range_k": 1.0, "teat_level_k": 1.5}
+WIDEST_BAND_K = 1.0
+
+
+def no_wider(value: float, info: ValidationInfo) -> float:
+    """Raises ValueError for a limit that lets any bath pass; not for a run that was done."""
+    widest = WIDEST_K.get(info.field_name or "", WIDEST_BAND_K)
+    if value > widest and not (info.context or {}).get("stored"):
+        raise ValueError(f"{value:g} K; wider than {widest:g} K it would let any bath pass")
+    return value
+
+
 class BathGate(Section):
     """Set point and stability gate; defaults are the bath sheet's, section 4.2."""
 
@@ -100,8 +114,15 @@ class BathGate(Section):
     mean_k: Annotated[Positive, Field(validate_default=True)] = 0.10
     half_range_k: Positive = 0.05
     slope_k_per_min: Positive = 0.01
-    teat_slope_k_per_min: Positive = 0.02  # of the sensor at the teats, where the bath has one
+    # of the sensor at the teats, where the bath has one
+    teat_slope_k_per_min: Positive = 0.02
+    teat_level_k: Positive = 1.0
     timeout_s: Positive = 7200.0
+
+    @field_validator(*WIDEST_K)
+    @classmethod
+    def _not_wider(cls, value: float, info: ValidationInfo) -> float:
+        return no_wider(value, info)
 
     @field_validator("mean_k")
     @classmethod
@@ -163,6 +184,11 @@ class FalseRequirement(_Stated):
 class BathRequirement(_Named):
     kind: Literal["bath_in_band"]
     band_k: Positive
+
+    @field_validator("band_k")
+    @classmethod
+    def _not_wider(cls, value: float, info: ValidationInfo) -> float:
+        return no_wider(value, info)
 
 
 class ArmRequirement(_Named):

@@ -64,6 +64,7 @@ class Access(ABC, Generic[R]):
         self.who = who
         self.allow_inferred = allow_inferred
         self.known = False
+        self.doubt = ""  # why what answers may be no controller at all
         self._set_at = -math.inf
 
     @abstractmethod

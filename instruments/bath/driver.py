@@ -33,6 +33,7 @@ from instruments.clock import Clock
 from instruments.errors import DeviceError, InstrumentError, LimitError
 from instruments.link import Tap
 
+FUTILE_S = 20.0
 SAFE_TRIES = 3
 HEATS_NOT = (PUMP, WATCHDOG)  # rows whose writing heats nothing
 
@@ -106,6 +107,11 @@ class Bath:
         return dict(self._identity)
 
     @property
+    def doubt(self) -> str:
+        """Why what answers may be no controller at all; empty for no reason."""
+        return self._rows.doubt
+
+    @property
     def pump(self) -> Literal["none", "with run", "own"]:
         """``with run``: turns while the controller is started; ``own``: has its own switch."""
         return self.profile.capabilities.pump
@@ -125,11 +131,18 @@ class Bath:
         return self._retried(lambda: self._after_poll(row).value(row))
 
     def try_rows(self) -> Iterator[Tried]:
-        """Ask each row of a profile that is being made, and write nothing. Raises LinkError."""
+        """Ask each row of a profile that is being made, and write nothing; no more than FUTILE_S
+        where nothing makes sense. Raises LinkError.
+        """
+        clock, answered = self._rows.clock, False
+        until_s = clock.now() + FUTILE_S
         with self._lock:
             for row in self._rows.profile.rows:
                 self._connect()
-                yield self._rows.tried(row)
+                yield (one := self._rows.tried(row))
+                answered = (answered or one.answered) and not self.doubt
+                if not answered and clock.now() > until_s:
+                    return
 
     def set(self, name: str, value: float | str) -> None:
         """Write a row (a number or a label) where it has another value, and read it back. Raises

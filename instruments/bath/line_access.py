@@ -114,7 +114,7 @@ class Lines(Session):
             self._wait(self._open)
         self.clock.sleep(self.received_s + self._gap_s - self.clock.now())
         link = self.up()
-        while self.receive(link, 0.0):  # what lies there unasked answers nothing
+        if self.drop_unasked(link):
             self.in_step = False
         self._buffer = b""
         question = Question(command, self.clock.now())
@@ -132,6 +132,9 @@ class Lines(Session):
             self.receive_until(until_s, lambda: question.reply is not None)
             if question.reply is None and not self.connected:
                 raise self.broken("the link broke", question.command)
+
+
+LEAST_REPLIES = 4  # the same to fewer commands may be chance
 
 
 class LineAccess(Access[LineRow]):
@@ -156,6 +159,7 @@ class LineAccess(Access[LineRow]):
         super().__init__(url, profile, wire, who=who, allow_inferred=allow_inferred)
         self._marker = profile.row(profile.marker)
         self._mark = ""  # what the marker answers
+        self._said: list[str] = []  # of rows that were tried
         self._absent: set[str] = set()  # optional rows that it does not answer
 
     def detect_format(self) -> None:
@@ -254,6 +258,11 @@ class LineAccess(Access[LineRow]):
             wire.become_quiet(self.clock.now() + SYNC_S)
             wire.in_step = True
         reply = wire.ask(row.ask)
+        self._said.append(reply)
+        if len(self._said) >= LEAST_REPLIES and len(set(self._said)) == 1:
+            self.doubt = f"{reply!r} is the reply to each of {len(self._said)} commands"
+        else:
+            self.doubt = ""
         if reply in self.profile.refusals or not row.understands(reply):
             forms = " or ".join(map(repr, (*row.forms, *row.absent)))
             raise self._no(f"the profile expects {forms}", row.ask, reply)

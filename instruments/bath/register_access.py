@@ -19,6 +19,16 @@ from instruments.errors import ProtocolError
 from instruments.link import Tap
 
 HEXADECIMAL = ("model", "version")
+LEAST_WORDS = 4  # the same in fewer of them may be chance
+
+
+def constant(words: Sequence[int]) -> str:
+    """What is wrong with ``words`` that are all the same: a bus without a device, a gateway's own
+    answer or a device that just starts. No bath has its set point, output and temperature alike.
+    """
+    if len(words) < LEAST_WORDS or len(set(words)) > 1:
+        return ""
+    return f"all of {len(words)} registers read {words[0]:04X}"
 
 
 class RegisterAccess(Access[Row]):
@@ -58,6 +68,7 @@ class RegisterAccess(Access[Row]):
         self.order: Order = profile.order
         self._unit_id = line.unit_id or profile.unit_id
         self._blocks: tuple[Block, ...] = ()
+        self._tried: list[int] = []
 
     def detect_format(self) -> None:
         profile = cast(RegisterProfile, self.profile)
@@ -97,14 +108,24 @@ class RegisterAccess(Access[Row]):
         return found
 
     def reading(self, t_s: float, raw: Mapping[str, Raw]) -> BathReading:
-        """As `Access.reading`; raises ChangedError for another order of bytes."""
+        """As `Access.reading`; raises ChangedError for another order of bytes, ProtocolError for
+        one and the same word in every register.
+        """
         profile = cast(RegisterProfile, self.profile)
+        self._refuse_constant(raw)
         if (source := profile.order_from) and source.row in raw:
             code = self.decode(self.row(source.row), raw[source.row])
             if profile.order_for(int(code)) != self.order:
                 what, seen = "its order of bytes has changed", f"{code:g}"
                 raise ChangedError(self.who, what, asked=source.row, seen=seen, hint="Ask again.")
         return super().reading(t_s, raw)
+
+    def _refuse_constant(self, raw: Mapping[str, Raw]) -> None:
+        self.doubt = constant([int(word) for some in raw.values() for word in some])
+        if self.doubt:
+            hint = "Is this the controller's address and unit, and has it started?"
+            asked = f"{len(raw)} rows of a poll"
+            raise ProtocolError(self.who, f"no controller: {self.doubt}", asked=asked, hint=hint)
 
     def alarm_of(self, row: Row, value: float, raw: Raw) -> int:
         if row.no_value:  # an error code stands where the number would
@@ -145,6 +166,8 @@ class RegisterAccess(Access[Row]):
 
     def try_row(self, row: Row) -> str:
         words = self.ask(row)
+        self._tried += words
+        self.doubt = constant(self._tried)
         raw = " ".join(f"{word:04X}" for word in words)
         return f"{self.shown(row, self.decode(row, words))} (got {raw})"
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from instruments.bath.connection import Line
 from instruments.clock import Clock, VirtualClock
 from instruments.errors import DeviceError, LinkError
-from instruments.link import SLICE_S, Link, Tap
+from instruments.link import SLICE_S, Link, Reception, Tap
 
 CONNECT_TIMEOUT_S = 1.0
 CONNECT_PAUSES_S = (0.1, 0.2, 0.4, 0.8, 1.6)  # between attempts; then we give up
@@ -117,10 +117,10 @@ class Session(ABC):
         link, clock = self.up(), self.clock
         virtual = clock if isinstance(clock, VirtualClock) else None
         moves_time = virtual is not None and not self.line.device
+        wait = link.reception(until_s)
         try:
-            while not done() and link.connected:
-                left_s = max(0.0, until_s - clock.now())
-                if self.receive(link, 0.0 if moves_time else min(left_s, SLICE_S)):
+            while not done() and link.connected and not wait.over:
+                if self.receive(link, 0.0 if moves_time else min(wait.left_s, SLICE_S), wait):
                     continue
                 if clock.now() >= until_s or not link.connected:
                     return
@@ -130,7 +130,16 @@ class Session(ABC):
             link.close()
             raise
 
-    def receive(self, link: Link, timeout_s: float) -> bool:
+    def drop_unasked(self, link: Link) -> bool:
+        """Take in what lies there unasked, which answers nothing; whether there was any. Raises
+        ProtocolError for a peer that sends without pause.
+        """
+        wait, any_came = link.reception(self.clock.now()), False
+        while self.receive(link, 0.0, wait) and not wait.over:
+            any_came = True
+        return any_came
+
+    def receive(self, link: Link, timeout_s: float, wait: Reception) -> bool:
         """Take in what has come; whether anything has."""
         try:
             data = link.receive(timeout_s)
@@ -139,6 +148,7 @@ class Session(ABC):
                 raise
             return False
         if data:
+            wait.took(data)
             self.received_s = self.clock.now()
             self.take(data)
         return bool(data)

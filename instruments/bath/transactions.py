@@ -172,8 +172,7 @@ class Transactions(Session):
             self.clock.sleep(self.received_s + gap_s - self.clock.now())
         link = self.up()
         if self.line.is_rtu:
-            while self.receive(link, 0.0):  # what lies there unasked answers no request
-                pass
+            self.drop_unasked(link)
         request = self._answers.put(question, self.clock.now())
         self._unused = self._seen = b""
         with contextlib.suppress(LinkError):  # a break is reported below

@@ -431,12 +431,11 @@ class MicroScribe:
         self._tidy()
         asked, start = bytes([code]), self._clock.now()
         self._send(asked, Event.CONFIGURE)
-        deadline, reply = start + max(timeout_s, self._answer_s), b""
-        while (end := conf.reply_length(code, reply)) is None:
-            more = self._received(deadline)
-            if not more:
-                break
+        reply, end = b"", None
+        for more in self._incoming(start + max(timeout_s, self._answer_s)):
             reply += more
+            if (end := conf.reply_length(code, reply)) is not None:
+                break
         seconds = self._clock.now() - start
         self._untidy = not reply or len(reply) > len(reply[:end])
         reply = reply[:end]
@@ -452,8 +451,8 @@ class MicroScribe:
             what, hint = f"{error}", f"{CABLE_HINT}, then sign on again"
         raise kind(self.who, what, asked=asked, seen=reply, seconds=seconds, hint=hint)
 
-    def _received(self, deadline_s: float) -> bytes:
-        return self._link.receive(max(0.0, deadline_s - self._clock.now()))
+    def _incoming(self, deadline_s: float) -> Iterator[bytes]:
+        return self._link.incoming(self._link.reception(deadline_s))
 
     def _expect(self, command: int) -> None:
         """Drop what is left of an earlier answer, and accept packets of ``command`` only."""
@@ -534,8 +533,7 @@ class MicroScribe:
         self._expect(wire.POLL)
         self._send(bytes([wire.POLL]), Event.POLL)
         seen = b""
-        deadline = self._clock.now() + self._answer_s
-        while data := self._received(deadline):
+        for data in self._incoming(self._clock.now() + self._answer_s):
             seen += data
             if packets := self._decoder.feed(data):
                 withdrawn, behind = self._decoder.withdrawn, self._link.receive(0.0)
@@ -619,11 +617,11 @@ class MicroScribe:
             if self._state is not State.STREAMING:
                 what, asked = "the stream has ended", "the next sample"
                 raise NoSessionError(self.who, what, asked=asked, hint="Start another stream")
-            deadline = self._clock.now() + self._answer_s
             packets: list[Packet] = []
             with self._link_watched():
-                while not packets and (data := self._received(deadline)):
-                    packets = self._decoder.feed(data)
+                for data in self._incoming(self._clock.now() + self._answer_s):
+                    if packets := self._decoder.feed(data):
+                        break
             if not packets:  # the command may have been lost, or the arm
                 self._stop_stream()
                 self._packet()

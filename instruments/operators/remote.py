@@ -9,17 +9,17 @@ import json
 from collections.abc import Callable
 from typing import Any
 
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 from pydantic_core import to_json
 
 from instruments.clock import Clock
-from instruments.errors import DeviceError, LinkError
-from instruments.link import Link
+from instruments.errors import DeviceError, LinkError, ProtocolError
+from instruments.link import SEEN_BYTES, Link
 from instruments.listener import Connection
 from instruments.operators import operator as op
 
 LOOK_S = 0.2  # between two looks at the interlocks while the answer is waited for
-TIMEOUT_S = 120.0
+TIMEOUT_S = 60.0
 ASKED: dict[str, type[op.Request]] = {
     "confirm_homing": op.Homing,
     "touch_check_point": op.CheckPoint,
@@ -80,17 +80,24 @@ class RemoteOperator:
             return op.DONE  # nothing is to be done
         clock = self._link.clock
         began_s, line = clock.now(), b""
+        wait = self._link.reception(began_s + TIMEOUT_S)
         check()
         self._link.write(to_json({"do": do, "with": request}) + b"\n")
         while not line.endswith(b"\n"):
-            line += self._link.read_until(b"\n", LOOK_S)
+            line += (more := self._link.read_until(b"\n", LOOK_S))
+            wait.took(more)
             check()
             if (waited_s := clock.now() - began_s) > TIMEOUT_S:
                 hint = "Does 'teatbench emulate' still run?"
                 raise LinkError(self._link.who, "no answer", asked=do, seconds=waited_s, hint=hint)
-        answer = json.loads(line)
+        try:
+            answer: dict[str, Any] = TypeAdapter(dict[str, Any]).validate_json(line)
+            if "done" in answer:
+                return TypeAdapter(op.Answer).validate_python(answer["done"])
+        except ValidationError as error:
+            what, hint = "this is no operator of 'teatbench emulate'", "Is the address right?"
+            seen = line[:SEEN_BYTES]
+            raise ProtocolError(self._link.who, what, asked=do, seen=seen, hint=hint) from error
         if "enough" in answer:
             raise op.OperatorEnough(answer["enough"])
-        if "done" not in answer:
-            raise DeviceError(self._link.who, str(answer.get("refused", answer)), asked=do)
-        return TypeAdapter(op.Answer).validate_python(answer["done"])
+        raise DeviceError(self._link.who, str(answer.get("refused", answer)), asked=do)

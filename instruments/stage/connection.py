@@ -16,8 +16,8 @@ from functools import wraps
 from typing import Any, ClassVar, ParamSpec, TypeVar
 
 from instruments.clock import Clock
-from instruments.errors import DeviceError, LinkError, ProtocolError
-from instruments.link import Link
+from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
+from instruments.link import Link, Reception
 from instruments.stage.protocol import (
     HOLD,
     JOG_CANCEL,
@@ -142,10 +142,10 @@ class Dialogue:
         self.outstanding = text
         self.write(data)
         pushed: list[Response] = []
-        start = self._clock.now()
+        wait = self._link.reception(self._clock.now() + timeout_s)
         while True:
-            in_time = self._clock.now() <= start + timeout_s
-            answer = self._next(start + timeout_s) if in_time else None
+            in_time = self._clock.now() <= wait.until_s
+            answer = self._next(wait) if in_time else None
             if answer is None:
                 hint = "Check power and cable; then recover() starts the controller anew."
                 raise LinkError(self.who, "no answer", asked=text, seconds=timeout_s, hint=hint)
@@ -164,7 +164,8 @@ class Dialogue:
         while self._clock.now() < end_s:
             self.write(STATUS_QUERY)
             until_s = end_s if self.alarm is None else min(end_s, self._clock.now() + ASK_AGAIN_S)
-            while (answer := self._next(until_s)) is not None:
+            wait = self._link.reception(until_s)
+            while (answer := self._next(wait)) is not None:
                 if isinstance(answer, Status):
                     return answer
         what, hint = "no status report", "Check power and cable."
@@ -247,8 +248,8 @@ class Dialogue:
     @whole
     def wait(self, seconds: float) -> None:
         """Let time pass. Raises at once for an alarm, a restart or a malformed answer."""
-        until = self._clock.now() + seconds
-        while self._next(until) is not None:
+        wait = self._link.reception(self._clock.now() + seconds)
+        while self._next(wait) is not None:
             pass
 
     @whole
@@ -288,14 +289,17 @@ class Dialogue:
         self._forget()
         welcome, seen = None, b""
         start_s = self._clock.now()
-        until = start_s + START_S
-        while welcome is None and (data := self._receive(until)):
+        wait = self._link.reception(start_s + START_S)
+        for data in self._incoming(wait):
             seen += data
-            welcome = _last_welcome(self._decoder, data)
-            until = min(start_s + BOOT_S, self._clock.now() + START_S)
+            if welcome := _last_welcome(self._decoder, data):
+                break
+            if b"\n" in data:  # a board that starts talks in lines
+                wait.until_s = min(start_s + BOOT_S, self._clock.now() + START_S)
         if welcome is None and seen:
             what, hint = "this is not GRBL: no welcome", "Is this the stage's port, at 115200 baud?"
-            raise ProtocolError(self.who, what, seen=seen[:60], seconds=START_S, hint=hint)
+            took_s = self._clock.now() - start_s
+            raise ProtocolError(self.who, what, seen=seen[:60], seconds=took_s, hint=hint)
         if welcome:
             more = self._link.drain(QUIET_S, at_most_s=START_S)
             welcome = _last_welcome(self._decoder, more) or welcome
@@ -323,10 +327,10 @@ class Dialogue:
             hint = "Call recover(): it starts the controller anew."
             raise LinkError(self.who, what, asked=text, hint=hint)
 
-    def _next(self, until_s: float) -> Response | None:
+    def _next(self, wait: Reception) -> Response | None:
         """The next good answer or push; None after the deadline. Raises for bad ones."""
         while not self._inbox:
-            data = self._receive(until_s)  # at least once, even when the time is over
+            data = b"" if wait.over else next(self._incoming(wait), b"")
             if not data:
                 return None
             self._inbox.extend(self._decoder.feed(data))
@@ -364,10 +368,10 @@ class Dialogue:
         what, hint = meaning(Alarm(self.alarm or 0), self.firmware)
         return DeviceError(self.who, what, asked=asked, hint=hint)
 
-    def _receive(self, until_s: float) -> bytes:
+    def _incoming(self, wait: Reception) -> Iterator[bytes]:
         try:
-            return self._link.receive(max(0.0, until_s - self._clock.now()))
-        except LinkError:
+            yield from self._link.incoming(wait)
+        except InstrumentError:
             self.upsets += 1
             raise
 

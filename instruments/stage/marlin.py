@@ -293,10 +293,10 @@ class MarlinDialogue(Dialogue):
                 if self.status().state == "Idle":
                     return
         self.write(b"M112\n")
-        until_s = self._clock.now() + HALT_S
+        wait = self._link.reception(self._clock.now() + HALT_S)
         while self.alarm is None:
             try:
-                if self._next(until_s) is None:
+                if self._next(wait) is None or wait.over:
                     what, hint = "it does not say that it has halted", "Cut its power."
                     raise LinkError(self.who, what, asked="M112", seconds=HALT_S, hint=hint)
             except (DeviceError, ProtocolError):
@@ -306,7 +306,7 @@ class MarlinDialogue(Dialogue):
     def start(self) -> Welcome:
         """Wait for the board's start, if opening the port resets it, and for its attention."""
         self.upsets += 1
-        if self._receive(self._clock.now() + START_S):
+        if next(self._incoming(self._link.reception(self._clock.now() + START_S)), b""):
             self._link.drain(2 * QUIET_S, at_most_s=BOOT_S)
         for more in range(ATTEMPTS - 1, -1, -1):
             try:
@@ -347,14 +347,17 @@ class MarlinDialogue(Dialogue):
         self._stale = False
         self.upsets += 1
         self._marks += 1
-        mark, until_s = f"teatbench {self._marks}", self._clock.now() + ANSWER_S
+        mark = f"teatbench {self._marks}"
+        wait = self._link.reception(self._clock.now() + ANSWER_S)
         self.write(b"\n" + f"M118 E1 {mark}\n".encode("ascii"))
         seen, marked, ended = b"", False, False
-        while not ended and (data := self._receive(until_s)):
+        for data in self._incoming(wait):
             seen += data
             for answer in self._decoder.feed(data):
                 ended = ended or (marked and isinstance(answer, Ok))
                 marked = marked or answer == Message("echo", mark)
+            if ended:
+                break
         if not ended:
             self._stale = True
             hint = "Check power, cable and baud rate; is this the stage's port?"

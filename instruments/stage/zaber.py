@@ -181,9 +181,9 @@ class ZaberDialogue(Dialogue):
         self._number = self._number % 99 + 1
         line = f"{int(device):02d} {axis} {self._number:02d} {words}"
         self.write(f"/{line}:{checksum(line)}\n".encode("ascii"))
-        until_s = self._clock.now() + timeout_s
+        wait = self._link.reception(self._clock.now() + timeout_s)
         asked = int(device), int(axis), self._number
-        while (answer := self._next(until_s)) is not None:
+        while (answer := self._next(wait)) is not None:
             if not isinstance(answer, Reply) or answer[:3] != asked:
                 continue
             if not answer.taken:

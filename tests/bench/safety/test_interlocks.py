@@ -223,7 +223,7 @@ def test_a_family_that_tells_no_output_has_rules_that_sleep_and_says_so() -> Non
 
 
 def test_every_row_says_what_trips_what_resets_and_what_to_do() -> None:
-    assert len({rule.name for rule in RULES}) == len(RULES) == 11
+    assert len({rule.name for rule in RULES}) == len(RULES) == 12
     for rule in RULES:
         assert rule.trips
         assert rule.resets

@@ -20,7 +20,8 @@ from bench.record.schema import Row
 from bench.rig.loading import load_rig
 from bench.rig.opening import open_instruments
 from bench.safety.bath_monitor import BathMonitor
-from bench.safety.interlocks import Interlocks, InterlockTrip, moving_of
+from bench.safety.interlocks import Interlocks, InterlockTrip
+from bench.safety.liveness import Liveness
 from bench.safety.stability import StabilityGate
 from instruments.bath.sequence import start_bath
 from instruments.clock import VirtualClock
@@ -79,7 +80,7 @@ def heated(
 
     with open_instruments(rig, ("bath",), clock, seed=1) as devices:
         interlocks = Interlocks(rig.rig.limits, rig.profile)
-        gate, moving = StabilityGate(33.0), moving_of(rig.profile)
+        gate, moving = StabilityGate(33.0), Liveness(rig.profile)
         watch = BathMonitor(
             devices.bath.read, clock, gate, interlocks, rows.append, act, moving=moving
         )

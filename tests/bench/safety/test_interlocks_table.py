@@ -17,7 +17,7 @@ from bench.config import ConfigError
 from bench.rig.loading import RIGS, LoadedRig, find_rig, load_rig
 from bench.rig.model import Limits
 from bench.safety.bath_monitor import BathMonitor
-from bench.safety.interlocks import RULES, Interlocks, InterlockTrip, moving_of, rule_named
+from bench.safety.interlocks import RULES, Interlocks, InterlockTrip, rule_named
 from bench.safety.latch import (
     LatchedError,
     acknowledge,
@@ -27,6 +27,7 @@ from bench.safety.latch import (
     refuse_untested_cut_out,
     set_latch,
 )
+from bench.safety.liveness import Liveness
 from bench.safety.stability import StabilityGate
 from bench.script.model import load_script
 from instruments.bath.profile import load_profile
@@ -37,7 +38,7 @@ from tests.bench.safety.calm import CALM
 from tests.conftest import ROOT
 
 COLD = replace(CALM, power_percent=0.0)
-FROM_S, TO_S = 200.0, 800.0  # the trouble comes and goes
+FROM_S, TO_S = 200.0, 900.0  # the trouble comes and goes
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,7 @@ WALKS = {
         121.0,
         replace(CALM, power_percent=30.0),
     ),
+    "lifeless reading": Walk(lambda t: replace(CALM, temp_c=32.99), 602.0, CALM),
     "rate": Walk(lambda t: replace(CALM, temp_c=33.0 - (t - FROM_S) * 4.5 / 60), 32.0, CALM),
     "loop break": Walk(
         lambda t: replace(CALM, temp_c=33.0 - (t - FROM_S) * 1e-4, power_percent=95.0), 121.0, CALM
@@ -160,7 +162,7 @@ def walked(walk: Walk) -> list[tuple[float, Exception]]:
 
     gate = StabilityGate(33.0)
     watch = BathMonitor(
-        read, clock, gate, interlocks, lambda _: None, act, also=also, moving=moving_of(profile)
+        read, clock, gate, interlocks, lambda _: None, act, also=also, moving=Liveness(profile)
     )
     watch.start()
     watch.heating()
@@ -189,7 +191,7 @@ def test_what_a_rule_compared_with_is_among_its_values() -> None:
 def test_only_a_coarse_temperature_may_stand_while_the_output_moves(
     family: str, alive: bool
 ) -> None:
-    moving = moving_of(load_profile(family))
+    moving = Liveness(load_profile(family))
     gate = StabilityGate(33.0)
     states = set()
     for t in range(1500):
@@ -209,9 +211,9 @@ def test_a_temperature_is_coarse_above_steps_of_a_twentieth_of_a_kelvin(
         else row
         for row in profile.rows
     )
-    moving = moving_of(profile.model_copy(update={"rows": rows}))
-    still, moved = (moving(replace(CALM, power_percent=power)) for power in (2.0, 3.0))
-    assert (still != moved) is alive
+    moving = Liveness(profile.model_copy(update={"rows": rows}))
+    signs = [moving(replace(CALM, power_percent=power)) for power in (2.0, 3.0, 2.0, 3.0)]
+    assert (signs[0] != signs[3]) is alive
 
 
 LIMITS = {

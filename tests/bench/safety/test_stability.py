@@ -158,10 +158,11 @@ class TestFrozenReading:
         ]
 
 
+REST_C = 32.68  # of teats in a bath of 33 degC, with the room at 20
+
+
 class TestTeats:
-    """The sensor at the teats, where there is one, has a slope of its own: 0.02 K/min (section
-    4.2).
-    """
+    """The sensor at the teats, where there is one, has a level and a slope of its own."""
 
     @pytest.mark.parametrize(
         ("k_per_min", "state"), [(0.018, STABLE), (0.022, SETTLING), (-0.022, SETTLING)]
@@ -171,25 +172,76 @@ class TestTeats:
     ) -> None:
         gate = StabilityGate(SP)
         for t, temp in enumerate(quiet(700)):
-            gate.add(float(t), temp, teat_c=32.0 + k_per_min * t / 60)
+            gate.add(float(t), temp, teat_c=REST_C + k_per_min * t / 60)
         assert gate.state is state
         assert (gate.reasons == []) is (state is STABLE)
         if state is SETTLING:
             assert gate.reasons == [f"slope at the teats {k_per_min:+.3f} K/min, needs 0.02"]
 
-    def test_what_the_teats_do_later_is_no_reason_to_leave(self) -> None:
+    @pytest.mark.parametrize("teat_c", [20.05, 31.9, 34.1])
+    def test_teats_off_their_level_keep_it_shut_however_steady(self, teat_c: float) -> None:
+        gate = StabilityGate(SP, window_s=2.0, slope_k_per_min=1e6, teat_slope_k_per_min=1e6)
+        for t, temp in enumerate(quiet(700)):
+            assert gate.add(float(t), temp, teat_c=teat_c) is not STABLE
+        assert gate.reasons == [
+            f"the teats are {teat_c - SP:+.2f} K from the set point, needs ± 1: does the pump turn?"
+        ]
+
+    def test_teats_that_leave_their_level_close_it(self) -> None:
         gate = StabilityGate(SP)
         states = [
-            gate.add(float(t), temp, teat_c=32.0 + 0.1 * max(0, t - 650))
+            gate.add(float(t), temp, teat_c=REST_C - 0.02 * max(0, t - 650))
             for t, temp in enumerate(quiet(800))
         ]
-        assert set(states[601:]) == {STABLE}
+        assert set(states[601:690]) == {STABLE}
+        off = next(t for t in range(650, 800) if states[t] is SETTLING)
+        assert 0.02 * (off - 650) == pytest.approx(1.15 - 0.32, abs=0.021)
+        assert set(states[off:]) == {SETTLING}
 
-    def test_a_sensor_that_has_gone_asks_for_nothing(self) -> None:
+    def test_they_have_to_be_on_their_level_for_the_whole_window_again(self) -> None:
         gate = StabilityGate(SP)
-        for t, temp in enumerate(quiet(700)):
-            gate.add(float(t), temp, teat_c=20.0 + t if t < 300 else None)
-        assert gate.state is STABLE
+        states = [
+            gate.add(float(t), temp, teat_c=25.0 if 650 <= t < 660 else REST_C)
+            for t, temp in enumerate(quiet(1400))
+        ]
+        assert states[650] is SETTLING
+        assert states.index(STABLE, 650) == 660 + 600
+
+    def test_a_sensor_that_has_gone_closes_it(self) -> None:
+        gate = StabilityGate(SP)
+        states = [
+            gate.add(float(t), temp, teat_c=REST_C if t < 650 else None)
+            for t, temp in enumerate(quiet(700))
+        ]
+        assert states[654] is STABLE, "one reading may fail"
+        assert set(states[655:]) == {SETTLING}
+        assert "no value any more" in gate.reasons[0]
+        gate.restart()
+        assert STABLE not in [gate.add(float(t), temp) for t, temp in enumerate(quiet(700))]
+
+    def test_one_that_never_was_asks_for_nothing(self) -> None:
+        assert feed(StabilityGate(SP), quiet(700))[-1] is STABLE
+
+    @pytest.mark.slow
+    @settings(max_examples=60, deadline=None)
+    @given(
+        st.floats(1.0, 600.0),
+        st.floats(0.01, 1.0),
+        st.floats(0.01, 1.5),
+        st.floats(15.0, 31.0),
+        st.floats(-0.02, 0.02),
+    )
+    def test_no_script_opens_it_on_cold_teats(
+        self, window_s: float, leave_k: float, level_k: float, teat_c: float, drift: float
+    ) -> None:
+        gate = StabilityGate(
+            SP, window_s, leave_k, leave_k, 1e9, 1e9, teat_level_k=level_k, leave_k=leave_k
+        )
+        states = [
+            gate.add(float(t), temp, teat_c=min(teat_c + drift * t, 31.4))
+            for t, temp in enumerate(quiet(700))
+        ]
+        assert STABLE not in states
 
 
 def test_a_new_set_point_restarts_and_the_same_does_not() -> None:
