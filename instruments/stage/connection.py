@@ -278,7 +278,8 @@ class Dialogue:
             except LinkError:  # in an alarm some answer nothing
                 if not self._link.connected:
                     raise
-        self._inbox.extend(self._decoder.feed(self._receive(self._clock.now())))
+        wait = self._link.reception(self._clock.now())
+        self._inbox.extend(self._decoder.feed(next(self._incoming(wait), b"")))
 
     def between(self, ask: Callable[[], R]) -> R | None:
         """``ask``, from any thread, where no other question is under way; else None."""
