@@ -38,7 +38,9 @@ class NotSafeError(InstrumentError):
 
 
 def to_stderr(text: str) -> None:
-    sys.stderr.write(f"teatbench: {text}\n")
+    """Where there is one: a terminal that has gone keeps nothing from being closed."""
+    with suppress(OSError, ValueError):
+        print(f"teatbench: {text}", file=sys.stderr, flush=True)  # noqa: T201 - a script has no other
 
 
 def target_of(rig: LoadedRig, *, bath: str = "", pump: str = "", stage: str = "") -> GuardianTarget:

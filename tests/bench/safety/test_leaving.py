@@ -45,6 +45,7 @@ from tests.bench.safety.deaths import (
 from tests.bench.safety.guards import HotBath, Measured, standby_after, within
 
 pytestmark = pytest.mark.slow
+linux = pytest.mark.skipif(sys.platform != "linux", reason="finds the guardian in /proc")
 
 # one of each kind of death, and of each way in
 FEW = [
@@ -147,6 +148,7 @@ def test_a_process_that_was_forked_leaves_what_its_parent_opened_alone(hot: HotB
     assert not hot.plant.running
 
 
+@linux
 def test_a_guardian_that_has_gone_is_noticed_before_the_next_order(hot: HotBath) -> None:
     with open_instruments(_of(hot), ("bath",)) as devices:
         devices.bath.start(33.0)
@@ -159,6 +161,7 @@ def test_a_guardian_that_has_gone_is_noticed_before_the_next_order(hot: HotBath)
     assert not hot.plant.running
 
 
+@linux
 def test_an_emulated_rig_is_left_safe_without_a_guardian() -> None:
     with open_instruments(load_rig(find_rig(None)), ("bath", "stage")) as devices:
         assert isinstance(devices.clock, VirtualClock)
@@ -188,6 +191,7 @@ def test_a_pump_alone_is_switched_off_and_one_behind_a_heater_runs_on(tmp_path: 
 # ---- bench and guardian killed together
 
 
+@linux
 def test_a_controller_with_a_watchdog_stops_when_bench_and_guardian_are_killed(
     tmp_path: Path,
 ) -> None:
@@ -199,6 +203,7 @@ def test_a_controller_with_a_watchdog_stops_when_bench_and_guardian_are_killed(
     both_killed(mine, tmp_path)
 
 
+@linux
 @pytest.mark.weekly
 def test_the_watchdog_as_it_ships_stops_it_too(tmp_path: Path) -> None:
     both_killed(SHIPPED / "lauda-ascii.toml", tmp_path)
