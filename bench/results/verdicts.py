@@ -31,6 +31,7 @@ from bench.scoring.decisions import (
     overall,
 )
 from bench.scoring.errors import percentile
+from bench.scoring.looks import FIRST, Looks
 from bench.scoring.scene import Pool, pool
 from bench.script.calibration_age import decide_calibration
 from bench.script.model import (
@@ -219,7 +220,9 @@ def judge(run: RunRecord, rules: Rules) -> tuple[Judgement, ...]:
     of_bench = frozenset(rule.name for rule in rules.requirements if isinstance(rule, bench))
     found = []
     for name in run.detectors:
-        decisions = (_decide(rule, run, scored(run, name), name) for rule in rules.requirements)
+        decisions = (
+            _decide(rule, run, scored(run, name), name, rules.looks) for rule in rules.requirements
+        )
         decided = (_doubted(decision, rules, too_small(run.facts)) for decision in decisions)
         found.append(Judgement(name, held_back(decided, run.damage), of_bench))
     return tuple(found)
@@ -279,7 +282,9 @@ def scored(run: RunRecord, detector: str, situation: str | None = None) -> Pool:
     return pool([t.scores[detector] for t in trials], [t.pose for t in trials])
 
 
-def _decide(rule: Requirement, run: RunRecord, scores: Pool, detector: str) -> Decision:
+def _decide(
+    rule: Requirement, run: RunRecord, scores: Pool, detector: str, planned: int
+) -> Decision:
     match rule:
         case BathRequirement():
             set_point_c = run.facts.get("set_point_c")
@@ -294,16 +299,21 @@ def _decide(rule: Requirement, run: RunRecord, scores: Pool, detector: str) -> D
         case CamerasRequirement():
             return decide_cameras(rule, cameras_of(run.counted))
     u_mm = truth_u_mm([run], scores, detector)
-    return decide_detector(rule, scores, latency_of(run, detector), u_mm)
+    looks = Looks(planned)
+    return decide_detector(rule, scores, latency_of(run, detector), u_mm, looks)
 
 
 def decide_detector(
-    rule: DetectorRequirement, scores: Pool, timed: Latency, u_mm: float | None
+    rule: DetectorRequirement,
+    scores: Pool,
+    timed: Latency,
+    u_mm: float | None,
+    looks: Looks = FIRST,
 ) -> Decision:
-    """A detector's requirement decided on scores and times of one or several runs. Frame sets
-    without an answer show nothing, so that none is met by silence.
+    """A detector's requirement decided on scores and times of one or several runs, after earlier
+    ``looks`` at them. Frame sets without an answer show nothing, so that none is met by silence.
     """
-    decision = _decided(rule, scores, timed, u_mm)
+    decision = _decided(rule, scores, timed, u_mm, looks)
     silent = timed.silent if isinstance(rule, ErrorRequirement | FalseRequirement) else timed.failed
     unanswered = f"It did not answer on {silent} of {timed.asked} frame sets"
     if silent and silent == timed.asked:
@@ -316,7 +326,11 @@ def decide_detector(
 
 
 def _decided(
-    rule: DetectorRequirement, scores: Pool, timed: Latency, u_mm: float | None
+    rule: DetectorRequirement,
+    scores: Pool,
+    timed: Latency,
+    u_mm: float | None,
+    looks: Looks,
 ) -> Decision:
     match rule:
         case ErrorRequirement():
@@ -329,6 +343,7 @@ def _decided(
                 confidence=rule.confidence,
                 poses=scores.error_poses,
                 missed=scores.counts.missed,
+                looks=looks,
             )
         case FalseRequirement():
             return decide_count(
@@ -344,8 +359,10 @@ def _decided(
                 scores.success,
                 required=rule.rate,
                 confidence=rule.confidence,
-                shown=scores.surely_succeeded(rule.rate, rule.confidence),
+                shown=scores.surely_succeeded(rule.rate, rule.confidence, looks),
                 possible=scores.perhaps_succeeded,
+                looks=looks,
+                leaks=scores.uncertain,
             )
         case TimeRequirement():
             decision = decide_time(
@@ -356,22 +373,27 @@ def _decided(
                 rate=rule.rate,
                 confidence=rule.confidence,
                 poses=timed.poses,
+                looks=looks,
             )
     sentence, verdict = f"{decision.sentence} {timed.starved}".strip(), decision.verdict
     if isinstance(rule, SuccessRequirement) and scores.accurate != scores.success:
         at_all = f"{scores.accurate.successes} of {scores.accurate.trials} poses"
         sentence += f" Without the time limit {at_all} succeeded."
-    if timed.starved and verdict is Verdict.NOT_MET and not _fails_without_time(rule, scores):
+    if (
+        timed.starved
+        and verdict is Verdict.NOT_MET
+        and not _fails_without_time(rule, scores, looks)
+    ):
         verdict = Verdict.INCONCLUSIVE
     return replace(decision, sentence=sentence, verdict=verdict)
 
 
-def _fails_without_time(rule: DetectorRequirement, scores: Pool) -> bool:
+def _fails_without_time(rule: DetectorRequirement, scores: Pool, looks: Looks) -> bool:
     """Whether a rate isn't met however long answers may take; a time then decides nothing."""
     if not isinstance(rule, SuccessRequirement):
         return False
     decided = decide_rate(
-        rule.name, scores.accurate, required=rule.rate, confidence=rule.confidence
+        rule.name, scores.accurate, required=rule.rate, confidence=rule.confidence, looks=looks
     )
     return decided.verdict is Verdict.NOT_MET
 

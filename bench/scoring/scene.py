@@ -22,7 +22,8 @@ import numpy as np
 import numpy.typing as npt
 
 from bench.scoring.errors import ErrorSummary, Floats, as_points, summarise
-from bench.scoring.guard_band import acceptance_limit_mm, refusal_limit_mm
+from bench.scoring.guard_band import acceptance_limit_mm, farthest_mm, refusal_limit_mm
+from bench.scoring.looks import FIRST, Looks, RateTest, allowed_leak
 from bench.scoring.matching import Counts, Match, added, as_flags, assign, gate_mm
 from bench.scoring.rates import Rate, pose_successes
 from bench.scoring.sample_size import failures_allowed, shown_error_mm
@@ -219,16 +220,27 @@ class Pool:
         known = [(pose, of) for pose, of in held if of is not None]
         return pose_successes([pose for pose, _ in known], [of for _, of in known])
 
-    def surely_succeeded(self, rate: float, confidence: float) -> Rate:
+    @property
+    def uncertain(self) -> bool:
+        """Whether the truth of any scene is."""
+        return any(s.u_mm > 0.0 for s in self.scores)
+
+    def surely_succeeded(self, rate: float, confidence: float, looks: Looks = FIRST) -> Rate:
         """Poses whose success the truth's uncertainty can't turn, of the poses: sure up to the
-        distance at which so many poses claim `rate` falsely in no more than 1 - `confidence`.
+        distance at which so many poses claim `rate` falsely in no more than 1 - `confidence`; at a
+        further look, to that at which few enough bad poses are seen as good.
         """
         poses = len(set(self.poses))
-        failures = failures_allowed(poses, rate, confidence)
+        sure_of = looks.first_confidence(confidence)
+        failures = failures_allowed(poses, rate, sure_of)
         reach: dict[tuple[float, float], float | None] = {}
-        if failures is not None:
-            for limits in {(s.limit_mm, s.u_mm) for s in self.scores}:
-                reach[limits] = shown_error_mm(poses, rate, *limits, confidence, failures)
+        limits_of = {(s.limit_mm, s.u_mm) for s in self.scores}
+        if looks.again:
+            most = allowed_leak(RateTest(rate, confidence, looks))
+            reach = {limits: farthest_mm(*limits, most) for limits in limits_of}
+        elif failures is not None:
+            for limits in limits_of:
+                reach[limits] = shown_error_mm(poses, rate, *limits, sure_of, failures)
 
         def sure(score: SceneScore) -> bool:
             most = reach.get((score.limit_mm, score.u_mm), score.limit_mm)

@@ -51,6 +51,35 @@ def tight_enough(failures: int, scenes: int, half_width: float, level: float = 0
     return (high - low) / 2.0 <= half_width
 
 
+def least_rate(hits: int, trials: int, chance: float) -> float:
+    """The rate of hits is at least this at every look, but for the ``chance``."""
+    one = np.ones(1)
+    return _least(one, np.array([float(hits)]), one, np.array([float(trials - hits)]), chance)
+
+
+def least_mean(values: ArrayLike, counts: ArrayLike, chance: float) -> float:
+    """The mean of what ``values`` (n,) of 0 or more, each ``counts`` (n,) times, are independent
+    draws of is at least this at every look, but for the ``chance``. The bets are as above, on
+    value / mean in the place of f / r.
+    """
+    seen = np.atleast_1d(np.asarray(values, dtype=np.float64))
+    often = np.broadcast_to(np.asarray(counts, dtype=np.float64), seen.shape)
+    if not (seen * often).sum():
+        return 0.0
+    allowed = log(len(BETS) / chance)
+
+    def above(log_mean: float) -> float:
+        logs = np.log1p(np.outer(BETS, seen * exp(-log_mean) - 1.0)) @ often
+        most = float(logs.max())
+        return most + log(float(np.exp(logs - most).sum())) - allowed
+
+    high = log(float(seen @ often) / float(often.sum()))
+    low, step = high, 0.01
+    while above(low) < 0.0 and low > LEAST_LOGIT:
+        high, low, step = low, low - step, 2.0 * step
+    return 0.0 if low <= LEAST_LOGIT else exp(crossing(above, low, high))
+
+
 def bounds(
     hits: ArrayLike, others: ArrayLike, counts: tuple[ArrayLike, ArrayLike], level: float
 ) -> tuple[float, float]:
