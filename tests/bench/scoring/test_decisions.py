@@ -122,7 +122,7 @@ def thirds(poses: int) -> list[int]:
         (
             p95([0.5] * 91 + [1.5], rate=0.95),
             INCONCLUSIVE,
-            "22 more poses without a further failure would show it for 95 %",
+            "71 more poses without a further failure would show it for 95 %",
         ),
         (time([1.0] * 177, rate=0.95, poses=thirds(59)), MET, ""),
         (
