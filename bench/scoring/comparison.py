@@ -36,7 +36,7 @@ from bench.scoring.errors import Floats, as_values, numbered
 from bench.scoring.matching import Counts, added
 from bench.scoring.rates import Rate, crossing, exact_percent, fewest, percent, plural
 from bench.scoring.scene import SceneScore
-from bench.scoring.sequential import least_mean, least_rate
+from bench.scoring.sequential import least_mean, least_rate, shows_mean
 
 FLIPS = 9999
 BATCH = 2_000_000  # numbers drawn at once
@@ -461,7 +461,7 @@ def poses_again(values: Floats, limit: float, margin: float, chance: float) -> i
 
     def shows(poses: int) -> bool:
         counts = poses / len(values)
-        return bool(least_mean(limit - values, counts, chance) >= limit - margin)
+        return shows_mean(limit - values, counts, limit - margin, chance)
 
     return fewest(shows, 0) if shows(MOST_POSES) else None
 

@@ -28,7 +28,7 @@ from scipy.special import bdtr, bdtrc
 
 from bench.scoring.rates import Rate, exact_percent, fewest, zero_failure_n
 from bench.scoring.sample_size import failures_allowed
-from bench.scoring.sequential import least_rate
+from bench.scoring.sequential import least_rate, shows_mean
 
 NOTHING = 1e-9  # a chance so small is none
 # of bad poses, those that the truth's error may show as good; and the share of the chance that is
@@ -139,12 +139,14 @@ class RateTest:
         None where no number does.
         """
         after = RateTest(self.required, self.confidence, self.looks.after(rate.trials))
+        level = after.level * (1.0 - LEAKED_SHARE if leaks else 1.0)
+        seen = self.required + (1.0 - self.required) * (LEAKED if leaks else 0.0)
 
         def shows(poses: int) -> bool:
-            low = after.lower(Rate(rate.successes + poses, rate.trials + poses), leaks=leaks)
-            return low is not None and low >= self.required
+            counts = (rate.successes + poses, rate.failures)
+            return shows_mean((1.0, 0.0), counts, seen, level)
 
-        if self.required >= 1.0 or not shows(MOST_POSES):
+        if level < NOTHING or not shows(MOST_POSES):
             return None
         return fewest(shows, 0)
 
