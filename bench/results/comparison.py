@@ -29,6 +29,7 @@ from bench.results.verdicts import (
     Judgement,
     calls_of,
     decide_detector,
+    has_answer,
     held_back,
     latency,
     scored_trials,
@@ -87,12 +88,13 @@ def scored_together(runs: Sequence[RunRecord], detector: str) -> Pool:
     """The scores of one detector over several runs as one. A pose of one script, or of one
     recording, is the same pose in every run of it; poses of two scripts differ.
     """
-    scores, poses = [], []
+    scores, poses, answered = [], [], list[bool]()
     for run in runs:
         trials, of = scored_trials(run, detector), poses_of(run)
         scores += [trial.scores[detector] for trial in trials]
         poses += [(of, trial.pose) for trial in trials]
-    return pool(scores, poses)
+        answered += [has_answer(trial, detector) for trial in trials]
+    return pool(scores, poses, answered)
 
 
 def compare_folders(
@@ -159,7 +161,7 @@ def compare_sides(
 
 def _item(side: Side) -> Any:
     """What of a detector makes it another one."""
-    item = side.run.facts["items"].get(side.detector, {})
+    item = side.run.facts.get("items", {}).get(side.detector, {})
     return [side.detector, item.get("version"), item.get("parameters")]
 
 

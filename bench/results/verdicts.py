@@ -279,7 +279,14 @@ def calls_of(
 def scored(run: RunRecord, detector: str, situation: str | None = None) -> Pool:
     """The scores of one detector, with the pose of each; of one situation where named."""
     trials = scored_trials(run, detector, situation)
-    return pool([t.scores[detector] for t in trials], [t.pose for t in trials])
+    answered = [has_answer(trial, detector) for trial in trials]
+    return pool([t.scores[detector] for t in trials], [t.pose for t in trials], answered)
+
+
+def has_answer(trial: TrialRecord, detector: str) -> bool:
+    """Whether the detector gave one, also of no teat; a time-out and a failure are none."""
+    rows = [row for row in trial.detections if row["detector"] == detector]
+    return all(row["outcome"] == Outcome.ANSWERED.value for row in rows)
 
 
 def _decide(
@@ -349,7 +356,7 @@ def _decided(
             return decide_count(
                 rule.name,
                 scores.counts.false,
-                scenes=len(scores.scores),
+                scenes=scores.answered,
                 confidence=rule.confidence,
                 per_pose=scores.worst_false,
             )

@@ -16,7 +16,6 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import gammaincinv
 
 from bench.scoring.errors import Floats, as_values, numbered, percentile
 from bench.scoring.guard_band import acceptance_limit_mm, leak, refusal_limit_mm
@@ -191,25 +190,31 @@ def decide_count(
     confidence: float = 0.95,
     per_pose: Sequence[int] | None = None,
 ) -> Decision:
-    """Is there none (false teats, say) in the scenes run? With the upper bound a scene (Garwood
-    1936, Poisson). `per_pose` is the count of each pose's worst scene (None: each scene is a pose).
+    """Is there none (false teats, say) in the scenes that were answered? With the upper bound of
+    the share of poses that have one (Clopper-Pearson): several come together, so their mean has
+    no such bound.
+    `per_pose` is the count of each pose's worst scene (None: each scene is a pose).
     """
-    rule = "at most 0 in all scenes that were run"
+    rule = "at most 0 in all scenes that were run and answered"
     if not scenes:
         return Decision(name=name, rule=rule, limit=0.0, sentence="No scene was scored.")
-    worst, poses = (count, scenes) if per_pose is None else (sum(per_pose), len(per_pose))
-    bound = float(gammaincinv(worst + 1, confidence)) / poses
-    where = plural(scenes, "scene") + (f" of {plural(poses, 'pose')}" if poses != scenes else "")
+    worst = [1] * min(count, scenes) + [0] * max(scenes - count, 0)
+    having = Rate(sum(map(bool, worst if per_pose is None else per_pose)), len(per_pose or worst))
+    where = plural(scenes, "scene")
+    if having.trials != scenes:
+        where += f" of {plural(having.trials, 'pose')}"
+    bound = percent(having.upper_bound(confidence) or 0.0)
+    seen = f", in {having.successes} of the poses" if having.successes else ""
     return Decision(
         name=name,
         rule=rule,
-        n=poses,
+        n=having.trials,
         measured=float(count),
         limit=0.0,
         margin=float(-count),
         verdict=Verdict.NOT_MET if count else Verdict.MET,
-        sentence=f"{count} in {where}: at most {bound:.2g} a scene in the long run, with"
-        f" {exact_percent(confidence)} confidence.",
+        sentence=f"{count} in {where}{seen}: in the long run at most {bound} of poses have one,"
+        f" with {exact_percent(confidence)} confidence (one-sided).",
     )
 
 

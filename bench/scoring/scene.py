@@ -189,10 +189,16 @@ def _frozen(errors: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Pool:
-    """Scenes, and the pose of each."""
+    """Scenes, and the pose of each; ``silent``: which of them have no answer."""
 
     scores: tuple[SceneScore, ...] = ()
     poses: tuple[Hashable, ...] = ()
+    silent: frozenset[int] = frozenset()
+
+    @property
+    def answered(self) -> int:
+        """Scenes with an answer."""
+        return len(self.scores) - len(self.silent)
 
     @property
     def counts(self) -> Counts:
@@ -256,11 +262,23 @@ class Pool:
 
     @property
     def worst_false(self) -> tuple[int, ...]:
-        """The false findings of each pose's worst repeat."""
+        """The false findings of each pose's worst repeat, of those with an answer."""
         worst: dict[Hashable, int] = {}
-        for pose, score in zip(self.poses, self.scores, strict=True):
-            worst[pose] = max(worst.get(pose, 0), len(score.match.false))
+        for at, (pose, score) in enumerate(zip(self.poses, self.scores, strict=True)):
+            if at not in self.silent:
+                worst[pose] = max(worst.get(pose, 0), len(score.match.false))
         return tuple(worst.values())
+
+    @property
+    def none_false(self) -> Rate:
+        """Poses without a false finding, of those with an answer."""
+        worst = self.worst_false
+        return Rate(worst.count(0), len(worst))
+
+    @property
+    def all_found(self) -> Rate:
+        """Poses of which every visible end was found in all repeats, of the poses."""
+        return self._poses_where(lambda score: not score.match.missed)
 
     @property
     def hidden_right(self) -> Rate:
@@ -289,6 +307,14 @@ class Pool:
         return summarise(self.errors_mm, camera_from_world)
 
 
-def pool(scores: Sequence[SceneScore], poses: Sequence[Hashable] | None = None) -> Pool:
-    """Scores to a pool; without names each scene is a pose of its own (don't add such pools)."""
-    return Pool(tuple(scores), tuple(range(len(scores))) if poses is None else tuple(poses))
+def pool(
+    scores: Sequence[SceneScore],
+    poses: Sequence[Hashable] | None = None,
+    answered: Sequence[bool] | None = None,
+) -> Pool:
+    """Scores to a pool; without names each scene is a pose of its own (don't add such pools).
+    ``answered``: whether each has an answer; by default all have.
+    """
+    silent = frozenset(at for at, one in enumerate(answered or ()) if not one)
+    names = tuple(range(len(scores))) if poses is None else tuple(poses)
+    return Pool(tuple(scores), names, silent)
