@@ -11,7 +11,8 @@ from __future__ import annotations
 import hashlib
 import json
 import sqlite3
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -91,25 +92,27 @@ def write_looks(runs: Sequence[RunRecord], looks: Sequence[Look]) -> None:
             if missing:
                 stores.append((_store(run.folder), missing))
         for store, missing in stores:
-            with store.step():
+            with _written(store.folder):
                 for look in missing:
                     store.fact(look.key, asdict(look))
     finally:
         for store, _ in stores:
-            store.close()
+            with _written(store.folder):
+                store.close()
 
 
 def _store(folder: Path) -> Store:
-    try:
+    with _written(folder):
         return Store(folder, session=1)
-    except (sqlite3.Error, OSError) as error:
-        raise _unwritten(folder, str(error)) from error
-    except ConfigError as error:
-        raise _unwritten(folder, str(error)) from error
 
 
-def _unwritten(folder: Path, why: str) -> ConfigError:
-    return ConfigError.plain(
-        f"the look can't be written into {folder}: {why}. A look that isn't in the record would be"
-        " free, so there is no verdict without it. Copy the run to where it can be written."
-    )
+@contextmanager
+def _written(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except (sqlite3.Error, OSError, ConfigError) as error:
+        raise ConfigError.plain(
+            f"the look can't be written into {folder}: {error}. A look that isn't in the record"
+            " would be free, so there is no verdict without it. Copy the run to where it can be"
+            " written."
+        ) from error

@@ -31,9 +31,9 @@ def note_on_statements(parts: Sequence[Any], rules: Rules, detectors: int) -> No
     )
     planned = f"of {rules.looks} planned" if rules.looks > 1 else "the only one planned"
     first = (
-        f"The verdicts are the first look at these poses, {planned}. Poses that are added afterwards"
-        " are a further look ('teatbench compare --together'), which has only what the first one"
-        " left of that chance, and needs more of them."
+        f"The verdicts are the first look at these poses, {planned}. Poses that are added"
+        " afterwards are a further look ('teatbench compare --together'), which has only what the"
+        " first one left of that chance, and needs more of them."
     )
     return Notes("How often chance alone misleads", (made, first))
 

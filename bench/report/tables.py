@@ -133,8 +133,8 @@ def rates(run: RunRecord, detector: str) -> Table:
     note = (
         "Exact (Clopper-Pearson) intervals, two-sided. A pose succeeds when all its repeats do."
         " Ends that are missed, and false ones, come several in a scene, so recall and precision"
-        " have no interval: the shares of poses with every end found and none false have. A pose without an"
-        " answer has none false, and is not counted there."
+        " have no interval: the shares of poses with every end found and none false have. A pose"
+        " without an answer has none false, and is not counted there."
     )
     heads = "rate | >of | >n | >value | >95 % interval, two-sided"
     return table(f"Rates, detector {detector}", heads, rows, note)
