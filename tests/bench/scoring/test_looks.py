@@ -128,17 +128,19 @@ def test_an_error_beyond_its_limit_in_one_pose_of_twenty_is_accepted_in_no_more_
     falsely(met, series)
 
 
+STILL, MOVED = (
+    score_scene(
+        [[0.0, 0.0, mm]], [[0.0, 0.0, 0.0]], [True],
+        u_mm=0.0, seconds=0.1, limit_mm=5.0, time_limit_s=2.0,
+    )
+    for mm in (0.0, 5.0)
+)  # fmt: skip
+
+
 def pairs_of(poses: int, grown: int) -> Iterator[ScenePair]:
     """One teat a pose; in so many the new one's distance grew by the whole limit."""
     for k in range(poses):
-        old, new = (
-            score_scene(
-                [[0.0, 0.0, mm]], [[0.0, 0.0, 0.0]], [True],
-                u_mm=0.0, seconds=0.1, limit_mm=5.0, time_limit_s=2.0,
-            )
-            for mm in (0.0, 5.0 if k < grown else 0.0)
-        )  # fmt: skip
-        yield ScenePair(f"{k}", f"{k}", "ideal", old, new)
+        yield ScenePair(f"{k}", f"{k}", "ideal", STILL, MOVED if k < grown else STILL)
 
 
 @pytest.mark.slow
@@ -235,3 +237,16 @@ def test_bets_on_means_are_those_on_rates() -> None:
         rate = least_rate(hits, trials, 0.025)
         assert least_mean([1.0, 0.0], [hits, trials - hits], 0.025) == pytest.approx(rate)
         assert confidence_sequence(hits, trials, 0.95)[0] == pytest.approx(rate)
+
+
+@pytest.mark.parametrize(
+    ("planned", "poses", "failed", "spent", "more"),
+    [(1, 30, 0, 0.0, 50), (1, 59, 1, 0.0485, 177), (1, 92, 1, 0.0089, 71), (2, 59, 1, 0.0, 70)],
+)
+def test_the_figures_of_the_docs(
+    planned: int, poses: int, failed: int, spent: float, more: int
+) -> None:
+    test = RateTest(0.95, 0.95, Looks(planned))
+    sure = test.looks.first_confidence(0.95)
+    assert spent_on(poses, 0.95, sure)[0] == pytest.approx(spent, abs=5e-5)
+    assert test.more(Rate(poses - failed, poses)) == more
