@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.config import ConfigError
-from bench.record.reader import RunRecord, opened
-from bench.record.schema import tables_of
+from bench.record.reader import RunRecord
 from bench.record.writer import Store
 
 FACT = "look "
@@ -54,13 +53,9 @@ def claim_of(*parts: Any) -> str:
 
 
 def id_of(run: RunRecord) -> str:
-    """What a run is known by, wherever its folder lies: its chain's first link."""
-    with opened(run.folder) as db:
-        if "chain" in tables_of(db):
-            row = db.execute("SELECT wall_digest FROM chain WHERE number = 1").fetchone()
-            if row:
-                return str(row[0])[:16]
-    return claim_of({key: run.facts[key] for key in run.facts if not key.startswith(FACT)})[:16]
+    """What a run is known by, wherever its folder lies: its chain's first link, else its facts."""
+    own = {key: value for key, value in run.facts.items() if not key.startswith(FACT)}
+    return (run.first_link or claim_of(own))[:16]
 
 
 def looks_before(runs: Iterable[RunRecord], kind: str, claim: str, data: str) -> tuple[Look, ...]:

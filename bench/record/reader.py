@@ -115,6 +115,7 @@ def points_mm(rows: Iterable[Row]) -> NDArray[np.float64]:
     return np.array(places, dtype=np.float64).reshape(-1, 3)
 
 
+FIRST_LINK = "SELECT wall_digest FROM chain ORDER BY number LIMIT 1"
 WALL_KEYS = ("seconds", "in_time", "success")  # parts of a score that depend on real time
 
 
@@ -168,7 +169,8 @@ class TrialRecord:
 class RunRecord:
     """A run as it stands on disk. ``bath`` has columns t_s, temp_c, power_percent (n, 3);
     ``external_c`` (n,) is nan without a sensor. ``head``: last link of the chain, number 0 without
-    one. ``damage``: what isn't as it was written, with which no verdict holds.
+    one; ``first_link``: the digest of its first, "" without. ``damage``: what isn't as it was
+    written, with which no verdict holds.
     """
 
     folder: Path
@@ -183,6 +185,7 @@ class RunRecord:
     guardian: Mapping[str, Any] | None = None
     head: Head | None = None
     damage: tuple[str, ...] = ()
+    first_link: str = ""
 
     @property
     def ending(self) -> str:
@@ -234,6 +237,7 @@ def _read(folder: Path, db: sqlite3.Connection, damage: tuple[str, ...]) -> RunR
         guardian=_guardian(folder / GUARDIAN),
         head=head_of(db),
         damage=damage,
+        first_link=str(row[0]) if (row := db.execute(FIRST_LINK).fetchone()) else "",
     )
 
 

@@ -162,10 +162,10 @@ def _rates(run: RunRecord, detector: str, situation: str | None = None) -> dict[
         "hidden count right, poses": found.hidden_right,
         "in time, poses": found.in_time,
         "no time-out, poses": pose_successes([pose for pose, _ in calls], answered),
-        "every visible end found, poses": found.all_found,
-        "none false, poses with an answer": found.none_false,
         RECALL: found.counts.recall,
         PRECISION: found.counts.precision,
+        "every visible end found, poses": found.all_found,
+        "none false, poses with an answer": found.none_false,
     }
 
 
