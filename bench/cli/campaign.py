@@ -163,8 +163,8 @@ def search(given: argparse.Namespace) -> int:
         print(plain_table(["failure", "member", "kind", "grade (mm)"], rows))
     for family, rate in found.rates.items():
         print(
-            f"Rate of {family}, from {rate.scenes} weighted scenes: {rate.value:.2%} (95 % interval"
-            f" {rate.low:.2%} to {rate.high:.2%}, standard error {rate.standard_error:.2%})"
+            f"Rate of {family}, from {rate.scenes} weighted scenes: {rate.value:.2%} (95 %"
+            f" interval, two-sided: {rate.low:.2%} to {rate.high:.2%})"
         )
     print(f"Written: {given.out / SEARCH}")
     return CODES.met
@@ -299,7 +299,7 @@ def _print_status(given: argparse.Namespace, campaign: Campaign, status: Status,
         }
         print(json.dumps(found, ensure_ascii=False))
     else:
-        heads = ["family", "detector", "scenes", "failures", "rate", "95 % interval"]
+        heads = ["family", "detector", "scenes", "failures", "rate", "95 % interval, two-sided"]
         rows = [
             [
                 *(rate.family, rate.detector, str(rate.scenes), str(rate.failures)),

@@ -335,6 +335,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         flag(
             "--together", "judge all runs as one, by their counts and errors, instead of comparing"
         ),
+        flag("--across-scripts", "with --together: pool runs of different scripts too"),
         COMPARED_PAGE,
         DESPITE_DAMAGE,
         TABLES_JSON,

@@ -91,16 +91,20 @@ def compare(given: argparse.Namespace) -> int:
     with undamaged(given.run, given) as damage:
         if given.together:
             with working("judging the runs together"):
-                judgements = judge_folders(given.run, given.detector, damage)
+                judged = judge_folders(
+                    given.run, given.detector, damage, across_scripts=given.across_scripts
+                )
             rows = [
                 {
-                    "detector": one.detector,
-                    "verdict": one.verdict,
-                    "decisions": [asdict(decision) for decision in one.decisions],
+                    "detector": one.judgement.detector,
+                    "verdict": one.judgement.verdict,
+                    "decisions": [asdict(decision) for decision in one.judgement.decisions],
+                    "looks": {name: asdict(looks) for name, looks in one.looks.items()},
+                    "scripts": list(one.scripts),
                 }
-                for one in judgements
+                for one in judged
             ]
-            verdict = run_verdict(judgements)
+            verdict = run_verdict([one.judgement for one in judged])
         else:
             with working("comparing the runs"):
                 how = {"margin_mm": given.margin_mm, "confidence": given.confidence}
@@ -109,7 +113,7 @@ def compare(given: argparse.Namespace) -> int:
         if given.json:
             print(json.dumps(rows, indent=1, ensure_ascii=False))
         else:
-            print("\n".join(line for one in judgements for line in judgement_lines(one)))
+            print("\n".join(line for one in judged for line in judgement_lines(one)))
     return code_of(verdict.value) if given.gate else CODES.met
 
 

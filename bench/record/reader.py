@@ -118,6 +118,7 @@ def points_mm(rows: Iterable[Row]) -> NDArray[np.float64]:
     return np.array(places, dtype=np.float64).reshape(-1, 3)
 
 
+FIRST_LINK = "SELECT wall_digest FROM chain ORDER BY number LIMIT 1"
 WALL_KEYS = ("seconds", "in_time", "success")  # parts of a score that depend on real time
 
 
@@ -171,8 +172,8 @@ class TrialRecord:
 class RunRecord:
     """A run as it stands on disk. ``bath`` has columns t_s, temp_c, power_percent (n, 3);
     ``external_c`` (n,) is nan without a sensor. ``head``: last link of the chain, number 0 without
-    one. ``guardians``: what those did that had to act, by session. ``damage``: what isn't as it was
-    written, with which no verdict holds.
+    one; ``first_link``: the digest of its first, "" without. ``guardians``: what those did that had
+    to act, by session. ``damage``: what isn't as it was written, with which no verdict holds.
     """
 
     folder: Path
@@ -188,6 +189,7 @@ class RunRecord:
     guardians: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
     head: Head | None = None
     damage: tuple[str, ...] = ()
+    first_link: str = ""
 
     @property
     def ending(self) -> str:
@@ -246,6 +248,7 @@ def _read(folder: Path, db: sqlite3.Connection, damage: tuple[str, ...]) -> RunR
         guardians=_guardians(folder, begun, facts),
         head=head_of(db),
         damage=damage,
+        first_link=str(row[0]) if (row := db.execute(FIRST_LINK).fetchone()) else "",
     )
 
 

@@ -175,7 +175,7 @@ def _scoreboard(numbers: Numbers, plan: Plan) -> Scoreboard | Paragraph:
     hints = {spoken(name): SITUATIONS[name][0] for name in numbers.families}
     return Scoreboard(
         f"Scenes in which every visible teat end was found within {plan.limit_mm:g} mm and nothing"
-        " false; the share shown with 95 % confidence; teat ends found; false ones",
+        " false; the share shown with 97.5 % confidence (one-sided); teat ends found; false ones",
         numbers.detectors,
         tuple(rows),
         ("Family", "Scenes"),
@@ -218,8 +218,8 @@ def _figures(numbers: Numbers, plan: Plan) -> Iterator[Figure]:
     )
     yield Figure(
         rate_intervals(names, rates),
-        "Failure rates with 95 % intervals. Intervals that overlap much don't separate two"
-        " detectors; 'teatbench campaign compare' does, scene by scene.",
+        "Failure rates with 95 % intervals, two-sided. Intervals that overlap much don't separate"
+        " two detectors; 'teatbench campaign compare' does, scene by scene.",
         alt,
     )
     spreads = {
@@ -323,8 +323,8 @@ def _rates(numbers: Numbers, plan: Plan) -> Part:
         how = "a confidence sequence, which holds at every look"
     return table(
         "Failures by family and detector",
-        "family | detector | >scenes | >failures | >rate | >95 % interval | >no answer | >false"
-        " | >missed | >error # a teat found further off than the limit"
+        "family | detector | >scenes | >failures | >rate | >95 % interval, two-sided | >no answer"
+        " | >false | >missed | >error # a teat found further off than the limit"
         " | >median [mm] # of each scene's largest error | >95 % [mm]",
         rows,
         f"A scene counts once, by the gravest: no answer, false, missed, error. Intervals: {how}.",

@@ -436,7 +436,9 @@ def _next(one: Comparison) -> str:
     then = GATE[gate.verdict][2]
     if gate.verdict is not Verdict.INCONCLUSIVE or row.radial.high is None:
         return then
-    needed = poses_needed(one.pairs, gate.margin_mm, (1.0 + one.compared.confidence) / 2.0)
+    looks = 1 if one.look is None else 1 + len(one.look.after)
+    chance = (1.0 - one.compared.confidence) / 2.0 ** (1 + looks)
+    needed = poses_needed(one.pairs, gate.margin_mm, chance)
     if needed is None or needed <= row.radial.poses:
         return then
     return f"Compare on more poses: {needed} with such changes decide it."

@@ -5,6 +5,7 @@ bench, run, calibration, checksums, faults, command.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from bench.report.bath import bath_parts, sparkline
 from bench.report.comparison import detectors_section
 from bench.report.glossary import TERMS
 from bench.report.spread import pose_parts, spread_parts
+from bench.report.statements import note_on_statements
 from bench.report.thesis import published_counts, thesis_chapter
 from bench.report.trials import (
     first_looks,
@@ -136,6 +138,9 @@ def build_page(
     behind = tuple(_pages(run, rules, calibration, chapters))
     drawn = tuple(_figures(run, rules, calibration)) if run.trials and judgements else ()
     made = tuple(trials)
+    if judgements:
+        told = note_on_statements((requirements, behind), rules, len(judgements))
+        sections[0] = replace(sections[0], parts=(*requirements, told))
     if looked := looks_of(run, made, calibration):
         sections.append(Section("looks", "Where to look first", (Looks(looked),)))
         sections.append(Section("figures", "Figures", drawn))

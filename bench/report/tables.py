@@ -40,7 +40,12 @@ from reports.page import (
 )
 
 CONFIDENCE = 0.95
-NARROW = "k of n with its exact 95 % interval, which for few poses is wide: so little do they show."
+RECALL, PRECISION = "recall, teats", "precision, answers"
+GROUPED = (RECALL, PRECISION)  # come several in a scene: no trials of an interval
+NARROW = (
+    "k of n with its exact 95 % interval, two-sided, which for few poses is wide: so little do they"
+    " show."
+)
 
 
 def requirements(judgement: Judgement, rules: Rules) -> Requirements:
@@ -121,22 +126,27 @@ def rates(run: RunRecord, detector: str) -> Table:
     """Rates over poses with their exact intervals."""
     rows = []
     for name, rate in _rates(run, detector).items():
-        span = rate.interval(CONFIDENCE)
+        span = None if name in GROUPED else rate.interval(CONFIDENCE)
         interval = span and f"{100 * span[0]:.1f} to {100 * span[1]:.1f} %"
         value = None if rate.value is None else percent(rate.value)
         rows.append((name, rate.successes, rate.trials, value, interval))
     note = (
-        "Exact (Clopper-Pearson) intervals. A pose succeeds when all its repeats do; teats of one"
-        " scene are not independent, so the intervals of recall and precision are optimistic."
+        "Exact (Clopper-Pearson) intervals, two-sided. A pose succeeds when all its repeats do."
+        " Ends that are missed, and false ones, come several in a scene, so recall and precision"
+        " have no interval: the shares of poses with every end found and none false have. A pose"
+        " without an answer has none false, and is not counted there."
     )
-    heads = "rate | >of | >n | >value | >95 % interval"
+    heads = "rate | >of | >n | >value | >95 % interval, two-sided"
     return table(f"Rates, detector {detector}", heads, rows, note)
 
 
 def rates_by_situation(run: RunRecord, detector: str) -> Table:
     """The same rates, a row a situation."""
     rows = [
-        (spoken(situation), *map(_narrow, _rates(run, detector, situation).values()))
+        (
+            spoken(situation),
+            *(_narrow(rate, name) for name, rate in _rates(run, detector, situation).items()),
+        )
         for situation in situations(run)
     ]
     heads = ("situation", *(f">{name} [k of n, interval]" for name in _rates(run, detector)))
@@ -152,17 +162,21 @@ def _rates(run: RunRecord, detector: str, situation: str | None = None) -> dict[
         "hidden count right, poses": found.hidden_right,
         "in time, poses": found.in_time,
         "no time-out, poses": pose_successes([pose for pose, _ in calls], answered),
-        "recall, teats": found.counts.recall,
-        "precision, answers": found.counts.precision,
+        RECALL: found.counts.recall,
+        PRECISION: found.counts.precision,
+        "every visible end found, poses": found.all_found,
+        "none false, poses with an answer": found.none_false,
     }
 
 
-def _narrow(rate: Rate) -> str:
+def _narrow(rate: Rate, name: str) -> str:
     """``9 of 12 (43 to 95 %)``, broken before the bracket if anywhere."""
     span = rate.interval(CONFIDENCE)
     if span is None:
         return NOT_MEASURED
     found = f"{rate.successes} of {rate.trials}"
+    if name in GROUPED:
+        return found.replace(" ", "\u00a0")
     interval = f"({100 * span[0]:.0f} to {100 * span[1]:.0f} %)"
     return " ".join(text.replace(" ", "\u00a0") for text in (found, interval))
 

@@ -3,20 +3,24 @@ judged as one.
 
 Trials are a pair where their frames are the same bytes, else where pose, repeat and true teat ends
 agree. The first run is the old one. Judged as one, counts, errors and times are added, never
-averaged; a pose that several runs share is one pose.
+averaged; a pose that several runs share is one pose. A look at several runs is written into their
+records, and pays for those before it (`scoring.looks`).
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from bench.config import ConfigError, did_you_mean
 from bench.record.check import NOT_AS_WRITTEN, shortened
+from bench.record.looks import GATE, TOGETHER, Look, claim_of, id_of, looks_before, write_looks
 from bench.record.reader import RunRecord, TrialRecord, read_run
 from bench.record.recording import FILES
 from bench.record.schema import SCRIPT
@@ -25,6 +29,7 @@ from bench.results.verdicts import (
     Judgement,
     calls_of,
     decide_detector,
+    has_answer,
     held_back,
     latency,
     scored_trials,
@@ -32,8 +37,10 @@ from bench.results.verdicts import (
     truth_u_mm,
 )
 from bench.scoring.comparison import Compared, Gate, ScenePair, compare
-from bench.scoring.decisions import Verdict
+from bench.scoring.decisions import Decision, Verdict
+from bench.scoring.looks import FIRST, Looks
 from bench.scoring.scene import Pool, pool
+from bench.script.model import Rules, Script
 
 SAME_PLACE_MM = 10.0  # a hand sets a phantom up within a few mm; scripts move it by 25 mm
 # other pictures are a detector's own
@@ -63,7 +70,7 @@ class Side:
 @dataclass(frozen=True, slots=True)
 class Comparison:
     """Two sides compared; ``elsewhere`` counts trials of one name whose teats stood at other
-    places.
+    places; ``look``: what it is in the ledger of looks.
     """
 
     old: Side
@@ -74,18 +81,20 @@ class Comparison:
     only_new: int
     compared: Compared
     elsewhere: int = 0
+    look: Look | None = None
 
 
 def scored_together(runs: Sequence[RunRecord], detector: str) -> Pool:
     """The scores of one detector over several runs as one. A pose of one script, or of one
     recording, is the same pose in every run of it; poses of two scripts differ.
     """
-    scores, poses = [], []
+    scores, poses, answered = [], [], list[bool]()
     for run in runs:
         trials, of = scored_trials(run, detector), poses_of(run)
         scores += [trial.scores[detector] for trial in trials]
         poses += [(of, trial.pose) for trial in trials]
-    return pool(scores, poses)
+        answered += [has_answer(trial, detector) for trial in trials]
+    return pool(scores, poses, answered)
 
 
 def compare_folders(
@@ -101,10 +110,12 @@ def compare_folders(
     is that of their records. Raises ConfigError where nothing can be compared.
     """
     runs = [read_run(folder, damage) for folder in folders]
-    return tuple(
-        compare_sides(old, new, margin_mm=margin_mm, confidence=confidence, seed=seed)
-        for old, new in sides(runs, detectors)
-    )
+    found = []
+    for old, new in sides(runs, detectors):
+        found.append(compare_sides(old, new, margin_mm=margin_mm, confidence=confidence, seed=seed))
+        if found[-1].look and not damage and len(runs) > 1:
+            write_looks((old.run, new.run), [found[-1].look])
+    return tuple(found)
 
 
 def compare_sides(
@@ -127,12 +138,31 @@ def compare_sides(
     )
     same = sum(bool(frames := _frames(a)) and frames == _frames(b) for a, b in matched)
     only_old, only_new = len(old.trials) - len(matched), len(new.trials) - len(matched)
-    found = compare(pairs, margin_mm=margin_mm, confidence=confidence, seed=seed, unpaired=only_old)
+    claim = claim_of(_item(old), _item(new), margin_mm, confidence)
+    data = claim_of([(_frames(a), _frames(b)) for a, b in matched])
+    before = looks_before((old.run, new.run), GATE, claim, data)
+    found = compare(
+        pairs,
+        margin_mm=margin_mm,
+        confidence=confidence,
+        seed=seed,
+        unpaired=only_old,
+        again=len(before),
+    )
     if damage := new.run.damage or old.run.damage:
         why = f"{NOT_AS_WRITTEN}: {shortened(damage)}"
         gate = Gate(Verdict.INCONCLUSIVE, (why,), found.gate.margin_mm)
         found = replace(found, gate=gate)
-    return Comparison(old, new, pairs, same, only_old, only_new, found, elsewhere)
+    ids = {id_of(side.run): side.run.folder.resolve().name for side in (old, new)}
+    poses, verdicts = {"poses": found.pooled.poses}, {"gate": found.gate.verdict.value}
+    look = Look(GATE, claim, data, ids, poses, verdicts, [one.key for one in before])
+    return Comparison(old, new, pairs, same, only_old, only_new, found, elsewhere, look)
+
+
+def _item(side: Side) -> Any:
+    """What of a detector makes it another one."""
+    item = side.run.facts.get("items", {}).get(side.detector, {})
+    return [side.detector, item.get("version"), item.get("parameters")]
 
 
 def sides(runs: Sequence[RunRecord], detectors: Sequence[str] = ()) -> Iterator[tuple[Side, Side]]:
@@ -231,11 +261,27 @@ def _name(trial: TrialRecord) -> Hashable:
     return trial.id.partition("-")[2]
 
 
+@dataclass(frozen=True, slots=True)
+class Together:
+    """One detector judged on several runs as one: ``looks`` by requirement are those taken before;
+    ``scripts`` are named where there are several.
+    """
+
+    judgement: Judgement
+    looks: Mapping[str, Looks]
+    scripts: tuple[str, ...] = ()
+
+
 def judge_folders(
-    folders: Sequence[Path], detectors: Sequence[str] = (), damage: tuple[str, ...] = ()
-) -> tuple[Judgement, ...]:
-    """Each detector that all runs have (of those named), judged by the first run's requirements.
-    Raises ConfigError where there is none, or limits differ.
+    folders: Sequence[Path],
+    detectors: Sequence[str] = (),
+    damage: tuple[str, ...] = (),
+    *,
+    across_scripts: bool = False,
+) -> tuple[Together, ...]:
+    """Each detector that all runs have (of those named), judged by the first run's requirements,
+    and the look written into the record of each. Raises ConfigError where there is none, where
+    limits or, unless asked for, scripts differ, and where a look can't be written.
     """
     runs = [read_run(folder, damage) for folder in folders]
     names = [
@@ -246,23 +292,126 @@ def judge_folders(
     if not names:
         raise _none_shared(runs, detectors, "all")
     rules = stored_rules(runs[0].folder)
-    held = [rule for rule in rules.requirements if isinstance(rule, DetectorRequirement)]
-    found = []
     for name in names:
         for other in runs[1:]:
             check_limits(Side(runs[0], name), Side(other, name))
-        scores, rows = scored_together(runs, name), []
-        for run in runs:
-            of = poses_of(run)
-            rows += [((of, pose), row) for pose, row in calls_of(run, name)]
-        u_mm = truth_u_mm(runs, scores, name)
-        decisions = (decide_detector(rule, scores, latency(rows), u_mm) for rule in held)
-        found.append(Judgement(name, held_back(decisions, runs[0].damage)))
-    return tuple(found)
+    scripts = tuple(dict.fromkeys(script_of(run) for run in runs))
+    if len(scripts) > 1 and not across_scripts:
+        raise ConfigError.plain(
+            f"these runs are of different scripts ({'; '.join(map(_called, runs))}): a rate over"
+            " both is of neither's situations. --across-scripts pools them all the same, and says"
+            " so."
+        )
+    found = [_together(runs, name, rules) for name in names]
+    if not damage:
+        write_looks(runs, [look for _, look in found])
+    several = tuple(map(_called, runs)) if len(scripts) > 1 else ()
+    return tuple(replace(one, scripts=several) for one, _ in found)
 
 
-def judgement_lines(judgement: Judgement) -> Iterator[str]:
-    """Its verdict and its sentences."""
-    yield f"{judgement.detector}, all runs together: {judgement.verdict}"
-    for decision in judgement.decisions:
+def _together(runs: Sequence[RunRecord], name: str, rules: Rules) -> tuple[Together, Look]:
+    """One detector on all runs, and the look that this is."""
+    held = [rule for rule in rules.requirements if isinstance(rule, DetectorRequirement)]
+    claim = claim_of(_item(Side(runs[0], name)), [rule.model_dump() for rule in held])
+    ids = {id_of(run): run.folder.resolve().name for run in runs}
+    data = claim_of(sorted(ids))
+    before = looks_before(runs, TOGETHER, claim, data)
+    decisions, looks = [], dict[str, Looks]()
+    for rule in held:
+        own = tuple(_decided_on([run], name, rule, FIRST).n for run in runs)
+        if _decided_on(runs, name, rule, FIRST).n == max(own):
+            own = ()  # no pose more than in a run's own look: what all repeats pass, it passed
+        looks[rule.name] = _looks_before(before, ids, rule.name, own, rules.looks)
+        decided = _decided_on(runs, name, rule, looks[rule.name])
+        decisions.append(_none_left_out(decided, looks[rule.name]))
+    judgement = Judgement(name, held_back(decisions, runs[0].damage))
+    verdicts = {one.name: one.verdict.value for one in decisions}
+    poses = {one.name: one.n for one in decisions}
+    after = [one.key for one in before]
+    look = Look(TOGETHER, claim, data, ids, poses, verdicts, after)
+    return Together(judgement, looks), look
+
+
+def _decided_on(
+    runs: Sequence[RunRecord], name: str, rule: DetectorRequirement, looks: Looks
+) -> Decision:
+    scores, rows = scored_together(runs, name), []
+    for run in runs:
+        of = poses_of(run)
+        rows += [((of, pose), row) for pose, row in calls_of(run, name)]
+    return decide_detector(rule, scores, latency(rows), truth_u_mm(runs, scores, name), looks)
+
+
+def _looks_before(
+    before: Sequence[Look], ids: Mapping[str, str], rule: str, own: tuple[int, ...], planned: int
+) -> Looks:
+    """What was looked at before runs of these ``ids`` are judged as one."""
+    within = [look for look in before if look.runs.keys() <= ids.keys()]
+    left_out = {run: name for look in before for run, name in look.runs.items() if run not in ids}
+    series: list[set[str]] = []  # of runs that looks join
+    for look in within:
+        joined = [one for one in series if one & look.runs.keys()]
+        series = [one for one in series if one not in joined]
+        series.append(set(look.runs).union(*joined))
+    return Looks(
+        planned=planned,
+        own=own,
+        pooled=tuple(look.poses.get(rule, 0) for look in within) if own else (),
+        left_out=tuple(sorted(left_out.values())),
+        apart=max(1, len(series)),
+    )
+
+
+def _none_left_out(decision: Decision, looks: Looks) -> Decision:
+    """The decision; inconclusive where runs that an earlier look had are left out."""
+    if not looks.left_out or decision.verdict not in (Verdict.MET, Verdict.NOT_MET):
+        return decision
+    names = ", ".join(looks.left_out)
+    why = (
+        f"An earlier look at some of these runs had also {names}: judge them all, or runs that no"
+        " look has seen"
+    )
+    return replace(decision, verdict=Verdict.INCONCLUSIVE, sentence=f"{why}. {decision.sentence}")
+
+
+def script_of(run: RunRecord) -> str:
+    """What its poses are drawn from: the same for scripts that differ only in seed, names, and how
+    many poses they have; of a recording, its situations.
+    """
+    rules = stored_rules(run.folder)
+    if not isinstance(rules, Script):
+        return claim_of(sorted({str(trial.head["situation"]) for trial in run.trials}))
+    drawn = []
+    for trial in rules.trials:
+        table = trial.model_dump(mode="json", exclude=_OF_ONE_SCRIPT)
+        if table["draw"]:
+            del table["draw"]["count"]
+        drawn.append(json.dumps(table, sort_keys=True))
+    return claim_of(rules.bath.set_point_c, sorted(set(drawn)))
+
+
+_OF_ONE_SCRIPT = {"name", "member", "set_up", "repeats", "cycles", "published"}
+
+
+def _called(run: RunRecord) -> str:
+    named = run.facts.get("script") or run.facts.get("about") or "no script"
+    return f"{run.folder.resolve().name} of {named}"
+
+
+def judgement_lines(found: Together) -> Iterator[str]:
+    """Its verdict and its sentences; what was pooled, and looked at before."""
+    yield f"{found.judgement.detector}, all runs together: {found.judgement.verdict}"
+    if found.scripts:
+        yield (
+            f"  OF DIFFERENT SCRIPTS, pooled because it was asked for: {'; '.join(found.scripts)}."
+            " The figures hold for this mixture of situations only."
+        )
+    for decision in found.judgement.decisions:
         yield f"  {decision.name}: {decision.verdict}. {decision.sentence}"
+    counts = {len(looks.own) + len(looks.pooled) for looks in found.looks.values()}
+    if before := max(counts, default=0):
+        yield (
+            f"  A further look: {before} came before it, each run's own with them. They decide with"
+            " what the first left of the chance of a false verdict, and hold all together. Each"
+            " run's own verdict stands on its own poses."
+        )

@@ -32,6 +32,7 @@ from bench.scoring.decisions import (
     overall,
 )
 from bench.scoring.errors import percentile
+from bench.scoring.looks import FIRST, Looks
 from bench.scoring.scene import Pool, pool
 from bench.script.calibration_age import decide_calibration
 from bench.script.model import (
@@ -220,7 +221,9 @@ def judge(run: RunRecord, rules: Rules) -> tuple[Judgement, ...]:
     of_bench = frozenset(rule.name for rule in rules.requirements if isinstance(rule, bench))
     found = []
     for name in run.detectors:
-        decisions = (_decide(rule, run, scored(run, name), name) for rule in rules.requirements)
+        decisions = (
+            _decide(rule, run, scored(run, name), name, rules.looks) for rule in rules.requirements
+        )
         decided = (_doubted(decision, rules, too_small(run.facts)) for decision in decisions)
         found.append(Judgement(name, held_back(decided, run.damage), of_bench))
     return tuple(found)
@@ -277,10 +280,19 @@ def calls_of(
 def scored(run: RunRecord, detector: str, situation: str | None = None) -> Pool:
     """The scores of one detector, with the pose of each; of one situation where named."""
     trials = scored_trials(run, detector, situation)
-    return pool([t.scores[detector] for t in trials], [t.pose for t in trials])
+    answered = [has_answer(trial, detector) for trial in trials]
+    return pool([t.scores[detector] for t in trials], [t.pose for t in trials], answered)
 
 
-def _decide(rule: Requirement, run: RunRecord, scores: Pool, detector: str) -> Decision:
+def has_answer(trial: TrialRecord, detector: str) -> bool:
+    """Whether the detector gave one, also of no teat; a time-out and a failure are none."""
+    rows = [row for row in trial.detections if row["detector"] == detector]
+    return all(row["outcome"] == Outcome.ANSWERED.value for row in rows)
+
+
+def _decide(
+    rule: Requirement, run: RunRecord, scores: Pool, detector: str, planned: int
+) -> Decision:
     match rule:
         case BathRequirement():
             set_point_c = run.facts.get("set_point_c")
@@ -296,7 +308,8 @@ def _decide(rule: Requirement, run: RunRecord, scores: Pool, detector: str) -> D
         case CamerasRequirement():
             return decide_cameras(rule, cameras_of(run.counted))
     u_mm = truth_u_mm([run], scores, detector)
-    return decide_detector(rule, scores, latency_of(run, detector), u_mm)
+    looks = Looks(planned)
+    return decide_detector(rule, scores, latency_of(run, detector), u_mm, looks)
 
 
 def _teats_measured(decision: Decision, facts: Mapping[str, Any]) -> Decision:
@@ -311,12 +324,16 @@ def _teats_measured(decision: Decision, facts: Mapping[str, Any]) -> Decision:
 
 
 def decide_detector(
-    rule: DetectorRequirement, scores: Pool, timed: Latency, u_mm: float | None
+    rule: DetectorRequirement,
+    scores: Pool,
+    timed: Latency,
+    u_mm: float | None,
+    looks: Looks = FIRST,
 ) -> Decision:
-    """A detector's requirement decided on scores and times of one or several runs. Frame sets
-    without an answer show nothing, so that none is met by silence.
+    """A detector's requirement decided on scores and times of one or several runs, after earlier
+    ``looks`` at them. Frame sets without an answer show nothing, so that none is met by silence.
     """
-    decision = _decided(rule, scores, timed, u_mm)
+    decision = _decided(rule, scores, timed, u_mm, looks)
     silent = timed.silent if isinstance(rule, ErrorRequirement | FalseRequirement) else timed.failed
     unanswered = f"It did not answer on {silent} of {timed.asked} frame sets"
     if silent and silent == timed.asked:
@@ -329,7 +346,11 @@ def decide_detector(
 
 
 def _decided(
-    rule: DetectorRequirement, scores: Pool, timed: Latency, u_mm: float | None
+    rule: DetectorRequirement,
+    scores: Pool,
+    timed: Latency,
+    u_mm: float | None,
+    looks: Looks,
 ) -> Decision:
     match rule:
         case ErrorRequirement():
@@ -342,12 +363,13 @@ def _decided(
                 confidence=rule.confidence,
                 poses=scores.error_poses,
                 missed=scores.counts.missed,
+                looks=looks,
             )
         case FalseRequirement():
             return decide_count(
                 rule.name,
                 scores.counts.false,
-                scenes=len(scores.scores),
+                scenes=scores.answered,
                 confidence=rule.confidence,
                 per_pose=scores.worst_false,
             )
@@ -357,8 +379,10 @@ def _decided(
                 scores.success,
                 required=rule.rate,
                 confidence=rule.confidence,
-                shown=scores.surely_succeeded(rule.rate, rule.confidence),
+                shown=scores.surely_succeeded(rule.rate, rule.confidence, looks),
                 possible=scores.perhaps_succeeded,
+                looks=looks,
+                leaks=scores.uncertain,
             )
         case TimeRequirement():
             decision = decide_time(
@@ -369,22 +393,27 @@ def _decided(
                 rate=rule.rate,
                 confidence=rule.confidence,
                 poses=timed.poses,
+                looks=looks,
             )
     sentence, verdict = f"{decision.sentence} {timed.starved}".strip(), decision.verdict
     if isinstance(rule, SuccessRequirement) and scores.accurate != scores.success:
         at_all = f"{scores.accurate.successes} of {scores.accurate.trials} poses"
         sentence += f" Without the time limit {at_all} succeeded."
-    if timed.starved and verdict is Verdict.NOT_MET and not _fails_without_time(rule, scores):
+    if (
+        timed.starved
+        and verdict is Verdict.NOT_MET
+        and not _fails_without_time(rule, scores, looks)
+    ):
         verdict = Verdict.INCONCLUSIVE
     return replace(decision, sentence=sentence, verdict=verdict)
 
 
-def _fails_without_time(rule: DetectorRequirement, scores: Pool) -> bool:
+def _fails_without_time(rule: DetectorRequirement, scores: Pool, looks: Looks) -> bool:
     """Whether a rate isn't met however long answers may take; a time then decides nothing."""
     if not isinstance(rule, SuccessRequirement):
         return False
     decided = decide_rate(
-        rule.name, scores.accurate, required=rule.rate, confidence=rule.confidence
+        rule.name, scores.accurate, required=rule.rate, confidence=rule.confidence, looks=looks
     )
     return decided.verdict is Verdict.NOT_MET
 

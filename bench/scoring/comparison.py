@@ -11,6 +11,10 @@ distance's change over all poses, those not run included, stays within the margi
 ICH E9, 3.3.2). A situation whose mean distance grew by more than the margin is worse where chance,
 adjusted for all situations, doesn't explain it; else the gate is inconclusive.
 
+A further look at what was compared before takes half of the chance that earlier ones left, for a
+bound that holds at every number of poses (`sequential`): the first look is one-sided and has half
+of 1 - confidence, all that follow have the other half.
+
 Of thousands of scenes some are always lost and others won. With a margin of the rate not each lost
 one is worse, but a share of right ones that fell by more than it, in all or a situation, where
 chance doesn't explain it; no worse is shown only where its interval stays within.
@@ -32,6 +36,7 @@ from bench.scoring.errors import Floats, as_values, numbered
 from bench.scoring.matching import Counts, added
 from bench.scoring.rates import Rate, crossing, exact_percent, fewest, percent, plural
 from bench.scoring.scene import SceneScore
+from bench.scoring.sequential import least_mean, least_rate, shows_mean
 
 FLIPS = 9999
 BATCH = 2_000_000  # numbers drawn at once
@@ -155,15 +160,6 @@ def upper_bound(values: Floats, limit: float, confidence: float) -> float:
     if high - low <= 1e-6 * limit:
         return high
     return crossing(lambda mean: _chance_above(values, limit, mean, n) - chance, low, high)
-
-
-def poses_to_show(values: Floats, limit: float, margin: float, confidence: float) -> int | None:
-    """Fewest such poses with `upper_bound` at most `margin`; None beyond MOST_POSES."""
-
-    def shows(poses: int) -> bool:
-        return _chance_above(values, limit, margin, poses) <= 1.0 - confidence
-
-    return fewest(shows, 0) if shows(MOST_POSES) else None
 
 
 def _chance_above(values: Floats, limit: float, mean: float, n: int) -> float:
@@ -305,9 +301,10 @@ def compare(
     confidence: float = 0.95,
     seed: int = 0,
     unpaired: int = 0,
+    again: int = 0,
 ) -> Compared:
     """Compare on `pairs`. `margin_mm` is by default a twentieth of the limit; without `margin_rate`
-    each scene lost counts. Raises ValueError.
+    each scene lost counts. ``again``: earlier looks of the gate. Raises ValueError.
     """
     if not pairs:
         raise ValueError("compare: the two have no scene in common")
@@ -334,7 +331,7 @@ def compare(
         for row, p in zip(rows, success, strict=True)
     )
     several = situations if len(situations) > 1 else ()
-    verdict = gate(pairs, pooled, margin, unpaired, several, margin_rate)
+    verdict = gate(pairs, pooled, margin, unpaired, several, margin_rate, again)
     return Compared(pooled, situations, verdict, confidence)
 
 
@@ -345,12 +342,14 @@ def gate(
     unpaired: int = 0,
     situations: Sequence[Row] = (),
     margin_rate: float | None = None,
+    again: int = 0,
 ) -> Gate:
     """Is the new one worse on these scenes?"""
+    chance = (1.0 - pooled.radial.confidence) / 2.0 ** (1 + again)
     worse, left_open = (
         _lost(pairs, pooled)
         if margin_rate is None
-        else _fewer_right(pooled, situations, margin_rate)
+        else _fewer_right(pooled, situations, margin_rate, chance if again else None)
     )
     names = ("distance to the teat end", "error along x", "error along y", "error along z")
     for what, change in zip(names, (pooled.radial, *pooled.axes), strict=True):
@@ -363,18 +362,18 @@ def gate(
         return Gate(Verdict.NOT_MET, tuple(worse), margin_mm, margin_rate)
     if unpaired:
         left_open.append(f"{unpaired} scenes of the old one were not run with the new one")
-    high, tail = pooled.radial.high, (1.0 + pooled.radial.confidence) / 2.0
+    high, tail, failing = _not_run(pairs, pooled, chance, again)
     if high is None:
         left_open.append("no teat was found by both, so no error was compared")
     elif high > margin_mm:
+        needed = _needed(pairs, margin_mm, chance / 2.0)
         left_open.append(
             f"the mean distance changed by {pooled.radial.mean:+.3f} mm in"
             f" {plural(pooled.radial.poses, 'pose')}; poses that were not run may hide that it grew"
-            f" by {high:.3f} mm (margin {margin_mm:g} mm): {_needed(pairs, margin_mm, tail)}"
+            f" by {high:.3f} mm (margin {margin_mm:g} mm): {needed}"
         )
     if left_open:
         return Gate(Verdict.INCONCLUSIVE, tuple(left_open), margin_mm, margin_rate)
-    failing = Rate(0, pooled.poses).upper_bound(tail) or 0.0
     bounds = (
         f"over all poses the mean distance grew by at most {high:.3f} mm (margin {margin_mm:g} mm) "
         f"and at most {percent(failing)} of poses are lost anew ({plural(pooled.poses, 'pose')}, "
@@ -385,6 +384,21 @@ def gate(
         bounds = f"over all poses the mean distance grew by at most {high:.3f} mm, and {fell}"
         return Gate(Verdict.MET, (bounds,), margin_mm, margin_rate)
     return Gate(Verdict.MET, ("no scene lost, no false or missed teat more", bounds), margin_mm)
+
+
+def _not_run(
+    pairs: Sequence[ScenePair], pooled: Row, chance: float, again: int
+) -> tuple[float | None, float, float]:
+    """What poses that were not run may hide: how much the mean distance grew at most, with which
+    confidence, and which share of poses is lost anew at most.
+    """
+    high, tail = pooled.radial.high, 1.0 - chance
+    if not again:
+        tail = (1.0 + pooled.radial.confidence) / 2.0
+        return high, tail, Rate(0, pooled.poses).upper_bound(tail) or 0.0
+    if high is not None:
+        high = bound_again(_changes(pairs), _limit_mm(pairs), chance)
+    return high, tail, 1.0 - least_rate(pooled.poses, pooled.poses, chance)
 
 
 def _lost(pairs: Sequence[ScenePair], pooled: Row) -> tuple[list[str], list[str]]:
@@ -402,7 +416,7 @@ def _lost(pairs: Sequence[ScenePair], pooled: Row) -> tuple[list[str], list[str]
 
 
 def _fewer_right(
-    pooled: Row, situations: Sequence[Row], margin: float
+    pooled: Row, situations: Sequence[Row], margin: float, chance: float | None
 ) -> tuple[list[str], list[str]]:
     """Where the share of right poses fell by more than the margin: shown, and perhaps by chance."""
     shown, perhaps = [], []
@@ -419,12 +433,37 @@ def _fewer_right(
             shown.append(f"{text}, p {f'= {p:.3f}' if p >= 0.0005 else '< 0.001'}")
         elif fell > margin:
             perhaps.append(f"{text}, which may be chance")
-        elif row is pooled and span and -span[0] > margin:
+        elif row is pooled and (most := most_fallen(won, span, chance)) > margin:
             perhaps.append(
                 f"poses that were not run may hide that the share of right ones fell by"
-                f" {-100 * span[0]:.1f} % points (margin {100 * margin:g})"
+                f" {100 * most:.1f} % points (margin {100 * margin:g})"
             )
     return shown, perhaps
+
+
+def most_fallen(won: Discordance, span: tuple[float, float] | None, chance: float | None) -> float:
+    """How much the share of right poses fell at most: by its interval at a first look, at every
+    look but for the ``chance`` at a further one.
+    """
+    if chance is None or not won.n:
+        return -span[0] if span else 0.0
+    counts = (won.only_old, won.both + won.neither, won.only_new)
+    return 1.0 - least_mean((0.0, 1.0, 2.0), counts, chance)
+
+
+def bound_again(values: Floats, limit: float, chance: float) -> float:
+    """As `upper_bound`, at every look but for the ``chance``."""
+    return limit - least_mean(limit - values, 1.0, chance)
+
+
+def poses_again(values: Floats, limit: float, margin: float, chance: float) -> int | None:
+    """Fewest such poses with `bound_again` at most `margin`; None beyond MOST_POSES."""
+
+    def shows(poses: int) -> bool:
+        counts = poses / len(values)
+        return shows_mean(limit - values, counts, limit - margin, chance)
+
+    return fewest(shows, 0) if shows(MOST_POSES) else None
 
 
 def _grown_in(situations: Sequence[Row], margin_mm: float) -> tuple[list[str], list[str]]:
@@ -445,18 +484,26 @@ def _grown_in(situations: Sequence[Row], margin_mm: float) -> tuple[list[str], l
     return shown, perhaps
 
 
-def poses_needed(pairs: Sequence[ScenePair], margin_mm: float, confidence: float) -> int | None:
-    """How many poses show that those not run hide nothing; None where no number does."""
-    limit_mm, (old, new, poses) = _limit_mm(pairs), common_errors(pairs)
+def poses_needed(pairs: Sequence[ScenePair], margin_mm: float, chance: float) -> int | None:
+    """How many poses, these with them, show at a further look that those not run hide nothing, but
+    for the ``chance``; None where no number does.
+    """
+    changes = _changes(pairs)
+    return poses_again(changes, _limit_mm(pairs), margin_mm, chance) if len(changes) else None
+
+
+def _changes(pairs: Sequence[ScenePair]) -> Floats:
+    """How the mean distance changed in each pose."""
+    old, new, poses = common_errors(pairs)
     distances = np.linalg.norm(old, axis=1), np.linalg.norm(new, axis=1)
-    changes = pose_differences(*distances, poses, limit=limit_mm)
-    return poses_to_show(changes, limit_mm, margin_mm, confidence) if len(changes) else None
+    return pose_differences(*distances, poses, limit=_limit_mm(pairs))
 
 
-def _needed(pairs: Sequence[ScenePair], margin_mm: float, confidence: float) -> str:
-    needed = poses_needed(pairs, margin_mm, confidence)
-    poses_show = "no number of poses with such changes shows"
-    return f"{poses_show if needed is None else f'{needed} poses with such changes show'} less"
+def _needed(pairs: Sequence[ScenePair], margin_mm: float, chance: float) -> str:
+    needed = poses_needed(pairs, margin_mm, chance)
+    if needed is None:
+        return "no number of poses with such changes shows less"
+    return f"{needed} poses with such changes, these among them, show less at a further look"
 
 
 def why_failed(score: SceneScore) -> str:

@@ -3,7 +3,8 @@
 A rate is decided on its exact bounds, an error on its guard band: accepted below it, refused above
 it, undecided between. Bounds count poses; too few poses are inconclusive however good the figures.
 The confidence in an error is shared between chance in the draw of poses and chance in the truth
-(`rates.guarded_n`): 59 poses for 95/95 far from the limit, 91 at the edge of the guard band.
+(`rates.guarded_n`): 59 poses for 95/95 far from the limit, 91 at the edge of the guard band. A
+further look at poses that were judged before takes what is left of that chance (`looks`).
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import gammaincinv
 
 from bench.scoring.errors import Floats, as_values, numbered, percentile
 from bench.scoring.guard_band import acceptance_limit_mm, leak, refusal_limit_mm
+from bench.scoring.looks import FIRST, Looks, RateTest
 from bench.scoring.rates import (
     Rate,
     exact_percent,
@@ -28,7 +29,6 @@ from bench.scoring.rates import (
     plural,
     pose_successes,
     shown_rate,
-    trials_needed,
     zero_failure_n,
 )
 
@@ -77,20 +77,25 @@ def decide_rate(
     confidence: float,
     shown: Rate | None = None,
     possible: Rate | None = None,
+    looks: Looks = FIRST,
+    leaks: bool = False,
 ) -> Decision:
-    """Is the true rate at least `required`? By exact bounds over poses: the lower of `shown` (sure
-    successes), the upper of `possible` (all but sure failures).
+    """Is the true rate at least `required`? By bounds over poses: the lower of `shown` (sure
+    successes), the upper of `possible` (all but sure failures). ``leaks``: as `RateTest.lower`.
     """
     sure, open_to = shown or rate, possible or rate
-    least = trials_needed(sure.failures, required, confidence)
+    test = RateTest(required, confidence, looks)
     share, surely = exact_percent(required), exact_percent(confidence)
-    rule = (
-        f"exact (Clopper-Pearson) one-sided bound of the rate over poses, {surely} confidence: at"
-        f" least {share}"
-    )
+    least = zero_failure_n(required, looks.first_confidence(confidence))
     none = f"No pose was tried; {least} without a failure would show {share}."
-    nothing = Decision(name=name, rule=rule, unit="%", limit=100 * required, sentence=none)
-    low, high, value = sure.lower_bound(confidence), open_to.upper_bound(confidence), rate.value
+    nothing = Decision(
+        name=name,
+        rule=f"{test.words}: at least {share}",
+        unit="%",
+        limit=100 * required,
+        sentence=none,
+    )
+    low, high, value = test.lower(sure, leaks=leaks), test.upper(open_to), rate.value
     if low is None or high is None or value is None:
         return nothing
     verdict, reason = Verdict.MET, f"a rate of at least {percent_apart(low, required)} is shown"
@@ -99,11 +104,8 @@ def decide_rate(
         reason = f"a rate of at most {percent_apart(high, required)} is shown"
     elif low < required:
         verdict = Verdict.INCONCLUSIVE
-        more = plural(least - rate.trials, "more pose")
-        reason = (
-            f"only {percent_apart(low, required)} is shown; {more} without a further failure would"
-            f" show {share}"
-        )
+        more = _more(test, sure, "would show", share, leaks=leaks)
+        reason = f"only {percent_apart(low, required)} is shown; {more}"
     fail, succeed = rate.successes - sure.successes, open_to.successes - rate.successes
     turned = [
         f"{fail} of them could be failures" if fail else "",
@@ -132,6 +134,7 @@ def decide_time(
     rate: float | None = None,
     confidence: float = 0.95,
     poses: Sequence[Hashable] | None = None,
+    looks: Looks = FIRST,
 ) -> Decision:
     """Are the detections (n,) in time? With a `rate` inconclusive where the poses show less. A pose
     is in time when all its detections are.
@@ -158,7 +161,8 @@ def decide_time(
     in_time = pose_successes(
         range(len(values)) if poses is None else poses, (values <= limit_s).tolist()
     )
-    low = in_time.lower_bound(confidence) or 0.0
+    test = RateTest(rate or 0.95, confidence, looks)
+    low = test.lower(in_time) or 0.0
     sentence = (
         f"The {what} over {plural(len(values), 'detection')} is {measured:.3g} s, limit {limit_s:g}"
         f" s; {in_time.successes} of {plural(in_time.trials, 'pose')} in time, which shows"
@@ -167,8 +171,7 @@ def decide_time(
     verdict = Verdict.MET if measured <= limit_s else Verdict.NOT_MET
     if verdict is Verdict.MET and rate is not None and low < rate:
         verdict = Verdict.INCONCLUSIVE
-        missing = trials_needed(in_time.failures, rate, confidence) - in_time.trials
-        sentence += f"; the claim for {exact_percent(rate)} needs {plural(missing, 'more pose')}"
+        sentence += f"; {_more(test, in_time, 'would show it for', exact_percent(rate))}"
     return replace(
         nothing,
         n=in_time.trials,
@@ -187,25 +190,31 @@ def decide_count(
     confidence: float = 0.95,
     per_pose: Sequence[int] | None = None,
 ) -> Decision:
-    """Is there none (false teats, say) in the scenes run? With the upper bound a scene (Garwood
-    1936, Poisson). `per_pose` is the count of each pose's worst scene (None: each scene is a pose).
+    """Is there none (false teats, say) in the scenes that were answered? With the upper bound of
+    the share of poses that have one (Clopper-Pearson): several come together, so their mean has
+    no such bound.
+    `per_pose` is the count of each pose's worst scene (None: each scene is a pose).
     """
-    rule = "at most 0 in all scenes that were run"
+    rule = "at most 0 in all scenes that were run and answered"
     if not scenes:
         return Decision(name=name, rule=rule, limit=0.0, sentence="No scene was scored.")
-    worst, poses = (count, scenes) if per_pose is None else (sum(per_pose), len(per_pose))
-    bound = float(gammaincinv(worst + 1, confidence)) / poses
-    where = plural(scenes, "scene") + (f" of {plural(poses, 'pose')}" if poses != scenes else "")
+    worst = [1] * min(count, scenes) + [0] * max(scenes - count, 0)
+    having = Rate(sum(map(bool, worst if per_pose is None else per_pose)), len(per_pose or worst))
+    where = plural(scenes, "scene")
+    if having.trials != scenes:
+        where += f" of {plural(having.trials, 'pose')}"
+    bound = percent(having.upper_bound(confidence) or 0.0)
+    seen = f", in {having.successes} of the poses" if having.successes else ""
     return Decision(
         name=name,
         rule=rule,
-        n=poses,
+        n=having.trials,
         measured=float(count),
         limit=0.0,
         margin=float(-count),
         verdict=Verdict.NOT_MET if count else Verdict.MET,
-        sentence=f"{count} in {where}: at most {bound:.2g} a scene in the long run, with"
-        f" {exact_percent(confidence)} confidence.",
+        sentence=f"{count} in {where}{seen}: in the long run at most {bound} of poses have one,"
+        f" with {exact_percent(confidence)} confidence (one-sided).",
     )
 
 
@@ -237,6 +246,7 @@ def decide_error(
     confidence: float,
     poses: Sequence[Hashable] | None = None,
     missed: int = 0,
+    looks: Looks = FIRST,
 ) -> Decision:
     """Is the distance (n,) below `limit_mm` in a share `rate` of poses? Decided on the largest;
     without u_mm nothing is accepted.
@@ -244,14 +254,16 @@ def decide_error(
     worst = worst_per_pose(np.abs(as_values(errors_mm, "errors")), poses)
     accept = None if u_mm is None else acceptance_limit_mm(limit_mm, u_mm)
     refuse = refusal_limit_mm(limit_mm, u_mm or 0.0)
-    n, least, share = len(worst), zero_failure_n(rate, confidence), exact_percent(rate)
+    n, share = len(worst), exact_percent(rate)
+    sure = confidence if looks.again else looks.first_confidence(confidence)
+    least, counted = zero_failure_n(rate, sure), looks.fewest_poses(n, rate, confidence)
     accepted = "nothing" if accept is None else f"{accept:.3f} mm"
     stated = "u not stated" if u_mm is None else f"u = {u_mm:.3g} mm"
     nothing = Decision(
         name=name,
         rule=f"largest distance of the found teats: accepted up to {accepted}, refused from"
         f" {refuse:.3f} mm (T = {limit_mm:g} mm, {stated}, 5 % false acceptance); at least {least}"
-        f" poses show it for {share} of poses with {exact_percent(confidence)} confidence"
+        f" poses show it for {share} of poses with {exact_percent(sure)} confidence"
         f"{', more near the acceptance limit' if u_mm else ''}",
         unit="mm",
         limit=limit_mm,
@@ -276,15 +288,15 @@ def decide_error(
             f"above the acceptance limit of {accepted} and not shown to be beyond {limit_mm:g} mm"
         )
     else:
-        enough = guarded_n(0, rate, confidence, leak(measured, limit_mm, u_mm))
-        verdict, claim = _claim(n, least, enough, share)
+        enough = guarded_n(0, rate, sure, leak(measured, limit_mm, u_mm))
+        verdict, claim = _claim(n, least, enough, share, counted)
         reason = f"within the acceptance limit of {accepted}{claim}"
     # what so many poses show, whatever was asked for
     level = min(measured, accept) if accept is not None else 0.0
     beyond = int((worst > level).sum())
     certain = leak(level, limit_mm, u_mm) if accept is not None and u_mm is not None else 1.0
-    shown = percent_apart(shown_rate(beyond, n, confidence, certain), rate)
-    if accept is not None:
+    shown = percent_apart(shown_rate(beyond, counted, sure, certain), rate)
+    if accept is not None and not (looks.again and beyond):
         reason += f"; {n - beyond} of {plural(n, 'pose')} within {level:.2f} mm show {shown}"
     band = refuse - limit_mm if accept is None or verdict is Verdict.NOT_MET else limit_mm - accept
     were = "was" if missed == 1 else "were"
@@ -301,16 +313,34 @@ def decide_error(
     )
 
 
-def _claim(n: int, least: int, enough: int | None, share: str) -> tuple[Verdict, str]:
-    """Whether `n` poses within the acceptance limit are `enough`; far from it `least` would be."""
+def _more(test: RateTest, rate: Rate, would: str, share: str, *, leaks: bool = False) -> str:
+    """How many poses a further look needs, which earlier ones have made dearer."""
+    more = test.more(rate, leaks=leaks)
+    if more is None:
+        return f"no further look can show {share}, since earlier ones took all that there was"
+    return (
+        f"{plural(more, 'more pose')} without a further failure {would} {share}, as a further look"
+    )
+
+
+def _claim(n: int, least: int, enough: int | None, share: str, counted: int) -> tuple[Verdict, str]:
+    """Whether `n` poses within the acceptance limit are `enough`, of which a look at `counted` has
+    decided; far from the limit `least` would be.
+    """
     if enough is None:
         return Verdict.INCONCLUSIVE, (
             ", but so near to it the truth is too uncertain for the claim, however many poses are"
             " run"
         )
-    if n >= enough:
+    if counted >= enough:
         return Verdict.MET, f"; shown for {share} of poses"
-    far = f" ({least} do where the largest lies further from it)" if enough > max(n, least) else ""
+    if counted >= least:
+        return Verdict.INCONCLUSIVE, (
+            f", but so near to it a claim for {share} of poses needs {enough} poses in one look,"
+            f" and one at {counted} was taken: begin anew with {enough} that no look has seen"
+            f" ({least} do where the largest lies further from it)"
+        )
+    far = f" ({least} do where the largest lies further from it)" if enough > least else ""
     return Verdict.INCONCLUSIVE, f", but a claim for {share} of poses needs {enough - n} more{far}"
 
 

@@ -10,6 +10,8 @@ from math import isfinite, sqrt
 
 from scipy.special import chndtr, chndtrinc, ndtr, ndtri
 
+from bench.scoring.rates import crossing
+
 ACCEPTED = 0.95  # of errors just within the limit; 5 % beyond it are accepted falsely
 # below this share of T the sphere of radius T is flat on the scale of u: along an axis and in space
 # the limits are the same within 1e-8 T
@@ -69,6 +71,17 @@ def leak(seen_mm: float, limit_mm: float, u_mm: float) -> float:
     if u_mm < FLAT * limit_mm:
         return float(ndtr((seen_mm - limit_mm) / u_mm) - ndtr((-seen_mm - limit_mm) / u_mm))
     return float(chndtr((seen_mm / u_mm) ** 2, 3, (limit_mm / u_mm) ** 2))
+
+
+@lru_cache(maxsize=256)
+def farthest_mm(limit_mm: float, u_mm: float, most: float) -> float | None:
+    """The farthest seen distance at which no more than ``most`` `leak`; None where none is."""
+    accept = acceptance_limit_mm(limit_mm, u_mm)
+    if accept is None or leak(0.0, limit_mm, u_mm) > most:
+        return None
+    if u_mm == 0.0 or leak(accept, limit_mm, u_mm) <= most:
+        return accept
+    return crossing(lambda seen_mm: leak(seen_mm, limit_mm, u_mm) - most, 0.0, accept)
 
 
 def error_without_noise_mm(seen_rms_mm: float, u_mm: float) -> float | None:

@@ -22,7 +22,8 @@ import numpy as np
 import numpy.typing as npt
 
 from bench.scoring.errors import ErrorSummary, Floats, as_points, summarise
-from bench.scoring.guard_band import acceptance_limit_mm, refusal_limit_mm
+from bench.scoring.guard_band import acceptance_limit_mm, farthest_mm, refusal_limit_mm
+from bench.scoring.looks import FIRST, Looks, RateTest, allowed_leak
 from bench.scoring.matching import Counts, Match, added, as_flags, assign, gate_mm
 from bench.scoring.rates import Rate, pose_successes
 from bench.scoring.sample_size import failures_allowed, shown_error_mm
@@ -188,10 +189,16 @@ def _frozen(errors: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Pool:
-    """Scenes, and the pose of each."""
+    """Scenes, and the pose of each; ``silent``: which of them have no answer."""
 
     scores: tuple[SceneScore, ...] = ()
     poses: tuple[Hashable, ...] = ()
+    silent: frozenset[int] = frozenset()
+
+    @property
+    def answered(self) -> int:
+        """Scenes with an answer."""
+        return len(self.scores) - len(self.silent)
 
     @property
     def counts(self) -> Counts:
@@ -219,16 +226,27 @@ class Pool:
         known = [(pose, of) for pose, of in held if of is not None]
         return pose_successes([pose for pose, _ in known], [of for _, of in known])
 
-    def surely_succeeded(self, rate: float, confidence: float) -> Rate:
+    @property
+    def uncertain(self) -> bool:
+        """Whether the truth of any scene is."""
+        return any(s.u_mm > 0.0 for s in self.scores)
+
+    def surely_succeeded(self, rate: float, confidence: float, looks: Looks = FIRST) -> Rate:
         """Poses whose success the truth's uncertainty can't turn, of the poses: sure up to the
-        distance at which so many poses claim `rate` falsely in no more than 1 - `confidence`.
+        distance at which so many poses claim `rate` falsely in no more than 1 - `confidence`; at a
+        further look, to that at which few enough bad poses are seen as good.
         """
         poses = len(set(self.poses))
-        failures = failures_allowed(poses, rate, confidence)
+        sure_of = looks.first_confidence(confidence)
+        failures = failures_allowed(poses, rate, sure_of)
         reach: dict[tuple[float, float], float | None] = {}
-        if failures is not None:
-            for limits in {(s.limit_mm, s.u_mm) for s in self.scores}:
-                reach[limits] = shown_error_mm(poses, rate, *limits, confidence, failures)
+        limits_of = {(s.limit_mm, s.u_mm) for s in self.scores}
+        if looks.again:
+            most = allowed_leak(RateTest(rate, confidence, looks))
+            reach = {limits: farthest_mm(*limits, most) for limits in limits_of}
+        elif failures is not None:
+            for limits in limits_of:
+                reach[limits] = shown_error_mm(poses, rate, *limits, sure_of, failures)
 
         def sure(score: SceneScore) -> bool:
             most = reach.get((score.limit_mm, score.u_mm), score.limit_mm)
@@ -244,11 +262,23 @@ class Pool:
 
     @property
     def worst_false(self) -> tuple[int, ...]:
-        """The false findings of each pose's worst repeat."""
+        """The false findings of each pose's worst repeat, of those with an answer."""
         worst: dict[Hashable, int] = {}
-        for pose, score in zip(self.poses, self.scores, strict=True):
-            worst[pose] = max(worst.get(pose, 0), len(score.match.false))
+        for at, (pose, score) in enumerate(zip(self.poses, self.scores, strict=True)):
+            if at not in self.silent:
+                worst[pose] = max(worst.get(pose, 0), len(score.match.false))
         return tuple(worst.values())
+
+    @property
+    def none_false(self) -> Rate:
+        """Poses without a false finding, of those with an answer."""
+        worst = self.worst_false
+        return Rate(worst.count(0), len(worst))
+
+    @property
+    def all_found(self) -> Rate:
+        """Poses of which every visible end was found in all repeats, of the poses."""
+        return self._poses_where(lambda score: not score.match.missed)
 
     @property
     def hidden_right(self) -> Rate:
@@ -277,6 +307,14 @@ class Pool:
         return summarise(self.errors_mm, camera_from_world)
 
 
-def pool(scores: Sequence[SceneScore], poses: Sequence[Hashable] | None = None) -> Pool:
-    """Scores to a pool; without names each scene is a pose of its own (don't add such pools)."""
-    return Pool(tuple(scores), tuple(range(len(scores))) if poses is None else tuple(poses))
+def pool(
+    scores: Sequence[SceneScore],
+    poses: Sequence[Hashable] | None = None,
+    answered: Sequence[bool] | None = None,
+) -> Pool:
+    """Scores to a pool; without names each scene is a pose of its own (don't add such pools).
+    ``answered``: whether each has an answer; by default all have.
+    """
+    silent = frozenset(at for at, one in enumerate(answered or ()) if not one)
+    names = tuple(range(len(scores))) if poses is None else tuple(poses)
+    return Pool(tuple(scores), names, silent)

@@ -26,6 +26,7 @@ from bench.scoring.rates import check_open, crossing
 
 BETS = expit(np.arange(-14.0, 10.0))
 LEAST_LOGIT = -60.0
+Reals = NDArray[np.float64]
 
 
 def confidence_sequence(failures: int, scenes: int, level: float = 0.95) -> tuple[float, float]:
@@ -51,6 +52,48 @@ def tight_enough(failures: int, scenes: int, half_width: float, level: float = 0
     return (high - low) / 2.0 <= half_width
 
 
+def least_rate(hits: int, trials: int, chance: float) -> float:
+    """The rate of hits is at least this at every look, but for the ``chance``."""
+    one = np.ones(1)
+    return _least(one, np.array([float(hits)]), one, np.array([float(trials - hits)]), chance)
+
+
+def least_mean(values: ArrayLike, counts: ArrayLike, chance: float) -> float:
+    """The mean of what ``values`` (n,) of 0 or more, each ``counts`` (n,) times, are independent
+    draws of is at least this at every look, but for the ``chance``. The bets are as above, on
+    value / mean in the place of f / r.
+    """
+    seen, often = _counted(values, counts)
+    if not (seen * often).sum():
+        return 0.0
+
+    def above(log_mean: float) -> float:
+        return _log_capital(seen, often, exp(log_mean)) + log(chance)
+
+    high = log(float(seen @ often) / float(often.sum()))
+    low, step = high, 0.01
+    while above(low) < 0.0 and low > LEAST_LOGIT:
+        high, low, step = low, low - step, 2.0 * step
+    return 0.0 if low <= LEAST_LOGIT else exp(crossing(above, low, high))
+
+
+def shows_mean(values: ArrayLike, counts: ArrayLike, mean: float, chance: float) -> bool:
+    """Whether `least_mean` is at least ``mean``, without a search for it."""
+    return _log_capital(*_counted(values, counts), mean) + log(chance) >= 0.0
+
+
+def _counted(values: ArrayLike, counts: ArrayLike) -> tuple[Reals, Reals]:
+    seen = np.atleast_1d(np.asarray(values, dtype=np.float64))
+    return seen, np.broadcast_to(np.asarray(counts, dtype=np.float64), seen.shape)
+
+
+def _log_capital(seen: Reals, often: Reals, mean: float) -> float:
+    """ln K where ``mean`` is the true one."""
+    logs = np.log1p(np.outer(BETS, seen / mean - 1.0)) @ often
+    most = float(logs.max())
+    return most + log(float(np.exp(logs - most).mean()))
+
+
 def bounds(
     hits: ArrayLike, others: ArrayLike, counts: tuple[ArrayLike, ArrayLike], level: float
 ) -> tuple[float, float]:
@@ -64,10 +107,10 @@ def bounds(
 
 
 def _least(
-    hits: NDArray[np.float64],
-    often: NDArray[np.float64],
-    others: NDArray[np.float64],
-    seldom: NDArray[np.float64],
+    hits: Reals,
+    often: Reals,
+    others: Reals,
+    seldom: Reals,
     chance: float,
 ) -> float:
     """The least rate of hits that the bets don't rule out."""

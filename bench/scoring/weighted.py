@@ -25,14 +25,13 @@ NARROWEST = 0.05  # standard deviation of a proposal, as a share of a parameter'
 
 @dataclass(frozen=True, slots=True)
 class WeightedRate:
-    """A rate, its standard error (delta method), and an interval that holds at all looks.
+    """A rate, and an interval, two-sided, that holds at all looks.
     ``effective``: as many scenes drawn evenly would have weights as uneven, (sum w)^2 / sum w^2.
     """
 
     scenes: int
     failures: int
     value: float
-    standard_error: float
     low: float
     high: float
     effective: float
@@ -46,8 +45,7 @@ def weighted_rate(
 
     The interval is that of `bench.scoring.sequential`: it holds for any n, and however the weights
     were chosen from earlier scenes. No weight makes its upper end lower than evenly drawn scenes
-    do: failures where nothing was drawn can't be ruled out. The standard error takes it that
-    there are none.
+    do: failures where nothing was drawn can't be ruled out.
     """
     w, f = np.asarray(weights, dtype=np.float64), np.asarray(failed, dtype=np.bool_)
     if w.shape != f.shape or w.ndim != 1 or not w.size:
@@ -56,11 +54,10 @@ def weighted_rate(
         raise ValueError(f"weighted rate: every weight must be above 0 and at most {largest:g}")
     total, parts = float(w.sum()), w / largest
     value = float(w[f].sum()) / total
-    error = float(np.sqrt(np.sum((w * (f - value)) ** 2))) / total
     once = np.ones(w.size)
     low, high = bounds(parts[f], parts[~f], (once[f], once[~f]), level)
     effective = total**2 / float(np.sum(w**2))
-    return WeightedRate(w.size, int(f.sum()), value, error, low, high, effective)
+    return WeightedRate(w.size, int(f.sum()), value, low, high, effective)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

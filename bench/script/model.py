@@ -251,13 +251,16 @@ def _names_differ(rows: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 class Rules(Section):
-    """What detections are held against, fixed before anything is run."""
+    """What detections are held against, fixed before anything is run. ``looks``: how many verdicts
+    on growing numbers of poses are planned; the first takes its share of the chance of a false one.
+    """
 
     title: str
     about: str = ""
     detectors: Annotated[tuple[str, ...], Field(min_length=1)]
     visible_within_mm: Positive = 5.0
     time_limit_s: Positive = 2.0
+    looks: Annotated[int, Field(ge=1, le=100)] = 1
     requirements: Annotated[tuple[Requirement, ...], Field(min_length=1)]
 
     @field_validator("detectors")
