@@ -106,17 +106,24 @@ class TableFrame:
         """Whether the arm's z axis points down: it hangs, or the third touch was wrong."""
         return bool(self.world_from_arm.R[2, 2] < 0.0)
 
-    def u_registration_mm(self, world_mm: ArrayLike, u_mm: float) -> float:
-        """Standard uncertainty along an axis that the frame adds at ``world_mm`` (3,): each
-        coordinate of the three touches has ``u_mm``, uncorrelated (JCGM 100:2008, 5.1.2,
-        derivatives taken numerically).
+    def parts(self, world_mm: ArrayLike) -> Floats:
+        """What points ``world_mm`` (n, 3) share through the frame, (n, 3, 9): their derivatives by
+        each coordinate of the three touches, taken numerically.
         """
         touched = np.array([point.arm_mm for point in self.points[:3]])
         seen = self.world_from_arm.inverse().apply(world_mm)
-        squares = 0.0
+        columns = []
         for step in np.eye(9).reshape(9, 3, 3) * _STEP_MM:
             ends = [world_from_arm(touched + sign * step).apply(seen) for sign in (1.0, -1.0)]
-            squares += float(np.sum(np.square((ends[0] - ends[1]) / (2.0 * _STEP_MM))))
+            columns.append((ends[0] - ends[1]) / (2.0 * _STEP_MM))
+        return np.stack(columns, axis=-1)
+
+    def u_registration_mm(self, world_mm: ArrayLike, u_mm: float) -> float:
+        """Standard uncertainty along an axis that the frame adds at ``world_mm`` (3,): each
+        coordinate of the three touches has ``u_mm``, uncorrelated (JCGM 100:2008, 5.1.2).
+        """
+        parts = self.parts(np.reshape(world_mm, (1, 3)))[0]
+        squares = sum(float(np.sum(np.square(column))) for column in parts.T)
         return u_mm * sqrt(squares / 3.0)
 
 

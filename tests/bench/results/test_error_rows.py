@@ -36,13 +36,13 @@ def trial(
 ) -> TrialRecord:
     names = {"id": f"{number:03d}-{pose}-{repeat}", "number": number, "name": pose}
     names |= {"repeat": repeat, "situation": "map", "invalid": None}
-    of_all = {"u_mm": 0.2, "visible": 1, "how": "touched"}
+    of_all = {"u_mm": 0.02, "visible": 1, "how": "touched"}
     rows = [
         {"teat": str(k), "x_mm": x, "y_mm": y, "z_mm": z, **of_all}
         for k, (x, y, z) in enumerate(ends.tolist(), 1)
     ]
     score = score_scene(
-        found, ends, [True] * len(ends), u_mm=0.2, seconds=0.1, limit_mm=5.0, time_limit_s=2.0
+        found, ends, [True] * len(ends), u_mm=0.02, seconds=0.1, limit_mm=5.0, time_limit_s=2.0
     )
     times = {"captured_s": 60.0 * number, "bath_c": 33.0}
     return TrialRecord({**names, **times, **head}, truth=rows, scores={"fused": score})
