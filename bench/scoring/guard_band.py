@@ -69,10 +69,3 @@ def leak(seen_mm: float, limit_mm: float, u_mm: float) -> float:
     if u_mm < FLAT * limit_mm:
         return float(ndtr((seen_mm - limit_mm) / u_mm) - ndtr((-seen_mm - limit_mm) / u_mm))
     return float(chndtr((seen_mm / u_mm) ** 2, 3, (limit_mm / u_mm) ** 2))
-
-
-def error_without_noise_mm(seen_rms_mm: float, u_mm: float) -> float | None:
-    """E|seen|^2 = |true|^2 + 3 u^2, solved for the truth; None where noise explains all."""
-    guard_band_mm(u_mm)
-    squared = seen_rms_mm**2 - 3.0 * u_mm**2
-    return sqrt(squared) if squared >= 0 else None

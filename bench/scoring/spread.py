@@ -410,12 +410,15 @@ def _generalised(
     G = np.linalg.inv(X.T @ VX)
     weights = (VX @ G)[:, 1]
     slope, Qy = float(weights @ y), inverse(y) - VX @ (G @ (VX.T @ y))
-    without = np.empty(count)
-    order = np.argsort(group, kind="stable")
-    for number, rows in enumerate(np.split(order, np.cumsum(np.bincount(group))[:-1])):
-        own = (np.eye(len(rows)) - F[rows] @ inner @ F[rows].T) / noise
-        Qgg = own - VX[rows] @ G @ VX[rows].T
-        without[number] = slope - float(weights[rows] @ np.linalg.solve(Qgg, Qy[rows]))
+    without, sizes_of = np.empty(count), np.bincount(group)
+    starts, order = np.cumsum(sizes_of) - sizes_of, np.argsort(group, kind="stable")
+    for size in np.unique(sizes_of):  # groups of one size at once
+        of = np.flatnonzero(sizes_of == size)
+        rows = order[starts[of][:, None] + np.arange(size)]
+        own = (np.eye(size) - F[rows] @ inner @ F[rows].transpose(0, 2, 1)) / noise
+        Qgg = own - VX[rows] @ G @ VX[rows].transpose(0, 2, 1)
+        gone = np.linalg.solve(Qgg, Qy[rows][:, :, None])[:, :, 0]
+        without[of] = slope - np.sum(weights[rows] * gone, axis=1)
     return slope, without, np.asarray(weights)
 
 
