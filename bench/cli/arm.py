@@ -25,8 +25,13 @@ from bench.calibrate.arm import verify as verify_arm
 from bench.calibrate.simulated_arm import Step
 from bench.cli.arguments import CODES, complain
 from bench.config import ConfigError
-from bench.results.stated_arm import check_verification, stated_fact
-from bench.rig.arm_files import frame_text, load_frame, verification_text, write_file
+from bench.results.stated_arm import (
+    check_verification,
+    contradictions,
+    location_limit_mm,
+    stated_fact,
+)
+from bench.rig.arm_files import Limits, frame_text, load_frame, verification_text, write_file
 from bench.rig.model import Arm
 from bench.scoring.stated_u import refuted
 from instruments.microscribe.driver import MicroScribe
@@ -160,8 +165,9 @@ def frame(given: argparse.Namespace) -> int:
 
 
 def verify(given: argparse.Namespace) -> int:
-    limits = limits_of(given.script)
-    if given.length_mm is None and limits.length_mm is not None:
+    rule = limits_of(given.script)
+    needed = rule.length_limit_mm is not None or rule.dated_required
+    if given.length_mm is None and needed:
         print("Without --length-mm no length is measured, and the arm can't be verified whole.")
     if given.accuracy_mm is None and points_url(given.port):
         raise ConfigError.plain(
@@ -171,15 +177,19 @@ def verify(given: argparse.Namespace) -> int:
     plan = Plan(**{field.name: getattr(given, field.name) for field in fields(Plan)})
     with _homed(given, given.length_mm) as session:
         found = verify_arm(session, plan, today())
+    stated = stated_fact(Arm.model_construct(url=given.port, accuracy_mm=u_mm))
+    sizes = [test.n for test in found.locations]
+    limits = Limits(location_limit_mm(rule, stated, sizes), rule.length_limit_mm)
     write_file(given.out, verification_text(found, limits))
-    print(f"Articulated location error {found.location_mm:.2f} mm, limit {limits.location_mm:g} mm")
+    print(
+        f"Articulated location error {found.location_mm:.2f} mm, limit {limits.location_mm:.2f} mm"
+    )
     if found.length_mm is not None:
-        print(
-            f"Largest error of the calibrated length {found.length_mm:.2f} mm, limit"
-            f" {limits.length_mm:g} mm"
-        )
-    arm = Arm.model_construct(url=given.port, accuracy_mm=u_mm)
-    checks = list(check_verification(stated_fact(arm), found))
+        limit = "" if limits.length_mm is None else f", limit {limits.length_mm:g} mm"
+        print(f"Largest error of the calibrated length {found.length_mm:.2f} mm{limit}")
+    for text in contradictions(rule, stated, (), found):
+        print(f"{text[0].upper()}{text[1:]}.")
+    checks = list(check_verification(stated, found))
     wrong = refuted(checks)
     for check in checks:
         low, high = (u_mm * ratio for ratio in check.ratio_interval)

@@ -219,13 +219,17 @@ class LocationTest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LengthTest:
-    """One calibrated length, with its standard uncertainty: its ends as touched (3,), mm."""
+    """One calibrated length, with its standard uncertainty: its ends as touched (3,), mm.
+    ``ends_mm2``: covariance (3, 3) of b - a for touches of 1 mm along each axis, where an end was
+    worked out of several (None: one touch each).
+    """
 
     where: str
     a_mm: Floats
     b_mm: Floats
     calibrated_mm: float
     calibrated_u_mm: float = 0.0
+    ends_mm2: Floats | None = None
 
     @property
     def measured_mm(self) -> float:
@@ -234,6 +238,14 @@ class LengthTest:
     @property
     def error_mm(self) -> float:
         return self.measured_mm - self.calibrated_mm
+
+    @property
+    def touches(self) -> float:
+        """Of how many touches' variance its error is: 2 for one at each end."""
+        if self.ends_mm2 is None:
+            return 2.0
+        way = (self.b_mm - self.a_mm) / self.measured_mm
+        return float(way @ self.ends_mm2 @ way)
 
 
 @dataclass(frozen=True, slots=True)
@@ -411,6 +423,7 @@ class _Length(Section):
     error_mm: Number
     a_mm: Three
     b_mm: Three
+    ends_mm2: tuple[Three, Three, Three] | None = None
 
 
 class _Limits(Section):
