@@ -215,7 +215,8 @@ def _rule(rule: ArmRequirement, limits: _ArmLimits) -> str:
     return (
         f"before and after the trials, touches of one divot within {limits.location_mm:.3g} mm of"
         f" their mean (articulated location, ASME B89.4.22, ISO 10360-12{follows}), their mean"
-        f" within {rule.shift_limit_mm:g} mm of its place and moved by at most {limits.drift_mm:.3g} mm;"
+        f" within {rule.shift_limit_mm:g} mm of its place and moved by at most"
+        f" {limits.drift_mm:.3g} mm;"
         f" a dated verification ({dated}) of this arm at most {rule.max_age_days:g} days"
         f" old{lengths}; the stated uncertainty not refuted by chi-square, 5 % false alarms"
     )

@@ -3,8 +3,8 @@ errors are drawn as they are stated; run by script, rig, record and page. And on
 detector is off by a known amount.
 
 Arm, table frame and registration are common to a run, touches fresh. The detector sees where the
-ends are and looks at no picture, so none is rendered, and what reads the arm is told where its tip
-is: all other parts are those of any run.
+ends are and looks at no picture, so none is rendered; arm, bath and stage stand in this process
+without a wire, since what is asked here is what the pages say. All other parts are those of a run.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import cached_property
+from functools import cache, cached_property, partial
+from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 from unittest.mock import patch
 
 import numpy as np
@@ -35,16 +36,24 @@ from bench.rig.arm_files import (
     frame_text,
     verification_text,
 )
-from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.loading import load_rig
-from bench.rig.model import ROUNDING_MM
+from bench.rig.devices import Devices
+from bench.rig.loading import LoadedRig, load_rig
+from bench.rig.model import ROUNDING_MM, EmulatedStage
+from bench.rig.model import Stage as StageTable
 from bench.run.start import run_script
 from bench.script.model import load_script
 from bench.truth.touching import TipReader, Toucher
 from detector.protocol import Detection, Teat
+from instruments.bath.reading import BathReading
 from instruments.camera.frame import FrameSet
+from instruments.clock import Clock, VirtualClock
+from instruments.microscribe.configuration import Identity
 from instruments.microscribe.driver import Reading
-from reports.render import Press
+from instruments.operators.emulated import EmulatedOperator
+from instruments.stage.emulator.carriage import Mounting
+from instruments.stage.settings import StageIdentity
+from instruments.world.world import World as EmulatedWorld
+from reports.render import Press, environment
 from tests.bench import operated_runs
 from tests.undrawn import bare
 
@@ -99,10 +108,7 @@ poses = [
 {poses}
 ]
 """
-STAGE = 'url = "emulator:"\naxes = "XYZ"\nfeed_mm_per_min = 30000.0'
-FAST = ", ".join(
-    f"{number} = {60000.0 if number < 120 else 9000.0}" for number in (110, 111, 112, 120, 121, 122)
-)
+STAGE = 'url = "emulator:"\naxes = "XYZ"'
 MEMORY = Path("/dev/shm")  # where there is one, nothing is waited for that a disk has to write
 CARRY = """[truth]
 mode = "carry"
@@ -162,7 +168,7 @@ class _Errors:
 
     world: World
     seed: int
-    rig: EmulatedRig | None = None
+    scene: EmulatedWorld | None = None
     end: Floats | None = None  # of the end that is being touched, all its readings alike
     rng: np.random.Generator = field(init=False)
     arm: Floats = field(init=False)
@@ -182,8 +188,8 @@ class _Errors:
         return self._of(own) + self._of(self.world.hand_mm) + self._of(ROUNDING_MM)
 
     def reading(self, frame: TableFrame) -> Reading:
-        assert self.rig is not None
-        held = self.rig.world.arm_target()
+        assert self.scene is not None
+        held = self.scene.arm_target()
         assert held is not None
         tip, axis = held
         own = self._of(np.sqrt(1.0 - self.world.alike) * self.world.arm_mm) + self._of(ROUNDING_MM)
@@ -215,8 +221,8 @@ class NullDetector:
         self._rng = np.random.default_rng([errors.seed, 99])
 
     def detect(self, _frames: object, _calibration: object) -> Detection:
-        assert self._errors.rig is not None
-        off, ends = self._off, self._errors.rig.world.ends_mm()
+        assert self._errors.scene is not None
+        off, ends = self._off, self._errors.scene.ends_mm()
         teats = []
         for end in ends:
             error = self._rng.normal(0.0, off.sd_mm, 3)
@@ -226,6 +232,74 @@ class NullDetector:
 
 
 MIDDLE_X_MM = -115.0  # of the layout "single"
+
+
+class _Bath:
+    """At its set point, from the first second."""
+
+    url, pump_url, who, pump = "null", "", "bath", "none"
+    safe_state = "standby"
+    identity: ClassVar[dict[str, str]] = {"family": "null"}
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock, self._rng = clock, np.random.default_rng(5)
+
+    def read(self) -> BathReading:
+        temp_c = 33.0 + float(self._rng.normal(0.0, 0.005))
+        now_s, raw = self._clock.now(), (round(1e3 * temp_c),)
+        return BathReading(now_s, temp_c, raw, None, 10.0, None, 0, 0, True, True, 33.0)
+
+    def start(self, set_point_c: float) -> None: ...
+    def safe(self) -> None: ...
+
+
+class _Stage:
+    """Moves at once, and carries the world's phantom as a stage does whose axes are off."""
+
+    who, homed, safe_state = "stage", True, "still"
+    identity = StageIdentity("null", "1", "", "")
+
+    def __init__(self, table: StageTable, off: EmulatedStage, world: EmulatedWorld) -> None:
+        reference = (*table.reference_mm, table.reference_z_mm, table.reference_a_deg)
+        mounting = Mounting(table.axes, reference, off.scale_errors, off.squareness_rad)
+        self._at = list(reference[:3])
+        world.stage_pose = lambda: mounting.pose(self._at)
+        world.stage_velocity = lambda: (0.0, 0.0, 0.0)
+
+    def connect(self) -> None: ...
+    def home(self) -> None: ...
+    def safe(self) -> None: ...
+
+    def position(self) -> Floats:
+        return np.array(self._at)
+
+    def move_to(self, **to: Any) -> None:
+        self._at = [to.get(f"{axis}_mm", here) for axis, here in zip("xyz", self._at, strict=True)]
+
+
+class _Arm:
+    """Signed on and homed; what it reads is drawn."""
+
+    who, homing, safe_state, homed = "arm", "", "closed", True
+    identity = Identity("MicroScribe", "1", "3DX", SERIAL, "", "", "1")
+
+    def record(self) -> dict[str, object]:
+        return {}
+
+    def sign_on(self) -> None: ...
+    def confirm_homed(self) -> None: ...
+    def safe(self) -> None: ...
+
+
+class _Cameras:
+    identity: ClassVar[dict[str, str]] = {}
+
+
+class _Renderer:
+    """Every camera sees every end."""
+
+    def visible_ends(self, scene: Any) -> Any:
+        return np.ones((len(scene.phantom.teats), 3), dtype=np.bool_)
 
 
 class _Frames:
@@ -295,7 +369,7 @@ def _write(folder: Path, world: World, errors: _Errors, arm_rule: str) -> TableF
     rng = np.random.default_rng([errors.seed, 55])
     u_mm = float(np.hypot(world.arm_mm, ROUNDING_MM))
     scale, square = rng.normal(0.0, 5e-4, 3), rng.normal(0.0, 5e-4)
-    axes = f"settings = {{ {FAST} }}, scale_errors = [{scale[0]}, {scale[1]}, {scale[2]}, 0.0], squareness_rad = {square}"
+    axes = f"scale_errors = [{scale[0]}, {scale[1]}, {scale[2]}, 0.0], squareness_rad = {square}"
     operated_runs.files(
         folder,
         stage=f"[stage]\n{STAGE}",
@@ -333,19 +407,30 @@ def _verification(rng: np.random.Generator, u_mm: float) -> Verification:
     return Verification(MADE, SERIAL, locations, lengths, "a bar")
 
 
+_ENVIRONMENT = cache(environment)  # its templates are compiled once
+
+
 @contextmanager
 def _world(errors: _Errors, off: Off, frame: TableFrame) -> Iterator[None]:
-    made, touch, trial = EmulatedRig.__init__, Toucher._touch_end, Press.trial
+    touch, trial = Toucher._touch_end, Press.trial
+
+    @contextmanager
+    def opened(rig: LoadedRig, *_: Any, **__: Any) -> Iterator[Devices]:
+        clock, table = VirtualClock(), rig.rig
+        world: Any = EmulatedWorld(clock, errors.seed, _Renderer())  # type: ignore[arg-type]
+        errors.scene = world
+        at = table.arm.check_point_mm
+        hands = EmulatedOperator(world, hand_error_mm=0.0, check_point_mm=at)
+        assert table.stage is not None
+        devices: Any = Devices
+        with closing(world):
+            stage = _Stage(table.stage, table.emulation.stage, world)
+            there = _Arm(), _Bath(clock), stage, _Cameras(), hands
+            yield devices(clock, *there, world.ends_mm)
 
     def first(press: Press, number: int, *given: Any) -> str:
         """The trials' own pages are alike; most of the time would go into them."""
         return trial(press, number, *given) if number == 0 else ""
-
-    def noted(rig: EmulatedRig, *given: Any, **named: Any) -> None:
-        errors.rig = rig
-        made(rig, *given, **named)
-        visible = np.ones((1, 3), dtype=np.bool_)
-        rig.world.renderer.visible_ends = lambda _scene: visible  # type: ignore[method-assign]
 
     def touched(toucher: Toucher, *given: Any) -> Any:
         errors.end = errors.of_an_end()
@@ -357,13 +442,19 @@ def _world(errors: _Errors, off: Off, frame: TableFrame) -> Iterator[None]:
     with ExitStack() as stack:
         stack.enter_context(bare())
         for of, name, what in (
-            (EmulatedRig, "__init__", noted),
             (Toucher, "_touch_end", touched),
             (TipReader, "read", lambda _: errors.reading(frame)),
             (Press, "trial", first),
         ):
             stack.enter_context(patch.object(of, name, what))
-        stack.enter_context(patch("bench.run.trial.FrameTaker", _Frames))
-        null = [NullDetector(errors, off)]
-        stack.enter_context(patch("bench.run.start.make_detectors", lambda *_: null))
+        for name, new in (
+            ("bench.run.trial.FrameTaker", _Frames),
+            ("bench.run.start.open_instruments", opened),
+            ("bench.run.start.make_detectors", lambda *_: [NullDetector(errors, off)]),
+            ("reports.render.environment", _ENVIRONMENT),
+            # each answer takes 5 ms, on any machine
+            ("bench.results.answers.stopwatch_s", partial(next, count(0.0, 0.005))),
+            ("bench.results.answers.processor_s", partial(next, count(0.0, 0.005))),
+        ):
+            stack.enter_context(patch(name, new))
         yield

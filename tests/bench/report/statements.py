@@ -229,7 +229,8 @@ KINDS = (
         Kind("as seen", text)
         for text in (
             r"beyond the limit(, farthest [\d.]+ mm)?",
-            r"scene success(, farthest [\d.]+ mm)?",
+            r"(plane )?scene success(, farthest [\d.]+ mm)?",
+            r"found|found, beyond the limit|plane beyond the limit",
             r"[\d.]+ mm off, limit 5 mm.*",
             r"\d+ within 5 mm, \d+ beyond, \d+ not found\.",
             r"Emulated rig: the scene's exact teat ends .*",
@@ -240,6 +241,9 @@ KINDS = (
         Kind("explains", text)
         for text in (
             r"How sure that is",
+            r"chance of these axes, if as stated",
+            r"[\d.]+ °C \([\d.]+ to [\d.]+ within 5 s\), stable",
+            r"Put the bench right before all else: .*",
             r"What each detector shows, from \d+ where nothing else is said",
             r"Start with the trials marked below; each shows where .*",
             r"None: every trial of the script was done and counts, and no touch was refused\.",
