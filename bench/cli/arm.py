@@ -11,6 +11,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import fields
 from typing import Any
 
+import numpy as np
+
 from bench.calibrate.arm import (
     ArmSession,
     Plan,
@@ -28,10 +30,18 @@ from bench.config import ConfigError
 from bench.results.stated_arm import (
     check_verification,
     contradictions,
+    length_limit_mm,
     location_limit_mm,
     stated_fact,
 )
-from bench.rig.arm_files import Limits, frame_text, load_frame, verification_text, write_file
+from bench.rig.arm_files import (
+    LengthTest,
+    Limits,
+    frame_text,
+    load_frame,
+    verification_text,
+    write_file,
+)
 from bench.rig.model import Arm
 from bench.scoring.stated_u import refuted
 from instruments.microscribe.driver import MicroScribe
@@ -179,14 +189,19 @@ def verify(given: argparse.Namespace) -> int:
         found = verify_arm(session, plan, today())
     stated = stated_fact(Arm.model_construct(url=given.port, accuracy_mm=u_mm))
     sizes = [test.n for test in found.locations]
-    limits = Limits(location_limit_mm(rule, stated, sizes), rule.length_limit_mm)
+    length_mm = length_limit_mm(rule, stated, found.lengths)
+    if length_mm is None and rule.dated_required:  # none was measured, and one is asked for
+        length_mm = length_limit_mm(rule, stated, [LengthTest("", *np.zeros((2, 3)), 0.0)])
+    limits = Limits(location_limit_mm(rule, stated, sizes), length_mm)
     write_file(given.out, verification_text(found, limits))
     print(
         f"Articulated location error {found.location_mm:.2f} mm, limit {limits.location_mm:.2f} mm"
     )
     if found.length_mm is not None:
-        limit = "" if limits.length_mm is None else f", limit {limits.length_mm:g} mm"
-        print(f"Largest error of the calibrated length {found.length_mm:.2f} mm{limit}")
+        print(
+            f"Largest error of the calibrated length {found.length_mm:.2f} mm, limit"
+            f" {limits.length_mm:.2f} mm"
+        )
     for text in contradictions(rule, stated, (), found):
         print(f"{text[0].upper()}{text[1:]}.")
     checks = list(check_verification(stated, found))

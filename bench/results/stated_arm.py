@@ -8,13 +8,13 @@ gauge. What all touches of one divot have in common shows in lengths only, and b
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from math import hypot, sqrt
+from math import sqrt
 from typing import Any
 
 import numpy as np
 from scipy.special import chdtri, fdtri, ndtr
 
-from bench.rig.arm_files import LocationTest, Verification, from_dict
+from bench.rig.arm_files import LengthTest, LocationTest, Verification, from_dict
 from bench.rig.model import Arm
 from bench.scoring.stated_u import (
     LIMIT_LEVEL,
@@ -114,6 +114,27 @@ def drift_limit_mm(
     return sqrt(_touch_mm2(stated) * several * float(squared))
 
 
+def length_limit_mm(
+    rule: ArmRequirement, stated: Mapping[str, Any] | None, lengths: Sequence[LengthTest]
+) -> float | None:
+    """The same for the largest error of a calibrated length; None where none is asked for."""
+    if rule.length_limit_mm is not None or stated is None or not lengths:
+        return rule.length_limit_mm
+    return _length_limit_mm(stated, lengths)
+
+
+def _length_limit_mm(stated: Mapping[str, Any], lengths: Sequence[LengthTest]) -> float:
+    """That the least certain of them exceeds as seldom as all of them may."""
+    df, level = stated["df"], LIMIT_LEVEL / len(lengths)
+    squared = chdtri(1, level) if df is None else fdtri(1, df, 1.0 - level)
+    return max(_length_sds(stated, lengths)) * sqrt(float(squared))
+
+
+def _length_sds(stated: Mapping[str, Any], lengths: Sequence[LengthTest]) -> list[float]:
+    touch = _touch_mm2(stated)
+    return [sqrt(one.touches * touch + one.calibrated_u_mm**2) for one in lengths]
+
+
 def contradictions(
     rule: ArmRequirement,
     stated: Mapping[str, Any],
@@ -131,9 +152,9 @@ def contradictions(
         fits = largest_limit_mm(u_mm, sizes, df)
         chances.append(("location_limit_mm", rule.location_limit_mm, chance, fits))
     if rule.length_limit_mm is not None and dated and dated.lengths:
-        sds = [hypot(sqrt(one.touches) * u_mm, one.calibrated_u_mm) for one in dated.lengths]
+        sds = _length_sds(stated, dated.lengths)
         within = np.prod([1.0 - 2.0 * float(ndtr(-rule.length_limit_mm / sd)) for sd in sds])
-        fits = max(sds) * float(np.sqrt(chdtri(1, LIMIT_LEVEL / len(sds))))
+        fits = _length_limit_mm(stated, dated.lengths)
         chances.append(("length_limit_mm", rule.length_limit_mm, 1.0 - float(within), fits))
     for key, limit_mm, chance, fits in chances:
         if chance > TOLD_FROM:

@@ -24,6 +24,7 @@ from bench.results.stated_arm import (
     arm_checks,
     contradictions,
     drift_limit_mm,
+    length_limit_mm,
     location_limit_mm,
     too_small,
 )
@@ -117,7 +118,7 @@ def _limits(
     sizes = [*touches, *(test.n for test in (dated.locations if dated else ()))]
     return _ArmLimits(
         location_limit_mm(rule, stated, sizes or usual),
-        rule.length_limit_mm,
+        length_limit_mm(rule, stated, dated.lengths if dated else ()),
         drift_limit_mm(rule, stated, touches if len(touches) == len(usual) else usual),
     )
 
@@ -203,13 +204,13 @@ def _in_order(
 
 
 def _rule(rule: ArmRequirement, limits: _ArmLimits) -> str:
-    length_mm = rule.length_limit_mm
+    length_mm = limits.length_mm
     follows = (
         f", as an arm that is as stated does but in {100 * LIMIT_LEVEL:g} % of runs"
         if rule.location_limit_mm is None
         else ""
     )
-    lengths = "" if length_mm is None else f", a calibrated length within {length_mm:g} mm"
+    lengths = "" if length_mm is None else f", a calibrated length within {length_mm:.3g} mm"
     dated = "required, with a length check, of a real arm"
     dated = dated if rule.dated_required else "where the rig names one"
     return (

@@ -290,7 +290,7 @@ class Verification:
         if worst and limits.length_mm is not None and abs(worst.error_mm) > limits.length_mm:
             found.append(
                 f"{worst.where}: {worst.calibrated_mm:g} mm were measured {worst.error_mm:+.2f} mm"
-                f" wrong, limit {limits.length_mm:g} mm"
+                f" wrong, limit {limits.length_mm:.3g} mm"
             )
         return tuple(found)
 
@@ -317,7 +317,7 @@ def from_dict(table: Mapping[str, Any]) -> Verification:
 
 def broken_by(test: LocationTest, limit_mm: float) -> list[str]:
     said = f"{test.where}: readings of one point lie up to {test.largest_mm:.2f} mm from their mean"
-    return [f"{said}, limit {limit_mm:g} mm"] if test.largest_mm > limit_mm else []
+    return [f"{said}, limit {limit_mm:.3g} mm"] if test.largest_mm > limit_mm else []
 
 
 def gaps_of(test: LocationTest, least: int) -> list[str]:

@@ -5,7 +5,7 @@ folder and one report.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from bench.record.schema import RULES, SCRIPT
 from bench.record.writer import Store, new_run_folder
 from bench.results.answers import Examiner
 from bench.results.cameras_agree import can_tell, spread, where_seen
+from bench.results.stated_arm import contradictions, stated_fact
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import in_virtual_time, open_instruments
 from bench.run.context import RunContext
@@ -40,7 +41,13 @@ from bench.script.calibration_age import (
     refuse_other_cameras,
 )
 from bench.script.detectors import introduced, make_detectors
-from bench.script.model import CAMERAS_RULE, RECORDING_RULES, LoadedScript, Rules
+from bench.script.model import (
+    CAMERAS_RULE,
+    RECORDING_RULES,
+    ArmRequirement,
+    LoadedScript,
+    Rules,
+)
 from bench.script.planned_trials import pose_set
 from bench.truth.touching import truth_row
 from detector.protocol import Detector
@@ -91,6 +98,8 @@ def run_script(
         introduced(under_test, script.scenes),
         locked(lock_path(rig), str(out.resolve()), events.warn),
     ):
+        for text in _contradicted(rig, script):
+            events.warn(text)
         recorder = Recorder(how.record, rig.calibration_path, events.warn) if how.record else None
         store = _begun(rig, script, out, under_test, how)
         with locked(run_lock(store.folder), "itself", events.warn, "run"):
@@ -130,6 +139,16 @@ def resume_run(
         recorder = recorder_again(left.run, rig.calibration_path, events.warn)
         store = open_store(left, rehearsed=in_virtual_time(rig, realtime=how.realtime))
         return _run(rig, script, store, under_test, events, how, recorder, left)
+
+
+def _contradicted(rig: LoadedRig, script: LoadedScript) -> Iterator[str]:
+    """Limits of the script that an arm exactly as the rig states it breaks."""
+    arm = rig.rig.arm
+    touches = (arm.check_touches,) * 2 if arm.check_point_mm is not None else ()
+    for rule in script.script.requirements:
+        if isinstance(rule, ArmRequirement):
+            said = contradictions(rule, stated_fact(arm), touches, rig.verification)
+            yield from (f"{rule.name}: {text}" for text in said)
 
 
 def _stream(progress: Progress) -> Events:
