@@ -191,7 +191,8 @@ def verify(given: argparse.Namespace) -> int:
     sizes = [test.n for test in found.locations]
     length_mm = length_limit_mm(rule, stated, found.lengths)
     if length_mm is None and rule.dated_required:  # none was measured, and one is asked for
-        length_mm = length_limit_mm(rule, stated, [LengthTest("", *np.zeros((2, 3)), 0.0)])
+        none = LengthTest("", np.zeros(3), np.zeros(3), 0.0)
+        length_mm = length_limit_mm(rule, stated, [none])
     limits = Limits(location_limit_mm(rule, stated, sizes), length_mm)
     write_file(given.out, verification_text(found, limits))
     print(

@@ -309,7 +309,8 @@ class _Frames:
         self.counts: dict[str, int] = {}
 
     def take(self) -> FrameSet:
-        return FrameSet(*(np.full((16, 16), level, np.uint8) for level in (90, 100, 110)))
+        left, right, thermal = (np.full((16, 16), level, np.uint8) for level in (90, 100, 110))
+        return FrameSet(left, right, thermal)
 
     def look(self) -> None: ...
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bench.rig.arm_files import TableFrame, TouchedPoint
 from tests.bench.report.null_world import (
     FINE,
     MADE,
@@ -20,8 +21,6 @@ from tests.bench.report.null_world import (
     WORSE,
     Done,
     Off,
-    TableFrame,
-    TouchedPoint,
     _moved,
     done,
 )

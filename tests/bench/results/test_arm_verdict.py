@@ -216,7 +216,7 @@ def sound_verification(rng: np.random.Generator) -> dict[str, Any]:
     axes = np.tile(SWUNG, (2, 1))
     locations = [LocationTest(f"divot {k}", rng.normal(0, u_mm, (10, 3)), axes) for k in range(3)]
     ends = np.add(rng.normal(0.0, u_mm, (7, 2, 3)), [[0.0, 0.0, 0.0], [300.0, 0.0, 0.0]])
-    lengths = [LengthTest(f"length {k}", *ends[k], 300.0) for k in range(7)]
+    lengths = [LengthTest(f"length {k}", ends[k, 0], ends[k, 1], 300.0) for k in range(7)]
     made = STARTED - timedelta(days=10)
     return as_dict(Verification(made, "40937", tuple(locations), tuple(lengths)))
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from bench.scoring.errors import Floats
 from bench.scoring.joint import JointCovariance, mean_square, radial_95_mm
@@ -160,7 +161,7 @@ def test_generalised_least_squares_without_each_group_is_fitted_anew() -> None:
     left = y - X @ np.linalg.lstsq(X, y, rcond=None)[0]
     V = float(left @ left) / 38 * np.eye(40) + common @ common.T
 
-    def fitted(rows: Floats) -> float:
+    def fitted(rows: NDArray[np.int_]) -> float:
         W = np.linalg.inv(V[np.ix_(rows, rows)])
         return float(np.linalg.solve(X[rows].T @ W @ X[rows], X[rows].T @ W @ y[rows])[1])
 
