@@ -25,7 +25,6 @@ from bench.rig.arm_files import (
     TOUCHES,
     FrameError,
     LengthTest,
-    Limits,
     LocationTest,
     TableFrame,
     TouchedPoint,
@@ -135,12 +134,12 @@ def today() -> datetime:
     return wall_time().replace(microsecond=0).astimezone(UTC)
 
 
-def limits_of(script: str | None) -> Limits:
+def limits_of(script: str | None) -> ArmRequirement:
     """What a script asks of an arm. Raises ConfigError where it asks for nothing."""
     loaded = load_script(find_script(script))
     for rule in loaded.script.requirements:
         if isinstance(rule, ArmRequirement):
-            return Limits(rule.location_limit_mm, rule.length_limit_mm)
+            return rule
     raise ConfigError.plain(
         f"{loaded.path} has no requirement of the kind arm_verified, so it has no limits for an"
         " arm. Name another one."
@@ -235,32 +234,50 @@ def verify(session: ArmSession, plan: Plan, made: datetime) -> Verification:
         session.ask(
             f"Fix the calibrated length {where}. It must not move until both its ends are touched."
         )
-        a, b = (
+        (a, own_a), (b, own_b) = (
             _end(session, f"length {end}", number, f"Length {where}: touch its {nth} end", plan)
             for end, nth in (("a", "first"), ("b", "second"))
         )
-        length = LengthTest(where, a, b, plan.length_mm, plan.length_u_mm)
+        ends_mm2 = None if own_a is None or own_b is None else own_a + own_b
+        length = LengthTest(where, a, b, plan.length_mm, plan.length_u_mm, ends_mm2)
         lengths.append(length)
         session.say(f"{where}: {length.measured_mm:.2f} mm, error {length.error_mm:+.2f} mm.")
     serial_number = session.arm.identity.serial_number
     return Verification(made, serial_number, tuple(locations), tuple(lengths), plan.gauge)
 
 
-def _end(session: ArmSession, what: str, number: int, text: str, plan: Plan) -> Floats:
-    """An end of a length, (3,): as touched, or a sphere's centre by touches round it."""
+def _end(
+    session: ArmSession, what: str, number: int, text: str, plan: Plan
+) -> tuple[Floats, Floats | None]:
+    """An end of a length, (3,): as touched; or a sphere's centre by touches round it, with its
+    covariance for touches of 1 mm.
+    """
     if not plan.spheres:
-        return read_touch(session, Step(what, number, f"{text}.")).tip_mm
+        return read_touch(session, Step(what, number, f"{text}.")).tip_mm, None
     steps = (Step(what, number, f"{text}, {where}.", off=off) for where, off in ROUND)
-    return sphere_centre(np.array([read_touch(session, step).tip_mm for step in steps]))
+    points = np.array([read_touch(session, step).tip_mm for step in steps])
+    return sphere_centre(points), sphere_centre_mm2(points)
 
 
 def sphere_centre(points_mm: Floats) -> Floats:
     """Centre (3,) of the sphere through points (n, 3), n >= 4: |p|^2 = 2 c.p + k (Coope, 1993)."""
     middle = points_mm.mean(axis=0)
     off = points_mm - middle
-    columns = np.column_stack([2.0 * off, np.ones(len(off))])
-    found = np.linalg.lstsq(columns, (off**2).sum(axis=1), rcond=None)[0]
+    found = np.linalg.lstsq(_columns(off), (off**2).sum(axis=1), rcond=None)[0]
     return np.asarray(middle + found[:3])
+
+
+def sphere_centre_mm2(points_mm: Floats) -> Floats:
+    """Covariance (3, 3) of that centre for points of 1 mm along each axis: an error e of a point
+    moves |p|^2 - 2 c.p by 2 (p - c).e. Of `ROUND` 0.75 mm sideways, 1.7 mm upwards.
+    """
+    centre, off = sphere_centre(points_mm), points_mm - points_mm.mean(axis=0)
+    solved = np.linalg.pinv(_columns(off))[:3]
+    return np.asarray((solved * (4.0 * np.sum((points_mm - centre) ** 2, axis=1))) @ solved.T)
+
+
+def _columns(off: Floats) -> Floats:
+    return np.column_stack([2.0 * off, np.ones(len(off))])
 
 
 def _divot(session: ArmSession, name: str, touches: int) -> LocationTest:

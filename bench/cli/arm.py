@@ -11,6 +11,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import fields
 from typing import Any
 
+import numpy as np
+
 from bench.calibrate.arm import (
     ArmSession,
     Plan,
@@ -25,8 +27,21 @@ from bench.calibrate.arm import verify as verify_arm
 from bench.calibrate.simulated_arm import Step
 from bench.cli.arguments import CODES, complain
 from bench.config import ConfigError
-from bench.results.stated_arm import check_verification, stated_fact
-from bench.rig.arm_files import frame_text, load_frame, verification_text, write_file
+from bench.results.stated_arm import (
+    check_verification,
+    contradictions,
+    length_limit_mm,
+    location_limit_mm,
+    stated_fact,
+)
+from bench.rig.arm_files import (
+    LengthTest,
+    Limits,
+    frame_text,
+    load_frame,
+    verification_text,
+    write_file,
+)
 from bench.rig.model import Arm
 from bench.scoring.stated_u import refuted
 from instruments.microscribe.driver import MicroScribe
@@ -160,8 +175,9 @@ def frame(given: argparse.Namespace) -> int:
 
 
 def verify(given: argparse.Namespace) -> int:
-    limits = limits_of(given.script)
-    if given.length_mm is None and limits.length_mm is not None:
+    rule = limits_of(given.script)
+    needed = rule.length_limit_mm is not None or rule.dated_required
+    if given.length_mm is None and needed:
         print("Without --length-mm no length is measured, and the arm can't be verified whole.")
     if given.accuracy_mm is None and points_url(given.port):
         raise ConfigError.plain(
@@ -171,15 +187,25 @@ def verify(given: argparse.Namespace) -> int:
     plan = Plan(**{field.name: getattr(given, field.name) for field in fields(Plan)})
     with _homed(given, given.length_mm) as session:
         found = verify_arm(session, plan, today())
+    stated = stated_fact(Arm.model_construct(url=given.port, accuracy_mm=u_mm))
+    sizes = [test.n for test in found.locations]
+    length_mm = length_limit_mm(rule, stated, found.lengths)
+    if length_mm is None and rule.dated_required:  # none was measured, and one is asked for
+        none = LengthTest("", np.zeros(3), np.zeros(3), 0.0)
+        length_mm = length_limit_mm(rule, stated, [none])
+    limits = Limits(location_limit_mm(rule, stated, sizes), length_mm)
     write_file(given.out, verification_text(found, limits))
-    print(f"Articulated location error {found.location_mm:.2f} mm, limit {limits.location_mm:g} mm")
+    print(
+        f"Articulated location error {found.location_mm:.2f} mm, limit {limits.location_mm:.2f} mm"
+    )
     if found.length_mm is not None:
         print(
             f"Largest error of the calibrated length {found.length_mm:.2f} mm, limit"
-            f" {limits.length_mm:g} mm"
+            f" {limits.length_mm:.2f} mm"
         )
-    arm = Arm.model_construct(url=given.port, accuracy_mm=u_mm)
-    checks = list(check_verification(stated_fact(arm), found))
+    for text in contradictions(rule, stated, (), found):
+        print(f"{text[0].upper()}{text[1:]}.")
+    checks = list(check_verification(stated, found))
     wrong = refuted(checks)
     for check in checks:
         low, high = (u_mm * ratio for ratio in check.ratio_interval)

@@ -4,9 +4,8 @@ of repeats: ISO 9283 for poses and distances, ISO 5725's components, the gage st
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
-from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -25,10 +24,16 @@ from bench.scoring.errors import (
 )
 from bench.scoring.guard_band import (
     axis_acceptance_limit_mm,
-    error_without_noise_mm,
     refusal_limit_mm,
 )
-from bench.scoring.precision import distance_accuracy, drift_mm, pose_accuracy
+from bench.scoring.joint import JointCovariance, mean_square, radial_95_mm
+from bench.scoring.precision import (
+    NORMAL_RP,
+    STUDY_SDS,
+    distance_accuracy,
+    drift_mm,
+    pose_accuracy,
+)
 from bench.scoring.rates import zero_failure_n
 from bench.scoring.scene import Pool
 from detector.calibration import Calibration
@@ -58,7 +63,7 @@ def accuracy_tables(
             lines += [(teat, name, poses, *figures) for name, *figures in six]
         caption = f"Errors along each axis by teat, detector {detector}"
         yield table(caption, ("teat | axis | >poses | >n", MM), lines)
-    yield _distances(run, rows, pool, detector, u_mm)
+    yield _distances(run, rows, pool, detector)
     yield _tolerance(pool, detector)
 
 
@@ -101,9 +106,7 @@ def _six(world: ErrorSummary, camera: ErrorSummary) -> Iterator[tuple[Any, ...]]
         yield name, a.n, a.bias_mm, a.sd_mm, a.rms_mm, a.mean_abs_mm, a.max_abs_mm
 
 
-def _distances(
-    run: RunRecord, rows: ErrorRows, pool: Pool, detector: str, u_mm: float | None
-) -> Table:
+def _distances(run: RunRecord, rows: ErrorRows, pool: Pool, detector: str) -> Table:
     """Of the found teats; GOSPA of whole scenes charges for the others too."""
     heads = (
         f"of | >n | {DISTANCES} | >GOSPA [mm a scene] ~.2f"
@@ -127,22 +130,23 @@ def _distances(
     note = (
         "Distances are over found teats only; GOSPA, which also charges missed and false teats:"
         f" mean {number(gospa(pool), 'mm')} a scene. Percentiles are observed"
-        f" values.{_without_noise(pool, u_mm)}"
+        f" values.{_without_noise(rows)}"
     )
     return table(f"Distance to the teat end, detector {detector}", heads, lines, note)
 
 
-def _without_noise(pool: Pool, u_mm: float | None) -> str:
+def _without_noise(rows: ErrorRows) -> str:
     """What the truth's own uncertainty adds to what is seen."""
-    seen = pool.summary().radial.rms_mm
-    if seen is None or not u_mm:
+    if rows.truth is None or not rows.truth.covariances_mm2.any():
         return ""
-    left, rest = error_without_noise_mm(seen, u_mm), "the noise explains all that was seen"
-    if left is not None:
-        rest = f"without it the rms is {left:.2f} mm"
+    seen = mean_square(rows.errors_mm, rows.truth)
+    low, high = seen.interval_mm
+    rest = f"without it the rms is {low:.2f} to {high:.2f} mm (95 %)"
+    if not low:
+        rest = f"without it the rms is at most {high:.2f} mm (95 %): it may be all that was seen"
     return (
-        f" The truth's noise alone would show {sqrt(3.0) * u_mm:.2f} mm rms (u = {u_mm:.3g} mm"
-        f" along an axis): {rest}."
+        f" The truth's noise alone would show {seen.truth_rms_mm:.2f} mm rms, at most"
+        f" {seen.truth_most_mm:.2f} mm (95 %), much of it common to all ends: {rest}."
     )
 
 
@@ -228,19 +232,18 @@ def limit_table(ends_mm: Floats, calibration: Calibration) -> Table:
 
 CYCLES_FROM = 10  # repeats of a pose: ISO 9283 asks for 30, and fewer than these say nothing
 MOST_ROWS = 60
-# by pose and teat, then by trial: error and true place, (2, 3)
-Errors = Mapping[tuple[str, str], Mapping[str, Floats]]
+# by pose and teat, then by trial: the number of the found row
+Ends = Mapping[tuple[str, str], Mapping[str, int]]
 
 
 def precision_parts(run: RunRecord, detector: str) -> Iterator[Part]:
     """All of one detector."""
     rows = error_rows(run, detector)
     yield _components(rows, detector)
-    found: dict[tuple[str, str], dict[str, Floats]] = {}
+    found: dict[tuple[str, str], dict[str, int]] = {}
     columns = map(rows.of_found, (rows.poses, rows.teats, rows.trials))
-    points = np.stack([rows.errors_mm, rows.places_mm[rows.found]], axis=1)
-    for pose, teat, trial, point in zip(*columns, points, strict=True):
-        found.setdefault((pose, teat), {})[trial] = point
+    for row, (pose, teat, trial) in enumerate(zip(*columns, strict=True)):
+        found.setdefault((pose, teat), {})[trial] = row
     ends = {key: of for key, of in sorted(found.items()) if len(of) >= CYCLES_FROM}
     if not ends:
         most = max(map(len, found.values()), default=0)
@@ -250,8 +253,8 @@ def precision_parts(run: RunRecord, detector: str) -> Iterator[Part]:
             " for 30)."
         )
         return
-    yield _poses(ends, detector)
-    yield _pairs(ends, detector)
+    yield _poses(ends, rows, detector)
+    yield _pairs(ends, rows, detector)
 
 
 def gage_parts(run: RunRecord, limit_mm: float) -> Iterator[Part]:
@@ -268,17 +271,22 @@ def gage_parts(run: RunRecord, limit_mm: float) -> Iterator[Part]:
         " | >gage R&R [mm] ~.3f | >between ends [mm] ~.3f | >of the tolerance [%] ~.1f"
         " # 6 gage over the whole width: below 10 % is good, above 30 % not acceptable"
         " | >ndc # how many sizes of part it can distinguish"
+        " | >common to all touches, u [mm] ~.3f # arm, table frame and ball tip: no repeat shows it"
+        " | >of the tolerance with it [%] ~.1f"
     )
     lines = []
-    for axis, s in zip("xyz", found.studies, strict=True):
+    for axis, s, shared in zip("xyz", found.studies, found.common_mm, strict=True):
         sizes, share = (s.parts, s.appraisers, s.repeats), s.share_of_tolerance(2.0 * limit_mm)
         sd_mm = (s.repeatability, s.reproducibility, s.gage, s.part)
-        lines.append((axis, *sizes, *sd_mm, 100.0 * share, s.distinct_categories))
+        whole = 100.0 * STUDY_SDS * float(np.hypot(s.gage, shared)) / (2.0 * limit_mm)
+        figures = (100.0 * share, s.distinct_categories, shared, whole)
+        lines.append((axis, *sizes, *sd_mm, *figures))
     left = f" {found.left_out} ends had too few touches or set-ups, and are left out."
     note = (
         "Standard deviations, crossed analysis of variance (AIAG MSA, 4th edition; ISO 22514-7):"
         " an end at a pose is a part, a repeat of the pose a set-up. The tolerance is ±"
-        f" {limit_mm:g} mm.{left if found.left_out else ''}"
+        f" {limit_mm:g} mm. What all touches have in common is in no column of the study: it stands"
+        f" beside it, as stated.{left if found.left_out else ''}"
     )
     yield table("Gage R&R of the ground truth", heads, lines, note)
 
@@ -306,27 +314,44 @@ def _components(rows: ErrorRows, detector: str) -> Part:
     return table(f"Repeatability and reproducibility, {detector} (ISO 5725)", heads, lines, note)
 
 
-def _poses(ends: Errors, detector: str) -> Table:
+TOGETHER = (
+    "AP, AD and RP are of detector and truth together; the last columns say what of them the truth"
+    " alone may make (95 %; of RP as stated)."
+)
+
+
+def _poses(ends: Ends, rows: ErrorRows, detector: str) -> Table:
     heads = (
         "pose | teat | >n | >AP [mm] | >AP along x [mm] | >along y [mm] | >along z [mm] | "
-        ">RP [mm] | >drift of AP [mm]"
+        ">RP [mm] | >drift of AP [mm] | >of AP the truth's, up to [mm] ~.2f"
+        " | >of RP the truth's [mm] ~.2f"
     )
-    rows = []
+    lines = []
     for (pose, teat), of in list(ends.items())[:MOST_ROWS]:
-        errors = np.array([end[0] for end in of.values()])
+        numbers = list(of.values())
+        errors, truth = rows.errors_mm[numbers], _truth_of(rows, numbers)
         ap, rp_mm = pose_accuracy(errors)
         drift = drift_mm(errors, max(2, len(errors) // 3))
-        rows.append((pose, teat, len(errors), np.linalg.norm(ap), *ap, rp_mm, drift))
+        shared = radial_95_mm(truth.of_mean(np.full(len(errors), 1.0 / len(errors)), fresh=True))
+        fresh = NORMAL_RP * float(np.sqrt(np.trace(truth.fresh.mean(axis=0)) / 3.0))
+        lines.append(
+            (pose, teat, len(errors), np.linalg.norm(ap), *ap, rp_mm, drift, shared, fresh)
+        )
     note = (
         "Of what was found, against the truth of the same trial. RP: mean distance from their own"
-        f" mean, and three standard deviations.{_left_out(len(ends))}"
+        f" mean, and three standard deviations. {TOGETHER}{_left_out(len(ends))}"
     )
-    return table(f"Pose accuracy and repeatability, {detector} (ISO 9283)", heads, rows, note)
+    return table(f"Pose accuracy and repeatability, {detector} (ISO 9283)", heads, lines, note)
 
 
-def _pairs(ends: Errors, detector: str) -> Part:
+def _truth_of(rows: ErrorRows, numbers: Sequence[int]) -> JointCovariance:
+    return JointCovariance.exact(len(numbers)) if rows.truth is None else rows.truth.of(numbers)
+
+
+def _pairs(ends: Ends, rows: ErrorRows, detector: str) -> Part:
     """Of two teats in one scene; of one teat between two poses, cycle by cycle."""
     several = len({teat for _, teat in ends}) > 1
+    places = rows.places_mm[rows.found]
     pairs = [
         (a, b) for a, b in combinations(ends, 2) if (a[0] == b[0] if several else a[1] == b[1])
     ]
@@ -336,13 +361,18 @@ def _pairs(ends: Errors, detector: str) -> Part:
         both = [(ends[a][trial], ends[b][trial]) for trial in ends[a] if trial in ends[b]]
         if not several:
             both = list(zip(ends[a].values(), ends[b].values(), strict=False))
-        # pair, a or b, error or place
-        points = np.array(both, dtype=np.float64).reshape(-1, 2, 2, 3)
-        apart = points[:, 0] - points[:, 1]
-        off = np.linalg.norm(apart.sum(axis=1), axis=1) - np.linalg.norm(apart[:, 1], axis=1)
-        if len(off) >= CYCLES_FROM:
-            what = f"{a[0]}: teat {a[1]} to {b[1]}" if several else f"{a[0]} to {b[0]}"
-            lines.append((what, len(off), *distance_accuracy(off)))
+        if len(both) < CYCLES_FROM:
+            continue
+        of_a, of_b = (list(numbers) for numbers in zip(*both, strict=True))
+        apart, error = (points[of_a] - points[of_b] for points in (places, rows.errors_mm))
+        true = np.linalg.norm(apart, axis=1)
+        ad_mm, rd_mm = distance_accuracy(np.linalg.norm(apart + error, axis=1) - true)
+        way = apart.mean(axis=0) / max(float(np.linalg.norm(apart.mean(axis=0))), 1e-12)
+        weights = np.repeat([1.0, -1.0], len(both)) / len(both)
+        of_mean = _truth_of(rows, of_a + of_b).of_mean(weights, fresh=True)
+        of_truth = 1.96 * float(np.sqrt(way @ of_mean @ way))
+        what = f"{a[0]}: teat {a[1]} to {b[1]}" if several else f"{a[0]} to {b[0]}"
+        lines.append((what, len(both), ad_mm, rd_mm, of_truth))
     if not lines:
         return Paragraph(
             f"AD and RD (ISO 9283), {detector}: {NOT_MEASURED}; no distance was found {CYCLES_FROM}"
@@ -350,9 +380,9 @@ def _pairs(ends: Errors, detector: str) -> Part:
         )
     note = (
         "The distance found less the true one of the same trials; AD is the amount of its mean, RD"
-        f" three standard deviations.{_left_out(len(pairs))}"
+        f" three standard deviations. {TOGETHER}{_left_out(len(pairs))}"
     )
-    heads = "distance | >n | >AD [mm] | >RD [mm]"
+    heads = "distance | >n | >AD [mm] | >RD [mm] | >of AD the truth's, up to [mm] ~.2f"
     return table(f"Distance accuracy and repeatability, {detector} (ISO 9283)", heads, lines, note)
 
 

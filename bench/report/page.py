@@ -233,9 +233,8 @@ def _confidence(run: RunRecord, rules: Rules, poses: int) -> str:
     message += f" with {sure}."
     if poses < needed:
         message += f" To show {100 * rate:g} % takes {needed} poses without a failure."
-    known = [row["u_mm"] for trial in run.counted for row in trial.truth if row["u_mm"] is not None]
-    if known:
-        message += f" The truth is known to ± {2 * max(known):.2f} mm."
+    if (known_mm := tables.truth_known_mm(run)) is not None:
+        message += f" The truth is known to {known_mm:.2f} mm in 95 %."
     return message
 
 

@@ -26,15 +26,19 @@ from bench.results.error_rows import (
     teat_errors,
 )
 from bench.results.verdicts import scored_trials
+from bench.scoring.comparison import holm
 from bench.scoring.errors import Floats
+from bench.scoring.joint import radial_95_mm
 from bench.scoring.spread import (
     LEAST_POSES,
+    LEAST_SPAN_U,
     LEAST_TREND_POSES,
     Ellipsoid,
     Trend,
     consistency,
     prediction_ellipsoid,
 )
+from bench.truth.joint import End, joint_truth
 from reports.figures.course import Slope, slope_intervals
 from reports.figures.errors import error_drift, teat_boxes
 from reports.figures.plane import (
@@ -122,9 +126,11 @@ QUANTITIES = {
     "tilt_deg": ("tilt of the teat", "°", 1.0),
 }
 NOTE = (
-    "Errors of one pose are not independent, so the slope's error is the jackknife over poses;"
-    " where poses are repeated, time and bath are asked within them. All p-values of the table are"
-    " adjusted together (Holm).\n“No trend shown” doesn't say that there is none: it says that"
+    "Places are the planned ones, not the measured: an error of the truth is one of both. Errors"
+    " of one pose are not independent, so the slope's error is the jackknife over poses; what the"
+    " truth may make of the slope is added. Where poses are repeated, time and bath are asked"
+    " within them. All p-values of the table are adjusted together (Holm).\n“No trend shown”"
+    " doesn't say that there is none: it says that"
     " chance alone explains what was seen. As far as these poses show, a trend may still make, over"
     " the whole range, as much as the column “could be up to” says; more poses over a wider range"
     " narrow it."
@@ -148,7 +154,7 @@ def trend_parts(rows: ErrorRows, detector: str) -> Iterator[Part]:
         span = line.span / factor
         if line.slope is None or line.low is None or line.high is None:
             why = Cell(f"{NOT_MEASURED}: {_why_not(line)}", "muted")
-            row = ("any error", *sizes, span if line.n else "", "", "", "", "", "", why)
+            row = ("any error", *sizes, span if line.n else "", *[""] * 6, why)
             unmeasured[line.quantity] = row  # one row for each
             continue
         effect, low, high = (value * line.span for value in (line.slope, line.low, line.high))
@@ -156,8 +162,8 @@ def trend_parts(rows: ErrorRows, detector: str) -> Iterator[Part]:
         interval = f"{line.low * factor:+.3g} to {line.high * factor:+.3g}"
         p = line.p_value if line.p_holm is None else line.p_holm
         text = Cell("trend shown", "warn") if line.significant else Cell("no trend shown", "muted")
-        most = max(abs(low), abs(high))
-        drawn = (span, line.slope * factor, interval, effect, most, p, text)
+        most, truth = max(abs(low), abs(high)), line.truth * line.span
+        drawn = (span, line.slope * factor, interval, effect, most, truth, p, text)
         measured.append((response, *sizes, *drawn))
     shown = [f"{slope.response} with {slope.against}" for slope in slopes if slope.shown]
     says = f"Trend shown: {', '.join(shown)}." if shown else "No trend is shown."
@@ -168,7 +174,8 @@ def trend_parts(rows: ErrorRows, detector: str) -> Iterator[Part]:
         "error | against | >n | >poses # independent units; within poses: trials"
         " | >range [of the unit] ~.3g | >slope [mm per unit] ~+.3g | >95 % interval [mm per unit]"
         " | >over the range [mm] ~+.2f | >could be up to [mm] ~.2f # over the range, either way,"
-        " 95 % | >p (Holm) ~.3g? | trend"
+        " 95 % | >of it the truth's, up to [mm] ~.2f # 95 %: below it detector and truth can't be"
+        " parted | >p (Holm) ~.3g? | trend"
     )
     lines = (*measured, *unmeasured.values())
     listed = table(f"Trends of the error, {detector}", heads, lines, NOTE)
@@ -180,10 +187,16 @@ def _why_not(line: Trend) -> str:
         return "it isn't known in this run"
     if line.groups < LEAST_TREND_POSES:
         return f"in {line.groups} poses, {LEAST_TREND_POSES} are the least"
+    if line.least_span:
+        return (
+            f"it varied by {line.span:.1f} mm only; {line.least_span:.1f} mm are needed, as"
+            f" {LEAST_SPAN_U:g} times the truth's uncertainty"
+        )
     return "it hardly varied"
 
 
 CORNERS = 49  # of a drawn ellipse
+BIAS_LEVEL = 0.05
 # a view's names of its axes, whether it is the camera's, and the axes
 VIEWS = (
     (("world x", "world y"), False, (0, 1)),
@@ -208,7 +221,7 @@ def spread_parts(
     alt = "; ".join(f"{name}: {len(mm)} found" for name, mm in zip(names, each, strict=True))
     svg = teat_boxes(names, each, limit_mm, name=f"teats-{id_of(detector)}")
     yield Figure(svg, f"Distance by teat, {detector}", alt or "none")
-    minutes = rows.quantities["time_s"] / 60.0
+    minutes = rows.time_s[rows.found] / 60.0
     timed = np.isfinite(minutes)
     if timed.any():
         links = [anchors[trial] for trial in compress(rows.of_found(rows.trials), timed)]
@@ -224,7 +237,7 @@ def spread_parts(
         )
     teats = teat_errors(rows)
     yield _drawn(teats, limit_mm, anchors, camera_from_world, detector)
-    yield _ellipsoids(run, run_bias(rows), teats, detector)
+    yield from _ellipsoids(run, rows, teats, detector)
     yield from trend_parts(rows, detector)
 
 
@@ -236,15 +249,23 @@ def _drawn(
     detector: str,
 ) -> Figure:
     """Each teat's pose means with its 95 % ellipsoid; too many teats are one group."""
-    clouds = [(f"teat {one.teat}", one.means_mm, one.worst_trials) for one in teats]
+    clouds = [
+        (f"teat {one.teat}", one.means_mm, one.worst_trials, one.bias.common_mm2) for one in teats
+    ]
     if len(clouds) > MOST_GROUPS:
-        together = np.concatenate([means for _, means, _ in clouds])
-        worst = tuple(trial for _, _, trials in clouds for trial in trials)
-        clouds = [(f"{len(clouds)} teats", together, worst)]
+        together = np.concatenate([one.means_mm for one in teats])
+        worst = tuple(trial for one in teats for trial in one.worst_trials)
+        shared = [one.bias.common_mm2 for one in teats if one.bias.common_mm2 is not None]
+        largest = max(shared, key=np.trace, default=None)
+        clouds = [(f"{len(clouds)} teats", together, worst, largest)]
     groups = []
-    for name, means, trials in clouds:
+    for name, means, trials, common in clouds:
         frames = means, means @ camera_from_world.T
-        bodies = [prediction_ellipsoid(points) for points in frames]
+        turned = None if common is None else camera_from_world @ common @ camera_from_world.T
+        bodies = [
+            prediction_ellipsoid(points, common_mm2=of)
+            for points, of in zip(frames, (common, turned), strict=True)
+        ]
         outlines = [
             body.outline_mm(*axes, CORNERS)
             for _, in_camera, axes in VIEWS
@@ -257,7 +278,7 @@ def _drawn(
     svg = error_regions(groups, views, limit_mm, name=f"regions-{id_of(detector)}")
     counts = "; ".join(
         f"{name}: {len(means)} poses{'' if len(means) >= LEAST_POSES else ', too few'}"
-        for name, means, _ in clouds
+        for name, means, *_ in clouds
     )
     text = (
         f"Errors with their 95 % ellipsoids, {detector}: from above, from the front, and along the"
@@ -269,40 +290,84 @@ def _drawn(
     return Figure(svg, text, alt, wide=True)
 
 
-def _ellipsoids(run: RunRecord, whole: Bias, teats: Sequence[TeatErrors], detector: str) -> Part:
+def _ellipsoids(
+    run: RunRecord, rows: ErrorRows, teats: Sequence[TeatErrors], detector: str
+) -> Iterator[Part]:
     """Of each pose's mean error, since repeats of a pose share its error; then by teat."""
+    whole = run_bias(rows)
     test = whole.test
     if test.n < LEAST_POSES:
-        return Paragraph(
+        yield Paragraph(
             f"Ellipsoids, {detector}: {NOT_MEASURED}; teats were found in {test.n} poses, and"
             f" {LEAST_POSES} are the least."
         )
+        return
+    yield Paragraph(_mean_error(rows, whole, detector))
     bodies = {"all teats": whole} | {f"teat {one.teat}": one.bias for one in teats}
     if len(teats) == 1:
         bodies = {"the teat": whole}
     heads = (
         "of | holds | >poses | >centre x, y, z [mm] ~.2f | >half axes [mm] ~.2f"
         " | >longest axis along ~.2f # unit vector in the world frame"
-        " | >is there a bias? # p of Hotelling's T²: below 0.05 the mean error isn't zero"
+        " | >is there a bias? # p of Hotelling's T², of teats adjusted together (Holm):"
+        " below 0.05 the mean error isn't zero"
     )
     lines = []
+    adjusted = _adjusted(bodies)
     for who, bias in bodies.items():
-        lines.append((who, *_ellipsoid("next pose's mean error, 95 %", bias.next_error, bias)))
-        lines.append((who, *_ellipsoid("bias, 95 % confidence", bias.bias, bias)))
+        p = adjusted.get(who)
+        lines.append((who, *_ellipsoid("next pose's mean error, 95 %", bias.next_error, bias, p)))
+        lines.append((who, *_ellipsoid("bias, 95 % confidence", bias.bias, bias, p)))
     text = ""
     if test.p_value is not None:
         text = f"Is there a bias? Hotelling's T² = {test.t_squared:.2f}, p = {test.p_value:.3g}. "
     note = text + _consistent(run, detector)
     listed = table(f"Ellipsoids of the error, {detector}", heads, lines, note)
-    return Fold(f"Ellipsoids in figures, {detector}", (listed,))
+    yield Fold(f"Ellipsoids in figures, {detector}", (listed,))
 
 
-def _ellipsoid(what: str, body: Ellipsoid | None, bias: Bias) -> tuple[object, ...]:
+def _mean_error(rows: ErrorRows, whole: Bias, detector: str) -> str:
+    """How much of it is the detector's: what the truths share is in all errors alike."""
+    mean_mm = float(np.linalg.norm(whole.means_mm.mean(axis=0)))
+    shared = whole.common_mm2
+    if rows.truth is None or shared is None or not shared.any():
+        return (
+            f"Mean error over {whole.test.n} poses, {detector}: {mean_mm:.2f} mm"
+            f"{_by_chance(whole)}."
+        )
+    parts = rows.truth.by_source(rows.of_mean)
+    largest = sorted(parts, key=lambda source: -parts[source])
+    named = ", ".join(f"{source} {parts[source]:.2f} mm" for source in largest)
+    return (
+        f"Mean error of detector and truth together over {whole.test.n} poses, {detector}:"
+        f" {mean_mm:.2f} mm, of which the truth may be {radial_95_mm(shared):.2f} mm (95 %; u along"
+        f" an axis of what all its ends share: {named}){_by_chance(whole)}."
+    )
+
+
+def _by_chance(whole: Bias) -> str:
+    p_value = whole.test.p_value
+    if p_value is None:
+        return ""
+    return "; a bias is shown" if p_value < BIAS_LEVEL else "; no bias is shown"
+
+
+def _adjusted(bodies: Mapping[str, Bias]) -> dict[str, float]:
+    """The p-values of the tests, those of single teats together (Holm)."""
+    p_values = {who: bias.test.p_value for who, bias in bodies.items()}
+    known = {who: p for who, p in p_values.items() if p is not None}
+    teats = [who for who in known if who.startswith("teat ")]
+    return known | dict(zip(teats, holm([known[who] for who in teats]), strict=True))
+
+
+def _ellipsoid(
+    what: str, body: Ellipsoid | None, bias: Bias, p_value: float | None
+) -> tuple[object, ...]:
     test = bias.test
     if body is None:
         few = f"{NOT_MEASURED}: {LEAST_POSES} poses are the least"
         return what, test.n, None, None, "", few
-    p = None if test.p_value is None else f"p = {test.p_value:.3g}"
+    p = None if p_value is None else f"p = {p_value:.3g}"
     return what, body.n, body.centre_mm, body.half_axes_mm, body.directions[0], p
 
 
@@ -312,19 +377,21 @@ def _consistent(run: RunRecord, detector: str) -> str:
         return "The detector states no covariances."
     left_out = run.facts["items"].get(detector, {}).get(LEFT_OUT)
     left_out = f" They leave out: {left_out or 'the detector does not say what'}."
-    errors, covariances = zip(*stated, strict=True)
-    held = consistency(np.array(errors), np.array(covariances))
+    errors, covariances, ends = zip(*stated, strict=True)
+    truth = joint_truth(run, ends)
+    held = consistency(np.array(errors), np.array(covariances), truth=truth)
     if held.ratio is None:
         return left_out.strip()
     return (
         f"Stated covariances, with the truth's: mean e' C⁻¹ e / 3 is {held.ratio:.2f} over {held.n}"
-        f" ends, where 1 is as stated and chance leaves {held.low:.2f} to {held.high:.2f}; above,"
+        f" ends, where 1 is as stated and chance leaves {held.low:.2f} to {held.high:.2f} (95 %,"
+        " with what the truths share); above,"
         f" the detector claims to be surer than it is; below, it is too modest.{left_out}"
     )
 
 
-def _stated(run: RunRecord, detector: str) -> Iterator[tuple[Floats, Floats]]:
-    """Error (3,) of each found teat, and its stated covariance (3, 3) mm² with the truth's."""
+def _stated(run: RunRecord, detector: str) -> Iterator[tuple[Floats, Floats, End]]:
+    """Error (3,) of each found teat, its stated covariance (3, 3) mm² with the truth's, and it."""
     for trial in scored_trials(run, detector):
         score = trial.scores[detector]
         answers = [row for row in trial.found if row["detector"] == detector]
@@ -335,4 +402,4 @@ def _stated(run: RunRecord, detector: str) -> Iterator[tuple[Floats, Floats]]:
             u_mm = float(trial.truth[truth]["u_mm"] or 0.0)
             total = stated + (u_mm**2 * np.eye(3) if own is None else own)
             if np.all(np.linalg.eigvalsh(total) > 0.0):
-                yield np.asarray(error), total
+                yield np.asarray(error), total, (trial, trial.truth[truth])

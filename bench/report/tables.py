@@ -23,6 +23,7 @@ from bench.results.verdicts import (
 )
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.errors import Floats
+from bench.scoring.joint import radial_95_mm
 from bench.scoring.rates import Rate, percent, pose_successes
 from bench.script.model import Rules
 from detector.calibration import Calibration
@@ -186,6 +187,14 @@ def covariance_of(row: Row) -> Floats | None:
     text = row.get("covariance_mm2")
     matrix = np.array(json.loads(text) if text else [], dtype=np.float64)
     return matrix if matrix.shape == (3, 3) and np.isfinite(matrix).all() else None
+
+
+def truth_known_mm(run: RunRecord) -> float | None:
+    """The distance within which the least certain end lies with 95 %; None where none states u."""
+    rows = [row for t in run.counted for row in t.truth if row["u_mm"] is not None]
+    stated = [(covariance_of(row), row["u_mm"]) for row in rows]
+    found = (radial_95_mm(u_mm**2 * np.eye(3) if own is None else own) for own, u_mm in stated)
+    return max(found, default=None)
 
 
 HEAD = (

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.record.reader import RunRecord, points_mm
-from bench.report.tables import situations
+from bench.report.tables import situations, truth_known_mm
 from bench.report.trials import project_all
 from bench.report.wording import NOT_MEASURED, listed, number, spanned, table
 from bench.results.error_rows import error_rows
@@ -376,10 +376,8 @@ def _rig(run: RunRecord, figures: Thesis, calibration: Calibration) -> Iterator[
         _stretch(calibration.world_from_right.R),
         world.wrong,
     )
-    known = [row["u_mm"] for t in run.counted for row in t.truth if row["u_mm"] is not None]
-    sentence = NOT_MEASURED
-    if known:
-        sentence = f"truth known to {max(known):.2f} mm along an axis (k = 1)"
+    known_mm = truth_known_mm(run)
+    sentence = NOT_MEASURED if known_mm is None else f"truth known to {known_mm:.2f} mm in 95 %"
     printed = f"{arm.accuracy_mm[0]:g} mm, {arm.accuracy_mm[1]:g} mm"
     yield "accuracy of the arm", arm.section, printed, "", sentence, arm.wrong
     temps = [trial.head["bath_c"] for trial in run.trials if trial.head["bath_c"] is not None]

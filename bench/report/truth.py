@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 
 from bench.record.reader import RunRecord, TrialRecord, points_mm
-from bench.report.tables import covariance_of
+from bench.report.tables import covariance_of, truth_known_mm
 from bench.report.wording import key_values, listed, number, spanned, table, xyz
 from bench.results.cameras_agree import DEFAULT, DISPARITY, answers_of, cameras_of, shift_text
 from bench.results.stated_arm import STATED_FACT, VERIFICATION_FACT, arm_checks, too_small
 from bench.results.verdicts import age_of
 from bench.rig.arm_files import LocationTest, Verification, from_dict
-from bench.run.rows import FRAME_FACT
 from bench.scoring.stated_u import LEVEL, level_of_each
 from bench.script.model import CamerasRequirement, Rules
 from bench.truth.arm_check import AFTER, BEFORE, CHECK_FACT, location_of, shift_mm
 from bench.truth.carrying import counted, resumed
+from bench.truth.joint import FRAME_FACT
 from bench.truth.registration import Registration, registration_from_facts
 from bench.truth.uncertainty import CHI2_95, How
 from detector.calibration import Calibration
@@ -218,7 +218,8 @@ def truth_parts(run: RunRecord) -> Iterator[Part]:
     if known := [row["u_mm"] for row in ends if row["u_mm"] is not None]:
         yield Paragraph(
             "Every decision's guard band is that of the largest uncertainty in the run: u ="
-            f" {max(known):.3f} mm along an axis."
+            f" {max(known):.3f} mm along an axis; in space, an end is known to"
+            f" {truth_known_mm(run) or 0.0:.2f} mm in 95 %."
         )
     if (registration := registration_from_facts(run.facts)) is not None:
         yield from _registration(run, registration)

@@ -9,9 +9,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
+import numpy as np
+
 from bench.record.reader import RunRecord, TrialRecord
 from bench.results.cameras_agree import DEFAULT, answers_of, cameras_of, share_shift
 from bench.safety.stability import State
+from bench.scoring.joint import radial_95_mm
 from detector.calibration import Calibration
 
 OPERATORS_EVENT = "the operator skipped it"
@@ -101,7 +104,8 @@ def _wrong(trial: TrialRecord, detector: str) -> Iterator[tuple[What, str, Cause
         if distance > score.limit_mm:
             near = teat in score.doubtful
             why = f"{distance:.2f} mm off, limit {score.limit_mm:g} mm"
-            more = f"; the truth's uncertainty ({score.u_mm:.2f} mm) could turn it" if near else ""
+            known_mm = radial_95_mm(score.u_mm**2 * np.eye(3))
+            more = f"; the truth, known to {known_mm:.2f} mm in 95 %, could turn it" if near else ""
             yield What.OFF, names[teat], Cause.TRUTH if near else Cause.DETECTOR, why + more
     for number in score.match.false:
         yield What.FALSE, "", Cause.DETECTOR, f"finding {number + 1} is at no teat"

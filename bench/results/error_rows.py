@@ -21,10 +21,12 @@ from bench.record.reader import RunRecord
 from bench.record.schema import SCRIPT
 from bench.results.verdicts import scored_trials
 from bench.scoring.errors import Bools, Floats
+from bench.scoring.joint import JointCovariance
 from bench.scoring.precision import GageStudy, Precision, gage_study, precision
 from bench.scoring.spread import (
     BiasTest,
     Ellipsoid,
+    Regressor,
     Trend,
     bias_ellipsoid,
     bias_test,
@@ -33,8 +35,11 @@ from bench.scoring.spread import (
     trends,
 )
 from bench.script.model import Script, layouts_of, planned_of
+from bench.script.planned_trials import PlannedTrial
+from bench.truth.joint import End, joint_truth
 
 WITHIN = ("time_s", "bath_c")
+UNPLANNED = np.full(3, np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,6 +57,9 @@ class ErrorRows:
     poses: tuple[str, ...]
     trials: tuple[str, ...]
     teats: tuple[str, ...]
+    # planned places (k, 3) of the found rows, and what is known of their truth
+    planned_mm: Floats | None = None
+    truth: JointCovariance | None = None
 
     @property
     def teat_names(self) -> tuple[str, ...]:
@@ -62,16 +70,44 @@ class ErrorRows:
         """The rows of one teat."""
         rows = np.array([name == teat for name in self.teats], dtype=np.bool_)
         columns = (self.time_s[rows], self.bath_c[rows], self.tilt_deg[rows])
-        names = (tuple(compress(all_of, rows)) for all_of in (self.poses, self.trials, self.teats))
-        errors = self.errors_mm[rows[self.found]]
-        return ErrorRows(self.places_mm[rows], self.found[rows], errors, *columns, *names)
+        poses, trials, teats = (
+            tuple(compress(all_of, rows)) for all_of in (self.poses, self.trials, self.teats)
+        )
+        own = rows[self.found]
+        planned = None if self.planned_mm is None else self.planned_mm[own]
+        truth = None if self.truth is None else self.truth.of(own)
+        errors = self.errors_mm[own]
+        some = self.places_mm[rows], self.found[rows], errors, *columns
+        return ErrorRows(*some, poses, trials, teats, planned, truth)
 
     @property
-    def quantities(self) -> dict[str, Floats]:
-        """What the errors may depend on, for the found rows."""
-        columns = dict(zip(("x_mm", "y_mm", "z_mm"), self.places_mm.T, strict=True))
-        columns |= {"time_s": self.time_s, "bath_c": self.bath_c, "tilt_deg": self.tilt_deg}
-        return {name: column[self.found] for name, column in columns.items()}
+    def quantities(self) -> dict[str, Regressor]:
+        """What the errors may depend on, for the found rows. The place is the planned one; in a
+        recording, which has no plan, the truth's.
+        """
+        places = self.places_mm[self.found] if self.planned_mm is None else self.planned_mm
+        u_mm = np.zeros(3)
+        if self.truth is not None and len(self.truth.fresh):
+            u_mm = np.sqrt(np.einsum("naa->na", self.truth.covariances_mm2).max(axis=0))
+        measured = self.planned_mm is None
+        found = {
+            name: Regressor(column, float(u), measured)
+            for name, column, u in zip(("x_mm", "y_mm", "z_mm"), places.T, u_mm, strict=True)
+        }
+        others = {"time_s": self.time_s, "bath_c": self.bath_c, "tilt_deg": self.tilt_deg}
+        return found | {name: Regressor(column[self.found]) for name, column in others.items()}
+
+    @property
+    def of_mean(self) -> Floats:
+        """What each found row weighs (k,) in the mean over poses of each pose's mean."""
+        poses = self.of_found(self.poses)
+        each = Counter(poses)
+        return np.array([1.0 / (len(each) * each[pose]) for pose in poses], dtype=np.float64)
+
+    @property
+    def common_mm2(self) -> Floats | None:
+        """Covariance (3, 3) of what the truths of that mean have in common."""
+        return None if self.truth is None else self.truth.of_mean(self.of_mean)
 
     def of_found(self, names: tuple[str, ...]) -> tuple[str, ...]:
         """The names of the found rows."""
@@ -106,19 +142,24 @@ class PosePlace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bias:
-    """Over pose means: region of the next error, region of the bias (95 % both), and its test."""
+    """Over pose means: region of the next error, region of the bias (95 % both), its test, the
+    means (p, 3), and the covariance (3, 3) that their truths share.
+    """
 
     next_error: Ellipsoid | None
     bias: Ellipsoid | None
     test: BiasTest
+    means_mm: Floats
+    common_mm2: Floats | None = None
 
 
 def error_rows(run: RunRecord, detector: str, situation: str | None = None) -> ErrorRows:
     """The rows of one detector, of trials that count; of one situation where named."""
-    tilts = teat_tilts_deg(run)
+    tilts, planned = teat_tilts_deg(run), planned_ends_mm(run)
     rows: list[tuple[float | None, ...]] = []
     names: list[tuple[str, str, str]] = []
     errors: list[Floats] = []
+    ends: list[End] = []
     for trial in scored_trials(run, detector, situation):
         score = trial.scores[detector]
         at = {teat: row for row, (_, teat) in enumerate(score.match.pairs)}
@@ -131,11 +172,17 @@ def error_rows(run: RunRecord, detector: str, situation: str | None = None) -> E
             names.append((trial.pose, trial.id, teat))
             if index in at:
                 errors.append(score.errors_mm[at[index]])
+                ends.append((trial, truth))
     table = np.array(rows, dtype=np.float64).reshape(-1, 7)  # None becomes not-a-number
     poses, trials, teats = zip(*names, strict=True) if names else ((), (), ())
     found = np.array(errors, dtype=np.float64).reshape(-1, 3)
     columns = table[:, 3], table[:, 4], table[:, 5]
-    return ErrorRows(table[:, :3], table[:, 6] > 0.5, found, *columns, poses, trials, teats)
+    places = None
+    if planned:
+        keys = [(trial.id, str(row["teat"])) for trial, row in ends]
+        places = np.array([planned.get(key, UNPLANNED) for key in keys]).reshape(-1, 3)
+    of_all = table[:, :3], table[:, 6] > 0.5, found, *columns
+    return ErrorRows(*of_all, poses, trials, teats, places, joint_truth(run, ends))
 
 
 def run_trends(rows: ErrorRows) -> tuple[Trend, ...]:
@@ -144,16 +191,26 @@ def run_trends(rows: ErrorRows) -> tuple[Trend, ...]:
     strata: tuple[Hashable, ...] = tuple(zip(poses, teats, strict=True))
     repeated = any(count > 1 for count in Counter(strata).values())
     within: Mapping[str, tuple[Hashable, ...]] = dict.fromkeys(WITHIN, strata) if repeated else {}
-    return trends(rows.quantities, rows.errors_mm, poses, within=within, within_groups=trials)
+    asked: Mapping[str, Regressor] = rows.quantities
+    return trends(
+        *(asked, rows.errors_mm, poses), within=within, within_groups=trials, truth=rows.truth
+    )
 
 
 def run_bias(rows: ErrorRows) -> Bias:
     """Ellipsoids of the poses' mean errors, and Hotelling's test of their mean."""
-    return _bias(pose_means(rows.errors_mm, rows.of_found(rows.poses)))
+    return _bias(pose_means(rows.errors_mm, rows.of_found(rows.poses)), rows)
 
 
-def _bias(means_mm: Floats) -> Bias:
-    return Bias(prediction_ellipsoid(means_mm), bias_ellipsoid(means_mm), bias_test(means_mm))
+def _bias(means_mm: Floats, rows: ErrorRows) -> Bias:
+    common_mm2 = rows.common_mm2
+    return Bias(
+        prediction_ellipsoid(means_mm, common_mm2=common_mm2),
+        bias_ellipsoid(means_mm, common_mm2=common_mm2),
+        bias_test(means_mm, common_mm2),
+        means_mm,
+        common_mm2,
+    )
 
 
 def teat_errors(rows: ErrorRows) -> tuple[TeatErrors, ...]:
@@ -168,7 +225,7 @@ def teat_errors(rows: ErrorRows) -> tuple[TeatErrors, ...]:
             worst[pose] = max(worst.get(pose, (-1.0, "")), (distance, trial))
         means = pose_means(of.errors_mm, poses)
         worst_trials = tuple(trial for _, trial in worst.values())
-        found.append(TeatErrors(teat, means, worst_trials, _bias(means)))
+        found.append(TeatErrors(teat, means, worst_trials, _bias(means, of)))
     return tuple(found)
 
 
@@ -204,18 +261,32 @@ def run_precision(rows: ErrorRows) -> tuple[Precision, Precision, Precision]:
 
 def teat_tilts_deg(run: RunRecord) -> dict[tuple[str, str], float]:
     """Lean of each teat from the vertical, by trial and teat; nothing for a recording."""
-    path = run.folder / SCRIPT
-    if not path.is_file():
-        return {}
-    # a detector that isn't at hand any more is no hindrance
-    script = read_config(path, Script, stored=True)
     tilts: dict[tuple[str, str], float] = {}
-    for planned in planned_of(script, layouts_of(script, run.folder)):
+    for planned in _planned(run):
         for number, teat in enumerate(planned.phantom.teats, 1):
             lean = np.hypot(*np.tan(teat.tilt_rad))
             for name in (str(number), teat.name):
                 tilts[planned.id, name] = float(np.degrees(np.arctan(lean)))
     return tilts
+
+
+def planned_ends_mm(run: RunRecord) -> dict[tuple[str, str], Floats]:
+    """Where the script has each end, world, by trial and teat; nothing for a recording."""
+    places: dict[tuple[str, str], Floats] = {}
+    for planned in _planned(run):
+        phantom = planned.phantom.moved(planned.pose)
+        for number, (teat, end) in enumerate(zip(phantom.teats, phantom.ends_mm, strict=True), 1):
+            places |= dict.fromkeys(((planned.id, str(number)), (planned.id, teat.name)), end)
+    return places
+
+
+def _planned(run: RunRecord) -> tuple[PlannedTrial, ...]:
+    path = run.folder / SCRIPT
+    if not path.is_file():
+        return ()
+    # a detector that isn't at hand any more is no hindrance
+    script = read_config(path, Script, stored=True)
+    return planned_of(script, layouts_of(script, run.folder))
 
 
 Part = tuple[str, str]
@@ -224,11 +295,14 @@ Touches = dict[Part, dict[str, list[tuple[float, float, float]]]]
 
 @dataclass(frozen=True, slots=True)
 class TruthGage:
-    """The studies along x, y and z, mm, or ``why`` there are none; parts that were left out."""
+    """The studies along x, y and z, mm, or ``why`` there are none; parts that were left out; what
+    all touches have in common along each axis, standard uncertainty as stated.
+    """
 
     studies: tuple[GageStudy, GageStudy, GageStudy] | None
     left_out: int = 0
     why: str = ""
+    common_mm: tuple[float, ...] = (0.0, 0.0, 0.0)
 
 
 def truth_gage(runs: Sequence[RunRecord]) -> TruthGage:
@@ -258,7 +332,17 @@ def truth_gage(runs: Sequence[RunRecord]) -> TruthGage:
     repeats = min(len(points) for part in parts for points in part)
     table: Floats = np.array([[points[:repeats] for points in part] for part in parts])
     x, y, z = (gage_study(table[..., axis]) for axis in range(3))
-    return TruthGage((x, y, z), len(cells) - len(parts))
+    return TruthGage((x, y, z), len(cells) - len(parts), common_mm=_common_mm(runs))
+
+
+def _common_mm(runs: Sequence[RunRecord]) -> tuple[float, ...]:
+    """The largest of several runs, which have an arm and a frame in common."""
+    found = np.zeros(3)
+    for run in runs:
+        ends = [(t, row) for t in run.counted if t.touches for row in t.truth]
+        shared = joint_truth(run, ends).of_mean(np.full(len(ends), 1.0 / max(len(ends), 1)))
+        found = np.maximum(found, np.sqrt(np.diag(shared)))
+    return tuple(map(float, found))
 
 
 def _point(row: Mapping[str, float]) -> tuple[float, float, float]:

@@ -7,14 +7,23 @@ gauge. What all touches of one divot have in common shows in lengths only, and b
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from math import sqrt
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtri, fdtri, ndtr
 
-from bench.rig.arm_files import LocationTest, Verification, from_dict
+from bench.rig.arm_files import LengthTest, LocationTest, Verification, from_dict
 from bench.rig.model import Arm
-from bench.scoring.stated_u import StatedCheck, refuted
+from bench.scoring.stated_u import (
+    LIMIT_LEVEL,
+    StatedCheck,
+    chance_of_refusal,
+    largest_limit_mm,
+    refuted,
+)
+from bench.script.model import ArmRequirement
 from bench.truth.arm_check import AFTER, BEFORE, CHECK_FACT, location_of
 
 STATED_FACT = "arm uncertainty"
@@ -43,7 +52,7 @@ def check_verification(stated: Mapping[str, Any], dated: Verification) -> Iterat
     yield check_touches("divots of the dated verification", stated, *dated.locations)
     if dated.lengths:
         squares = sum(
-            one.error_mm**2 / (2.0 * _touch_mm2(stated) + one.calibrated_u_mm**2)
+            one.error_mm**2 / (one.touches * _touch_mm2(stated) + one.calibrated_u_mm**2)
             for one in dated.lengths
         )
         name = "lengths of the dated verification"
@@ -78,3 +87,80 @@ def too_small(facts: Mapping[str, Any]) -> str:
 def _touch_mm2(stated: Mapping[str, Any]) -> float:
     """Variance of one touch of a divot along an axis."""
     return float(stated["u_mm"] ** 2 + stated["resolution_mm"] ** 2)
+
+
+TOLD_FROM = 0.05  # chance of refusal that a limit may have and nothing is said
+
+
+def location_limit_mm(
+    rule: ArmRequirement, stated: Mapping[str, Any] | None, sizes: Sequence[int]
+) -> float:
+    """The script's limit on touches of one divot; without one what the arm's statement gives for
+    groups of so many touches.
+    """
+    if rule.location_limit_mm is not None or stated is None:
+        return rule.location_limit_mm or float("inf")
+    return largest_limit_mm(sqrt(_touch_mm2(stated)), sizes, stated["df"])
+
+
+def drift_limit_mm(
+    rule: ArmRequirement, stated: Mapping[str, Any] | None, sizes: Sequence[int]
+) -> float:
+    """The same for the difference between the means of two groups."""
+    if rule.drift_limit_mm is not None or stated is None:
+        return rule.drift_limit_mm or float("inf")
+    df, several = stated["df"], sum(1.0 / n for n in sizes)
+    squared = chdtri(3, LIMIT_LEVEL) if df is None else 3.0 * fdtri(3, df, 1.0 - LIMIT_LEVEL)
+    return sqrt(_touch_mm2(stated) * several * float(squared))
+
+
+def length_limit_mm(
+    rule: ArmRequirement, stated: Mapping[str, Any] | None, lengths: Sequence[LengthTest]
+) -> float | None:
+    """The same for the largest error of a calibrated length; None where none is asked for."""
+    if rule.length_limit_mm is not None or stated is None or not lengths:
+        return rule.length_limit_mm
+    return _length_limit_mm(stated, lengths)
+
+
+def _length_limit_mm(stated: Mapping[str, Any], lengths: Sequence[LengthTest]) -> float:
+    """That the least certain of them exceeds as seldom as all of them may."""
+    df, level = stated["df"], LIMIT_LEVEL / len(lengths)
+    squared = chdtri(1, level) if df is None else fdtri(1, df, 1.0 - level)
+    return max(_length_sds(stated, lengths)) * sqrt(float(squared))
+
+
+def _length_sds(stated: Mapping[str, Any], lengths: Sequence[LengthTest]) -> list[float]:
+    touch = _touch_mm2(stated)
+    return [sqrt(one.touches * touch + one.calibrated_u_mm**2) for one in lengths]
+
+
+def contradictions(
+    rule: ArmRequirement,
+    stated: Mapping[str, Any],
+    touches: Sequence[int],
+    dated: Verification | None,
+) -> Iterator[str]:
+    """A sentence for each limit of the script that refuses an arm exactly as the rig states it in
+    more than `TOLD_FROM`. ``touches``: of the check point, before and after the trials.
+    """
+    u_mm, df = sqrt(_touch_mm2(stated)), stated["df"]
+    sizes = [*touches, *(test.n for test in (dated.locations if dated else ()))]
+    chances: list[tuple[str, float | None, float, float]] = []
+    if rule.location_limit_mm is not None and sizes:
+        chance, fits = chance_of_refusal(rule.location_limit_mm, u_mm, sizes, df), 0.0
+        fits = largest_limit_mm(u_mm, sizes, df)
+        chances.append(("location_limit_mm", rule.location_limit_mm, chance, fits))
+    if rule.length_limit_mm is not None and dated and dated.lengths:
+        sds = _length_sds(stated, dated.lengths)
+        within = np.prod([1.0 - 2.0 * float(ndtr(-rule.length_limit_mm / sd)) for sd in sds])
+        fits = _length_limit_mm(stated, dated.lengths)
+        chances.append(("length_limit_mm", rule.length_limit_mm, 1.0 - float(within), fits))
+    for key, limit_mm, chance, fits in chances:
+        if chance > TOLD_FROM:
+            yield (
+                f"{key} = {limit_mm:g} mm contradicts the arm's stated accuracy of"
+                f" {stated['u_mm']:g} mm along an axis: it refuses an arm that is exactly as stated"
+                f" in {100 * chance:.0f} % of runs. Leave it out, and the limit follows from the"
+                f" statement ({fits:.2f} mm); or state the arm as it is (accuracy_mm)"
+            )

@@ -18,7 +18,16 @@ from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord, TrialRecord
 from bench.record.schema import RULES, SCRIPT, Row
 from bench.results.cameras_agree import cameras_of, decide_cameras
-from bench.results.stated_arm import STATED_FACT, VERIFICATION_FACT, arm_checks, too_small
+from bench.results.stated_arm import (
+    STATED_FACT,
+    VERIFICATION_FACT,
+    arm_checks,
+    contradictions,
+    drift_limit_mm,
+    length_limit_mm,
+    location_limit_mm,
+    too_small,
+)
 from bench.results.teats_seen import TEATS_FACT
 from bench.rig.arm_files import Limits, LocationTest, Verification, broken_by, from_dict, gaps_of
 from bench.scoring.decisions import (
@@ -34,6 +43,7 @@ from bench.scoring.decisions import (
 from bench.scoring.errors import percentile
 from bench.scoring.looks import FIRST, Looks
 from bench.scoring.scene import Pool, pool
+from bench.scoring.stated_u import LIMIT_LEVEL
 from bench.script.calibration_age import decide_calibration
 from bench.script.model import (
     ArmRequirement,
@@ -60,10 +70,14 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
     """
     checks = {when: facts[key] for when, key in _CHECKS.items() if key in facts}
     dated = from_dict(facts[VERIFICATION_FACT]) if VERIFICATION_FACT in facts else None
-    limit = rule.location_limit_mm
+    tests = {
+        when: location_of(fact, f"the check {when} the trials") for when, fact in checks.items()
+    }
+    limits = _limits(rule, tests, dated, facts)
+    limit = limits.location_mm
     nothing = Decision(
         name=rule.name,
-        rule=_rule(rule),
+        rule=_rule(rule, limits),
         unit="mm",
         limit=limit,
         sentence="The rig names neither a check point nor a verification of the arm (keys"
@@ -71,12 +85,10 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
     )
     if not checks and not dated:
         return nothing
-    tests = {
-        when: location_of(fact, f"the check {when} the trials") for when, fact in checks.items()
-    }
-    against = [*_against(rule, checks, tests, dated, facts)]
-    missing = [*_missing(rule, tests, dated, facts)]
-    reasons = "; ".join(against + missing) or _in_order(tests, dated, facts)
+    against = [*_against(rule, limits, checks, tests, dated, facts)]
+    missing = [*_missing(rule, limits, tests, dated, facts)]
+    told = _contradictions(rule, tests, dated, facts) if against else []
+    reasons = "; ".join([*against, *missing, *told]) or _in_order(tests, dated, facts)
     figures = [test.largest_mm for test in tests.values()]
     largest = max([*figures, dated.location_mm] if dated else figures)
     return replace(
@@ -89,8 +101,44 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class _ArmLimits(Limits):
+    """With that on the check point's move between before and after."""
+
+    drift_mm: float = float("inf")
+
+
+def _limits(
+    rule: ArmRequirement,
+    tests: Mapping[str, LocationTest],
+    dated: Verification | None,
+    facts: Mapping[str, Any],
+) -> _ArmLimits:
+    """The rule's, and where it leaves one out that which follows from the arm's statement."""
+    stated, usual = facts.get(STATED_FACT), (rule.least_touches, rule.least_touches)
+    touches = [test.n for test in tests.values()]
+    sizes = [*touches, *(test.n for test in (dated.locations if dated else ()))]
+    return _ArmLimits(
+        location_limit_mm(rule, stated, sizes or usual),
+        length_limit_mm(rule, stated, dated.lengths if dated else ()),
+        drift_limit_mm(rule, stated, touches if len(touches) == len(usual) else usual),
+    )
+
+
+def _contradictions(
+    rule: ArmRequirement,
+    tests: Mapping[str, LocationTest],
+    dated: Verification | None,
+    facts: Mapping[str, Any],
+) -> list[str]:
+    if (stated := facts.get(STATED_FACT)) is None:
+        return []
+    return [*contradictions(rule, stated, [test.n for test in tests.values()], dated)]
+
+
 def _against(
     rule: ArmRequirement,
+    limits: _ArmLimits,
     checks: Mapping[str, Mapping[str, Any]],
     tests: Mapping[str, LocationTest],
     dated: Verification | None,
@@ -98,7 +146,7 @@ def _against(
 ) -> Iterator[str]:
     """A sentence for each limit that is broken."""
     for when, test in tests.items():
-        yield from broken_by(test, rule.location_limit_mm)
+        yield from broken_by(test, limits.location_mm)
         if (shift := shift_mm(checks[when])) > rule.shift_limit_mm:
             yield (
                 f"the check point was found {shift:.2f} mm from its place {when} the trials, limit"
@@ -107,13 +155,12 @@ def _against(
             )
     if len(tests) == 2:
         drift = float(np.linalg.norm(tests[AFTER].centre_mm - tests[BEFORE].centre_mm))
-        if drift > rule.drift_limit_mm:
+        if drift > limits.drift_mm:
             yield (
                 f"the check point moved by {drift:.2f} mm during the run, limit"
-                f" {rule.drift_limit_mm:g} mm: was arm or table pushed?"
+                f" {limits.drift_mm:.3g} mm: was arm or table pushed?"
             )
     if dated:
-        limits = Limits(rule.location_limit_mm, rule.length_limit_mm)
         yield from (f"in the dated verification, {text}" for text in dated.broken(limits))
         yield from _dated_faults(rule, dated, facts)
     if wrong := too_small(facts):
@@ -122,6 +169,7 @@ def _against(
 
 def _missing(
     rule: ArmRequirement,
+    limits: Limits,
     tests: Mapping[str, LocationTest],
     dated: Verification | None,
     facts: Mapping[str, Any],
@@ -134,7 +182,6 @@ def _missing(
         yield from gaps_of(test, rule.least_touches)
     needed = rule.dated_required and facts.get("kind") != "emulated"
     if dated:
-        limits = Limits(rule.location_limit_mm, rule.length_limit_mm)
         yield from (f"in the dated verification, {gap}" for gap in dated.gaps(limits))
         if needed and not dated.lengths and rule.length_limit_mm is None:
             yield "in the dated verification, no calibrated length was measured"
@@ -158,15 +205,21 @@ def _in_order(
     return f"one divot read within {read}; {said}"
 
 
-def _rule(rule: ArmRequirement) -> str:
-    length_mm = rule.length_limit_mm
-    lengths = "" if length_mm is None else f", a calibrated length within {length_mm:g} mm"
+def _rule(rule: ArmRequirement, limits: _ArmLimits) -> str:
+    length_mm = limits.length_mm
+    follows = (
+        f", as an arm that is as stated does but in {100 * LIMIT_LEVEL:g} % of runs"
+        if rule.location_limit_mm is None
+        else ""
+    )
+    lengths = "" if length_mm is None else f", a calibrated length within {length_mm:.3g} mm"
     dated = "required, with a length check, of a real arm"
     dated = dated if rule.dated_required else "where the rig names one"
     return (
-        f"before and after the trials, touches of one divot within {rule.location_limit_mm:g} mm of"
-        " their mean (articulated location, ASME B89.4.22, ISO 10360-12), their mean within"
-        f" {rule.shift_limit_mm:g} mm of its place and moved by at most {rule.drift_limit_mm:g} mm;"
+        f"before and after the trials, touches of one divot within {limits.location_mm:.3g} mm of"
+        f" their mean (articulated location, ASME B89.4.22, ISO 10360-12{follows}), their mean"
+        f" within {rule.shift_limit_mm:g} mm of its place and moved by at most"
+        f" {limits.drift_mm:.3g} mm;"
         f" a dated verification ({dated}) of this arm at most {rule.max_age_days:g} days"
         f" old{lengths}; the stated uncertainty not refuted by chi-square, 5 % false alarms"
     )

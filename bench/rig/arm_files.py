@@ -106,17 +106,24 @@ class TableFrame:
         """Whether the arm's z axis points down: it hangs, or the third touch was wrong."""
         return bool(self.world_from_arm.R[2, 2] < 0.0)
 
-    def u_registration_mm(self, world_mm: ArrayLike, u_mm: float) -> float:
-        """Standard uncertainty along an axis that the frame adds at ``world_mm`` (3,): each
-        coordinate of the three touches has ``u_mm``, uncorrelated (JCGM 100:2008, 5.1.2,
-        derivatives taken numerically).
+    def parts(self, world_mm: ArrayLike) -> Floats:
+        """What points ``world_mm`` (n, 3) share through the frame, (n, 3, 9): their derivatives by
+        each coordinate of the three touches, taken numerically.
         """
         touched = np.array([point.arm_mm for point in self.points[:3]])
         seen = self.world_from_arm.inverse().apply(world_mm)
-        squares = 0.0
+        columns = []
         for step in np.eye(9).reshape(9, 3, 3) * _STEP_MM:
             ends = [world_from_arm(touched + sign * step).apply(seen) for sign in (1.0, -1.0)]
-            squares += float(np.sum(np.square((ends[0] - ends[1]) / (2.0 * _STEP_MM))))
+            columns.append((ends[0] - ends[1]) / (2.0 * _STEP_MM))
+        return np.stack(columns, axis=-1)
+
+    def u_registration_mm(self, world_mm: ArrayLike, u_mm: float) -> float:
+        """Standard uncertainty along an axis that the frame adds at ``world_mm`` (3,): each
+        coordinate of the three touches has ``u_mm``, uncorrelated (JCGM 100:2008, 5.1.2).
+        """
+        parts = self.parts(np.reshape(world_mm, (1, 3)))[0]
+        squares = sum(float(np.sum(np.square(column))) for column in parts.T)
         return u_mm * sqrt(squares / 3.0)
 
 
@@ -212,13 +219,17 @@ class LocationTest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LengthTest:
-    """One calibrated length, with its standard uncertainty: its ends as touched (3,), mm."""
+    """One calibrated length, with its standard uncertainty: its ends as touched (3,), mm.
+    ``ends_mm2``: covariance (3, 3) of b - a for touches of 1 mm along each axis, where an end was
+    worked out of several (None: one touch each).
+    """
 
     where: str
     a_mm: Floats
     b_mm: Floats
     calibrated_mm: float
     calibrated_u_mm: float = 0.0
+    ends_mm2: Floats | None = None
 
     @property
     def measured_mm(self) -> float:
@@ -227,6 +238,14 @@ class LengthTest:
     @property
     def error_mm(self) -> float:
         return self.measured_mm - self.calibrated_mm
+
+    @property
+    def touches(self) -> float:
+        """Of how many touches' variance its error is: 2 for one at each end."""
+        if self.ends_mm2 is None:
+            return 2.0
+        way = (self.b_mm - self.a_mm) / self.measured_mm
+        return float(way @ self.ends_mm2 @ way)
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,7 +290,7 @@ class Verification:
         if worst and limits.length_mm is not None and abs(worst.error_mm) > limits.length_mm:
             found.append(
                 f"{worst.where}: {worst.calibrated_mm:g} mm were measured {worst.error_mm:+.2f} mm"
-                f" wrong, limit {limits.length_mm:g} mm"
+                f" wrong, limit {limits.length_mm:.3g} mm"
             )
         return tuple(found)
 
@@ -298,7 +317,7 @@ def from_dict(table: Mapping[str, Any]) -> Verification:
 
 def broken_by(test: LocationTest, limit_mm: float) -> list[str]:
     said = f"{test.where}: readings of one point lie up to {test.largest_mm:.2f} mm from their mean"
-    return [f"{said}, limit {limit_mm:g} mm"] if test.largest_mm > limit_mm else []
+    return [f"{said}, limit {limit_mm:.3g} mm"] if test.largest_mm > limit_mm else []
 
 
 def gaps_of(test: LocationTest, least: int) -> list[str]:
@@ -404,6 +423,7 @@ class _Length(Section):
     error_mm: Number
     a_mm: Three
     b_mm: Three
+    ends_mm2: tuple[Three, Three, Three] | None = None
 
 
 class _Limits(Section):

@@ -27,6 +27,7 @@ from bench.results.answers import LEFT_OUT, Answer, one_line
 from bench.results.stated_arm import STATED_FACT, VERIFICATION_FACT, stated_fact
 from bench.rig.arm_files import as_dict
 from bench.rig.loading import LoadedRig
+from bench.truth.joint import FRAME_FACT
 from detector.protocol import Detector
 from instruments.clock import wall_time
 
@@ -92,9 +93,6 @@ def stage_pictures(answers: Sequence[Answer]) -> dict[str, Picture]:
 
 def _json(value: Any) -> str | None:
     return None if value is None else json.dumps(np.asarray(value).tolist())
-
-
-FRAME_FACT = "arm frame"
 
 
 def write_arm_facts(store: Store, rig: LoadedRig) -> None:

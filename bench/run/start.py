@@ -20,6 +20,7 @@ from bench.record.schema import GUARDIAN, RULES, SCRIPT
 from bench.record.writer import Store, new_run_folder
 from bench.results.answers import Examiner
 from bench.results.cameras_agree import can_tell, spread, where_seen
+from bench.results.stated_arm import contradictions, stated_fact
 from bench.rig.devices import Devices
 from bench.rig.guardian_client import GuardianClient, Heartbeat, signs_of
 from bench.rig.leaving import target_of
@@ -55,7 +56,13 @@ from bench.script.calibration_age import (
     refuse_other_cameras,
 )
 from bench.script.detectors import introduced, make_detectors
-from bench.script.model import CAMERAS_RULE, RECORDING_RULES, LoadedScript, Rules
+from bench.script.model import (
+    CAMERAS_RULE,
+    RECORDING_RULES,
+    ArmRequirement,
+    LoadedScript,
+    Rules,
+)
 from bench.script.planned_trials import pose_set
 from bench.truth.touching import truth_row
 from detector.protocol import Detector
@@ -105,6 +112,8 @@ def run_script(
         introduced(under_test, script.scenes),
         locked(lock_path(rig), str(out.resolve()), events.warn),
     ):
+        for text in _contradicted(rig, script):
+            events.warn(text)
         recorder = Recorder(how.record, rig.calibration_path, events.warn) if how.record else None
         store = _begun(rig, script, out, under_test, how)
         with locked(run_lock(store.folder), "itself", events.warn, "run"):
@@ -144,6 +153,16 @@ def resume_run(
         recorder = recorder_again(left.run, rig.calibration_path, events.warn)
         store = open_store(left, rehearsed=in_virtual_time(rig, realtime=how.realtime))
         return _run(rig, script, store, under_test, events, how, recorder, left)
+
+
+def _contradicted(rig: LoadedRig, script: LoadedScript) -> Iterator[str]:
+    """Limits of the script that an arm exactly as the rig states it breaks."""
+    arm = rig.rig.arm
+    touches = (arm.check_touches,) * 2 if arm.check_point_mm is not None else ()
+    for rule in script.script.requirements:
+        if isinstance(rule, ArmRequirement):
+            said = contradictions(rule, stated_fact(arm), touches, rig.verification)
+            yield from (f"{rule.name}: {text}" for text in said)
 
 
 def _stream(progress: Progress) -> Events:

@@ -82,10 +82,3 @@ def farthest_mm(limit_mm: float, u_mm: float, most: float) -> float | None:
     if u_mm == 0.0 or leak(accept, limit_mm, u_mm) <= most:
         return accept
     return crossing(lambda seen_mm: leak(seen_mm, limit_mm, u_mm) - most, 0.0, accept)
-
-
-def error_without_noise_mm(seen_rms_mm: float, u_mm: float) -> float | None:
-    """E|seen|^2 = |true|^2 + 3 u^2, solved for the truth; None where noise explains all."""
-    guard_band_mm(u_mm)
-    squared = seen_rms_mm**2 - 3.0 * u_mm**2
-    return sqrt(squared) if squared >= 0 else None

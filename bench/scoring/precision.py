@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import floor, sqrt
+from math import floor, pi, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -106,6 +106,10 @@ class Precision:
     s_r: float | None = None
     s_between: float | None = None
     s_R: float | None = None  # noqa: N815 - the standard's own symbol
+
+
+# RP of a normal error of 1 mm along each axis: mean of its length, and three sd
+NORMAL_RP = 4.0 / sqrt(2.0 * pi) + 3.0 * sqrt(3.0 - 8.0 / pi)
 
 
 def pose_accuracy(errors_mm: Floats) -> tuple[Floats, float]:

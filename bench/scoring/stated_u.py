@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import inf, sqrt
+from math import exp, inf, log1p, prod, sqrt
 
-from scipy.special import chdtrc, chdtri, fdtrc, fdtri
+from scipy.special import chdtr, chdtrc, chdtri, fdtr, fdtrc, fdtri
 
-LEVEL = 0.05  # of sound statements are accused, over all checks of one statement
+# of sound statements are accused: over all checks of one statement, and by each of the limits on a
+# largest deviation that follow from it
+LEVEL, LIMIT_LEVEL = 0.05, 0.005
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,3 +65,30 @@ def level_of_each(checks: Sequence[StatedCheck]) -> float:
 def refuted(checks: Sequence[StatedCheck]) -> list[StatedCheck]:
     """Those that show more than is stated."""
     return [check for check in checks if check.p_value < level_of_each(checks)]
+
+
+def largest_limit_mm(
+    u_mm: float, sizes: Sequence[int], df: float | None = None, level: float = LIMIT_LEVEL
+) -> float:
+    """What the largest distance from their mean of groups of touches, ``sizes`` of them, exceeds
+    with the chance ``level``, u along each axis: distances from the mean of n have the variance 1 -
+    1/n along an axis, and the chance that all stay within is at least the product of each one's
+    (Royen, Far East Journal of Theoretical Statistics 48, 2014).
+    """
+    each = -log1p(-level) / sum(sizes)  # -log of the chance that one stays within
+    beyond = 1.0 - exp(-each)
+    squared = float(chdtri(3, beyond)) if df is None else 3.0 * float(fdtri(3, df, 1.0 - beyond))
+    return u_mm * sqrt((1.0 - 1.0 / max(sizes)) * squared)
+
+
+def chance_of_refusal(
+    limit_mm: float, u_mm: float, sizes: Sequence[int], df: float | None = None
+) -> float:
+    """How often a limit on the largest of those distances refuses what is exactly as stated."""
+
+    def within(n: int) -> float:
+        squared = (limit_mm / u_mm) ** 2 / (1.0 - 1.0 / n)
+        one = float(chdtr(3, squared)) if df is None else float(fdtr(3, df, squared / 3.0))
+        return one**n
+
+    return 1.0 - prod(within(n) for n in sizes if n > 1)

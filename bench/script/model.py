@@ -193,13 +193,14 @@ class BathRequirement(_Named):
 
 class ArmRequirement(_Named):
     """The arm checked before and after the trials, and verified not long ago (docs/rig.md).
-    ``dated_required``: a length check too, of real arms.
+    ``dated_required``: a length check too, of real arms. Limits that are left out follow from the
+    accuracy that the rig states.
     """
 
     kind: Literal["arm_verified"]
-    location_limit_mm: Positive
+    location_limit_mm: Positive | None = None
     shift_limit_mm: Positive
-    drift_limit_mm: Positive
+    drift_limit_mm: Positive | None = None
     length_limit_mm: Positive | None = None
     max_age_days: Positive
     least_touches: Annotated[int, Field(ge=2, le=100)] = 5

@@ -240,6 +240,18 @@ class Registration:
             R @ (noise + deformed) @ R.T + 2.0 * self.stated.repeatability_mm**2 * np.eye(3)
         )
 
+    def carry_parts_mm(self, ways_mm: Floats) -> Floats:
+        """What carries by ``ways_mm`` (n, 3), machine axes, share: columns (n, 3, 9) of unit
+        variance for turn and axes; they make `carry_covariance_mm2` but for the repeatability.
+        """
+        turn = _root(rotation_covariance(self.stage_mm, self.u_mm))
+        bend, R = _root(self._deformation), self.world_from_stage.R
+        parts = [
+            np.column_stack([cross_matrix(way) @ turn, bent_mm(self._q, way) @ bend])
+            for way in ways_mm
+        ]
+        return np.asarray(R @ np.array(parts).reshape(-1, 3, 9))
+
     def carry_mm(self, stage_from_mm: ArrayLike, stage_to_mm: ArrayLike) -> Floats:
         """By how much (3,) every teat end moves in the world."""
         return np.asarray(self.world_from_stage.R @ np.subtract(stage_to_mm, stage_from_mm))
@@ -308,6 +320,12 @@ class Registration:
             k = len(theta)
             moments[:k, :k] += np.outer(theta, theta) + self._theta_covariance
         return np.asarray(moments)
+
+
+def _root(covariance: Floats) -> Floats:
+    """A matrix whose product with its transpose it is; it may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 REGISTRATION_FACT, MADE_FACT = "stage registration", "wall_registered"

@@ -30,7 +30,9 @@ from bench.rig.model import Arm
 from bench.scoring.errors import Floats
 from bench.scoring.matching import LEAST_SPACING_MM
 from bench.truth.uncertainty import (
+    ARM,
     REGISTRATION,
+    TIP_RADIUS,
     Component,
     How,
     Triple,
@@ -224,10 +226,10 @@ def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) 
     )
     apex = "how well a hand finds the apex of the rounded end (rig file)"
     lines: list[tuple[str, float | None, str]] = [
-        ("arm", arm.u_mm, _source_of(arm)),
+        (ARM, arm.u_mm, _source_of(arm)),
         (REGISTRATION, registration_mm, frame),
         ("definition", arm.definition_mm, apex),
-        ("tip radius", tip_radius_u_mm(arm) or None, ball),
+        (TIP_RADIUS, tip_radius_u_mm(arm) or None, ball),
         ("resolution", arm.rounding_mm, arm.rounding_source),
         ("scatter", scatter, f"standard deviation of the mean of {n} touches"),
     ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,8 +12,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from bench.calibrate.arm import DIRECTIONS, ROUND, Plan, sphere_centre, touch_frame, verify
+from bench.calibrate.arm import (
+    DIRECTIONS,
+    ROUND,
+    Plan,
+    sphere_centre,
+    sphere_centre_mm2,
+    touch_frame,
+    verify,
+)
 from bench.calibrate.simulated_arm import PLACED, Step
+from bench.results.stated_arm import check_verification, stated_fact
 from bench.rig.arm_files import (
     FrameError,
     LengthTest,
@@ -27,6 +37,8 @@ from bench.rig.arm_files import (
     least_sphere_mm,
     world_from_arm,
 )
+from bench.rig.model import ROUNDING_MM, Arm
+from bench.scoring.stated_u import refuted
 from detector.geometry import Motion
 from tests.bench.calibrate.arm_rig import MADE, Follower, emulated
 
@@ -367,3 +379,37 @@ def test_the_centre_of_a_sphere_is_that_of_an_optimiser() -> None:
     assert np.linalg.norm(sphere_centre(points) - centre) < 0.3
     assert np.linalg.norm(sphere_centre(points) - best.x) < 0.3
     assert sphere_centre(centre + 5.0 * outwards) == pytest.approx(centre, abs=1e-3)
+
+
+def test_a_spheres_centre_has_the_covariance_of_its_draws() -> None:
+    rng, at = np.random.default_rng(4), 12.7 * np.array([place for _, place in ROUND])
+    seen = np.array([sphere_centre(at + rng.normal(0.0, 0.1, (5, 3))) for _ in range(4000)])
+    found = sphere_centre_mm2(at)
+    np.testing.assert_allclose(np.sqrt(np.diag(found)), [0.75, 0.75, 1.71], atol=0.02)
+    np.testing.assert_allclose(0.01 * found, np.cov(seen.T), atol=0.0015)
+
+
+def test_a_sound_arm_on_a_ball_bar_is_accused_no_more_often_than_is_claimed() -> None:
+    """`arm verify --spheres`: seven directions of a bar, each end by five touches."""
+    rng, runs, accused = np.random.default_rng(5), 600, {"own": 0, "one touch": 0}
+    u_mm, ball = float(np.hypot(0.23, ROUNDING_MM)), 12.7 * np.array([place for _, place in ROUND])
+    stated = stated_fact(Arm.model_construct(url="", accuracy_mm=0.23))
+    ways = rng.normal(size=(7, 3))
+    ways *= 300.0 / np.linalg.norm(ways, axis=1)[:, None]
+    ways[:2] = [[0.0, 0.0, 300.0]] * 2  # upright, where a sphere's centre is least certain
+    still = (LocationTest("divot", rng.normal(0.0, 0.05, (10, 3)), None),)
+    for _ in range(runs):
+        lengths = []
+        for number, way in enumerate(ways):
+            ends = [at + ball + rng.normal(0.0, u_mm, (5, 3)) for at in (np.zeros(3), way)]
+            own = sum(map(sphere_centre_mm2, ends), np.zeros((3, 3)))
+            a, b = map(sphere_centre, ends)
+            lengths.append(LengthTest(str(number), a, b, 300.0, ends_mm2=own))
+        for name, of in (
+            ("own", lengths),
+            ("one touch", [replace(one, ends_mm2=None) for one in lengths]),
+        ):
+            dated = Verification(MADE, "40937", still, tuple(of))
+            accused[name] += bool(refuted([*check_verification(stated, dated)]))
+    assert accused["own"] / runs <= 0.05
+    assert accused["one touch"] / runs > 0.08

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -9,13 +10,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, f
 
-from bench.results.stated_arm import STATED_FACT, stated_fact, too_small
+from bench.results.stated_arm import STATED_FACT, contradictions, stated_fact, too_small
 from bench.results.verdicts import decide_arm
 from bench.rig.arm_files import LengthTest, LocationTest, Verification, as_dict
 from bench.rig.model import ROUNDING_MM, Arm
 from bench.scoring.decisions import Verdict
 from bench.scoring.guard_band import acceptance_limit_mm, leak
-from bench.scoring.stated_u import StatedCheck
+from bench.scoring.stated_u import StatedCheck, largest_limit_mm
 from bench.script.model import ArmRequirement, find_script, load_script
 from tests.bench.calibrate.test_arm_dialogues import CROSS, SWUNG
 
@@ -119,7 +120,8 @@ def test_the_worst_figure_is_shown_against_its_limit() -> None:
 def test_the_shipped_script_asks_for_it() -> None:
     asked = load_script(find_script(None)).script.requirements
     (rule,) = (rule for rule in asked if isinstance(rule, ArmRequirement))
-    assert (rule.location_limit_mm, rule.length_limit_mm, rule.dated_required) == (0.46, 0.7, True)
+    limits = rule.location_limit_mm, rule.drift_limit_mm, rule.length_limit_mm
+    assert (*limits, rule.dated_required) == (None, None, None, True)
 
 
 # The stated uncertainty against the touches: numbers drawn, no arm and no picture
@@ -193,3 +195,75 @@ def test_half_of_the_real_u_lets_a_sixth_of_false_acceptances_through() -> None:
     assert leak(float(acceptance_limit_mm(5.0, 0.115) or 0.0), 5.0, 0.23) == pytest.approx(
         0.18, abs=0.03
     )
+
+
+FOLLOWS = RULE.model_copy(
+    update={"location_limit_mm": None, "drift_limit_mm": None, "length_limit_mm": None}
+)
+
+
+def sound(rng: np.random.Generator, n: int = 5) -> dict[str, Any]:
+    """Touches of an arm exactly as stated, rounding included, about the check point."""
+    u_mm = np.hypot(0.23, ROUNDING_MM)
+    tips = PLACE + rng.normal(0.0, u_mm, (n, 3))
+    touches = [{"tip_mm": tip, "axis": axis} for tip, axis in zip(tips, SWUNG[:n], strict=True)]
+    return {"check_point_mm": PLACE.tolist(), "touches": touches}
+
+
+def sound_verification(rng: np.random.Generator) -> dict[str, Any]:
+    """Three divots of ten touches, and seven lengths."""
+    u_mm = np.hypot(0.23, ROUNDING_MM)
+    axes = np.tile(SWUNG, (2, 1))
+    locations = [LocationTest(f"divot {k}", rng.normal(0, u_mm, (10, 3)), axes) for k in range(3)]
+    ends = np.add(rng.normal(0.0, u_mm, (7, 2, 3)), [[0.0, 0.0, 0.0], [300.0, 0.0, 0.0]])
+    lengths = [LengthTest(f"length {k}", ends[k, 0], ends[k, 1], 300.0) for k in range(7)]
+    made = STARTED - timedelta(days=10)
+    return as_dict(Verification(made, "40937", tuple(locations), tuple(lengths)))
+
+
+@pytest.mark.slow
+def test_limits_that_follow_from_the_statement_refuse_a_sound_arm_seldom() -> None:
+    rng, refused = np.random.default_rng(1), {"follow": 0, "told": 0}
+    runs = 250
+    for _ in range(runs):
+        known = facts(sound(rng), sound(rng), sound_verification(rng))
+        known[STATED_FACT] = stated()
+        refused["follow"] += decide_arm(FOLLOWS, known).verdict is NOT_MET
+        refused["told"] += decide_arm(RULE, known).verdict is NOT_MET
+    assert refused["follow"] / runs <= 0.06
+    assert refused["told"] / runs > 0.95
+
+
+def test_a_limit_that_contradicts_the_statement_is_told_with_its_chance() -> None:
+    rng = np.random.default_rng(2)
+    (text,) = contradictions(RULE, stated(), (5, 5), None)
+    assert "location_limit_mm = 0.46 mm contradicts" in text
+    chance = float(re.findall(r"in (\d+) % of runs", text)[0]) / 100.0
+    seen = [
+        max(
+            np.linalg.norm(tips - tips.mean(axis=0), axis=1).max()
+            for tips in rng.normal(0.0, np.hypot(0.23, ROUNDING_MM), (2, 5, 3))
+        )
+        > 0.46
+        for _ in range(4000)
+    ]
+    assert chance == pytest.approx(np.mean(seen), abs=0.03)
+    assert [*contradictions(FOLLOWS, stated(), (5, 5), None)] == []
+    fine = RULE.model_copy(update={"location_limit_mm": 1.5})
+    assert [*contradictions(fine, stated(), (5, 5), None)] == []
+    known = facts(check(5.0), GOOD, dated()) | {STATED_FACT: stated()}
+    assert "contradicts the arm's stated accuracy" in decide_arm(RULE, known).sentence
+
+
+@pytest.mark.parametrize("df", [None, 12.0])
+def test_the_largest_of_n_distances_exceeds_its_limit_as_often_as_is_claimed(
+    df: float | None,
+) -> None:
+    rng, draws = np.random.default_rng(3), 40_000
+    u = np.ones(draws) if df is None else np.sqrt(df / rng.chisquare(df, draws))
+    for n in (5, 10):
+        tips = u[:, None, None] * rng.normal(size=(draws, n, 3))
+        far = np.linalg.norm(tips - tips.mean(axis=1, keepdims=True), axis=2).max(axis=1)
+        beyond = float(np.mean(far > largest_limit_mm(1.0, [n], df, 0.05)))
+        assert beyond <= 0.055
+        assert df is not None or beyond == pytest.approx(0.05, abs=0.005)

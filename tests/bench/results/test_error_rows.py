@@ -32,17 +32,23 @@ ENDS = np.array([[-260.0, 267.0, 136.0], [-110.0, 284.0, 136.0]])
 
 
 def trial(
-    number: int, pose: str, repeat: int, ends: Floats, found: Floats, **head: Any
+    number: int,
+    pose: str,
+    repeat: int,
+    ends: Floats,
+    found: Floats,
+    u_mm: float = 0.2,
+    **head: Any,
 ) -> TrialRecord:
     names = {"id": f"{number:03d}-{pose}-{repeat}", "number": number, "name": pose}
     names |= {"repeat": repeat, "situation": "map", "invalid": None}
-    of_all = {"u_mm": 0.2, "visible": 1, "how": "touched"}
+    of_all = {"u_mm": u_mm, "visible": 1, "how": "touched"}
     rows = [
         {"teat": str(k), "x_mm": x, "y_mm": y, "z_mm": z, **of_all}
         for k, (x, y, z) in enumerate(ends.tolist(), 1)
     ]
     score = score_scene(
-        found, ends, [True] * len(ends), u_mm=0.2, seconds=0.1, limit_mm=5.0, time_limit_s=2.0
+        found, ends, [True] * len(ends), u_mm=u_mm, seconds=0.1, limit_mm=5.0, time_limit_s=2.0
     )
     times = {"captured_s": 60.0 * number, "bath_c": 33.0}
     return TrialRecord({**names, **times, **head}, truth=rows, scores={"fused": score})
@@ -65,7 +71,8 @@ def drifting(tmp_path: Path) -> RunRecord:
         off = [0.0, 0.01 * number, 0.02 * (2.0 * place)]
         errors = np.add(off, rng.normal(0, 0.05, (2, 3)))
         found = (ends + errors)[: 1 if place == 3 else 2]
-        trials.append(trial(number, f"map-{place:02d}", 1 + (number - 1) // 30, ends, found))
+        pose = f"map-{place:02d}", 1 + (number - 1) // 30
+        trials.append(trial(number, *pose, ends, found, u_mm=0.02))
     return record(tmp_path, trials)
 
 
