@@ -289,7 +289,7 @@ def test_each_example_of_a_file_is_loaded_as_what_it_is(block: Block, tmp_path: 
 def test_pages_that_the_program_names_are_there() -> None:
     named = {
         page
-        for folder in ("bench", "detector", "instruments", "reports")
+        for folder in ("bench", "detector", "instruments", "reports", "textfiles")
         for path in sorted((ROOT / folder).rglob("*"))
         if path.suffix in {".py", ".toml"}
         for page in re.findall(r"docs/[\w/-]+\.md", path.read_text(encoding="utf-8"))

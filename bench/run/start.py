@@ -339,7 +339,7 @@ def _pose_names(recording: Recording) -> dict[str, str]:
 
 def _new_store(out: Path, name: str, files: dict[str, str], calibration: Path) -> Store:
     try:
-        files = {**files, "calibration.toml": calibration.read_text(encoding="utf-8")}
+        files = {**files, "calibration.toml": read_text(calibration)}
         return Store.create(new_run_folder(out, name, wall_time()), files)
     except OSError as error:
         why = f"a run can't be kept in {out}: {error.strerror or error}"

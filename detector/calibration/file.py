@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from datetime import date
@@ -30,6 +29,8 @@ from detector.calibration.values import (
     ThermalCamera,
 )
 from detector.geometry import Camera, Motion
+from textfiles.documents import read_toml
+from textfiles.text import TextError, text_of
 
 MEANING = {
     "stereo": "X_right = R(om) X_left + T",
@@ -326,13 +327,11 @@ def _part(found: Mapping[Key, Mapping[str, Any]]) -> Part:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return read_toml(text_of(path))
+    except TextError as error:
+        reason = str(error)
     except OSError as error:
         reason = f"can't be read: {error.strerror or error}"
-    except UnicodeDecodeError as error:
-        reason = f"is not UTF-8 text: byte {error.start} is {error.object[error.start]:#04x}"
-    except tomllib.TOMLDecodeError as error:
-        reason = f"not TOML: {error}"
     raise CalibrationError(path, [Fault((), reason)])
 
 

@@ -169,8 +169,8 @@ ONE = "0000,ideal,1,1,2,3,1\n"
         ),
         (HEAD + "0007,ideal,1,1,2,3,1\n", ":2: names frame '0007', but frames/ has no such folder"),
         (HEAD.strip() + ",u_mm\n0000,ideal,1,1,2,3,1,-1\n", ":2: u_mm, a standard uncertainty"),
-        (HEAD + '0000,"ideal,1,1,2,3,1\n', r"truth\.csv: is not a table"),
-        (HEAD + "\xff\xfe\n", "is not a table of comma-separated values in UTF-8"),
+        (HEAD + '0000,"ideal,1,1,2,3,1\n', r"truth\.csv:2: is not a table"),
+        (HEAD + "\xff\xfe\n", "is not UTF-8 text"),
     ],
 )
 def test_a_damaged_truth_is_named_with_its_line(folder: Path, text: str, message: str) -> None:
