@@ -324,10 +324,12 @@ Point = tuple[Millimetres, Millimetres, Millimetres]
 Radians = Annotated[float, Field(ge=-7, le=7, allow_inf_nan=False)]
 
 
-def read_calibration(path: Path) -> Calibration:
-    """The calibration at ``path``. Raises ConfigError that shows each fault in its place."""
+def read_calibration(path: Path, *, doubtful: bool = False) -> Calibration:
+    """The calibration at ``path``. Raises ConfigError that shows each fault in its place, as
+    `load_calibration` says.
+    """
     try:
-        return load_calibration(path)
+        return load_calibration(path, doubtful=doubtful)
     except CalibrationError as error:
         raise located(
             path, read_text(path), [(fault.key, fault.message, False) for fault in error.faults]

@@ -60,12 +60,15 @@ from bench.truth.touching import TipReader
 from detector.calibration import (
     DEFAULT_PLANE_DEPTH_MM,
     Calibration,
+    CalibrationError,
     Part,
     Record,
+    check_text,
     dump_calibration,
     file_hash,
 )
 from detector.calibration.bundle import BundleError
+from detector.calibration.gate import pair_faults
 from instruments.clock import wall_time
 from instruments.operators.operator import Finish, Homing
 
@@ -328,7 +331,12 @@ def _record(
 def _write_step(given: argparse.Namespace, found: Part | Calibration, page: Page | None) -> None:
     """The step's file, whole or not at all, and its page beside it."""
     given.out.resolve().parent.mkdir(parents=True, exist_ok=True)
-    write_synced(given.out, dump_calibration(found, command_line()).encode("utf-8"))
+    text = dump_calibration(found, command_line())
+    try:
+        check_text(given.out, text, whole=isinstance(found, Calibration))
+    except CalibrationError as error:
+        raise ConfigError.plain(f"not written, for it can't be: {error}") from error
+    write_synced(given.out, text.encode("utf-8"))
     print(f"written: {given.out}")
     if page is not None:
         _write_page(page, given.out.with_suffix(".page"))
@@ -437,18 +445,10 @@ def export(given: argparse.Namespace) -> None:
 
 
 def take_over(given: argparse.Namespace) -> None:
-    if len(given.file) > (2 if given.format == "ros" else 1):
-        raise ConfigError.plain(
-            f"{given.format} takes"
-            f" {'two files at most, left and right' if given.format == 'ros' else 'one file'}"
-        )
-    if given.format == "opencv":
-        part = exchange.read_opencv(given.file[0], given.image_size)
-    elif given.format == "bouguet":
-        part = exchange.read_bouguet(given.file[0])
-    else:
-        part = exchange.read_ros(*given.file)
+    part = exchange.read_foreign(given.file, given.format, given.image_size)
     _write_step(given, replace(part, record=_record(given, given.file)), None)
+    for fault in pair_faults(part.right_from_left) if part.right_from_left else ():
+        complain(f"look at T before you go on: {fault}", CODES.met)
 
 
 def stage(given: argparse.Namespace) -> int:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -84,6 +84,16 @@ class Recording:
             return FrameSet(*pair, eight, kelvin, depth_dmm=depth, amplitude=strength)
         except ValueError as fault:
             raise RecordingError(f"{folder}: {fault}") from fault
+
+    def sizes(self, frame_id: str) -> dict[str, tuple[int, int]]:
+        """Columns and rows of a frame's PNG files by name, from their heads alone."""
+        found = {}
+        for name in FILES:
+            with suppress(OSError), (self.path / "frames" / frame_id / name).open("rb") as file:
+                head = file.read(24)
+                if head.startswith(PNG) and head[12:16] == b"IHDR":
+                    found[name] = int.from_bytes(head[16:20]), int.from_bytes(head[20:24])
+        return found
 
     def _truth(self) -> dict[str, tuple[TruthRow, ...]]:
         path = self.path / "truth.csv"

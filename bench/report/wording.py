@@ -13,6 +13,7 @@ import numpy as np
 
 from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord
+from bench.results.doubts import AGAIN, DOUBTS_FACT
 from bench.results.verdicts import Judgement, calls_of, run_verdict
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.rates import percent_apart
@@ -148,6 +149,10 @@ def headline(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdi
         return "no verdict", why, f"{then} damaged."
     if run.ending != "finished":
         return "aborted", _why_ended(run), AFTER_FAULT if run.ending == "faulted" else AFTER_END
+    if doubts := run.facts.get(DOUBTS_FACT):
+        why = "; ".join(doubts)
+        said = f"The calibration can't be, so nothing is charged to any detector: {why}."
+        return "inconclusive", said, AGAIN
     verdict, why, then = _finished(run, judgements)
     silent = [message for name in run.detectors for message in _silence(run, name)]
     if not silent:

@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from bench.record.schema import RULES, SCRIPT
 from bench.record.writer import Store, new_run_folder
 from bench.results.answers import Examiner
 from bench.results.cameras_agree import can_tell, spread, where_seen
+from bench.results.doubts import DOUBTS_FACT, doubts_of
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import in_virtual_time, open_instruments
 from bench.run.context import RunContext
@@ -259,25 +261,28 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
 def _scored(
     path: Path, recording: Recording, out: Path, progress: Progress, under_test: Sequence[Detector]
 ) -> Path:
-    calibration = read_calibration(recording.calibration_path)
+    calibration = read_calibration(recording.calibration_path, doubtful=True)
+    doubts = doubts_of(recording, calibration)
+    truth = {} if doubts else recording.truth  # nothing is charged where none can be found
     examiner = Examiner(calibration)
     rules, files = read_config(RECORDING_RULES, Rules), {RULES: read_text(RECORDING_RULES)}
     planned, poses = len(recording.frames), _pose_names(recording)
     seen = {
-        frame: where_seen(recording.load(frame), calibration, recording.truth.get(frame, ()))
+        frame: where_seen(recording.load(frame), calibration, truth.get(frame, ()))
         for frame in spread(dict.fromkeys(poses.values()))
     }
     if can_tell(seen):  # what can't be checked in a recording keeps no detector from its verdict
         files = {RULES: f"{files[RULES]}\n{read_text(CAMERAS_RULE)}"}
     store = _new_store(out, f"score-{path.name}", files, recording.calibration_path)
-    facts = {"kind": "recorded", "title": f"Recording {path.name}", "about": str(path)}
+    facts: dict[str, Any] = {"kind": "recorded", "title": f"Recording {path.name}"}
+    facts |= {"about": str(path), **({DOUBTS_FACT: doubts} if doubts else {})}
     try:
         write_facts(store, {**facts, "planned": planned}, under_test, recording.calibration_path)
         for number, frame in enumerate(recording.frames, 1):
             progress.trial(number - 1, planned, frame)
             frames = recording.load(frame)
-            answers = [examiner.ask(detector, frames) for detector in under_test]
-            known = recording.truth.get(frame, ())
+            answers = [examiner.ask(one, frames) for one in under_test if not doubts]
+            known, scored = recording.truth.get(frame, ()), truth.get(frame, ())
             trial = f"{number:03d}-{frame}"
             head = {
                 **dict.fromkeys(NOT_KNOWN),
@@ -290,7 +295,7 @@ def _scored(
             }
             ends = seen.get(frame, {})
             rows = [truth_row(trial, row, seen=ends.get(row.teat)) for row in known]
-            write_trial(store, rules, head, frames, answers, known, rows)
+            write_trial(store, rules, head, frames, answers, scored, rows)
         progress.trial(planned, planned, "")
         _end(store, RunState.FINISHED)
     except KeyboardInterrupt:

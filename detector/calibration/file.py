@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from detector.calibration.gate import lens_faults, pair_faults
 from detector.calibration.homographies import DEFAULT_PLANE_DEPTH_MM, derive_homographies
 from detector.calibration.values import (
     POLARITIES,
@@ -272,10 +273,33 @@ _NEVER_REQUIRED = {"alpha_c", "plane_depth_mm"}
 _NOT_REQUIRED = {("cameras", "thermal"): set(LENS_KEYS), ("homography",): {"left", "right"}}
 
 
-def load_calibration(path: Path) -> Calibration:
-    """The calibration in a file. Raises CalibrationError with every fault."""
-    found = _checked(path, whole=True)
+def load_calibration(path: Path, *, doubtful: bool = False) -> Calibration:
+    """The calibration in a file. Raises CalibrationError with every fault; ``doubtful`` leaves what
+    is wrong with the pair (`gate.pair_faults`) to the caller.
+    """
+    return _whole(path, _read(path), doubtful=doubtful)
+
+
+def check_text(path: Path, text: str, *, whole: bool) -> None:
+    """Raise CalibrationError for a text that can't be read again from ``path``, as `load_part` or
+    `load_calibration`.
+    """
+    try:
+        document = read_toml(text)
+    except TextError as error:
+        raise CalibrationError(path, [Fault((), str(error))]) from None
+    if whole:
+        _whole(path, document)
+    else:
+        _checked(path, document, whole=False)
+
+
+def _whole(path: Path, document: Mapping[str, Any], *, doubtful: bool = False) -> Calibration:
+    found = _checked(path, document, whole=True)
     part = _part(found)
+    pair = part.right_from_left
+    if pair and not doubtful and (wrong := [Fault(("stereo", "T"), f) for f in pair_faults(pair)]):
+        raise CalibrationError(path, wrong)
     values: dict[str, Any] = {field.name: getattr(part, field.name) for field in fields(Part)}
     if part.homographies is None:
         cameras = values["thermal"].lens, values["left"], values["right"]
@@ -292,7 +316,7 @@ def load_calibration(path: Path) -> Calibration:
 
 def load_part(path: Path) -> Part:
     """A file of one step's result, which need not be whole. Raises CalibrationError."""
-    return _part(_checked(path, whole=False))
+    return _part(_checked(path, _read(path), whole=False))
 
 
 def file_hash(path: Path) -> str:
@@ -335,9 +359,8 @@ def _read(path: Path) -> dict[str, Any]:
     raise CalibrationError(path, [Fault((), reason)])
 
 
-def _checked(path: Path, *, whole: bool) -> dict[Key, dict[str, Any]]:
+def _checked(path: Path, document: Mapping[str, Any], *, whole: bool) -> dict[Key, dict[str, Any]]:
     """The file's blocks, every one checked; a part may leave out any. Raises CalibrationError."""
-    document = _read(path)
     faults = _unknown((), document, sorted({key[0] for key in _BLOCKS}), "block")
     cameras = document.get("cameras")
     if isinstance(cameras, dict):
@@ -421,6 +444,11 @@ def _faults_between(found: dict[Key, dict[str, Any]]) -> list[Fault]:
     if found.get(("stereo",), {}).get("T") == (0.0, 0.0, 0.0):
         why = "must not be zero: two cameras in one place see no depth"
         faults.append(Fault(("stereo", "T"), why))
+    for key in (key for key in found if key[0] == "cameras"):
+        block = {name: found[key].get(name) for name in ("image_size", *LENS_KEYS)}
+        if None not in (block["image_size"], block["fc"], block["cc"], block["kc"]):
+            lens = Camera(**{**block, "alpha_c": block["alpha_c"] or 0.0})  # type: ignore[arg-type]
+            faults += [Fault((*key, name), message) for name, message in lens_faults(lens)]
     given = found.get(("uncertainty",), {})
     if len(given) == 2:
         try:
