@@ -20,6 +20,7 @@ AGAIN = (
     " size, the world's axes of truth.csv. Then score the recording again."
 )
 NEAR = 0.05  # of the picture's size, by which an end that counts as visible may lie outside
+FARTHEST_MM = 10_000.0  # no cow is milked farther from the cameras
 LEAST_DISPARITY_PX = 2.0  # of less, one pixel is worth half of the distance
 
 
@@ -71,6 +72,11 @@ def _places(recording: Recording, calibration: Calibration) -> Iterator[str]:
             )
     per_px_mm = calibration.depth_per_disparity_px_mm(points)
     distance_mm = np.abs(calibration.world_from_right.inverse().apply(points)[:, 2])
+    if (far := distance_mm > FARTHEST_MM).any():
+        yield (
+            f"{int(far.sum())} of {len(rows)} visible ends lie up to {distance_mm.max() / 1000:.0f}"
+            " m from the cameras: are [world] T and truth.csv in mm?"
+        )
     if (flat := distance_mm < LEAST_DISPARITY_PX * per_px_mm).any():
         yield (
             f"{int(flat.sum())} of {len(rows)} visible ends have a disparity of less than"
