@@ -8,6 +8,7 @@ the memory. The one who reads a value asks for its kind by `numbers` and `whole`
 from __future__ import annotations
 
 import math
+import re
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -21,11 +22,13 @@ import yaml
 
 from bench.config import ConfigError, read_text, short
 from detector.geometry import Array
-from textfiles.documents import DocumentError, read_json, refuse_unusable
+from textfiles.documents import DEEPEST, DocumentError, read_json, refuse_unusable
 
 MOST_VALUES = 100_000  # of a YAML file, each alias counted as what it stands for
+MOST_CHARACTERS = 2_000_000
 MOST_NUMBERS = 1000  # in one matrix
 MAT_TIMEOUT_S = 60.0
+_BRACKETS = re.compile(r"[\[\]{}]")
 MATRIX = "tag:yaml.org,2002:opencv-"
 
 
@@ -154,7 +157,10 @@ _Loader.add_multi_constructor(MATRIX, lambda loader, _, node: loader.construct_m
 
 
 def _yaml(path: Path, text: str) -> Any:
+    if len(text) > MOST_CHARACTERS:
+        raise ConfigError.plain(f"{path}: has {len(text)} characters; is it a calibration?")
     try:
+        _refuse_depth(text)
         loader = _Loader(text)
         try:
             node = loader.get_single_node()
@@ -176,6 +182,15 @@ def _yaml(path: Path, text: str) -> Any:
     except Exception as error:
         raise ConfigError.plain(f"{path}: not YAML: {short(str(error))}") from error
     return found
+
+
+def _refuse_depth(text: str) -> None:
+    """Raise RecursionError for brackets in brackets, of which the library takes minutes."""
+    depth = 0
+    for mark in _BRACKETS.findall(text):
+        depth = max(0, depth + (1 if mark in "[{" else -1))
+        if depth > DEEPEST:
+            raise RecursionError
 
 
 def _refuse_bomb(root: yaml.Node) -> None:

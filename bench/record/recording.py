@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instruments.camera.cameras import KNOWN
-from instruments.camera.frame import FrameSet, grey8
+from instruments.camera.frame import FrameSet, grey8, no_temperatures
 from instruments.errors import DeviceError
 from textfiles.tables import Row, TableError, read_table
 from textfiles.text import TextError, text_of
@@ -79,6 +79,8 @@ class Recording:
         left, right, thermal, *others = (folder / name for name in FILES)
         eight = read_grey(thermal) if thermal.exists() else None
         kelvin, depth, strength = (_counts(one) if one.exists() else None for one in others)
+        if kelvin is not None and (wrong := no_temperatures(kelvin)):
+            raise RecordingError(f"{others[0]}: {wrong}")
         pair = read_grey(left), read_grey(right)
         try:
             return FrameSet(*pair, eight, kelvin, depth_dmm=depth, amplitude=strength)

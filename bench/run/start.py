@@ -17,7 +17,7 @@ from bench.config import ConfigError, read_calibration, read_config, read_text
 from bench.record.reader import read_run
 from bench.record.recording import Recording
 from bench.record.schema import RULES, SCRIPT
-from bench.record.writer import Store, new_run_folder
+from bench.record.writer import Store
 from bench.results.answers import Examiner
 from bench.results.cameras_agree import can_tell, spread, where_seen
 from bench.results.doubts import DOUBTS_FACT, doubts_of
@@ -345,7 +345,7 @@ def _pose_names(recording: Recording) -> dict[str, str]:
 def _new_store(out: Path, name: str, files: dict[str, str], calibration: Path) -> Store:
     try:
         files = {**files, "calibration.toml": read_text(calibration)}
-        return Store.create(new_run_folder(out, name, wall_time()), files)
+        return Store.create_next(out, name, wall_time(), files)
     except OSError as error:
         why = f"a run can't be kept in {out}: {error.strerror or error}"
         raise ConfigError.plain(f"{why}. Name another folder with --out.") from error

@@ -20,7 +20,7 @@ MOST_SKEW = 0.1
 MOST_TURN_DEG = 90.0  # between two cameras that see the same
 BASELINE_MM = (3.0, 5000.0)
 UNITS = {1000.0: "metres", 10.0: "centimetres", 25.4: "inches", 304.8: "feet", 0.001: "micrometres"}
-_DIRECTIONS, _STEPS, _FARTHEST = 48, 400, 10.0  # tangent of the angle from the axis
+_DIRECTIONS, _STEPS, _FARTHEST = 13, 400, 10.0  # a side;  # tangent of the angle from the axis
 
 
 def lens_faults(camera: Camera) -> Iterator[tuple[str, str]]:
@@ -49,7 +49,10 @@ def folds(camera: Camera) -> bool:
     k1, k2, p1, p2, k3 = camera.kc
     if not any(camera.kc):
         return False
-    angle = np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS, endpoint=False)[:, None]
+    # from the centre to places of the rim, its corners among them
+    along, zero = np.linspace(0.0, 1.0, _DIRECTIONS), np.zeros(_DIRECTIONS)
+    rim = np.hstack([[along, zero], [along, zero + 1], [zero, along], [zero + 1, along]])
+    angle = np.arctan2((height * rim[1] - cy) / fy, (width * rim[0] - cx) / fx)[:, None]
     # fine near the axis, where narrow lenses have all of their picture
     radius = np.geomspace(1e-4, _FARTHEST, _STEPS)[None]
     u, v = radius * np.cos(angle), radius * np.sin(angle)

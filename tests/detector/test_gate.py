@@ -34,13 +34,14 @@ def sound_lenses(draw: st.DrawFn) -> Camera:
 
 
 def one_to_one(lens: Camera) -> bool:
-    """By a witness of its own: pixels go out with the angle, in steps along 36 rays, until
-    the picture's rim.
+    """By a witness of its own: pixels go out with the angle, in steps towards 36 places of the
+    picture's rim, until there.
     """
-    (width, height), turns = lens.image_size, np.linspace(0.0, 2.0 * np.pi, 37)
-    for turn in turns:
-        tangents = np.linspace(0.0, 4.0, 2000)
-        ray = np.outer(tangents, [np.cos(turn), np.sin(turn)])
+    width, height = lens.image_size
+    places = [(x, y) for x in (0, 0.5, 1) for y in np.linspace(0.0, 1.0, 12)]
+    for x, y in places:
+        towards = (np.array([x * width, y * height]) - lens.cc) / lens.fc
+        ray = np.outer(np.linspace(0.0, 4.0, 2000), towards)
         pixels = lens.project(np.column_stack([ray, np.ones(len(ray))]))
         outside = (pixels < 0).any(axis=1) | (pixels > (width, height)).any(axis=1)
         last = int(np.argmax(outside)) if outside.any() else len(pixels)

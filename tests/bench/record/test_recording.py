@@ -50,6 +50,17 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "aufnahme ä"
 
 
+def test_raw_counts_are_no_temperatures(folder: Path) -> None:
+    """A Lepton that isn't radiometric gives counts of about 8192: -191 degC."""
+    frame = folder / "frames" / Recording(folder).frames[0]
+    counts = np.random.default_rng(1).normal(8192, 60, (120, 160)).astype(np.uint16)
+    cv2.imwrite(str(frame / "thermal_radiometric.png"), counts)
+    with pytest.raises(
+        RecordingError, match=r"radiometric\.png: -191 degC.*no hundredths of a kel"
+    ):
+        Recording(folder).load(frame.name)
+
+
 def test_what_is_written_is_read_back(folder: Path) -> None:
     recording = Recording(folder)
     assert recording.frames == ("0000", "0001")
