@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from bench import __version__
@@ -25,6 +26,7 @@ from bench.calibrate.cameras import (
     calibrate_pair,
     calibrate_thermal,
     check_pair,
+    held,
     map_pairs,
 )
 from bench.calibrate.merge import CAMERAS_INPUT, read_part
@@ -47,7 +49,7 @@ from bench.calibrate.world import (
     gather_points,
     read_points,
 )
-from bench.cli.arguments import CODES, command_line, complain, refuse_existing
+from bench.cli.arguments import CODES, code_of, command_line, complain, refuse_existing
 from bench.cli.terminal import working
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
@@ -88,7 +90,7 @@ FOLDERS = "folders of pictures (FRAMES)"
 
 
 def cameras(given: argparse.Namespace) -> int:
-    from bench.report.calibration import cameras_page
+    from bench.report.calibration import cameras_page, cameras_sentence
 
     _one_source(given, given.frames, FOLDERS)
     identity = dict(text.partition("=")[::2] for text in given.identity)
@@ -103,14 +105,19 @@ def cameras(given: argparse.Namespace) -> int:
     with _fitting("the cameras"):
         result = calibrate_pair(views, model=given.model, square_pixels=given.square_pixels)
     record = _record(given, paths, identity)
-    _write_step(given, result.part(record), cameras_page(result, record, command_line()))
+    at_mm = given.distance
+    _write_step(given, result.part(record), cameras_page(result, record, command_line(), at_mm))
     for camera, coverage in result.coverage.items():
         if coverage.missing:
             print(f"still missing, {camera}: {'; '.join(coverage.missing)}")
+    for text in result.not_shown(at_mm):
+        print(f"still missing: {text}")
     print(*result.text(), sep="\n")
-    good_mm = float(result.good_to_mm(np.array([1200.0]))[0])
-    print(f"a point at 1.2 m: good to {good_mm:.2f} mm (k = 2)")
-    return _say(result.findings, on_page=True)
+    good_mm = float(result.good_to_mm(np.array([at_mm]))[0])
+    print(f"a point at {at_mm / 1000:g} m: good to {good_mm:.2f} mm (k = 2)")
+    verdict = "not met" if result.findings else held(good_mm)
+    print(f"Verdict: {verdict}. {cameras_sentence(result, at_mm)}")
+    return _say(result.findings, on_page=True) or code_of(verdict)
 
 
 def thermal(given: argparse.Namespace) -> None:
@@ -308,6 +315,9 @@ def _fitting(what: str) -> Iterator[None]:
             yield
     except BundleError as why:
         raise ConfigError.plain(str(why)) from why
+    except (np.linalg.LinAlgError, cv2.error) as why:
+        text = f"the views of {what} can't be fitted together ({why}): look whether each picture"
+        raise ConfigError.plain(f"{text} shows the board, and each pair one pose") from why
 
 
 def _record(

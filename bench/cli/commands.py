@@ -783,6 +783,12 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             "a camera's serial number, for the record; may be given several times",
             many=True,
         ),
+        option(
+            "--distance MM",
+            "where teats will stand: there the calibration is judged (default: 1200)",
+            LENGTH,
+            1200.0,
+        ),
         *_part("cameras.toml"),
     ),
     "calibrate thermal": (
