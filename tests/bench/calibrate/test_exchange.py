@@ -6,7 +6,11 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +19,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from bench.calibrate import mat_values
 from bench.calibrate.exchange import read_foreign, write_bouguet, write_opencv, write_ros
 from bench.config import ConfigError
 from bench.rig.loading import RIGS
@@ -329,12 +334,36 @@ def test_mutants_of_each_format_are_read_or_named(kind: str, tmp_path: Path) -> 
     assert all("calib." in each for each in said)
 
 
+def forked(command: list[str], **_: object) -> subprocess.CompletedProcess[bytes]:
+    """The same program by a fork, which has the library in it already."""
+    files = [tempfile.TemporaryFile() for _ in range(2)]  # noqa: SIM115 - closed below
+    if (child := os.fork()) == 0:
+        for number, file in zip((1, 2), files, strict=True):
+            os.dup2(file.fileno(), number)
+        sys.stdout, sys.stderr = (os.fdopen(number, "w", closefd=False) for number in (1, 2))
+        code = mat_values.main(command[-1])
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    said = []
+    for file in files:
+        file.seek(0)
+        said.append(file.read())
+        file.close()
+    return subprocess.CompletedProcess(command, code, *said)
+
+
 @pytest.mark.weekly
 @pytest.mark.parametrize(
     ("kind", "seed"),
     [(kind, seed) for kind, parts in WEEKLY.items() for seed in range(1, parts + 1)],
 )
-def test_ten_thousand_mutants_are_read_or_named(kind: str, seed: int, tmp_path: Path) -> None:
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="a process a file takes hours without fork")
+def test_ten_thousand_mutants_are_read_or_named(
+    kind: str, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bench.calibrate.foreign.subprocess.run", forked)
     read, said = read_mutants(kind, PART, tmp_path, seed)
     print(kind, PART, "read", read, "kinds of refusal", len(said))
     assert all("calib." in each for each in said)
@@ -347,7 +376,7 @@ def test_what_kills_the_library_is_a_refusal(
     """A reader that ends by a signal, as scipy's did of 92 in 10 000 damaged files."""
     (tmp_path / "site").mkdir()
     dies = "import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n"
-    dies = dies if hasattr(__import__("os"), "fork") else "import os\nos._exit(3)\n"
+    dies = dies if hasattr(os, "fork") else "import os\nos._exit(3)\n"
     (tmp_path / "site" / "sitecustomize.py").write_text(dies, encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"))
     path = tmp_path / "b.mat"
