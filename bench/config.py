@@ -224,6 +224,15 @@ def writing(place: Path) -> Iterator[None]:
         raise ConfigError.plain(f"{place}: can't be written: {error}") from error
 
 
+def is_there(path: Path) -> bool:
+    """Whether there is such a file. Raises ValueError for a name that no file can have."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise ValueError(f"can't be the name of a file: {why}") from error
+
+
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """``; did you mean "x"?`` when one of ``known`` is near, else the empty string."""
     near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
