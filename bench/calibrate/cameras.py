@@ -61,6 +61,7 @@ WORKING_MM = 1200.0  # about where the thesis's teats stand
 LIMIT_MM = 5.0  # of a teat end's error, where a script names no other
 ENOUGH_MM = LIMIT_MM / 4.0  # the test uncertainty ratio 4:1
 HELD_MM = (150.0, 5000.0)  # no board is in focus nearer, or seen farther
+LEAST_LOOKED_AT = 3  # views or points of a check: of fewer no mark is significant
 LEAST_FOR_HALVES = 10  # pairs of views; a half of fewer than five says nothing
 
 

@@ -22,6 +22,7 @@ import numpy as np
 from bench import __version__
 from bench.calibrate import exchange
 from bench.calibrate.cameras import (
+    LEAST_LOOKED_AT,
     Delivered,
     calibrate_pair,
     calibrate_thermal,
@@ -202,13 +203,18 @@ def check(given: argparse.Namespace) -> int:
     given.by, given.out = "", given.calibration
     if given.ends:
         return _check_ends(given, part)
-    findings, page = (_check_points if given.points else _check_board)(given, part)
+    findings, page, looked_at = (_check_points if given.points else _check_board)(given, part)
     _write_page(page, given.page)
+    if not findings and looked_at < LEAST_LOOKED_AT:
+        what = "points" if given.points else "views of the board"
+        text = f"{looked_at} {what} tell nothing, at least {LEAST_LOOKED_AT} are needed"
+        return complain(f"not checked: {text}", CODES.inconclusive)
     print("It still holds." if not findings else "It no longer holds.")
     return _say(findings)
 
 
-def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Finding], Page]:
+def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Finding], Page, int]:
+    """Findings, their page, and how many views were looked at."""
     from bench.report.calibration import check_page
 
     others = ", touched points (--points CSV), touched ends (--ends DIR),"
@@ -222,10 +228,12 @@ def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Findin
         f"{len(again.views)} views: lengths {scale:.5f} ± {sd:.5f} of the print, rows"
         f" {again.epipolar_rms_px:.2f} px rms"
     )
-    return findings, check_page(again, findings, _record(given, paths), command_line())
+    page = check_page(again, findings, _record(given, paths), command_line())
+    return findings, page, len(again.views)
 
 
-def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Finding], Page]:
+def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Finding], Page, int]:
+    """As `_check_board`, of points."""
     from bench.report.calibration import check_points_page
 
     if given.frames or given.rig:
@@ -239,7 +247,8 @@ def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Findi
         f" {np.sqrt(np.mean(again.expected_mm**2)):.2f} mm is to be expected"
     )
     record = _record(given, (given.points,))
-    return findings, check_points_page(again, findings, record, command_line())
+    page = check_points_page(again, findings, record, command_line())
+    return findings, page, len(again.missed_mm)
 
 
 def _check_ends(given: argparse.Namespace, part: Part) -> int:

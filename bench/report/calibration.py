@@ -10,6 +10,7 @@ import numpy as np
 
 from bench.calibrate.cameras import (
     ENOUGH_MM,
+    LEAST_LOOKED_AT,
     LIMIT_MM,
     PAIR,
     WORKING_MM,
@@ -375,6 +376,7 @@ def check_page(
             " significant and large enough to matter."
         ),
         cure="Calibrate anew (teatbench calibrate cameras), after looking at what is named below.",
+        undecided=len(again.views) < LEAST_LOOKED_AT,
     )
 
 
@@ -410,6 +412,7 @@ def check_points_page(
             f" {listed(again.missed_mm.mean(axis=0), '+.2f')} mm."
         ),
         cure="Look at what is named below, then make the world's step again (calibrate world).",
+        undecided=len(again.missed_mm) < LEAST_LOOKED_AT,
     )
 
 

@@ -19,7 +19,7 @@ from bench.record.recording import Recording
 from bench.record.schema import RULES, SCRIPT
 from bench.record.writer import Store
 from bench.results.answers import Examiner
-from bench.results.cameras_agree import can_tell, spread, where_seen
+from bench.results.cameras_agree import UNCHECKED_FACT, spread, unchecked_text, where_seen
 from bench.results.doubts import DOUBTS_FACT, doubts_of
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import in_virtual_time, open_instruments
@@ -271,11 +271,13 @@ def _scored(
         frame: where_seen(recording.load(frame), calibration, truth.get(frame, ()))
         for frame in spread(dict.fromkeys(poses.values()))
     }
-    if can_tell(seen):  # what can't be checked in a recording keeps no detector from its verdict
+    unchecked = unchecked_text(seen, recording.truth)
+    if not unchecked:  # what can't be checked in a recording keeps no detector from its verdict
         files = {RULES: f"{files[RULES]}\n{read_text(CAMERAS_RULE)}"}
     store = _new_store(out, f"score-{path.name}", files, recording.calibration_path)
     facts: dict[str, Any] = {"kind": "recorded", "title": f"Recording {path.name}"}
     facts |= {"about": str(path), **({DOUBTS_FACT: doubts} if doubts else {})}
+    facts |= {UNCHECKED_FACT: unchecked} if unchecked else {}
     try:
         write_facts(store, {**facts, "planned": planned}, under_test, recording.calibration_path)
         for number, frame in enumerate(recording.frames, 1):

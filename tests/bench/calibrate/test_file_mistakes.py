@@ -18,11 +18,20 @@ from bench.calibrate.cameras import calibrate_pair
 from bench.calibrate.views import BoardViews, find_pictures, find_views
 from bench.config import ConfigError
 from bench.report.calibration import cameras_sentence
+from detector.calibration import Part, dump_calibration
 from detector.calibration.boards import Board
 from detector.calibration.bundle import BundleError
 from detector.calibration.cameras import OddPairError
 from detector.calibration.corners import Found
-from tests.bench.calibrate.board_pictures import BOARD, BOARD_TOML, SIZE, write_pairs
+from tests.bench.calibrate.board_pictures import (
+    BOARD,
+    BOARD_TOML,
+    LEFT,
+    RIGHT,
+    RIGHT_FROM_LEFT,
+    SIZE,
+    write_pairs,
+)
 from tests.bench.commands import Said
 
 pytestmark = pytest.mark.slow
@@ -158,6 +167,28 @@ def test_a_picture_of_another_size_is_named_not_those_of_most(
     why = r"png: 320 x 240 px, but 6 of the 7 left pictures have 480 x 360: .*Take it out"
     with pytest.raises(ConfigError, match=name[-6:-4] + r"\." + why):
         find_views(find_pictures([day], ("left", "right")), BOARD)
+
+
+def test_a_check_that_looked_at_too_little_is_no_objection_of_none(
+    drawn: Path, tmp_path: Path, said: Said, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    part = Part(LEFT, RIGHT, RIGHT_FROM_LEFT)
+    Path("c.toml").write_text(dump_calibration(part), encoding="utf-8")
+    Path("board.toml").write_text(BOARD_TOML, encoding="utf-8")
+    for count, code, words in (
+        (2, 4, "not checked: 2 views of the board tell nothing"),
+        (3, 0, ""),
+    ):
+        for camera in ("left", "right"):
+            for path in sorted((drawn / camera).iterdir())[:count]:
+                Path("few", camera).mkdir(parents=True, exist_ok=True)
+                shutil.copy(path, Path("few", camera, path.name))
+        found = said(code, "calibrate check c.toml few --board board.toml --page page")
+        assert words in found.err
+        assert ("It still holds" in found.out) == (code == 0)
+        page = Path("page/index.html").read_text(encoding="utf-8")
+        assert ("Not decided." in page) == (code == 4)
 
 
 def test_by_command_the_verdict_and_its_limit_are_said_and_set_the_code(
