@@ -67,7 +67,7 @@ def folds(camera: Camera) -> bool:
         d = radial + slope * v * v + 6 * p1 * v + 2 * p2 * u
         determinant = a * d - b * b
         column, row = fx * x + cx, fy * y + cy
-        inside = (column >= -1) & (column <= width) & (row >= -1) & (row <= height)
+        inside = (column >= 0) & (column <= width - 1) & (row >= 0) & (row <= height - 1)
     entered = np.logical_or.accumulate(inside, axis=1)
     left = np.logical_or.accumulate(entered & ~inside, axis=1)
     return bool((inside & ~left & ~(determinant > 0.0)).any())
