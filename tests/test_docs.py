@@ -52,7 +52,13 @@ from tests.conftest import ROOT
 
 pytestmark = pytest.mark.slow
 
-MAY_JUDGE = {"run", "resume", "score", "compare", "calibrate cameras"}  # their exit code may be a verdict
+MAY_JUDGE = {
+    "run",
+    "resume",
+    "score",
+    "compare",
+    "calibrate cameras",
+}  # their exit code may be a verdict
 AT_A_TERMINAL = {"arm home", "arm frame", "arm read", "arm verify"}
 # what a page names and its reader has, and what stands in for it here; whatever fits, in this order
 STAND_INS = {
