@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import codecs
 import json
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -179,7 +180,8 @@ def test_what_comes_through_is_what_was_written(value: object) -> None:
 def of_mutants(name: str, count: int, folder: Path) -> set[str]:
     """Reads mutants of a file; what was said of those that aren't read, without their places."""
     path, said = folder / f"mutant-{name}", set()
-    load = {"bom.toml": load_board, "metres.toml": load_calibration}.get(name, read_points)
+    loads: dict[str, Callable[[Path], object]] = {"bom.toml": load_board}
+    load = {**loads, "metres.toml": load_calibration}.get(name, read_points)
     for data in mutants((CASES / name).read_bytes(), count):
         path.write_bytes(data)
         try:
