@@ -1,7 +1,7 @@
 """Files that people write: read, checked whole, and explained when wrong.
 
 `read_config` gives a pydantic model or one `ConfigError` that lists every fault with file, line, a
-caret under the place, what is allowed and what may have been meant. `tomllib` gives values without
+caret under the place, what is allowed and what may have been meant. TOML is read without
 places, so `find_places` reads the lines once more: headers, keys and how far a value reaches. What
 it can't place (an inline table's inside) falls to the key around it.
 """
@@ -11,7 +11,6 @@ from __future__ import annotations
 import difflib
 import json
 import re
-import tomllib
 import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -23,6 +22,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from detector.calibration import Calibration, CalibrationError, load_calibration
+from textfiles.documents import DocumentError, read_toml
+from textfiles.text import TextError, text_of
 
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\[\]=]+?)\s*\]\]?\s*(#.*)?$")
 _KEY = re.compile(
@@ -149,10 +150,7 @@ def parse_config(path: Path, text: str, model: type[Model], *, stored: bool = Fa
 
     Raises ConfigError with all its faults.
     """
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(path, [_syntax_fault(str(error), text)], text) from error
+    table = toml_table(path, text)
     try:
         # its strict mode has lists
         whole = json.dumps(table, default=lambda date: date.isoformat())
@@ -177,13 +175,28 @@ def parse_config(path: Path, text: str, model: type[Model], *, stored: bool = Fa
 
 
 def read_text(path: Path) -> str:
-    """The text of ``path`` in UTF-8. Raises ConfigError when it can't be read."""
+    """The text of ``path``, UTF-8 or UTF-16. Raises ConfigError when it can't be read."""
     try:
-        return path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise ConfigError.plain(f"{path} is not UTF-8 text: {error}. Save it as UTF-8.") from error
-    except OSError as error:
-        raise ConfigError.plain(f"{path} can't be read: {error.strerror or error}") from error
+        return text_of(path)
+    except TextError as error:
+        raise ConfigError.plain(f"{path} {error}.") from error
+    except (OSError, ValueError) as error:  # ValueError: a name with a zero byte
+        why = getattr(error, "strerror", None) or error
+        raise ConfigError.plain(f"{path} can't be read: {why}") from error
+
+
+def toml_of(path: Path) -> dict[str, Any]:
+    """The table of a TOML file as it stands. Raises ConfigError."""
+    return toml_table(path, read_text(path))
+
+
+def toml_table(path: Path, text: str) -> dict[str, Any]:
+    """As `toml_of`, of ``text`` as if it stood at ``path``."""
+    try:
+        return read_toml(text)
+    except DocumentError as error:
+        line, column = error.line or text.count("\n") + 1, error.column or 1
+        raise ConfigError(path, [Fault(line, column - 1, 1, str(error))], text) from error
 
 
 def located(path: Path, text: str, found: Iterable[tuple[KeyPath, str, bool]]) -> ConfigError:
@@ -209,6 +222,15 @@ def writing(place: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise ConfigError.plain(f"{place}: can't be written: {error}") from error
+
+
+def is_there(path: Path) -> bool:
+    """Whether there is such a file. Raises ValueError for a name that no file can have."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise ValueError(f"can't be the name of a file: {why}") from error
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -238,12 +260,6 @@ def _rendered(path: Path | None, faults: Sequence[Fault], lines: Sequence[str]) 
             carets = "^" * min(fault.width, max(1, len(shown) - column))
             out += [f"  {fault.line:4} | {shown}", f"       | {' ' * column}{carets}"]
     return out
-
-
-def _syntax_fault(message: str, text: str) -> Fault:
-    place = re.search(r"\(at line (\d+), column (\d+)\)", message)
-    line, column = map(int, place.groups()) if place else (text.count("\n") + 1, 1)
-    return Fault(line, column - 1, 1, f"not TOML: {message.split(' (at ')[0]}")
 
 
 def _dotted(path: KeyPath) -> str:
@@ -317,10 +333,12 @@ Point = tuple[Millimetres, Millimetres, Millimetres]
 Radians = Annotated[float, Field(ge=-7, le=7, allow_inf_nan=False)]
 
 
-def read_calibration(path: Path) -> Calibration:
-    """The calibration at ``path``. Raises ConfigError that shows each fault in its place."""
+def read_calibration(path: Path, *, doubtful: bool = False) -> Calibration:
+    """The calibration at ``path``. Raises ConfigError that shows each fault in its place, as
+    `load_calibration` says.
+    """
     try:
-        return load_calibration(path)
+        return load_calibration(path, doubtful=doubtful)
     except CalibrationError as error:
         raise located(
             path, read_text(path), [(fault.key, fault.message, False) for fault in error.faults]

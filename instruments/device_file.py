@@ -5,12 +5,14 @@ model, and reports all its faults at once.
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
+
+from textfiles.documents import read_toml
+from textfiles.text import TextError, text_of
 
 Keys = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
@@ -37,11 +39,11 @@ class FaultsError(ValueError):
 def read_device(path: Path, model_of: Callable[[Mapping[str, Any]], type[Model]]) -> Model:
     """The file as the model that its content chooses. Raises DeviceFileError, OSError."""
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = read_toml(text_of(path))
         whole = json.dumps(content, default=str)
         return model_of(content).model_validate_json(whole, strict=True)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DeviceFileError(path, [((), f"not TOML: {error}")]) from error
+    except TextError as error:
+        raise DeviceFileError(path, [((), str(error))]) from error
     except ValidationError as error:
         raise DeviceFileError(path, list(_faults(error))) from error
 

@@ -8,6 +8,7 @@ the row before once more, a row that isn't a point) costs the touch, which is as
 
 from __future__ import annotations
 
+import csv
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -33,6 +34,8 @@ from instruments.microscribe.driver import Reading
 from instruments.operators.console import Console
 from instruments.operators.operator import Coordinates, Operator
 from instruments.operators.prompted import PromptedOperator
+from textfiles.tables import number, separator_of, stripped
+from textfiles.text import TextError, decoded
 
 Floats = npt.NDArray[np.float64]
 FILE, TYPED = "points:", "typed:"
@@ -40,6 +43,7 @@ UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}  # in mm
 SPELT = {"in": "inch", "inches": "inch", '"': "inch"}
 ALLOWED = '"points:FILE" or "points:FILE?unit=mm&columns=name,x,y,z&serial=7001", "typed:"'
 WAIT_S, TURN_S = 10.0, 0.2  # for a row after the operator went on; between two looks
+BLANK = ' \t;,"\ufeff'  # a row of separators, as spreadsheets end a table
 FARTHEST_MM = 20_000.0  # no arm reaches as far: the unit is wrong
 _HEAD = re.compile(r'([xyzuijk])[ _]*[\[(]?(mm|cm|m|inch(?:es)?|in|")?[\])]?', re.IGNORECASE)
 USB_ARMS = (
@@ -262,10 +266,10 @@ class PointArm:
             raise TouchAgainError(self.who, what, hint="Touch the point once more")
         columns, factors, split = self._heads(self._lines())
         try:
-            cells = dict(zip(columns, split(new[0]), strict=False))
-            tip_mm = np.array([_number(cells[key]) * factors[key] for key in "xyz"])
+            cells = dict(zip(columns, split(new[0]), strict=True))
+            tip_mm = np.array([number(cells[key]) * factors[key] for key in "xyz"])
             digit_mm = min(_digit(cells[key]) * factors[key] for key in "xyz")
-            u_mm = _number(cells["u"]) * factors["u"] if cells.get("u") else None
+            u_mm = number(cells["u"]) * factors["u"] if cells.get("u") else None
             axis = _direction([cells[key] for key in "ijk"]) if cells.get("k") else None
         except (KeyError, ValueError):
             what = f"{self._path}: this row isn't a point: {new[0]!r}"
@@ -292,10 +296,12 @@ class PointArm:
             what = f"{self._path}: {error.strerror or error}"
             hint = "Let the arm's software write its first point there, or correct the name"
             raise LinkError(self.who, what, hint=hint) from error
-        utf16 = data[:2] in (b"\xff\xfe", b"\xfe\xff")
-        text = data.decode("utf-16" if utf16 else "utf-8-sig", errors="replace")
-        whole, _, _ = text.replace("\r\n", "\n").replace("\r", "\n").rpartition("\n")
-        return [line for line in whole.split("\n") if line.strip() and not line.startswith("#")]
+        try:
+            whole, _, _ = decoded(data, growing=True).rpartition("\n")
+        except TextError as error:
+            hint = "Let the software write plain text"
+            raise ProtocolError(self.who, f"{self._path} {error}", hint=hint) from error
+        return [line for line in whole.split("\n") if line.strip(BLANK) and line[:1] != "#"]
 
     def _rows(self) -> list[str]:
         """The rows after the heads."""
@@ -340,10 +346,11 @@ def _head_at(lines: list[str]) -> int:
 
 def _splitter(line: str) -> Callable[[str], list[str]]:
     """Splits rows as ``line`` is split; a comma between cells is no decimal one."""
-    mark = next((mark for mark in (";", "\t", ",") if mark in line), None)
+    mark = separator_of(line)
 
     def split(row: str) -> list[str]:
-        return [cell.strip().strip('"') for cell in row.split(mark)]
+        cells = row.split() if mark is None else next(csv.reader([row], delimiter=mark), [])
+        return [stripped(cell) for cell in cells]
 
     return split
 
@@ -356,14 +363,6 @@ def _digit(cell: str) -> float:
 
 def _direction(cells: Sequence[str]) -> Floats | None:
     """A unit vector (3,); None where it isn't known. Raises ValueError."""
-    axis = np.array([_number(cell) for cell in cells])
+    axis = np.array([number(cell) for cell in cells])
     length = float(np.linalg.norm(axis))
     return axis / length if length else None
-
-
-def _number(cell: str) -> float:
-    """A number with a point or a decimal comma. Raises ValueError."""
-    value = float(cell.replace(",", "."))
-    if not math.isfinite(value):
-        raise ValueError(cell)
-    return value

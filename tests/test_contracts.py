@@ -11,7 +11,7 @@ import pytest
 
 from tests.conftest import ROOT
 
-PACKAGES = ("bench", "detector", "instruments", "reports")
+PACKAGES = ("bench", "detector", "instruments", "reports", "textfiles")
 WRONG = {
     "bench/scoring/matching.py": ("bench.cli.main", "Rooms of the bench"),
     "bench/results/comparison.py": ("bench.run.engine", "Rooms of the bench"),

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.special import stdtrit
@@ -26,8 +26,10 @@ from detector.calibration import (
     ThermalCamera,
     derive_homographies,
 )
+from detector.calibration.boards import Board
 from detector.calibration.bundle import POSE
 from detector.calibration.cameras import (
+    DISTANCE_RATIO,
     Calibrated,
     Coverage,
     Halves,
@@ -55,6 +57,11 @@ from detector.geometry import Array, Camera, Motion
 PAIR = ("left", "right")
 PAIR_COLUMNS = ("thermal_x", "thermal_y", "left_x", "left_y", "right_x", "right_y")
 NORMAL_95 = 1.96
+WORKING_MM = 1200.0  # about where the thesis's teats stand
+LIMIT_MM = 5.0  # of a teat end's error, where a script names no other
+ENOUGH_MM = LIMIT_MM / 4.0  # the test uncertainty ratio 4:1
+HELD_MM = (150.0, 5000.0)  # no board is in focus nearer, or seen farther
+LEAST_LOOKED_AT = 3  # views or points of a check: of fewer no mark is significant
 LEAST_FOR_HALVES = 10  # pairs of views; a half of fewer than five says nothing
 
 
@@ -110,12 +117,31 @@ class CamerasResult:
             lines.append(f"reprojection error, {camera}: {text}")
         return [*lines, "intervals: 95 %; that of the reprojection error by the views' scatter"]
 
+    @property
+    def shown_mm(self) -> tuple[float, float]:
+        """The nearest and the farthest board."""
+        spans = [each.distances_mm for each in self.coverage.values() if each.distances_mm]
+        return min(low for low, _ in spans), max(high for _, high in spans)
+
+    def not_shown(self, working_mm: float) -> tuple[str, ...]:
+        """The instruction to show the board where it is to be measured; () where it was."""
+        near, far = self.shown_mm
+        if near / DISTANCE_RATIO <= working_mm <= far * DISTANCE_RATIO:
+            return ()
+        away = f"all views are {near:.0f} to {far:.0f} mm away"
+        return (f"show the board {working_mm / 1000:.2g} m away, where teats stand: {away}",)
+
     def good_to_mm(self, depths_mm: Array) -> Array:
         """Expanded uncertainty (k = 2) (n,) mm along the worst direction, before the pair."""
         axis = self.pair.right_from_left.T / 2.0
         points = np.array([[axis[0], axis[1], depth] for depth in np.asarray(depths_mm)])
         found = covariance_of_points(self.pair, self.covariance, points, self.joint.fit.sigma_px)
         return np.asarray(2.0 * np.sqrt(np.linalg.eigvalsh(found)[:, -1]))
+
+
+def held(mm: float) -> Literal["met", "inconclusive", "not met"]:
+    """Against `ENOUGH_MM`; up to `LIMIT_MM` it depends on how good the detector is."""
+    return "met" if mm <= ENOUGH_MM else "inconclusive" if mm <= LIMIT_MM else "not met"
 
 
 def _rms_interval(view_rms_px: Sequence[float]) -> tuple[float, float]:
@@ -144,8 +170,10 @@ def calibrate_pair(
     lens: dict[str, Any] = {"model": model, "square_pixels": square_pixels}
     alone = {name: calibrate_camera(name, seen[name], size[name], **lens) for name in PAIR}
     if size["left"] != size["right"]:
+        left, right = ("{} x {}".format(*size[name]) for name in PAIR)
         raise TooFewViewsError(
-            "left and right pictures differ in size: are they from the same pair?"
+            f"left and right pictures differ in size, {left} and {right} px: are they from the same"
+            " pair?"
         )
     joint = join_cameras(alone, joint_lenses=PAIR, **lens)
     shown = {camera: _shown(views, camera, alone[camera]) for camera in PAIR}
@@ -161,7 +189,8 @@ def calibrate_pair(
                 remeasure(halves.pairs[1 - start], views.board, pairs[start::2]) for start in (0, 1)
             )
             held_out = Remeasured(views.board, (*first.views, *second.views))
-    found = swapped(pair.right_from_left)
+    found = _units(views.board, shown, pair.right_from_left)
+    found += swapped(pair.right_from_left)
     if not found:
         used = remeasure(pair, views.board, pairs)
         found += measured_again(held_out or used, pair)
@@ -170,6 +199,22 @@ def calibrate_pair(
         found += outlier_views(joint.view_rms_px(camera), camera)
     fixed = join_cameras(alone)
     return CamerasResult(views, alone, fixed, joint, shown, halves, held_out, tuple(found))
+
+
+def _units(board: Board, shown: Mapping[str, Coverage], right_from_left: Motion) -> list[Finding]:
+    """Whether the board's file is in another unit: it then stood where no board can be held."""
+    spans = [each.distances_mm for each in shown.values() if each.distances_mm]
+    near, far = min(low for low, _ in spans), max(high for _, high in spans)
+    baseline_mm = float(np.linalg.norm(right_from_left.T))
+    factor = 10.0 if far < HELD_MM[0] else 0.1 if near > HELD_MM[1] else None
+    if factor is None:
+        return []
+    said = (
+        f"by its file, with points {board.pitch_mm:g} mm apart, the board was {near:.0f} to"
+        f" {far:.0f} mm away and the baseline is {baseline_mm:.4g} mm: are the points"
+        f" {factor * board.pitch_mm:g} mm apart?"
+    )
+    return [Finding("wrong unit", said)]
 
 
 def _shown(views: BoardViews, camera: str, alone: Calibrated) -> Coverage:

@@ -1,67 +1,85 @@
-"""Calibrations of other tools, in and out: OpenCV's YAML, Bouguet's stereo .mat, and ROS
-camera_info.
+"""Calibrations of other tools, in and out: OpenCV's FileStorage, Bouguet's stereo .mat, and ROS
+camera_info; in only: Kalibr's camchain and MATLAB's stereo parameters as a structure.
 
 Strategy: each format gives and takes a `Part`: lenses, and the stereo motion where the format has
 one. What a format can't hold is not written, and named by `lacks`. Sources: OpenCV FileStorage (the
 keys of its stereo_calib sample: M1 D1 M2 D2 in intrinsics.yml, R T in extrinsics.yml); Bouguet's
 toolbox, Calib_Results_stereo.mat (om, T, fc_left ...); ROS sensor_msgs/CameraInfo as
-camera_calibration_parsers writes it, P[0,3] = -fx B for the right camera of a rectified pair.
+camera_calibration_parsers writes it, P[0,3] = -fx B for the right camera of a rectified pair;
+Kalibr, "YAML formats" (T_cn_cnm1 in metres); MATLAB, toStruct of stereoParameters (pixels from 1).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import yaml
-from scipy.io import loadmat, savemat
-from scipy.io.matlab import MatReadError
+from scipy.io import savemat
 
+from bench.calibrate.foreign import Foreign, read_mat, read_storage, read_yaml
+from bench.calibrate.mat_values import OBJECT
 from bench.config import ConfigError
 from detector.calibration import Part
+from detector.calibration.gate import lens_faults
 from detector.geometry import Array, Camera, Motion
 
 PLUMB_BOB = "plumb_bob"
 SIDES = ("left", "right")
+# what other programs call the model of k1 k2 p1 p2 k3; of the longer ones the rest must be zero
+PLAIN_MODELS = ("", "plumb_bob", "radtan", "radial-tangential", "brown", "brown-conrady", "opencv")
+LONGER_MODELS = ("rational_polynomial", "rational", "thin_prism")
+PINHOLES = ("", "pinhole", "perspective", *PLAIN_MODELS[1:], *LONGER_MODELS)
+COUNTS = (4, 5, 8, 12, 14)  # OpenCV's: with rational, thin prism and tilted terms from 8 on
+METRE_MM = 1000.0
+WORLD_UNITS_MM = {
+    **dict.fromkeys(("", "mm", "millimeters", "millimetres", "millimeter"), 1.0),
+    **dict.fromkeys(("m", "meters", "metres", "meter"), METRE_MM),
+    **dict.fromkeys(("cm", "centimeters", "centimetres", "centimeter"), 10.0),
+    **dict.fromkeys(("in", "inches", "inch"), 25.4),
+}
 
 
 def read_opencv(path: Path, image_size: tuple[int, int] | None = None) -> Part:
     """OpenCV's M1 D1 M2 D2 and, if there, R T; ``image_size`` for files without. ConfigError."""
-    if not path.is_file():
-        raise ConfigError.plain(f"{path}: no such file")
-    try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    except (cv2.error, SystemError) as error:
-        raise ConfigError.plain(f"{path}: OpenCV can't read it: {str(error).strip()}") from error
-    if not storage.isOpened():
-        raise ConfigError.plain(
-            f"{path}: OpenCV can't read it as YAML or XML; does it begin with %YAML:1.0?"
-        )
-    names = ("M1", "D1", "M2", "D2", "R", "T", "image_size")
-    found = {name: storage.getNode(name).mat() for name in names}
-    storage.release()
-    if missing := [name for name in names[:4] if found[name] is None]:
+    found = read_storage(path)
+    _refuse_other_model(found)
+    names: list[tuple[str, ...]] = [
+        (f"M{n}", f"K{n}", f"cameraMatrix{n}", f"camera_matrix_{n}", f"CM{n}") for n in (1, 2)
+    ]
+    names += [(f"D{n}", f"distCoeffs{n}", f"dist_coeffs_{n}", f"distortion_{n}") for n in (1, 2)]
+    (M1, M2, D1, D2) = (found.first(*each)[0] for each in names)
+    if missing := [name for name in (M1, D1, M2, D2) if found.values.get(name) is None]:
         raise ConfigError.plain(
             f"{path}: lacks {', '.join(missing)}; wanted: the stereo pair's M1 D1 M2 D2, and R T"
         )
-    M1, D1, M2, D2, R, T, size = found.values()
-    if image_size is None:
-        if size is None or np.size(size) != 2:
-            raise ConfigError.plain(
-                f"{path}: lacks image_size; say it with --image-size COLUMNSxROWS"
-            )
-        columns, rows = np.ravel(size).astype(int).tolist()
-        image_size = columns, rows
-    try:
-        motion = (
-            None if R is None or T is None else Motion(R.astype(float), T.ravel().astype(float))
-        )
-    except ValueError as error:
-        raise ConfigError.plain(f"{path}: R and T are no motion: {error}") from error
-    left, right = _camera(M1, D1, image_size, path), _camera(M2, D2, image_size, path)
+    size = image_size or _storage_size(found)
+    left, right = (
+        _camera(found, (M, found.numbers(M, 9)), (D, found.numbers(D)), size)
+        for M, D in ((M1, D1), (M2, D2))
+    )
+    (R, turn), (T, _) = found.first("R"), found.first("T")
+    motion = None
+    if turn is not None and found.values.get(T) is not None:
+        motion = _motion(found, R, found.numbers(R, 3, 9), T, found.numbers(T, 3))
     return Part(left=left, right=right, right_from_left=motion)
+
+
+def _storage_size(found: Foreign) -> tuple[int, int]:
+    name, value = found.first("image_size", "imageSize", "img_size", "image_Size")
+    if isinstance(value, dict) and {"width", "height"} <= value.keys():
+        value = [value["width"], value["height"]]
+    if value is None:
+        keys = ("image_width", "image_height")
+        name, value = "image_size", [found.values.get(key) for key in keys]
+    if None in (value if isinstance(value, list) else ()):
+        raise ConfigError.plain(
+            f"{found.path}: lacks image_size; say it with --image-size COLUMNSxROWS"
+        )
+    return _size(found, name, found.whole(name, 2, value=value))
 
 
 def write_opencv(part: Part, path: Path) -> None:
@@ -80,28 +98,24 @@ def write_opencv(part: Part, path: Path) -> None:
 
 def read_bouguet(path: Path) -> Part:
     """Bouguet's Calib_Results_stereo.mat. Raises ConfigError."""
-    try:
-        found = loadmat(path)
-    except (OSError, ValueError, NotImplementedError, MatReadError) as error:
-        raise ConfigError.plain(
-            f"{path}: can't be read as a .mat file (version 7 or older): {error}"
-        ) from error
+    found = read_mat(path)
     wanted = [f"{key}_{side}" for side in SIDES for key in ("fc", "cc", "kc")]
-    if missing := [name for name in (*wanted, "om", "T", "nx", "ny") if name not in found]:
+    if missing := [n for n in (*wanted, "om", "T", "nx", "ny") if found.values.get(n) is None]:
         raise ConfigError.plain(
             f"{path}: lacks {', '.join(missing)}; wanted: the file that the stereo calibration of"
             " Bouguet's toolbox saves"
         )
-    size = (int(found["nx"].item()), int(found["ny"].item()))
-
-    cameras = {}
+    size = _size(found, "nx, ny", (*found.whole("nx", 1), *found.whole("ny", 1)))
+    cameras = []
     for side in SIDES:
-        fc, cc, kc = (np.ravel(found[f"{key}_{side}"]).tolist() for key in ("fc", "cc", "kc"))
-        skew = float(np.ravel(found.get(f"alpha_c_{side}", 0.0))[0])
-        K = np.array([[fc[0], fc[0] * skew, cc[0]], [0.0, fc[1], cc[1]], [0.0, 0.0, 1.0]])
-        cameras[side] = _camera(K, kc, size, path)
-    motion = Motion.from_vectors(found["om"], found["T"])
-    return Part(left=cameras["left"], right=cameras["right"], right_from_left=motion)
+        (fx, fy), (cx, cy) = (found.numbers(f"{key}_{side}", 2).tolist() for key in ("fc", "cc"))
+        alpha = f"alpha_c_{side}"
+        skew = float(found.numbers(alpha, 1)[0]) if alpha in found.values else 0.0
+        K = np.array([fx, fx * skew, cx, 0.0, fy, cy, 0.0, 0.0, 1.0])
+        kc = f"kc_{side}"
+        cameras.append(_camera(found, (f"fc_{side}", K), (kc, found.numbers(kc)), size))
+    motion = _motion(found, "om", found.numbers("om", 3), "T", found.numbers("T", 3))
+    return Part(left=cameras[0], right=cameras[1], right_from_left=motion)
 
 
 def write_bouguet(part: Part, path: Path) -> None:
@@ -127,6 +141,124 @@ def write_bouguet(part: Part, path: Path) -> None:
 def read_ros(left: Path, right: Path | None = None) -> Part:
     """camera_info of the left and, if given, the right camera; no motion. Raises ConfigError."""
     return Part(left=_ros_camera(left), right=_ros_camera(right) if right else None)
+
+
+def _ros_camera(path: Path) -> Camera:
+    """A camera_info file, or the message as it is printed (K, D, width, height)."""
+    found = read_yaml(path)
+    _refuse_other_model(found)
+    (width, _), (height, _) = (
+        found.first("image_width", "width"),
+        found.first("image_height", "height"),
+    )
+    size = _size(found, f"{width}, {height}", (*found.whole(width, 1), *found.whole(height, 1)))
+    _refuse_part_of_sensor(found, size)
+    (K, _), (D, _) = (
+        found.first("camera_matrix", "K", "k"),
+        found.first("distortion_coefficients", "D", "d"),
+    )
+    return _camera(found, (K, found.numbers(K, 9)), (D, found.numbers(D)), size)
+
+
+def _refuse_part_of_sensor(found: Foreign, size: tuple[int, int]) -> None:
+    """Raise ConfigError for pictures of a part of the sensor, or binned: K is of the whole."""
+    for name in ("binning_x", "binning_y"):
+        if found.values.get(name) is not None and found.whole(name, 1)[0] > 1:
+            why = "K is of pictures without binning. Calibrate the pictures as they are delivered"
+            raise found.refusal(name, f"is {found.whole(name, 1)[0]}: {why}")
+    if found.values.get("roi") is None:
+        return
+    roi = found.table("roi")
+    given = {name: roi.whole(name, 1)[0] for name in roi.values if name != "do_rectify"}
+    whole = {"x_offset": (0,), "y_offset": (0,), "width": (0, size[0]), "height": (0, size[1])}
+    if other := [name for name, value in given.items() if value not in whole.get(name, (value,))]:
+        why = "the pictures are of a part of the sensor, K is of the whole. Calibrate that part"
+        raise found.refusal("roi", f"has {other[0]} {given[other[0]]}: {why}")
+
+
+def read_kalibr(path: Path) -> Part:
+    """Kalibr's camchain: cam0 left, cam1 right, T_cn_cnm1 from metres. Raises ConfigError."""
+    found = read_yaml(path)
+    cameras = []
+    for name in ("cam0", "cam1"):
+        one = found.table(name)
+        _refuse_other_model(one)
+        fx, fy, cx, cy = one.numbers("intrinsics", 4).tolist()
+        K = np.array([fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0])
+        size = _size(one, "resolution", one.whole("resolution", 2))
+        D = "distortion_coeffs"
+        cameras.append(_camera(one, ("intrinsics", K), (D, one.numbers(D)), size))
+    second, name = found.table("cam1"), "T_cn_cnm1"
+    T = second.numbers(name, 16).reshape(4, 4)
+    if not np.array_equal(T[3], (0.0, 0.0, 0.0, 1.0)):
+        raise second.refusal(name, f"must have 0 0 0 1 as its lowest row, has {T[3].tolist()}")
+    motion = _motion(second, name, T[:3, :3].ravel(), name, METRE_MM * T[:3, 3])
+    return Part(left=cameras[0], right=cameras[1], right_from_left=motion)
+
+
+def read_matlab(path: Path) -> Part:
+    """MATLAB's stereoParameters, saved as toStruct gives them. Raises ConfigError."""
+    found = read_mat(path)
+    held = [v for v in found.values.values() if isinstance(v, dict) and "CameraParameters1" in v]
+    if not held and (OBJECT in found.values.values() or "" in found.values):
+        raise ConfigError.plain(
+            f"{path}: holds {OBJECT}, which MATLAB alone can read. In MATLAB: s ="
+            " toStruct(stereoParams); save('stereo.mat', 's', '-v7')"
+        )
+    if len(held) != 1:
+        raise ConfigError.plain(
+            f"{path}: holds {len(held)} structures with CameraParameters1; wanted: one, as"
+            " toStruct(stereoParams) gives it"
+        )
+    stereo = Foreign(path, held[0])
+    tables = [stereo.table(f"CameraParameters{n}") for n in (1, 2)]
+    left, right = (_matlab_camera(one) for one in tables)
+    unit = tables[0].word("WorldUnits").lower()
+    if unit not in WORLD_UNITS_MM:
+        raise tables[0].refusal("WorldUnits", f"is {unit!r}; known are {', '.join(WORLD_UNITS_MM)}")
+    pose = stereo.values.get("PoseCamera2")
+    if isinstance(pose, dict):
+        given, (R, T), transposed = stereo.table("PoseCamera2"), ("R", "Translation"), False
+    else:
+        given, (R, T) = stereo, ("RotationOfCamera2", "TranslationOfCamera2")
+        transposed = True  # x2 = x1 R + t, of rows
+    turn = given.numbers(R, 9).reshape(3, 3)
+    turn = turn.T if transposed else turn
+    T_mm = WORLD_UNITS_MM[unit] * given.numbers(T, 3)
+    return Part(left=left, right=right, right_from_left=_motion(given, R, turn.ravel(), T, T_mm))
+
+
+def _matlab_camera(one: Foreign) -> Camera:
+    """Pixels count from 1 there, and rows come before columns."""
+    rows, columns = one.whole("ImageSize", 2)
+    name, K = one.first("K", "IntrinsicMatrix")
+    matrix = one.numbers(name, 9, value=K).reshape(3, 3)
+    matrix = matrix if name == "K" else matrix.T
+    radial = np.append(one.numbers("RadialDistortion", 2, 3), 0.0)
+    tangential = one.numbers("TangentialDistortion", 2)
+    kc = np.array([*radial[:2], *tangential, radial[2]])
+    matrix[:2, 2] -= matrix[2, 2]  # 1, or refused below
+    size = _size(one, "ImageSize", (columns, rows))
+    return _camera(one, (name, matrix.ravel()), ("RadialDistortion", kc), size)
+
+
+READERS: dict[str, Callable[[Path], Part]] = {
+    "bouguet": read_bouguet,
+    "kalibr": read_kalibr,
+    "matlab": read_matlab,
+}
+
+
+def read_foreign(
+    files: Sequence[Path], kind: str, image_size: tuple[int, int] | None = None
+) -> Part:
+    """The files of another tool, with lenses that can be. Raises ConfigError."""
+    if len(files) > (2 if kind == "ros" else 1):
+        most = "two files at most, left and right" if kind == "ros" else "one file"
+        raise ConfigError.plain(f"{kind} takes {most}")
+    if kind == "opencv":
+        return read_opencv(files[0], image_size)
+    return read_ros(*files) if kind == "ros" else READERS[kind](files[0])
 
 
 def write_ros(part: Part, path: Path, camera: str) -> None:
@@ -159,41 +291,65 @@ def write_ros(part: Part, path: Path, camera: str) -> None:
     path.write_text(yaml.safe_dump(read, sort_keys=False), encoding="utf-8", newline="\n")
 
 
-def _ros_camera(path: Path) -> Camera:
+def _refuse_other_model(found: Foreign) -> None:
+    """Raise ConfigError for a lens model that has no k1 k2 p1 p2 k3, by whichever key names it."""
+    known = {"distortion_model": (*PLAIN_MODELS, *LONGER_MODELS, "none"), "camera_model": PINHOLES}
+    for name, models in known.items():
+        if (model := found.word(name).lower()) not in models:
+            raise found.refusal(
+                name,
+                f"is {model!r}; only {PLUMB_BOB} (k1 k2 p1 p2 k3) can be taken over",
+            )
+    for name in ("fisheye_model", "fisheye", "is_fisheye"):
+        if found.values.get(name) not in (None, 0, "0", False, "false"):
+            raise found.refusal(
+                name, f"is set; only {PLUMB_BOB} (k1 k2 p1 p2 k3) can be taken over"
+            )
+
+
+def _size(found: Foreign, name: str, size: tuple[int, ...]) -> tuple[int, int]:
+    if not all(1 <= n <= 65535 for n in size):
+        raise found.refusal(name, f"must be 1 to 65535 pixels, is {' x '.join(map(str, size))}")
+    return size[0], size[1]
+
+
+def _motion(found: Foreign, turn: str, R: Array, shift: str, T_mm: Array) -> Motion:
+    """Of a rotation matrix by rows (9,) or a rotation vector (3,). Raises ConfigError."""
     try:
-        read = yaml.safe_load(path.read_text(encoding="utf-8"))
-        size = (int(read["image_width"]), int(read["image_height"]))
-        K = np.array(read["camera_matrix"]["data"], dtype=np.float64).reshape(3, 3)
-        kc = np.array(read["distortion_coefficients"]["data"], dtype=np.float64)
-        model = read.get("distortion_model", PLUMB_BOB)
-    except OSError as error:
-        raise ConfigError.plain(f"{path}: can't be read: {error.strerror or error}") from error
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError) as error:
-        raise ConfigError.plain(
-            f"{path}: is no camera_info: {type(error).__name__} {error}"
-        ) from error
-    if model != PLUMB_BOB:
-        raise ConfigError.plain(
-            f"{path}: the distortion model is {model!r}; only {PLUMB_BOB} (k1 k2 p1 p2 k3) can be"
-            " taken over"
-        )
-    return _camera(K, kc, size, path)
+        if len(R) == 3:
+            return Motion.from_vectors(R, T_mm)
+        return Motion(R.reshape(3, 3), T_mm)
+    except ValueError as error:
+        names = turn if turn == shift else f"{turn} and {shift}"
+        raise ConfigError.plain(f"{found.path}: {names} are no motion: {error}") from error
 
 
-def _camera(K: Any, kc: Any, size: tuple[int, int], path: Path) -> Camera:
-    matrix, values = np.asarray(K, dtype=np.float64), np.ravel(np.asarray(kc, dtype=np.float64))
-    if matrix.shape != (3, 3) or not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
-        raise ConfigError.plain(
-            f"{path}: a camera matrix must be 3 x 3 with focal lengths above zero, is"
-            f" {matrix.tolist()}"
+def _camera(
+    found: Foreign, K: tuple[str, Array], D: tuple[str, Array], size: tuple[int, int]
+) -> Camera:
+    """A camera that can be, of its matrix (9,) and coefficients by their names. ConfigError."""
+    (name, matrix), (of_lens, values) = K, D
+    (fx, skew, u), (below, fy, v), last = matrix.reshape(3, 3).tolist()
+    if last != [0.0, 0.0, 1.0] or below != 0.0:
+        why = "its lower row must be 0 0 1, and 0 stand before fy"
+        turned = " It is transposed" if matrix.reshape(3, 3).T[2].tolist() == [0, 0, 1] else ""
+        raise found.refusal(name, f"is no camera matrix: {why}; is {matrix.tolist()}.{turned}")
+    if not (fx > 0 and fy > 0):
+        raise found.refusal(name, f"must have focal lengths above zero, has {fx:g} and {fy:g}")
+    model = found.word("distortion_model").lower()
+    none = model == "none" and not np.any(values)
+    if len(values) not in COUNTS and not none:
+        counts = ", ".join(map(str, COUNTS))
+        raise found.refusal(of_lens, f"has {len(values)} coefficients; there may be {counts}")
+    if np.any(values[5:]):
+        raise found.refusal(
+            of_lens, f"has {len(values)} coefficients; only k1 k2 p1 p2 k3 can be taken over"
         )
-    if len(values) not in (4, 5) and np.any(values[5:]):
-        raise ConfigError.plain(
-            f"{path}: {len(values)} distortion coefficients; only k1 k2 p1 p2 k3 can be taken over"
-        )
-    k1, k2, p1, p2, k3 = (float(v) for v in np.append(values[:5], np.zeros(5))[:5])
-    (fx, skew, u), (_, fy, v) = (row.tolist() for row in matrix[:2])
-    return Camera(size, (fx, fy), (u, v), skew / fx, (k1, k2, p1, p2, k3))
+    k1, k2, p1, p2, k3 = (float(one) for one in np.append(values[:5], np.zeros(5))[:5])
+    camera = Camera(size, (fx, fy), (u, v), skew / fx, (k1, k2, p1, p2, k3))
+    for key, why in lens_faults(camera):
+        raise found.refusal(of_lens if key == "kc" else name, f"can't be of a camera: {why}")
+    return camera
 
 
 def _pair(part: Part) -> tuple[Camera, Camera, Motion | None]:

@@ -6,7 +6,8 @@ while the operator holds the board, until nothing is missing or the operator has
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -29,7 +30,14 @@ from detector.calibration.cameras import (
     coverage,
     rough_poses,
 )
-from detector.calibration.corners import Found, SubPixel, ViewRefusedError, find_board, order_alike
+from detector.calibration.corners import (
+    Found,
+    SubPixel,
+    ViewRefusedError,
+    counted_corners,
+    find_board,
+    order_alike,
+)
 from detector.calibration.diagnosis import PairView
 from instruments.camera.frame import Grey
 from instruments.operators.operator import BoardAsked, Operator, OperatorEnough
@@ -156,31 +164,92 @@ def find_views(
         for name, path in chosen.items():
             report(done, total)
             done += 1
-            try:
-                image = read_grey(path)
-            except RecordingError as error:
-                raise ConfigError.plain(str(error)) from error
-            if camera in mirrored:
-                image = image[:, ::-1].copy()
-            rows, columns = image.shape[:2]
-            known = sizes.setdefault(camera, (columns, rows))
-            if known != (columns, rows):
-                first = next(iter(chosen.values()))
-                raise ConfigError.plain(
-                    f"{path}: {columns} x {rows} px, but {first} has {known[0]} x {known[1]}: one"
-                    " camera's pictures have one size"
-                )
+            image = _picture(path, turn=camera in mirrored)
+            rows, columns = image.shape
+            if sizes.setdefault(camera, (columns, rows)) != (columns, rows):
+                raise _other_size(camera, chosen)
             try:
                 found[camera][name] = find_board(image, board, sub_pixel=SubPixel(window_px))
             except ViewRefusedError as why:
                 refused.append(Refused(camera, name, str(why)))
-    # boards that read the same when turned: all cameras count from the first camera's end
-    first_camera, *others = found
+            if len(found[camera]) == 0 and name == [*chosen][:LOOKED_AT][-1]:
+                _refuse_other_count(camera, chosen, found, board, turn=camera in mirrored)
+        _refuse_other_count(camera, chosen, found, board, turn=camera in mirrored)
+    _order_alike(found, board)
+    return BoardViews(board, found, sizes, (*refused, *_alone(found, chosen_views)))
+
+
+def _picture(path: Path, *, turn: bool) -> Grey:
+    """A picture in grey, mirrored where ``turn`` says so. Raises ConfigError."""
+    try:
+        image = read_grey(path)
+    except RecordingError as error:
+        raise ConfigError.plain(str(error)) from error
+    return image[:, ::-1].copy() if turn else image
+
+
+def _order_alike(found: dict[str, dict[str, Found]], board: Board) -> None:
+    """Boards that read the same when turned: all cameras count from the first camera's end."""
+    first, *others = found
     for camera in others:
         for name, other in found[camera].items():
-            if reference := found[first_camera].get(name):
+            if reference := found[first].get(name):
                 found[camera][name] = order_alike(reference, other, board)
-    return BoardViews(board, found, sizes, tuple(refused))
+
+
+def _alone(found: Mapping[str, Mapping[str, Found]], pictures: Pictures) -> Iterator[Refused]:
+    """Views of one camera that the other has no picture of."""
+    for camera, views in found.items():
+        for other, theirs in pictures.items():
+            for view in views.keys() - theirs.keys():
+                why = f"it has no partner {other} {view}, so it is no pair"
+                yield Refused(camera, view, why)
+
+
+def _other_size(camera: str, pictures: Mapping[str, Path]) -> ConfigError:
+    """For pictures that don't have the size of most."""
+    sizes = {path: read_grey(path).shape[::-1] for path in pictures.values()}
+    (usual, count), *_ = Counter(sizes.values()).most_common()
+    odd, size = next((path, size) for path, size in sizes.items() if size != usual)
+    return ConfigError.plain(
+        f"{odd}: {size[0]} x {size[1]} px, but {count} of the {len(sizes)} {camera} pictures have"
+        f" {usual[0]} x {usual[1]}: one camera's pictures have one size. Take it out, or deliver it"
+        " as the others"
+    )
+
+
+LOOKED_AT = 3  # pictures of a camera whose corners are counted, with the board and without
+AGREE = 2  # of them, before a board's own count is doubted
+
+
+def _refuse_other_count(
+    camera: str,
+    paths: Mapping[str, Path],
+    found: Mapping[str, Mapping[str, Found]],
+    board: Board,
+    *,
+    turn: bool,
+) -> None:
+    """Raise ConfigError where the pictures hold a chessboard of another number of corners."""
+    if board.kind != "chessboard":
+        return
+    wanted = sorted((board.columns, board.rows))
+    without = [view for view in paths if view not in found[camera]]
+    counts: dict[tuple[int, int], list[Path]] = {}
+    for view in (*list(found[camera])[:LOOKED_AT], *without[:LOOKED_AT]):
+        count = counted_corners(_picture(paths[view], turn=turn))
+        # where the board was found, less is a part of it
+        if count and sorted(count) != wanted and (max(count) > wanted[1] or not found[camera]):
+            counts.setdefault(count, []).append(paths[view])
+    for (columns, rows), places in counts.items():
+        if len(places) < min(AGREE, len(paths)):
+            continue
+        squares = sorted((columns + 1, rows + 1)) == wanted
+        why = ": squares are counted there, inner corners are wanted" if squares else ""
+        raise ConfigError.plain(
+            f"{places[0]}: holds a chessboard of {columns} x {rows} inner corners, --board has"
+            f" {board.columns} x {board.rows}{why}. Write columns = {columns}, rows = {rows}"
+        )
 
 
 def _spread(views: Mapping[str, Path], most: int | None) -> dict[str, Path]:

@@ -5,7 +5,6 @@ calibration still holds.
 
 from __future__ import annotations
 
-import csv
 import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from scipy.special import chdtri
 
 from bench.calibrate.merge import pair_of_part
 from bench.calibrate.views import pattern_of, write_picture
-from bench.config import ConfigError, short
+from bench.config import ConfigError, read_text
 from bench.files import write_synced
 from bench.rig.arm_files import axes_of
 from bench.truth.touching import TipReader
@@ -32,40 +31,20 @@ from instruments.camera.frame import Grey
 from instruments.errors import DeviceError, TouchAgainError
 from instruments.microscribe.driver import Reading
 from instruments.operators.operator import BoardAsked, BoardTouch, Operator, Release
+from textfiles import tables
 
 
 def read_table(path: Path, columns: tuple[str, ...]) -> Mapping[str, Array]:
-    """Columns of a CSV file with a first line of names. Raises ConfigError with the line."""
+    """Columns of numbers of a table with a first line of names. Raises ConfigError with the
+    line.
+    """
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            lines = csv.DictReader(file, strict=True)
-            if missing := [name for name in columns if name not in (lines.fieldnames or ())]:
-                raise ConfigError.plain(
-                    f"{path}:1: the column(s) {', '.join(missing)} are missing; the first line must"
-                    f" name {','.join(columns)}"
-                )
-            rows = [
-                [_number(f"{path}:{lines.line_num}", name, line[name]) for name in columns]
-                for line in lines
-            ]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError.plain(
-            f"{path}: can't be read as a table of comma-separated values in UTF-8: {error}"
-        ) from error
+        found = tables.read_table(read_text(path), columns)
+        rows = [[row.number(name) for name in columns] for row in found.rows]
+    except tables.TableError as error:
+        raise ConfigError.plain(f"{path}:{error.line}: {error}") from error
     table = np.array(rows, dtype=np.float64).reshape(-1, len(columns))
     return dict(zip(columns, table.T, strict=True))
-
-
-def _number(where: str, name: str, text: str | None) -> float:
-    try:
-        value = float(text or "")
-    except ValueError:
-        raise ConfigError.plain(
-            f"{where}: {name} must be a number, is {short(repr(text))}"
-        ) from None
-    if not np.isfinite(value):
-        raise ConfigError.plain(f"{where}: {name} must be finite, is {text!r}")
-    return value
 
 
 SIGNIFICANT = 1e-4  # of a chance to accuse a calibration that holds

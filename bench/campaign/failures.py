@@ -5,7 +5,6 @@ a failure kept as a case of a recording.
 from __future__ import annotations
 
 import shutil
-import tomllib
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -24,7 +23,7 @@ from bench.campaign.search import (
     family_rate,
     search,
 )
-from bench.config import ConfigError, read_text, writing
+from bench.config import ConfigError, read_text, toml_of, writing
 from bench.record.recording import RecordingError, RecordingWriter
 from bench.results.answers import close_detectors
 from bench.rig.loading import find_rig, load_rig
@@ -168,10 +167,11 @@ def read_failures(folder: Path) -> tuple[Plan, dict[int, Failure]]:
             " was given"
         )
     try:
-        table = tomllib.loads(Ledger(folder).checked_bytes(SEARCH).decode("utf-8"))
+        Ledger(folder).checked_bytes(SEARCH)
+        table = toml_of(path)
         failures = [Failure(**one) for one in table.get("failures", ())]
         return Plan.model_validate(table["plan"]), {one.number: one for one in failures}
-    except (tomllib.TOMLDecodeError, KeyError, TypeError, ValidationError) as error:
+    except (KeyError, TypeError, ValidationError) as error:
         raise ConfigError.plain(f"{path}: is not as the search wrote it: {error}") from error
 
 

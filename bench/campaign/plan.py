@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -22,7 +21,15 @@ from bench import __version__
 from bench.campaign.chunk import LIMIT_MM, Bench, Scene
 from bench.campaign.perturbations import Applied
 from bench.campaign.quantities import FAMILY, varied
-from bench.config import ConfigError, Positive, Section, read_calibration, read_config, read_text
+from bench.config import (
+    ConfigError,
+    Positive,
+    Section,
+    read_calibration,
+    read_config,
+    read_text,
+    toml_table,
+)
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import EmulatedDepth, EmulatedOptical, EmulatedThermal, make_renderer
 from bench.rig.scenes import chosen
@@ -224,7 +231,7 @@ def open_plan(plan: Plan, members: int | None = None) -> tuple[Job, dict[str, st
     stated_text = read_text(Path(plan.calibration)) if plan.calibration else cameras
     job = Job(
         plan.model_copy(update=sensors),
-        tomllib.loads(cameras),
+        toml_table(rig.calibration_path, cameras),
         stated,
         tuple(one.name for one in detectors),
         exact=not plan.calibration and true.covariance is None,

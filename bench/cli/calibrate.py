@@ -16,15 +16,18 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from bench import __version__
 from bench.calibrate import exchange
 from bench.calibrate.cameras import (
+    LEAST_LOOKED_AT,
     Delivered,
     calibrate_pair,
     calibrate_thermal,
     check_pair,
+    held,
     map_pairs,
 )
 from bench.calibrate.merge import CAMERAS_INPUT, read_part
@@ -47,7 +50,7 @@ from bench.calibrate.world import (
     gather_points,
     read_points,
 )
-from bench.cli.arguments import CODES, command_line, complain, refuse_existing
+from bench.cli.arguments import CODES, code_of, command_line, complain, refuse_existing
 from bench.cli.terminal import working
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
@@ -60,12 +63,15 @@ from bench.truth.touching import TipReader
 from detector.calibration import (
     DEFAULT_PLANE_DEPTH_MM,
     Calibration,
+    CalibrationError,
     Part,
     Record,
+    check_text,
     dump_calibration,
     file_hash,
 )
 from detector.calibration.bundle import BundleError
+from detector.calibration.gate import pair_faults
 from instruments.clock import wall_time
 from instruments.operators.operator import Finish, Homing
 
@@ -85,7 +91,7 @@ FOLDERS = "folders of pictures (FRAMES)"
 
 
 def cameras(given: argparse.Namespace) -> int:
-    from bench.report.calibration import cameras_page
+    from bench.report.calibration import cameras_page, cameras_sentence
 
     _one_source(given, given.frames, FOLDERS)
     identity = dict(text.partition("=")[::2] for text in given.identity)
@@ -100,14 +106,19 @@ def cameras(given: argparse.Namespace) -> int:
     with _fitting("the cameras"):
         result = calibrate_pair(views, model=given.model, square_pixels=given.square_pixels)
     record = _record(given, paths, identity)
-    _write_step(given, result.part(record), cameras_page(result, record, command_line()))
+    at_mm = given.distance
+    _write_step(given, result.part(record), cameras_page(result, record, command_line(), at_mm))
     for camera, coverage in result.coverage.items():
         if coverage.missing:
             print(f"still missing, {camera}: {'; '.join(coverage.missing)}")
+    for text in result.not_shown(at_mm):
+        print(f"still missing: {text}")
     print(*result.text(), sep="\n")
-    good_mm = float(result.good_to_mm(np.array([1200.0]))[0])
-    print(f"a point at 1.2 m: good to {good_mm:.2f} mm (k = 2)")
-    return _say(result.findings, on_page=True)
+    good_mm = float(result.good_to_mm(np.array([at_mm]))[0])
+    print(f"a point at {at_mm / 1000:g} m: good to {good_mm:.2f} mm (k = 2)")
+    verdict = "not met" if result.findings else held(good_mm)
+    print(f"Verdict: {verdict}. {cameras_sentence(result, at_mm)}")
+    return _say(result.findings, on_page=True) or code_of(verdict)
 
 
 def thermal(given: argparse.Namespace) -> None:
@@ -192,13 +203,18 @@ def check(given: argparse.Namespace) -> int:
     given.by, given.out = "", given.calibration
     if given.ends:
         return _check_ends(given, part)
-    findings, page = (_check_points if given.points else _check_board)(given, part)
+    findings, page, looked_at = (_check_points if given.points else _check_board)(given, part)
     _write_page(page, given.page)
+    if not findings and looked_at < LEAST_LOOKED_AT:
+        what = "points" if given.points else "views of the board"
+        text = f"{looked_at} {what} tell nothing, at least {LEAST_LOOKED_AT} are needed"
+        return complain(f"not checked: {text}", CODES.inconclusive)
     print("It still holds." if not findings else "It no longer holds.")
     return _say(findings)
 
 
-def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Finding], Page]:
+def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Finding], Page, int]:
+    """Findings, their page, and how many views were looked at."""
     from bench.report.calibration import check_page
 
     others = ", touched points (--points CSV), touched ends (--ends DIR),"
@@ -212,10 +228,12 @@ def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Findin
         f"{len(again.views)} views: lengths {scale:.5f} ± {sd:.5f} of the print, rows"
         f" {again.epipolar_rms_px:.2f} px rms"
     )
-    return findings, check_page(again, findings, _record(given, paths), command_line())
+    page = check_page(again, findings, _record(given, paths), command_line())
+    return findings, page, len(again.views)
 
 
-def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Finding], Page]:
+def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Finding], Page, int]:
+    """As `_check_board`, of points."""
     from bench.report.calibration import check_points_page
 
     if given.frames or given.rig:
@@ -229,7 +247,8 @@ def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Findi
         f" {np.sqrt(np.mean(again.expected_mm**2)):.2f} mm is to be expected"
     )
     record = _record(given, (given.points,))
-    return findings, check_points_page(again, findings, record, command_line())
+    page = check_points_page(again, findings, record, command_line())
+    return findings, page, len(again.missed_mm)
 
 
 def _check_ends(given: argparse.Namespace, part: Part) -> int:
@@ -305,6 +324,9 @@ def _fitting(what: str) -> Iterator[None]:
             yield
     except BundleError as why:
         raise ConfigError.plain(str(why)) from why
+    except (np.linalg.LinAlgError, cv2.error) as why:
+        text = f"the views of {what} can't be fitted together ({why}): look whether each picture"
+        raise ConfigError.plain(f"{text} shows the board, and each pair one pose") from why
 
 
 def _record(
@@ -328,7 +350,12 @@ def _record(
 def _write_step(given: argparse.Namespace, found: Part | Calibration, page: Page | None) -> None:
     """The step's file, whole or not at all, and its page beside it."""
     given.out.resolve().parent.mkdir(parents=True, exist_ok=True)
-    write_synced(given.out, dump_calibration(found, command_line()).encode("utf-8"))
+    text = dump_calibration(found, command_line())
+    try:
+        check_text(given.out, text, whole=isinstance(found, Calibration))
+    except CalibrationError as error:
+        raise ConfigError.plain(f"not written, for it can't be: {error}") from error
+    write_synced(given.out, text.encode("utf-8"))
     print(f"written: {given.out}")
     if page is not None:
         _write_page(page, given.out.with_suffix(".page"))
@@ -437,18 +464,10 @@ def export(given: argparse.Namespace) -> None:
 
 
 def take_over(given: argparse.Namespace) -> None:
-    if len(given.file) > (2 if given.format == "ros" else 1):
-        raise ConfigError.plain(
-            f"{given.format} takes"
-            f" {'two files at most, left and right' if given.format == 'ros' else 'one file'}"
-        )
-    if given.format == "opencv":
-        part = exchange.read_opencv(given.file[0], given.image_size)
-    elif given.format == "bouguet":
-        part = exchange.read_bouguet(given.file[0])
-    else:
-        part = exchange.read_ros(*given.file)
+    part = exchange.read_foreign(given.file, given.format, given.image_size)
     _write_step(given, replace(part, record=_record(given, given.file)), None)
+    for fault in pair_faults(part.right_from_left) if part.right_from_left else ():
+        complain(f"look at T before you go on: {fault}", CODES.met)
 
 
 def stage(given: argparse.Namespace) -> int:

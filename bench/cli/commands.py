@@ -212,6 +212,12 @@ LIVE = (
 OTHER_TOOL = option(
     "--format", "of which tool", choices=("opencv", "bouguet", "ros"), required=True
 )
+FROM_TOOL = option(
+    "--format",
+    "of which tool; for matlab the structure that toStruct(stereoParams) gives",
+    choices=("opencv", "bouguet", "ros", "kalibr", "matlab"),
+    required=True,
+)
 TOUCH_NOISE = (
     option("--pixel-sd PX", "standard deviation of a pixel coordinate, px", SD, 0.1),
     option("--touch-sd MM", "standard deviation of a touch along each axis, mm", SD, 0.25),
@@ -778,6 +784,12 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             "a camera's serial number, for the record; may be given several times",
             many=True,
         ),
+        option(
+            "--distance MM",
+            "where teats will stand: there the calibration is judged (default: 1200)",
+            LENGTH,
+            1200.0,
+        ),
         *_part("cameras.toml"),
     ),
     "calibrate thermal": (
@@ -878,7 +890,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "take over the cameras that another tool calibrated, as a part for 'merge'",
         "calibrate import left.yaml right.yaml --format ros --out cameras.toml",
         option("file FILE", "the other tool's file; for ros two: left, right", nargs="+"),
-        OTHER_TOOL,
+        FROM_TOOL,
         option("--image-size COLUMNSxROWS", "px; for opencv, whose files may leave it out", size),
         *_part("cameras.toml"),
     ),

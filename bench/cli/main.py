@@ -54,11 +54,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 from bench.cli.completion import complete
 
                 complete(top)
+            words = sys.argv[1:] if arguments is None else arguments
+            if odd := next((word for word in words if not _is_text(word)), None):
+                shown = ascii(odd)
+                return complain(f"{shown} isn't UTF-8: name it otherwise", CODES.wrong_use)
             return _run(top.parse_args(arguments))
     except Exception as error:
         return _unforeseen(error)
     finally:
         sys.stdout, sys.stderr = streams
+
+
+def _is_text(word: str) -> bool:
+    """Whether a record, a page and a terminal can hold a name: not one of odd bytes."""
+    try:
+        return bool(word.encode("utf-8")) or not word
+    except UnicodeEncodeError:
+        return False
 
 
 def _run(given: argparse.Namespace) -> int:

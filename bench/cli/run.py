@@ -134,6 +134,7 @@ def score(given: argparse.Namespace) -> int:
     from bench.cli.verdict import show_verdict
     from bench.report.page import write_run_report
     from bench.report.tables import score_table
+    from bench.results.cameras_agree import UNCHECKED_FACT
     from bench.run.start import score_recording
 
     console = Terminal()
@@ -143,7 +144,10 @@ def score(given: argparse.Namespace) -> int:
         progress.state("writing the report")
         written = write_run_report(folder)
     code = show_verdict(console, *written)
-    print(f"\n{score_table(read_run(folder))}")
+    run = read_run(folder)
+    if text := run.facts.get(UNCHECKED_FACT):
+        print(f"Cameras {text}.")
+    print(f"\n{score_table(run)}")
     return code
 
 

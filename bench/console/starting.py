@@ -9,12 +9,12 @@ import os
 import re
 import subprocess
 import sys
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from bench.config import ConfigError, toml_of
 from bench.rig.loading import NO_RIGS, RIGS, shipped
 from bench.script.detectors import declared
 from bench.script.model import TRIALS
@@ -69,8 +69,8 @@ def choices(folder: Path) -> Choices:
 
 def _has(path: Path, table: str) -> bool:
     try:
-        return table in tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return table in toml_of(path)
+    except ConfigError:
         return False
 
 

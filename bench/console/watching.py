@@ -151,7 +151,7 @@ def curve(folder: Path) -> list[list[float]]:
 def trials(folder: Path) -> list[dict[str, Any]]:
     """The trials with their truth: scores, and truth and answers in each camera's pixels."""
     run = read_run(folder)
-    calibration = read_calibration(folder / "calibration.toml")
+    calibration = read_calibration(folder / "calibration.toml", doubtful=True)
     found = []
     for trial in run.trials:
         points = points_mm([*trial.truth, *trial.found])

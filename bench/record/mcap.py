@@ -202,7 +202,11 @@ def export_mcap(run: Path, out: Path) -> list[Path]:
     """Write ``out/run.mcap``; its path. Times are the bench's clock from the time of day of its
     session, else the time of day. Raises ConfigError with a damaged frame; OSError.
     """
-    known = read_calibration(run / CALIBRATION) if (run / CALIBRATION).is_file() else None
+    known = (
+        read_calibration(run / CALIBRATION, doubtful=True)
+        if (run / CALIBRATION).is_file()
+        else None
+    )
     with opened(run) as db:
         db.row_factory = sqlite3.Row
         found = sorted(_run_messages(db, run, _Times(db)), key=lambda message: message.time_ns)

@@ -4,11 +4,10 @@ Files are written beside their place and then moved there.
 
 from __future__ import annotations
 
-import csv
 import math
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,8 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instruments.camera.cameras import KNOWN
-from instruments.camera.frame import FrameSet, grey8
+from instruments.camera.frame import FrameSet, grey8, no_temperatures
 from instruments.errors import DeviceError
+from textfiles.tables import Row, TableError, read_table
+from textfiles.text import TextError, text_of
 
 PNG = b"\x89PNG\r\n\x1a\n"
 PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
@@ -30,7 +31,8 @@ FILES = (
     "depth_amplitude.png",
 )  # fmt: skip
 UNITS = dict(zip(FILES[3:], ("centi-kelvin", "tenths of a millimetre", "counts"), strict=True))
-COLUMNS = ("frame", "situation", "teat", "x_mm", "y_mm", "z_mm", "visible")
+LENGTHS = ("x_mm", "y_mm", "z_mm")
+COLUMNS = ("frame", "situation", "teat", *LENGTHS, "visible")
 # a teat is some 20 mm thick: two ends nearer than this are one end, measured twice
 SAME_END_MM = 5.0
 UNSAFE = set('<>:"/\\|?*')
@@ -77,34 +79,41 @@ class Recording:
         left, right, thermal, *others = (folder / name for name in FILES)
         eight = read_grey(thermal) if thermal.exists() else None
         kelvin, depth, strength = (_counts(one) if one.exists() else None for one in others)
+        if kelvin is not None and (wrong := no_temperatures(kelvin)):
+            raise RecordingError(f"{others[0]}: {wrong}")
         pair = read_grey(left), read_grey(right)
         try:
             return FrameSet(*pair, eight, kelvin, depth_dmm=depth, amplitude=strength)
         except ValueError as fault:
             raise RecordingError(f"{folder}: {fault}") from fault
 
+    def sizes(self, frame_id: str) -> dict[str, tuple[int, int]]:
+        """Columns and rows of a frame's PNG files by name, from their heads alone."""
+        found = {}
+        for name in FILES:
+            with suppress(OSError), (self.path / "frames" / frame_id / name).open("rb") as file:
+                head = file.read(24)
+                if head.startswith(PNG) and head[12:16] == b"IHDR":
+                    found[name] = int.from_bytes(head[16:20]), int.from_bytes(head[20:24])
+        return found
+
     def _truth(self) -> dict[str, tuple[TruthRow, ...]]:
         path = self.path / "truth.csv"
         if not path.exists():
             return {}
         found: dict[str, list[TruthRow]] = {}
-        line_number = 1
+        line = 1
         try:
-            with path.open(encoding="utf-8-sig", newline="") as file:
-                lines = csv.DictReader(file, strict=True)
-                if missing := [name for name in COLUMNS if name not in (lines.fieldnames or ())]:
-                    what = f"the column(s) {', '.join(missing)} are missing"
-                    raise RecordingError(f"{what}; the first line must name {','.join(COLUMNS)}")
-                for line in lines:
-                    line_number = lines.line_num
-                    frame, row = _truth_row(line)
-                    self._check(found.setdefault(frame, []), frame, row)
-                    found[frame].append(row)
-        except RecordingError as fault:
-            raise RecordingError(f"{path}:{line_number}: {fault}") from fault
-        except (csv.Error, UnicodeDecodeError) as fault:
-            what = "is not a table of comma-separated values in UTF-8"
-            raise RecordingError(f"{path}: {what}: {fault}") from fault
+            for each in read_table(text_of(path), COLUMNS, (*LENGTHS, "u_mm")).rows:
+                line = each.line
+                frame, row = _truth_row(each)
+                self._check(found.setdefault(frame, []), frame, row)
+                found[frame].append(row)
+        except (RecordingError, TableError) as fault:
+            line = fault.line if isinstance(fault, TableError) else line
+            raise RecordingError(f"{path}:{line}: {fault}") from fault
+        except (OSError, TextError) as fault:
+            raise RecordingError(f"{path}: {fault}") from fault
         return {frame: tuple(rows) for frame, rows in found.items()}
 
     def _check(self, rows: Sequence[TruthRow], frame: str, row: TruthRow) -> None:
@@ -123,29 +132,16 @@ class Recording:
                 raise RecordingError(f"the ends of {names} are {apart:.2f} mm apart: {what}")
 
 
-def _truth_row(line: Mapping[str | Any, Any]) -> tuple[str, TruthRow]:
-    if None in line or any(line.get(name) is None for name in COLUMNS):
-        raise RecordingError("has another number of values than the first line has names")
-    x, y, z = (_number(name, line[name]) for name in ("x_mm", "y_mm", "z_mm"))
-    frame, situation, teat = (line[name].strip() for name in COLUMNS[:3])
-    visible = line["visible"].strip()
+def _truth_row(row: Row) -> tuple[str, TruthRow]:
+    x, y, z = (row.number(name, "mm") for name in LENGTHS)
+    frame, situation, teat, visible = (row.cells[name] for name in (*COLUMNS[:3], "visible"))
     if visible not in ("0", "1"):
-        raise RecordingError(f"visible must be 0 or 1, is {line['visible']!r}")
-    given = (line.get("u_mm") or "").strip()
-    u_mm = _number("u_mm", given) if given else None
+        raise RecordingError(f"visible must be 0 or 1, is {visible!r}")
+    u_mm = row.number("u_mm", "mm") if row.cells.get("u_mm") else None
     if u_mm and u_mm < 0.0:
-        raise RecordingError(f"u_mm, a standard uncertainty, can't be below zero: {given}")
+        what = f"u_mm, a standard uncertainty, can't be below zero: {row.cells['u_mm']}"
+        raise RecordingError(what)
     return frame, TruthRow(situation, teat, (x, y, z), visible == "1", u_mm)
-
-
-def _number(name: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise RecordingError(f"{name} must be a number in mm, is {text!r}") from None
-    if not math.isfinite(value):
-        raise RecordingError(f"{name} must be finite, is {text!r}")
-    return value
 
 
 def _image(path: Path) -> NDArray[Any]:

@@ -40,6 +40,7 @@ from instruments.clock import wall_time as time_of_day
 
 Tables = Sequence[tuple[str, Sequence[Row]]]
 FLUSH_EVERY = 60  # rows that may wait: one sync a minute of run time for the bath's readings
+MOST_TRIES = 1000  # of a free name
 LONGEST_NAME = 60  # bytes of the name of a script or recording in that of a run's folder
 URGENT = frozenset({"trip", "fault", "aborted", "safe", "end"})
 PRAGMAS = ("journal_mode = WAL", "synchronous = FULL", "fullfsync = ON", "foreign_keys = ON")
@@ -91,7 +92,7 @@ class Store:
         """A new run folder with ``files``, whole or not at all. Raises FileExistsError, OSError."""
         if folder.exists():
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(folder))
-        part = folder.with_name(f".{folder.name}.{os.getpid()}.part")
+        part = folder.with_name(f".{folder.name}.{os.getpid()}-{threading.get_ident()}.part")
         if part.exists():
             shutil.rmtree(part)  # of a process that had our number, and died
         try:
@@ -103,6 +104,23 @@ class Store:
             shutil.rmtree(part, ignore_errors=True)
         sync_folder(folder.parent)
         return cls(folder, session)
+
+    @classmethod
+    def create_next(
+        cls, out: Path, name: str, wall_time: datetime, files: Mapping[str, str]
+    ) -> Store:
+        """A new run in ``out``, under the next number where others begin in the same second. Raises
+        OSError.
+        """
+        for _ in range(MOST_TRIES):
+            folder = new_run_folder(out, name, wall_time)
+            try:
+                return cls.create(folder, files)
+            except OSError:
+                # another took this name between the look and the rename; each system has its error
+                if not folder.exists():
+                    raise
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(folder))
 
     @classmethod
     def _made(cls, folder: Path, files: Mapping[str, str]) -> int:

@@ -8,7 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from bench.calibrate.cameras import PAIR, CamerasResult, PairsResult, ThermalResult
+from bench.calibrate.cameras import (
+    ENOUGH_MM,
+    LEAST_LOOKED_AT,
+    LIMIT_MM,
+    PAIR,
+    WORKING_MM,
+    CamerasResult,
+    PairsResult,
+    ThermalResult,
+    held,
+)
 from bench.calibrate.views import BoardViews
 from bench.calibrate.world import PointsAgain, WorldResult
 from bench.report.glossary import TERMS
@@ -38,14 +48,11 @@ from reports.page import (
 )
 from reports.page import Verdict as PageVerdict
 
-NAMED_MM = 1200.0  # about where the thesis's teats stand
 UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "om": "rad", "T": "mm"}
 MARGIN_MM = 100.0  # of the working volume beyond what was touched
 DISTANCES_M = np.linspace(0.7, 1.8, 23)
 HOLDS = "It still holds."
 CHECK = "Check of a calibration"
-LIMIT_MM = 5.0  # of a teat end's error, where a script names no other
-ENOUGH_MM = LIMIT_MM / 4.0  # the test uncertainty ratio 4:1
 FAULTS, SEEN, HALVES, CORNERS = "Faults", "Views", "Two halves of the views", "Corners miss by"
 POINT = "One point is good to"
 VOLUME = "Anywhere in the working volume"
@@ -121,14 +128,9 @@ def _page(
     return Page(title, day, Banner(kind="computed", **banner), sections, glossary=TERMS)
 
 
-def _held(mm: float) -> PageVerdict:
-    """Against `ENOUGH_MM`; up to `LIMIT_MM` it depends on how good the detector is."""
-    return "met" if mm <= ENOUGH_MM else "inconclusive" if mm <= LIMIT_MM else "not met"
-
-
 def _enough(name: str, mm: float, value: str, shows: str = "") -> Row:
     """A row whose limit is `ENOUGH_MM`."""
-    return name, f"at most {ENOUGH_MM:g} mm", (Score(_held(mm), value, shows),)
+    return name, f"at most {ENOUGH_MM:g} mm", (Score(held(mm), value, shows),)
 
 
 def _figure_only(name: str, value: str, shows: str = "") -> Row:
@@ -137,25 +139,25 @@ def _figure_only(name: str, value: str, shows: str = "") -> Row:
     return name, "no limit", (Score("no verdict" if measured else "not measured", value, shows),)
 
 
-def _good(findings: Sequence[Finding], mm: float) -> tuple[PageVerdict, str]:
+def good(findings: Sequence[Finding], mm: float) -> tuple[PageVerdict, str]:
     """Verdict and the sentence's beginning."""
     if findings:
         return "not met", f"Not good enough: {', '.join(finding.name for finding in findings)}."
-    verdict, said = _held(mm), f"Not good enough: more than {LIMIT_MM:g} mm off."
+    verdict, said = held(mm), f"Not good enough: more than {LIMIT_MM:g} mm off."
     if verdict == "inconclusive":
         said = f"Good enough for a coarse look only: it uses up {100 * mm / LIMIT_MM:.0f} % of the"
         said += " error that a detector may make."
     return verdict, "Good enough." if verdict == "met" else said
 
 
-def cameras_page(result: CamerasResult, record: Record, command: str) -> Page:
-    """Of `calibrate cameras`."""
-    spans = [shown.distances_mm for shown in result.coverage.values() if shown.distances_mm]
-    near, far = min(low for low, _ in spans), max(high for _, high in spans)
-    at_mm = float(np.clip(NAMED_MM, near, far))
+def cameras_page(
+    result: CamerasResult, record: Record, command: str, at_mm: float = WORKING_MM
+) -> Page:
+    """Of `calibrate cameras`, judged at the distance where teats stand, wherever boards were."""
+    near, far = result.shown_mm
     good_mm = float(result.good_to_mm(np.array([at_mm]))[0])
     pairs, board = result.views.pairs(), result.views.board
-    missing = still_missing(result.coverage)
+    missing = (*still_missing(result.coverage), *result.not_shown(at_mm))
     halves = NOT_MEASURED
     confidence = (
         "Too few pairs of views for a split-half comparison (10 are needed): nothing was held out."
@@ -166,7 +168,7 @@ def cameras_page(result: CamerasResult, record: Record, command: str) -> Page:
         confidence = "Two calibrations, each from half of the views, place the board's points"
         confidence += f" {halves} (rms)."
     fits = {"left": result.joint, "right": result.joint}
-    verdict, good = _good(result.findings, good_mm)
+    verdict, _ = good(result.findings, good_mm)
     scores = (
         _enough(POINT, good_mm, f"{good_mm:.2f} mm", f"at {at_mm / 1000:.2f} m, worst direction"),
         _figure_only(HALVES, halves),
@@ -193,16 +195,23 @@ def cameras_page(result: CamerasResult, record: Record, command: str) -> Page:
             f"Stereo pair from {len(pairs)} pairs of views of a {board.columns} x {board.rows}"
             f" {board.kind}."
         ),
-        sentence=(
-            f"{good} Good to {good_mm:.2f} mm at {at_mm / 1000:.2f} m; at most {ENOUGH_MM:g} mm"
-            f" is asked for, a quarter of the {LIMIT_MM:g} mm that a teat end may be off."
-        ),
+        sentence=cameras_sentence(result, at_mm),
         confidence=confidence,
         next_action=(
             _next(result.findings, missing, "teatbench calibrate world")
             if result.findings or good_mm <= ENOUGH_MM
             else "Take more pairs of views, nearer and more tilted, and calibrate anew."
         ),
+    )
+
+
+def cameras_sentence(result: CamerasResult, at_mm: float = WORKING_MM) -> str:
+    """Whether the pair is good enough where teats stand, with its limit."""
+    good_mm = float(result.good_to_mm(np.array([at_mm]))[0])
+    return (
+        f"{good(result.findings, good_mm)[1]} Good to {good_mm:.2f} mm at {at_mm / 1000:.2f} m; at"
+        f" most {ENOUGH_MM:g} mm is asked for, a quarter of the {LIMIT_MM:g} mm that a teat end may"
+        " be off."
     )
 
 
@@ -296,7 +305,7 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
     there = fit.target_error_mm(volume)
     touched = spanned(fit.target_error_mm(fit.touched_mm), ".2f", "mm")
     worst = float(there.max())
-    verdict, good = _good(result.findings, worst)
+    verdict, said = good(result.findings, worst)
     left_out = NOT_MEASURED if held_out["rigid"] is None else f"{held_out['rigid']} mm"
     scores = (
         _enough(VOLUME, worst, f"up to {worst:.2f} mm", f"{touched} at the touched places"),
@@ -322,7 +331,7 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
         verdict=verdict,
         tested=f"World from {len(fit.touched_mm)} points that the arm touched.",
         sentence=(
-            f"{good} Mapped points miss the arm's by {comparison.rigid.fre_mm:.3f} mm rms, a point"
+            f"{said} Mapped points miss the arm's by {comparison.rigid.fre_mm:.3f} mm rms, a point"
             f" left out by {held_out['rigid'] or NOT_MEASURED} mm rms."
         ),
         confidence=(
@@ -367,6 +376,7 @@ def check_page(
             " significant and large enough to matter."
         ),
         cure="Calibrate anew (teatbench calibrate cameras), after looking at what is named below.",
+        undecided=len(again.views) < LEAST_LOOKED_AT,
     )
 
 
@@ -402,6 +412,7 @@ def check_points_page(
             f" {listed(again.missed_mm.mean(axis=0), '+.2f')} mm."
         ),
         cure="Look at what is named below, then make the world's step again (calibrate world).",
+        undecided=len(again.missed_mm) < LEAST_LOOKED_AT,
     )
 
 

@@ -87,7 +87,7 @@ def write_run_report(
     run = read_run(folder, damage)
     rules = stored_rules(folder)
     judgements = judge(run, rules) if any(trial.scores for trial in run.trials) else ()
-    calibration = read_calibration(folder / "calibration.toml")
+    calibration = read_calibration(folder / "calibration.toml", doubtful=True)
     page = build_page(run, rules, judgements, calibration, folder / REPORT, chapters)
     # by another reading of the run: it may not stand beside this one
     for written_before in (SINGLE_FILE, PDF):

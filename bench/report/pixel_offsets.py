@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -222,8 +223,7 @@ def run_offsets(rig: LoadedRig, path: Path, out: Path) -> Path:
     if loaded.script.layout.endswith(".toml"):
         files[loaded.script.layout] = read_text(path.parent / loaded.script.layout)
     try:
-        folder = new_run_folder(out, path.name.removesuffix(".toml"), wall_time())
-        folder.mkdir(parents=True)
+        folder = _new_folder(out, path.name.removesuffix(".toml"))
         for name, text in files.items():
             (folder / name).write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
@@ -232,6 +232,17 @@ def run_offsets(rig: LoadedRig, path: Path, out: Path) -> Path:
             " --out."
         ) from error
     return folder
+
+
+def _new_folder(out: Path, name: str) -> Path:
+    """The next free one. Raises OSError."""
+    out.mkdir(parents=True, exist_ok=True)
+    now = wall_time()
+    while True:
+        folder = new_run_folder(out, name, now)
+        with suppress(FileExistsError):  # another run took it meanwhile
+            folder.mkdir()
+            return folder
 
 
 def report_offsets(folder: Path) -> tuple[Path, LoadedOffsets, tuple[Outcome, ...], Verdict]:

@@ -119,7 +119,7 @@ def run_thumbnails(run: RunRecord) -> Iterator[tuple[str, str]]:
     trials = (*worst_trials(run), *run.trials)
     if not trials:
         return
-    calibration = read_calibration(run.folder / "calibration.toml")
+    calibration = read_calibration(run.folder / "calibration.toml", doubtful=True)
     for camera, image, points in frames_of(run, trials[0], calibration):
         if cut := None if camera == "thermal" else round_teats(points, *image.shape[::-1]):
             x, y, width, height = cut

@@ -13,6 +13,7 @@ from bench.record.reader import RunRecord
 from bench.record.schema import Row
 from bench.report.wording import NOT_MEASURED, limit, listed, margin, measured, table
 from bench.results.attribution import Cause, What, attributed, counted
+from bench.results.doubts import DOUBTS_FACT
 from bench.results.verdicts import (
     LATENCY_RULE,
     Judgement,
@@ -207,7 +208,9 @@ ALL = "all"
 def score_table(run: RunRecord) -> str:
     """The table in Markdown, with what it says below it; without truth, a sentence."""
     if not any(trial.scores for trial in run.trials):
-        return "There is no truth, so nothing was scored."
+        doubted = DOUBTS_FACT in run.facts
+        why = "The calibration can't be" if doubted else "There is no truth"
+        return f"{why}, so nothing was scored."
     names: list[str | None] = [*situations(run)]
     names += [None] * (len(names) > 1)
     rows = [_row(run, name, detector) for name in names for detector in run.detectors]

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from bench.record.reader import RunRecord
+from bench.results.doubts import AGAIN, DOUBTS_FACT
 from bench.results.exports import why_without_verdict
 from bench.results.verdicts import Judgement, calls_of, run_verdict
 from bench.scoring.decisions import Decision, Verdict
@@ -150,6 +151,10 @@ def headline(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdi
         if run.ending == "interrupted" and run.guardian:
             why += f" {guardian_text(run.guardian)}"
         return "aborted", why, AFTER_FAULT if run.ending == "faulted" else AFTER_END
+    if doubts := run.facts.get(DOUBTS_FACT):
+        why = "; ".join(doubts)
+        said = f"The calibration can't be, so nothing is charged to any detector: {why}."
+        return "inconclusive", said, AGAIN
     verdict, why, then = _finished(run, judgements)
     silent = [message for name in run.detectors for message in _silence(run, name)]
     if not silent:

@@ -33,7 +33,9 @@ from detector.protocol import (
 from instruments.clock import load_per_processor, processor_s, stopwatch_s
 from reports.sanitize import sanitized
 
-WORKING_VOLUME_MM = 2000.0  # no teat of any rig is further from the table's origin along an axis
+# an end may lie wherever the rig's world has it; one farther from its origin is kept at so far,
+# where it is a false one, and what is made of it stays a number
+FARTHEST_MM = 1e6
 MOST_TEATS = 16  # four, and what else a detector may take for one; each costs the scorer time
 LONGEST_REASON = 500
 LEFT_OUT = "its covariances leave out"  # of a detector under test, in its own words
@@ -62,9 +64,11 @@ def checked(detection: Any) -> Detection:
     if len(teats) > MOST_TEATS:
         raise DetectionFailure(f"its answer has {len(teats)} teats; {MOST_TEATS} are taken at most")
     trace, lost = _trace(detection.trace)
-    reasons = [one_line(str(part)) for part in (detection.reason, lost) if part is not None]
-    reason = "; ".join(reasons)[:LONGEST_REASON] or None
-    return Detection(tuple(map(_teat, range(1, 1 + len(teats)), teats)), int(hidden), reason, trace)
+    found = tuple(map(_teat, range(1, 1 + len(teats)), teats))
+    reasons = [detection.reason, *map(_far, range(1, 1 + len(teats)), teats), lost]
+    said = [one_line(str(part)) for part in reasons if part is not None]
+    reason = "; ".join(filter(None, said))[:LONGEST_REASON] or None
+    return Detection(found, int(hidden), reason, trace)
 
 
 def one_line(text: str) -> str:
@@ -83,13 +87,19 @@ def _teat(number: int, teat: Any) -> Teat:
         if (given := getattr(teat, name)) is not None
     }
     point = _numbers(teat.world_mm, (3,), f"teat {number} of its answer", "three finite numbers")
-    if np.abs(point).max() > WORKING_VOLUME_MM:
-        where = ", ".join(f"{value:.4g}" for value in point)
-        raise DetectionFailure(
-            f"teat {number} of its answer is at ({where}) mm, outside of the working volume"
-        )
+    if (largest := np.abs(point).max()) > FARTHEST_MM:
+        point = point / largest * FARTHEST_MM
     spread = None if teat.covariance_mm2 is None else _covariance(number, teat.covariance_mm2)
     return replace(teat, world_mm=point, covariance_mm2=spread, **seen)
+
+
+def _far(number: int, teat: Teat) -> str:
+    """What is said of an end that no rig has; empty for one that may be."""
+    where = np.asarray(teat.world_mm, dtype=np.float64)
+    if np.abs(where).max() <= FARTHEST_MM:
+        return ""
+    text = ", ".join(f"{value:.4g}" for value in where)
+    return f"teat {number} of its answer is at ({text}) mm, farther than any rig has one"
 
 
 def _covariance(number: int, given: Any) -> Any:

@@ -37,6 +37,7 @@ from detector.outline.known_ends import (
 from detector.outline.pictures import UnusableError
 from instruments.camera.frame import FrameSet
 
+UNCHECKED_FACT = "cameras not checked"  # of a recording: why, and what was looked at
 LEAST_POSES, MOST_POSES = 3, 24
 CONFIDENCE = 0.95  # of an interval, two-sided
 DISPARITY = "disparity"
@@ -202,6 +203,20 @@ def can_tell(seen: Mapping[str, Mapping[str, EndOffsets]]) -> bool:
     rows = {pose: [asdict(one) for one in ends.values()] for pose, ends in seen.items() if ends}
     check = check_cameras(rows, 0.0)
     return check.disparity is not None and not check.unseen
+
+
+def unchecked_text(
+    seen: Mapping[str, Mapping[str, EndOffsets]], truth: Mapping[str, Sequence[TruthRow]]
+) -> str:
+    """Why the cameras of these frames were not checked, with what was looked at; empty where they
+    were.
+    """
+    if can_tell(seen):
+        return ""
+    measured = sum(one.disparity_px is not None for ends in seen.values() for one in ends.values())
+    ends = sum(row.visible for frame in seen for row in truth.get(frame, ()))
+    looked = f"{measured} of {ends} visible ends measured in {len(seen)} poses"
+    return f"not checked: whether the cameras show the known ends where they are ({looked})"
 
 
 def truth_rows(trial: TrialRecord) -> list[TruthRow]:

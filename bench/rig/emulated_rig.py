@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.config import located, read_text
+from bench.config import located, toml_of
 from bench.rig.loading import LoadedRig
 from bench.rig.model import EmulatedFault, EmulatedStage, Stage, make_renderer
 from detector.geometry import Motion
@@ -69,7 +68,7 @@ class EmulatedRig:
         paced: bool = False,
     ) -> None:
         emulation = rig.rig.emulation
-        table = tomllib.loads(read_text(rig.calibration_path))
+        table = toml_of(rig.calibration_path)
         sensors = emulation.optical, emulation.thermal, emulation.depth
         renderer = make_renderer(table, seed, *sensors)
         self.world = World(

@@ -27,6 +27,7 @@ from bench.config import Millimetres, Point, Positive, Radians, Section, did_you
 from bench.rig.urls import (
     ELSEWHERE,
     EMULATED,
+    a_name,
     arm_url,
     bath_url,
     beside,
@@ -723,7 +724,8 @@ class Emulation(Section):
 class Rig(Section):
     name: str
     seed: Annotated[int, Field(ge=0)] = 1
-    calibration: Annotated[str, Field(min_length=1)]  # the file may still have to be made
+    # the file may still have to be made
+    calibration: Annotated[str, Field(min_length=1), AfterValidator(a_name)]
     operator: Operator
     arm: Arm
     bath: Bath

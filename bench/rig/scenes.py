@@ -5,7 +5,6 @@ recording with exact truth.
 from __future__ import annotations
 
 import difflib
-import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from bench.config import ConfigError, read_text
+from bench.config import ConfigError, read_text, toml_of
 from bench.files import write_synced
 from bench.record.recording import RecordingError, RecordingWriter, TruthRow
 from bench.rig.coco import CocoFile
@@ -49,7 +48,7 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
 
 def rig_renderer(rig: LoadedRig, seed: int) -> Renderer:
     """The cameras of a rig file as emulated; ``seed`` is theirs."""
-    table, emulation = tomllib.loads(read_text(rig.calibration_path)), rig.rig.emulation
+    table, emulation = toml_of(rig.calibration_path), rig.rig.emulation
     return make_renderer(table, seed, emulation.optical, emulation.thermal, emulation.depth)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import ValidationInfo
 
-from bench.config import did_you_mean
+from bench.config import did_you_mean, is_there
 from instruments.bath.connection import ALLOWED, LineError, parse_line
 from instruments.points import ALLOWED as ALLOWED_POINTS
 from instruments.points import points_url
@@ -78,8 +78,14 @@ def operator_url(url: str, info: ValidationInfo) -> str:
 
 def beside(name: str, info: ValidationInfo) -> str:
     folder: Any = (info.context or {}).get("folder")
-    if folder is not None and not (Path(folder) / name).is_file():
+    if folder is not None and not is_there(Path(folder) / name):
         raise ValueError(f"no such file beside the rig file ({Path(folder) / name})")
+    return name
+
+
+def a_name(name: str, info: ValidationInfo) -> str:
+    """A file's name, whether it is there already or not."""
+    is_there(Path((info.context or {}).get("folder") or ".") / name)
     return name
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +18,10 @@ from bench.config import ConfigError, read_calibration, read_config, read_text
 from bench.record.reader import read_run
 from bench.record.recording import Recording
 from bench.record.schema import GUARDIAN, RULES, SCRIPT
-from bench.record.writer import Store, new_run_folder
+from bench.record.writer import Store
 from bench.results.answers import Examiner
-from bench.results.cameras_agree import can_tell, spread, where_seen
+from bench.results.cameras_agree import UNCHECKED_FACT, spread, unchecked_text, where_seen
+from bench.results.doubts import DOUBTS_FACT, doubts_of
 from bench.results.stated_arm import contradictions, stated_fact
 from bench.rig.devices import Devices
 from bench.rig.guardian_client import GuardianClient, Heartbeat, signs_of
@@ -329,25 +331,30 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
 def _scored(
     path: Path, recording: Recording, out: Path, progress: Progress, under_test: Sequence[Detector]
 ) -> Path:
-    calibration = read_calibration(recording.calibration_path)
+    calibration = read_calibration(recording.calibration_path, doubtful=True)
+    doubts = doubts_of(recording, calibration)
+    truth = {} if doubts else recording.truth  # nothing is charged where none can be found
     examiner = Examiner(calibration)
     rules, files = read_config(RECORDING_RULES, Rules), {RULES: read_text(RECORDING_RULES)}
     planned, poses = len(recording.frames), _pose_names(recording)
     seen = {
-        frame: where_seen(recording.load(frame), calibration, recording.truth.get(frame, ()))
+        frame: where_seen(recording.load(frame), calibration, truth.get(frame, ()))
         for frame in spread(dict.fromkeys(poses.values()))
     }
-    if can_tell(seen):  # what can't be checked in a recording keeps no detector from its verdict
+    unchecked = unchecked_text(seen, recording.truth)
+    if not unchecked:  # what can't be checked in a recording keeps no detector from its verdict
         files = {RULES: f"{files[RULES]}\n{read_text(CAMERAS_RULE)}"}
     store = _new_store(out, f"score-{path.name}", files, recording.calibration_path)
-    facts = {"kind": "recorded", "title": f"Recording {path.name}", "about": str(path)}
+    facts: dict[str, Any] = {"kind": "recorded", "title": f"Recording {path.name}"}
+    facts |= {"about": str(path), **({DOUBTS_FACT: doubts} if doubts else {})}
+    facts |= {UNCHECKED_FACT: unchecked} if unchecked else {}
     try:
         write_facts(store, {**facts, "planned": planned}, under_test, recording.calibration_path)
         for number, frame in enumerate(recording.frames, 1):
             progress.trial(number - 1, planned, frame)
             frames = recording.load(frame)
-            answers = [examiner.ask(detector, frames) for detector in under_test]
-            known = recording.truth.get(frame, ())
+            answers = [examiner.ask(one, frames) for one in under_test if not doubts]
+            known, scored = recording.truth.get(frame, ()), truth.get(frame, ())
             trial = f"{number:03d}-{frame}"
             head = {
                 **dict.fromkeys(NOT_KNOWN),
@@ -360,7 +367,7 @@ def _scored(
             }
             ends = seen.get(frame, {})
             rows = [truth_row(trial, row, seen=ends.get(row.teat)) for row in known]
-            write_trial(store, rules, head, frames, answers, known, rows)
+            write_trial(store, rules, head, frames, answers, scored, rows)
         progress.trial(planned, planned, "")
         _end(store, RunState.FINISHED)
     except KeyboardInterrupt:
@@ -409,8 +416,8 @@ def _pose_names(recording: Recording) -> dict[str, str]:
 
 def _new_store(out: Path, name: str, files: dict[str, str], calibration: Path) -> Store:
     try:
-        files = {**files, "calibration.toml": calibration.read_text(encoding="utf-8")}
-        return Store.create(new_run_folder(out, name, wall_time()), files)
+        files = {**files, "calibration.toml": read_text(calibration)}
+        return Store.create_next(out, name, wall_time(), files)
     except OSError as error:
         why = f"a run can't be kept in {out}: {error.strerror or error}"
         raise ConfigError.plain(f"{why}. Name another folder with --out.") from error

@@ -18,7 +18,15 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from bench.config import ConfigError, Positive, Section, located, parse_config, read_text
+from bench.config import (
+    ConfigError,
+    Positive,
+    Section,
+    is_there,
+    located,
+    parse_config,
+    read_text,
+)
 from bench.rig.loading import find_shipped
 from bench.script.detectors import check_named
 from bench.script.phantom import Layout, find_layout, load_layout
@@ -53,7 +61,7 @@ class TruthTable(Section):
     @classmethod
     def _there(cls, name: str, info: ValidationInfo) -> str:
         folder: Any = (info.context or {}).get("folder")
-        if name not in ("", FIRST) and folder is not None and not (Path(folder) / name).is_file():
+        if name not in ("", FIRST) and folder is not None and not is_there(Path(folder) / name):
             raise ValueError(
                 f'no such file beside the script ({Path(folder) / name}); "{FIRST}" makes one at'
                 " the start of the run"

@@ -16,7 +16,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from bench.config import ConfigError, Section, did_you_mean, read_config
+from bench.config import ConfigError, Section, did_you_mean, is_there, read_config
 from instruments.world.phantom import Phantom, Teat, TeatShape
 from instruments.world.solids import clearance_mm
 
@@ -163,7 +163,7 @@ def find_layout(name: str, folder: Path | None = None) -> Path:
     """A shipped layout by name, or ``folder``'s file that ends in ``.toml``. Raises ValueError."""
     if name.endswith(".toml"):
         path = (folder or Path()) / name
-        if not path.is_file():
+        if not is_there(path):
             raise ValueError(f"no such file ({path})")
         return path
     known = layout_names()

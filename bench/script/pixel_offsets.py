@@ -7,7 +7,6 @@ each picture's point, and each direction of one picture with each of the other.
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from bench.config import ConfigError, Section, located, parse_config, read_text
+from bench.config import ConfigError, Section, located, parse_config, read_text, toml_table
 from bench.script.phantom import Layout, find_layout, load_layout
 from bench.script.planned_trials import LayoutName
 from detector.calibration import Calibration
@@ -98,9 +97,10 @@ class Outcome:
 
 def is_offset_script(path: Path) -> bool:
     """Whether the script says ``kind = "offsets"``. Raises ConfigError."""
+    text = read_text(path)
     try:
-        return tomllib.loads(read_text(path)).get("kind") == "offsets"
-    except tomllib.TOMLDecodeError:
+        return toml_table(path, text).get("kind") == "offsets"
+    except ConfigError:
         return False  # who reads it next says what is wrong, and where
 
 

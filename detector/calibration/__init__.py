@@ -3,6 +3,7 @@
 from detector.calibration.file import (
     CalibrationError,
     Fault,
+    check_text,
     dump_calibration,
     file_hash,
     load_calibration,
@@ -34,6 +35,7 @@ __all__ = [
     "Polarity",
     "Record",
     "ThermalCamera",
+    "check_text",
     "derive_homographies",
     "dump_calibration",
     "file_hash",

@@ -7,7 +7,7 @@ other view. Reprojection error can't: few views reproject better, and are worse.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -147,10 +147,16 @@ def join_cameras(
     poses = dict(in_first)
     for name in others:
         seen = dict(zip(alone[name].views, alone[name].fit.poses, strict=True))
-        both = [pose @ in_first[v].inverse() for v, pose in seen.items() if v in in_first]
+        moves = {v: pose @ in_first[v].inverse() for v, pose in seen.items() if v in in_first}
+        both = list(moves.values())
         if len(both) < LEAST_VIEWS:
             what = f"{first} and {name} share {len(both)} views, at least {LEAST_VIEWS} are needed"
-            raise TooFewViewsError(f"{what}: show the board where both see all of it")
+            alike = f"{first} has {_named(in_first)}, {name} has {_named(seen)}"
+            same = "the pictures of one pose have the same name"
+            raise TooFewViewsError(
+                f"{what}: show the board where both see all of it ({same}; {alike})"
+            )
+        _refuse_odd_pairs(alone, first, name, moves, in_first)
         # to start with, the median over the views that both saw
         middle = np.median([motion.T for motion in both], axis=0)
         nearest = min(both, key=lambda motion: float(np.linalg.norm(motion.T - middle)))
@@ -168,6 +174,76 @@ def join_cameras(
     freedom = Freedom(dict.fromkeys(joint_lenses, LENS_MODELS[model]), aspect)
     fit = bundle.adjust(rig, list(poses.values()), sightings, freedom)
     return Calibrated(fit, tuple(poses), sightings)
+
+
+# of a view's motion between two cameras from that of most: beyond what a pose is known to
+ODD_DEG, ODD_OF_MOTION, ODD_OF_DISTANCE = 8.0, 0.5, 0.05
+
+
+class OddPairError(BundleError):
+    """Pictures that are no pair, by their names, and what would fit."""
+
+
+def _refuse_odd_pairs(
+    alone: Mapping[str, Calibrated],
+    first: str,
+    other: str,
+    moves: Mapping[str, Motion],
+    seen: Mapping[str, Motion],
+) -> None:
+    """Raise OddPairError for views whose motion between the cameras isn't that of most."""
+
+    def apart(one: Motion, two: Motion, distance_mm: float) -> bool:
+        off_mm = float(np.linalg.norm(one.T - two.T))
+        most_mm = max(ODD_OF_MOTION * float(np.linalg.norm(two.T)), ODD_OF_DISTANCE * distance_mm)
+        return off_mm > most_mm or _degrees(one, two) > ODD_DEG
+
+    away = {view: float(np.linalg.norm(seen[view].T)) for view in moves}
+    # the one that most agree with
+    usual = max(
+        moves.values(),
+        key=lambda each: sum(not apart(move, each, away[v]) for v, move in moves.items()),
+    )
+    odd = [view for view, move in moves.items() if apart(move, usual, away[view])]
+    if not odd or len(odd) > (len(moves) - 1) // 2:
+        return
+    sentences = []
+    for view in odd:
+        pair = f"{first} {view} and {other} {view}"
+        if not apart(moves[view].inverse(), usual, away[view]):
+            fits = "exchanged they fit the other pairs. Exchange them"
+        elif any(
+            not apart(pose @ seen[view].inverse(), usual, away[view])
+            for pose in _turned_poses(alone[other], other, view)
+        ):
+            fits = f"turned by half a turn, {other} {view} fits. Turn it"
+        elif any(
+            not apart(moves[view] @ seen[view] @ pose.inverse(), usual, away[view])
+            for pose in _turned_poses(alone[first], first, view)
+        ):
+            fits = f"turned by half a turn, {first} {view} fits. Turn it"
+        else:
+            fits = "the board was elsewhere in the one than in the other. Leave both out"
+        sentences.append(f"{pair} are no pair like the {len(moves) - len(odd)} others: {fits}")
+    raise OddPairError("; ".join(sentences))
+
+
+def _turned_poses(alone: Calibrated, camera: str, view: str) -> Iterator[Motion]:
+    """Of the board, had the picture been turned by half a turn; counted from either end."""
+    lens = alone.fit.rig.cameras[camera]
+    seen = next(s for s in alone.sightings if alone.views[s.pose] == view)
+    turned = np.array(lens.image_size) - 1.0 - seen.pixels_px
+    for board_mm in (seen.board_mm, seen.board_mm[::-1]):
+        yield flat_pose(board_mm, turned, lens)
+
+
+def _degrees(one: Motion, two: Motion) -> float:
+    return float(np.degrees(np.linalg.norm((one.inverse() @ two).om)))
+
+
+def _named(views: Mapping[str, object]) -> str:
+    names = sorted(views)
+    return ", ".join(names[:3]) + (f" to {names[-1]}" if len(names) > 3 else "") or "none"
 
 
 def pair_of(joined: Calibrated) -> Pair:

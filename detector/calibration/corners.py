@@ -117,6 +117,14 @@ def find_board(image: Gray, board: Board, *, sub_pixel: SubPixel = SubPixel()) -
     raise ViewRefusedError(f"{what}: is the whole board in the picture, sharp and lit?")
 
 
+def counted_corners(image: Gray) -> tuple[int, int] | None:
+    """Columns and rows of inner corners of whatever chessboard is in a picture; None for none."""
+    flags = cv2.CALIB_CB_LARGER + cv2.CALIB_CB_EXHAUSTIVE
+    done, _, squares = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)
+    rows, columns = squares.shape[:2] if done else (0, 0)
+    return (columns, rows) if columns * rows > 9 else None  # 3 x 3: a part of one
+
+
 def order_alike(first: Found, second: Found, board: Board) -> Found:
     """``second`` counted from ``first``'s end; the cameras differ by less than a right angle."""
     if not board.reads_the_same_turned:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, stdtrit
 
 from detector.calibration.boards import Board
+from detector.calibration.gate import UNITS
 from detector.calibration.rigid import WorldFit, cross_matrix
 from detector.calibration.values import Pair
 from detector.geometry import Array, Motion, homogeneous
@@ -152,6 +153,7 @@ def _rms(parts: Sequence[Array]) -> float:
 SIGNIFICANT = 4.0
 SCALE_MATTERS = 0.002  # 2 mm a metre
 ROWS_MATTER_PX = 0.2
+TIMES, UNIT_NEAR = 1.5, 0.05  # from here on it is a unit; and so near to one
 BEND_MATTERS = 0.002  # of the board's diagonal
 OUTLIER_RATIO = 2.5  # of a view's error to the median of all
 
@@ -204,11 +206,24 @@ def against_the_arm(world: WorldFit) -> list[Finding]:
     off = world.scale - 1.0
     if not (abs(off) > SCALE_MATTERS and abs(off) > SIGNIFICANT * world.scale_sd):
         return []
+    if not 1.0 / TIMES < world.scale < TIMES:
+        return [Finding("wrong unit", _unit_sentence(world.scale))]
     said = (
         f"lengths come out {abs(100 * off):.2f} % too {'short' if off > 0 else 'long'} against the"
         f" arm: the board's squares are {world.scale:.4f} of what its file says, or the baseline is"
     )
     return [Finding("wrong square size", said)]
+
+
+def _unit_sentence(scale: float) -> str:
+    """Of lengths that are off by times, and whose unit may be another."""
+    times, short = (scale, "short") if scale > 1.0 else (1.0 / scale, "long")
+    near = [each for each in UNITS if abs(scale / each - 1.0) < UNIT_NEAR]
+    times = max(near[0], 1.0 / near[0]) if near else times
+    said = f"lengths come out {times:.4g} times too {short} against the arm"
+    if not near:
+        return f"{said}: the baseline, or the board's squares, are not in mm"
+    return f"{said}: the baseline, or the board's squares, are in {UNITS[near[0]]} and not in mm"
 
 
 def _matters(mean: tuple[float, float], least: float, again: Remeasured) -> bool:

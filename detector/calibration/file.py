@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from datetime import date
@@ -19,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from detector.calibration.gate import lens_faults, pair_faults
 from detector.calibration.homographies import DEFAULT_PLANE_DEPTH_MM, derive_homographies
 from detector.calibration.values import (
     POLARITIES,
@@ -30,6 +30,8 @@ from detector.calibration.values import (
     ThermalCamera,
 )
 from detector.geometry import Camera, Motion
+from textfiles.documents import read_toml
+from textfiles.text import TextError, text_of
 
 MEANING = {
     "stereo": "X_right = R(om) X_left + T",
@@ -271,10 +273,33 @@ _NEVER_REQUIRED = {"alpha_c", "plane_depth_mm"}
 _NOT_REQUIRED = {("cameras", "thermal"): set(LENS_KEYS), ("homography",): {"left", "right"}}
 
 
-def load_calibration(path: Path) -> Calibration:
-    """The calibration in a file. Raises CalibrationError with every fault."""
-    found = _checked(path, whole=True)
+def load_calibration(path: Path, *, doubtful: bool = False) -> Calibration:
+    """The calibration in a file. Raises CalibrationError with every fault; ``doubtful`` leaves what
+    is wrong with the pair (`gate.pair_faults`) to the caller.
+    """
+    return _whole(path, _read(path), doubtful=doubtful)
+
+
+def check_text(path: Path, text: str, *, whole: bool) -> None:
+    """Raise CalibrationError for a text that can't be read again from ``path``, as `load_part` or
+    `load_calibration`.
+    """
+    try:
+        document = read_toml(text)
+    except TextError as error:
+        raise CalibrationError(path, [Fault((), str(error))]) from None
+    if whole:
+        _whole(path, document)
+    else:
+        _checked(path, document, whole=False)
+
+
+def _whole(path: Path, document: Mapping[str, Any], *, doubtful: bool = False) -> Calibration:
+    found = _checked(path, document, whole=True)
     part = _part(found)
+    pair = part.right_from_left
+    if pair and not doubtful and (wrong := [Fault(("stereo", "T"), f) for f in pair_faults(pair)]):
+        raise CalibrationError(path, wrong)
     values: dict[str, Any] = {field.name: getattr(part, field.name) for field in fields(Part)}
     if part.homographies is None:
         cameras = values["thermal"].lens, values["left"], values["right"]
@@ -291,7 +316,7 @@ def load_calibration(path: Path) -> Calibration:
 
 def load_part(path: Path) -> Part:
     """A file of one step's result, which need not be whole. Raises CalibrationError."""
-    return _part(_checked(path, whole=False))
+    return _part(_checked(path, _read(path), whole=False))
 
 
 def file_hash(path: Path) -> str:
@@ -326,19 +351,16 @@ def _part(found: Mapping[Key, Mapping[str, Any]]) -> Part:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return read_toml(text_of(path))
+    except TextError as error:
+        reason = str(error)
     except OSError as error:
         reason = f"can't be read: {error.strerror or error}"
-    except UnicodeDecodeError as error:
-        reason = f"is not UTF-8 text: byte {error.start} is {error.object[error.start]:#04x}"
-    except tomllib.TOMLDecodeError as error:
-        reason = f"not TOML: {error}"
     raise CalibrationError(path, [Fault((), reason)])
 
 
-def _checked(path: Path, *, whole: bool) -> dict[Key, dict[str, Any]]:
+def _checked(path: Path, document: Mapping[str, Any], *, whole: bool) -> dict[Key, dict[str, Any]]:
     """The file's blocks, every one checked; a part may leave out any. Raises CalibrationError."""
-    document = _read(path)
     faults = _unknown((), document, sorted({key[0] for key in _BLOCKS}), "block")
     cameras = document.get("cameras")
     if isinstance(cameras, dict):
@@ -422,6 +444,11 @@ def _faults_between(found: dict[Key, dict[str, Any]]) -> list[Fault]:
     if found.get(("stereo",), {}).get("T") == (0.0, 0.0, 0.0):
         why = "must not be zero: two cameras in one place see no depth"
         faults.append(Fault(("stereo", "T"), why))
+    for key in (key for key in found if key[0] == "cameras"):
+        block = {name: found[key].get(name) for name in ("image_size", *LENS_KEYS)}
+        if None not in (block["image_size"], block["fc"], block["cc"], block["kc"]):
+            lens = Camera(**{**block, "alpha_c": block["alpha_c"] or 0.0})  # type: ignore[arg-type]
+            faults += [Fault((*key, name), message) for name, message in lens_faults(lens)]
     given = found.get(("uncertainty",), {})
     if len(given) == 2:
         try:

@@ -19,6 +19,9 @@ from detector.protocol import Frames
 _GREY = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
 
 
+BARN_C = (-60.0, 150.0)  # the middle of a barn's picture; raw counts read as -191 degC
+
+
 class UnusableError(ValueError):
     """A picture that can't be used; the message is one sentence."""
 
@@ -38,6 +41,10 @@ def thermal(frames: Frames, camera: ThermalCamera) -> Field:
         _check_size(kelvin, camera.sensor_size, "radiometric thermal")
         if not np.isfinite(kelvin).all():
             raise UnusableError("the radiometric thermal picture has pixels that are no numbers")
+        middle_c = float(np.median(kelvin)) - 273.15
+        if not BARN_C[0] <= middle_c <= BARN_C[1]:
+            what = f"the radiometric thermal picture reads {middle_c:.0f} degC in the middle of all"
+            raise UnusableError(f"{what}: its counts are no hundredths of a kelvin")
         return np.ascontiguousarray(kelvin, dtype=np.float32)
     if frames.thermal is None:
         raise UnusableError("there is no thermal picture, which shows what is as warm as a teat")

@@ -192,7 +192,7 @@ def test_a_plane_that_the_cameras_cannot_see_is_a_fault(load: Load) -> None:
     [
         (None, "can't be read"),
         (b"= 3", "not TOML"),
-        (b"\xff\xfe", "not UTF-8"),
+        (b"\xff\xff", "not UTF-8"),
         (b"", "missing block [cameras.left]"),
     ],
 )

@@ -31,7 +31,7 @@ class Rig:
     """The calibration as OpenCV takes it. X_right = R X_left + T, and so on; mm."""
 
     def __init__(self, path: str) -> None:
-        table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        table = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
         self.cameras = {}
         for name, one in table["cameras"].items():
             K = np.array(

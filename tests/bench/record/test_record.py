@@ -120,6 +120,25 @@ def test_two_runs_of_one_second_get_two_folders(tmp_path: Path) -> None:
     assert ":" not in second.name
 
 
+def test_sixteen_runs_of_one_second_get_sixteen_folders(tmp_path: Path) -> None:
+    now, start = wall_time(), threading.Barrier(16)
+    made: list[Path] = []
+
+    def begin(number: int) -> None:
+        start.wait()
+        with closing(Store.create_next(tmp_path / "runs", "six", now, {"n": str(number)})) as store:
+            made.append(store.folder)
+
+    threads = [threading.Thread(target=begin, args=(number,)) for number in range(16)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(set(made)) == 16
+    assert {path.name for path in (tmp_path / "runs").iterdir()} == {path.name for path in made}
+    assert {(path / "n").read_text(encoding="utf-8") for path in made} == set(map(str, range(16)))
+
+
 def test_the_link_over_many_facts_repeats_in_another_process(tmp_path: Path) -> None:
     """Facts are named as they were written, and none whose value doesn't repeat."""
     keys = [f"fact {number}" for number in (7, 3, 9, 1, 5, 8, 2)]

@@ -50,6 +50,17 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "aufnahme ä"
 
 
+def test_raw_counts_are_no_temperatures(folder: Path) -> None:
+    """A Lepton that isn't radiometric gives counts of about 8192: -191 degC."""
+    frame = folder / "frames" / Recording(folder).frames[0]
+    counts = np.random.default_rng(1).normal(8192, 60, (120, 160)).astype(np.uint16)
+    cv2.imwrite(str(frame / "thermal_radiometric.png"), counts)
+    with pytest.raises(
+        RecordingError, match=r"radiometric\.png: -191 degC.*no hundredths of a kel"
+    ):
+        Recording(folder).load(frame.name)
+
+
 def test_what_is_written_is_read_back(folder: Path) -> None:
     recording = Recording(folder)
     assert recording.frames == ("0000", "0001")
@@ -169,8 +180,8 @@ ONE = "0000,ideal,1,1,2,3,1\n"
         ),
         (HEAD + "0007,ideal,1,1,2,3,1\n", ":2: names frame '0007', but frames/ has no such folder"),
         (HEAD.strip() + ",u_mm\n0000,ideal,1,1,2,3,1,-1\n", ":2: u_mm, a standard uncertainty"),
-        (HEAD + '0000,"ideal,1,1,2,3,1\n', r"truth\.csv: is not a table"),
-        (HEAD + "\xff\xfe\n", "is not a table of comma-separated values in UTF-8"),
+        (HEAD + '0000,"ideal,1,1,2,3,1\n', r"truth\.csv:2: is not a table"),
+        (HEAD + "\xff\xfe\n", "is not UTF-8 text"),
     ],
 )
 def test_a_damaged_truth_is_named_with_its_line(folder: Path, text: str, message: str) -> None:

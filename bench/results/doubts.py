@@ -1,0 +1,91 @@
+"""Whether a recording's calibration can be: its pair sees depth, its pictures are of its size, and
+what its truth calls visible has a place in them. Where not, nothing is scored: every detector would
+be charged with what no detector can find.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from bench.record.recording import FILES, Recording
+from detector.calibration import Calibration
+from detector.calibration.gate import pair_faults
+from detector.geometry import Array
+
+DOUBTS_FACT = "calibration can't be"
+AGAIN = (
+    "Put calibration.toml right (docs/calibration.md): units in mm, left and right, the pictures'"
+    " size, the world's axes of truth.csv. Then score the recording again."
+)
+NEAR = 0.05  # of the picture's size, by which an end that counts as visible may lie outside
+FARTHEST_MM = 10_000.0  # no cow is milked farther from the cameras
+LEAST_DISPARITY_PX = 2.0  # of less, one pixel is worth half of the distance
+
+
+def doubts_of(recording: Recording, calibration: Calibration) -> tuple[str, ...]:
+    """Sentences' parts that say why the calibration can't be of this recording; () where it may."""
+    pair = (f"calibration.toml, [stereo] T: {w}" for w in pair_faults(calibration.right_from_left))
+    found = [*pair, *_sizes(recording, calibration)]
+    return tuple(found or _places(recording, calibration))
+
+
+def _sizes(recording: Recording, calibration: Calibration) -> Iterator[str]:
+    """Each camera whose pictures have another size, by its first one."""
+    thermal, depth = calibration.thermal, calibration.depth
+    sizes = calibration.left.image_size, calibration.right.image_size, thermal.image_size
+    wanted = dict(zip(FILES, (*sizes, thermal.sensor_size), strict=False))
+    wanted |= dict.fromkeys(FILES[4:], depth.image_size) if depth else {}
+    other: dict[str, list[str]] = {}
+    for frame in recording.frames:
+        for name, size in recording.sizes(frame).items():
+            if size != wanted.get(name, size):
+                seen = "{} x {}".format(*size)
+                other.setdefault(name, []).append(f"frames/{frame}/{name} is {seen} px")
+    for name, frames in other.items():
+        more = f" (and {len(frames) - 1} more)" if len(frames) > 1 else ""
+        yield f"{frames[0]}{more}, the calibration is for {'{} x {}'.format(*wanted[name])}"
+
+
+def _places(recording: Recording, calibration: Calibration) -> Iterator[str]:
+    """Visible ends that the pictures can't show, or whose depth no disparity can tell."""
+    rows = [
+        (frame, row) for frame, those in recording.truth.items() for row in those if row.visible
+    ]
+    if not rows:
+        return
+    points = np.array([row.xyz_mm for _, row in rows])
+    cameras = calibration.left, calibration.right
+    outside: Mapping[str, Array] = {
+        name: _outside(pixels, camera.image_size)
+        for name, camera, pixels in zip(
+            ("left", "right"), cameras, calibration.project(points), strict=True
+        )
+    }
+    for name, out in outside.items():
+        if out.any():
+            frame, row = rows[int(np.flatnonzero(out)[0])]
+            yield (
+                f"{int(out.sum())} of {len(rows)} visible ends have no place in the {name} picture,"
+                f" teat {row.teat} of frame {frame} for one"
+            )
+    per_px_mm = calibration.depth_per_disparity_px_mm(points)
+    distance_mm = np.abs(calibration.world_from_right.inverse().apply(points)[:, 2])
+    if (far := distance_mm > FARTHEST_MM).any():
+        yield (
+            f"{int(far.sum())} of {len(rows)} visible ends lie up to {distance_mm.max() / 1000:.0f}"
+            " m from the cameras: are [world] T and truth.csv in mm?"
+        )
+    if (flat := distance_mm < LEAST_DISPARITY_PX * per_px_mm).any():
+        yield (
+            f"{int(flat.sum())} of {len(rows)} visible ends have a disparity of less than"
+            f" {LEAST_DISPARITY_PX:g} px, which tells no depth"
+        )
+
+
+def _outside(pixels_px: Array, size: tuple[int, int]) -> Array:
+    """Which pixels (n, 2) have no place in a picture of this size (columns, rows)."""
+    margin = NEAR * np.array(size)
+    inside = (pixels_px >= -margin) & (pixels_px <= size + margin)
+    return np.asarray(~inside.all(axis=1))

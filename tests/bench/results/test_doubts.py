@@ -1,0 +1,289 @@
+"""A recording whose calibration can't be: refused, or not decided and charged to no detector."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+from bench.calibrate.exchange import read_foreign
+from bench.config import ConfigError
+from bench.record.reader import read_run
+from bench.record.recording import Recording, TruthRow
+from bench.results.doubts import doubts_of
+from detector.calibration import CalibrationError, load_calibration
+from tests.bench.commands import Said
+from tests.bench.small_recording import write_recording
+from tests.conftest import ROOT
+from tests.examples import examples
+from textfiles.documents import read_toml
+
+CASES = ROOT / "tests" / "data" / "cases"
+SHIPPED = ROOT / "bench" / "rigs" / "calibration.toml"
+DRAWN = [Phase.generate]  # to shrink a calibration takes minutes
+Table = dict[str, Any]
+Change = Callable[[Table, st.DataObject], None]
+
+
+def written(table: Table) -> str:
+    """TOML of a calibration's tables; not-a-number as TOML has it."""
+
+    def value(one: Any) -> str:
+        if isinstance(one, list):
+            return f"[{', '.join(map(value, one))}]"
+        return json.dumps(one).replace("NaN", "nan").replace("Infinity", "inf")
+
+    lines = []
+    for name, block in table.items():
+        blocks = block if name == "cameras" else {"": block}
+        for own, keys in blocks.items():
+            lines += [f"[{name}{f'.{own}' if own else ''}]"]
+            lines += [f"{key} = {value(one)}" for key, one in keys.items()]
+    return "\n".join(lines)
+
+
+def of(camera: Callable[[Table, st.DataObject], None]) -> Change:
+    """A change of the left or the right camera."""
+    return lambda table, draw: camera(
+        table["cameras"][draw.draw(st.sampled_from(["left", "right"]))], draw
+    )
+
+
+def times(key: str, low: float, high: float, at: int | None = None) -> Change:
+    """A value, or all of them, that much larger, or smaller where ``low`` is below 1."""
+
+    def change(block: Table, draw: st.DataObject) -> None:
+        by = draw.draw(st.floats(low, high))
+        places = range(len(block[key])) if at is None else [at]
+        for place in places:
+            block[key][place] *= by
+
+    return change
+
+
+def _not_finite(table: Table, draw: st.DataObject) -> None:
+    blocks = [table["cameras"][name] for name in ("left", "right", "thermal")]
+    block = draw.draw(st.sampled_from([*blocks, table["stereo"], table["world"], table["thermal"]]))
+    key = draw.draw(st.sampled_from([k for k in ("fc", "cc", "kc", "om", "T") if k in block]))
+    at = draw.draw(st.integers(0, len(block[key]) - 1))
+    block[key][at] = draw.draw(st.sampled_from([math.nan, math.inf, -math.inf]))
+
+
+def _counted(block: Table, draw: st.DataObject) -> None:
+    count = draw.draw(st.sampled_from([0, 1, 2, 3, 4, 6, 8, 12, 14]))
+    block["kc"] = (block["kc"] + [0.0] * 14)[:count]
+
+
+def _away(block: Table, draw: st.DataObject) -> None:
+    at = draw.draw(st.integers(0, 1))
+    far = block["image_size"][at] * draw.draw(st.floats(0.3, 30.0))
+    block["cc"][at] = draw.draw(st.sampled_from([-far, block["image_size"][at] + far]))
+
+
+def _folded(block: Table, draw: st.DataObject) -> None:
+    which = draw.draw(
+        st.sampled_from([(0, -1.2, -40.0), (1, -3.0, -90.0), (2, 0.6, 30.0), (4, -9.0, -300.0)])
+    )
+    block["kc"][which[0]] = draw.draw(st.floats(min(which[1:]), max(which[1:])))
+
+
+def _sized(block: Table, draw: st.DataObject) -> None:
+    columns, rows = block["image_size"]
+    by = draw.draw(st.floats(1.05, 4.0))
+    block["image_size"] = draw.draw(
+        st.sampled_from(
+            [[rows, columns], [columns // 2, rows // 2], [int(columns * by), int(rows * by)]]
+        )
+    )
+
+
+def _exchanged(table: Table, draw: st.DataObject) -> None:
+    table["stereo"]["T"][0] *= -1.0
+
+
+def _world(table: Table, draw: st.DataObject) -> None:
+    by = draw.draw(st.sampled_from([-1.0, 0.001, 1000.0, 25.4]))
+    table["world"]["T"] = [by * one for one in table["world"]["T"]]
+
+
+def _mirrored(table: Table, draw: st.DataObject) -> None:
+    at = draw.draw(st.integers(0, 2))
+    table["world"]["om"][at] += draw.draw(st.sampled_from([-1.0, 1.0])) * math.pi / 2
+
+
+IMPOSSIBLE: dict[str, Change] = {
+    "not finite": _not_finite,
+    "fx and fy apart": of(times("fc", 1.3, 40.0, 0)),
+    "fx and fy apart, the other way": of(times("fc", 0.02, 0.75, 1)),
+    "focal lengths in mm": of(times("fc", 0.001, 0.05)),
+    "a centre far outside": of(_away),
+    "a distortion that folds": of(_folded),
+    "another number of coefficients": of(_counted),
+    "pictures of another size": of(_sized),
+    "a baseline in metres": lambda table, draw: times("T", 0.001, 0.02)(table["stereo"], draw),
+    "a baseline in micrometres": lambda table, draw: times("T", 100.0, 2000.0)(table["stereo"], draw),
+    "left and right exchanged": _exchanged,
+    "a world in another unit": _world,
+    "a world on its side": _mirrored,
+}  # fmt: skip
+
+
+@cache
+def recording() -> Recording:
+    import tempfile
+
+    return Recording(write_recording(Path(tempfile.mkdtemp()) / "rec"))
+
+
+def refused(table: Table) -> list[str]:
+    """Why the loader or the doubts don't let a calibration be scored with; [] where they do."""
+    path = recording().path / "calibration.toml"
+    path.write_text(written(table), encoding="utf-8")
+    try:
+        return [*doubts_of(recording(), load_calibration(path, doubtful=True))]
+    except CalibrationError as error:
+        return [str(error)]
+
+
+def shipped() -> Table:
+    table = read_toml(SHIPPED.read_text(encoding="utf-8"))
+    table.pop("homography")  # which follows, and would be the one that is refused
+    return table
+
+
+def test_the_shipped_calibration_can_be() -> None:
+    assert refused(shipped()) == []
+
+
+def check_impossible(kind: str, draw: st.DataObject) -> None:
+    table = shipped()
+    IMPOSSIBLE[kind](table, draw)
+    assert refused(table), (kind, table)
+
+
+@pytest.mark.slow
+@settings(max_examples=examples(60), phases=DRAWN)
+@given(st.sampled_from(sorted(IMPOSSIBLE)), st.data())
+def test_a_calibration_that_cannot_be_is_charged_to_no_detector(
+    kind: str, draw: st.DataObject
+) -> None:
+    check_impossible(kind, draw)
+
+
+@pytest.mark.weekly
+@settings(max_examples=2000, phases=DRAWN)
+@given(st.sampled_from(sorted(IMPOSSIBLE)), st.data())
+def test_none_of_two_thousand_is(kind: str, draw: st.DataObject) -> None:
+    check_impossible(kind, draw)
+
+
+@pytest.mark.parametrize("kind", IMPOSSIBLE)
+@settings(max_examples=1, phases=DRAWN)
+@given(draw=st.data())
+def test_each_kind_of_them_is_found(kind: str, draw: st.DataObject) -> None:
+    check_impossible(kind, draw)
+
+
+def sound(draw: st.DataObject) -> Table:
+    """The shipped one as another lab's cameras have it, each value over a range."""
+    table = shipped()
+    for name in ("left", "right"):
+        block = table["cameras"][name]
+        by = draw.draw(st.floats(0.8, 1.1))
+        block["fc"] = [by * f for f in block["fc"]]
+        block["cc"] = [c + draw.draw(st.floats(-60.0, 60.0)) for c in block["cc"]]
+        much = draw.draw(st.floats(0.0, 1.2))
+        block["kc"] = [much * k for k in block["kc"]]
+    by = draw.draw(st.floats(0.25, 1.3))
+    table["stereo"]["T"] = [by * t for t in table["stereo"]["T"]]
+    table["stereo"]["om"] = [om + draw.draw(st.floats(-0.02, 0.02)) for om in table["stereo"]["om"]]
+    table["world"]["T"] = [t + draw.draw(st.floats(-20.0, 20.0)) for t in table["world"]["T"]]
+    return table
+
+
+@settings(max_examples=examples(25), phases=DRAWN)
+@given(st.data())
+def test_no_sound_calibration_is_doubted(draw: st.DataObject) -> None:
+    assert refused(sound(draw)) == []
+
+
+@pytest.mark.weekly
+@settings(max_examples=2000, phases=DRAWN)
+@given(st.data())
+def test_none_of_two_thousand_sound_ones_is_doubted(draw: st.DataObject) -> None:
+    assert refused(sound(draw)) == []
+
+
+@pytest.fixture
+def metres(tmp_path: Path) -> Path:
+    folder = write_recording(tmp_path / "rec")
+    shutil.copy(CASES / "metres.toml", folder / "calibration.toml")
+    return folder
+
+
+@pytest.mark.slow
+def test_a_baseline_in_metres_is_not_the_detectors_fault(
+    metres: Path, tmp_path: Path, said: Said
+) -> None:
+    found = said(
+        4, "score {} --detector fused --detector thesis --out {}", metres, tmp_path / "runs"
+    )
+    words = " ".join(found.out.split())
+    assert "Verdict: inconclusive The calibration can't be, so nothing is charged to any" in words
+    assert "a baseline of 0.1003 mm looks like metres: 100.3 mm are meant" in words
+    assert "has to become better" not in words
+    (run,) = (tmp_path / "runs").iterdir()
+    record = read_run(run)
+    assert not any(trial.scores for trial in record.trials)
+    page = (run / "report" / "index.html").read_text(encoding="utf-8")
+    assert "looks like metres: 100.3 mm are meant" in page
+    assert said(4, "report {} --no-pdf", run).out
+    # commands that measure with it refuse it
+    assert "looks like metres" in said(2, "detect {} --detector fused", metres).err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ("image_size = [1360, 1024]->image_size = [1280, 960]", "left.png is 1360 x 1024 px (and 4 more), the calibration is for 1280 x 960"),
+        ("-841.3102173->841.3102173", "10 of 10 visible ends have no place in the left picture, teat 1 of frame 0000"),
+        ("[-100.317->[100.317", "100 mm to the left of the left one: left and right are exchanged"),
+    ],
+)  # fmt: skip
+def test_sisters_of_it(change: str, why: str) -> None:
+    path, (old, new) = recording().path / "calibration.toml", change.split("->")
+    text = SHIPPED.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    found = doubts_of(recording(), load_calibration(path, doubtful=True))
+    assert why in "; ".join(found)
+
+
+def test_an_end_that_no_picture_can_show_is_truths_own(tmp_path: Path) -> None:
+    """Hidden ends may lie anywhere; one visible end too far away is named."""
+    made = recording()
+    (made.path / "calibration.toml").write_text(
+        SHIPPED.read_text(encoding="utf-8"), encoding="utf-8"
+    )
+    calibration = load_calibration(SHIPPED)
+    far = Recording(made.path)
+    for visible, count in ((False, 0), (True, 2)):
+        far.truth = {"0001": (TruthRow("calm", "7", (-160.0, 99_000.0, 136.0), visible),)}
+        found = doubts_of(far, calibration)
+        assert len(found) == count
+
+
+def test_import_refuses_what_the_gate_refuses() -> None:
+    with pytest.raises(ConfigError, match="transposed"):
+        read_foreign([CASES / "ktrans.yaml"], "ros")
+    assert np.isfinite(load_calibration(SHIPPED).baseline_mm)

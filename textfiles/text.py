@@ -1,0 +1,46 @@
+"""Bytes to text as editors, spreadsheets and PowerShell save it: UTF-8 or UTF-16, with or without a
+byte-order mark, lines ended by LF, CRLF or CR.
+"""
+
+from __future__ import annotations
+
+import codecs
+from pathlib import Path
+
+MOST_BYTES = 32 * 1024 * 1024  # no file that a person writes is as long
+MARKS = (
+    (codecs.BOM_UTF32_LE, "utf-32"),  # before UTF-16's, with which it begins
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+    (codecs.BOM_UTF8, "utf-8-sig"),
+)
+UNMARKED = {(0, 1): "utf-16-be", (1, 0): "utf-16-le"}  # zero bytes of a text's first two
+
+
+class TextError(ValueError):
+    """Bytes that are no text, or text that can't be read; the message is a sentence's end."""
+
+
+def decoded(data: bytes, *, growing: bool = False) -> str:
+    """The text, its line ends as LF. Of a ``growing`` file the last character may be cut off.
+    Raises TextError.
+    """
+    if len(data) > MOST_BYTES:
+        raise TextError(f"has {len(data)} bytes, more than the {MOST_BYTES} that are read")
+    encoding = next((name for mark, name in MARKS if data.startswith(mark)), None)
+    encoding = encoding or UNMARKED.get(tuple(map(bool, data[:2])), "utf-8")  # type: ignore[arg-type]
+    try:
+        text = data.decode(encoding, errors="replace" if growing else "strict")
+    except UnicodeDecodeError as error:
+        seen = f"byte {error.start} is {error.object[error.start]:#04x}"
+        raise TextError(f"is not {error.encoding.upper()} text: {seen}. Save it as UTF-8") from None
+    if "\0" in text:
+        raise TextError("holds zero bytes, so it is no text. Save it as UTF-8")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def text_of(path: Path) -> str:
+    """The text of a file. Raises TextError, OSError."""
+    with path.open("rb") as file:
+        return decoded(file.read(MOST_BYTES + 1))
