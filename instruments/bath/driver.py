@@ -12,7 +12,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar, cast
 
 from instruments.bath.access import Access, Tried
 from instruments.bath.line_access import LineAccess
@@ -26,6 +26,7 @@ from instruments.errors import DeviceError, InstrumentError, LimitError
 from instruments.link import Tap
 
 SAFE_TRIES = 3
+DISPLAY_K = 0.5  # how far a display may be from what came over the wire
 
 T = TypeVar("T")
 Rows = Access[Any]
@@ -44,7 +45,8 @@ class Bath:
     """The controller at ``url``, connected and identified; may be shared by threads. Calls raise
     LinkError, ProtocolError, DeviceError, LimitError. The next call opens a broken link again, and
     identifies the controller. ``identify`` False: identified by the first call but ``safe``.
-    ``allow_inferred``: rows whose evidence is INFERRED are polled and written.
+    ``allow_inferred``: rows whose evidence is INFERRED are polled and written. ``unit_confirmed``:
+    where nothing tells the unit of its numbers, a person has seen that they are degC.
     """
 
     safe_state: ClassVar[str] = (
@@ -58,11 +60,13 @@ class Bath:
         clock: Clock,
         *,
         allow_inferred: bool = False,
+        unit_confirmed: bool = False,
         identify: bool = True,
         tap: Tap | None = None,
         pump: PumpAt | None = None,
     ) -> None:
         self.url, self.pump_url = url, pump.url if pump else ""
+        self._pump = pump
         self.profile = _with_pump(profile, pump.profile) if pump else profile
         self.who = f"bath at {url}"
         self._lock = threading.RLock()
@@ -72,6 +76,7 @@ class Bath:
                 self._rows: Rows = LineAccess(url, profile, clock, **given)
             case RegisterProfile():
                 self._rows = RegisterAccess(url, profile, clock, **given)
+        self._rows.unit_confirmed = unit_confirmed
         self._wire = self._rows.wire
         self._relay: RegisterAccess | None = None
         if pump:  # on the controller's link where it is on the same line, and that is Modbus
@@ -79,7 +84,7 @@ class Bath:
             given |= {"who": f"pump at {pump.url}", "tap": pump.tap}
             self._relay = RegisterAccess(pump.url, pump.profile, clock, shared=beside, **given)
         self._identity: Mapping[str, str] = {}
-        self._started = False
+        self._started = self._restarted = False
         self._times_made_safe = 0
         if identify:
             self._identify()
@@ -111,7 +116,8 @@ class Bath:
     def try_rows(self) -> Iterator[Tried]:
         """Ask each row of a profile that is being made, and write nothing. Raises LinkError."""
         with self._lock:
-            for row in self._rows.profile.rows:
+            self._connect()
+            for row in self._rows.rows_to_try():
                 self._connect()
                 yield self._rows.tried(row)
 
@@ -133,11 +139,29 @@ class Bath:
         """Clear the latched alarms. Raises LimitError where the family has no such command."""
         self.set("acknowledge", "acknowledge")
 
+    def confirm_unit(self, display_c: float) -> None:
+        """A person reads ``display_c`` on the controller's display, in degC. Raises DeviceError
+        where the numbers on the wire say another temperature.
+        """
+        if not self._rows.unit_unknown:
+            return
+        temp_c = self.read().temp_c
+        if abs(temp_c - display_c) > DISPLAY_K:
+            what = "its display and its numbers on the wire differ: they are not both degC"
+            seen, asked = f"{temp_c:g}", f"{display_c:g} degC on its display"
+            hint = "Set the controller to degrees Celsius, and read its display again."
+            raise DeviceError(self.who, what, asked=asked, seen=seen, hint=hint)
+        self._rows.unit_confirmed = True
+
+    def check_start(self, set_point_c: float) -> None:
+        """Raise LimitError where it may not be started at ``set_point_c``; asks nothing."""
+        self._rows.allowed(self._rows.row("set_point"), set_point_c)
+
     def start(self, set_point_c: float) -> None:
         """Heat to ``set_point_c``: no alarm, the set point, then run (fact sheet, 4.1.6). A pump
         with its own switch has to be on already.
         """
-        self._rows.allowed(self._rows.row("set_point"), set_point_c)
+        self.check_start(set_point_c)
         with self._lock:
             made_safe = self._times_made_safe
             reading = self.read()
@@ -154,7 +178,7 @@ class Bath:
             try:
                 if self._times_made_safe == made_safe:  # no event of virtual time has made safe
                     self.set("run", "started")
-                    self._started = True
+                    self._started, self._restarted = True, bool(reading.restarted)
             finally:
                 overruled = self._times_made_safe != made_safe
                 if overruled:
@@ -246,6 +270,8 @@ class Bath:
         self._connect()
         try:
             reading, self._identity = self._rows.identify()
+            known = cast(Profile, self._rows.profile)
+            self.profile = _with_pump(known, self._pump.profile) if self._pump else known
             self._check_running(reading)
         except BaseException:
             self._rows.known = False
@@ -264,10 +290,18 @@ class Bath:
         return self._rows
 
     def _check_running(self, reading: BathReading) -> None:
-        if self._started and reading.running is False:
-            self._started = False
-            what, hint = "it has stopped by itself: a power cut?", "Start it anew."
-            raise DeviceError(self.who, what, asked="run", seen="standby", hint=hint)
+        if not self._started:
+            return
+        why = seen = ""
+        if reading.restarted and not self._restarted:
+            why, seen = "it was without power: it has restarted and lost its set point", "restarted"
+        elif reading.running is False:
+            why, seen = "it has stopped by itself: a power cut?", "standby"
+        elif reading.not_met:
+            why, seen = "it is not set as its set point needs it any more", reading.not_met
+        if why:
+            self._started = reading.running is not False  # or a person has to start it anew
+            raise DeviceError(self.who, why, asked="run", seen=seen, hint="Start it anew.")
 
 
 def _with_pump(profile: Profile, pump: RelayProfile) -> Profile:

@@ -18,6 +18,7 @@ from instruments.bath.profile import PUMP, RegisterProfile, RelayProfile, Wiring
 from instruments.bath.protocol import Exchange, Frame, Plain, Read, Refused, Write
 from instruments.bath.register_semantics import Behaviour, Cells, Controller, Values, behaviour_of
 from instruments.bath.rows import Row
+from instruments.bath.witness import device_of
 from instruments.clock import Clock
 from instruments.listener import Connection
 from instruments.world.plant import Plant
@@ -244,8 +245,8 @@ class Server(Emulator):
 
 
 class BathEmulator(Server):
-    """Serves ``plant`` as a controller of ``profile``'s family; where the family has no pump, a
-    relay switches the plant's. ``as_shipped``: in the factory's unit. The fault "controller reset"
+    """Serves ``plant`` as a controller of ``profile``'s family, laid out as the family's witness has
+    it (`witness`); where the family has no pump, a relay switches the plant's. ``as_shipped``: in the factory's unit. The fault "controller reset"
     ends by itself.
     """
 
@@ -265,6 +266,7 @@ class BathEmulator(Server):
         as_shipped: bool = False,
     ) -> None:
         behaviour = behaviour_of(profile)
+        profile = device_of(profile)
         panel = Controller(plant, profile, behaviour, unit_id or profile.unit_id)
         panel.fahrenheit = as_shipped and behaviour.fahrenheit_as_shipped
         super().__init__(plant, profile, clock, behaviour, panel, unit_id, framing)

@@ -120,7 +120,7 @@ OMEGA = Behaviour(  # 1.4: functions 2, 3, 5 and 6; an error code stands where t
     gaps="refused",
     sensor_break=0x8003,
     writable={"alarm1_low", "alarm1_high"},
-    starts=LIMITS,
+    starts={**LIMITS, "write_enable": 1.0},
 )
 
 FAMILIES: Mapping[str, Behaviour] = {  # by how the name of the family begins
@@ -348,6 +348,7 @@ LOOKS: Mapping[str, Callable[[Controller], float]] = {
     "rate_time": lambda on: on.plant.constants.derivative_s,
     "pump_stage": lambda on: 4.0 * on.plant.flow_l_per_min / on.plant.constants.flow_l_per_min,
     "unit": lambda on: on.code("unit", "f" if on.fahrenheit else "c"),
+    "unit_2": lambda on: on.code("unit_2", "f" if on.fahrenheit else "c"),
     "encoding": _encoding,
     "address": lambda on: float(on.unit_id),
     "remote": lambda on: on.code("remote", "manual" if on.manual_mode else "modbus"),
