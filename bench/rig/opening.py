@@ -243,6 +243,8 @@ def _openers(
             rig.profile,
             clock,
             allow_inferred=r.bath.allow_inferred,
+            # an emulated controller has no display, and is in degC unless a fault changes it
+            unit_confirmed=bool(r.bath.unit_confirmed or (twin and "bath" in twin.urls)),
             identify=identify,
             tap=tap("bath"),
             pump=PumpAt(pump_url, rig.relay, tap("pump")) if rig.relay else None,

@@ -128,8 +128,8 @@ class Access(ABC, Generic[R]):
         for identity in cast(Profile, self.profile).identity:
             self._check(identity)
         reading = self.first_poll()
-        rows = [self.row(name) for name in self.SHOWN if self.profile.find(name)]
-        rows = [row for row in rows if self.may_ask(row)]
+        found = (cast("R | None", self.profile.find(name)) for name in self.SHOWN)
+        rows = [row for row in found if row and self.may_ask(row)]
         shown = dict(zip((row.name for row in rows), self.show(rows), strict=True))
         self.known = True
         missing = ", ".join(sorted(self.absent))
@@ -175,12 +175,16 @@ class Access(ABC, Generic[R]):
         known = row.evidence != "INFERRED" or self.allow_inferred
         return row.access != "w" and known and row.name not in self.absent
 
+    def probe(self, row: R) -> object:
+        """What came for ``row``, whatever it means."""
+        return self.ask(row)
+
     def look_for(self, rows: Sequence[R]) -> None:
         """Note which of ``rows`` the model does not answer, where some models don't."""
         for row in rows:
             if row.optional and self.may_ask(row):
                 try:
-                    self.ask(row)
+                    self.probe(row)
                 except BrokenError:
                     raise
                 except self.SHOWS_ABSENCE as error:
@@ -327,6 +331,16 @@ class Access(ABC, Generic[R]):
         if not isinstance(profile, Profile) or profile.number_unit.fixed:
             return False
         return not any(self.may_ask(cast(R, row)) for row in profile.unit_rows)
+
+    @property
+    def unit_source(self) -> str:
+        """How the unit of its numbers is known."""
+        number_unit = cast(Profile, self.profile).number_unit
+        if number_unit.fixed:
+            return f"{number_unit.fixed}, by its protocol"
+        if not self.unit_unknown:
+            return "degC, as it shows itself"
+        return "degC, as a person saw" if self.unit_confirmed else "not told by the controller"
 
     def unconfirmed(self) -> LimitError:
         """The error of a write before a person has confirmed the unit."""

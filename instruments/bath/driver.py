@@ -139,6 +139,11 @@ class Bath:
         """Clear the latched alarms. Raises LimitError where the family has no such command."""
         self.set("acknowledge", "acknowledge")
 
+    @property
+    def unit_source(self) -> str:
+        """How it is known that its numbers are degC."""
+        return self._rows.unit_source
+
     def confirm_unit(self, display_c: float) -> None:
         """A person reads ``display_c`` on the controller's display, in degC. Raises DeviceError
         where the numbers on the wire say another temperature.

@@ -30,7 +30,12 @@ LATE_S = 1.5
 POWER_CUT, RESET = "power cut", "controller reset"
 WIRE_FAULTS = ("silence", "busy", "wrong length", "surplus", "late answer", "garbage", "bad CRC")
 RELAY_FAULTS = (*WIRE_FAULTS, POWER_CUT)
-SETTING_FAULTS = {"fahrenheit": "fahrenheit", "word order": "turned", "manual mode": "manual_mode"}
+SETTING_FAULTS = {
+    "fahrenheit": "fahrenheit",
+    "word order": "turned",
+    "manual mode": "manual_mode",
+    "external control": "external_control",
+}
 LOW_LEVEL = "low level"
 PLANT_FAULTS = {
     "sensor break": "broken_sensor",
@@ -245,9 +250,9 @@ class Server(Emulator):
 
 
 class BathEmulator(Server):
-    """Serves ``plant`` as a controller of ``profile``'s family, laid out as the family's witness has
-    it (`witness`); where the family has no pump, a relay switches the plant's. ``as_shipped``: in the factory's unit. The fault "controller reset"
-    ends by itself.
+    """Serves ``plant`` as a controller of ``profile``'s family, laid out as the family's witness
+    has it; where the family has no pump, a relay switches the plant's. ``as_shipped``: in the
+    factory's unit. The fault "controller reset" ends by itself.
     """
 
     known_faults: ClassVar[tuple[str, ...]] = FAULTS

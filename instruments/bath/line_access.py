@@ -224,6 +224,9 @@ class LineAccess(Access[LineRow]):
             raise LimitError(self.who, f"{row.name} is a text, and has no value")
         return self.replies([row])[row.ask]
 
+    def probe(self, row: LineRow) -> object:
+        return self.replies([row])
+
     def decode(self, row: LineRow, raw: Raw) -> float:
         return row.decode(cast(str, raw))
 

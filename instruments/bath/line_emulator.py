@@ -19,7 +19,7 @@ from instruments.listener import Connection
 from instruments.world.plant import Plant
 
 WIRE_FAULTS = ("silence", "late answer", "garbage", "cut answer", "doubled answer")
-SETTINGS = {name: SETTING_FAULTS[name] for name in ("fahrenheit", "manual mode")}
+SETTINGS = {name: at for name, at in SETTING_FAULTS.items() if name != "word order"}
 LINE_FAULTS = (*WIRE_FAULTS, RESET, *SETTINGS, *PLANT_FAULTS, LOW_LEVEL)
 RESET_S = 5.0
 LONGEST = 256  # bytes of a command, then they are dropped

@@ -18,11 +18,11 @@ from instruments.bath import protocol
 from instruments.bath.profile import RegisterProfile, Wiring
 from instruments.bath.protocol import Read, Refused, Write
 from instruments.bath.rows import Order, Row, Table
+from instruments.bath.witness import IEEE_AREA
 from instruments.world.plant import Plant
 
 TURNED: Mapping[Order, Order] = {"ABCD": "CDAB", "CDAB": "ABCD", "BADC": "DCBA", "DCBA": "BADC"}
 NO_NUMBER = 0x8000  # for a register that can't hold not-a-number; chosen
-IEEE_AREA = 0x8000  # Eurotherm: a pair of registers at 0x8000 + 2 n for each quantity n
 PADDING = 0x8000  # behind a word that takes only the first register of its pair
 ALIKE: Mapping[Table, Table] = {"input": "holding", "discrete": "coil"}
 
@@ -174,7 +174,8 @@ class Values:
 
 class Controller(Values):
     """A controller of ``profile``'s family over ``plant``. Settings of its panel: ``fahrenheit``,
-    ``turned`` (words the other way round), ``manual_mode`` (writes are confirmed and ignored).
+    ``turned`` (words the other way round), ``manual_mode`` (writes are confirmed and ignored),
+    ``external_control`` (by the external sensor).
     """
 
     def __init__(
@@ -185,7 +186,7 @@ class Controller(Values):
         self.profile = profile
         self.behaviour = behaviour
         self.unit_id = unit_id
-        self.fahrenheit = self.turned = self.ignores = False
+        self.fahrenheit = self.turned = self.ignores = self.external_control = False
         self._order = profile.order_for(0) or profile.order
         self._shipped_c = plant.set_point_c
         self._last_c = plant.pv_c
@@ -350,6 +351,9 @@ LOOKS: Mapping[str, Callable[[Controller], float]] = {
     "unit": lambda on: on.code("unit", "f" if on.fahrenheit else "c"),
     "unit_2": lambda on: on.code("unit_2", "f" if on.fahrenheit else "c"),
     "encoding": _encoding,
+    "control_sensor": lambda on: on.code(
+        "control_sensor", "external" if on.external_control else "internal"
+    ),
     "address": lambda on: float(on.unit_id),
     "remote": lambda on: on.code("remote", "manual" if on.manual_mode else "modbus"),
     "alarm": lambda on: next(
@@ -407,6 +411,9 @@ ACTS: Mapping[str, Callable[[Controller, float], None]] = {
     ),
     "unit": lambda on, value: setattr(on, "fahrenheit", value == on.code("unit", "f")),
     "encoding": lambda on, value: on.set_order(int(value)),
+    "control_sensor": lambda on, value: setattr(
+        on, "external_control", value == on.code("control_sensor", "external")
+    ),
 }
 
 
