@@ -271,10 +271,11 @@ class BathEmulator(Server):
         as_shipped: bool = False,
     ) -> None:
         behaviour = behaviour_of(profile)
-        profile = device_of(profile)
-        panel = Controller(plant, profile, behaviour, unit_id or profile.unit_id)
+        device = device_of(profile)
+        panel = Controller(plant, device, behaviour, unit_id or profile.unit_id)
         panel.fahrenheit = as_shipped and behaviour.fahrenheit_as_shipped
-        super().__init__(plant, profile, clock, behaviour, panel, unit_id, framing)
+        super().__init__(plant, device, clock, behaviour, panel, unit_id, framing)
+        self.profile = profile
         plant.fit(circulator=profile.capabilities.pump == "with run")
 
     def plain(self, request: Plain) -> bytes:
@@ -283,7 +284,7 @@ class BathEmulator(Server):
             if len(request.body) != 4 or request.body[:2] != b"\0\0":
                 raise Refused(protocol.ILLEGAL_VALUE)
             return bytes((request.function,)) + request.body
-        status = self.profile.find("status")
+        status = self.panel.profile.find("status")
         return bytes((request.function, self.panel.words(status)[0] & 0xFF if status else 0))
 
 

@@ -134,7 +134,8 @@ class Assembler:
             if self.is_plausible(values["temperature"]):
                 hint = "Its temperature makes sense, so it is this row: is it another model?"
             hint = hint or "Another family than the profile's, or a broken sensor?"
-            shown = f"{value:g} {row.unit}".rstrip() if row.is_possible(value) else "no number"
+            shown = f"{value:g} {row.unit}".rstrip()
+            shown = shown if row.unit != "degC" or row.is_possible(value) else "no temperature"
             what = f"its {row.name} can't be: {why}"
             raise ProtocolError(self._who, what, asked=row.name, seen=shown, hint=hint)
 

@@ -683,7 +683,9 @@ def test_each_family_after_a_power_cut_stands_by(name: str) -> None:
         with pytest.raises(LinkError):
             bath.read()
         device._clock.sleep(6.0)
-        with pytest.raises(DeviceError, match=r"stopped by itself|restarted and lost its set point"):
+        with pytest.raises(
+            DeviceError, match=r"stopped by itself|restarted and lost its set point"
+        ):
             bath.read()
 
 
