@@ -146,7 +146,8 @@ class Assembler:
             return f"not within {low:g} to {high:g} degC"
         if row.unit == "%" and abs(value) > FULL_PERCENT:
             return "not within -100 to 100 %"
-        if row.values and not row.alarm and not row.is_known(value):
+        needed = row.name in self._profile.row("set_point").needs  # it says so with its own words
+        if row.values and not (row.alarm or needed or row.is_known(value)):
             return f"none of {', '.join((*row.values, *row.seen))}"
         return ""
 
