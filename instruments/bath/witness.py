@@ -76,7 +76,7 @@ class Witness(Strict):
 def witnesses() -> dict[str, Witness]:
     """All witnesses, by family."""
     read = (tomllib.loads(path.read_text(encoding="utf-8")) for path in WITNESSES.glob("*.toml"))
-    files = [Witness.model_validate(content) for content in read if "ask" not in content]
+    files = [Witness.model_validate(content) for content in read]
     return {one.family: one for one in files}
 
 
