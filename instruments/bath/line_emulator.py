@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import ClassVar, Literal
 
+from instruments.bath.checksums import checked, summed
 from instruments.bath.emulator import LOW_LEVEL, PLANT_FAULTS, RESET, SETTING_FAULTS, Emulator
 from instruments.bath.line_dialects import DIALECTS, Dialect
 from instruments.bath.profile import LineProfile
@@ -64,9 +65,11 @@ class LineEmulator(Emulator):
             if self.is_silent:
                 continue
             self.plant.advance_to(self._clock.now())
-            answer = self.panel.answer(command.decode("ascii", errors="replace").strip("\r\n"))
+            how = self.profile.checksum, self.profile.checksum_skip
+            said = checked(command.decode("ascii", errors="replace").strip("\r\n"), *how)
+            answer = None if said is None else self.panel.answer(said)
             if answer is not None:
-                line = answer.encode("ascii") + self.panel.reply_end
+                line = summed(answer, *how).encode("ascii") + self.panel.reply_end
                 for name, damage in DAMAGES.items():
                     line = damage(line) if name in self._faults else line
                 self.send(connection, line)
@@ -91,16 +94,19 @@ class ByProfile(Dialect):
         self.reply_end = profile.reply_end.encode("ascii")
 
     def answer(self, command: str) -> str | None:
-        for row in self._profile.rows:
+        # a run that is read off the set point answers after that
+        rows = sorted(self._profile.rows, key=lambda row: row.above is not None)
+        for row in rows:
             if row.ask and row.ask.lower() == command.lower():
                 return self._said(row)
-        for row in self._profile.rows:
+        for row in rows:
             value = _told(row, command)
             if value is not None:
                 self._take(row, value)
                 confirm = self._profile.confirm if row.confirm is None else row.confirm
                 return confirm or None
-        return next(iter(self._profile.refusals), None)
+        refusal = next(iter(self._profile.refusals), None)
+        return refusal and refusal.replace("<number>", "1").replace("<text>", "no such command")
 
     def _said(self, row: LineRow) -> str:
         value = self._value(row)
@@ -108,11 +114,12 @@ class ByProfile(Dialect):
             if row.codes[label] == value:
                 return forms[0].replace("<text>", "OK").replace("<number>", f"{value:g}")
         raw = value / row.scale
-        decimals = 0 if row.values or row.alarm else row.decimals
         fields = {
-            "<number>": f"{raw:.{decimals}f}",
+            "<number>": f"{raw:.0f}" if row.alarm else row.digits(raw),
             "<hex>": f"{round(raw) & 0xFFFF:04X}",
             "<bits>": f"{int(value):08b}"[::-1],
+            "<bytes>": " ".join(map(str, int(value).to_bytes(5, "little"))),
+            "<word>": self._profile.family.replace(" ", "_"),
             "<text>": self._profile.family,
         }
         said = row.reply
@@ -152,6 +159,9 @@ class ByProfile(Dialect):
             self.run(on=value == row.values["started"])
         elif row.name == "set_point":
             self.plant.set_point_c = self.meant_c(value)
+            run = self._profile.row("run")
+            if run.above is not None:  # it controls always: a set point is its standby
+                self.run(on=value > run.above)
         else:
             self._memory[row.name] = value
 

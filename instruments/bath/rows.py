@@ -292,7 +292,8 @@ class LineRow(Quantity):
     @property
     def is_text(self) -> bool:
         """Whether its reply is words for people, and no value."""
-        return not self.shows and not any(field in self.reply for field in VALUES)
+        value = any(field in self.reply for field in VALUES)
+        return not self.shows and ("<word>" in self.reply or not value)
 
     @property
     def is_number(self) -> bool:
@@ -313,7 +314,9 @@ class LineRow(Quantity):
             if any(fits(form, line) for form in forms):
                 return float(self.codes[label])
         match = pattern_of(self.reply).fullmatch(line)
-        value = self.masked(self._number(match.groupdict() if match else {}))
+        if self.is_text or match is None:
+            return math.nan
+        value = self.masked(self._number(match.groupdict()))
         return value if self.above is None else float(value > self.above)
 
     def _number(self, found: dict[str, str]) -> float:

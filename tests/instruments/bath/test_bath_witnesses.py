@@ -123,10 +123,10 @@ def test_the_emulator_is_laid_out_by_the_witness(name: str) -> None:
     with closing(Listener(emulator, clock, lock=threading.RLock(), name="bath")) as listener:
         scheme = "tcp" if emulator.framing == "tcp" else "rtu+tcp"
         emulator.plant.set_point_c = 25.0
-        with suppress(InstrumentError):  # at the Omega's next register is its set point
-            with closing(Bath(f"{scheme}://127.0.0.1:{listener.port}", wrong, clock)) as bath:
-                assert bath.read().temp_c != pytest.approx(20.0, abs=0.5)
-                assert name == "omega-cn7"
+        url = f"{scheme}://127.0.0.1:{listener.port}"
+        with suppress(InstrumentError), closing(Bath(url, wrong, clock)) as bath:
+            assert bath.read().temp_c != pytest.approx(20.0, abs=0.5)
+            assert name == "omega-cn7"  # its set point is at the next register
     assert emulator.writes() == []
 
 
