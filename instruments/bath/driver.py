@@ -169,6 +169,7 @@ class Bath:
         self.check_start(set_point_c)
         with self._lock:
             made_safe = self._times_made_safe
+            self._started = False  # what has become of an earlier start does not matter now
             reading = self.read()
             if reading.alarm:
                 what = f"not started: {self.profile.alarm_text(reading.alarm)}"

@@ -4,10 +4,12 @@ sums by name, the part of a version that counts, and controllers without a regis
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -261,7 +263,7 @@ def fixed_device() -> Device:
         assert line.startswith("#01"), line
         what = line[3:]
         if what.startswith("S"):
-            assert len(what) == 8 and what[1] in "+-", "a number has seven characters"
+            assert re.fullmatch(r"S[+-]\d{3}\.\d\d", what), "a number has seven characters"
             state["P"] = what[1:]
             return "#01OK"
         if what in ("K20", "K21"):
@@ -309,7 +311,7 @@ def crc(text: str) -> str:
 
 
 def bytes_device(model: str) -> Device:
-    state = {"S": "20.0", "run": 0, "external": 0, "alarm": 0}
+    state: dict[str, Any] = {"S": "20.0", "run": 0, "external": 0, "alarm": 0}
 
     def said(line: str) -> str | None:
         what = line[:-4]
@@ -320,7 +322,7 @@ def bytes_device(model: str) -> Device:
         if what in ("G0", "G1"):
             state["run"] = int(what[1])
             return crc("+")
-        second = int(state["run"]) + 2 * int(state["external"])
+        second = state["run"] + 2 * state["external"]
         answers = {"T": "20.0 C", "S": f"{state['S']} C", "M": model, "W": "-unknown"}
         answers |= {"Z": f"{state['alarm']} {second} 0 0 7", "X1": "31.0 C", "X2": "none"}
         return crc(answers.get(what, "-unknown"))
@@ -341,18 +343,14 @@ def profile_of(folder: Path, text: str) -> LineProfile:
 class On:
     """A driver on a device under virtual time."""
 
-    def __init__(self, device: object, profile: LineProfile, **options: bool) -> None:
+    def __init__(self, device: Device, profile: LineProfile) -> None:
         self.clock = VirtualClock()
-        self.listener = Listener(device, self.clock, lock=threading.RLock(), name="bath")  # type: ignore[arg-type]
-        self.url, self.profile, self.options = (
-            f"tcp://127.0.0.1:{self.listener.port}",
-            profile,
-            options,
-        )
+        self.listener = Listener(device, self.clock, lock=threading.RLock(), name="bath")
+        self.url, self.profile = f"tcp://127.0.0.1:{self.listener.port}", profile
 
     def __enter__(self) -> Bath:
         try:
-            self.bath = Bath(self.url, self.profile, self.clock, **self.options)
+            self.bath = Bath(self.url, self.profile, self.clock)
         except BaseException:
             self.listener.close()
             raise
