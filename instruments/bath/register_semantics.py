@@ -325,12 +325,19 @@ def _set_point(on: Controller) -> float:
     return local if on.remembered("local_remote") else on.plant.set_point_c
 
 
+def _set_point_1(on: Controller) -> float:
+    """Eurotherm: the target set point is this one while it is selected."""
+    chosen = on.remembered("set_point_select") == on.code("set_point_select", "sp1")
+    return _set_point(on) if chosen else on.remembered("set_point_1")
+
+
 LOOKS: Mapping[str, Callable[[Controller], float]] = {
     "run": _run,
     "run_active": _run,
     "auto_manual": _mode("auto_manual", "auto"),
     "control": _mode("control", "pid"),
     "set_point": _set_point,
+    "set_point_1": _set_point_1,
     "working_set_point": lambda on: on.plant.controlled_c,
     "temperature": lambda on: on.temperature_c(),
     "filtered": lambda on: on.temperature_c(),
@@ -397,6 +404,12 @@ def _aim(on: Controller, value: float) -> None:  # noqa: ARG001 - which of three
     on.plant.set_point_c = on.memory.get(name, on.plant.set_point_c)
 
 
+def _take_set_point_1(on: Controller, value: float) -> None:
+    if on.remembered("set_point_select") == on.code("set_point_select", "sp1"):
+        on.memory["set_point"] = value
+        _aim(on, value)
+
+
 ACTS: Mapping[str, Callable[[Controller, float], None]] = {
     "run": _start_or_stop,
     "auto_manual": _automatic,
@@ -404,6 +417,7 @@ ACTS: Mapping[str, Callable[[Controller, float], None]] = {
     "actuating": _actuating,
     "heating_power": lambda on, _: _actuating(on, on.remembered("actuating")),
     "set_point": _aim,
+    "set_point_1": _take_set_point_1,
     "remote_set_point": _aim,
     "local_remote": _aim,
     "heating_limit": lambda on, value: setattr(on.plant, "output_max", value / 100.0),

@@ -4,7 +4,7 @@ and what is not written before it is known."""
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from typing import Any, cast
 
@@ -153,7 +153,11 @@ def test_a_2400s_process_value_out_of_range_is_an_alarm(status: int, alarm: int)
 @pytest.mark.parametrize("code", [1, 2])
 def test_a_ramp_is_not_written_in_another_unit_of_time(code: int) -> None:
     with bath_on("eurotherm-3200", {**EUROTHERM_MEMORY, 122: 0x3216, 531: code}) as (far, bath):
-        for call in (lambda: bath.set("ramp", 2.0), lambda: bath.get("ramp")):
+        calls: list[Callable[[], object]] = [
+            lambda: bath.set("ramp", 2.0),
+            lambda: bath.get("ramp"),
+        ]
+        for call in calls:
             with pytest.raises(DeviceError, match="ramp needs ramp_unit = per_min"):
                 call()
         assert all(pdu[0] == 3 for pdu in far.asked)
@@ -253,11 +257,12 @@ def test_where_nothing_tells_the_unit_nothing_is_written_before_a_person_has(nam
 
 
 def check_confirmation(bath: Bath, plant: Any) -> None:
-    for call in (
+    calls: list[Callable[[], object]] = [
         lambda: bath.start(33.0),
         lambda: bath.set_point(33.0),
         lambda: bath.set("run", "started"),
-    ):
+    ]
+    for call in calls:
         with pytest.raises(LimitError, match="nothing tells whether its numbers are degC"):
             call()
     bath.standby()
@@ -292,7 +297,8 @@ def test_a_set_point_is_not_given_to_another_sensor(name: str) -> None:
     with emulated(name, unit_confirmed=True) as (device, bath):
         device.fault("external control")
         bath.read()
-        for call in (lambda: bath.set_point(33.0), lambda: bath.start(33.0)):
+        calls: list[Callable[[], object]] = [lambda: bath.set_point(33.0), lambda: bath.start(33.0)]
+        for call in calls:
             with pytest.raises(DeviceError, match=r"needs control_sensor = internal .*brought"):
                 call()
         device.fault("external control", on=False)
