@@ -100,6 +100,24 @@ def test_set_changes_the_set_point_and_starts_nothing(bath: Served, said: Said) 
     assert not bath.plant.running
 
 
+def test_where_nothing_tells_the_unit_a_person_compares_with_the_display(said: Said) -> None:
+    profile, plant = load_profile("lauda-ascii"), Plant(1, start_c=25.0)
+    assert isinstance(profile, LineProfile)
+    with served(lambda clock: LineEmulator(plant, profile, clock)) as (_, url):
+        at = ["--port", url.replace("socket", "tcp"), "--profile", "lauda-ascii"]
+        note = json.loads(said(0, "bath read {} --json", at).out)
+        assert note["number_unit"] == "not told by the controller"
+        refused = said(2, "bath set {} 33", at).err
+        assert "nothing tells whether its numbers are degC" in refused
+        assert "they are not both degC" in said(3, "bath set {} 33 --display 77", at).err
+        assert plant.set_point_c == 25.0
+        assert "33.00 degC" in said(0, "bath set {} 33 --display 25.1", at).out
+        assert plant.set_point_c == 33.0
+        plant.run(33.0)
+        assert said(0, "bath standby {}", at).out.startswith("in standby")
+        assert not plant.running
+
+
 def test_standby_stops_a_bath_with_an_alarm_and_a_broken_sensor(
     bath: Served, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from hypothesis import given
@@ -18,8 +18,18 @@ from hypothesis import strategies as st
 from instruments.bath.checksums import Checksum, checked, summed
 from instruments.bath.driver import Bath
 from instruments.bath.line_emulator import LineEmulator
-from instruments.bath.profile import LineProfile, load_profile
-from instruments.bath.rows import LineRow
+from instruments.bath.profile import (
+    AlarmCode,
+    Capabilities,
+    Identity,
+    LineProfile,
+    Model,
+    NumberUnit,
+    OrderFrom,
+    RegisterProfile,
+    load_profile,
+)
+from instruments.bath.rows import FIELDS, Kind, LineRow, Order, Row, Strict, Table
 from instruments.clock import VirtualClock
 from instruments.device_file import DeviceFileError
 from instruments.errors import InstrumentError, LimitError, LinkError
@@ -521,3 +531,40 @@ def test_check_sums_by_published_examples(name: Checksum, line: str, digits: str
     assert checked(line + digits.lower(), name) == line
     assert checked(line[:-1] + "~" + digits, name) is None
     assert checked(digits, name) is None
+
+
+# ---- docs/add-a-bath.md
+
+PAGE = Path(__file__).parents[3] / "docs" / "add-a-bath.md"
+
+
+def test_the_page_explains_every_key_and_every_type_of_rows() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    models: list[type[Strict]] = [LineProfile, RegisterProfile, LineRow, Row, Capabilities]
+    models += [Identity, AlarmCode, Model, NumberUnit, OrderFrom]
+    keys = {key for model in models for key in model.model_fields}
+    words = {*re.findall(r"[A-Za-z_0-9]+", " ".join(re.findall(r"`[^`]+`|```.*?```", page, re.S)))}
+    assert sorted(keys - words) == []
+    for kind in (Kind, Table, Order, Checksum):
+        named = {value for value in get_args(kind) if value in page}
+        assert named >= {*get_args(kind)} - {"BADC", "DCBA"}
+    assert all(field in page for field in FIELDS)
+
+
+def test_the_pages_profiles_are_whole(tmp_path: Path) -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    blocks = re.findall(r"```toml\n(.*?)```", page, re.S)
+    lines = next(block for block in blocks if 'kind = "line"' in block)
+    registers = next(block for block in blocks if "functions" in block)
+    models = next(block for block in blocks if "[[models]]" in block)
+    assert profile_of(tmp_path, lines).row("run").values == {"standby": 0, "started": 1}
+    path = tmp_path / "modbus.toml"
+    path.write_text(registers, encoding="utf-8")
+    assert load_profile(path).number_unit.rows == ("unit",)
+    more = "".join(
+        f'[[rows]]\nname = "{name}"\nask = "x"\nunit = "%"\nevidence = "FIELD"\n'
+        for name in ("power", "external", "cut_out")
+    )
+    whole = profile_of(tmp_path, lines + more + models)
+    model = whole.of_model(whole.models[0])
+    assert (model.row("power").ask, model.find("cut_out")) == ("in_pv_02", None)
