@@ -12,7 +12,7 @@ import pytest
 
 from instruments.bath.driver import Bath
 from instruments.bath.line_dialects import Julabo
-from instruments.bath.line_emulator import LineEmulator
+from instruments.bath.line_emulator import LineEmulator, dialect_of
 from instruments.bath.profile import LineProfile, load_profile, load_register_profile, profile_names
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, LimitError, ProtocolError
@@ -111,6 +111,26 @@ def test_an_emulated_julabo_is_silent_at_no_known_query() -> None:
     assert panel.answer("out_par_06 2.5") is None
     assert panel.answer("in_par_06") == "2.5"
     assert panel.answer("in_xy_00") == "-08 INVALID COMMAND"
+
+
+@pytest.mark.parametrize(
+    ("name", "commands"),
+    [
+        ("lauda-ascii", "IN_PV_01 IN_PV_02 IN_PV_10 IN_SP_01 IN_SP_02 IN_SP_07 IN_SP_08 STATUS"),
+        ("haake", "R HL|R LL|R FR|R ZA|R ZB|R ZI|R WD|R WS|R CC|R PF"),
+        ("polyscience", "RH RL RM RF RU"),
+        ("huber-pb", "{M03**** {M04**** {M0F**** {M26**** {M30**** {M31**** {M48**** {M5C****"),
+    ],
+)
+def test_an_emulated_circulator_answers_what_public_drivers_ask(name: str, commands: str) -> None:
+    profile = load_profile(name)
+    assert isinstance(profile, LineProfile)
+    panel = dialect_of(profile)(calm_plant())
+    for command in commands.split("|" if "|" in commands else " "):
+        said = panel.answer(command)
+        assert said, command
+        assert profile.refusal(said) is None
+        assert not said.endswith("7FFF")
 
 
 @pytest.mark.parametrize("refusal", ["ERR_8", "ERR_33", "ERR_34", "ERR_38", "ERR_99"])
