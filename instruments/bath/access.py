@@ -382,6 +382,21 @@ class Access(ABC, Generic[R]):
             hint=hint,
         )
 
+    def run_rows(self) -> Sequence[R]:
+        """Rows that may be its run, while its model is not known."""
+        return [self.row("run")]
+
+    def stand_by(self) -> None:
+        """Standby at once, identified or not. Raises as `send`."""
+        first, *others = self.run_rows()
+        try:
+            self.send(first, first.values["standby"], urgent=True)
+        except RefusedError:
+            if not others:
+                raise
+            for row in others:
+                self.send(row, row.values["standby"], urgent=True)
+
     def _check(self, identity: Identity) -> None:
         """Raise DeviceError where a row shows another family."""
         row = self.row(identity.row)

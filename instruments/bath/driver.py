@@ -203,14 +203,13 @@ class Bath:
         """Standby at once, in any state; tried 3 times. Raises the last error: then it must be
         switched off by hand.
         """
-        run = self._rows.row("run")
         with self._lock:
             self._started = False
             self._times_made_safe += 1
             for tries_left in reversed(range(SAFE_TRIES)):
                 self._connect()
                 try:  # not identified: a wrong unit or an alarm must not keep the heater on
-                    self._rows.send(run, run.values["standby"], urgent=True)
+                    self._rows.stand_by()
                 except InstrumentError:
                     self._wire.close()
                     if not tries_left:
@@ -276,13 +275,19 @@ class Bath:
         self._connect()
         try:
             reading, self._identity = self._rows.identify()
-            known = cast(Profile, self._rows.profile)
-            self.profile = _with_pump(known, self._pump.profile) if self._pump else known
+            self.profile = self._offered()
             self._check_running(reading)
         except BaseException:
             self._rows.known = False
             self._wire.close()
             raise
+
+    def _offered(self) -> Profile:
+        """The profile with the rows that this model offers, and its pump's relay."""
+        known, absent = cast(Profile, self._rows.profile), self._rows.absent
+        rows = tuple(row for row in known.rows if row.name not in absent)
+        offered = known.model_copy(update={"rows": rows})
+        return _with_pump(offered, self._pump.profile) if self._pump else offered
 
     def _read(self) -> BathReading:
         reading = self._rows.poll()

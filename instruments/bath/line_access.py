@@ -285,6 +285,12 @@ class LineAccess(Access[LineRow]):
     def asking(self, row: LineRow) -> str:
         return repr(row.ask)
 
+    def run_rows(self) -> Sequence[LineRow]:
+        if self.known:
+            return super().run_rows()
+        others = (self._family.of_model(one) for one in self._family.models if "run" in one.rows)
+        return [self._family.row("run"), *(other.row("run") for other in others)]
+
     def rows_to_try(self) -> Sequence[LineRow]:
         try:
             self.detect_format()

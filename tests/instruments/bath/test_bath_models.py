@@ -147,14 +147,27 @@ def test_laudas_port_need_not_be_named() -> None:
     assert bath._wire.line.port == 54321
 
 
-def test_polyscience_with_run_and_stand_by() -> None:
+@pytest.mark.parametrize("identify", [True, False])
+def test_polyscience_with_run_and_stand_by(identify: bool) -> None:
+    """A guardian puts it into standby, too, which has never seen which of the two it knows."""
+
+    def act(on: Typed, command: str) -> None:
+        if command.startswith("SW"):
+            on.replies["RW"] = command[-1]
+        on.confirm = "!" if command.startswith("SW") else "?"
+
     typed = FAMILIES["polyscience"].typed()
     typed.replies |= {"RO": "?", "RW": "1", "RJ": "?"}
-    with served(typed, "polyscience") as (_, bath):
-        assert bath.read().running is True
-        typed.acts = lambda on, command: on.replies.update(RW=command[-1])
-        bath.safe()
-        assert typed.told == ["SW0"]
+    typed.acts = act
+    profile = load_profile("polyscience")
+    with closing(Listener(typed, typed.clock, lock=threading.RLock(), name="bath")) as listener:
+        url = f"tcp://127.0.0.1:{listener.port}"
+        with closing(Bath(url, profile, typed.clock, identify=identify)) as bath:
+            if identify:
+                assert bath.read().running is True
+            bath.safe()
+    assert typed.replies["RW"] == "0"
+    assert typed.told == (["SW0"] if identify else ["SO0", "SW0"])
 
 
 # ---- states and alarms
