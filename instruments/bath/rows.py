@@ -231,7 +231,7 @@ class Row(Quantity):
 # ---- lines of ASCII
 
 FIELDS = {
-    "<number>": r"(?P<number>[+-]? {0,3}\d{1,8}(?:\.\d{0,6})?)",
+    "<number>": r"(?P<number> {0,3}[+-]? {0,3}\d{1,8}(?:[.,]\d{0,6})?)",
     "<hex>": r"(?P<hex>[0-9A-Fa-f]{4})",
     "<bits>": r"(?P<bits>[01]{1,24})",
     "<bytes>": r"(?P<bytes>\d{1,3}(?: \d{1,3}){0,4})",
@@ -241,7 +241,7 @@ FIELDS = {
 FIELD = re.compile(r"(<[a-z]*>)")
 SENT = ("<number>", "<hex>")  # what a command may carry
 VALUES = (*SENT, "<bits>", "<bytes>")
-FORM = re.compile(r"\+?0+(?:\.0+)?")  # of a number of fixed width
+FORM = re.compile(r"\+?0+(?:[.,]0+)?")  # of a number of fixed width
 AGREE = {"degC": 0.1, "%": 10.0}  # how far two replies may be apart that say the same
 
 
@@ -282,7 +282,8 @@ class LineRow(Quantity):
     @property
     def places(self) -> int:
         """How many decimal places a number is sent with."""
-        return len(self.form.partition(".")[2]) if self.form else self.decimals
+        form = self.form.replace(",", ".")
+        return len(form.partition(".")[2]) if form else self.decimals
 
     @property
     def forms(self) -> list[str]:
@@ -321,7 +322,7 @@ class LineRow(Quantity):
 
     def _number(self, found: dict[str, str]) -> float:
         if digits := found.get("number"):
-            return float(digits.replace(" ", "")) * self.scale
+            return float(digits.replace(" ", "").replace(",", ".")) * self.scale
         if digits := found.get("hex"):
             return ((int(digits, 16) ^ 0x8000) - 0x8000) * self.scale
         if digits := found.get("bits"):
@@ -331,9 +332,14 @@ class LineRow(Quantity):
         return math.nan
 
     def text(self, line: str) -> str:
-        """What of a text counts: its ``<word>``, or all of it."""
+        """What of a text counts: its ``<word>``, or what its only ``<text>`` stands for."""
         match = pattern_of(self.reply).fullmatch(line)
-        return (match.groupdict().get("word") if match else None) or line
+        if word := match.groupdict().get("word") if match else None:
+            return word
+        before, _, after = self.reply.partition("<text>")
+        if match is None or "<" in before + after:
+            return line
+        return line[len(before) : len(line) - len(after)].strip() or line
 
     def sent(self, value: float) -> float:
         """What is left of ``value`` after the rounding of its command."""
@@ -362,7 +368,8 @@ class LineRow(Quantity):
         if len(digits) > width:
             raise ValueError(f"{raw:g} does not fit into {self.form}")
         sign = "+" if self.form.startswith("+") else ""
-        return f"{'-' if raw < 0.0 and float(digits) else sign}{digits}"
+        sign = "-" if raw < 0.0 and float(digits) else sign
+        return sign + (digits.replace(".", ",") if "," in self.form else digits)
 
     def agrees(self, first: str, second: str) -> bool:
         """Whether two replies that it understands show the same."""

@@ -496,10 +496,40 @@ def row(form: str, scale: float = 1.0) -> LineRow:
         ("00000", 0.01, 33.0, "S03300"),
         ("+0000", 0.1, -4.0, "S-0040"),
         ("", 1.0, 33.0, "S33.00"),
+        ("+000,0", 1.0, 33.0, "S+033,0"),
     ],
 )
 def test_numbers_by_their_form(form: str, scale: float, value: float, command: str) -> None:
     assert row(form, scale).command(value) == command
+
+
+@pytest.mark.parametrize(
+    ("reply", "line", "value"),
+    [
+        ("T=<number> C", "T= -5.5 C", -5.5),
+        ("T=<number> C", "T=-  5.5 C", -5.5),
+        ("T=<number> C", "T=021,30 C", 21.3),
+        ("#01R<number>", "#01R+020.50", 20.5),
+        ("<number>", "00033", 33.0),
+    ],
+)
+def test_numbers_as_controllers_write_them(reply: str, line: str, value: float) -> None:
+    assert row("").model_copy(update={"reply": reply}).decode(line) == value
+
+
+@pytest.mark.parametrize(
+    ("reply", "line", "text"),
+    [
+        ("<text>", "JULABO FP50", "JULABO FP50"),
+        ("VERSION <text>", "VERSION OUR BATH 3.1", "OUR BATH 3.1"),
+        ("V <text> SN <word>", "V OUR BATH SN 77", "77"),
+        ("<text> rev <text>", "BATH rev 3", "BATH rev 3"),
+        ("#01V <word> up <number> h", "#01V TC-9 up 310 h", "TC-9"),
+    ],
+)
+def test_the_part_of_a_text_that_counts(reply: str, line: str, text: str) -> None:
+    told = {"name": "version", "ask": "V", "reply": reply, "evidence": "CERTAIN"}
+    assert LineRow.model_validate(told).text(line) == text
 
 
 def test_a_number_that_is_too_wide_is_not_sent() -> None:
