@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from functools import reduce
 from typing import Literal
 
-from pymodbus.framer import FramerRTU
+from instruments.bath.protocol import crc
 
 Checksum = Literal["none", "sum", "xor", "lrc", "crc16"]
 
@@ -19,7 +19,7 @@ SUMS: Mapping[str, Callable[[bytes], str]] = {
     "sum": lambda data: f"{sum(data) & 0xFF:02X}",
     "xor": lambda data: f"{reduce(lambda one, other: one ^ other, data, 0):02X}",
     "lrc": lambda data: f"{-sum(data) & 0xFF:02X}",
-    "crc16": lambda data: f"{FramerRTU.compute_CRC(data):04X}",
+    "crc16": lambda data: crc(data).to_bytes(2, "little").hex().upper(),
 }
 
 
