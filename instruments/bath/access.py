@@ -29,6 +29,7 @@ from instruments.errors import (
 
 POLL_S = 4.0
 NOT_READ = "only written"
+NO_VALUE = "no value that a device has"
 
 R = TypeVar("R", bound=Quantity)
 Raw = Sequence[int] | str  # registers, or a line

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import ClassVar, cast
 
-from instruments.bath.access import Access, Raw
+from instruments.bath.access import NO_VALUE, Access, Raw
 from instruments.bath.checksums import checked, summed
 from instruments.bath.profile import LineProfile, Model, line_to
 from instruments.bath.reading import BathReading
@@ -317,7 +317,9 @@ class LineAccess(Access[LineRow]):
         lines = self.replies(rows) if rows else {}
         for row in rows:
             line = lines[row.ask]
-            yield row.text(line) if row.is_text else self.shown(row, self.value_in(row, line))
+            value = row.decode(line)
+            number = self.shown(row, value) if row.is_possible(value) else NO_VALUE
+            yield row.text(line) if row.is_text else number
 
     def _rows_of(self, command: str) -> Sequence[LineRow]:
         return [row for row in self.profile.rows if row.ask == command]

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar, cast, get_args
 
-from instruments.bath.access import Access, Raw
+from instruments.bath.access import NO_VALUE, Access, Raw
 from instruments.bath.profile import RegisterProfile, Wiring, line_to
 from instruments.bath.reading import BathReading, ChangedError
 from instruments.bath.requests import Block, blocks, markers
@@ -140,9 +140,9 @@ class RegisterAccess(Access[Row]):
 
     def show(self, rows: Sequence[Row]) -> Iterator[str]:
         for row in rows:
-            value = self.value(row)
+            value = self.decode(row, self.ask(row))
             number = f"{int(value):04X}" if row.name in HEXADECIMAL else f"{value:.10g} {row.unit}"
-            yield number.rstrip()
+            yield number.rstrip() if row.is_possible(value) else NO_VALUE
 
     def asking(self, row: Row) -> str:
         return f"{row.table} {row.address}, {row.type}"

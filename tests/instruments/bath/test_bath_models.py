@@ -361,6 +361,19 @@ def test_a_julabos_set_point_over_modbus_is_its_own_sensors(name: str) -> None:
 # ---- numbers that no device has
 
 
+def test_a_cut_out_that_can_not_be_does_not_keep_a_presto_from_being_read() -> None:
+    """Nothing else depends on it; it is not shown either."""
+    with Stand() as stand:
+        rows = [
+            row.model_copy(update={"address": 20}) if row.name == "cut_out" else row
+            for row in stand.profile.rows
+        ]
+        stand.profile = stand.profile.model_copy(update={"rows": tuple(rows)})
+        bath = stand.bath()
+        assert bath.identity["cut_out"] == "no value that a device has"
+        assert bath.read().safety_c == pytest.approx(20.0, abs=0.1)
+
+
 def test_no_number_that_no_device_has_is_shown_or_counted() -> None:
     memory = BROWSED["watlow-pm-map1"] | {1480: 0x41A0, 1481: 0}
     with bath_on("watlow-pm-map1", memory) as (_, bath):
