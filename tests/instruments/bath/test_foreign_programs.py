@@ -25,7 +25,7 @@ import pytest
 
 from instruments.bath.driver import Bath
 from instruments.bath.line_emulator import LineEmulator
-from instruments.bath.profile import LineProfile, load_profile, load_register_profile
+from instruments.bath.profile import LineProfile, Profile, load_profile, load_register_profile
 from instruments.clock import RealClock
 from instruments.errors import DeviceError
 from instruments.listener import Connection, Listener
@@ -238,6 +238,12 @@ def test_umodbus_drives_an_emulated_magio() -> None:
 
 # ---- the driver drives theirs
 
+
+def patient(name: str) -> Profile:
+    """A profile that waits for an answer as long as a busy machine may take."""
+    return load_profile(name).model_copy(update={"timeout_s": 10.0})
+
+
 # A PRESTO in standby at 20 degC with a set point of 25, its sensors at 20.5 and 21: by the manual's pages
 HOLDING = {0: [0], 1: [0], 2: words(25.0), 10: [0], 90: [0], 93: [0]}
 INPUT = {5: [4], 6: [0], 7: [0], 10: words(20.0), 12: words(20.5), 14: [0], 15: words(21.0)}
@@ -251,7 +257,7 @@ def flat(image: dict[int, list[int]]) -> dict[int, int]:
 def check_presto(url: str) -> None:
     with (
         closing(RealClock()) as clock,
-        closing(Bath(url, load_profile("julabo-presto"), clock)) as bath,
+        closing(Bath(url, patient("julabo-presto"), clock)) as bath,
     ):
         reading = bath.read()
         assert (reading.temp_c, reading.external_c, reading.safety_c) == (20.0, 20.5, 21.0)
@@ -367,9 +373,7 @@ def test_the_driver_on_julabos_simulators(
         closing(
             Listener(Simulated(device), clock, lock=threading.RLock(), name="simulator")
         ) as listener,
-        closing(
-            Bath(f"tcp://127.0.0.1:{listener.port}", load_profile("julabo-ascii"), clock)
-        ) as on,
+        closing(Bath(f"tcp://127.0.0.1:{listener.port}", patient("julabo-ascii"), clock)) as on,
     ):
         reading = on.read()
         assert (reading.temp_c, reading.set_point_c, reading.safety_c) == (29.45, 30.0, 29.69)
