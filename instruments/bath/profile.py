@@ -283,7 +283,8 @@ class Profile(Device):
         at = {row.name: index for index, row in enumerate(self.rows)}
         for name in ("temperature", "set_point", "run"):
             if name not in at:
-                yield ("rows",), f"the row '{name}' is missing"
+                how = " (a controller without one: docs/add-a-bath.md)" if name == "run" else ""
+                yield ("rows",), f"the row '{name}' is missing{how}"
         for name in {"run", "set_point"} & set(at):
             if self.row(name).access != "rw":
                 what = "the bench has to read and write it, so access must be 'rw'"
