@@ -94,6 +94,21 @@ def test_learn_tries_a_modbus_profile_too(bath: Served, said: Said) -> None:
     assert "- " not in out.replace("- bath", "")
 
 
+def test_learn_counts_no_number_that_no_bath_has(bath: Served, tmp_path: Path, said: Said) -> None:
+    """The safety sensor one register too high, as it once was: half of two numbers."""
+    text = (SHIPPED / "julabo-presto.toml").read_text(encoding="utf-8")
+    mine = tmp_path / "mine.toml"
+    mine.write_text(text.replace('address = 15\ntype = "f32"', 'address = 16\ntype = "f32"'))
+    out = said(0, "bath learn {}", [*bath.at[:3], str(mine)]).out
+    assert re.search(
+        r"^\? safety +input 16, f32: can't be its value \(got [0-9A-F ]+\)$", out, re.M
+    )
+    right, asked = map(int, re.findall(r"(\d+) of (\d+) rows that can be read made sense", out)[0])
+    assert right == asked - 1
+    assert not re.search(r"\de[+-]\d", out)
+    said(3, "bath read {}", [*bath.at[:3], str(mine)])
+
+
 def test_set_changes_the_set_point_and_starts_nothing(bath: Served, said: Said) -> None:
     assert "33.50 degC; the bath is in standby" in said(0, "bath set {} 33.5", bath.at).out
     assert bath.plant.set_point_c == pytest.approx(33.5)
