@@ -98,7 +98,8 @@ def test_learn_counts_no_number_that_no_bath_has(bath: Served, tmp_path: Path, s
     """The safety sensor one register too high, as it once was: half of two numbers."""
     text = (SHIPPED / "julabo-presto.toml").read_text(encoding="utf-8")
     mine = tmp_path / "mine.toml"
-    mine.write_text(text.replace('address = 15\ntype = "f32"', 'address = 16\ntype = "f32"'))
+    text = text.replace('address = 15\ntype = "f32"', 'address = 16\ntype = "f32"')
+    mine.write_text(text, encoding="utf-8")
     out = said(0, "bath learn {}", [*bath.at[:3], str(mine)]).out
     assert re.search(
         r"^\? safety +input 16, f32: can't be its value \(got [0-9A-F ]+\)$", out, re.M
