@@ -222,7 +222,7 @@ def test_what_some_models_do_not_answer_is_left_out() -> None:
     [
         ({"version": "20.00"}, "may be the answer to"),
         ({"in_pv_00": "91.40"}, "In degF it would be 33.0 degC"),
-        ({"in_mode_05": "7"}, "it is no JULABO circulator"),
+        ({"in_mode_05": "7"}, "what came is no answer to this"),
         ({"status": "0"}, "what came is no answer to this"),
         ({"in_pv_00": ""}, "no answer"),
     ],
