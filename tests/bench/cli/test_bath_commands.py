@@ -80,7 +80,8 @@ def test_learn_says_row_by_row_what_answered_and_writes_nothing(tmp_path: Path, 
         out = said(0, "bath learn {}", at).out
         rows = {one["row"]: one for one in json.loads(said(0, "bath learn {} --json", at).out)}
     lines = {line.split()[1]: line for line in out.splitlines()}
-    assert re.match(r"\+ temperature +'in_pv_00': 2\d\.?\d* degC \(got '2\d\.\d\d'\)", out)
+    right = r"\+ temperature +'in_pv_00': 2\d\.?\d* degC \(got '2\d\.\d\d'\)"
+    assert re.match(right, lines["temperature"])
     assert re.match(r"- power .*it does not know this command", lines["power"])
     assert re.search(r"expects .<number>. .*got 03 REMOTE START", lines["alarm"])
     assert lines["run"].endswith("'in_mode_05': started (got '1')")
