@@ -30,7 +30,7 @@ from bench.script.phantom import load_layout
 from bench.toml import toml_text
 from detector import registry
 from detector.geometry import Motion
-from instruments.bath.profile import load_profile
+from instruments.bath.profile import SHIPPED, load_profile
 from tests.bench import operated_runs, small_run
 from tests.bench.calibrate.arm_terminal import at_terminal
 from tests.bench.calibrate.board_pictures import (
@@ -265,6 +265,12 @@ def written(text: str, folder: Path) -> Path:
     return path
 
 
+def models_of(text: str, folder: Path) -> object:
+    """Behind the profile of a family that has the rows it names."""
+    family = (SHIPPED / "julabo-ascii.toml").read_text(encoding="utf-8")
+    return load_profile(written(f"{family}\n{text}", folder))
+
+
 def entry_point_of(text: str, folder: Path) -> object:
     return tomllib.loads(text)["project"]["entry-points"][registry.GROUP]
 
@@ -282,6 +288,7 @@ LOADED: dict[str, Callable[[str, Path], object]] = {  # by a key that only such 
     "command": lambda text, folder: read_config(written(text, folder), DetectorFile),
     "answers": lambda text, folder: load_answers(written(text, folder)),
     "project": entry_point_of,
+    "models": models_of,
     "comms_loss": lambda text, folder: load_profile(written(text, folder)),
 }
 

@@ -64,6 +64,9 @@ def read(given: argparse.Namespace) -> None:
             "alarm_text": bath.profile.alarm_text(reading.alarm) if reading.alarm else "none",
             "warning": reading.warning,
             "remote": reading.remote,
+            "restarted": reading.restarted,
+            "number_unit": bath.unit_source,
+            "set_point_needs": reading.not_met or "nothing else",
             "pump": bath.pump,
             "comms_loss": bath.profile.comms_loss,
         }
@@ -86,9 +89,11 @@ def learn(given: argparse.Namespace) -> int:
     else:
         width = max(len(one.row) for one in tried)
         for one in tried:
-            print(f"{'+' if one.answered else '-'} {one.row:{width}}  {one.asked}: {one.said}")
+            mark = "+" if one.sensible else "?" if one.answered else "-"
+            print(f"{mark} {one.row:{width}}  {one.asked}: {one.said}")
         asked = [one for one in tried if one.asked != NOT_READ]
-        print(f"{len(answered)} of {len(asked)} rows that can be read made sense")
+        sensible = sum(one.sensible for one in tried)
+        print(f"{sensible} of {len(asked)} rows that can be read made sense")
     if doubt:
         return complain(f"bath at {given.port}: no controller answers: {doubt}", CODES.fault)
     if not answered:
@@ -106,6 +111,8 @@ def change(given: argparse.Namespace) -> int:
         leave_running=True,  # a bath that runs is to go on, at another temperature
     ) as (bath, _):
         try:
+            if given.display is not None:
+                bath.confirm_unit(given.display)
             bath.set_point(given.set_point)
         except LimitError as error:
             return complain(str(error), CODES.wrong_use)

@@ -688,6 +688,12 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *BATH_LINK,
         option("set_point DEGC", "the new set point in degC", number("a temperature in degC")),
         flag("--allow-inferred", "also write to rows whose evidence is INFERRED"),
+        option(
+            "--display DEGC",
+            "what the controller's display shows now, in degC: for a family that doesn't tell the"
+            " unit of its numbers",
+            number("a temperature in degC"),
+        ),
     ),
     "bath watch": (
         "plot the temperature until Ctrl-C; changes nothing",

@@ -140,6 +140,7 @@ class Bath(Section):
     external_accuracy_k: Positive = 0.1
     room_c: Annotated[float, Field(ge=-10, le=40)] = 20.0
     cut_out_tested: Annotated[str, AfterValidator(_day_or_none)] = ""
+    unit_confirmed: Annotated[str, AfterValidator(_day_or_none)] = ""
 
 
 EMULATED_MICROSTEPS = {"X": 250.0, "Y": 250.0, "Z": 250.0, "A": 100.0}  # per mm, per degree

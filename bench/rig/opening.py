@@ -273,11 +273,15 @@ def _openers(
 
     def bath() -> Bath:
         pump_url = urls.get("pump", r.bath.pump_url)
+        elsewhere = r.operator.url.startswith(ELSEWHERE) and r.bath_emulated
+        emulated = elsewhere or (twin is not None and "bath" in twin.urls)
         return Bath(
             urls["bath"],
             rig.profile,
             clock,
             allow_inferred=r.bath.allow_inferred,
+            # an emulated controller has no display, and is in degC unless a fault changes it
+            unit_confirmed=bool(r.bath.unit_confirmed or emulated),
             identify=identify,
             tap=tap("bath"),
             pump=PumpAt(pump_url, rig.relay, tap("pump")) if rig.relay else None,

@@ -49,7 +49,7 @@ from bench.run.resume import (
 )
 from bench.run.rows import write_facts
 from bench.run.trial import refuse_carry, write_trial
-from bench.safety.latch import refuse_latched, refuse_untested_cut_out
+from bench.safety.latch import refuse_latched, refuse_unknown_unit, refuse_untested_cut_out
 from bench.safety.signals import current, undisturbed
 from bench.script.calibration_age import (
     CALIBRATION_FACT,
@@ -177,6 +177,7 @@ def _allowed(rig: LoadedRig, script: LoadedScript, names: Sequence[str]) -> list
     refuse_latched(rig)
     refuse_old_calibration(rig, script, today)
     refuse_untested_cut_out(rig, today)
+    refuse_unknown_unit(rig, today)
     wanted = (names,) if names else (script.script.detectors, script.path.parent)
     return make_detectors(*wanted)
 

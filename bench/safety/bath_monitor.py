@@ -209,7 +209,7 @@ class TripHandler:
         self._reported = self._held = False
         self.on_event: Callable[[str, str], None] = lambda _kind, _text: None
         self.seen: Callable[[], None] = lambda: None
-        interlocks = self._interlocks = Interlocks(rig.rig.limits, rig.profile)
+        interlocks = self._interlocks = Interlocks(rig.rig.limits, devices.bath.profile)
 
         def record(reading: Row) -> None:
             store.bath(reading)

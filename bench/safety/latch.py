@@ -106,6 +106,19 @@ def refuse_untested_cut_out(rig: LoadedRig, today: date) -> None:
         raise located(rig.path, rig.text, [(("bath", "cut_out_tested"), why, False)])
 
 
+def refuse_unknown_unit(rig: LoadedRig, today: date) -> None:
+    """Raises ConfigError where nothing tells the unit of the bath's numbers, and no person has."""
+    told = rig.profile.number_unit
+    if told.rows or told.fixed or rig.rig.bath.unit_confirmed or rig.rig.bath_emulated:
+        return
+    why = (
+        f"missing: nothing tells whether the numbers of a {rig.profile.family} are degC, so nothing"
+        " is heated before a person has compared them with its display: 'teatbench bath read'"
+        f' shows them. Where both agree, write the day: unit_confirmed = "{today.isoformat()}"'
+    )
+    raise located(rig.path, rig.text, [(("bath", "unit_confirmed"), why, False)])
+
+
 def acknowledge(rig: LoadedRig, latch: Latch, reading: BathReading) -> None:
     """Remove the latch. Raises LatchedError while the rule's reset condition does not hold."""
     with suppress(KeyError):

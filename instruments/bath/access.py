@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, Generic, TypeVar, cast
 
-from instruments.bath.profile import Device, Identity, Profile
+from instruments.bath.profile import WATCHDOG, Device, Identity, Profile
 from instruments.bath.reading import Assembler, BathReading
 from instruments.bath.rows import Quantity
 from instruments.bath.session import BrokenError, RefusedError, Session
@@ -29,6 +29,7 @@ from instruments.errors import (
 
 POLL_S = 4.0
 NOT_READ = "only written"
+NO_VALUE = "no value that a device has"
 
 R = TypeVar("R", bound=Quantity)
 Raw = Sequence[int] | str  # registers, or a line
@@ -36,23 +37,28 @@ Raw = Sequence[int] | str  # registers, or a line
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """What became of one question for ``row``: what was ``asked``, what came, what it means."""
+    """What became of one question for ``row``: what was ``asked``, what came, what it means;
+    ``sensible``: whether that can be its value.
+    """
 
     row: str
     evidence: str
     asked: str
     answered: bool
     said: str
+    sensible: bool = False
 
 
 class Access(ABC, Generic[R]):
     """The rows of one device over ``wire``, which is not opened yet; for one thread. ``known``:
-    whether it was identified; ``remote``: what its panel calls control by us; ``SHOWN``: rows that
-    say what it is.
+    whether it was identified; ``unit_confirmed``: a person has seen that its numbers are degC;
+    ``absent``: rows that this model does not offer, and why; ``remote``: what its panel calls
+    control by us; ``SHOWN``: rows that say what it is.
     """
 
     remote: ClassVar[str]
     SHOWN: ClassVar[tuple[str, ...]]
+    SHOWS_ABSENCE: ClassVar[tuple[type[InstrumentError], ...]]  # of a row that the model lacks
 
     def __init__(
         self, url: str, profile: Device, wire: Session, *, who: str, allow_inferred: bool
@@ -63,8 +69,9 @@ class Access(ABC, Generic[R]):
         self.clock = wire.clock
         self.who = who
         self.allow_inferred = allow_inferred
-        self.known = False
+        self.known = self.unit_confirmed = False
         self.doubt = ""  # why what answers may be no controller at all
+        self.absent: dict[str, str] = {}
         self._set_at = -math.inf
 
     @abstractmethod
@@ -109,8 +116,10 @@ class Access(ABC, Generic[R]):
         """How ``row`` is asked for, for a person."""
 
     @abstractmethod
-    def try_row(self, row: R) -> str:
-        """The reply for ``row`` and its meaning, for a person. Raises InstrumentError."""
+    def try_row(self, row: R) -> tuple[float, str]:
+        """The value of ``row``, and the reply with its meaning, for a person. Raises
+        InstrumentError.
+        """
 
     def identify(self) -> tuple[BathReading, Mapping[str, str]]:
         """Identify the controller: its first reading, and what it shows of itself. Raises
@@ -121,11 +130,14 @@ class Access(ABC, Generic[R]):
         for identity in cast(Profile, self.profile).identity:
             self._check(identity)
         reading = self.first_poll()
-        rows = [self.row(name) for name in self.SHOWN if self.profile.find(name)]
-        rows = [row for row in rows if self.may_ask(row)]
+        found = (cast("R | None", self.profile.find(name)) for name in self.SHOWN)
+        rows = [row for row in found if row and self.may_ask(row)]
         shown = dict(zip((row.name for row in rows), self.show(rows), strict=True))
         self.known = True
-        return reading, {"family": self.profile.family, "url": self.url, **self.detected, **shown}
+        missing = ", ".join(sorted(self.absent))
+        missing_text = {"not offered by this model": missing} if missing else {}
+        known = {"family": self.profile.family, "url": self.url, **self.detected, **missing_text}
+        return reading, {**known, **shown}
 
     def poll(self) -> BathReading:
         """One poll, at the time of its start. Raises LinkError, BrokenError before ``look``."""
@@ -161,14 +173,77 @@ class Access(ABC, Generic[R]):
         return self.assembler.alarm_of(row, value)
 
     def may_ask(self, row: R) -> bool:
-        """Whether it is read, and surely there or allowed by the rig."""
-        return row.access != "w" and (row.evidence != "INFERRED" or self.allow_inferred)
+        """Whether it is read, offered by this model, and surely there or allowed by the rig."""
+        known = row.evidence != "INFERRED" or self.allow_inferred
+        return row.access != "w" and known and row.name not in self.absent
+
+    def probe(self, row: R) -> object:
+        """What came for ``row``, whatever it means."""
+        return self.ask(row)
+
+    def look_for(self, rows: Sequence[R]) -> None:
+        """Note which of ``rows`` the model does not answer, where some models don't."""
+        for row in rows:
+            if row.optional and self.may_ask(row):
+                try:
+                    self.probe(row)
+                except BrokenError:
+                    raise
+                except self.SHOWS_ABSENCE as error:
+                    if isinstance(error, RefusedError) and not error.no_row:
+                        raise
+                    self.absent[row.name] = f"it does not answer {self.asking(row)}"
+
+    @property
+    def looked_for(self) -> list[R]:
+        """The rows that are asked unbidden: a poll's, what it shows of itself, and what writes
+        need.
+        """
+        rows = [row for row in self.profile.rows if row.poll]
+        rows += filter(None, map(self.profile.find, self.SHOWN))
+        needs = [name for row in self.profile.rows if row.poll for name in row.needs]
+        rows += filter(None, map(self.profile.find, needs))
+        return list({row.name: cast(R, row) for row in rows}.values())
 
     def value(self, row: R) -> float:
-        """The value of ``row`` in its unit."""
+        """The value of ``row`` in its unit. Raises as ``value_in``."""
         if row.access == "w":
             raise LimitError(self.who, f"{row.name} is a command, and can't be read")
-        return self.decode(row, self.ask(row))
+        if row.needs and not row.poll:  # in what its number counts
+            self.check_needs(row)
+        return self.value_in(row, self.ask(row))
+
+    def value_in(self, row: R, raw: Raw) -> float:
+        """The value in what came for ``row``. Raises ProtocolError for one that no device has."""
+        value = self.decode(row, raw)
+        if not row.is_possible(value):
+            what = f"what came for its {row.name} is no value of a device"
+            hint = "Another family or model than the profile's?"
+            seen = raw if isinstance(raw, str) else " ".join(f"{word:04X}" for word in raw)
+            raise ProtocolError(self.who, what, asked=self.asking(row), seen=seen, hint=hint)
+        return value
+
+    def check_needs(self, row: R) -> None:
+        """Raise DeviceError where another row does not show what ``row`` needs."""
+        for name, label in row.needs.items():
+            other = cast("R | None", self.profile.find(name))
+            if other is None or not self.may_ask(other):
+                continue
+            try:
+                seen = self.value(other)
+            except RefusedError:
+                if other.optional:
+                    continue
+                raise
+            if seen != other.codes[label]:
+                raise self.not_met(row, other, label, seen)
+
+    def not_met(self, row: Quantity, other: Quantity, label: str, seen: float) -> DeviceError:
+        """The error of ``row``, which needs ``label`` of a row that shows ``seen``."""
+        what = f"the {row.name} needs {other.name} = {label}"
+        hint = f"{other.meaning[:1].upper()}{other.meaning[1:]}. " if other.meaning else ""
+        hint += "Change it at the controller."
+        return DeviceError(self.who, what, asked=other.name, seen=other.label(seen), hint=hint)
 
     def as_written(self, row: R, value: float) -> float:  # noqa: ARG002 - registers round it
         """What ``row`` can hold of ``value``."""
@@ -179,18 +254,35 @@ class Access(ABC, Generic[R]):
         wanted = self.as_written(row, value)
         return seen == wanted or abs(seen - wanted) <= max(row.tolerance, 1e-9)
 
+    def rows_to_try(self) -> Sequence[R]:
+        """The rows of a profile that is being made, as the model has them if that is known."""
+        return cast("Sequence[R]", self.profile.rows)
+
     def tried(self, row: R) -> Tried:
         """Ask for ``row``, whatever its evidence; writes nothing. Raises BrokenError."""
         if row.access == "w":
             return Tried(row.name, row.evidence, NOT_READ, answered=False, said="not tried")
+        value = math.nan
         try:
-            answered, said = True, self.try_row(row)
+            answered, (value, said) = True, self.try_row(row)
         except BrokenError:
             raise
         except InstrumentError as error:
             seen = error.seen if isinstance(error.seen, str) else hex_bytes(error.seen or b"")
             answered, said = False, f"{error.what} (got {seen})" if error.seen else error.what
-        return Tried(row.name, row.evidence, self.asking(row), answered, said)
+        sensible = answered and self._makes_sense(row, value)
+        if answered and not sensible:
+            said = f"can't be its value (got {said.rpartition('(got ')[2]}"
+        elif answered and row.by_model and row.name in self.absent:
+            sensible = False
+            said += f"; models differ here, and {self.absent[row.name]}: see [[models]]"
+        return Tried(row.name, row.evidence, self.asking(row), answered, said, sensible)
+
+    def _makes_sense(self, row: R, value: float) -> bool:
+        """Whether ``value`` can be what ``row`` shows: a bath's temperature, a part of 100 %."""
+        if row.poll and row.unit == "degC" and not math.isnan(value):
+            return self.assembler.is_plausible(value)
+        return row.is_possible(value)
 
     def shown(self, row: R, value: float) -> str:
         """``value`` with its label or unit. Raises ProtocolError for a code that it hasn't."""
@@ -202,8 +294,12 @@ class Access(ABC, Generic[R]):
         return f"{row.label(value)} {row.unit}".strip()
 
     def row(self, name: str) -> R:
-        """The row called ``name``. Raises LimitError where the family has none."""
+        """The row called ``name``. Raises LimitError where the family or the model has none."""
         row = self.profile.find(name)
+        if name in self.absent:
+            what = f"'{name}' is not offered by this model: {self.absent[name]}"
+            hint = "'teatbench bath learn' shows what it answers, row by row."
+            raise LimitError(self.who, what, hint=hint)
         if row is None:
             names = ", ".join(sorted(known.name for known in self.profile.rows))
             what = f"{self.profile.family} has no '{name}'"
@@ -225,10 +321,45 @@ class Access(ABC, Generic[R]):
                 "Check it on the controller, then set [bath] allow_inferred = true in the rig file."
             )
             raise LimitError(self.who, what, hint=hint)
+        standby = row.name == "run" and value == row.values.get("standby")
+        if self.unit_unknown and not (self.unit_confirmed or standby or row.name == WATCHDOG):
+            raise self.unconfirmed()
         return value
 
+    @property
+    def unit_unknown(self) -> bool:
+        """Whether nothing tells the unit of its numbers."""
+        profile = self.profile
+        if not isinstance(profile, Profile) or profile.number_unit.fixed:
+            return False
+        return not any(self.may_ask(cast(R, row)) for row in profile.unit_rows)
+
+    @property
+    def unit_source(self) -> str:
+        """How the unit of its numbers is known."""
+        number_unit = cast(Profile, self.profile).number_unit
+        if number_unit.fixed:
+            return f"{number_unit.fixed}, by its protocol"
+        if not self.unit_unknown:
+            return "degC, as it shows itself"
+        return "degC, as a person saw" if self.unit_confirmed else "not told by the controller"
+
+    def unconfirmed(self) -> LimitError:
+        """The error of a write before a person has confirmed the unit."""
+        note = cast(Profile, self.profile).number_unit.note
+        what = "not written: nothing tells whether its numbers are degC"
+        hint = (
+            "Compare its display with 'teatbench bath read'. Where both show the same, in degC,"
+            " give 'bath set' what the display shows (--display 21.4), or write the day into"
+            ' [bath] of the rig file: unit_confirmed = "2026-11-20".'
+        )
+        return LimitError(self.who, f"{what} ({note})" if note else what, hint=hint)
+
     def set(self, row: R, value: float) -> None:
-        """Write ``value`` where ``row`` has another, and read it back; a command in any case."""
+        """Write ``value`` where ``row`` has another, and read it back; a command in any case.
+        Raises DeviceError where another row is not as ``row`` needs it.
+        """
+        self.check_needs(row)
         if row.access == "w" or not self.stands(row, value, self.value(row)):
             self.send(row, value)
 
@@ -252,6 +383,21 @@ class Access(ABC, Generic[R]):
             seen=f"{row.name} = {row.label(seen)}",
             hint=hint,
         )
+
+    def run_rows(self) -> Sequence[R]:
+        """Rows that may be its run, while its model is not known."""
+        return [self.row("run")]
+
+    def stand_by(self) -> None:
+        """Standby at once, identified or not. Raises as `send`."""
+        first, *others = self.run_rows()
+        try:
+            self.send(first, first.values["standby"], urgent=True)
+        except RefusedError:
+            if not others:
+                raise
+            for row in others:
+                self.send(row, row.values["standby"], urgent=True)
 
     def _check(self, identity: Identity) -> None:
         """Raise DeviceError where a row shows another family."""

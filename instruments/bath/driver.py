@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar, cast
 
 from instruments.bath.access import Access, Tried
 from instruments.bath.line_access import LineAccess
@@ -36,6 +36,7 @@ from instruments.link import Tap
 FUTILE_S = 20.0
 SAFE_TRIES = 3
 HEATS_NOT = (PUMP, WATCHDOG)  # rows whose writing heats nothing
+DISPLAY_K = 0.5  # how far a display may be from what came over the wire
 
 T = TypeVar("T")
 Rows = Access[Any]
@@ -54,8 +55,10 @@ class Bath:
     """The controller at ``url``, connected and identified; may be shared by threads. Calls raise
     LinkError, ProtocolError, DeviceError, LimitError. The next call opens a broken link again, and
     identifies the controller. ``identify`` False: identified by the first call but ``safe``.
-    ``allow_inferred``: rows whose evidence is INFERRED are polled and written. ``before_heating``
-    is called before anything is written that may heat; what it raises keeps that from being sent.
+    ``allow_inferred``: rows whose evidence is INFERRED are polled and written. ``unit_confirmed``:
+    where nothing tells the unit of its numbers, a person has seen that they are degC.
+    ``before_heating`` is called before anything is written that may heat; what it raises keeps that
+    from being sent.
     """
 
     safe_state: ClassVar[str] = (
@@ -69,11 +72,13 @@ class Bath:
         clock: Clock,
         *,
         allow_inferred: bool = False,
+        unit_confirmed: bool = False,
         identify: bool = True,
         tap: Tap | None = None,
         pump: PumpAt | None = None,
     ) -> None:
         self.url, self.pump_url = url, pump.url if pump else ""
+        self._pump = pump
         self.profile = _with_pump(profile, pump.profile) if pump else profile
         self.who = f"bath at {url}"
         self._lock = threading.RLock()
@@ -83,6 +88,7 @@ class Bath:
                 self._rows: Rows = LineAccess(url, profile, clock, **given)
             case RegisterProfile():
                 self._rows = RegisterAccess(url, profile, clock, **given)
+        self._rows.unit_confirmed = unit_confirmed
         self._wire = self._rows.wire
         self._relay: RegisterAccess | None = None
         if pump:  # on the controller's link where it is on the same line, and that is Modbus
@@ -96,7 +102,7 @@ class Bath:
         self.watched = True  # whether its own watchdog is set, where it has one
         self.watchdog_s: float | None = None  # set by us, and read back
         self._found_s: float | None = None  # what it was set to before
-        self._started = False
+        self._started = self._restarted = False
         self._times_made_safe = 0
         if identify:
             self._identify()
@@ -137,7 +143,8 @@ class Bath:
         clock, answered = self._rows.clock, False
         until_s = clock.now() + FUTILE_S
         with self._lock:
-            for row in self._rows.profile.rows:
+            self._connect()
+            for row in self._rows.rows_to_try():
                 self._connect()
                 yield (one := self._rows.tried(row))
                 answered = (answered or one.answered) and not self.doubt
@@ -169,14 +176,38 @@ class Bath:
         """Clear the latched alarms. Raises LimitError where the family has no such command."""
         self.set("acknowledge", "acknowledge")
 
+    @property
+    def unit_source(self) -> str:
+        """How it is known that its numbers are degC."""
+        return self._rows.unit_source
+
+    def confirm_unit(self, display_c: float) -> None:
+        """A person reads ``display_c`` on the controller's display, in degC. Raises DeviceError
+        where the numbers on the wire say another temperature.
+        """
+        if not self._rows.unit_unknown:
+            return
+        temp_c = self.read().temp_c
+        if abs(temp_c - display_c) > DISPLAY_K:
+            what = "its display and its numbers on the wire differ: they are not both degC"
+            seen, asked = f"{temp_c:g}", f"{display_c:g} degC on its display"
+            hint = "Set the controller to degrees Celsius, and read its display again."
+            raise DeviceError(self.who, what, asked=asked, seen=seen, hint=hint)
+        self._rows.unit_confirmed = True
+
+    def check_start(self, set_point_c: float) -> None:
+        """Raise LimitError where it may not be started at ``set_point_c``; asks nothing."""
+        self._rows.allowed(self._rows.row("set_point"), set_point_c)
+
     def start(self, set_point_c: float) -> None:
         """Heat to ``set_point_c``: no alarm, the set point, then run (fact sheet, 4.1.6). A pump
         with its own switch has to be on already.
         """
-        self._rows.allowed(self._rows.row("set_point"), set_point_c)
+        self.check_start(set_point_c)
         self._begin_heating()
         with self._lock:
             made_safe = self._times_made_safe
+            self._started = False  # what has become of an earlier start does not matter now
             reading = self.read()
             if reading.alarm:
                 what = f"not started: {self.profile.alarm_text(reading.alarm)}"
@@ -192,7 +223,7 @@ class Bath:
             try:
                 if self._times_made_safe == made_safe:  # no event of virtual time has made safe
                     self.set("run", "started")
-                    self._started = True
+                    self._started, self._restarted = True, bool(reading.restarted)
             finally:
                 overruled = self._times_made_safe != made_safe
                 if overruled:
@@ -211,14 +242,13 @@ class Bath:
         """Standby at once, in any state, and read back; tried 3 times. Raises the last error: then
         it must be switched off by hand.
         """
-        run = self._rows.row("run")
         with self._lock:
             self._started = False
             self._times_made_safe += 1
             for tries_left in reversed(range(SAFE_TRIES)):
                 self._connect()
                 try:  # not identified: a wrong unit or an alarm must not keep the heater on
-                    self._rows.send(run, run.values["standby"], urgent=True)
+                    self._rows.stand_by()
                 except InstrumentError:
                     self._wire.close()
                     if not tries_left:
@@ -328,11 +358,19 @@ class Bath:
         self._connect()
         try:
             reading, self._identity = self._rows.identify()
+            self.profile = self._offered()
             self._check_running(reading)
         except BaseException:
             self._rows.known = False
             self._wire.close()
             raise
+
+    def _offered(self) -> Profile:
+        """The profile with the rows that this model offers, and its pump's relay."""
+        known, absent = cast(Profile, self._rows.profile), self._rows.absent
+        rows = tuple(row for row in known.rows if row.name not in absent)
+        offered = known.model_copy(update={"rows": rows})
+        return _with_pump(offered, self._pump.profile) if self._pump else offered
 
     def _read(self) -> BathReading:
         reading = self._rows.poll()
@@ -346,10 +384,18 @@ class Bath:
         return self._rows
 
     def _check_running(self, reading: BathReading) -> None:
-        if self._started and reading.running is False:
-            self._started = False
-            what, hint = "it has stopped by itself: a power cut?", "Start it anew."
-            raise DeviceError(self.who, what, asked="run", seen="standby", hint=hint)
+        if not self._started:
+            return
+        why = seen = ""
+        if reading.restarted and not self._restarted:
+            why, seen = "it was without power: it has restarted and lost its set point", "restarted"
+        elif reading.running is False:
+            why, seen = "it has stopped by itself: a power cut?", "standby"
+        elif reading.not_met:
+            why, seen = "it is not set as its set point needs it any more", reading.not_met
+        if why:
+            self._started = reading.running is not False  # or a person has to start it anew
+            raise DeviceError(self.who, why, asked="run", seen=seen, hint="Start it anew.")
 
 
 def _with_pump(profile: Profile, pump: RelayProfile) -> Profile:

@@ -18,6 +18,7 @@ from instruments.bath.profile import PUMP, RegisterProfile, RelayProfile, Wiring
 from instruments.bath.protocol import Exchange, Frame, Plain, Read, Refused, Write
 from instruments.bath.register_semantics import Behaviour, Cells, Controller, Values, behaviour_of
 from instruments.bath.rows import Row
+from instruments.bath.witness import device_of
 from instruments.clock import Clock
 from instruments.listener import Connection
 from instruments.world.plant import Plant
@@ -29,7 +30,12 @@ LATE_S = 1.5
 POWER_CUT, RESET = "power cut", "controller reset"
 WIRE_FAULTS = ("silence", "busy", "wrong length", "surplus", "late answer", "garbage", "bad CRC")
 RELAY_FAULTS = (*WIRE_FAULTS, POWER_CUT)
-SETTING_FAULTS = {"fahrenheit": "fahrenheit", "word order": "turned", "manual mode": "manual_mode"}
+SETTING_FAULTS = {
+    "fahrenheit": "fahrenheit",
+    "word order": "turned",
+    "manual mode": "manual_mode",
+    "external control": "external_control",
+}
 LOW_LEVEL = "low level"
 PLANT_FAULTS = {
     "sensor break": "broken_sensor",
@@ -244,9 +250,9 @@ class Server(Emulator):
 
 
 class BathEmulator(Server):
-    """Serves ``plant`` as a controller of ``profile``'s family; where the family has no pump, a
-    relay switches the plant's. ``as_shipped``: in the factory's unit. The fault "controller reset"
-    ends by itself.
+    """Serves ``plant`` as a controller of ``profile``'s family, laid out as the family's witness
+    has it; where the family has no pump, a relay switches the plant's. ``as_shipped``: in the
+    factory's unit. The fault "controller reset" ends by itself.
     """
 
     known_faults: ClassVar[tuple[str, ...]] = FAULTS
@@ -265,9 +271,11 @@ class BathEmulator(Server):
         as_shipped: bool = False,
     ) -> None:
         behaviour = behaviour_of(profile)
-        panel = Controller(plant, profile, behaviour, unit_id or profile.unit_id)
+        device = device_of(profile)
+        panel = Controller(plant, device, behaviour, unit_id or profile.unit_id)
         panel.fahrenheit = as_shipped and behaviour.fahrenheit_as_shipped
-        super().__init__(plant, profile, clock, behaviour, panel, unit_id, framing)
+        super().__init__(plant, device, clock, behaviour, panel, unit_id, framing)
+        self.profile = profile
         plant.fit(circulator=profile.capabilities.pump == "with run")
 
     def plain(self, request: Plain) -> bytes:
@@ -276,7 +284,7 @@ class BathEmulator(Server):
             if len(request.body) != 4 or request.body[:2] != b"\0\0":
                 raise Refused(protocol.ILLEGAL_VALUE)
             return bytes((request.function,)) + request.body
-        status = self.profile.find("status")
+        status = self.panel.profile.find("status")
         return bytes((request.function, self.panel.words(status)[0] & 0xFF if status else 0))
 
 

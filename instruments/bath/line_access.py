@@ -16,13 +16,20 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import ClassVar, cast
 
-from instruments.bath.access import Access, Raw
-from instruments.bath.profile import LineProfile, line_to
+from instruments.bath.access import NO_VALUE, Access, Raw
+from instruments.bath.checksums import checked, summed
+from instruments.bath.profile import LineProfile, Model, line_to
 from instruments.bath.reading import BathReading
 from instruments.bath.rows import LineRow, fits
 from instruments.bath.session import BrokenError, RefusedError, Session
 from instruments.clock import Clock
-from instruments.errors import DeviceError, LimitError, LinkError, ProtocolError
+from instruments.errors import (
+    DeviceError,
+    InstrumentError,
+    LimitError,
+    LinkError,
+    ProtocolError,
+)
 from instruments.link import Tap
 
 ASKS = 4  # of one command, until two replies in a row agree
@@ -59,17 +66,21 @@ class Lines(Session):
     def begin(self) -> None:
         self._buffer = b""
         self._open: Question | None = None  # a reply to it is awaited
+        self._damaged = ""  # a line since then whose check sum is wrong
         self.in_step = False
 
     def take(self, data: bytes) -> None:
         """Lines; one that is not awaited is dropped, and shows that we are out of step."""
         self._buffer += data
         while self._reply_end in self._buffer:
-            line, self._buffer = self._buffer.split(self._reply_end, 1)
-            if self._open and self._open.reply is None:
-                self._open.reply = line.decode("ascii", errors="replace").strip()
+            raw, self._buffer = self._buffer.split(self._reply_end, 1)
+            line = raw.decode("ascii", errors="replace").strip()
+            content = checked(line, self._profile.checksum, self._profile.checksum_skip)
+            if self._open and self._open.reply is None and content is not None:
+                self._open.reply = content.strip()
             else:
                 self.in_step = False
+                self._damaged = line if content is None else ""
         if len(self._buffer) > LONGEST:
             self._buffer, self.in_step = b"", False
 
@@ -79,8 +90,9 @@ class Lines(Session):
         self._wait(question)
         if question.reply is None:
             self.in_step = False
-            seen, self._buffer = self._buffer, b""
+            seen, self._buffer = self._buffer or self._damaged.encode(), b""
             what = "only a part of an answer came" if seen else "no answer"
+            what = "the check sum of its answer is wrong" if self._damaged else what
             took_s = self.clock.now() - question.sent_s
             hint = "Is the controller on, and are the rate, the parity and the cable right?"
             raise LinkError(
@@ -116,11 +128,12 @@ class Lines(Session):
         link = self.up()
         if self.drop_unasked(link):
             self.in_step = False
-        self._buffer = b""
+        self._buffer, self._damaged = b"", ""
         question = Question(command, self.clock.now())
         self._open = question if answered else None
+        line = summed(command, self._profile.checksum, self._profile.checksum_skip)
         try:
-            link.write(command.encode("ascii") + self._end)
+            link.write(line.encode("ascii") + self._end)
         except LinkError as error:
             raise self.broken("the link broke", command) from error
         return question
@@ -141,6 +154,7 @@ class LineAccess(Access[LineRow]):
     """The rows of ``profile`` at ``url``. Raises LinkError for a URL that the family can't have."""
 
     SHOWN: ClassVar[tuple[str, ...]] = ("version", "model", "firmware", "cut_out")
+    SHOWS_ABSENCE: ClassVar[tuple[type[InstrumentError], ...]] = (RefusedError, LinkError)
     remote: ClassVar[str] = "remote control"
     profile: LineProfile
     wire: Lines
@@ -157,32 +171,48 @@ class LineAccess(Access[LineRow]):
     ) -> None:
         wire = Lines(url, profile, clock, who=who, tap=tap)
         super().__init__(url, profile, wire, who=who, allow_inferred=allow_inferred)
+        self._family = profile
         self._marker = profile.row(profile.marker)
         self._mark = ""  # what the marker answers
         self._said: list[str] = []  # of rows that were tried
-        self._absent: set[str] = set()  # optional rows that it does not answer
 
     def detect_format(self) -> None:
+        """Learn which model of the family it is, and take its rows."""
         self._find_mark()
-        self._absent = set()
+        self._take_model(next((one for one in self._family.models if self._is_model(one)), None))
 
     def first_poll(self) -> BathReading:
         """Without the rows that the model does not answer."""
-        rows = (*self._polled, *filter(None, map(self.profile.find, self.SHOWN)))
-        optional = [row for row in rows if row.optional and self.may_ask(row)]
-        self._absent = {row.name for row in optional if self._is_absent(row)}
+        self.look_for(self.looked_for)
         return self.poll_now()
 
     @property
     def detected(self) -> Mapping[str, str]:
-        return {"not answered": ", ".join(sorted(self._absent))} if self._absent else {}
+        return {}
+
+    def _is_model(self, model: Model) -> bool:
+        if not model.unanswered:
+            return model.fits(self._mark)
+        try:
+            self.replies([self._family.row(model.unanswered)])
+        except BrokenError:
+            raise
+        except (LinkError, RefusedError):
+            return True
+        return False
+
+    def _take_model(self, model: Model | None) -> None:
+        self.profile = self._family.of_model(model)
+        self.__dict__.pop("assembler", None)  # of another profile
+        here = {row.name for row in self.profile.rows}
+        why = f"the profile knows no model that says {self._mark!r}"
+        why = f"the profile says so of {self._mark!r}" if model else why
+        gone = (row.name for row in self._family.rows if row.name not in here)
+        self.absent = dict.fromkeys(gone, why)
 
     @property
     def _polled(self) -> list[LineRow]:
         return [row for row in self.profile.rows if row.poll and self.may_ask(row)]
-
-    def may_ask(self, row: LineRow) -> bool:
-        return row.name not in self._absent and super().may_ask(row)
 
     def fetch(self, start_s: float) -> Mapping[str, Raw]:
         rows = self._polled
@@ -198,14 +228,21 @@ class LineAccess(Access[LineRow]):
             raise LimitError(self.who, f"{row.name} is a text, and has no value")
         return self.replies([row])[row.ask]
 
+    def probe(self, row: LineRow) -> object:
+        return self.replies([row])
+
     def decode(self, row: LineRow, raw: Raw) -> float:
         return row.decode(cast(str, raw))
+
+    def as_written(self, row: LineRow, value: float) -> float:
+        return row.sent(value)
 
     def write(self, row: LineRow, value: float, *, urgent: bool) -> None:
         if not urgent:
             self._come_in_step()
-        self._send(row, row.command(value), urgent=urgent)
-        self.clock.sleep(self.profile.settle_s)
+        if command := row.command(value):
+            self._send(row, command, urgent=urgent)
+            self.clock.sleep(self.profile.settle_s)
 
     def _send(self, row: LineRow, command: str, *, urgent: bool) -> None:
         """Send a write, and take its answer."""
@@ -252,7 +289,22 @@ class LineAccess(Access[LineRow]):
     def asking(self, row: LineRow) -> str:
         return repr(row.ask)
 
-    def try_row(self, row: LineRow) -> str:
+    def run_rows(self) -> Sequence[LineRow]:
+        if self.known:
+            return super().run_rows()
+        others = (self._family.of_model(one) for one in self._family.models if "run" in one.rows)
+        return [self._family.row("run"), *(other.row("run") for other in others)]
+
+    def rows_to_try(self) -> Sequence[LineRow]:
+        try:
+            self.detect_format()
+        except BrokenError:
+            raise
+        except InstrumentError:  # the marker may be what is not known yet
+            self._take_model(None)
+        return [self.profile.find(row.name) or row for row in self._family.rows]
+
+    def try_row(self, row: LineRow) -> tuple[float, str]:
         wire = self.wire
         if not wire.in_step:  # the marker may be among what is not known yet
             wire.become_quiet(self.clock.now() + SYNC_S)
@@ -263,27 +315,20 @@ class LineAccess(Access[LineRow]):
             self.doubt = f"{reply!r} is the reply to each of {len(self._said)} commands"
         else:
             self.doubt = ""
-        if reply in self.profile.refusals or not row.understands(reply):
+        if self._refuses([row], reply) or not row.understands(reply):
             forms = " or ".join(map(repr, (*row.forms, *row.absent)))
             raise self._no(f"the profile expects {forms}", row.ask, reply)
-        meaning = "text" if row.is_text else self.shown(row, row.decode(reply))
-        return f"{meaning} (got {reply!r})"
+        value = row.decode(reply)
+        meaning = "text" if row.is_text else self.shown(row, value)
+        return value, f"{meaning} (got {reply!r})"
 
     def show(self, rows: Sequence[LineRow]) -> Iterator[str]:
         lines = self.replies(rows) if rows else {}
         for row in rows:
             line = lines[row.ask]
-            yield line if row.is_text else f"{row.decode(line):g} {row.unit}".strip()
-
-    def _is_absent(self, row: LineRow) -> bool:
-        """Whether an optional row is not answered, or refused."""
-        try:
-            self.replies([row])
-        except BrokenError:
-            raise
-        except (LinkError, RefusedError):
-            return True
-        return False
+            value = row.decode(line)
+            number = self.shown(row, value) if row.is_possible(value) else NO_VALUE
+            yield row.text(line) if row.is_text else number
 
     def _rows_of(self, command: str) -> Sequence[LineRow]:
         return [row for row in self.profile.rows if row.ask == command]
@@ -294,9 +339,14 @@ class LineAccess(Access[LineRow]):
     def _understood(self, command: str) -> str:
         """The reply to ``command``, once."""
         reply = self.wire.ask(command)
-        if reply in self.profile.refusals or not self._fits_all(command, reply):
+        if self._refuses(self._rows_of(command), reply) or not self._fits_all(command, reply):
             raise self._no("what came is no answer to this", command, reply)
         return reply
+
+    def _refuses(self, rows: Sequence[LineRow], reply: str) -> bool:
+        """Whether ``reply`` refuses, and is no value of ``rows`` itself, as a status may be."""
+        value = rows and all(not row.is_text and row.understands(reply) for row in rows)
+        return not value and self.profile.refusal(reply) is not None
 
     def _sure(self, command: str) -> str:
         """The reply to ``command``, the same twice in a row for each of its rows."""
@@ -310,7 +360,7 @@ class LineAccess(Access[LineRow]):
         raise self._unexpected(what, command, before)
 
     def _expect_mark(self) -> None:
-        reply = self.wire.ask(self._marker.ask)
+        reply = self._marker.text(self.wire.ask(self._marker.ask))
         if reply != self._mark:
             what = "an answer came twice, late or changed: nothing of it is used"
             raise self._unexpected(what, self._marker.ask, reply)
@@ -348,25 +398,26 @@ class LineAccess(Access[LineRow]):
         first, mark = self.wire.ask(self._marker.ask), ""
         for _ in range(ASKS):
             mark = self.wire.ask(self._marker.ask)
-            if mark == first:
+            if self._marker.text(mark) == self._marker.text(first):
+                first = mark
                 break
             first = mark
         others = {row.ask for row in self.profile.rows if row.ask and not row.is_text}
         others -= {self._marker.ask}
         like = next((ask for ask in others if self._fits_all(ask, mark)), "")
-        refused = mark in self.profile.refusals
+        refused = self.profile.refusal(mark) is not None
         if mark != first or refused or like or not self._marker.understands(mark):
             self.wire.in_step = False
             why = f", it may be the answer to {like}" if like else ""
             what = f"its {self._marker.name} is none of a {self.profile.family}{why}"
             hint = "Is it another family, or set to another rate or parity?"
             raise DeviceError(self.who, what, asked=self._marker.ask, seen=mark, hint=hint)
-        self._mark = mark
+        self._mark = self._marker.text(mark)
 
     def _no(self, what: str, command: str, reply: str) -> DeviceError | ProtocolError:
         """The error of a reply that refuses ``command``, or else is wrong."""
-        if reply in self.profile.refusals:
-            what = f"refused: {self.profile.refusals[reply]}"
+        if meaning := self.profile.refusal(reply):
+            what = f"refused: {meaning}"
             return RefusedError(self.who, what, asked=command, seen=reply)
         return self._unexpected(what, command, reply)
 

@@ -17,7 +17,8 @@ LEAST_C, MOST_C = -50.0, 300.0
 class Dialect:
     """A circulator's panel over ``plant``. ``READS``: its queries; ``RUNS``: commands that start
     and stop it; ``SETS``: the beginning of the set point's command. ``DONE``, ``WRONG``,
-    ``OUTSIDE``, ``UNKNOWN``: its replies.
+    ``OUTSIDE``, ``UNKNOWN``: its replies. Set at the panel: ``fahrenheit``, ``manual_mode``,
+    ``external_control`` (by the external sensor). ``restarted``: it was without power.
     """
 
     end: bytes = b"\r"
@@ -32,7 +33,7 @@ class Dialect:
 
     def __init__(self, plant: Plant) -> None:
         self.plant = plant
-        self.manual_mode = self.fahrenheit = False
+        self.manual_mode = self.fahrenheit = self.external_control = self.restarted = False
         self.watchdog_s = 0.0  # without a command for so long, it stops; 0: never
         self._shipped_c = plant.set_point_c
         self._last_c = plant.pv_c
@@ -60,6 +61,7 @@ class Dialect:
 
     def reset(self) -> None:
         """Power off and on: in standby, with the set point as shipped."""
+        self.restarted = True
         self.plant.standby()
         self.plant.set_point_c = self._shipped_c
 
@@ -102,9 +104,11 @@ class Dialect:
 
 
 class Julabo(Dialect):
-    """JULABO's interface commands (SL/HL manual, chapter 12). An out command has no answer, acts in
-    remote control only, and what is wrong with it shows in the next answer to ``status``. Chosen:
-    no answer to an unknown command.
+    """JULABO's interface commands (SL/HL manual, chapter 12; CF31 manual). An out command has no
+    answer, acts in remote control only, and what is wrong with it shows in the next answer to
+    ``status``. What ``version`` says chooses the model: a FP50 has power and external sensor the
+    other way round and lacks some, a FP51-SL tells its unit. A query that it does not know is
+    answered with INVALID COMMAND (FIELD).
     """
 
     ALARMS: ClassVar[dict[str, str]] = {
@@ -122,7 +126,7 @@ class Julabo(Dialect):
     INVALID, NOT_NOW = "-08 INVALID COMMAND", "-09 COMMAND NOT ALLOWED IN CURRENT OPERATING MODE"
     TOO_SMALL, TOO_LARGE = "-10 VALUE TOO SMALL", "-11 VALUE TOO LARGE"
     READS: ClassVar[Mapping[str, Callable[[Any], str]]] = {
-        "version": lambda on: on.VERSION,
+        "version": lambda on: on.version,
         "status": lambda on: on.status(),
         "in_pv_00": lambda on: f"{on.bath:.2f}",
         "in_pv_01": lambda on: f"{on.plant.power_percent:.0f}",
@@ -131,19 +135,66 @@ class Julabo(Dialect):
         "in_pv_04": lambda on: f"{on.shown(on.plant.constants.cut_out_c):.1f}",
         "in_sp_00": lambda on: f"{on.aim:.2f}",
         "in_sp_07": lambda on: f"{on.stage}",
-        "in_mode_04": lambda _: "0",
+        "in_mode_04": lambda on: f"{int(on.external_control)}",
         "in_mode_05": lambda on: f"{int(on.plant.running)}",
     }
-    VERSION = "JULABO SL-12 V 4.0"
+    STORED: ClassVar[Mapping[str, str]] = {  # as shipped: set points, limits, modes, parameters
+        "in_sp_01": "25.00",
+        "in_sp_02": "30.00",
+        "in_sp_03": "100.00",
+        "in_sp_04": "0.00",
+        "in_sp_05": "0.00",
+        "in_sp_06": "0.00",
+        "in_sp_08": "0",
+        "in_hil_00": "0",
+        "in_hil_01": "100",
+        "in_mode_01": "0",
+        "in_mode_02": "0",
+        "in_mode_03": "0",
+        "in_mode_08": "0",
+        "in_par_00": "0.00",
+        "in_par_01": "60",
+        "in_par_02": "22",
+        "in_par_03": "300",
+        "in_par_04": "0.0",
+        "in_par_05": "5.0",
+        "in_par_06": "1.0",
+        "in_par_07": "1200",
+        "in_par_08": "20",
+        "in_par_09": "1.0",
+        "in_par_10": "1.0",
+        "in_par_11": "300",
+        "in_par_12": "20",
+        "in_par_13": "100.00",
+        "in_par_14": "0.00",
+        "in_par_15": "100",
+        "in_par_16": "100",
+    }
+    version = "JULABO FP51-SL V 4.0"
     rejected = ""
     stage = 4
 
+    def __init__(self, plant: Plant) -> None:
+        super().__init__(plant)
+        self.stored = dict(self.STORED)
+
     def answer(self, command: str) -> str | None:
         word, _, parameter = command.partition(" ")
-        if read := self.READS.get(word.lower()):
-            return read(self)
-        self.rejected = self._set(word.lower(), parameter.strip())
+        word = word.lower()
+        if word in self.READS or word.startswith("in_"):
+            return self._said(word)
+        self.rejected = self._set(word, parameter.strip())
         return None
+
+    def _said(self, word: str) -> str:
+        if "FP50" in self.version:
+            swapped = {"in_pv_01": "in_pv_02", "in_pv_02": "in_pv_01"}
+            word = {"in_pv_03": "", "in_pv_04": "", **swapped}.get(word, word)
+        if word == "in_sp_06" and "FP51" in self.version:
+            return f"{int(self.fahrenheit)}"
+        if read := self.READS.get(word):
+            return read(self)
+        return self.stored.get(word, self.INVALID)
 
     def status(self) -> str:
         if self.rejected:
@@ -155,12 +206,16 @@ class Julabo(Dialect):
 
     def _set(self, word: str, parameter: str) -> str:
         """What is wrong with an out command; "" where it was done."""
-        if word not in ("out_sp_00", "out_sp_07", "out_mode_05"):
+        read = word.replace("out_", "in_", 1)
+        if not word.startswith("out_") or read not in {**self.READS, **self.stored}:
             return self.INVALID
         if not NUMBER.fullmatch(parameter):
             return self.INVALID
         if self.manual_mode:
             return self.NOT_NOW
+        return self._take(word, read, parameter)
+
+    def _take(self, word: str, read: str, parameter: str) -> str:
         value = float(parameter)
         if word == "out_sp_00":
             if not self.set_point(temp_c := self.meant_c(value)):
@@ -170,8 +225,12 @@ class Julabo(Dialect):
                 return self.TOO_LARGE if value > 4 else self.TOO_SMALL
             self.stage = int(value)
             self.plant.set_flow(self.plant.constants.flow_l_per_min * self.stage / 4)
-        elif parameter not in ("0", "1"):
+        elif read in self.stored:
+            self.stored[read] = parameter
+        elif word not in ("out_mode_04", "out_mode_05") or parameter not in ("0", "1"):
             return self.INVALID
+        elif word == "out_mode_04":
+            self.external_control = parameter == "1"
         else:
             self.run(on=parameter == "1")
         return ""
@@ -193,9 +252,19 @@ class Lauda(Dialect):
         "STATUS": lambda on: "-1" if on.plant.alarm or on.missed_host else "0",
         "STAT": lambda on: on.stat(),
         "IN_PV_00": lambda on: on.fixed(on.bath),
+        "IN_PV_01": lambda on: on.fixed(on.teats if on.external_control else on.bath),
+        "IN_PV_02": lambda on: f"{0.4 * int(on.plant.running):.2f}",
         "IN_PV_03": lambda on: on.fixed(on.teats),
+        "IN_PV_10": lambda on: f"{on.bath:.3f}",
+        "IN_PV_13": lambda on: f"{on.teats:.3f}",
+        "IN_MODE_01": lambda on: f"{int(on.external_control)}",
         "IN_SP_00": lambda on: on.fixed(on.aim),
+        "IN_SP_01": lambda _: "004",
+        "IN_SP_02": lambda _: "002",
         "IN_SP_03": lambda on: on.fixed(on.shown(on.plant.constants.cut_out_c)),
+        "IN_SP_04": lambda on: on.fixed(on.shown(MOST_C)),
+        "IN_SP_05": lambda on: on.fixed(on.shown(LEAST_C)),
+        "IN_SP_07": lambda on: on.fixed(on.shown(20.0)),
         "IN_SP_08": lambda on: on.fixed(on.watchdog_s),
         "IN_MODE_02": lambda on: "0" if on.plant.running else "1",
     }
@@ -238,7 +307,8 @@ class Lauda(Dialect):
 
 class Huber(Dialect):
     """Huber's PB commands, by address; values are 0.01 degC, whatever the display shows. A write is
-    answered with the value as it is then, also where it was not taken. Chosen: the errors' numbers.
+    answered with the value as it is then, also where it was not taken. Chosen: the errors' numbers,
+    and that the bit of a restart stays until the next start.
     """
 
     end = reply_end = b"\r\n"
@@ -249,7 +319,16 @@ class Huber(Dialect):
         0x00: lambda on: round(100 * on.plant.set_point_c),
         0x01: lambda on: round(100 * on.temperature_c()),
         0x05: lambda on: on.ERRORS[on.plant.alarm] if on.plant.alarm else 0,
+        0x03: lambda on: 1000 + 400 * int(on.plant.running),
+        0x04: lambda on: round(on.plant.power_percent / 100.0 * on.plant.constants.heater_w),
         0x06: lambda _: 0,
+        0x0A: lambda on: on.status(),
+        0x0F: lambda _: 1000,
+        0x26: lambda on: 3200 * int(on.plant.running),
+        0x30: lambda _: round(100 * LEAST_C),
+        0x31: lambda _: round(100 * MOST_C),
+        0x48: lambda _: 3200,
+        0x5C: lambda _: 365,
         0x07: lambda on: round(100 * float(on.plant.teat_c.mean())),
         0x14: lambda on: int(on.plant.running),
         0x16: lambda on: int(on.plant.running),
@@ -270,12 +349,20 @@ class Huber(Dialect):
         if address == 0x00:
             self.set_point(value / 100.0)
         elif address == 0x14 and value in (0, 1):
+            self.restarted = self.restarted and value == 0
             self.run(on=value == 1)
+
+    def status(self) -> int:
+        """Bits: control, circulation, by the process sensor, pump, error, restarted."""
+        running = self.plant.running
+        places = {0: running, 1: running, 3: self.external_control, 4: running}
+        places |= {8: bool(self.plant.alarm), 13: self.restarted}
+        return sum(1 << place for place, true in places.items() if true)
 
 
 class Thermo(Dialect):
-    """Thermo Scientific's commands (ARCTIC manual, tables A-2 and A-3; the numbers of faults: a
-    driver that runs). Chosen: what is not understood has no answer.
+    """Thermo Scientific's commands (ARCTIC manual, tables A-2 and A-3; the numbers of faults:
+    NESLAB EX manual, p. B-5, d1 to d5). Chosen: what is not understood has no answer.
     """
 
     RUNS: ClassVar[Mapping[str, bool]] = {"SO 1": True, "SO 0": False}
@@ -294,9 +381,11 @@ class Thermo(Dialect):
         return f"{shown:.2f}{'F' if self.fahrenheit else 'C'}"
 
     def faults(self) -> str:
-        alarm = self.plant.alarm
+        alarm, running = self.plant.alarm, self.plant.running
+        second = 2 * int(self.external_control)
         third = {"level": 8, "over-temperature": 32}.get(alarm, 0)
-        return f"{128 if alarm == 'sensor' else 0} 0 {third} {8 * int(self.plant.running)} 64"
+        fourth = 8 * int(running) + 4 * int(running) + int(self.plant.power_percent > 0.0)
+        return f"{128 if alarm == 'sensor' else 0} {second} {third} {fourth} 64"
 
 
 class Haake(Dialect):
@@ -310,13 +399,24 @@ class Haake(Dialect):
         "R T1": lambda on: f"T1{on.bath:.2f}$",
         "R T3": lambda on: f"T3{on.teats:.2f}$",
         "R SW": lambda on: f"SW{on.aim:.2f}$",
+        "R HL": lambda on: f"HL{on.shown(MOST_C):.2f}$",
+        "R LL": lambda on: f"LL{on.shown(LEAST_C):.2f}$",
+        "R PF": lambda on: f"PF{100.0 * int(on.plant.running):.2f}$",
+        "R CC": lambda _: "CC0$",
+        "R FR": lambda _: "FR0$",
+        "R WD": lambda _: "WD0$",
+        "R WS": lambda on: f"WS{on.aim:.2f}$",
+        "R ZA": lambda _: "ZA0$",
+        "R ZB": lambda _: "ZB0$",
+        "R ZI": lambda _: "ZI0$",
         "R BS": lambda on: on.status(),
     }
 
     def status(self) -> str:
         alarm = self.plant.alarm
-        flags = (self.plant.running, False, False, alarm == "over-temperature", alarm == "level")
-        rest = (False, False, False, False, alarm == "level", alarm == "sensor", False)
+        hot, low = alarm == "over-temperature", alarm == "level"
+        flags = (self.plant.running, self.external_control, False, hot, low)
+        rest = (False, False, False, False, low, alarm == "sensor", False)
         return f"BS{''.join(str(int(flag)) for flag in (*flags, *rest))}$"
 
 
@@ -330,6 +430,9 @@ class PolyScience(Dialect):
         "RT": lambda on: f"{on.bath:+.2f}",
         "RR": lambda on: f"{on.teats:+.2f}",
         "RS": lambda on: f"{on.aim:+.2f}",
+        "RH": lambda on: f"{on.shown(MOST_C):+.0f}",
+        "RL": lambda on: f"{on.shown(LEAST_C):+.0f}",
+        "RM": lambda _: "100",
         "RO": lambda on: f"{int(on.plant.running)}",
         "RF": lambda on: f"{int(bool(on.plant.alarm))}",
         "RU": lambda on: "F" if on.fahrenheit else "C",

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import ClassVar, Literal
 
+from instruments.bath.checksums import checked, summed
 from instruments.bath.emulator import LOW_LEVEL, PLANT_FAULTS, RESET, SETTING_FAULTS, Emulator
 from instruments.bath.line_dialects import DIALECTS, Dialect
 from instruments.bath.profile import WATCHDOG, LineProfile
@@ -19,7 +20,7 @@ from instruments.listener import Connection
 from instruments.world.plant import Plant
 
 WIRE_FAULTS = ("silence", "late answer", "garbage", "cut answer", "doubled answer")
-SETTINGS = {name: SETTING_FAULTS[name] for name in ("fahrenheit", "manual mode")}
+SETTINGS = {name: at for name, at in SETTING_FAULTS.items() if name != "word order"}
 LINE_FAULTS = (*WIRE_FAULTS, RESET, *SETTINGS, *PLANT_FAULTS, LOW_LEVEL)
 RESET_S = 5.0
 LONGEST = 256  # bytes of a command, then they are dropped
@@ -67,9 +68,11 @@ class LineEmulator(Emulator):
                 continue
             self._heard_s = self._clock.now()
             self.plant.advance_to(self._heard_s)
-            answer = self.panel.answer(command.decode("ascii", errors="replace").strip("\r\n"))
+            how = self.profile.checksum, self.profile.checksum_skip
+            said = checked(command.decode("ascii", errors="replace").strip("\r\n"), *how)
+            answer = None if said is None else self.panel.answer(said)
             if answer is not None:
-                line = answer.encode("ascii") + self.panel.reply_end
+                line = summed(answer, *how).encode("ascii") + self.panel.reply_end
                 for name, damage in DAMAGES.items():
                     line = damage(line) if name in self._faults else line
                 self.send(connection, line)
@@ -113,16 +116,19 @@ class ByProfile(Dialect):
         self.reply_end = profile.reply_end.encode("ascii")
 
     def answer(self, command: str) -> str | None:
-        for row in self._profile.rows:
+        # a run that is read off the set point answers after that
+        rows = sorted(self._profile.rows, key=lambda row: row.above is not None)
+        for row in rows:
             if row.ask and row.ask.lower() == command.lower():
                 return self._said(row)
-        for row in self._profile.rows:
+        for row in rows:
             value = _told(row, command)
             if value is not None:
                 self._take(row, value)
                 confirm = self._profile.confirm if row.confirm is None else row.confirm
                 return confirm or None
-        return next(iter(self._profile.refusals), None)
+        refusal = next(iter(self._profile.refusals), None)
+        return refusal and refusal.replace("<number>", "1").replace("<text>", "no such command")
 
     def _said(self, row: LineRow) -> str:
         value = self._value(row)
@@ -130,11 +136,12 @@ class ByProfile(Dialect):
             if row.codes[label] == value:
                 return forms[0].replace("<text>", "OK").replace("<number>", f"{value:g}")
         raw = value / row.scale
-        decimals = 0 if row.values or row.alarm else row.decimals
         fields = {
-            "<number>": f"{raw:.{decimals}f}",
+            "<number>": f"{raw:.0f}" if row.alarm else row.digits(raw),
             "<hex>": f"{round(raw) & 0xFFFF:04X}",
             "<bits>": f"{int(value):08b}"[::-1],
+            "<bytes>": " ".join(map(str, int(value).to_bytes(5, "little"))),
+            "<word>": self._profile.family.replace(" ", "_"),
             "<text>": self._profile.family,
         }
         said = row.reply
@@ -175,6 +182,9 @@ class ByProfile(Dialect):
             self.run(on=value == row.values["started"])
         elif row.name == "set_point":
             self.plant.set_point_c = self.meant_c(value)
+            run = self._profile.row("run")
+            if run.above is not None:  # it controls always: a set point is its standby
+                self.run(on=value > run.above)
         elif row.name == WATCHDOG:
             self.watchdog_s = value
         else:

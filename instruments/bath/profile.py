@@ -14,10 +14,21 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 
+from instruments.bath.checksums import Checksum
 from instruments.bath.connection import MODBUS_PORT, Line, LineError, parse_line
-from instruments.bath.rows import Evidence, LineRow, Order, Quantity, Row, Strict, Table
+from instruments.bath.rows import (
+    NEEDED,
+    Evidence,
+    LineRow,
+    Order,
+    Quantity,
+    Row,
+    Strict,
+    Table,
+    fits,
+)
 from instruments.device_file import DeviceFileError, FaultsError, Keys, read_device
 from instruments.errors import LinkError
 from instruments.port_settings import PortSettings
@@ -180,6 +191,16 @@ class Capabilities(Strict):
     safety_sensor: bool = False
 
 
+class NumberUnit(Strict):
+    """The unit of the numbers on the wire: what ``rows`` show, each of which has to be degC, or
+    ``fixed`` by the protocol. Neither: nothing tells it, and ``note`` says what is known.
+    """
+
+    rows: tuple[str, ...] = ()
+    fixed: Literal["", "degC"] = ""
+    note: str = ""
+
+
 class OrderFrom(Strict):
     """The row that gives the order of bytes (it has one of its own), and what its codes mean."""
 
@@ -215,9 +236,9 @@ class Identity(Strict):
 
 
 class Profile(Device):
-    """A family of controllers. ``panel_rows`` may be changed at its panel; ``remote_label``: the
-    value of the row ``remote`` under our control. ``watchdog_s``: what its row ``watchdog`` is set
-    to while we heat.
+    """A family of controllers. ``panel_rows`` may be changed at its panel; ``number_unit``: where
+    the unit of its numbers stands; ``remote_label``: the value of the row ``remote`` under our
+    control. ``watchdog_s``: what its row ``watchdog`` is set to while we heat.
     """
 
     remote_label: ClassVar[str] = "remote"
@@ -225,6 +246,7 @@ class Profile(Device):
     comms_loss_evidence: Evidence
     watchdog_s: Annotated[float, Field(ge=WATCHDOG_LEAST_S, le=600.0)] | None = None
     plausible_c: tuple[float, float] = (-5.0, 60.0)
+    number_unit: NumberUnit = NumberUnit()
     capabilities: Capabilities = Capabilities()
     identity: tuple[Identity, ...] = ()
     # row -> label to be seen before heating, written where it is another
@@ -233,7 +255,12 @@ class Profile(Device):
 
     @property
     def panel_rows(self) -> set[str]:
-        return {"unit"}
+        return set(self.number_unit.rows)
+
+    @property
+    def unit_rows(self) -> list[Quantity]:
+        """The rows that tell the unit of its numbers, as far as the model has them."""
+        return [row for row in map(self.find, self.number_unit.rows) if row]
 
     def alarm_text(self, code: int) -> str:
         """What an alarm (``BathReading.alarm``) means, with a note where that is inferred."""
@@ -259,7 +286,8 @@ class Profile(Device):
         at = {row.name: index for index, row in enumerate(self.rows)}
         for name in ("temperature", "set_point", "run"):
             if name not in at:
-                yield ("rows",), f"the row '{name}' is missing"
+                how = " (a controller without one: docs/add-a-bath.md)" if name == "run" else ""
+                yield ("rows",), f"the row '{name}' is missing{how}"
         for name in {"run", "set_point"} & set(at):
             if self.row(name).access != "rw":
                 what = "the bench has to read and write it, so access must be 'rw'"
@@ -285,6 +313,15 @@ class Profile(Device):
         yield from self._reference_faults()
 
     def _reference_faults(self) -> Faults:
+        for name in self.number_unit.rows:
+            row = self.find(name)
+            if row is None or "c" not in row.values:
+                what = f"there is no row '{name}' with the value 'c' (degC)"
+                yield ("number_unit", "rows"), what
+        if self.number_unit.rows and self.number_unit.fixed:
+            what = "either rows tell the unit, or it is fixed"
+            yield ("number_unit", "fixed"), what
+        yield from self._need_faults()
         for index, identity in enumerate(self.identity):
             if self.find(identity.row) is None:
                 yield ("identity", index, "row"), f"there is no row '{identity.row}'"
@@ -293,6 +330,14 @@ class Profile(Device):
             if setting is None or label not in setting.values or setting.access != "rw":
                 what = f"there is no row '{name}' that may be written with the value '{label}'"
                 yield ("before_start", name), what
+
+    def _need_faults(self) -> Faults:
+        for place, one in enumerate(self.rows):
+            for name, label in one.needs.items():
+                other = self.find(name)
+                if other is None or label not in other.codes:
+                    what = f"{one.name}: there is no row '{name}' that can show '{label}'"
+                    yield ("rows", place, "needs"), what
 
 
 class RegisterProfile(Wiring, Profile):
@@ -318,10 +363,31 @@ class RegisterProfile(Wiring, Profile):
                 yield ("order_from", "row"), what
 
 
+class Model(Strict):
+    """Models whose marker's reply has a form of ``shows``, or that do not answer the row
+    ``unanswered``. ``offers``: their rows of those that go ``by_model``; ``rows``: other keys of a
+    row, which they have too; ``lacks``: rows that they don't have.
+    """
+
+    shows: tuple[str, ...] = ()
+    unanswered: str = ""
+    offers: tuple[str, ...] = ()
+    lacks: tuple[str, ...] = ()
+    rows: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    evidence: Evidence = "FIELD"
+    source: str = ""
+
+    def fits(self, mark: str) -> bool:
+        """Whether a controller whose marker says ``mark`` is one of these."""
+        return any(fits(form, mark) for form in self.shows)
+
+
 class LineProfile(Profile):
     """A family that speaks lines of ASCII. ``marker``: the row whose reply can be no other row's.
-    ``confirm``: the reply to a write; ``refusals``: replies that refuse, with their meaning.
-    ``gap_s``: the pause after a reply; ``settle_s``: until a write can be read back.
+    ``confirm``: the reply to a write; ``refusals``: forms of replies that refuse, with their
+    meaning. ``gap_s``: the pause after a reply; ``settle_s``: until a write can be read back.
+    ``checksum``: of a line, behind its first ``checksum_skip`` characters. ``models``: the first
+    one that fits counts.
     """
 
     kind: Literal["line"]
@@ -335,6 +401,9 @@ class LineProfile(Profile):
     refusals: dict[str, str] = Field(default_factory=dict)
     gap_s: Annotated[float, Field(ge=0.0, le=2.0)] = 0.0
     settle_s: Annotated[float, Field(ge=0.0, le=5.0)] = 0.0
+    checksum: Checksum = "none"
+    checksum_skip: Annotated[int, Field(ge=0, le=8)] = 0
+    models: tuple[Model, ...] = ()
     rows: Annotated[tuple[LineRow, ...], Field(min_length=1)]
 
     if TYPE_CHECKING:
@@ -346,6 +415,24 @@ class LineProfile(Profile):
     def serial(self) -> PortSettings:
         return replace(super().serial, handshake=self.handshake)
 
+    def refusal(self, reply: str) -> str | None:
+        """What a reply means that refuses; None for any other."""
+        forms = (form for form in self.refusals if fits(form, reply))
+        exact = self.refusals.get(reply)
+        return exact or next((self.refusals[form] for form in forms), None)
+
+    def of_model(self, model: Model | None) -> LineProfile:
+        """What is left of the family for one of its models; for none that is listed, None."""
+        known = model or Model()
+        offered = {*known.offers, *known.rows}
+        rows = []
+        for row in self.rows:
+            gone = row.name in known.lacks or (row.by_model and row.name not in offered)
+            if not gone:
+                told = row.model_dump(exclude_unset=True) | known.rows.get(row.name, {})
+                rows.append(LineRow.model_validate(told))
+        return self.model_copy(update={"rows": tuple(rows)})
+
     def faults(self) -> Faults:
         yield from super().faults()
         marker = self.find(self.marker)
@@ -356,6 +443,27 @@ class LineProfile(Profile):
         for key in ("end", "reply_end"):
             if getattr(self, key).strip("\r\n"):
                 yield (key,), "a carriage return, a line feed or both are needed"
+        for at, model in enumerate(self.models):
+            for what in self._model_faults(model):
+                yield ("models", at), what
+
+    def _model_faults(self, model: Model) -> Iterator[str]:
+        if bool(model.shows) == bool(model.unanswered):
+            yield "either 'shows' or 'unanswered' is needed"
+        named = {*model.offers, *model.lacks, *model.rows, *filter(None, [model.unanswered])}
+        if unknown := sorted(name for name in named if self.find(name) is None):
+            yield f"there is no row '{unknown[0]}'"
+            return
+        if needed := sorted({*model.lacks} & {*NEEDED, self.marker}):
+            yield f"the bench can't do without the row '{needed[0]}'"
+        try:
+            rows = self.of_model(model).rows
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            yield f"rows.{'.'.join(map(str, first['loc']))}: {first['msg'].lower()}"
+            return
+        for row in rows:
+            yield from (f"{row.name}: {fault}" for fault in row.faults())
 
 
 def line_to(url: str, profile: Device, who: str) -> Line:

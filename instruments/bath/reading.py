@@ -7,10 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from instruments.bath.profile import Profile
-from instruments.bath.rows import Quantity
+from instruments.bath.rows import FULL_PERCENT, Quantity
 from instruments.errors import DeviceError, ProtocolError
 
-FULL_PERCENT = 100.0
 TINY_C = 1e-3  # no controller resolves this; words in the wrong order often give less
 
 Values = Mapping[str, float]
@@ -24,7 +23,9 @@ class ChangedError(ProtocolError):
 class BathReading:
     """One poll at ``t_s``; None where the family has no such row or there was no number. ``raw``:
     the temperature as it came. ``alarm``, ``warning``: codes, 0 for none. ``remote``: whether it
-    takes our commands; ``running``: whether it heats.
+    takes our commands; ``running``: whether it heats; ``restarted``: whether it says that it was
+    without power and lost its set point; ``not_met``: what its set point needs of other rows, and
+    what they show.
     """
 
     t_s: float
@@ -38,6 +39,8 @@ class BathReading:
     remote: bool | None
     running: bool | None = None
     set_point_c: float | None = None
+    restarted: bool | None = None
+    not_met: str = ""
 
 
 class Assembler:
@@ -75,6 +78,18 @@ class Assembler:
             remote=self._shows(values, "remote", self._profile.remote_label),
             running=self._shows(values, "run", "started"),
             set_point_c=_number(values, "set_point"),
+            restarted=self._shows(values, "restarted", "yes"),
+            not_met=self._not_met(values),
+        )
+
+    def _not_met(self, values: Values) -> str:
+        needs = self._profile.row("set_point").needs
+        others = ((name, self._profile.find(name), label) for name, label in needs.items())
+        return ", ".join(
+            f"{name} = {row.label(values[name])} where {label} is needed"
+            for name, row, label in others
+            if row and not math.isnan(values.get(name, math.nan))
+            if values[name] != row.codes[label]
         )
 
     def alarm_of(self, row: Quantity, value: float) -> int:
@@ -82,7 +97,9 @@ class Assembler:
         if not row.alarm or math.isnan(value):
             return 0
         code = int(value)
-        return code & self._bits if row.alarm == "bits" else 0 if code in row.quiet else code
+        if row.alarm == "bits":
+            return code & self._bits
+        return 0 if code in row.quiet or (row.alarm == "negative" and code > 0) else code
 
     def is_plausible(self, temp_c: float) -> bool:
         """Whether a bath may have this temperature."""
@@ -97,33 +114,42 @@ class Assembler:
 
     def _shows(self, values: Values, name: str, label: str) -> bool | None:
         value = values.get(name, math.nan)
-        return None if math.isnan(value) else value == self._profile.row(name).values.get(label)
+        return None if math.isnan(value) else value == self._profile.row(name).codes.get(label)
 
     def _check(self, rows: Sequence[Quantity], values: Values, alarm: int, diagnosis: str) -> None:
-        if self._shows(values, "unit", "c") is False:  # changed at the panel
-            seen = self._profile.row("unit").label(values["unit"])
-            what, hint = "it does not speak degC", "Set the controller to degrees Celsius."
-            raise DeviceError(self._who, what, asked="its unit", seen=seen, hint=hint)
+        for name in self._profile.number_unit.rows:
+            if self._shows(values, name, "c") is False:  # changed at the panel
+                seen = self._profile.row(name).label(values[name])
+                what, hint = "it does not speak degC", "Set the controller to degrees Celsius."
+                raise DeviceError(self._who, what, asked=f"its {name}", seen=seen, hint=hint)
         if math.isnan(values["temperature"]):
             raise self._no_temperature("temperature", alarm)
         for row in rows:  # all: in another order of bytes, one in 20 is plausible
             value = values[row.name]
-            if math.isnan(value):
+            if math.isnan(value) or not (why := self._wrong(row, value)):
                 continue
-            why = hint = ""
-            if row.unit == "degC" and not self.is_plausible(value):
-                if alarm and self._profile.means(alarm, "sensor"):
-                    raise self._no_temperature(row.name, alarm)
-                low, high = self._profile.plausible_c
-                why, hint = f"not within {low:g} to {high:g} degC", diagnosis
-            elif row.unit == "%" and abs(value) > FULL_PERCENT:
-                why = "not within -100 to 100 %"
-            elif row.values and not row.alarm and not row.is_known(value):
-                why = f"none of {', '.join((*row.values, *row.seen))}"
-            if why:
-                hint = hint or "Another family than the profile's, or a broken sensor?"
-                what, shown = f"its {row.name} can't be: {why}", f"{value:g} {row.unit}".rstrip()
-                raise ProtocolError(self._who, what, asked=row.name, seen=shown, hint=hint)
+            if row.unit == "degC" and alarm and self._profile.means(alarm, "sensor"):
+                raise self._no_temperature(row.name, alarm)
+            hint = diagnosis if row.unit == "degC" else ""
+            if self.is_plausible(values["temperature"]):
+                hint = "Its temperature makes sense, so it is this row: is it another model?"
+            hint = hint or "Another family than the profile's, or a broken sensor?"
+            shown = f"{value:g} {row.unit}".rstrip()
+            shown = shown if row.unit != "degC" or row.is_possible(value) else "no temperature"
+            what = f"its {row.name} can't be: {why}"
+            raise ProtocolError(self._who, what, asked=row.name, seen=shown, hint=hint)
+
+    def _wrong(self, row: Quantity, value: float) -> str:
+        """Why a row can't show ``value``; "" where it can."""
+        low, high = self._profile.plausible_c
+        if row.unit == "degC" and not self.is_plausible(value):
+            return f"not within {low:g} to {high:g} degC"
+        if row.unit == "%" and abs(value) > FULL_PERCENT:
+            return "not within -100 to 100 %"
+        needed = row.name in self._profile.row("set_point").needs  # it says so with its own words
+        if row.values and not (row.alarm or needed or row.is_known(value)):
+            return f"none of {', '.join((*row.values, *row.seen))}"
+        return ""
 
     def _no_temperature(self, name: str, alarm: int) -> DeviceError:
         seen = self._profile.alarm_text(alarm) if alarm else "no alarm"

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar, cast, get_args
 
-from instruments.bath.access import Access, Raw
+from instruments.bath.access import NO_VALUE, Access, Raw
 from instruments.bath.profile import RegisterProfile, Wiring, line_to
 from instruments.bath.reading import BathReading, ChangedError
 from instruments.bath.requests import Block, blocks, markers
@@ -15,7 +15,7 @@ from instruments.bath.rows import Order, Row, decode
 from instruments.bath.session import RefusedError
 from instruments.bath.transactions import Transactions
 from instruments.clock import Clock
-from instruments.errors import ProtocolError
+from instruments.errors import InstrumentError, ProtocolError
 from instruments.link import Tap
 
 HEXADECIMAL = ("model", "version")
@@ -37,6 +37,7 @@ class RegisterAccess(Access[Row]):
     """
 
     SHOWN: ClassVar[tuple[str, ...]] = ("model", "version", "firmware", "cut_out")
+    SHOWS_ABSENCE: ClassVar[tuple[type[InstrumentError], ...]] = (RefusedError,)
     remote: ClassVar[str] = "Modbus"
     profile: Wiring
     wire: Transactions
@@ -71,6 +72,7 @@ class RegisterAccess(Access[Row]):
         self._tried: list[int] = []
 
     def detect_format(self) -> None:
+        self.absent = {}
         profile = cast(RegisterProfile, self.profile)
         if source := profile.order_from:
             code = int(self.value(self.row(source.row)))
@@ -87,6 +89,7 @@ class RegisterAccess(Access[Row]):
 
     def first_poll(self) -> BathReading:
         """With the gaps between rows read over, which a controller may refuse."""
+        self.look_for(self.looked_for)
         self.choose_blocks(gaps=True)
         try:
             return self.poll_now()
@@ -98,7 +101,8 @@ class RegisterAccess(Access[Row]):
 
     def choose_blocks(self, *, gaps: bool) -> None:
         """Choose the questions of a poll, as `requests.blocks` does."""
-        self._blocks = blocks(self.profile, gaps=gaps, inferred=self.allow_inferred)
+        inferred = self.allow_inferred
+        self._blocks = blocks(self.profile, gaps=gaps, inferred=inferred, without=self.absent)
 
     def fetch(self, start_s: float) -> Mapping[str, Raw]:
         found: dict[str, Raw] = {}
@@ -157,19 +161,19 @@ class RegisterAccess(Access[Row]):
 
     def show(self, rows: Sequence[Row]) -> Iterator[str]:
         for row in rows:
-            value = self.value(row)
+            value = self.decode(row, self.ask(row))
             number = f"{int(value):04X}" if row.name in HEXADECIMAL else f"{value:.10g} {row.unit}"
-            yield number.rstrip()
+            yield number.rstrip() if row.is_possible(value) else NO_VALUE
 
     def asking(self, row: Row) -> str:
         return f"{row.table} {row.address}, {row.type}"
 
-    def try_row(self, row: Row) -> str:
+    def try_row(self, row: Row) -> tuple[float, str]:
         words = self.ask(row)
         self._tried += words
         self.doubt = constant(self._tried)
-        raw = " ".join(f"{word:04X}" for word in words)
-        return f"{self.shown(row, self.decode(row, words))} (got {raw})"
+        raw, value = " ".join(f"{word:04X}" for word in words), self.decode(row, words)
+        return value, f"{self.shown(row, value)} (got {raw})"
 
     def _read(self, function: int, address: int, count: int) -> Sequence[int]:
         return self.wire.read(function, address, count, unit_id=self._unit_id)

@@ -18,11 +18,11 @@ from instruments.bath import protocol
 from instruments.bath.profile import RegisterProfile, Wiring
 from instruments.bath.protocol import Read, Refused, Write
 from instruments.bath.rows import Order, Row, Table
+from instruments.bath.witness import IEEE_AREA
 from instruments.world.plant import Plant
 
 TURNED: Mapping[Order, Order] = {"ABCD": "CDAB", "CDAB": "ABCD", "BADC": "DCBA", "DCBA": "BADC"}
 NO_NUMBER = 0x8000  # for a register that can't hold not-a-number; chosen
-IEEE_AREA = 0x8000  # Eurotherm: a pair of registers at 0x8000 + 2 n for each quantity n
 PADDING = 0x8000  # behind a word that takes only the first register of its pair
 ALIKE: Mapping[Table, Table] = {"input": "holding", "discrete": "coil"}
 
@@ -120,7 +120,7 @@ OMEGA = Behaviour(  # 1.4: functions 2, 3, 5 and 6; an error code stands where t
     gaps="refused",
     sensor_break=0x8003,
     writable={"alarm1_low", "alarm1_high"},
-    starts=LIMITS,
+    starts={**LIMITS, "write_enable": 1.0},
 )
 
 FAMILIES: Mapping[str, Behaviour] = {  # by how the name of the family begins
@@ -174,7 +174,8 @@ class Values:
 
 class Controller(Values):
     """A controller of ``profile``'s family over ``plant``. Settings of its panel: ``fahrenheit``,
-    ``turned`` (words the other way round), ``manual_mode`` (writes are confirmed and ignored).
+    ``turned`` (words the other way round), ``manual_mode`` (writes are confirmed and ignored),
+    ``external_control`` (by the external sensor).
     """
 
     def __init__(
@@ -185,7 +186,7 @@ class Controller(Values):
         self.profile = profile
         self.behaviour = behaviour
         self.unit_id = unit_id
-        self.fahrenheit = self.turned = self.ignores = False
+        self.fahrenheit = self.turned = self.ignores = self.external_control = False
         self._order = profile.order_for(0) or profile.order
         self._shipped_c = plant.set_point_c
         self._last_c = plant.pv_c
@@ -324,12 +325,19 @@ def _set_point(on: Controller) -> float:
     return local if on.remembered("local_remote") else on.plant.set_point_c
 
 
+def _set_point_1(on: Controller) -> float:
+    """Eurotherm: the target set point is this one while it is selected."""
+    chosen = on.remembered("set_point_select") == on.code("set_point_select", "sp1")
+    return _set_point(on) if chosen else on.remembered("set_point_1")
+
+
 LOOKS: Mapping[str, Callable[[Controller], float]] = {
     "run": _run,
     "run_active": _run,
     "auto_manual": _mode("auto_manual", "auto"),
     "control": _mode("control", "pid"),
     "set_point": _set_point,
+    "set_point_1": _set_point_1,
     "working_set_point": lambda on: on.plant.controlled_c,
     "temperature": lambda on: on.temperature_c(),
     "filtered": lambda on: on.temperature_c(),
@@ -337,7 +345,9 @@ LOOKS: Mapping[str, Callable[[Controller], float]] = {
     "rate": lambda on: on.plant.rate_k_per_min,
     "external": lambda on: float(on.plant.teat_c.mean()),
     "safety": lambda on: on.plant.bath_c,
+    "safety_reservoir": lambda on: on.plant.bath_c,
     "cut_out": lambda on: on.plant.constants.cut_out_c,
+    "cut_out_reservoir": lambda on: on.plant.constants.cut_out_c,
     "power": lambda on: on.plant.power_percent,
     "output": lambda on: on.plant.power_percent,
     "output_demand": lambda on: on.plant.power_percent,
@@ -348,7 +358,11 @@ LOOKS: Mapping[str, Callable[[Controller], float]] = {
     "rate_time": lambda on: on.plant.constants.derivative_s,
     "pump_stage": lambda on: 4.0 * on.plant.flow_l_per_min / on.plant.constants.flow_l_per_min,
     "unit": lambda on: on.code("unit", "f" if on.fahrenheit else "c"),
+    "unit_2": lambda on: on.code("unit_2", "f" if on.fahrenheit else "c"),
     "encoding": _encoding,
+    "control_sensor": lambda on: on.code(
+        "control_sensor", "external" if on.external_control else "internal"
+    ),
     "address": lambda on: float(on.unit_id),
     "remote": lambda on: on.code("remote", "manual" if on.manual_mode else "modbus"),
     "alarm": lambda on: next(
@@ -390,6 +404,12 @@ def _aim(on: Controller, value: float) -> None:  # noqa: ARG001 - which of three
     on.plant.set_point_c = on.memory.get(name, on.plant.set_point_c)
 
 
+def _take_set_point_1(on: Controller, value: float) -> None:
+    if on.remembered("set_point_select") == on.code("set_point_select", "sp1"):
+        on.memory["set_point"] = value
+        _aim(on, value)
+
+
 ACTS: Mapping[str, Callable[[Controller, float], None]] = {
     "run": _start_or_stop,
     "auto_manual": _automatic,
@@ -397,6 +417,7 @@ ACTS: Mapping[str, Callable[[Controller, float], None]] = {
     "actuating": _actuating,
     "heating_power": lambda on, _: _actuating(on, on.remembered("actuating")),
     "set_point": _aim,
+    "set_point_1": _take_set_point_1,
     "remote_set_point": _aim,
     "local_remote": _aim,
     "heating_limit": lambda on, value: setattr(on.plant, "output_max", value / 100.0),
@@ -406,6 +427,9 @@ ACTS: Mapping[str, Callable[[Controller, float], None]] = {
     ),
     "unit": lambda on, value: setattr(on, "fahrenheit", value == on.code("unit", "f")),
     "encoding": lambda on, value: on.set_order(int(value)),
+    "control_sensor": lambda on, value: setattr(
+        on, "external_control", value == on.code("control_sensor", "external")
+    ),
 }
 
 

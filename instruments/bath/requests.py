@@ -15,7 +15,7 @@ one may have asked for.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Container, Iterator, Sequence
 from dataclasses import dataclass
 
 from pymodbus.framer import FramerRTU, FramerSocket
@@ -64,13 +64,16 @@ class Block:
         return {row.name: answer[row.address - self.address :][: row.words] for row in self.rows}
 
 
-def blocks(profile: Wiring, *, gaps: bool, inferred: bool = False) -> tuple[Block, ...]:
+def blocks(
+    profile: Wiring, *, gaps: bool, inferred: bool = False, without: Container[str] = ()
+) -> tuple[Block, ...]:
     """The requests of one poll. ``gaps`` reads over addresses without a row, which a controller may
-    refuse; ``inferred`` takes in rows whose evidence is INFERRED.
+    refuse; ``inferred`` takes in rows whose evidence is INFERRED; ``without``: rows left out.
     """
     found: list[Block] = []
     polled = (row for row in profile.rows if row.poll and (inferred or row.evidence != "INFERRED"))
-    for row in sorted(polled, key=lambda row: (row.table, row.address)):
+    asked = (row for row in polled if row.name not in without)
+    for row in sorted(asked, key=lambda row: (row.table, row.address)):
         last = found[-1] if found and found[-1].table == row.table else None
         near = last is not None and row.address - last.end <= (MOST_GAP if gaps else 0)
         if last and near and row.end - last.address <= MOST_WORDS:
@@ -84,7 +87,8 @@ def markers(profile: Wiring, *, inferred: bool = False) -> tuple[tuple[int, int,
     """Reads (function, address, count) that the device surely answers, one of each shape of answer;
     none where there are fewer than two shapes.
     """
-    asked = blocks(profile, gaps=False, inferred=inferred)
+    unsure = {row.name for row in profile.rows if row.optional}
+    asked = blocks(profile, gaps=False, inferred=inferred, without=unsure)
     reads: list[tuple[int, int, int]] = [
         (block.function, row.address, row.words) for block in asked for row in block.rows
     ]

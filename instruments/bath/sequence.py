@@ -51,6 +51,7 @@ def pump_on(bath: Bath, reading: BathReading) -> bool | None:
 
 def start_bath(bath: Bath, set_point_c: float, wait: Callable[[float], None]) -> None:
     """Heat to ``set_point_c``, in order. Raises as the driver, and DeviceError for an alarm."""
+    bath.check_start(set_point_c)
     if bath.pump == "own":
         reading = bath.read()
         if reading.alarm:  # the level among them: a pump must not run dry either

@@ -50,7 +50,8 @@ ON_THE_WIRE: list[tuple[str, str, str, type[InstrumentError] | None, str]] = [
     ("surplus", "", JULABO, ProtocolError, "were answered where"),
     ("fahrenheit", "", JULABO, DeviceError, "it does not speak degC"),
     ("fahrenheit", "", EUROTHERM, DeviceError, "it does not speak degC"),
-    ("fahrenheit", "", OMEGA, ProtocolError, "In degF it would be 33"),
+    ("fahrenheit", "", OMEGA, DeviceError, "it does not speak degC"),
+    ("external control", "", JULABO, DeviceError, "control_sensor = external where internal is"),
     ("word order", "", JULABO, ProtocolError, "its order of bytes has changed"),
     ("word order", "", WATLOW, ProtocolError, "can't be"),
     ("word order", "", EUROTHERM, ProtocolError, "can't be"),
@@ -72,7 +73,7 @@ def running(
     rig, clock = load_rig(path), VirtualClock()
     with (
         EmulatedRig(rig, clock, seed=1) as twin,
-        closing(Bath(twin.urls["bath"], rig.profile, clock)) as bath,
+        closing(Bath(twin.urls["bath"], rig.profile, clock, unit_confirmed=True)) as bath,
     ):
         bath.start(33.0)
         clock.sleep(AT_S - 1.0 - clock.now())

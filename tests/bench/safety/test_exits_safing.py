@@ -53,6 +53,9 @@ class Noted(Bath):
         self.message: list[tuple[float, str]] = []
         self.values: dict[str, float] = {}
 
+    def check_start(self, set_point_c: float) -> None:
+        pass
+
     def note(self, what: str) -> None:
         self.message.append((self.clock.now(), what))
 

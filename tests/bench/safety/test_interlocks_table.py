@@ -24,6 +24,7 @@ from bench.safety.latch import (
     latch_path,
     read_latch,
     refuse_latched,
+    refuse_unknown_unit,
     refuse_untested_cut_out,
     set_latch,
 )
@@ -461,6 +462,23 @@ def test_a_bath_that_stops_by_itself_needs_none(loss: str, lab: LoadedRig, tmp_p
 
 def test_an_emulated_rig_has_no_cut_out() -> None:
     refuse_untested_cut_out(load_rig(find_rig(None)), TODAY)
+
+
+@pytest.mark.parametrize("profile", ["haake", "lauda-ascii", "watlow-pm-map2"])
+def test_a_bath_that_does_not_tell_its_unit_needs_a_person(profile: str, tmp_path: Path) -> None:
+    rig = with_bath(tmp_path, profile, "2026-11-22")
+    with pytest.raises(ConfigError, match='write the day: unit_confirmed = "2026-11-22"'):
+        refuse_unknown_unit(rig, TODAY)
+    text = rig.path.read_text(encoding="utf-8")
+    rig.path.write_text(
+        text.replace('unit_confirmed = ""', 'unit_confirmed = "2026-11-22"'), encoding="utf-8"
+    )
+    refuse_unknown_unit(load_rig(rig.path), TODAY)
+
+
+def test_one_that_tells_it_needs_none(lab: LoadedRig) -> None:
+    refuse_unknown_unit(lab, TODAY)
+    refuse_unknown_unit(load_rig(find_rig(None)), TODAY)
 
 
 HANDS, FAR_HANDS = "emulator://127.0.0.1:5001", "emulator://192.168.0.9:5001"

@@ -174,7 +174,8 @@ class Stand:
         self._opened: list[Bath] = []
 
     def bath(self, **options: Any) -> Bath:
-        """A driver on it, with the options of `Bath`."""
+        """A driver on it, with the options of `Bath`; a person has confirmed its unit."""
+        options.setdefault("unit_confirmed", True)
         self._opened.append(Bath(self.url, self.profile, self.clock, **options))
         return self._opened[-1]
 

@@ -164,7 +164,8 @@ def bath_on(
 ) -> Iterator[tuple[FarEnd, Bath]]:
     """A driver with the profile ``name`` on a device that holds ``memory``."""
     with shown_by(memory) as (far_end, url):
-        bath = Bath(url, load_register_profile(name), far_end.clock, identify=identify)
+        family = load_register_profile(name)
+        bath = Bath(url, family, far_end.clock, identify=identify, unit_confirmed=True)
         try:
             yield far_end, bath
         finally:

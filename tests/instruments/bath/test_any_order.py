@@ -59,7 +59,7 @@ class BathInAnyOrder(RuleBasedStateMachine):
         url = url_of(self.emulator, self.listener)
         self.relay, self.relay_listener, pump = self.with_relay()
         self.relay_was_cut = False
-        self.bath = Bath(url, self.emulator.profile, self.clock, pump=pump)
+        self.bath = Bath(url, self.emulator.profile, self.clock, pump=pump, unit_confirmed=True)
 
     def with_relay(self) -> tuple[RelayEmulator | None, Listener | None, PumpAt | None]:
         """A relay beside a controller without a pump."""

@@ -148,7 +148,7 @@ def test_gaps_that_the_controller_refuses_are_left_out(stand: Stand) -> None:
     bath = stand.bath()
     stand.emulator.asked.clear()
     assert bath.read().safety_c == pytest.approx(20.0)
-    assert [address for _, _, address in stand.emulator.asked] == [0, 2, 90, 93, 5, 10, 16]
+    assert [address for _, _, address in stand.emulator.asked] == [0, 2, 10, 90, 93, 5, 10]
 
 
 def test_a_url_that_is_none(stand: Stand) -> None:

@@ -62,7 +62,10 @@ def doubtful(name: str) -> list[Row]:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_no_inferred_row_is_written_or_polled_unless_the_rig_says_so(name: str) -> None:
-    with met(name) as (emulator, url, profile, clock), closing(Bath(url, profile, clock)) as bath:
+    with (
+        met(name) as (emulator, url, profile, clock),
+        closing(Bath(url, profile, clock, unit_confirmed=True)) as bath,
+    ):
         for row in doubtful(name):
             value = float(next(iter((*row.values.values(), *(row.range or (0.0,))))))
             with pytest.raises(
@@ -105,7 +108,7 @@ def test_a_controller_of_another_family_is_refused_before_the_first_write(
 ) -> None:
     with met(name, other) as (emulator, url, profile, clock):
         if name == other or (name, other) in ALIKE:
-            with closing(Bath(url, profile, clock)) as bath:
+            with closing(Bath(url, profile, clock, unit_confirmed=True)) as bath:
                 assert bath.read().temp_c == pytest.approx(20.0, abs=0.1)
         else:
             with pytest.raises(InstrumentError) as caught:
@@ -143,7 +146,10 @@ def test_a_controller_in_fahrenheit_is_refused(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_unit_changed_behind_our_back_is_noticed_and_nothing_written(name: str) -> None:
-    with met(name) as (emulator, url, profile, clock), closing(Bath(url, profile, clock)) as bath:
+    with (
+        met(name) as (emulator, url, profile, clock),
+        closing(Bath(url, profile, clock, unit_confirmed=True)) as bath,
+    ):
         emulator.fault("fahrenheit")
         for call in (
             bath.read,
@@ -171,7 +177,7 @@ def test_who_has_words_to_turn() -> None:
 def test_words_the_other_way_round_are_refused_or_found(name: str) -> None:
     with met(name, fault="word order") as (emulator, url, profile, clock):
         if name == LEARNT:
-            with closing(Bath(url, profile, clock)) as bath:
+            with closing(Bath(url, profile, clock, unit_confirmed=True)) as bath:
                 assert bath.read().temp_c == pytest.approx(20.0)
                 assert bath.identity["order"] == "CDAB"
                 assert emulator.writes() == []
@@ -193,7 +199,10 @@ def test_words_the_other_way_round_are_refused_or_found(name: str) -> None:
 
 @pytest.mark.parametrize("name", FLOATS)
 def test_words_turned_behind_our_back_are_noticed_and_nothing_written(name: str) -> None:
-    with met(name) as (emulator, url, profile, clock), closing(Bath(url, profile, clock)) as bath:
+    with (
+        met(name) as (emulator, url, profile, clock),
+        closing(Bath(url, profile, clock, unit_confirmed=True)) as bath,
+    ):
         emulator.fault("word order")
         changed = r"order of bytes has changed \(asked encoding, got 3\)"
         with pytest.raises(ProtocolError, match=changed if name == LEARNT else "can't be"):
@@ -212,7 +221,10 @@ def test_words_turned_behind_our_back_are_noticed_and_nothing_written(name: str)
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_pump_that_the_family_lacks_is_never_made_up(name: str) -> None:
-    with met(name) as (emulator, url, profile, clock), closing(Bath(url, profile, clock)) as bath:
+    with (
+        met(name) as (emulator, url, profile, clock),
+        closing(Bath(url, profile, clock, unit_confirmed=True)) as bath,
+    ):
         bath.start(33.0)
         clock.sleep(5.0)
         emulator.plant.advance_to(clock.now())
@@ -223,7 +235,7 @@ def test_a_pump_that_the_family_lacks_is_never_made_up(name: str) -> None:
                     bath.set(row, 1.0)
 
 
-MAP_2 = {30: 138, 360: 0, 361: 0x41A0, 362: 61, 1896: 61, 2308: 15, 2360: 62, 2408: 61}
+MAP_2 = {30: 138, 360: 0, 361: 0x41A0, 362: 61, 1896: 61, 2360: 62, 2408: 61}
 MAP_2 |= {2640: 0, 2641: 0x41A0}
 
 

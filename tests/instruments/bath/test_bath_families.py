@@ -145,14 +145,23 @@ def test_watlow_maps(profile: str, set_point: str, mode: str, power: int) -> Non
     assert not controller.plant.running
 
 
-@pytest.mark.parametrize(("profile", "unit"), [(WATLOWS[0], 2490), (WATLOWS[1], 2308)])
-def test_watlow_speaks_fahrenheit_until_it_is_set(profile: str, unit: int) -> None:
-    controller = Asked(profile, as_shipped=True)
+def test_watlow_speaks_fahrenheit_until_it_is_set() -> None:
+    controller = Asked(WATLOWS[0], as_shipped=True)
     assert controller.float(360, low_first=True) == pytest.approx(68.0)
-    assert controller.word(unit) == 30
-    controller.ask(f"06 {unit:04X} 000F")
+    assert controller.word(2490) == 30
+    controller.ask("06 09BA 000F")
     assert controller.float(360, low_first=True) == 20.0
-    assert controller.word(unit) == 15
+    assert controller.word(2490) == 15
+
+
+def test_watlows_display_has_a_unit_of_its_own() -> None:
+    """Map 2: 2308 is the display's, and Modbus is degF as shipped (Communications p. 13)."""
+    controller = Asked(WATLOWS[1], as_shipped=True)
+    assert controller.word(2308) == 15
+    assert controller.float(360, low_first=True) == pytest.approx(68.0)
+    controller.ask("06 0904 001E")
+    controller.ask("06 0904 000F")
+    assert controller.float(360, low_first=True) == pytest.approx(68.0)
 
 
 @pytest.mark.parametrize("profile", WATLOWS)

@@ -72,9 +72,9 @@ def faults_of(folder: Path, text: str) -> tuple[tuple[str, str], ...]:
 def test_the_prestos_poll_is_three_questions_or_seven_without_gaps() -> None:
     profile = load_register_profile("julabo-presto")
     asked = [(block.function, block.address, block.count) for block in blocks(profile, gaps=True)]
-    assert asked == [(3, 0, 4), (3, 90, 4), (4, 5, 13)]
+    assert asked == [(3, 0, 11), (3, 90, 4), (4, 5, 12)]
     asked_apart = [(block.address, block.count) for block in blocks(profile, gaps=False)]
-    assert asked_apart == [(0, 1), (2, 2), (90, 1), (93, 1), (5, 3), (10, 5), (16, 2)]
+    assert asked_apart == [(0, 1), (2, 2), (10, 1), (90, 1), (93, 1), (5, 3), (10, 7)]
 
 
 VALUES, RANGE = "values = { standby = 0, started = 1 }", "range = [5.0, 36.0]"
@@ -233,7 +233,7 @@ error 0x804E f32 r CERTAIN | set_point_high 0x80DE f32 r CERTAIN | set_point_low
 set_point_select 15 u16 r CERTAIN | status 75 u16 r CERTAIN | version 107 u16 r CERTAIN | model 122 u16 r CERTAIN
 address 131 u16 r CERTAIN | run 199 u16 rw CERTAIN | sensor_break 258 u16 r CERTAIN | loop_break 263 u16 r CERTAIN
 auto_manual 273 u16 rw CERTAIN | acknowledge 274 u16 w CERTAIN | local_remote 276 u16 rw CERTAIN | unit 516 u16 r CERTAIN
-decimals 525 u16 r CERTAIN | resolution 12550 u16 r CERTAIN
+decimals 525 u16 r CERTAIN | resolution 12550 u16 r CERTAIN | ramp_unit 531 u16 r FIELD
 """
 MAGIO = """
 run 0 u16 rw CERTAIN | actuating 1 u16 rw CERTAIN | set_point 2 f32 rw CERTAIN | heating_power 4 i16 r CERTAIN
@@ -249,13 +249,13 @@ pump_stage 52 u16 rw CERTAIN | unit 90 u16 r CERTAIN | encoding 93 u16 r CERTAIN
 """
 PRESTO_INPUT = """
 firmware 0 u32 r CERTAIN | remote 5 i16 r CERTAIN | alarm 6 i16 r CERTAIN | warning 7 i16 r CERTAIN
-temperature 10 f32 r CERTAIN | external 12 f32 r CERTAIN | power 14 i16 r CERTAIN | safety 16 f32 r CERTAIN
-cut_out 20 f32 r CERTAIN
+temperature 10 f32 r CERTAIN | external 12 f32 r CERTAIN | power 14 i16 r CERTAIN | safety 15 f32 r CERTAIN
+cut_out 19 f32 r CERTAIN | pump_pressure 23 f32 r CERTAIN
 """
 WATLOW_1 = """
 temperature 360 f32 r CERTAIN | input_error 362 u16 r INFERRED | set_point 2160 f32 rw CERTAIN | run 1880 u16 rw CERTAIN
 power 1904 f32 r FIELD | manual_power 2162 f32 r CERTAIN | alarm1_high 1480 f32 r CERTAIN | alarm1_low 1482 f32 r CERTAIN
-alarm1_state 1496 u16 r INFERRED | unit 2490 u16 r CERTAIN
+alarm1_state 1496 u16 r INFERRED | unit 2490 u16 r CERTAIN | unit_2 2510 u16 r CERTAIN
 """
 WATLOW_2 = """
 temperature 360 f32 r FIELD | filtered 402 f32 r FIELD | input_error 362 u16 r FIELD | set_point 2640 f32 rw FIELD
@@ -263,7 +263,7 @@ working_set_point 2652 f32 r FIELD | set_point_low 2644 f32 r FIELD | set_point_
 run_active 2362 u16 r FIELD | power 2384 f32 r FIELD | cooling_power 2386 f32 r FIELD | output 2388 f32 r FIELD
 manual_power 2642 f32 r FIELD | loop_error 2408 u16 r FIELD | alarm1_high 1880 f32 r FIELD | alarm1_low 1882 f32 r FIELD
 alarm1_state 1896 u16 r FIELD | limit_high 726 f32 r FIELD | limit_state 730 u16 r FIELD | device_status 30 u16 r FIELD
-unit 2308 u16 r FIELD
+display_unit 2308 u16 r FIELD
 """
 OMEGA = """
 temperature 0x1000 i16 r FIELD | set_point 0x1001 i16 rw FIELD | control 0x1005 u16 rw FIELD | power 0x1012 u16 r FIELD
@@ -283,7 +283,7 @@ def test_what_ships() -> None:
         ("eurotherm-3200", EUROTHERM, {"rate"}),
         ("watlow-pm-map1", WATLOW_1, set()),
         ("watlow-pm-map2", WATLOW_2, set()),
-        ("omega-cn7", OMEGA, {"run"}),
+        ("omega-cn7", OMEGA, {"run", "unit", "write_enable"}),
     ],
 )
 def test_the_families_are_as_the_sheet_says(name: str, sheet: str, beside: set[str]) -> None:
@@ -306,7 +306,7 @@ def test_the_magio_is_as_its_pages_say() -> None:
         "power",
         "safety",
     ]
-    assert [profile.row(name).address for name in inputs] == [0, 5, 6, 7, 10, 12, 14, 16]
+    assert [profile.row(name).address for name in inputs] == [0, 5, 6, 7, 10, 12, 14, 15]
     assert profile.row("cut_out").evidence == profile.row("pump_pressure").evidence == "INFERRED"
 
 
@@ -383,11 +383,12 @@ def test_a_polls_questions() -> None:
         for name in SHIPPED
     }
     assert asked["eurotherm-3200"] == [(3, 75, 1), (3, 199, 1), (3, 516, 1), (3, 0x8002, 10)]
-    assert asked["omega-cn7"] == [(2, 0x0814, 1), (3, 0x1000, 2), (3, 0x1012, 1)]
-    watlow = [(3, 360, 2), (3, 1880, 1), (3, 1904, 2), (3, 2160, 2), (3, 2490, 1)]
+    omega = [(2, 0x0810, 5), (3, 0x1000, 2), (3, 0x1012, 1), (3, 0x102E, 1)]
+    assert asked["omega-cn7"] == omega
+    watlow = [(3, 360, 2), (3, 1880, 1), (3, 1904, 2), (3, 2160, 2), (3, 2490, 1), (3, 2510, 1)]
     assert asked["watlow-pm-map1"] == watlow
     with_inferred = blocks(load_register_profile("watlow-pm-map1"), gaps=True, inferred=True)
-    assert [block.address for block in with_inferred] == [360, 1496, 1880, 1904, 2160, 2490]
+    assert [block.address for block in with_inferred] == [360, 1496, 1880, 1904, 2160, 2490, 2510]
 
 
 @pytest.mark.parametrize("name", [name for name in SHIPPED if "julabo" not in name])
@@ -414,8 +415,8 @@ def asked_by(name: str, row: str, answer: str) -> tuple[bytes, float]:
 
 
 EUROTHERM_MEMORY = {122: 0x2416, 199: 1, 0x8002: 0x41A0, 0x8004: 0x41A0}  # all else 0
-WATLOW_MEMORY = {360: 0, 361: 0x41A0, 1880: 62, 2490: 15, 2160: 0, 2161: 0x41A0}
-OMEGA_MEMORY = {0x1000: 200, 0x1001: 200, 0x1005: 0, 0x0814: 0}
+WATLOW_MEMORY = {360: 0, 361: 0x41A0, 1880: 62, 2490: 15, 2510: 15, 2160: 0, 2161: 0x41A0}
+OMEGA_MEMORY = {0x1000: 200, 0x1001: 200, 0x1005: 0, 0x0810: 1, 0x0811: 1, 0x0814: 0}
 BROWSED = {
     "eurotherm-2400": EUROTHERM_MEMORY,
     "watlow-pm-map1": WATLOW_MEMORY,

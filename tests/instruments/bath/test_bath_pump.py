@@ -153,7 +153,7 @@ def test_faults_that_it_can_not_have_are_refused() -> None:
         RelayEmulator(Plant(1), load_relay("modbus-relay"), VirtualClock(), framing="ascii")  # type: ignore[arg-type]
 
 
-SHOWN = {0x1000: 200, 0x1001: 200}
+SHOWN = {0x1000: 200, 0x1001: 200, 0x0810: 1, 0x0811: 1}
 
 
 @pytest.fixture

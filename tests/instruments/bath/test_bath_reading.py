@@ -14,9 +14,9 @@ from instruments.bath.rows import Order
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, ProtocolError
 
-# started, controller in charge, set point 33.125; degC, first order
-RUN = "0001 0000 4204 8000 | 0000 0000 0000 0000 | "
-RUN_APART = "0001 | 4204 8000 | 0000 | 0000 | "
+# started, controller in charge, set point 33.125, its own sensor controls; degC, first order
+RUN = "0001 0000 4204 8000 0000 0000 0000 0000 0000 0000 0000 | 0000 0000 0000 0000 | "
+RUN_APART = "0001 | 4204 8000 | 0000 | 0000 | 0000 | "
 HEAD = "0004 0000 0002 0000 0000 "  # Modbus in charge, no alarm, warning 2, a gap
 
 
@@ -33,7 +33,7 @@ def read(registers: str, *, order: Order = "ABCD", gaps: bool = True) -> BathRea
 
 
 def test_a_reading() -> None:
-    assert read(HEAD + "4204 0000  41F0 0000  FFCE 0000  4204 8000") == BathReading(
+    assert read(HEAD + "4204 0000  41F0 0000  FFCE  4204 8000") == BathReading(
         t_s=7.0,
         temp_c=33.0,
         raw=(0x4204, 0x0000),
@@ -49,27 +49,27 @@ def test_a_reading() -> None:
 
 
 def test_three_blocks_say_the_same_as_one() -> None:
-    apart = read("0004 0000 0002 | 4204 0000  41F0 0000  FFCE | 4204 8000", gaps=False)
-    assert apart == read(HEAD + "4204 0000  41F0 0000  FFCE 0000  4204 8000")
+    apart = read("0004 0000 0002 | 4204 0000  41F0 0000  FFCE 4204 8000", gaps=False)
+    assert apart == read(HEAD + "4204 0000  41F0 0000  FFCE  4204 8000")
 
 
 def test_sensors_that_are_not_there_are_none() -> None:
-    reading = read(HEAD + "4204 0000  7FC0 0000  0000 0000  7FC0 0000")
+    reading = read(HEAD + "4204 0000  7FC0 0000  0000  7FC0 0000")
     assert (reading.external_c, reading.safety_c) == (None, None)
 
 
 def test_another_remote_control_shows() -> None:
-    assert read("0000 0000 0000 0000 0000  4204 0000 4204 0000 0000 0000 4204 0000").remote is False
+    assert read("0000 0000 0000 0000 0000  4204 0000 4204 0000 0000 4204 0000").remote is False
 
 
 @pytest.mark.parametrize(
     "registers",
     [
-        HEAD + "0000 4204  0000 4204  0000 0000  7FC0 0000",  # 33 with its words swapped is 2.4e-41
-        HEAD + "4285 0000  4204 0000  0000 0000  7FC0 0000",  # 66.5
-        HEAD + "C0C0 0000  4204 0000  0000 0000  7FC0 0000",  # -6
-        HEAD + "7F80 0000  4204 0000  0000 0000  7FC0 0000",  # infinite
-        HEAD + "4204 0000  4204 0000  0000 0000  4300 0000",  # the safety sensor at 128
+        HEAD + "0000 4204  0000 4204  0000  7FC0 0000",  # 33 with its words swapped is 2.4e-41
+        HEAD + "4285 0000  4204 0000  0000  7FC0 0000",  # 66.5
+        HEAD + "C0C0 0000  4204 0000  0000  7FC0 0000",  # -6
+        HEAD + "7F80 0000  4204 0000  0000  7FC0 0000",  # infinite
+        HEAD + "4204 0000  4204 0000  0000  4300 0000",  # the safety sensor at 128
     ],
 )
 def test_what_no_bath_has_is_not_believed(registers: str) -> None:
@@ -80,14 +80,14 @@ def test_what_no_bath_has_is_not_believed(registers: str) -> None:
 @pytest.mark.parametrize(
     ("registers", "what"),
     [
-        (HEAD + "4204 0000  4204 0000  0065 0000  7FC0 0000", "its power can't be: .* got 101 %"),
-        (HEAD + "4204 0000  4204 0000  FF9B 0000  7FC0 0000", "its power can't be: .* got -101 %"),
+        (HEAD + "4204 0000  4204 0000  0065  7FC0 0000", "its power can't be: .* got 101 %"),
+        (HEAD + "4204 0000  4204 0000  FF9B  7FC0 0000", "its power can't be: .* got -101 %"),
         (
-            HEAD + "4204 0000  4274 0000  0000 0000  7FC0 0000",
+            HEAD + "4204 0000  4274 0000  0000  7FC0 0000",
             "its external can't be: .* got 61 degC",
         ),
         (
-            "0006" + HEAD[4:] + "4204 0000  4204 0000  0000 0000  7FC0 0000",
+            "0006" + HEAD[4:] + "4204 0000  4204 0000  0000  7FC0 0000",
             "its remote can't be: .* got 6",
         ),
     ],
@@ -98,14 +98,14 @@ def test_every_value_has_to_be_one_that_a_bath_has(registers: str, what: str) ->
 
 
 def test_full_power_is_believed_and_a_safety_sensor_at_zero_is_none() -> None:
-    reading = read(HEAD + "4204 0000  4270 0000  0064 0000  0000 0000")
+    reading = read(HEAD + "4204 0000  4270 0000  0064  0000 0000")
     assert (reading.power_percent, reading.external_c, reading.safety_c) == (100.0, 60.0, None)
 
 
 def test_no_temperature_is_reported_with_the_alarm() -> None:
     with pytest.raises(DeviceError, match=r"no temperature .*alarm 5, working sensor"):
-        read("0004 0005 0000 0000 0000  7FC0 0000  4204 0000  0000 0000  4204 0000")
+        read("0004 0005 0000 0000 0000  7FC0 0000  4204 0000  0000  4204 0000")
 
 
 def test_freezing_water_is_believed() -> None:
-    assert read(HEAD + "0000 0000  0000 0000  0000 0000  0000 0000").temp_c == 0.0
+    assert read(HEAD + "0000 0000  0000 0000  0000  0000 0000").temp_c == 0.0

@@ -100,7 +100,7 @@ def test_at_exit_standby_needs_no_look_and_no_second() -> None:
 def test_a_tap_sees_every_byte_garbage_too() -> None:
     clock, tap = VirtualClock(), Heard()
     far_end = FarEnd(clock)
-    far_end.memory = {0x1000: 200, 0x1001: 200}
+    far_end.memory = {0x1000: 200, 0x1001: 200, 0x0811: 1}
     with served(far_end) as url:
         bath = Bath(url, load_register_profile("omega-cn7"), clock, tap=tap)
         assert tap.text[0] == ("opened", url)

@@ -289,8 +289,8 @@ def test_p6_damage_that_stays_is_reported_with_what_came() -> None:
 # ---- a cut answer over TCP
 
 
-PRESTO = {5: 4, 2: 0x4204, 12: 0x41F4, 14: 37, 16: 0x4205, 10: 0x4204, 11: 0x8000, 20: 0x4218}
-POLLED_BYTES = (17, 17, 35)  # the answers of a poll: holding 0 to 3 and 90 to 93, input 5 to 17
+PRESTO = {5: 4, 2: 0x4204, 12: 0x41F4, 14: 37, 15: 0x4205, 10: 0x4204, 11: 0x8000, 19: 0x4218}
+POLLED_BYTES = (31, 17, 33)  # the answers of a poll: holding 0 to 10 and 90 to 93, input 5 to 16
 
 
 @pytest.mark.slow

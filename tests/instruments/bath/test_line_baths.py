@@ -105,7 +105,9 @@ def served(typed: Typed, profile: str | Profile = JULABO) -> Iterator[tuple[Type
     family = load_profile(profile) if isinstance(profile, str) else profile
     with (
         closing(Listener(typed, typed.clock, lock=threading.RLock(), name="bath")) as listener,
-        closing(Bath(f"tcp://127.0.0.1:{listener.port}", family, typed.clock)) as bath,
+        closing(
+            Bath(f"tcp://127.0.0.1:{listener.port}", family, typed.clock, unit_confirmed=True)
+        ) as bath,
     ):
         yield typed, bath
 
@@ -113,7 +115,7 @@ def served(typed: Typed, profile: str | Profile = JULABO) -> Iterator[tuple[Type
 # JULABO. CERTAIN: the commands and the texts of status (SL/HL manual, 12.3; FLW and CF manuals, 10.4
 # and 10.5); a number has a period, and LF ends a reply. FIELD: CR LF, and ---.-- for no sensor.
 JULABO_REPLIES = {
-    "version": "JULABO FL1703",  # FIELD
+    "version": "JULABO SL-12 VER 4.0",
     "status": "02 REMOTE STOP",
     "in_pv_00": "20.00",
     "in_pv_01": "45",
@@ -121,6 +123,7 @@ JULABO_REPLIES = {
     "in_pv_03": "21.50",
     "in_pv_04": "40.0",
     "in_sp_00": "33.00",
+    "in_mode_04": "0",
     "in_mode_05": "0",
 }
 
@@ -140,7 +143,7 @@ def test_a_julabos_replies() -> None:
             True,
             False,
         )
-        assert bath.identity["version"] == "JULABO FL1703"
+        assert bath.identity["version"] == "JULABO SL-12 VER 4.0"
 
 
 @pytest.mark.parametrize(
@@ -204,13 +207,14 @@ def test_a_write_that_is_not_done_is_reported_with_the_cause() -> None:
 
 def test_what_some_models_do_not_answer_is_left_out() -> None:
     """A FL has no external, no safety sensor and no power to show (CERTAIN: its list)."""
-    typed = julabo()
+    typed = julabo(version="JULABO FL1703")
     for command in ("in_pv_01", "in_pv_02", "in_pv_03", "in_pv_04"):
         del typed.replies[command]
     with served(typed) as (_, bath):
         reading = bath.read()
         assert (reading.temp_c, reading.external_c, reading.power_percent) == (20.0, None, None)
-        assert bath.identity["not answered"] == "cut_out, external, power, safety"
+        missing = bath.identity["not offered by this model"]
+        assert missing == "cut_out, external, power, safety, unit"
 
 
 @pytest.mark.parametrize(
@@ -218,7 +222,7 @@ def test_what_some_models_do_not_answer_is_left_out() -> None:
     [
         ({"version": "20.00"}, "may be the answer to"),
         ({"in_pv_00": "91.40"}, "In degF it would be 33.0 degC"),
-        ({"in_mode_05": "7"}, "it is no JULABO circulator"),
+        ({"in_mode_05": "7"}, "what came is no answer to this"),
         ({"status": "0"}, "what came is no answer to this"),
         ({"in_pv_00": ""}, "no answer"),
     ],
@@ -237,6 +241,7 @@ LAUDA_REPLIES = {
     "IN_PV_03": "ERR_3",
     "IN_SP_00": "033.00",
     "IN_SP_03": "040.00",
+    "IN_MODE_01": "0",
     "IN_MODE_02": "1",
     "STAT": "0000000",
 }
@@ -338,7 +343,8 @@ FAMILIES = {
     # FIELD: {S and what is there then, also after a write; 7FFF: not in this model, C504: no sensor
     "huber-pb": Family(
         said("""{M01**** > {S010802 | {M00**** > {S000CE4 | {M14**** > {S140000
-            {M05**** > {S050000 | {M07**** > {S07C504 | {M1B**** > {S1B3039"""),  # 0x0802 = 2050
+            {M05**** > {S050000 | {M07**** > {S07C504 | {M1B**** > {S1B3039
+            {M06**** > {S067FFF | {M0A**** > {S0A0000"""),  # 0x0802 = 2050
         ((said("{M05**** > {S05FACD"), "alarm -1331"),),
         {
             "{M000BEA": ("{M00****", "{S000BEA"),
@@ -356,7 +362,8 @@ FAMILIES = {
         | said("RVER > 082100.14C"),
         (
             (said("RUFS > 0 0 8 13 64"), "low level"),
-            (said("RUFS > 128 0 0 13 64"), "fault or warning"),
+            (said("RUFS > 128 0 0 13 64"), "sensor 1 open"),
+            (said("RUFS > 0 0 32 13 64"), "over-temperature"),
         ),
         {"SS 30.50": ("RS", "30.5C"), "SO 1": ("RO", "1"), "SO 0": ("RO", "0")},
         "OK",
@@ -368,7 +375,8 @@ FAMILIES = {
         (
             (said("R BS > BS000010000000$"), "low level"),
             (said("R BS > BS100100000000$"), "over-temperature"),
-            (said("R BS > BS000000000010$"), "fault of the unit"),
+            (said("R BS > BS000000000010$"), "internal Pt100"),
+            (said("R BS > BS001000000000$"), "no main relay"),
         ),
         {
             "W SW 30.50": ("R SW", "SW+30.50$"),
@@ -608,7 +616,7 @@ DIALOGUES = {  # command > answer
     "huber-pb": """{M000BEA > {S000BEA | {M00**** > {S000BEA | {M007530 > {S007530 | {M007531 > {S007530
         {M140001 > {S140001 | {M16**** > {S160001 | {M05**** > {S050000 | {M66**** > {S667FFF
         {M140000 > {S140000""",
-    "thermo-arctic": """SS 30.5 > OK | RS > 30.50C | SO 1 > OK | RO > 1 | RTU > C | RUFS > 0 0 0 8 64
+    "thermo-arctic": """SS 30.5 > OK | RS > 30.50C | SO 1 > OK | RO > 1 | RTU > C | RUFS > 0 0 0 12 64
         SO 0 > OK""",
     "haake": """W SW 30.50 > $ | R SW > SW30.50$ | W TS 1 > $ | R BS > BS100000000000$
         W SW 900 > F123 | R XX > F001 | W TS 0 > $""",
@@ -638,7 +646,7 @@ def test_the_driver_on_a_serial_port(name: str) -> None:
     with in_real_time(name) as (device, url), closing(RealClock()) as clock:
         # a pseudo-terminal has no parity
         url = url.replace("socket", "tcp") if "://" in url else f"{url}{AS_A_PTY}"
-        with closing(Bath(url, load_profile(name), clock)) as bath:
+        with closing(Bath(url, load_profile(name), clock, unit_confirmed=True)) as bath:
             bath.start(33.0)
             assert device.plant.running
             assert bath.read().set_point_c == pytest.approx(33.0)
@@ -656,7 +664,9 @@ def emulated(name: str, fault: str = "") -> Iterator[tuple[LineEmulator, Bath]]:
     device = LineEmulator(calm_plant(), profile, clock)
     with (
         closing(Listener(device, clock, lock=threading.RLock(), name="bath")) as listener,
-        closing(Bath(f"tcp://127.0.0.1:{listener.port}", profile, clock)) as bath,
+        closing(
+            Bath(f"tcp://127.0.0.1:{listener.port}", profile, clock, unit_confirmed=True)
+        ) as bath,
     ):
         if fault:
             device.fault(fault)
@@ -730,7 +740,9 @@ def test_each_family_after_a_power_cut_stands_by(name: str) -> None:
         with pytest.raises(LinkError):
             bath.read()
         device._clock.sleep(6.0)
-        with pytest.raises(DeviceError, match="stopped by itself"):
+        with pytest.raises(
+            DeviceError, match=r"stopped by itself|restarted and lost its set point"
+        ):
             bath.read()
 
 
@@ -794,7 +806,7 @@ def test_a_labs_own_profile_needs_no_python(tmp_path: Path) -> None:
     device = LineEmulator(Plant(1), profile, clock)
     with closing(Listener(device, clock, lock=threading.RLock(), name="bath")) as listener:
         url = f"tcp://127.0.0.1:{listener.port}"
-        with closing(Bath(url, profile, clock)) as bath:
+        with closing(Bath(url, profile, clock, unit_confirmed=True)) as bath:
             bath.start(30.0)
             assert (device.plant.running, device.plant.set_point_c) == (True, 30.0)
             bath.safe()

@@ -1,0 +1,388 @@
+"""Programs of others from PyPI against our two ends: they drive the emulators, and the driver drives what
+simulates a device there. None of them shares a line with the profiles, the driver or the emulators.
+
+julabo and huber (their makers' users), omega_controller, pyModbusTCP, modbus-tk, umodbus; minimalmodbus with
+the registers of its Eurotherm class, which is in no package that can be installed beside the present one.
+watlow (numat) needs an older pymodbus than ours; pywatlow speaks Watlow's own bus and no Modbus."""
+
+from __future__ import annotations
+
+import asyncio
+import importlib
+import importlib.util
+import logging
+import socket
+import socketserver
+import struct
+import sys
+import threading
+import types
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from typing import Any
+
+import pytest
+
+from instruments.bath.driver import Bath
+from instruments.bath.line_emulator import LineEmulator
+from instruments.bath.profile import LineProfile, Profile, load_profile, load_register_profile
+from instruments.clock import RealClock
+from instruments.errors import DeviceError
+from instruments.listener import Connection, Listener
+from instruments.world.plant import Plant
+from tests.instruments.bath.devices import calm_plant
+from tests.instruments.bath.peers import Device, absent, free_port, real_time
+from tests.instruments.bath.test_peers import instrument
+
+pytestmark = pytest.mark.slow
+
+PATIENCE_S = 30.0  # for a machine with ten times too much to do
+
+
+def foreign(module: str, package: str) -> Any:
+    """The module of a program of others; `absent` where it is not installed."""
+    if importlib.util.find_spec(module.partition(".")[0]) is None:
+        absent(f"needs {package}: pip install {package}")
+    return importlib.import_module(module)
+
+
+@contextmanager
+def circulator(name: str) -> Iterator[tuple[LineEmulator, Plant, int]]:
+    """An emulated circulator in real time, its plant, and its port on loopback."""
+    profile = load_profile(name)
+    assert isinstance(profile, LineProfile)
+    plant = calm_plant()
+    with closing(RealClock()) as clock:
+        device = LineEmulator(plant, profile, clock)
+        with closing(Listener(device, clock, lock=threading.RLock(), name="bath")) as listener:
+            yield device, plant, listener.port
+
+
+@contextmanager
+def on_tcp(name: str) -> Iterator[tuple[Device, int]]:
+    """An emulated controller in real time, and its port on loopback."""
+    with real_time(load_register_profile(name), "tcp") as (emulator, listener):
+        assert isinstance(listener, Listener)
+        yield emulator, listener.port
+
+
+# ---- they drive
+
+
+def test_julabo_drives_an_emulated_julabo() -> None:
+    library: Any = foreign("julabo", "julabo")
+
+    async def talk(port: int) -> dict[str, Any]:
+        url = f"serial-tcp://127.0.0.1:{port}"
+        link = library.connection_for_url(url, concurrency="asyncio")
+        await link.open()
+        try:
+            bath = library.JulaboCF(link)
+            await bath.set_point_1(33.5)
+            await bath.start()
+            names = ["identification", "status", "is_started", "set_point_1", "bath_temperature"]
+            names += ["heating_power", "external_temperature", "safety_temperature"]
+            names += ["high_temperature", "low_temperature", "active_set_point_channel"]
+            names += ["self_tunning", "external_input", "temperature_control"]
+            found = {name: await getattr(bath, name)() for name in names}
+            await bath.stop()
+            found["stopped"] = not await bath.is_started()
+            return found
+        finally:
+            await link.close()
+
+    with circulator("julabo-ascii") as (_, plant, port):
+        found = asyncio.run(asyncio.wait_for(talk(port), PATIENCE_S))
+        assert (plant.set_point_c, plant.running) == (33.5, False)
+    assert found["identification"].startswith("JULABO")
+    assert (found["status"], found["is_started"]) == ("03 REMOTE START", True)
+    assert (found["set_point_1"], found["stopped"]) == (33.5, True)
+    assert found["bath_temperature"] == pytest.approx(20.0, abs=0.5)
+    assert found["safety_temperature"] == pytest.approx(20.0, abs=0.5)
+    assert found["temperature_control"].name == "Internal"
+    assert 0.0 <= found["heating_power"] <= 100.0
+
+
+def test_huber_drives_an_emulated_huber() -> None:
+    library: Any = foreign("huber", "huber")
+
+    async def talk(port: int) -> dict[str, Any]:
+        bath = library.Bath("127.0.0.1", comm_timeout=PATIENCE_S)
+        bath.port = port
+        async with bath:
+            await bath.set_setpoint(33.5)
+            await bath.start()
+            found: dict[str, Any] = await bath.get()
+            found["process"] = await bath.get_process_temperature()
+            await bath.stop()
+            return found
+
+    async def fault(port: int) -> dict[str, Any]:
+        bath = library.Bath("127.0.0.1", comm_timeout=PATIENCE_S)
+        bath.port = port
+        async with bath:
+            while not (found := await bath.get_error()):
+                await asyncio.sleep(0.05)
+            return dict(found)
+
+    with circulator("huber-pb") as (device, plant, port):
+        found = asyncio.run(asyncio.wait_for(talk(port), PATIENCE_S))
+        assert (plant.set_point_c, plant.running) == (33.5, False)
+        device.fault("low level")
+        assert asyncio.run(asyncio.wait_for(fault(port), PATIENCE_S))["code"] == -2
+    assert found["on"] is True
+    assert found["temperature"]["setpoint"] == 33.5
+    assert found["temperature"]["bath"] == pytest.approx(20.0, abs=0.5)
+    assert found["process"] == pytest.approx(20.0, abs=0.5)
+    assert found["status"] == {
+        "controlling": True,
+        "circulating": True,
+        "pumping": True,
+        "error": False,
+        "warning": False,
+    }
+
+
+def test_omega_controller_drives_an_emulated_omega() -> None:
+    library: Any = foreign("omega_controller", "omega_controller")
+    with real_time(load_register_profile("omega-cn7"), "pty") as (emulator, listener):
+        client = library.OmegaController(
+            listener.url, baudrate=19200, parity="n", bytesize=8, timeout=PATIENCE_S, mode="rtu"
+        )
+        with closing(client.instrument.serial):
+            assert client.get_pv() == 20.0
+            client.set_sv(33.5)
+            assert (client.get_sv(), emulator.plant.set_point_c) == (33.5, 33.5)
+            assert client.get_control_method() == 0
+            client.run()
+            assert [client.is_running(), emulator.plant.running] == [True, True]
+            client.stop()
+            assert [client.is_running(), emulator.plant.running] == [False, False]
+            assert client.read_status_code() in (None, 0)
+            emulator.fault("sensor break")
+            assert client.get_pv() is None
+
+
+def test_minimalmodbus_with_the_registers_of_its_eurotherm_class() -> None:
+    """Target 2, working set point 5, set point one 24, rate 35, manual 273; one decimal."""
+    with instrument("eurotherm-3200") as on:
+        client = on.client
+        assert client.read_register(1, 1) == 20.0
+        client.write_register(24, 33.5, 1, functioncode=16)
+        assert on.plant.set_point_c == 33.5
+        assert (client.read_register(2, 1), client.read_register(24, 1)) == (33.5, 33.5)
+        client.write_register(199, 0, functioncode=16)
+        assert on.plant.running
+        assert client.read_register(5, 1) == 33.5
+        client.write_register(35, 2.0, 1, functioncode=16)
+        assert (client.read_register(35, 1), on.plant.ramp_k_per_min) == (2.0, 2.0)
+        assert client.read_register(273) == 0
+
+
+def words(value: float) -> list[int]:
+    return list(struct.unpack(">HH", struct.pack(">f", value)))
+
+
+def number(pair: list[int]) -> float:
+    value: float = struct.unpack(">f", struct.pack(">HH", *pair))[0]
+    return value
+
+
+def test_pymodbustcp_drives_an_emulated_presto() -> None:
+    """By the manual's registers: safety sensor 30016, cut-out 30020 (15 and 19 on the wire)."""
+    library: Any = foreign("pyModbusTCP.client", "pyModbusTCP")
+    with on_tcp("julabo-presto") as (emulator, port):
+        client = library.ModbusClient("127.0.0.1", port, timeout=PATIENCE_S)
+        with closing(client):
+            assert number(client.read_input_registers(10, 2)) == 20.0
+            assert number(client.read_input_registers(15, 2)) == 20.0
+            assert number(client.read_input_registers(19, 2)) == 40.0
+            assert client.write_multiple_registers(2, words(33.5))
+            assert client.write_single_register(0, 1)
+            assert (emulator.plant.set_point_c, emulator.plant.running) == (33.5, True)
+            assert client.read_holding_registers(0, 4) == [1, 0, *words(33.5)]
+            assert client.write_single_register(0, 0)
+            assert client.read_input_registers(1000, 2) is None
+            assert client.last_except == 2
+
+
+def test_modbus_tk_drives_an_emulated_watlow() -> None:
+    """Low word first, map 1: 360, 2160, 1880 (62 off, 10 automatic), 2490 (15 degC)."""
+    master_of: Any = foreign("modbus_tk.modbus_tcp", "modbus-tk")
+    with on_tcp("watlow-pm-map1") as (emulator, port):
+        master = master_of.TcpMaster("127.0.0.1", port, PATIENCE_S)
+        with closing(master):
+            assert number(list(master.execute(1, 3, 360, 2))[::-1]) == 20.0
+            assert master.execute(1, 3, 2490, 1) == (15,)
+            master.execute(1, 16, 2160, output_value=words(33.5)[::-1])
+            master.execute(1, 6, 1880, output_value=10)
+            assert (emulator.plant.set_point_c, emulator.plant.running) == (33.5, True)
+            master.execute(1, 6, 1880, output_value=62)
+            assert not emulator.plant.running
+
+
+def test_umodbus_drives_an_emulated_magio() -> None:
+    tcp: Any = foreign("umodbus.client.tcp", "umodbus")
+    with (
+        on_tcp("julabo-magio") as (emulator, port),
+        socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as link,
+    ):
+        ask = tcp.send_message
+        assert number(ask(tcp.read_input_registers(1, 10, 2), link)) == 20.0
+        assert number(ask(tcp.read_input_registers(1, 15, 2), link)) == 20.0
+        ask(tcp.write_multiple_registers(1, 2, words(33.5)), link)
+        ask(tcp.write_single_register(1, 0, 1), link)
+        assert (emulator.plant.set_point_c, emulator.plant.running) == (33.5, True)
+        ask(tcp.write_single_register(1, 0, 0), link)
+
+
+# ---- the driver drives theirs
+
+
+def patient(name: str) -> Profile:
+    """A profile that waits for an answer as long as a busy machine may take."""
+    return load_profile(name).model_copy(update={"timeout_s": 10.0})
+
+
+# A PRESTO in standby at 20 degC with a set point of 25, its sensors at 20.5 and 21: by the manual's pages
+HOLDING = {0: [0], 1: [0], 2: words(25.0), 10: [0], 90: [0], 93: [0]}
+INPUT = {5: [4], 6: [0], 7: [0], 10: words(20.0), 12: words(20.5), 14: [0], 15: words(21.0)}
+INPUT |= {19: words(40.0), 0: [0, 10400]}
+
+
+def flat(image: dict[int, list[int]]) -> dict[int, int]:
+    return {at + n: word for at, values in image.items() for n, word in enumerate(values)}
+
+
+def check_presto(url: str) -> None:
+    with (
+        closing(RealClock()) as clock,
+        closing(Bath(url, patient("julabo-presto"), clock)) as bath,
+    ):
+        reading = bath.read()
+        assert (reading.temp_c, reading.external_c, reading.safety_c) == (20.0, 20.5, 21.0)
+        assert bath.identity["cut_out"] == "40 degC"
+        bath.start(33.5)
+        assert (bath.read().set_point_c, bath.read().running) == (33.5, True)
+        bath.safe()
+        assert bath.read().running is False
+        with pytest.raises(DeviceError, match="no register at this address"):
+            bath._rows.wire.read(4, 900, 2)  # type: ignore[attr-defined]
+
+
+def test_the_driver_on_pymodbustcps_server() -> None:
+    server_of: Any = foreign("pyModbusTCP.server", "pyModbusTCP")
+    bank = server_of.DataBank(h_regs_size=100, i_regs_size=100, coils_size=1, d_inputs_size=1)
+    bank._h_regs = [flat(HOLDING).get(at, 0) for at in range(100)]
+    bank._i_regs = [flat(INPUT).get(at, 0) for at in range(100)]
+    server = server_of.ModbusServer("127.0.0.1", free_port(), no_block=True, data_bank=bank)
+    server.start()
+    try:
+        check_presto(f"tcp://127.0.0.1:{server.port}")
+    finally:
+        server.stop()
+
+
+@pytest.mark.filterwarnings("ignore:isSet:DeprecationWarning")
+def test_the_driver_on_modbus_tks_slave() -> None:
+    server_of: Any = foreign("modbus_tk.modbus_tcp", "modbus-tk")
+    defines: Any = importlib.import_module("modbus_tk.defines")
+    server = server_of.TcpServer(port=free_port(), address="127.0.0.1")
+    slave = server.add_slave(1)
+    for name, kind, image in (
+        ("holding", defines.HOLDING_REGISTERS, HOLDING),
+        ("input", defines.ANALOG_INPUTS, INPUT),
+    ):
+        slave.add_block(name, kind, 0, 100)
+        for at, value in flat(image).items():
+            slave.set_values(name, at, value)
+    server.start()
+    try:
+        check_presto(f"tcp://127.0.0.1:{server._sa[1]}")
+    finally:
+        server.stop()
+
+
+def test_the_driver_on_umodbus_server() -> None:
+    tcp: Any = foreign("umodbus.server.tcp", "umodbus")
+    tables = {3: flat(HOLDING), 4: flat(INPUT)}
+    app = tcp.get_server(socketserver.ThreadingTCPServer, ("127.0.0.1", 0), tcp.RequestHandler)
+    app.daemon_threads = True
+    every = list(range(100))
+
+    @app.route(slave_ids=[1], function_codes=[3, 4], addresses=every)  # type: ignore[untyped-decorator]
+    def read(slave_id: int, function_code: int, address: int) -> int:
+        return tables[function_code].get(address, 0)
+
+    @app.route(slave_ids=[1], function_codes=[6, 16], addresses=every)  # type: ignore[untyped-decorator]
+    def write(slave_id: int, function_code: int, address: int, value: int) -> None:
+        tables[3][address] = value
+
+    thread = threading.Thread(target=app.serve_forever, name="umodbus", daemon=True)
+    thread.start()
+    try:
+        check_presto(f"tcp://127.0.0.1:{app.server_address[1]}")
+    finally:
+        app.shutdown()
+        app.server_close()
+        thread.join(PATIENCE_S)
+
+
+class Simulated:
+    """What julabo.simulator answers, behind a port of ours."""
+
+    def __init__(self, device: Any) -> None:
+        self.device = device
+        self._rest = b""
+
+    def connect(self, connection: Connection) -> None:
+        self._rest = b""
+
+    def disconnect(self, connection: Connection) -> None:
+        pass
+
+    def receive(self, connection: Connection, data: bytes) -> None:
+        *lines, self._rest = (self._rest + data).split(b"\r")
+        for line in lines:
+            if answer := self.device.handle_message(line):
+                connection.send(answer)
+
+
+@pytest.mark.parametrize(
+    ("kind", "power", "external"), [("JulaboCF", 3.0, 28.22), ("JulaboMS", 3.0, 28.22)]
+)
+def test_the_driver_on_julabos_simulators(
+    monkeypatch: pytest.MonkeyPatch, kind: str, power: float | None, external: float | None
+) -> None:
+    """Their base class is sinstruments' (gevent): a stand-in here has its name and its log."""
+    foreign("julabo", "julabo")
+
+    class BaseDevice:
+        def __init__(self, name: str, **options: object) -> None:
+            self._log = logging.getLogger(name)
+
+    package, module = types.ModuleType("sinstruments"), types.ModuleType("sinstruments.simulator")
+    module.BaseDevice = BaseDevice  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "sinstruments", package)
+    monkeypatch.setitem(sys.modules, "sinstruments.simulator", module)
+    monkeypatch.delitem(sys.modules, "julabo.simulator", raising=False)
+    simulator: Any = importlib.import_module("julabo.simulator")
+    device = getattr(simulator, kind)("bath")
+    with (
+        closing(RealClock()) as clock,
+        closing(
+            Listener(Simulated(device), clock, lock=threading.RLock(), name="simulator")
+        ) as listener,
+        closing(Bath(f"tcp://127.0.0.1:{listener.port}", patient("julabo-ascii"), clock)) as on,
+    ):
+        reading = on.read()
+        assert (reading.temp_c, reading.set_point_c, reading.safety_c) == (29.45, 30.0, 29.69)
+        assert (reading.power_percent, reading.external_c) == (power, external)
+        assert reading.remote is False
+        on.confirm_unit(29.5)
+        on.set_point(33.5)
+        assert device._config["SP_00"] == "33.50"
+        on.start(34.0)
+        assert (device._config["MODE_05"], on.read().running) == ("1", True)
+        on.safe()
+        assert device._config["MODE_05"] == "0"
