@@ -13,8 +13,8 @@ from math import exp, inf, log1p, prod, sqrt
 
 from scipy.special import chdtr, chdtrc, chdtri, fdtr, fdtrc, fdtri
 
-# of sound statements are accused: over all checks of one statement, and by each of the limits on a
-# largest deviation that follow from it
+# of sound statements are accused: in all, and of that by each of the three limits on a largest
+# deviation that follow from one
 LEVEL, LIMIT_LEVEL = 0.05, 0.005
 
 
@@ -58,8 +58,8 @@ class StatedCheck:
 
 
 def level_of_each(checks: Sequence[StatedCheck]) -> float:
-    """`LEVEL` shared by the checks (Bonferroni)."""
-    return LEVEL / max(1, len(checks))
+    """What the limits leave of `LEVEL`, shared by the checks (Bonferroni)."""
+    return (LEVEL - 3 * LIMIT_LEVEL) / max(1, len(checks))
 
 
 def refuted(checks: Sequence[StatedCheck]) -> list[StatedCheck]:

@@ -23,6 +23,7 @@ from bench.rig.loading import load_rig
 from bench.run.trial import REGISTRATION_FILE, refuse_carry
 from bench.script.model import load_script
 from bench.script.planned_trials import PlannedTrial
+from bench.truth.joint import joint_truth
 from bench.truth.registration import (
     load_registration,
     registration_from_facts,
@@ -114,6 +115,20 @@ def carried(tmp_path_factory: pytest.TempPathFactory) -> Done:
     errors = "scale_errors = [0.0005, -0.0004, 0.0, 0.0], squareness_rad = 0.0005, yaw_rad = 0.03"
     rig = shipped_rig(folder, emulation=f"stage = {{ {errors} }}")
     return done(rig, script_in(folder, CARRY), folder)
+
+
+def test_the_joint_covariance_has_each_ends_own_and_what_they_share(carried: Done) -> None:
+    ends = [(trial, row) for trial in carried.run.counted for row in trial.truth]
+    joint = joint_truth(carried.run, ends)
+    np.testing.assert_allclose(joint.covariances_mm2, carried.regions, rtol=1e-6, atol=1e-9)
+    assert {"arm", "registration", "reference touch"} <= set(joint.sources)
+    same = len(carried.run.counted[0].truth)  # of the first teat at two carried poses
+    one, other = joint.common[same], joint.common[2 * same]
+    correlation = np.trace(one @ other.T) / np.trace(one @ one.T)
+    assert correlation > 0.8
+    # a mean over all of them is hardly better known than one
+    mean = joint.of_mean(np.full(len(ends), 1.0 / len(ends)), fresh=True)
+    assert np.trace(mean) > 0.3 * np.trace(joint.covariances_mm2[same])
 
 
 @pytest.fixture(scope="module")
