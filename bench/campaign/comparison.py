@@ -76,6 +76,8 @@ def compare_campaigns(
             margin_rate=margin_rate,
             confidence=confidence,
             unpaired=alone[0],
+            # how many scenes there are was decided by looking at them
+            again=int(plan.half_width is not None or other.half_width is not None),
         )
         found.append(Comparison(old, new, pairs, same.count(True), *alone, compared))
     return tuple(found)

@@ -2,32 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any
 
 from bench.report.wording import NOT_MEASURED
 from bench.scoring.rates import plural
-from bench.script.model import Rules
+from bench.script.model import (
+    ErrorRequirement,
+    FalseRequirement,
+    Rules,
+    SuccessRequirement,
+    TimeRequirement,
+)
 from reports.page import Cell, Notes, Table
 
-CHANCE = 0.05  # of each to be wrong
+CHANCE = 0.05  # of an interval, or a p-value, to mislead
 
 
 def note_on_statements(parts: Sequence[Any], rules: Rules, detectors: int) -> Notes:
     """Says it once: the decisions on chance, the intervals and the p-values of these parts."""
-    decided = detectors * sum(_by_chance(rule) for rule in rules.requirements)
-    counts = {
-        plural(decided, "decision or bound") + ", one-sided": decided,
-        plural(found := _cells(parts, _is_interval), "interval") + ", two-sided": found,
-        plural(found := _cells(parts, _is_p), "p-value"): found,
-    }
-    total = sum(counts.values())
-    told = ", ".join(text for text, count in counts.items() if count)
+    chances = [
+        1.0 - rule.confidence
+        for rule in rules.requirements
+        if isinstance(rule, ErrorRequirement | SuccessRequirement | FalseRequirement)
+        or (isinstance(rule, TimeRequirement) and rule.rate is not None)
+    ] * detectors
+    intervals, p_values = (_cells(parts, wanted) for wanted in (_is_interval, _is_p))
+    decided = f"{len(chances)} decision{'' if len(chances) == 1 else 's'} and bounds, one-sided"
+    told = f"{decided}, {plural(intervals, 'interval')}, two-sided, {plural(p_values, 'p-value')}"
+    wrong = sum(chances) + CHANCE * (intervals + p_values)
     made = (
-        f"This page makes {plural(total, 'statement')} that chance makes wrong in at most"
-        f" {CHANCE:.0%} of cases each{f': {told}' if told else ''}. Each holds by itself; of all of"
-        f" them some {CHANCE * total:.1f} may be wrong."
+        f"This page makes {plural(len(chances) + intervals + p_values, 'statement')} that chance"
+        f" makes wrong in at most {100 * CHANCE:g} % of cases each (a requirement: 1 - its"
+        f" confidence): {told}. Each holds by itself; of all of them some {wrong:.1f} may be wrong."
     )
     planned = f"of {rules.looks} planned" if rules.looks > 1 else "the only one planned"
     first = (
@@ -38,11 +46,6 @@ def note_on_statements(parts: Sequence[Any], rules: Rules, detectors: int) -> No
     return Notes("How often chance alone misleads", (made, first))
 
 
-def _by_chance(rule: Any) -> bool:
-    """Whether a requirement is decided, or bounded, with a confidence."""
-    return hasattr(rule, "confidence") and getattr(rule, "rate", True) is not None
-
-
 def _is_interval(title: str) -> bool:
     return "interval" in title
 
@@ -51,7 +54,7 @@ def _is_p(title: str) -> bool:
     return title == "p" or title.startswith("p-value")
 
 
-def _cells(parts: Sequence[Any], wanted: Any) -> int:
+def _cells(parts: Sequence[Any], wanted: Callable[[str], bool]) -> int:
     """The filled cells of the columns with such titles, or units."""
     return sum(
         bool(_text(row[at]).strip()) and _text(row[at]) != NOT_MEASURED

@@ -112,10 +112,21 @@ def compare_folders(
     runs = [read_run(folder, damage) for folder in folders]
     found = []
     for old, new in sides(runs, detectors):
-        found.append(compare_sides(old, new, margin_mm=margin_mm, confidence=confidence, seed=seed))
-        if found[-1].look and not damage and len(runs) > 1:
-            write_looks((old.run, new.run), [found[-1].look])
+        one = compare_sides(old, new, margin_mm=margin_mm, confidence=confidence, seed=seed)
+        found.append(_written(one) if not damage and len(runs) > 1 else one)
     return tuple(found)
+
+
+def _written(one: Comparison) -> Comparison:
+    """The comparison, written down as a look; not shown to be no worse where it can't be."""
+    try:
+        write_looks((one.old.run, one.new.run), [one.look] if one.look else [])
+    except ConfigError as error:
+        gate = one.compared.gate
+        if gate.verdict is Verdict.MET:
+            gate = replace(gate, verdict=Verdict.INCONCLUSIVE, reasons=(str(error),))
+        return replace(one, compared=replace(one.compared, gate=gate))
+    return one
 
 
 def compare_sides(

@@ -377,7 +377,7 @@ def gate(
     bounds = (
         f"over all poses the mean distance grew by at most {high:.3f} mm (margin {margin_mm:g} mm) "
         f"and at most {percent(failing)} of poses are lost anew ({plural(pooled.poses, 'pose')}, "
-        f"{exact_percent(tail)} confidence each)"
+        f"{exact_percent(tail)} confidence each, one-sided)"
     )
     if margin_rate is not None:
         fell = f"the share of right ones fell by at most {percent(margin_rate)}"

@@ -129,7 +129,9 @@ def test_of_too_few_poses_the_gate_says_how_many_it_takes(
         "The new one is not worse: no scene lost, no false or missed teat more over all poses the"
         " mean distance grew by at most" in text
     )
-    assert "at most 70.8 % of poses are lost anew (3 poses, 97.5 % confidence each)" in text
+    assert (
+        "at most 70.8 % of poses are lost anew (3 poses, 97.5 % confidence each, one-sided)" in text
+    )
 
 
 def test_two_detectors_of_one_run_and_the_page(recording: Path, tmp_path: Path, said: Said) -> None:

@@ -241,7 +241,7 @@ def test_bets_on_means_are_those_on_rates() -> None:
 
 @pytest.mark.parametrize(
     ("planned", "poses", "failed", "spent", "more"),
-    [(1, 30, 0, 0.0, 50), (1, 59, 1, 0.0485, 177), (1, 92, 1, 0.0089, 71), (2, 59, 1, 0.0, 70)],
+    [(1, 30, 0, 0.0, 50), (1, 59, 1, 0.0485, 177), (1, 92, 1, 0.0089, 71), (2, 59, 1, 0.0, 99)],
 )
 def test_the_figures_of_the_docs(
     planned: int, poses: int, failed: int, spent: float, more: int

@@ -1,0 +1,40 @@
+"""How many statements of a page chance may make wrong, counted from what the page shows."""
+
+from __future__ import annotations
+
+from bench.report.statements import note_on_statements
+from bench.report.wording import NOT_MEASURED, table
+from bench.script.model import Rules
+from reports.page import Fold, Section
+
+RULES = Rules.model_validate(
+    {
+        "title": "t",
+        "detectors": ["fused"],
+        "requirements": [
+            {"kind": "success", "name": "s", "rate": 0.95},
+            {"kind": "false_teats", "name": "f"},
+            {"kind": "time", "name": "aim", "limit_s": 1.0, "statistic": "p95"},
+            {"kind": "time", "name": "limit", "limit_s": 1.0, "statistic": "p95", "rate": 0.95},
+            {"kind": "bath_in_band", "name": "b", "band_k": 1.0},
+        ],
+    }
+)
+
+
+def test_decisions_intervals_and_p_values_are_counted_wherever_they_stand() -> None:
+    rows = [("a", "1 to 2", "0.04"), ("b", NOT_MEASURED, "0.5"), ("c", "", "")]
+    deep = table("deep", "what | >95 % interval, two-sided [mm] | >p # chance", rows)
+    bare = table("bare", "what | >rate [k of n, interval]", [("a", "1 of 2 (1 to 99 %)")])
+    section = Section("s", "S", (Fold("more", (deep,)), bare), folded=True)
+    made, first = note_on_statements(((section,),), RULES, 2).items
+    # three requirements of each detector, two intervals, two p-values
+    assert "makes 10 statements" in made
+    assert "6 decisions and bounds, one-sided, 2 intervals, two-sided, 2 p-values" in made
+    assert "some 0.5 may be wrong" in made
+    assert "the only one planned" in first
+
+
+def test_a_plan_for_looks_is_said() -> None:
+    two = RULES.model_copy(update={"looks": 2})
+    assert "first look at these poses, of 2 planned" in note_on_statements((), two, 1).items[1]
