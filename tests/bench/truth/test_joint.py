@@ -72,7 +72,7 @@ def test_the_frames_touches_turn_all_ends_alike(tmp_path: Path) -> None:
                 MADE,
                 "1",
                 [
-                    TouchedPoint(name, tuple(np.add(at, rng.normal(0.0, U, 3)).tolist()))  # type: ignore[arg-type]
+                    TouchedPoint(name, tuple(np.add(at, rng.normal(0.0, U, 3)).tolist()))
                     for name, at in CORNERS.items()
                 ],
             ).world_from_arm.apply([[x, 300.0, 130.0] for x in places])

@@ -682,7 +682,7 @@ def test_a_lauda_that_nobody_asks_any_more_stops_by_itself_with_an_alarm() -> No
             clock.sleep(20.0)
             assert bath.read().running
         clock.sleep(29.0)
-        assert plant.running
+        assert device.plant.running
         clock.sleep(2.0)
         assert not plant.running
         with pytest.raises(DeviceError, match="stopped by itself"):
