@@ -5,6 +5,7 @@ what reports is imported where it is needed: wrong use is to be answered at once
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 from collections.abc import Callable
@@ -98,7 +99,14 @@ def resume(given: argparse.Namespace) -> int:
 
     console = Terminal()
     with undamaged([given.run], given) as damage:
-        operator = files_of(read_run(given.run))[0].rig.operator.url
+        record = read_run(given.run)
+        if record.ending == "finished" and not _is_reported(given.run):
+            from bench.cli.verdict import show_verdict
+            from bench.report.page import write_run_report
+
+            print(f"{given.run}: every trial is done, the bench died before it wrote the report")
+            return show_verdict(console, *write_run_report(given.run, damage=damage))
+        operator = files_of(record)[0].rig.operator.url
         with event_lines(given.events) as lines, TerminalProgress(console) as shown:
             progress = Events(shown, lines)
             typed = typed_lines(operator)
@@ -111,6 +119,14 @@ def resume(given: argparse.Namespace) -> int:
 
             written = write_run_report(given.run, damage=damage)
         return show_verdict(console, *written)
+
+
+def _is_reported(folder: Path) -> bool:
+    """Whether the report is that of the finished run, and not of a session before its end."""
+    with suppress(OSError, ValueError, AttributeError):
+        text = (folder / "report" / "run.json").read_text(encoding="utf-8")
+        return bool(json.loads(text).get("ending") == "finished")
+    return False
 
 
 def typed_lines(operator_url: str) -> Callable[[], str | None]:

@@ -157,10 +157,15 @@ def test_a_trial_that_killed_the_bench_twice_is_skipped_and_reported(
     assert "died in it 2 times" in page
 
 
-def test_nothing_is_left_of_a_finished_run_and_its_states_are_in_its_record(
-    undisturbed: tuple[Path, int], said: Said
+@pytest.mark.slow
+def test_of_a_finished_run_a_report_may_be_left_and_its_states_are_in_its_record(
+    undisturbed: tuple[Path, int], said: Said, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = read_run(only_run(undisturbed[0], "whole"))
+    assert not (run.folder / "report").exists()
+    assert main(["resume", str(run.folder)]) in (0, 1, 4)
+    assert "the bench died before it wrote the report" in capsys.readouterr().out
+    assert (run.folder / "report" / "index.html").is_file()
     assert "is finished: nothing is left to do" in said(2, "resume {}", run.folder).err
     assert texts(run, EVENT) == ["preparing", "settling", "running", "safing", "finished"]
     assert [trial.id for trial in run.trials] == TRIALS
