@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from bench.cli.arguments import CODES, code_of
 from bench.cli.terminal import working
-from bench.config import writing
+from bench.config import ConfigError, writing
 from bench.files import write_synced
 from bench.record.check import NOT_AS_WRITTEN, check_run, checked_first, shortened
 
@@ -88,6 +88,8 @@ def compare(given: argparse.Namespace) -> int:
     from bench.results.comparison import compare_folders, judge_folders, judgement_lines
     from bench.results.verdicts import run_verdict
 
+    if given.across_scripts and not given.together:
+        raise ConfigError.plain("--across-scripts says which runs may be pooled: use --together")
     with undamaged(given.run, given) as damage:
         if given.together:
             with working("judging the runs together"):

@@ -119,6 +119,7 @@ def _show_offsets(path: Path, *, as_json: bool) -> int:
 
 
 def plan(given: argparse.Namespace) -> None:
+    from bench.scoring.looks import Looks
     from bench.scoring.sample_size import make_plan, plan_lines  # scipy takes seconds to import
 
     if given.script and given.trials is not None:
@@ -135,12 +136,14 @@ def plan(given: argparse.Namespace) -> None:
             "--limit-mm and --u-mm belong together: the limit of the error, and the uncertainty of"
             " the truth"
         )
-    poses = given.trials
+    poses, confidence = given.trials, given.confidence
     if given.script:  # repeats of one pose count once
-        poses = len({trial.name for trial in load_script(find_script(given.script)).planned})
+        loaded = load_script(find_script(given.script))
+        poses = len({trial.name for trial in loaded.planned})
+        confidence = Looks(loaded.script.looks).first_confidence(confidence)
     names = ("failures", "true_rate", "sd_mm", "shift_mm", "power", "limit_mm", "u_mm")
     more = {name: getattr(given, name) for name in names}
-    found = make_plan(tuple(given.rate) or RATES, given.confidence, poses=poses, **more)
+    found = make_plan(tuple(given.rate) or RATES, confidence, poses=poses, **more)
     if given.json:
         print(json.dumps(asdict(found), indent=1))
     else:

@@ -135,6 +135,8 @@ def test_runs_of_different_scripts_are_pooled_only_where_asked(
     refused = said(2, "compare {} {} --together", runs["a"], other).err
     assert "different scripts" in refused
     assert "--across-scripts" in refused
+    alone = said(2, "compare {} {} --across-scripts", runs["a"], other).err
+    assert "use --together" in alone
     told = said(0, "compare {} {} --together --across-scripts", runs["a"], other).out
     assert "OF DIFFERENT SCRIPTS" in told
 
