@@ -105,6 +105,18 @@ def grey8(image: NDArray[Any], full_scale: int = 65535) -> Grey:
     return np.ascontiguousarray(image, dtype=np.uint8)
 
 
+# the middle of a barn's picture: from frost under a winter's sky to a lamp before the camera
+BARN_C = (-60.0, 150.0)
+
+
+def no_temperatures(centikelvin: CentiKelvin) -> str:
+    """Why counts can't be hundredths of a kelvin that a barn has; empty where they may be."""
+    middle_c = float(np.median(centikelvin)) / 100.0 - 273.15
+    if BARN_C[0] <= middle_c <= BARN_C[1]:
+        return ""
+    return f"{middle_c:.0f} degC in the middle of all: these counts are no hundredths of a kelvin"
+
+
 Pixels = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]
 
 
@@ -183,7 +195,10 @@ class Conversion:
             span = f"{centikelvin.min() / 100:g} to {centikelvin.max() / 100:g} K"
             what = f"counts {counts.min()} to {counts.max()} would be {span}"
             raise ValueError(f"{what}: kelvin_per_count or kelvin_at_zero is wrong")
-        return np.ascontiguousarray(centikelvin.astype(np.uint16))
+        found = np.ascontiguousarray(centikelvin.astype(np.uint16))
+        if wrong := no_temperatures(found):
+            raise ValueError(f"{wrong}: kelvin_per_count or kelvin_at_zero is wrong")
+        return found
 
     def depth(self, raw: RawFrame) -> tuple[TenthsMm, NDArray[np.uint16] | None]:
         """Tenths of a mm (h, w), 0 where not measured, and amplitude (h, w) or None. Raises

@@ -141,6 +141,21 @@ def test_temperatures_that_cannot_be_are_refused() -> None:
     )
     for frame, radiometry, said in (
         (hot, declared, wrong),
+        (
+            RawFrame(np.full((2, 2), 8192, np.uint16), 0.0, 16),
+            Radiometry(0.01),
+            "-191 degC in the mid",
+        ),
+        (
+            RawFrame(np.full((2, 2), 2620, np.uint16), 0.0, 14),
+            Radiometry(0.01),
+            "-247 degC.*no hundred",
+        ),
+        (
+            RawFrame(np.full((2, 2), 6000, np.uint16), 0.0, 16),
+            Radiometry(0.1),
+            "327 degC.*is wrong",
+        ),
         (hot, None, "no radiometry"),
         (colour, declared, "from a grey frame"),
     ):

@@ -326,7 +326,8 @@ def test_temperatures_and_shutter_of_a_flir(
         frame = whole(camera)
         declared = Conversion(radiometry=Radiometry(profile.kelvin_per_count))
         assert frame.bits == 16
-        assert declared.temperatures(replace(frame, pixels=frame.pixels // 64)).dtype == "uint16"
+        warm = np.full_like(frame.pixels, round(300.0 / profile.kelvin_per_count))
+        assert declared.temperatures(replace(frame, pixels=warm)).dtype == "uint16"
     with (
         opened(IN_PROCESS, clock, shutter="NoSuchCommand") as camera,
         pytest.raises(LinkError, match=r"did not close its shutter.*Correct shutter"),
