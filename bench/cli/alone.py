@@ -129,8 +129,8 @@ def show(given: argparse.Namespace) -> int:
 
 
 def _next_look(alone: rig_alone.Alone, clock: Clock, end_s: float, every_s: float) -> Pictures:
-    """Pictures of all cameras, as soon as all come whole: no single frame ends it. Raises FrameError
-    where none came until ``end_s``.
+    """Pictures of all cameras, as soon as all come whole: no frame ends the wait. Raises FrameError
+    after ``end_s``.
     """
     while True:
         try:

@@ -77,9 +77,10 @@ class CameraSet:
             hint = "Correct what the rig file declares of the cameras."
             raise ProtocolError("cameras", str(fault), asked="a frame", hint=hint) from fault
         exposed_s = {name: frame.exposed_s for name, frame in raw.items()}
-        passed = {name: frame.passed_over for name, frame in raw.items() if frame.passed_over}
-        told = {"identity": self.identity, "passed_over": passed}
-        return FrameSet(**images, exposed_s=exposed_s, **told)
+        images["passed_over"] = {
+            name: one.passed_over for name, one in raw.items() if one.passed_over
+        }
+        return FrameSet(**images, exposed_s=exposed_s, identity=self.identity)
 
     def close(self) -> None:
         """Let all cameras go, side by side, in 2 s at most; may be called again."""

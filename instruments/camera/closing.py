@@ -20,7 +20,7 @@ def close_within(closers: Sequence[Callable[[], object]], seconds: float = CLOSE
     def run(closer: Callable[[], object]) -> None:
         try:
             closer()
-        except BaseException as error:  # noqa: BLE001 - raised below, where it is waited for
+        except BaseException as error:
             errors.append(error)
 
     threads = [

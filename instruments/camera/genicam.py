@@ -188,7 +188,7 @@ class GenicamCamera:
             else:
                 c.set_trigger("Software" if trigger == "software" else source)
             c.set_acquisition_mode(self._aravis.AcquisitionMode.CONTINUOUS)
-            self._code = int(c.get_pixel_format())
+            self._code = self._pixel_format()
             self._stream = c.create_stream(None, None)
             for _ in range(BUFFERS):
                 self._stream.push_buffer(self._aravis.Buffer.new_allocate(c.get_payload()))
@@ -218,6 +218,9 @@ class GenicamCamera:
         held = hold_still(self._who, asked, automatic)
         notes = (*held, *apply(self._who, asked, ways, (self._failure, DeviceError)))
         return (*notes, self._ptp()) if asked.ptp else notes
+
+    def _pixel_format(self) -> int:
+        return int(self._camera.get_pixel_format())
 
     def _frame_wait_s(self) -> float:
         """The longest wait for a frame: some intervals of a slow camera."""
@@ -380,6 +383,8 @@ class GenicamCamera:
     def _none_came(self, passed: list[str]) -> FrameError:
         """Why there is no frame, after damaged ones with these statuses."""
         self._check_control()
+        with suppress(self._failure):  # frames larger than their buffers may not come at all
+            self._check_unchanged(_region(self._camera.get_region()), self._pixel_format())
         if not passed:
             waits = self._settings.trigger == "hardware"
             hint = "Check cable, power and the network's packet size."
@@ -457,11 +462,9 @@ class GenicamCamera:
             return
         self._changed = True
         if region != self._region:
-            what = f"a frame of {_shown(region)} came; it was opened with {_shown(self._region)}"
+            what = f"it sends {_shown(region)}; it was opened with {_shown(self._region)}"
         else:
-            what = (
-                f"a frame of pixel format 0x{code:08X} came; it was opened with 0x{self._code:08X}"
-            )
+            what = f"it sends pixel format 0x{code:08X}; it was opened with 0x{self._code:08X}"
         hint = "Was it set by another program? It is opened again for the next frame."
         raise self._fault(FrameFault.WRONG_SIZE, what, hint)
 
