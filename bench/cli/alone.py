@@ -9,7 +9,7 @@ import json
 import math
 import sys
 import webbrowser
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 
 from bench.cli.arguments import CODES, complain, print_values
@@ -21,9 +21,14 @@ from bench.rig.alone import open_alone, open_stage, shown
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.live_page import live_page
 from bench.rig.model import Stage as StageTable
+from instruments.camera.cameras import KNOWN
+from instruments.camera.frame import FrameError, Grey
 from instruments.camera.quality import edge_blur_px
+from instruments.clock import Clock
 from instruments.errors import LimitError
 from instruments.stage.driver import Stage
+
+Pictures = Mapping[str, Grey]
 
 
 def _at(given: argparse.Namespace) -> StageTable:
@@ -123,22 +128,38 @@ def show(given: argparse.Namespace) -> int:
     return CODES.fault if faults else CODES.met
 
 
+def _next_look(alone: rig_alone.Alone, clock: Clock, end_s: float, every_s: float) -> Pictures:
+    """Pictures of all cameras, as soon as all come whole: no frame ends the wait. Raises FrameError
+    after ``end_s``.
+    """
+    while True:
+        try:
+            return alone.look()
+        except FrameError as error:
+            if clock.now() >= end_s:
+                raise
+            print(f"teatbench: {error}", file=sys.stderr, flush=True)
+            clock.sleep(every_s)
+
+
 def focus(given: argparse.Namespace) -> None:
     """Print the blur of each camera's edges; smaller is sharper. Ends with the smallest."""
     best: dict[str, float] = {}
+    seconds = given.seconds or math.inf
     live = sys.stdout.isatty()
     with open_alone(given.sources) as alone, ExitStack() as stack:
         page, clock = None, alone.clock
         if given.page:
-            page = stack.enter_context(live_page(alone.look(), given.every))
+            first = _next_look(alone, clock, clock.now() + seconds, given.every)
+            page = stack.enter_context(live_page(first, given.every))
             clock = page.clock  # whoever looks does so in real time, on an emulated rig too
             print(f"page {page.url}", flush=True)
             if on_a_desktop():
                 webbrowser.open(page.url)
-        end_s = clock.now() + (given.seconds or math.inf)
+        end_s = clock.now() + seconds
         try:
             while clock.now() < end_s:
-                parts, seen = [], alone.look()
+                parts, seen = [], _next_look(alone, clock, end_s, given.every)
                 for name, picture in seen.items():
                     blur_px = edge_blur_px(picture)
                     if blur_px is None:
@@ -157,8 +178,17 @@ def focus(given: argparse.Namespace) -> None:
         if live:
             print()
     if best:
-        values = ", ".join(f"{name} = {px:.2f}" for name, px in best.items())
-        print(f"focus_px = {{ {values} }}  # of [cameras.checks] in the rig file")
+        print(focus_line(best))
+
+
+def focus_line(best: Mapping[str, float]) -> str:
+    """The least blur (px) of each camera, as a rig file takes it; never 0, which has no limit."""
+    places = {name if name in KNOWN else KNOWN[0]: px for name, px in best.items()}
+    values = ", ".join(f"{place} = {max(0.01, px):.2f}" for place, px in places.items())
+    where = "of [cameras.checks] in the rig file"
+    if set(best) - set(KNOWN):
+        where += f"; write {' or '.join(KNOWN[1:])} for {KNOWN[0]} where it is that camera"
+    return f"focus_px = {{ {values} }}  # {where}"
 
 
 def grab(given: argparse.Namespace) -> None:

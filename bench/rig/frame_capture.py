@@ -294,6 +294,11 @@ class FrameTaker:
             frames = self._cameras.capture()
         except FrameError as error:
             return None, [FrameProblem(error.fault, error.camera, str(error))]
+        for camera, count in frames.passed_over.items():
+            self.counts[f"{camera}: {FrameFault.LOST_PACKETS}"] += count
+            were = "1 damaged frame was" if count == 1 else f"{count} damaged frames were"
+            said = f"{were} passed over; the next whole one was taken"
+            self._report(EVENT, f"{camera} camera: {FrameFault.LOST_PACKETS}: {said}.")
         return frames, self._checks.notice(frames)
 
 

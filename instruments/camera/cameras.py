@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
+from instruments.camera.closing import close_within
 from instruments.camera.frame import Conversion, FrameSet, RawFrame
 from instruments.errors import InstrumentError, ProtocolError
 
@@ -76,13 +77,15 @@ class CameraSet:
             hint = "Correct what the rig file declares of the cameras."
             raise ProtocolError("cameras", str(fault), asked="a frame", hint=hint) from fault
         exposed_s = {name: frame.exposed_s for name, frame in raw.items()}
+        images["passed_over"] = {
+            name: one.passed_over for name, one in raw.items() if one.passed_over
+        }
         return FrameSet(**images, exposed_s=exposed_s, identity=self.identity)
 
     def close(self) -> None:
-        """Let all cameras go; may be called again."""
-        for camera in self._cameras.values():
-            camera.close()
-        self._cameras.clear()
+        """Let all cameras go, side by side, in 2 s at most; may be called again."""
+        cameras, self._cameras = self._cameras, {}
+        close_within([camera.close for camera in cameras.values()])
 
     def _open(self) -> None:
         try:

@@ -35,8 +35,8 @@ _IMAGES = (
 class FrameSet:
     """``left``, ``right``, ``thermal`` (as delivered) uint8 (h, w); ``thermal_ck`` uint16
     centi-kelvin, un-mirrored; ``depth_dmm`` uint16 tenths of a mm along the axis, 0: not measured;
-    ``amplitude`` uint16 of its signal. ``exposed_s`` (bench's clock) and ``identity`` by camera.
-    Raises ValueError.
+    ``amplitude`` uint16 of its signal. By camera: ``exposed_s`` (bench's clock), ``identity``,
+    ``passed_over`` as in `RawFrame`. Raises ValueError.
     """
 
     left: Grey
@@ -47,6 +47,7 @@ class FrameSet:
     identity: Mapping[str, str] = field(default_factory=dict)
     depth_dmm: TenthsMm | None = None
     amplitude: NDArray[np.uint16] | None = None
+    passed_over: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, dtype, optional in _IMAGES:
@@ -135,6 +136,7 @@ class Ranging:
 class RawFrame:
     """``pixels`` uint8 or uint16, (h, w) or (h, w, 3) blue-green-red, or distances as float32, with
     ``bits`` of signal. Of a depth camera: what its counts are, and its ``amplitude``.
+    ``passed_over``: damaged frames that came before it and were left out.
     """
 
     pixels: Pixels
@@ -142,6 +144,7 @@ class RawFrame:
     bits: int = 8
     ranging: Ranging | None = None
     amplitude: Pixels | None = None
+    passed_over: int = 0
 
 
 Channel = Literal["luma", "red", "green", "blue"]

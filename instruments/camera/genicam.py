@@ -1,6 +1,6 @@
 """A GigE Vision or USB3 Vision camera, optical, radiometric or of depth, through Aravis, which is
-loaded on demand. A buffer with missing packets or of another size is a named fault, never a
-picture. Distances are as in the SFNC 2.7, 3D scan control: count x scale + offset, in a unit.
+loaded on demand. A damaged buffer is never a picture: the next whole frame is taken instead, and
+told. Distances are as in the SFNC 2.7, 3D scan control: count x scale + offset, in a unit.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from instruments.camera.closing import close_within
 from instruments.camera.frame import FrameError, FrameFault, Pixels, Ranging, RawFrame
 from instruments.camera.pixel_formats import BY_CODE, unpack
 from instruments.camera.settings import Settings, Value, apply, hold_still, same
@@ -26,6 +27,7 @@ INSTALL = (
 )
 BUFFERS = 4
 TIMEOUT_S = 2.0
+INTERVALS = 3.0  # a frame under way, one that may be damaged, and the one that is taken
 # what a buffer's status says of its frame; any other means that none came
 DAMAGED = dict.fromkeys(
     ("MISSING_PACKETS", "WRONG_PACKET_ID", "TIMEOUT"), FrameFault.LOST_PACKETS
@@ -86,9 +88,20 @@ def _controls(camera: Any) -> bool:
     return not camera.is_gv_device() or bool(camera.get_device().is_controller())
 
 
+Region = tuple[int, int, int, int]  # x, y, width, height
+
+
+def _region(found: Any) -> Region:
+    return int(found.x), int(found.y), int(found.width), int(found.height)
+
+
 def _size(camera: Any) -> tuple[int, int]:
-    region = camera.get_region()
-    return int(region.width), int(region.height)
+    return _region(camera.get_region())[2:]
+
+
+def _shown(region: Region) -> str:
+    x, y, width, height = region
+    return f"{width} x {height} at ({x}, {y})"
 
 
 def feature_names(device: Any) -> list[str]:
@@ -149,6 +162,9 @@ class GenicamCamera:
         if device.startswith(FAKE):
             self._aravis.enable_interface("Fake")
         self._stream: Any = None
+        self._camera: Any = None
+        self._region: Region | None = None
+        self._changed = False
         self._open()
 
     def _open(self) -> None:
@@ -156,7 +172,11 @@ class GenicamCamera:
         self._camera = self._found(self._device)
         self._lost_control = False
         try:
+            if self._region and not self._settings.resolution:  # as it was opened first
+                self._camera.set_region(*self._region)
             notes = self._apply_settings()
+            self._region = _region(self._camera.get_region())
+            self._wait_s = self._frame_wait_s()
             self._ranging = self._scan3d() if self._settings.depth else None
             c, (width, height) = self._camera, _size(self._camera)
             who = f"{c.get_vendor_name()} {c.get_model_name()} {c.get_device_serial_number()}"
@@ -168,10 +188,12 @@ class GenicamCamera:
             else:
                 c.set_trigger("Software" if trigger == "software" else source)
             c.set_acquisition_mode(self._aravis.AcquisitionMode.CONTINUOUS)
+            self._code = self._pixel_format()
             self._stream = c.create_stream(None, None)
             for _ in range(BUFFERS):
                 self._stream.push_buffer(self._aravis.Buffer.new_allocate(c.get_payload()))
             c.start_acquisition()
+            self._changed = False
         except BaseException as error:
             self.close()
             if isinstance(error, self._failure):
@@ -196,6 +218,16 @@ class GenicamCamera:
         held = hold_still(self._who, asked, automatic)
         notes = (*held, *apply(self._who, asked, ways, (self._failure, DeviceError)))
         return (*notes, self._ptp()) if asked.ptp else notes
+
+    def _pixel_format(self) -> int:
+        return int(self._camera.get_pixel_format())
+
+    def _frame_wait_s(self) -> float:
+        """The longest wait for a frame: some intervals of a slow camera."""
+        with suppress(self._failure):
+            if self._camera.is_frame_rate_available() and (rate := self._camera.get_frame_rate()):
+                return max(self._timeout_s, INTERVALS / float(rate))
+        return self._timeout_s
 
     def _offers(self, name: str) -> bool:
         device = self._camera.get_device()
@@ -287,51 +319,100 @@ class GenicamCamera:
         self._clock.sleep(self._settings.shutter_s)
 
     def begin(self) -> None:
-        """Return old buffers; trigger by software where set. Raises LinkError, or FrameError when
-        control of the camera was lost, which is then opened again.
+        """Return old buffers; trigger by software where set. Raises LinkError, or FrameError where
+        the camera takes no trigger. One whose control was lost, or whose frames have changed, is
+        opened again.
         """
-        if self._lost_control:
-            try:
-                self._open()
-            except BaseException:
-                self._lost_control = True  # the next call tries again
-                raise
+        if self._lost_control or self._changed:
+            self._reopen()
         if self._stream is None:
             raise LinkError(self._who, "is closed", asked="a frame")
         while (stale := self._stream.try_pop_buffer()) is not None:
             self._stream.push_buffer(stale)
-        if self._settings.trigger == "software":
-            try:
-                self._camera.software_trigger()
-            except self._failure as error:
-                self._check_control()
-                what = f"did not take the trigger: {error}"
-                raise LinkError(self._who, what, asked="TriggerSoftware") from error
+        self._trigger()
+
+    def _reopen(self) -> None:
+        changed, self._changed = self._changed, False
+        if changed:
+            self.close()
+        try:
+            self._open()
+        except BaseException:
+            self._lost_control = True  # the next call tries again
+            raise
+
+    def _trigger(self) -> None:
+        if self._settings.trigger != "software":
+            return
+        try:
+            self._camera.software_trigger()
+        except self._failure as error:
+            self._check_control()
+            what = f"did not take the trigger: {error}"
+            hint = "Check cable and power."
+            raise self._fault(FrameFault.DROPPED, what, hint) from error
 
     def take(self) -> RawFrame:
-        """The frame. Raises FrameError where none came or it came with holes."""
-        buffer = self._stream.timeout_pop_buffer(int(self._timeout_s * 1e6))
-        arrived_s = self._clock.now()
-        if buffer is None:
-            self._check_control()
+        """The next whole frame. Damaged ones are passed over and counted in it. Raises FrameError
+        where none came in time, or not as the camera was opened.
+        """
+        end_s = self._clock.now() + self._wait_s
+        passed: list[str] = []  # the status of each damaged buffer
+        while True:
+            left_s = max(0.0, end_s - self._clock.now())
+            buffer = self._stream.timeout_pop_buffer(int(left_s * 1e6))
+            arrived_s = self._clock.now()
+            if buffer is None:
+                raise self._none_came(passed)
+            try:
+                status = buffer.get_status().value_nick.upper().replace("-", "_")
+                if status == "SUCCESS":
+                    return self._frame(buffer, arrived_s, len(passed))
+                passed.append(status)
+            finally:
+                self._stream.push_buffer(buffer)
+            if arrived_s >= end_s:
+                raise self._none_came(passed)
+            self._trigger()
+
+    def _frame(self, buffer: Any, arrived_s: float, passed: int) -> RawFrame:
+        (pixels, bits), amplitude = self._pixels(buffer)
+        exposed_s = self._time.bench_s(buffer.get_timestamp() * 1e-9, arrived_s)
+        return RawFrame(pixels, exposed_s, bits, self._ranging, amplitude, passed)
+
+    def _none_came(self, passed: list[str]) -> FrameError:
+        """Why there is no frame, after damaged ones with these statuses."""
+        self._check_control()
+        with suppress(self._failure):  # frames larger than their buffers may not come at all
+            self._check_unchanged(_region(self._camera.get_region()), self._pixel_format())
+        if not passed:
             waits = self._settings.trigger == "hardware"
             hint = "Check cable, power and the network's packet size."
             hint = "Did its trigger come?" if waits else hint
-            raise self._fault(FrameFault.DROPPED, "no frame came", hint, self._timeout_s)
-        try:
-            (pixels, bits), amplitude = self._pixels(buffer)
-            exposed_s = self._time.bench_s(buffer.get_timestamp() * 1e-9, arrived_s)
-            return RawFrame(pixels, exposed_s, bits, self._ranging, amplitude)
-        finally:
-            self._stream.push_buffer(buffer)
+            return self._fault(FrameFault.DROPPED, "no frame came", hint, self._wait_s)
+        status = passed[-1]
+        what = f"no whole frame came, {len(passed)} with damage, the last with status {status}"
+        hint = "Raise the socket's buffer and the packet size, or lower the frame rate."
+        if status == "SIZE_MISMATCH":  # larger than the buffers that it was opened with
+            self._changed = True
+            hint = "Was its picture set to another size or pixel format? It is opened again."
+        return self._fault(DAMAGED.get(status, FrameFault.DROPPED), what, hint, self._wait_s)
 
     def close(self) -> None:
-        """Let it go; may be called again."""
-        self._lost_control = False
-        if self._stream is not None:
-            camera, self._stream, self._camera = self._camera, None, None
+        """Let it go, in 2 s at most; may be called again."""
+        self._lost_control = self._changed = False
+        held = [self._stream, self._camera]
+        self._stream = self._camera = None
+        if held == [None, None]:
+            return
+
+        def let_go() -> None:
             with suppress(self._failure):  # it has gone already
-                camera.stop_acquisition()
+                if held[0] is not None:
+                    held[1].stop_acquisition()
+            held.clear()  # the stream first: a camera that doesn't answer takes seconds here, too
+
+        close_within([let_go])
 
     def _found(self, device: str) -> Any:
         try:
@@ -371,13 +452,24 @@ class GenicamCamera:
     ) -> FrameError:
         return FrameError(fault, self._name, self._who, what, seconds=seconds, hint=hint)
 
+    def _check_unchanged(self, region: Region, code: int) -> None:
+        """Raise FrameError for a frame that is not as the camera was opened; it is opened again."""
+        assert self._region  # noqa: S101 - it was opened
+        if region == (0, 0, *self._region[2:]):  # some cameras send no place with their frames
+            with suppress(self._failure):
+                region = _region(self._camera.get_region())
+        if region == self._region and code == self._code:
+            return
+        self._changed = True
+        if region != self._region:
+            what = f"it sends {_shown(region)}; it was opened with {_shown(self._region)}"
+        else:
+            what = f"it sends pixel format 0x{code:08X}; it was opened with 0x{self._code:08X}"
+        hint = "Was it set by another program? It is opened again for the next frame."
+        raise self._fault(FrameFault.WRONG_SIZE, what, hint)
+
     def _pixels(self, buffer: Any) -> tuple[tuple[Pixels, int], Pixels | None]:
         """Pixels, their bits, and a depth camera's amplitude. Raises FrameError, ProtocolError."""
-        status = buffer.get_status().value_nick.upper().replace("-", "_")
-        if status != "SUCCESS":
-            hint = "Raise the socket's buffer and the packet size, or lower the frame rate."
-            what = f"a frame's buffer came with status {status}"
-            raise self._fault(DAMAGED.get(status, FrameFault.DROPPED), what, hint)
         kind = buffer.get_payload_type().value_nick
         images = ("image", "extended-chunk-data", "chunk-data")
         if kind not in (*images, *(("multipart",) if self._settings.depth else ())):
@@ -388,6 +480,7 @@ class GenicamCamera:
             size = buffer.get_image_width(), buffer.get_image_height()
             padding = int(buffer.get_image_padding().x_padding)
             code = buffer.get_image_pixel_format()
+            self._check_unchanged(_region(buffer.get_image_region()), code)
             return unpack(buffer.get_data(), code, *size, padding), None
         except ValueError as fault:
             hint = "Set another pixel_format in the rig file."

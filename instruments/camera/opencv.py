@@ -1,5 +1,5 @@
 """A camera through OpenCV: a device's number or path, a video file, or a stream (`http://` MJPEG,
-`rtsp://`). Live sources are read without pause, files frame by frame.
+`rtsp://`). Live sources are read without pause, files frame by frame, by PyAV if not MJPEG.
 """
 
 from __future__ import annotations
@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 import os
 import threading
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
@@ -17,15 +18,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from instruments.camera.closing import CLOSE_S
 from instruments.camera.frame import FrameError, FrameFault, RawFrame
 from instruments.camera.settings import UNSEEN_SIZE, Settings, apply, hold_still
+from instruments.camera.video_file import VideoFile
 from instruments.clock import Clock
 from instruments.errors import DeviceError, LinkError
 
 Source = int | str
-SILENCE_MS = 5000  # a stream that is silent for so long is gone
+SILENCE_S = 5.0  # a stream that is silent for so long is gone
+OPEN_S = 15.0  # a stream opens with its first frame
 LOOK_S = 0.002
-TIMEOUT_S = 2.0  # the longest exposure and interval that a frame may take
+TIMEOUT_S = 2.0  # the longest exposure and interval that a frame of a fast source may take
+INTERVALS = 3.0  # a frame under way, the one that is wanted, and a late one
 SIZE = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
 NUMBERS = {"fps": cv2.CAP_PROP_FPS, "exposure": cv2.CAP_PROP_EXPOSURE, "gain": cv2.CAP_PROP_GAIN}
 # how backends call an exposure that isn't automatic: V4L2's own number, and OpenCV's before 4
@@ -67,6 +72,7 @@ class LiveReader:
         self._wanted_s = math.inf
         self._got: tuple[NDArray[Any] | None, float] | None = None
         self._closing = False
+        self._intervals_s: deque[float] = deque(maxlen=5)
         self.broken = False
         self._thread = threading.Thread(target=self._read, name=f"{name} camera", daemon=True)
         self._thread.start()
@@ -75,6 +81,12 @@ class LiveReader:
         """The next frame that arrives whole from now on is wanted."""
         with self._lock:
             self._got, self._wanted_s = None, self._clock.now()
+
+    def wait_s(self, least_s: float) -> float:
+        """How long to wait for a frame: some intervals of a slow source, which it has to show."""
+        with self._lock:
+            known = INTERVALS * max(self._intervals_s, default=SILENCE_S / INTERVALS)
+        return max(least_s, known)
 
     def answer(self, timeout_s: float) -> tuple[NDArray[Any] | None, float] | None:
         """The frame (None: undecodable) and its arrival; None where none came in ``timeout_s``."""
@@ -87,18 +99,24 @@ class LiveReader:
         return None
 
     def close(self) -> None:
-        """End the thread once it has its frame, or its source's time-out; may be called again."""
+        """Wait 2 s at most for the thread's end: it ends with its frame, or its source's time-out.
+        May be called again.
+        """
         self._closing = True
-        self._thread.join()
+        self._thread.join(CLOSE_S)
 
     def _read(self) -> None:
         try:
+            last_s = math.inf
             while not self._closing:
                 began_s = self._clock.now()
                 if not self._capture.grab():
                     self.broken = True
                     return
                 arrived_s = self._clock.now()
+                with self._lock:
+                    self._intervals_s.extend([arrived_s - last_s] if last_s <= arrived_s else [])
+                last_s = arrived_s
                 if began_s < self._wanted_s:
                     continue
                 good, image = self._capture.retrieve()
@@ -129,7 +147,7 @@ class OpenCvCamera:
         self._who = f"{name} camera at {source}"
         self._settings, self._timeout_s = settings or Settings(), timeout_s
         self._live: LiveReader | None = None
-        self._file: cv2.VideoCapture | None = None
+        self._file: cv2.VideoCapture | VideoFile | None = None
         self._begun_s: float | None = None
         self._open()
 
@@ -152,10 +170,11 @@ class OpenCvCamera:
     def take(self) -> RawFrame:
         """The frame. Raises FrameError where none came or it can't be decoded."""
         if self._live is not None:
-            if (answer := self._live.answer(self._timeout_s)) is None:
+            wait_s = self._live.wait_s(self._timeout_s)
+            if (answer := self._live.answer(wait_s)) is None:
                 if self._live.broken:
                     raise self._fault(FrameFault.DROPPED, "the stream broke off")
-                raise self._fault(FrameFault.DROPPED, "no frame came", self._timeout_s)
+                raise self._fault(FrameFault.DROPPED, "no frame came", wait_s)
             image, exposed_s = answer
         else:
             good, decoded = self._file.retrieve() if self._file is not None else (False, None)
@@ -185,12 +204,15 @@ class OpenCvCamera:
 
     def _fault(self, fault: FrameFault, what: str, seconds: float | None = None) -> FrameError:
         hint = "Is it still connected, and is the network fast enough?"
+        if fault is FrameFault.WRONG_SIZE:
+            hint = "Have it keep one picture size; then open it again."
         return FrameError(fault, self._name, self._who, what, seconds=seconds, hint=hint)
 
     def _open(self) -> None:
         if _is_url(self._source):
-            limits = (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, cv2.CAP_PROP_READ_TIMEOUT_MSEC)
-            parameters = [part for limit in limits for part in (limit, SILENCE_MS)]
+            opening, reading = (round(1000 * limit_s) for limit_s in (OPEN_S, SILENCE_S))
+            parameters = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, opening]
+            parameters += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, reading]
             capture = cv2.VideoCapture(self._source, cv2.CAP_FFMPEG, parameters)
         else:
             capture = cv2.VideoCapture(self._source)
@@ -204,6 +226,9 @@ class OpenCvCamera:
         self.identity = "; ".join([known, *notes])
         if is_live(self._source):
             self._live = LiveReader(capture, self._clock, self._name)
+        elif self._scaled:
+            capture.release()
+            self._file = VideoFile(Path(str(self._source)), self._who, self._settings.counts)
         else:
             self._file = capture
 
@@ -218,12 +243,15 @@ class OpenCvCamera:
         notes = apply_settings(self._who, capture, self._settings)
         if is_device(self._source):
             notes = (*_held_still(self._who, capture, self._settings), *notes)
+        is_ffmpeg = capture.getBackendName() == "FFMPEG"
+        if is_ffmpeg:  # frames as they are stored
+            capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0.0)
         self._size = _size(capture)
         # undecoded, since the library scales a frame of another size to the first one's
         codec = fourcc_name(capture.get(cv2.CAP_PROP_FOURCC))
-        is_mjpeg = codec == "MJPG" and capture.getBackendName() == "FFMPEG"
-        self._is_jpeg = is_mjpeg and capture.set(cv2.CAP_PROP_FORMAT, -1)
-        if not _is_url(self._source) or self._is_jpeg:
+        self._is_jpeg = codec == "MJPG" and is_ffmpeg and capture.set(cv2.CAP_PROP_FORMAT, -1)
+        self._scaled = is_ffmpeg and not self._is_jpeg
+        if not self._scaled or not _is_url(self._source):
             return notes
         what = f"{UNSEEN_SIZE}: the library scales frames of {codec} back"
         if not {"all", "resolution"} & self._settings.tries:

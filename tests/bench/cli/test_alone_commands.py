@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from bench.cli.alone import _next_look, focus_line
 from bench.record.recording import Recording
 from bench.rig.alone import step
+from bench.rig.loading import find_rig, load_rig
 from instruments.camera.emulator import EmulatedCameras
+from instruments.camera.frame import FrameError, FrameFault
 from instruments.camera.stream import StreamServer
-from instruments.clock import RealClock
+from instruments.clock import RealClock, VirtualClock
 from instruments.stage.emulator import GRBL_HAL, MARLIN, Fault, StageEmulator
 from tests.bench.commands import Said, served, teatbench
 from tests.bench.rig.test_emulated_faults import with_emulation
@@ -162,6 +168,46 @@ def test_focus_sees_a_lens_go_out_of_focus(tmp_path: Path, said: Said) -> None:
     assert best == pytest.approx(blurs[0], abs=0.06)
 
 
+@pytest.mark.parametrize(
+    ("best", "expected"),
+    [
+        ({"single": 0.0}, {"left": 0.01}),
+        ({"single": 1.234}, {"left": 1.23}),
+        ({"left": 0.7, "right": 0.004, "thermal": 12.0}, None),
+    ],
+)
+def test_what_focus_prints_is_a_line_of_a_rig_file(
+    tmp_path: Path, best: dict[str, float], expected: dict[str, float] | None
+) -> None:
+    text = Path(find_rig("emulated").path).read_text(encoding="utf-8")
+    old = next(line for line in text.splitlines() if line.startswith("focus_px"))
+    text = text.replace(old, focus_line(best))
+    rig = tmp_path / "rig.toml"
+    rig.write_text(text, encoding="utf-8")
+    taken = load_rig(rig).rig.cameras.checks.focus_px.model_dump(exclude_none=True)
+    assert taken == (expected or {"left": 0.7, "right": 0.01, "thermal": 12.0})
+
+
+def test_a_live_look_does_not_end_for_frames_that_did_not_come(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    clock, pictures = VirtualClock(), {"single": np.zeros((4, 4), np.uint8)}
+    fault = FrameError(FrameFault.DROPPED, "single", "single camera", "status CLEARED")
+    outcomes: list[object] = [fault] * 30
+
+    def look() -> dict[str, np.ndarray]:
+        if outcomes:
+            raise outcomes.pop()
+        return pictures
+
+    alone: Any = SimpleNamespace(look=look)
+    assert _next_look(alone, clock, math.inf, 0.2) is pictures
+    assert capsys.readouterr().err.count("status CLEARED") == 30
+    outcomes += [fault] * 30
+    with pytest.raises(FrameError, match="status CLEARED"):
+        _next_look(alone, clock, clock.now() + 2.0, 0.2)
+
+
 @pytest.mark.slow
 def test_grab_is_a_recording_that_is_added_to(tmp_path: Path, said: Said) -> None:
     folder = tmp_path / "grabbed"
@@ -193,7 +239,8 @@ def test_a_gige_vision_camera(tmp_path: Path, said: Said) -> None:
         assert expected in said(0, "camera list").out
         shown = said(0, "camera show {}", f"genicam:{ADDRESS}").out
         assert f"single: Aravis Fake {serial} (512 x 512, Mono8)" in shown
-        said(0, "camera focus {} --seconds 0.3 --every 0.1", f"genicam:{ADDRESS}")
+        focused = said(0, "camera focus {} --seconds 0.3 --every 0.1", f"genicam:{ADDRESS}").out
+        assert "single" in focused
         grab = "camera grab {} genicam:Fake_1 --out {}"
         why = said(0, grab, f"genicam:{ADDRESS}", tmp_path / "grabbed").err
         assert "put calibration.toml into the folder" in why

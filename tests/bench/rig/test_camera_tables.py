@@ -4,6 +4,7 @@ is shown in its place; and over real wires streams, a radiometric camera and one
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
@@ -29,7 +30,7 @@ from instruments.clock import RealClock
 from tests.bench.commands import teatbench
 from tests.conftest import ROOT
 from tests.instruments.camera.peers import ADDRESS, gige_camera, need_aravis
-from tests.instruments.camera.small_world import GalleryWorld
+from tests.instruments.camera.small_world import GalleryWorld, gallery
 
 HEAD = """
 name = "cameras"
@@ -191,7 +192,8 @@ def test_all_cameras_by_one_url(tmp_path: Path, url: str) -> None:
 
 RIG = """
 [cameras]
-max_skew_s = 0.5
+max_skew_s = 60
+retries = 20
 
 [cameras.left]
 url = "opencv:{left}"
@@ -220,6 +222,7 @@ def clock() -> Iterator[RealClock]:
 @pytest.mark.slow
 def test_streams_and_a_radiometric_camera_of_one_rig_file(tmp_path: Path, clock: RealClock) -> None:
     need_aravis()
+    gallery()  # drawing takes many seconds on a busy machine, and a stream opens with its first frame
     with closing(StreamServer(EmulatedCameras(GalleryWorld(clock=clock)), clock)) as server:
         rig = rig_of(tmp_path, RIG.format(**server.urls))
         events: list[str] = []
@@ -237,12 +240,12 @@ def test_streams_and_a_radiometric_camera_of_one_rig_file(tmp_path: Path, clock:
 
 
 @pytest.mark.slow
-def test_lost_packets_are_taken_again_and_counted(clock: RealClock) -> None:
+def test_lost_packets_are_passed_over_and_counted(clock: RealClock) -> None:
     """About one frame in six of the left camera comes with holes; every set that is given out is
     whole.
     """
     checks = Checks(swapped=False, frozen=False)
-    table = CamerasTable(url="emulator:", max_skew_s=10.0, retries=20, retry_s=0.0, checks=checks)
+    table = CamerasTable(url="emulator:", max_skew_s=60.0, retries=20, retry_s=0.0, checks=checks)
     events: list[str] = []
     with gige_camera("-r", "1"):
         openers = {
@@ -260,10 +263,8 @@ def test_lost_packets_are_taken_again_and_counted(clock: RealClock) -> None:
                     break
     assert taker.counts["left: lost packets"] >= 2
     assert sum(taker.counts.values()) >= len(events) > 0
-    assert (
-        "left camera: lost packets: left camera genicam:127.0.0.1: a frame's buffer came with"
-        " status MISSING_PACKETS" in "".join(events)
-    )
+    told = r"left camera: lost packets: (1 damaged frame was|\d+ damaged frames were) passed over"
+    assert re.search(told, " ".join(events))
 
 
 FILES = """

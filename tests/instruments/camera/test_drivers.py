@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import queue
 import threading
+import time
 from collections.abc import Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import replace
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -18,10 +20,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from instruments.camera.cameras import Camera, CameraSet
+from instruments.camera.closing import close_within
 from instruments.camera.emulator import EmulatedCameras
 from instruments.camera.frame import Conversion, FrameError, Radiometry, RawFrame
 from instruments.camera.genicam import DRIFT, DeviceTime
-from instruments.camera.opencv import OpenCvCamera, fourcc_name, is_live
+from instruments.camera.opencv import LiveReader, OpenCvCamera, fourcc_name, is_live
 from instruments.camera.settings import Settings, apply, same
 from instruments.clock import RealClock, VirtualClock
 from instruments.errors import DeviceError, LinkError, ProtocolError
@@ -46,8 +49,8 @@ def test_emulated_cameras_see_the_world_as_it_is() -> None:
     cameras.close()
 
 
-def video(path: Path, level: int, frames: int = 3) -> str:
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (64, 48))
+def video(path: Path, level: int, frames: int = 3, codec: str = "MJPG") -> str:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), 10.0, (64, 48))
     assert writer.isOpened()
     for i in range(frames):
         writer.write(np.full((48, 64, 3), level + 10 * i, dtype=np.uint8))
@@ -96,6 +99,116 @@ def test_a_picture_size_that_changes_in_a_file_is_a_fault_though_the_library_res
     with pytest.raises(FrameError, match="a frame of 128 x 96 came; it was opened with 64 x 48"):
         camera.take()
     camera.close()
+
+
+@pytest.mark.parametrize("codec", ["MPG1 mpg", "MPG2 ts", "VP80 webm", "mp4v ts"])
+def test_a_picture_size_that_changes_in_a_file_of_another_codec_is_a_fault_too(
+    tmp_path: Path, codec: str
+) -> None:
+    name, ending = codec.split()
+    path = tmp_path / f"left.{ending}"
+    for by in (1, 2):  # files of these kinds may be put one behind the other
+        part = tmp_path / f"{by}.{ending}"
+        size, fourcc = (64 * by, 48 * by), cv2.VideoWriter.fourcc(*name)
+        writer = cv2.VideoWriter(str(part), cv2.CAP_FFMPEG, fourcc, 25.0, size)
+        assert writer.isOpened()
+        for level in range(8):
+            writer.write(np.full((*size[::-1], 3), 20 * level, np.uint8))
+        writer.release()
+        with path.open("ab") as whole:
+            whole.write(part.read_bytes())
+    shapes = []
+    rescaled = cv2.VideoCapture(str(path))
+    while rescaled.grab():
+        shapes.append(rescaled.retrieve()[1].shape)
+    assert set(shapes[2:]) == {(48, 64, 3)}, "by OpenCV it goes unnoticed"
+    outcomes: list[str] = []
+    with closing(OpenCvCamera("left", str(path), VirtualClock())) as camera:
+        for _ in range(30):
+            try:
+                camera.begin()
+                outcomes.append(str(camera.take().pixels.shape))
+            except FrameError as error:
+                outcomes.append(error.what)
+            except LinkError as error:
+                assert "gave no frame" in str(error)
+                break
+    changed = "a frame of 128 x 96 came; it was opened with 64 x 48"
+    assert outcomes.index(changed) == outcomes.count("(48, 64, 3)") >= 7
+    assert outcomes.count(changed) >= 7
+
+
+def test_a_video_file_that_is_cut_or_none_is_a_named_fault(tmp_path: Path) -> None:
+    whole = Path(video(tmp_path / "whole.avi", 40, codec="XVID")).read_bytes()
+    cut = tmp_path / "cut.avi"
+    for share in (0.2, 0.9, 0.97):
+        cut.write_bytes(whole[: int(share * len(whole))])
+        with suppress(LinkError), closing(OpenCvCamera("left", str(cut), VirtualClock())) as camera:
+            for _ in range(10):
+                with suppress(FrameError):
+                    camera.begin()
+                    assert camera.take().pixels.shape == (48, 64, 3)
+
+
+class Paced:
+    """A capture that grabs one frame for each time that is put."""
+
+    def __init__(self) -> None:
+        self.times: queue.Queue[float | None] = queue.Queue()
+        self.now_s = 0.0
+        self.released = threading.Event()
+
+    def now(self) -> float:
+        return self.now_s
+
+    def grab(self) -> bool:
+        if (at_s := self.times.get()) is None:
+            return False
+        self.now_s = at_s
+        return True
+
+    def release(self) -> None:
+        self.released.set()
+
+
+def test_a_source_is_waited_for_by_the_interval_that_it_shows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    source: Any = Paced()
+    reader = LiveReader(source, source, "left")
+    assert reader.wait_s(2.0) == 5.0, "nothing is known of it"
+    for at_s in (1.0, 2.0, 3.0):
+        source.times.put(at_s)
+    while reader.wait_s(2.0) != 3.0:
+        time.sleep(0.001)
+    # a dead source doesn't answer: it is not waited for without end
+    monkeypatch.setattr("instruments.camera.opencv.CLOSE_S", 0.05)
+    reader.close()
+    assert not source.released.is_set()
+    source.times.put(None)
+    assert source.released.wait(60)
+
+
+def test_cameras_are_closed_side_by_side_and_errors_are_told() -> None:
+    both = threading.Barrier(2)
+
+    class Waiting(Still):
+        def close(self) -> None:
+            both.wait(60)
+
+    CameraSet(of(left=Waiting(), right=Waiting()), {}).close()
+
+    def fails() -> None:
+        raise LinkError("left camera", "is gone")
+
+    with pytest.raises(LinkError, match="is gone"):
+        close_within([fails], 60.0)
+
+
+def test_damaged_frames_that_were_passed_over_are_told_by_camera() -> None:
+    left = Still()
+    left.frame = replace(left.frame, passed_over=2)
+    assert CameraSet(of(left=left, right=Still()), {}).capture().passed_over == {"left": 2}
 
 
 def test_a_stream_whose_picture_size_may_change_unnoticed_is_refused_unless_allowed(

@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import importlib
 import re
-from collections import Counter
+import threading
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import astuple, replace
 from itertools import count
 from pathlib import Path
@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from instruments.camera.closing import close_within
 from instruments.camera.frame import Conversion, FrameError, FrameFault, Radiometry, RawFrame
 from instruments.camera.genicam import (
     AUTOMATIC,
@@ -127,17 +128,141 @@ def test_one_of_this_machine_by_name_open_already_and_without_its_trigger(clock:
 
 
 @pytest.mark.slow
-def test_lost_packets_are_reported_and_the_next_frame_is_whole(clock: RealClock) -> None:
-    """One packet in a thousand is lost, and a frame has some 190: about one frame in six comes with
-    holes.
+def test_damaged_frames_are_passed_over_and_counted(clock: RealClock) -> None:
+    """One packet in 500 is lost, and a frame has some 190: about one frame in three comes with
+    holes. Without ``take`` passing them over, 25 of 60 captures were refused.
     """
-    seen: Counter[str] = Counter()
-    with gige_camera("-r", "1"), opened(ADDRESS, clock, fps=100.0) as camera:
+    passed = whole_frames = 0
+    with gige_camera("-r", "2"), opened(ADDRESS, clock, fps=100.0) as camera:
         for _ in range(300):
-            seen[outcome(camera).split(":")[0]] += 1
-            if min(seen["lost packets"], seen["whole"]) >= 3:
+            with suppress(FrameError):  # a busy machine adds losses of its own
+                camera.begin()
+                passed += camera.take().passed_over
+                whole_frames += 1
+            if min(passed, whole_frames) >= 3:
                 break
-    assert min(seen["lost packets"], seen["whole"]) >= 3
+    assert min(passed, whole_frames) >= 3
+
+
+class Buffers:
+    """A stream whose buffers come with these statuses, and then none."""
+
+    def __init__(self, camera: GenicamCamera, *statuses: str) -> None:
+        self.stream, self.left = camera._stream, list(statuses)
+
+    def timeout_pop_buffer(self, timeout_us: int) -> Any:
+        if not self.left:
+            return None
+        status = SimpleNamespace(value_nick=self.left.pop(0))
+        buffer = None
+        while buffer is None or buffer.get_status().value_nick != "success":
+            buffer = self.stream.timeout_pop_buffer(10_000_000)
+        return buffer if status.value_nick == "success" else Damaged(buffer, status)
+
+    def push_buffer(self, buffer: Any) -> None:
+        self.stream.push_buffer(getattr(buffer, "real", buffer))
+
+    def try_pop_buffer(self) -> None: ...
+
+
+class Damaged:
+    def __init__(self, real: Any, status: Any) -> None:
+        self.real, self.get_status = real, lambda: status
+
+
+def test_what_damaged_frames_are_called_and_when_the_hint_is_given(
+    aravis: Any, clock: RealClock
+) -> None:
+    with closing(GenicamCamera("left", IN_PROCESS, clock, timeout_s=60.0)) as camera:
+        real = camera._stream
+        camera._stream = Buffers(camera, "missing-packets", "cleared", "aborted", "success")
+        camera.begin()
+        assert camera.take().passed_over == 3
+        for status, fault in (
+            ("missing-packets", FrameFault.LOST_PACKETS),
+            ("timeout", FrameFault.LOST_PACKETS),
+            ("cleared", FrameFault.DROPPED),
+        ):
+            camera._stream = Buffers(camera, "cleared", status)
+            camera._stream.stream = real
+            camera.begin()
+            said = r"no whole frame came, 2 with damage, the last .*Raise the socket's buffer"
+            with pytest.raises(FrameError, match=said) as caught:
+                camera.take()
+            assert caught.value.fault is fault
+        camera._stream = real
+
+
+def test_a_slow_camera_is_waited_for(aravis: Any, clock: RealClock) -> None:
+    for fps, wait_s in ((1.0, 3.0), (25.0, 2.0)):
+        with opened(IN_PROCESS, clock, fps=fps) as camera:
+            assert camera._wait_s == pytest.approx(wait_s)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gige", [False, True])
+def test_regions_and_pixel_formats_set_behind_its_back_are_noticed_and_opened_anew(
+    aravis: Any, clock: RealClock, gige: bool
+) -> None:
+    """Larger frames than the buffers come as damaged, or over GigE Vision not at all."""
+    with ExitStack() as stack:
+        device = IN_PROCESS
+        if gige:
+            stack.enter_context(gige_camera())
+            device = ADDRESS
+
+        def deepen(camera: GenicamCamera) -> None:
+            camera._camera.set_pixel_format_from_string("Mono16")
+
+        first = stack.enter_context(opened(device, clock, resolution=(64, 48)))
+        assert whole(first).pixels.shape == (48, 64)
+        first.close()
+        with closing(GenicamCamera("left", device, clock)) as camera:
+            for region in ((16, 8, 64, 48), (0, 0, 128, 96)):
+                camera._camera.set_region(*region)
+                assert "it was opened with 64 x 48 at (0, 0)" in until(camera, "wrong size")
+                assert whole(camera).pixels.shape == (48, 64), "as it was opened first"
+                assert camera._camera.get_region().x == 0
+            deepen(camera)
+            assert re.search("wrong size|with damage", until(camera, "wrong size", "half a frame"))
+            assert whole(camera).pixels.dtype == "uint16", "nothing is asked for: as it is now"
+            assert camera.identity.endswith("(64 x 48, Mono16)")
+        with opened(device, clock, pixel_format="Mono8") as camera:
+            deepen(camera)
+            until(camera, "wrong size", "half a frame")
+            assert whole(camera).pixels.dtype == "uint8", "as the rig file asks"
+
+
+def until(camera: GenicamCamera, *faults: str) -> str:
+    """The outcome that begins so; a busy machine may lose packets before."""
+    for _ in range(40):
+        if (said := outcome(camera)).startswith(faults):
+            return said
+        assert not said.startswith("whole"), "a frame of a changed camera was taken"
+    pytest.fail(f"none of 40 frames was {faults}")
+
+
+def test_a_dead_camera_is_let_go_in_bounded_time(
+    aravis: Any, clock: RealClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers, gone = threading.Event(), threading.Event()
+    camera = GenicamCamera("left", IN_PROCESS, clock)
+    real = camera._camera
+
+    class Dead:
+        def stop_acquisition(self) -> None:
+            answers.wait()
+            real.stop_acquisition()
+            gone.set()
+
+    camera._camera = Dead()
+    monkeypatch.setattr(close_within, "__defaults__", (0.05,))
+    camera.close()  # comes back though the camera has not answered
+    camera.close()
+    with pytest.raises(LinkError, match="is closed"):
+        camera.begin()
+    answers.set()
+    assert gone.wait(60)
 
 
 @pytest.mark.slow
