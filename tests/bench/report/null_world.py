@@ -44,6 +44,7 @@ from bench.run.start import run_script
 from bench.script.model import load_script
 from bench.truth.touching import TipReader, Toucher
 from detector.protocol import Detection, Teat
+from instruments.bath.profile import Profile
 from instruments.bath.reading import BathReading
 from instruments.camera.frame import FrameSet
 from instruments.clock import Clock, VirtualClock
@@ -238,17 +239,19 @@ class _Bath:
     """At its set point, from the first second."""
 
     url, pump_url, who, pump = "null", "", "bath", "none"
-    safe_state = "standby"
+    safe_state, watchdog_s, doubt = "standby", None, ""
     identity: ClassVar[dict[str, str]] = {"family": "null"}
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: Clock, profile: Profile) -> None:
         self._clock, self._rng = clock, np.random.default_rng(5)
+        self.profile = profile
 
     def read(self) -> BathReading:
         temp_c = 33.0 + float(self._rng.normal(0.0, 0.005))
         now_s, raw = self._clock.now(), (round(1e3 * temp_c),)
         return BathReading(now_s, temp_c, raw, None, 10.0, None, 0, 0, True, True, 33.0)
 
+    def check_start(self, set_point_c: float) -> None: ...
     def start(self, set_point_c: float) -> None: ...
     def safe(self) -> None: ...
 
@@ -426,7 +429,7 @@ def _world(errors: _Errors, off: Off, frame: TableFrame) -> Iterator[None]:
         devices: Any = Devices
         with closing(world):
             stage = _Stage(table.stage, table.emulation.stage, world)
-            there = _Arm(), _Bath(clock), stage, _Cameras(), hands
+            there = _Arm(), _Bath(clock, rig.profile), stage, _Cameras(), hands
             yield devices(clock, *there, world.ends_mm)
 
     def first(press: Press, number: int, *given: Any) -> str:
