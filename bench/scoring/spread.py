@@ -10,11 +10,13 @@ V^-1: nu = (n - 1) (3 + 9) / (tr(G^2) + tr(G)^2).
 
 A trend is a line through errors against place, time, temperature or tilt. Rows of one pose share
 its error: the slope's standard error is the jackknife over poses (Efron and Stein, Annals of
-Statistics 9, 1981; CV3 of MacKinnon, Nielsen and Webb, Journal of Applied Econometrics 38, 2023),
-with Student's t of groups - 1. What varies within poses can be asked within them: each stratum then
-has a level of its own. Many questions are adjusted after Holm. With a truth that rows share, the
-line is that of generalised least squares, and what the truth may make of the slope is added to its
-variance, with degrees of freedom after Welch and Satterthwaite.
+Statistics 9, 1981; CV3 of MacKinnon, Nielsen and Webb, Journal of Applied Econometrics 38, 2023).
+Few groups far out make most of it, so Student's t has fewer degrees of freedom than groups - 1:
+those of Satterthwaite for independent errors, tr(A)^2 / tr(A^2) with A the covariance of the
+groups' slopes (Bell and McCaffrey, Survey Methodology 28, 2002). What varies within poses can be
+asked within them: each stratum then has a level of its own. Many questions are adjusted after Holm.
+With a truth that rows share, the line is that of generalised least squares, and what the truth may
+make of the slope is added to its variance, with degrees of freedom after Welch and Satterthwaite.
 """
 
 from __future__ import annotations
@@ -352,26 +354,23 @@ def trend(
         return empty
     if empty.span < LEAST_SPAN_U * of.u:
         return replace(empty, least_span=LEAST_SPAN_U * of.u)
-    sxx, sxy, less_xx, less_xy = _sums(x - x.mean(), y - y.mean(), group, stratum, count)
-    if sxx <= 1e-12 * max(1.0, float(np.square(x).max())) * len(x) or np.any(
-        sxx - less_xx <= 1e-9 * sxx
-    ):
+    line, sxx, of_truth = *_ordinary(x, y, group, stratum, count), 0.0
+    if line is None:
         return empty  # it did not vary, or only in one group
-    slope, without, of_truth = sxy / sxx, (sxy - less_xy) / (sxx - less_xx), 0.0
     if part is not None and (part.common.any() or part.shift.any()):
-        weights = _centred(x, stratum) / sxx
         if within is None and part.common.any():
-            slope, without, weights = _generalised(x, y, group, count, part.common)
-        of_truth = float(np.sum(np.square(weights @ part.common)) + (weights @ part.shift) ** 2)
+            line = _generalised(x, y, group, count, part.common)
+        of_truth = float(
+            np.sum(np.square(line.weights @ part.common)) + (line.weights @ part.shift) ** 2
+        )
     if of.measured and of.u > 0.0:  # an error of the place is one of the response too
         of_truth += (of.u**2 * len(x) / sxx) ** 2
+    slope, without, freedom = line.slope, line.without, line.freedom
     scatter = (count - 1) / count * float(np.square(without - without.mean()).sum())
-    error, freedom = sqrt(scatter), count - 1.0
+    error = sqrt(scatter)
     if of_truth > 0.0:
         error = sqrt(scatter + of_truth)
-        freedom = (
-            min((count - 1) * ((scatter + of_truth) / scatter) ** 2, KNOWN) if scatter else KNOWN
-        )
+        freedom = min(freedom * ((scatter + of_truth) / scatter) ** 2, KNOWN) if scatter else KNOWN
     reach = float(stdtrit(freedom, (1.0 + confidence) / 2.0)) * error
     p_value = (
         2.0 * float(stdtr(freedom, -abs(slope) / error)) if error > 0.0 else float(slope == 0.0)
@@ -379,6 +378,59 @@ def trend(
     truth = float(ndtri((1.0 + confidence) / 2.0)) * sqrt(of_truth)
     found = replace(empty, slope=slope, p_value=p_value, truth=truth)
     return replace(found, low=slope - reach, high=slope + reach)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Line:
+    """The slope, those without each group (count,), the weights (n,) of which it is y's sum, and
+    the degrees of freedom of the jackknife.
+    """
+
+    slope: float
+    without: Floats
+    weights: Floats
+    freedom: float
+
+
+def _ordinary(
+    x: Floats, y: Floats, group: npt.NDArray[np.intp], stratum: npt.NDArray[np.intp], count: int
+) -> tuple[_Line | None, float]:
+    """Least squares about the stratum means, and Sxx; None where x did not vary, or only in one
+    group.
+
+    Without the group g the slope is b - sum_g f e, with the residuals e = M y and f_i = (x_i - mean
+    of its stratum + n_B / (n_S - n_B) (mean of its block - mean of its stratum)) / (Sxx without g);
+    a block is what a group has of a stratum.
+    """
+    sxx, sxy, less_xx, less_xy = _sums(x - x.mean(), y - y.mean(), group, stratum, count)
+    if sxx <= 1e-12 * max(1.0, float(np.square(x).max())) * len(x) or np.any(
+        sxx - less_xx <= 1e-9 * sxx
+    ):
+        return None, sxx
+    without = (sxy - less_xy) / (sxx - less_xx)
+    centred, in_stratum = _centred(x, stratum), np.bincount(stratum)
+    blocks, block = np.unique(stratum * count + group, return_inverse=True)
+    block = block.ravel()
+    in_block = np.bincount(block)
+    rest = np.maximum(in_stratum[blocks // count] - in_block, 1)
+    forms = centred + (np.bincount(block, centred) / rest)[block]
+    forms /= (sxx - less_xx)[group]
+    of_strata = np.zeros((count, len(in_stratum)))
+    of_strata[blocks % count, blocks // count] = np.bincount(block, forms)
+    of_slope = np.bincount(group, forms * centred) / sqrt(sxx)
+    lost = np.column_stack([of_strata / np.sqrt(in_stratum), of_slope])
+    freedom = _jackknife_freedom(forms, group, lost)
+    return _Line(sxy / sxx, without, centred / sxx, freedom), sxx
+
+
+def _jackknife_freedom(forms: Floats, group: npt.NDArray[np.intp], lost: Floats) -> float:
+    """tr(A)^2 / tr(A^2) of the groups' slopes about their mean, whose covariance A is that of sums
+    of ``forms`` (n,) in each group, less ``lost`` (count, k) times its transpose.
+    """
+    covariance = np.diag(np.bincount(group, np.square(forms))) - lost @ lost.T
+    covariance -= covariance.mean(axis=0)
+    covariance -= covariance.mean(axis=1, keepdims=True)
+    return float(np.trace(covariance)) ** 2 / float(np.sum(np.square(covariance)))
 
 
 def _centred(x: Floats, stratum: npt.NDArray[np.intp]) -> Floats:
@@ -389,12 +441,11 @@ def _centred(x: Floats, stratum: npt.NDArray[np.intp]) -> Floats:
 
 def _generalised(
     x: Floats, y: Floats, group: npt.NDArray[np.intp], count: int, common: Floats
-) -> tuple[float, Floats, Floats]:
-    """Generalised least squares with V = s^2 I + F F', s^2 from the ordinary line: the slope, the
-    slopes without each group (count,), and the weights (n,) of which the slope is y's sum.
+) -> _Line:
+    """Generalised least squares with V = s^2 I + F F', s^2 from the ordinary line.
 
     Without the rows g it is b - c_g' Q_gg^-1 (Q y)_g, with c the weights and Q = V^-1 - V^-1 X (X'
-    V^-1 X)^-1 X' V^-1.
+    V^-1 X)^-1 X' V^-1, which is the covariance of Q y.
     """
     X = np.column_stack([np.ones_like(x), x - x.mean()])
     left = y - X @ np.linalg.lstsq(X, y, rcond=None)[0]
@@ -410,16 +461,23 @@ def _generalised(
     G = np.linalg.inv(X.T @ VX)
     weights = (VX @ G)[:, 1]
     slope, Qy = float(weights @ y), inverse(y) - VX @ (G @ (VX.T @ y))
-    without, sizes_of = np.empty(count), np.bincount(group)
+    without, forms, sizes_of = np.empty(count), np.empty_like(x), np.bincount(group)
     starts, order = np.cumsum(sizes_of) - sizes_of, np.argsort(group, kind="stable")
     for size in np.unique(sizes_of):  # groups of one size at once
         of = np.flatnonzero(sizes_of == size)
         rows = order[starts[of][:, None] + np.arange(size)]
         own = (np.eye(size) - F[rows] @ inner @ F[rows].transpose(0, 2, 1)) / noise
         Qgg = own - VX[rows] @ G @ VX[rows].transpose(0, 2, 1)
-        gone = np.linalg.solve(Qgg, Qy[rows][:, :, None])[:, :, 0]
-        without[of] = slope - np.sum(weights[rows] * gone, axis=1)
-    return slope, without, np.asarray(weights)
+        forms[rows] = np.linalg.solve(Qgg, weights[rows][:, :, None])[:, :, 0]
+        without[of] = slope - np.sum(forms[rows] * Qy[rows], axis=1)
+    lost = [
+        np.column_stack([np.bincount(group, forms * column, count) for column in what.T])
+        @ np.linalg.cholesky(size)
+        for what, size in ((F, inner / noise), (VX, G))
+        if what.size
+    ]
+    freedom = _jackknife_freedom(forms / sqrt(noise), group, np.column_stack(lost))
+    return _Line(slope, without, np.asarray(weights), freedom)
 
 
 def _sums(
