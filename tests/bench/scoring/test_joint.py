@@ -156,18 +156,25 @@ def test_generalised_least_squares_without_each_group_is_fitted_anew() -> None:
     at, groups = rng.uniform(-100.0, 100.0, 40), np.repeat(np.arange(10), 4)
     common = np.column_stack([np.ones(40) * 0.3, (groups % 2) * 0.5])
     y = 0.01 * at + common @ rng.normal(size=2) + rng.normal(0.0, 0.2, 40)
-    slope, without, weights = _generalised(at, y, groups, 10, common)
+    found = _generalised(at, y, groups, 10, common)
+    slope, without, weights = found.slope, found.without, found.weights
     X = np.column_stack([np.ones(40), at - at.mean()])
     left = y - X @ np.linalg.lstsq(X, y, rcond=None)[0]
     V = float(left @ left) / 38 * np.eye(40) + common @ common.T
 
-    def fitted(rows: NDArray[np.int_]) -> float:
-        W = np.linalg.inv(V[np.ix_(rows, rows)])
-        return float(np.linalg.solve(X[rows].T @ W @ X[rows], X[rows].T @ W @ y[rows])[1])
+    def fitted(rows: NDArray[np.int_]) -> Floats:
+        """What each response weighs in the slope of these rows."""
+        W, whole = np.linalg.inv(V[np.ix_(rows, rows)]), np.zeros(40)
+        whole[rows] = np.linalg.solve(X[rows].T @ W @ X[rows], X[rows].T @ W)[1]
+        return whole
 
-    assert slope == pytest.approx(fitted(np.arange(40)))
+    assert slope == pytest.approx(float(fitted(np.arange(40)) @ y))
     assert slope == pytest.approx(float(weights @ y))
-    assert without == pytest.approx([fitted(np.flatnonzero(groups != g)) for g in range(10)])
+    each = np.array([fitted(np.flatnonzero(groups != g)) for g in range(10)])
+    assert without == pytest.approx(each @ y)
+    about_mean = each - each.mean(axis=0)
+    A = about_mean @ V @ about_mean.T
+    assert found.freedom == pytest.approx(np.trace(A) ** 2 / np.trace(A @ A))
 
 
 def test_a_place_that_hardly_varies_and_a_measured_one_are_told() -> None:

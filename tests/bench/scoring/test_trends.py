@@ -23,6 +23,14 @@ def line(x: Floats, y: Floats, strata: npt.NDArray[np.int64]) -> float:
     return float(sm.OLS(y, np.column_stack([x, levels])).fit().params[0])
 
 
+def weighs(x: Floats, kept: npt.NDArray[np.bool_], strata: npt.NDArray[np.int64]) -> Floats:
+    """What each response weighs (n,) in the slope of the kept rows: the slope is linear in them."""
+    levels = (strata[kept, None] == np.unique(strata)[None, :]).astype(float)
+    whole = np.zeros(len(x))
+    whole[kept] = np.linalg.pinv(np.column_stack([x[kept], levels]))[0]
+    return whole
+
+
 @pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(LEAST_TREND_POSES, 9), st.integers(1, 3))
@@ -38,11 +46,15 @@ def test_the_slope_and_its_jackknife_by_leaving_out_each_group(
         [line(x[group != g], y[group != g], stratum[group != g]) for g in range(groups)]
     )
     error = np.sqrt((groups - 1) / groups * np.square(without - without.mean()).sum())
+    each = np.array([weighs(x, group != g, stratum) for g in range(groups)])
+    each -= each.mean(axis=0)
+    A = each @ each.T
+    freedom = np.trace(A) ** 2 / np.trace(A @ A)
     assert found.slope == pytest.approx(line(x, y, stratum), abs=1e-9)
     assert found.low is not None
     assert found.high is not None
     assert (found.high - found.low) / 2 == pytest.approx(
-        float(scipy.stats.t.ppf(0.975, groups - 1)) * error, rel=1e-6
+        float(scipy.stats.t.ppf(0.975, freedom)) * error, rel=1e-6
     )
 
 
@@ -76,6 +88,19 @@ def test_chance_is_taken_for_a_trend_in_no_more_than_5_percent(same_place: bool)
         )
         hits += found.p_value is not None and found.p_value < 0.05
     assert hits / 800 < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 800)
+
+
+@pytest.mark.slow
+def test_the_chance_of_many_questions_is_that_of_one() -> None:
+    """Adjusted together, each is judged far out, where groups - 1 degrees of freedom are too many:
+    of these 20 questions of 16 poses one was then shown in 13 % of runs.
+    """
+    rng, shown, runs = np.random.default_rng(9), 0, 1500
+    for _ in range(runs):
+        asked = {str(k): rng.normal(0.0, 50.0, 16) for k in range(5)}
+        found = trends(asked, rng.normal(0.0, 1.0, (16, 3)), range(16))
+        shown += any(one.significant for one in found)
+    assert shown / runs < 0.05 + 3 * np.sqrt(0.05 * 0.95 / runs)
 
 
 def test_a_drift_within_poses_shows_though_the_poses_differ_by_more() -> None:
