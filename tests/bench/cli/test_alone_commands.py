@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -176,11 +177,12 @@ def test_focus_sees_a_lens_go_out_of_focus(tmp_path: Path, said: Said) -> None:
 def test_what_focus_prints_is_a_line_of_a_rig_file(
     tmp_path: Path, best: dict[str, float], expected: dict[str, float] | None
 ) -> None:
-    text = Path(find_rig("emulated").path).read_text(encoding="utf-8")
+    text = find_rig("emulated").read_text(encoding="utf-8")
     old = next(line for line in text.splitlines() if line.startswith("focus_px"))
     text = text.replace(old, focus_line(best))
     rig = tmp_path / "rig.toml"
     rig.write_text(text, encoding="utf-8")
+    shutil.copy(find_rig("emulated").with_name("calibration.toml"), tmp_path)
     taken = load_rig(rig).rig.cameras.checks.focus_px.model_dump(exclude_none=True)
     assert taken == (expected or {"left": 0.7, "right": 0.01, "thermal": 12.0})
 

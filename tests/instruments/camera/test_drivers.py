@@ -130,8 +130,7 @@ def test_a_picture_size_that_changes_in_a_file_of_another_codec_is_a_fault_too(
                 outcomes.append(str(camera.take().pixels.shape))
             except FrameError as error:
                 outcomes.append(error.what)
-            except LinkError as error:
-                assert "gave no frame" in str(error)
+            except LinkError:  # its end
                 break
     changed = "a frame of 128 x 96 came; it was opened with 64 x 48"
     assert outcomes.index(changed) == outcomes.count("(48, 64, 3)") >= 7
