@@ -24,13 +24,15 @@ import serial
 from serial.tools import list_ports
 
 from instruments.clock import HUNG_S, Clock, VirtualClock, Wire
-from instruments.errors import LinkError
+from instruments.errors import LinkError, ProtocolError
 from instruments.port_settings import PortSettings, with_lines
 
 SLICE_S = 1.0
 LOOK_S = 0.002
 EIGHT_N_ONE = PortSettings()
 SOCKETS = ("socket://", "tcp://", "rtu+tcp://")
+LONGEST = 1 << 20  # bytes of one answer; a far end that sends more without end is another device
+LATE_S = 1.0  # after its time-out a read takes what still comes for so long
 COUNTED_S = 2.0  # real time until bytes that an emulator has counted must have come over loopback
 
 SYSFS = Path("/sys")
@@ -144,11 +146,13 @@ class Link:
                 return data
 
     def read(self, count: int, timeout_s: float) -> bytes:
-        """``count`` bytes, or fewer after ``timeout_s``. Raises LinkError."""
+        """``count`` bytes, or fewer after ``timeout_s``. Raises LinkError, ProtocolError."""
         return self._collect(lambda data: count if len(data) >= count else None, timeout_s)
 
     def read_until(self, terminator: bytes, timeout_s: float) -> bytes:
-        """All up to ``terminator``, or what came within ``timeout_s``. Raises LinkError."""
+        """All up to ``terminator``, or what came within ``timeout_s``. Raises LinkError, and
+        ProtocolError after `LONGEST` bytes.
+        """
 
         def end(data: bytes) -> int | None:
             return len(terminator) + at if (at := data.find(terminator)) >= 0 else None
@@ -156,14 +160,16 @@ class Link:
         return self._collect(end, timeout_s)
 
     def drain(self, silence_s: float, *, at_most_s: float = 5.0) -> bytes:
-        """Read all until ``silence_s`` without a byte, or ``at_most_s`` have passed."""
+        """Read all until ``silence_s`` without a byte, or ``at_most_s`` have passed; the last
+        `LONGEST` bytes are kept.
+        """
         got = b""
         deadline = self.clock.now() + at_most_s
         while self.clock.now() < deadline:
             data = self.receive(silence_s)
             if not data:
                 break
-            got += data
+            got = (got + data)[-LONGEST:]
         return got
 
     def close(self) -> None:
@@ -194,9 +200,16 @@ class Link:
         data, deadline = b"", self.clock.now() + timeout_s
         while (at := end(data)) is None:
             more = self.receive(max(0.0, deadline - self.clock.now()))
-            if not more:
-                return data
             data += more
+            if len(data) > LONGEST:
+                what = f"{len(data)} bytes came, and no end of the answer"
+                hint = "Is this the instrument's port? Another device sends without end."
+                raise ProtocolError(self.who, what, seen=data[:20], hint=hint)
+            if not more or self.clock.now() > deadline + LATE_S:
+                at = end(data)
+                break
+        if at is None:
+            return data
         self._buffer = data[at:] + self._buffer
         return data[:at]
 

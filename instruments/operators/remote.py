@@ -10,16 +10,17 @@ from collections.abc import Callable
 from typing import Any
 
 from pydantic import TypeAdapter
-from pydantic_core import to_json
+from pydantic_core import from_json, to_json
 
 from instruments.clock import Clock
-from instruments.errors import DeviceError, LinkError
-from instruments.link import Link
+from instruments.errors import DeviceError, LinkError, ProtocolError
+from instruments.link import LONGEST, Link
 from instruments.listener import Connection
 from instruments.operators import operator as op
 
 LOOK_S = 0.2  # between two looks at the interlocks while the answer is waited for
 TIMEOUT_S = 120.0
+LONGEST_SAID = 1000  # characters of a refusal that are shown
 ASKED: dict[str, type[op.Request]] = {
     "confirm_homing": op.Homing,
     "touch_check_point": op.CheckPoint,
@@ -43,7 +44,8 @@ class OperatorPort:
         self._begun[connection] = b""
 
     def receive(self, connection: Connection, data: bytes) -> None:
-        *lines, self._begun[connection] = (self._begun[connection] + data).split(b"\n")
+        *lines, begun = (self._begun[connection] + data).split(b"\n")
+        self._begun[connection] = begun[-LONGEST:]
         for line in lines:
             connection.send(to_json(self._answer(line)) + b"\n")
 
@@ -59,12 +61,14 @@ class OperatorPort:
             return {"done": self._operator.ask(request)}
         except op.OperatorEnough as enough:
             return {"enough": str(enough)}
-        except (ValueError, TypeError, LookupError, ArithmeticError) as error:
+        except (ValueError, TypeError, LookupError, ArithmeticError, RecursionError) as error:
             return {"refused": f"{type(error).__name__}: {error}"}
 
 
 class RemoteOperator:
-    """An `Operator` over a link. Raises LinkError without an answer, DeviceError for a refusal."""
+    """An `Operator` over a link. Raises LinkError without an answer, DeviceError for a refusal,
+    ProtocolError for another program's words.
+    """
 
     def __init__(self, url: str, clock: Clock) -> None:
         self.identity = {"operator": "emulated"}
@@ -85,12 +89,25 @@ class RemoteOperator:
         while not line.endswith(b"\n"):
             line += self._link.read_until(b"\n", LOOK_S)
             check()
+            if len(line) > LONGEST:
+                break
             if (waited_s := clock.now() - began_s) > TIMEOUT_S:
                 hint = "Does 'teatbench emulate' still run?"
                 raise LinkError(self._link.who, "no answer", asked=do, seconds=waited_s, hint=hint)
-        answer = json.loads(line)
-        if "enough" in answer:
-            raise op.OperatorEnough(answer["enough"])
-        if "done" not in answer:
-            raise DeviceError(self._link.who, str(answer.get("refused", answer)), asked=do)
-        return TypeAdapter(op.Answer).validate_python(answer["done"])
+        return read_line(line, do, self._link.who)
+
+
+def read_line(line: bytes, do: str, who: str) -> op.Answer:
+    """The answer in a line to ``do``. Raises OperatorEnough, DeviceError, ProtocolError."""
+    try:
+        answer = from_json(line)
+        if isinstance(answer, dict) and "done" in answer:
+            return TypeAdapter(op.Answer).validate_python(answer["done"])
+    except ValueError:  # no JSON, or not one of the answers
+        answer = None
+    if not isinstance(answer, dict):
+        hint = "Is this the address of 'teatbench emulate'?"
+        raise ProtocolError(who, "no answer of an operator", asked=do, seen=line[:60], hint=hint)
+    if "enough" in answer:
+        raise op.OperatorEnough(str(answer["enough"]))
+    raise DeviceError(who, str(answer.get("refused", answer))[:LONGEST_SAID], asked=do)

@@ -192,7 +192,7 @@ def test_a_live_look_does_not_end_for_frames_that_did_not_come(
 ) -> None:
     clock, pictures = VirtualClock(), {"single": np.zeros((4, 4), np.uint8)}
     fault = FrameError(FrameFault.DROPPED, "single", "single camera", "status CLEARED")
-    outcomes: list[object] = [fault] * 30
+    outcomes: list[Exception] = [fault] * 30
 
     def look() -> dict[str, np.ndarray]:
         if outcomes:
