@@ -325,7 +325,7 @@ def codecs(folder: Path) -> dict[str, Codec]:
         Codec(modbus_server, (MASTER, MASTER[12:])),
         Codec(modbus_answers, (SLAVE, b"\0\1\0\0\0\x0b\1" + SLAVE[1:-2])),
         Codec(lambda data: list(_ids(data)), (MASTER,)),
-        Codec(bath_rows, (*replies, *(one.strip() for one in replies[0].split(b"\r\n"))), (), 0.1),
+        Codec(bath_rows, (*replies, *replies[0].split()), (), 0.1),
         Codec(bath_lines, replies),
         Codec(
             pixels,

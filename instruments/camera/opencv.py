@@ -30,6 +30,7 @@ SILENCE_S = 5.0  # a stream that is silent for so long is gone
 OPEN_S = 15.0  # a stream opens with its first frame
 LOOK_S = 0.002
 TIMEOUT_S = 2.0  # the longest exposure and interval that a frame of a fast source may take
+LONGEST_WAIT_S = 4.5  # and of a slow one; less than the silence that ends a stream
 INTERVALS = 3.0  # a frame under way, the one that is wanted, and a late one
 SIZE = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
 NUMBERS = {"fps": cv2.CAP_PROP_FPS, "exposure": cv2.CAP_PROP_EXPOSURE, "gain": cv2.CAP_PROP_GAIN}
@@ -85,8 +86,8 @@ class LiveReader:
     def wait_s(self, least_s: float) -> float:
         """How long to wait for a frame: some intervals of a slow source, which it has to show."""
         with self._lock:
-            known = INTERVALS * max(self._intervals_s, default=SILENCE_S / INTERVALS)
-        return max(least_s, known)
+            known_s = INTERVALS * max(self._intervals_s, default=math.inf)
+        return max(least_s, min(known_s, LONGEST_WAIT_S))
 
     def answer(self, timeout_s: float) -> tuple[NDArray[Any] | None, float] | None:
         """The frame (None: undecodable) and its arrival; None where none came in ``timeout_s``."""

@@ -27,7 +27,7 @@ from instruments.stage.emulator import GRBL_HAL, MARLIN, Fault, StageEmulator
 from tests.bench.commands import Said, served, teatbench
 from tests.bench.rig.test_emulated_faults import with_emulation
 from tests.instruments.camera.peers import ADDRESS, gige_camera
-from tests.instruments.camera.small_world import GalleryWorld
+from tests.instruments.camera.small_world import GalleryWorld, gallery
 
 FAST = (
     {24: 6000, 25: 60000, 26: 1}
@@ -120,6 +120,7 @@ Capture = pytest.CaptureFixture[str]
 @pytest.fixture
 def streams() -> Iterator[list[str]]:
     """Left, right and thermal as streams of this process."""
+    gallery()  # a stream opens with its first frame, which else has to be drawn first
     with (
         closing(RealClock()) as clock,
         closing(StreamServer(EmulatedCameras(GalleryWorld(clock=clock)), clock)) as server,
