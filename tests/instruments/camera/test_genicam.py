@@ -232,11 +232,10 @@ def test_regions_and_pixel_formats_set_behind_its_back_are_noticed_and_opened_an
 
 
 def until(camera: GenicamCamera, *faults: str) -> str:
-    """The outcome that begins so; a busy machine may lose packets before."""
+    """The outcome that begins so. Before, a frame that was under way may come, or packets be lost."""
     for _ in range(40):
         if (said := outcome(camera)).startswith(faults):
             return said
-        assert not said.startswith("whole"), "a frame of a changed camera was taken"
     pytest.fail(f"none of 40 frames was {faults}")
 
 
