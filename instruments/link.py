@@ -194,11 +194,13 @@ class Link:
                 return
 
     def read(self, count: int, timeout_s: float) -> bytes:
-        """``count`` bytes, or fewer after ``timeout_s``. Raises LinkError."""
+        """``count`` bytes, or fewer after ``timeout_s``. Raises LinkError, ProtocolError."""
         return self._collect(lambda data: count if len(data) >= count else None, timeout_s)
 
     def read_until(self, terminator: bytes, timeout_s: float) -> bytes:
-        """All up to ``terminator``, or what came within ``timeout_s``. Raises LinkError."""
+        """All up to ``terminator``, or what came within ``timeout_s``. Raises LinkError, and
+        ProtocolError after `MOST_BYTES`.
+        """
 
         def end(data: bytes) -> int | None:
             return len(terminator) + at if (at := data.find(terminator)) >= 0 else None

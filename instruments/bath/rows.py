@@ -219,7 +219,7 @@ class Row(Quantity):
 
     def decode(self, registers: Sequence[int], order: Order) -> float:
         """The value in ``unit``, nan for a code of ``no_value``. Raises ValueError."""
-        if self.no_value and registers[0] in self.no_value.values():
+        if len(registers) == self.words and registers[0] in self.no_value.values():
             return math.nan
         return self.masked(decode(registers, self.type, self.order or order) * self.scale)
 

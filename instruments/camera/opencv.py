@@ -30,6 +30,7 @@ SILENCE_S = 5.0  # a stream that is silent for so long is gone
 OPEN_S = 15.0  # a stream opens with its first frame
 LOOK_S = 0.002
 TIMEOUT_S = 2.0  # the longest exposure and interval that a frame of a fast source may take
+LONGEST_WAIT_S = 4.5  # and of a slow one; less than the silence that ends a stream
 INTERVALS = 3.0  # a frame under way, the one that is wanted, and a late one
 SIZE = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
 NUMBERS = {"fps": cv2.CAP_PROP_FPS, "exposure": cv2.CAP_PROP_EXPOSURE, "gain": cv2.CAP_PROP_GAIN}
@@ -85,8 +86,8 @@ class LiveReader:
     def wait_s(self, least_s: float) -> float:
         """How long to wait for a frame: some intervals of a slow source, which it has to show."""
         with self._lock:
-            known = INTERVALS * max(self._intervals_s, default=SILENCE_S / INTERVALS)
-        return max(least_s, known)
+            known_s = INTERVALS * max(self._intervals_s, default=math.inf)
+        return max(least_s, min(known_s, LONGEST_WAIT_S))
 
     def answer(self, timeout_s: float) -> tuple[NDArray[Any] | None, float] | None:
         """The frame (None: undecodable) and its arrival; None where none came in ``timeout_s``."""
@@ -168,23 +169,44 @@ class OpenCvCamera:
             raise LinkError(self._who, "gave no frame", asked="a frame", hint=hint)
 
     def take(self) -> RawFrame:
-        """The frame. Raises FrameError where none came or it can't be decoded."""
+        """The frame; of a live source the next whole one, others are passed over and counted in it.
+        Raises FrameError where none came in time or a file's can't be decoded.
+        """
         if self._live is not None:
-            wait_s = self._live.wait_s(self._timeout_s)
-            if (answer := self._live.answer(wait_s)) is None:
-                if self._live.broken:
-                    raise self._fault(FrameFault.DROPPED, "the stream broke off")
-                raise self._fault(FrameFault.DROPPED, "no frame came", wait_s)
-            image, exposed_s = answer
-        else:
-            good, decoded = self._file.retrieve() if self._file is not None else (False, None)
-            image = np.asarray(decoded) if good and decoded is not None else None
-            exposed_s = self._begun_s or 0.0
-        if image is not None and self._is_jpeg:
-            decoded = cv2.imdecode(image, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-            image = None if decoded is None else np.asarray(decoded, dtype=np.uint8)
+            return self._take_live(self._live)
+        good, decoded = self._file.retrieve() if self._file is not None else (False, None)
+        image = self._decoded(decoded if good else None)
         if image is None:
             raise self._fault(FrameFault.HALF, "a frame came that can't be decoded")
+        return self._frame(image, self._begun_s or 0.0)
+
+    def _take_live(self, live: LiveReader) -> RawFrame:
+        wait_s, passed = live.wait_s(self._timeout_s), 0
+        end_s = self._clock.now() + wait_s
+        while (answer := live.answer(end_s - self._clock.now())) is not None:
+            image = self._decoded(answer[0])
+            if image is not None:
+                return self._frame(image, answer[1], passed)
+            passed += 1
+            live.ask()
+        if passed:
+            what = f"no whole frame came, {passed} that can't be decoded"
+            raise self._fault(FrameFault.HALF, what, wait_s)
+        if live.broken:
+            raise self._fault(FrameFault.DROPPED, "the stream broke off")
+        raise self._fault(FrameFault.DROPPED, "no frame came", wait_s)
+
+    def _decoded(self, image: NDArray[Any] | None) -> NDArray[Any] | None:
+        """Pixels of what the library gave; None for a damaged frame."""
+        if image is None or not image.size:
+            return None
+        if not self._is_jpeg:
+            return np.asarray(image)
+        decoded = cv2.imdecode(image, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        return None if decoded is None else np.asarray(decoded, dtype=np.uint8)
+
+    def _frame(self, image: NDArray[Any], exposed_s: float, passed: int = 0) -> RawFrame:
+        """A frame of the size that was opened. Raises FrameError for another."""
         if self._settings.counts:
             image = words(image, *self._size)
         height, width = image.shape[:2]
@@ -192,7 +214,7 @@ class OpenCvCamera:
             opened = f"{self._size[0]} x {self._size[1]}"
             what = f"a frame of {width} x {height} came; it was opened with {opened}"
             raise self._fault(FrameFault.WRONG_SIZE, what)
-        return RawFrame(image, exposed_s, 8 * image.itemsize)
+        return RawFrame(image, exposed_s, 8 * image.itemsize, passed_over=passed)
 
     def close(self) -> None:
         """Let it go; may be called again."""

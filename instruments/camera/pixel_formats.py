@@ -106,6 +106,8 @@ def unpack(
         known = ", ".join(known.name for known in FORMATS)
         what = f"pixel format 0x{code:08X} is not one that is unpacked here"
         raise ValueError(f"{what}; choose one of {known}")
+    if width < 1 or height < 1:
+        raise ValueError(f"a picture of {width} x {height} pixels has none")
     # without padding all lines are one
     lines, per_line = (height, width) if x_padding else (1, width * height)
     step = -(-per_line * layout.stored_bits // 8) + x_padding  # the last byte is filled up

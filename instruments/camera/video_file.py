@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from instruments.errors import LinkError
 
 COUNTS = "gray16le"
+DAMAGED = (av.FFmpegError, OSError, ValueError, LookupError)  # what the library raises for a file
 
 
 class VideoFile:
@@ -26,9 +27,9 @@ class VideoFile:
         self._counts = counts
         self._frame: av.VideoFrame | None = None
         try:
-            self._container = av.open(str(path))
-            self._frames = self._read()
-        except (av.FFmpegError, OSError) as error:
+            self._container = av.open(str(path), metadata_errors="replace")
+            self._frames = self._read(self._container.streams.video[0])
+        except DAMAGED as error:
             hint = "Is it a video file, whole and of a common format?"
             raise LinkError(who, f"can't be read: {error}", hint=hint) from error
 
@@ -46,25 +47,28 @@ class VideoFile:
         if frame is None:
             return False, None
         as_is = self._counts and frame.format.name == COUNTS
-        return True, np.asarray(frame.to_ndarray(format=COUNTS if as_is else "bgr24"))
+        try:
+            return True, np.asarray(frame.to_ndarray(format=COUNTS if as_is else "bgr24"))
+        except DAMAGED:
+            return False, None
 
     def release(self) -> None:
         """Close the file; may be called again."""
         self._frames = iter(())
         self._container.close()
 
-    def _read(self) -> Iterator[av.VideoFrame | None]:
+    def _read(self, stream: av.VideoStream) -> Iterator[av.VideoFrame | None]:
         """Each frame; None for a packet that can't be decoded."""
-        packets = self._container.demux(video=0)
+        packets = self._container.demux(stream)
         while True:
             try:
                 packet = next(packets)
             except StopIteration:
                 return
-            except av.FFmpegError:  # the file is cut
+            except DAMAGED:  # the file is cut
                 yield None
                 return
             try:
                 yield from [one for one in packet.decode() if isinstance(one, av.VideoFrame)]
-            except av.FFmpegError:
+            except DAMAGED:
                 yield None

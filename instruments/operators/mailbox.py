@@ -16,10 +16,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel, ConfigDict, TypeAdapter
+
 from instruments.clock import wall_time
 from instruments.operators import operator as op
 
 FOLDER, PROMPT, ANSWERS = "console", "prompt.json", "answers"
+LONGEST, LONGEST_NUMBER = 1 << 20, 16  # bytes of a file, digits of a number
 TERMINAL, BENCH = "the terminal", "the bench"  # who answered, beside names of browsers
 
 
@@ -53,7 +56,8 @@ class Mailbox:
     def __init__(self, folder: Path) -> None:
         self._folder = folder / FOLDER
         (self._folder / ANSWERS).mkdir(parents=True, exist_ok=True)
-        said = [int(path.stem) for path in (self._folder / ANSWERS).glob("*.json")]
+        names = [path.stem for path in (self._folder / ANSWERS).glob("*.json")]
+        said = [int(name) for name in names if name.isdecimal() and len(name) < LONGEST_NUMBER]
         last = read_prompt(folder)
         self._number = max([0, *said, int(last["number"]) if last else 0])
         self._prompt: dict[str, Any] = {}
@@ -93,21 +97,47 @@ class Mailbox:
         part.replace(self._folder / PROMPT)
 
 
+class _Published(BaseModel):
+    """`PROMPT` as the run writes it; further keys are for the browser."""
+
+    model_config = ConfigDict(strict=True, extra="allow")
+
+    number: int
+    open: bool
+    by: str
+    kind: op.Kind
+    text: str
+    progress: str
+    hidden_to: int
+    pedal: bool
+    enough: bool
+
+
+def _read(path: Path) -> bytes:
+    """A small file. Raises OSError, and ValueError for a large one."""
+    with path.open("rb") as file:
+        data = file.read(LONGEST + 1)
+    if len(data) > LONGEST:
+        raise ValueError(f"{path} has more than {LONGEST} bytes")
+    return data
+
+
 def read_prompt(folder: Path) -> dict[str, Any] | None:
-    """The last prompt of the run in ``folder``; ``open`` says whether it waits for an answer."""
+    """The last prompt of the run in ``folder``, None for a file that is not as it writes them;
+    ``open`` says whether it waits for an answer.
+    """
     try:
-        prompt = json.loads((folder / FOLDER / PROMPT).read_text(encoding="utf-8"))
+        return _Published.model_validate_json(_read(folder / FOLDER / PROMPT)).model_dump()
     except (OSError, ValueError):
         return None
-    return prompt if isinstance(prompt, dict) else None
 
 
 def read_answer(folder: Path, number: int) -> Given | None:
     """The answer to prompt ``number``, None where there is none."""
     try:
-        text = (folder / FOLDER / ANSWERS / f"{number}.json").read_text(encoding="utf-8")
-        return Given(**json.loads(text))
-    except (OSError, ValueError, TypeError):
+        data = _read(folder / FOLDER / ANSWERS / f"{number}.json")
+        return TypeAdapter(Given).validate_json(data, strict=True)
+    except (OSError, ValueError):
         return None
 
 

@@ -9,17 +9,18 @@ import json
 from collections.abc import Callable
 from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
-from pydantic_core import to_json
+from pydantic import TypeAdapter
+from pydantic_core import from_json, to_json
 
 from instruments.clock import Clock
 from instruments.errors import DeviceError, LinkError, ProtocolError
-from instruments.link import SEEN_BYTES, Link
+from instruments.link import MOST_BYTES, SEEN_BYTES, Link
 from instruments.listener import Connection
 from instruments.operators import operator as op
 
 LOOK_S = 0.2  # between two looks at the interlocks while the answer is waited for
 TIMEOUT_S = 60.0
+LONGEST_SAID = 1000  # characters of a refusal that are shown
 ASKED: dict[str, type[op.Request]] = {
     "confirm_homing": op.Homing,
     "touch_check_point": op.CheckPoint,
@@ -43,7 +44,8 @@ class OperatorPort:
         self._begun[connection] = b""
 
     def receive(self, connection: Connection, data: bytes) -> None:
-        *lines, self._begun[connection] = (self._begun[connection] + data).split(b"\n")
+        *lines, begun = (self._begun[connection] + data).split(b"\n")
+        self._begun[connection] = begun[-MOST_BYTES:]
         for line in lines:
             connection.send(to_json(self._answer(line)) + b"\n")
 
@@ -59,12 +61,14 @@ class OperatorPort:
             return {"done": self._operator.ask(request)}
         except op.OperatorEnough as enough:
             return {"enough": str(enough)}
-        except (ValueError, TypeError, LookupError, ArithmeticError) as error:
+        except (ValueError, TypeError, LookupError, ArithmeticError, RecursionError) as error:
             return {"refused": f"{type(error).__name__}: {error}"}
 
 
 class RemoteOperator:
-    """An `Operator` over a link. Raises LinkError without an answer, DeviceError for a refusal."""
+    """An `Operator` over a link. Raises LinkError without an answer, DeviceError for a refusal,
+    ProtocolError for another program's words.
+    """
 
     def __init__(self, url: str, clock: Clock) -> None:
         self.identity = {"operator": "emulated"}
@@ -90,14 +94,20 @@ class RemoteOperator:
             if (waited_s := clock.now() - began_s) > TIMEOUT_S:
                 hint = "Does 'teatbench emulate' still run?"
                 raise LinkError(self._link.who, "no answer", asked=do, seconds=waited_s, hint=hint)
-        try:
-            answer: dict[str, Any] = TypeAdapter(dict[str, Any]).validate_json(line)
-            if "done" in answer:
-                return TypeAdapter(op.Answer).validate_python(answer["done"])
-        except ValidationError as error:
-            what, hint = "this is no operator of 'teatbench emulate'", "Is the address right?"
-            seen = line[:SEEN_BYTES]
-            raise ProtocolError(self._link.who, what, asked=do, seen=seen, hint=hint) from error
-        if "enough" in answer:
-            raise op.OperatorEnough(answer["enough"])
-        raise DeviceError(self._link.who, str(answer.get("refused", answer)), asked=do)
+        return read_line(line, do, self._link.who)
+
+
+def read_line(line: bytes, do: str, who: str) -> op.Answer:
+    """The answer in a line to ``do``. Raises OperatorEnough, DeviceError, ProtocolError."""
+    try:
+        answer = from_json(line)
+        if isinstance(answer, dict) and "done" in answer:
+            return TypeAdapter(op.Answer).validate_python(answer["done"])
+    except ValueError:  # no JSON, or not one of the answers
+        answer = None
+    if not isinstance(answer, dict):
+        what, hint = "this is no operator of 'teatbench emulate'", "Is the address right?"
+        raise ProtocolError(who, what, asked=do, seen=line[:SEEN_BYTES], hint=hint)
+    if "enough" in answer:
+        raise op.OperatorEnough(str(answer["enough"]))
+    raise DeviceError(who, str(answer.get("refused", answer))[:LONGEST_SAID], asked=do)

