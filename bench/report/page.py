@@ -453,7 +453,7 @@ def record_parts(run: RunRecord) -> Iterator[Part]:
         emulated = fact["emulated"]
         yield Paragraph(
             "The calibration has no record of who made it, when and with what."
-            f" {'The emulated cameras are made from it.' if emulated else 'Its age is not known.'}",
+            f" {'The emulated cameras are made from it.' if emulated else 'Not checked: its age is not known.'}",
             tone="plain" if emulated else "warn",
         )
         return

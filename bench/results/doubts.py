@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from bench.record.recording import FILES, Recording
+from bench.results.working_volume import FARTHEST_MM, outside_picture
 from detector.calibration import Calibration
 from detector.calibration.gate import pair_faults
 from detector.geometry import Array
@@ -20,7 +21,6 @@ AGAIN = (
     " size, the world's axes of truth.csv. Then score the recording again."
 )
 NEAR = 0.05  # of the picture's size, by which an end that counts as visible may lie outside
-FARTHEST_MM = 10_000.0  # no cow is milked farther from the cameras
 LEAST_DISPARITY_PX = 2.0  # of less, one pixel is worth half of the distance
 
 
@@ -58,7 +58,7 @@ def _places(recording: Recording, calibration: Calibration) -> Iterator[str]:
     points = np.array([row.xyz_mm for _, row in rows])
     cameras = calibration.left, calibration.right
     outside: Mapping[str, Array] = {
-        name: _outside(pixels, camera.image_size)
+        name: outside_picture(pixels, camera.image_size, NEAR)
         for name, camera, pixels in zip(
             ("left", "right"), cameras, calibration.project(points), strict=True
         )
@@ -82,10 +82,3 @@ def _places(recording: Recording, calibration: Calibration) -> Iterator[str]:
             f"{int(flat.sum())} of {len(rows)} visible ends have a disparity of less than"
             f" {LEAST_DISPARITY_PX:g} px, which tells no depth"
         )
-
-
-def _outside(pixels_px: Array, size: tuple[int, int]) -> Array:
-    """Which pixels (n, 2) have no place in a picture of this size (columns, rows)."""
-    margin = NEAR * np.array(size)
-    inside = (pixels_px >= -margin) & (pixels_px <= size + margin)
-    return np.asarray(~inside.all(axis=1))
