@@ -4,6 +4,7 @@ bench, run, calibration, checksums, faults, command.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -45,8 +46,9 @@ from bench.results.verdicts import (
     stored_rules,
     truth_u_mm,
 )
+from bench.rig.frame_capture import FRAMES_FACT
 from bench.scoring.guard_band import acceptance_limit_mm
-from bench.scoring.rates import zero_failure_n
+from bench.scoring.rates import plural, zero_failure_n
 from bench.script.calibration_age import CALIBRATION_FACT
 from bench.script.model import ErrorRequirement, Rules, SuccessRequirement, TimeRequirement
 from detector.calibration import Calibration
@@ -370,6 +372,7 @@ FAULTS = {
     "camera faults": "Frames that were refused and taken again",
     "retries": "Asks that were repeated",
 }
+UNKNOWN_AGE = "Its age is not known, so it is not checked."
 MOST_EVENTS = 60  # at either end
 FILES = {
     SCRIPT: "the trials and the rules, as used",
@@ -442,6 +445,17 @@ def fault_parts(run: RunRecord) -> Iterator[Part]:
     for fact, title in FAULTS.items():
         if counts := sorted((run.facts.get(fact) or {}).items()):
             yield Notes(title, tuple(f"{name}: {count} times" for name, count in counts))
+    looked = Counter[str]()
+    for fact in (fact for fact in run.facts if fact.startswith(FRAMES_FACT)):  # one a session
+        looked.update(run.facts[fact])
+    if looked:
+        rows = (f"{name}: {looked_at(count)}" for name, count in sorted(looked.items()))
+        yield Notes("What the frames were checked for", tuple(rows))
+
+
+def looked_at(count: int) -> str:
+    """A check that looked at nothing has found nothing."""
+    return f"{plural(count, 'picture')} looked at" if count else "not checked"
 
 
 def record_parts(run: RunRecord) -> Iterator[Part]:
@@ -453,7 +467,7 @@ def record_parts(run: RunRecord) -> Iterator[Part]:
         emulated = fact["emulated"]
         yield Paragraph(
             "The calibration has no record of who made it, when and with what."
-            f" {'The emulated cameras are made from it.' if emulated else 'Not checked: its age is not known.'}",
+            f" {'The emulated cameras are made from it.' if emulated else UNKNOWN_AGE}",
             tone="plain" if emulated else "warn",
         )
         return
