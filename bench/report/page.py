@@ -34,6 +34,7 @@ from bench.report.trials import (
 )
 from bench.report.truth import arm_parts, cameras_parts, deviation_parts, truth_parts
 from bench.report.wording import headline, headlines, id_of, key_values, table
+from bench.results.cameras_agree import UNCHECKED_FACT
 from bench.results.exports import write_exports
 from bench.results.verdicts import (
     LATENCY_RULE,
@@ -237,6 +238,8 @@ def _confidence(run: RunRecord, rules: Rules, poses: int) -> str:
         message += f" To show {100 * rate:g} % takes {needed} poses without a failure."
     if (known_mm := tables.truth_known_mm(run)) is not None:
         message += f" The truth is known to {known_mm:.2f} mm in 95 %."
+    if unchecked := run.facts.get(UNCHECKED_FACT):
+        message += f" Cameras {unchecked}, so an error may be theirs."
     return message
 
 

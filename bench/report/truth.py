@@ -13,7 +13,16 @@ import numpy as np
 from bench.record.reader import RunRecord, TrialRecord, points_mm
 from bench.report.tables import covariance_of, truth_known_mm
 from bench.report.wording import key_values, listed, number, spanned, table, xyz
-from bench.results.cameras_agree import DEFAULT, DISPARITY, answers_of, cameras_of, shift_text
+from bench.results.cameras_agree import (
+    DEFAULT,
+    DISPARITY,
+    UNCHECKED_FACT,
+    answers_of,
+    cameras_of,
+    shift_text,
+    unchecked_of,
+)
+from bench.results.doubts import LOOKED_FACT
 from bench.results.stated_arm import STATED_FACT, VERIFICATION_FACT, arm_checks, too_small
 from bench.results.verdicts import age_of
 from bench.rig.arm_files import LocationTest, Verification, from_dict
@@ -40,6 +49,10 @@ LOCATIONS = (
 def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:
     """The check of the cameras on known ends, and whether answers share their shift."""
     check = cameras_of(run.counted)
+    if looked := run.facts.get(LOOKED_FACT):
+        yield Paragraph(f"{looked}.")
+    if text := run.facts.get(UNCHECKED_FACT) or unchecked_of(run.counted, check):
+        yield Paragraph(f"Cameras {text}.", tone="warn")
     if not check.ends:
         return
     asked = [r.limit_px for r in rules.requirements if isinstance(r, CamerasRequirement)]

@@ -11,11 +11,13 @@ import numpy as np
 
 from bench.record.recording import FILES, Recording
 from bench.results.working_volume import FARTHEST_MM, outside_picture
+from bench.scoring.rates import plural
 from detector.calibration import Calibration
 from detector.calibration.gate import pair_faults
 from detector.geometry import Array
 
 DOUBTS_FACT = "calibration can't be"
+LOOKED_FACT = "calibration held against"  # of a recording: what it was looked for in
 AGAIN = (
     "Put calibration.toml right (docs/calibration.md): units in mm, left and right, the pictures'"
     " size, the world's axes of truth.csv. Then score the recording again."
@@ -29,6 +31,16 @@ def doubts_of(recording: Recording, calibration: Calibration) -> tuple[str, ...]
     pair = (f"calibration.toml, [stereo] T: {w}" for w in pair_faults(calibration.right_from_left))
     found = [*pair, *_sizes(recording, calibration)]
     return tuple(found or _places(recording, calibration))
+
+
+def looked_at(recording: Recording) -> str:
+    """What `doubts_of` holds a calibration against, in words; what it can't is "not checked"."""
+    pictures = sum(len(recording.sizes(frame)) for frame in recording.frames)
+    ends = sum(row.visible for rows in recording.truth.values() for row in rows)
+    sizes = f"The calibration was held against the sizes of {plural(pictures, 'picture')}"
+    if not ends:
+        return f"{sizes}; not checked: whether visible ends have a place in them (none is known)"
+    return f"{sizes} and the places of {plural(ends, 'visible end')}"
 
 
 def _sizes(recording: Recording, calibration: Calibration) -> Iterator[str]:

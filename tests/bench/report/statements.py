@@ -109,6 +109,9 @@ KINDS = (
         "further off",
     ),
     Kind("blamed on calibration", N, lambda m, s, d: float(m[1]) > 0, r"^Whose it is", "^calib"),
+    Kind(
+        "cameras not checked", r"Cameras not checked: .* \(0 of \d+ visible ends measured in .*\)\."
+    ),
     # what is known of the errors
     Kind(
         "bias",
