@@ -225,7 +225,8 @@ def _confidence(run: RunRecord, rules: Rules, poses: int) -> str:
     if not claims:
         return f"{poses} poses."
     rate, confidence = claims[0]
-    needed, sure = zero_failure_n(rate, confidence), f"{100 * confidence:g} % confidence"
+    needed = zero_failure_n(rate, confidence)
+    sure = f"{100 * confidence:g} % confidence (one-sided)"
     if not poses:
         without = f"{needed} without a failure would show {100 * rate:g} % with {sure}."
         return f"No pose was tried; {without}"

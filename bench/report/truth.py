@@ -71,8 +71,8 @@ def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Ite
             for who, one in found
         ],
         f"{check.measured} of {check.ends} ends measured in left and right{thermal}. Means over"
-        " poses, with 95 % confidence; px of the sensor for the thermal camera. Answers: of matched"
-        " ends.",
+        " poses, with 95 % intervals, two-sided; px of the sensor for the thermal camera. Answers:"
+        " of matched ends.",
     )
     if text := check.unseen:
         yield Paragraph(f"{text[0].upper()}{text[1:]}.", tone="warn")
@@ -180,7 +180,7 @@ def _stated(run: RunRecord) -> Iterator[Part]:
         figures = (check.squares, check.limit(level), f"{check.p_value:.2g}")
         rows.append((check.name, check.df, u_mm * check.ratio, span, *figures, wrong))
     heads = (
-        "deviations | >degrees of freedom | >u shown [mm] ~.3f | >its 95 % interval [mm]"
+        "deviations | >degrees of freedom | >u shown [mm] ~.3f | >its 95 % interval, two-sided [mm]"
         " | >chi-square ~.1f # sum of (deviation / stated u)²"
         " | >limit ~.1f # a sound statement seldom exceeds it; Fisher's F where it has degrees of"
         " freedom itself | >p | stated u"

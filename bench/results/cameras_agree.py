@@ -346,7 +346,7 @@ def decide_cameras(rule: CamerasRequirement, check: CamerasCheck) -> Decision:
         name=rule.name,
         rule=f"touched ends are seen within {rule.limit_px:g} px of where the calibration puts"
         f" them (disparity, rows), and within {rule.thermal_limit_px:g} sensor pixels in the"
-        f" thermal picture; mean over poses, with {CONFIDENCE:.0%} confidence",
+        f" thermal picture; mean over poses, with {CONFIDENCE:.0%} confidence (two-sided)",
         unit="px",
         limit=rule.limit_px,
         sentence=f"It needs touched ends of at least {LEAST_POSES} poses that the cameras show.",
