@@ -226,7 +226,7 @@ def _confidence(run: RunRecord, rules: Rules, poses: int) -> str:
         return f"{poses} poses."
     rate, confidence = claims[0]
     needed = zero_failure_n(rate, confidence)
-    sure = f"{100 * confidence:g} % confidence (one-sided)"
+    sure = f"one-sided {100 * confidence:g} % confidence"
     if not poses:
         without = f"{needed} without a failure would show {100 * rate:g} % with {sure}."
         return f"No pose was tried; {without}"
