@@ -9,19 +9,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bench.campaign.chunk import ASIDE, Scene
+from bench.campaign.ledger import Ledger
 from bench.campaign.plan import Plan
 from bench.campaign.run import plan_of
 from bench.campaign.shards import Shards
 from bench.config import ConfigError
+from bench.record.looks import GATE, Look, claim_of
 from bench.record.reader import RunRecord
 from bench.results.comparison import Comparison, Side, sides
 from bench.scoring.comparison import ScenePair, compare
+from bench.scoring.decisions import Verdict
 from bench.scoring.matching import GATE_CEILING_MM, Match
 from bench.scoring.scene import SceneScore
 
@@ -70,17 +74,52 @@ def compare_campaigns(
             for scene in both
         )
         alone = len(scores[0]) - len(both), len(scores[1]) - len(both)
+        claim = claim_of(*map(_made_by, (old, new)), margin_mm, margin_rate, confidence)
+        data = claim_of([(scene.name, scores[0][scene][1], scores[1][scene][1]) for scene in both])
+        before = _looks_before((old, new), claim, data)
+        # how many scenes there are was decided by looking at them
+        before += ["half_width"] * (plan.half_width is not None or other.half_width is not None)
         compared = compare(
             pairs,
             margin_mm=margin_mm,
             margin_rate=margin_rate,
             confidence=confidence,
             unpaired=alone[0],
-            # how many scenes there are was decided by looking at them
-            again=int(plan.half_width is not None or other.half_width is not None),
+            again=len(before),
         )
-        found.append(Comparison(old, new, pairs, same.count(True), *alone, compared))
+        verdicts = {"gate": compared.gate.verdict.value}
+        look = Look(GATE, claim, data, {}, {"poses": len(both)}, verdicts, before)
+        one = Comparison(old, new, pairs, same.count(True), *alone, compared, look=look)
+        found.append(_written(one) if len(runs) > 1 else one)
     return tuple(found)
+
+
+def _made_by(side: Side) -> dict[str, Any]:
+    """What a side is, however many of its scenes are done, and wherever its folder lies."""
+    facts = side.run.facts
+    own = {key: facts[key] for key in ("rig", "seed", "calibration_sha256", "perturbations")}
+    return {**own, "program": facts["program"], side.detector: facts["items"].get(side.detector)}
+
+
+def _looks_before(both: Sequence[Side], claim: str, data: str) -> list[str]:
+    """The looks for this claim at any of the campaigns that came before one at ``data``."""
+    found = list(dict.fromkeys(one for s in both for one in Ledger(s.run.folder).looks(claim)))
+    return found[: found.index(data)] if data in found else found
+
+
+def _written(one: Comparison) -> Comparison:
+    """The comparison, its look in both ledgers; not shown to be no worse where it can't be."""
+    try:
+        for side in (one.old, one.new):
+            if one.look:
+                Ledger(side.run.folder).add_look(one.look.claim, one.look.data)
+    except OSError as error:
+        gate = one.compared.gate
+        if gate.verdict is Verdict.MET:
+            why = f"the look can't be written beside the campaign ({error}): it would be free"
+            gate = replace(gate, verdict=Verdict.INCONCLUSIVE, reasons=(why,))
+        return replace(one, compared=replace(one.compared, gate=gate))
+    return one
 
 
 def _as_run(folder: Path, plan: Plan) -> RunRecord:

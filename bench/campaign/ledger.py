@@ -22,6 +22,7 @@ from bench.files import make_folder, sync_folder, write_synced
 LEDGER, LOCK = "ledger.txt", "ledger.lock"
 REMOVED = "removed"  # in place of a digest: the file was merged into another, or is not needed
 LOOKS, BETWEEN_S = 3, 0.2
+LOOK = "look for"  # the name of a digest that no file has: of what was looked at for a claim
 ROWS = "rows of"  # the name of a digest that no file has: of so many scenes' rows
 
 
@@ -137,6 +138,16 @@ class Ledger:
             " written: a chunk that was done again came out differently, so a detector under test"
             " does not repeat itself, or another version of the database read them."
         )
+
+    def looks(self, claim: str) -> list[str]:
+        """The digests of what was looked at for this ``claim``, in the order of the looks."""
+        name = f"{LOOK} {claim}"
+        return [data for one, data in self._lines().items() if one == f"{name} {data}"]
+
+    def add_look(self, claim: str, data: str) -> None:
+        """A look at ``data``; taken again it is the same one."""
+        if data not in self.looks(claim):
+            self._append([(data, f"{LOOK} {claim} {data}")])
 
     def _append(self, lines: Iterable[tuple[str, str]]) -> None:
         text = "".join(f"{digest}  {name}\n" for digest, name in lines)

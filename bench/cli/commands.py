@@ -374,7 +374,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         TABLES_JSON,
     ),
     "store check": (
-        "check database, frames and files of a run; exit code 0: unaltered, 1: altered",
+        "check database, frames, files of a run; exit code 0: unaltered, 1: altered, 4: no chain",
         "store check runs/20260601-120000-six-situations",
         RUN,
         option(

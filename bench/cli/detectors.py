@@ -59,7 +59,6 @@ CURES = {
     "lead to no point in space": (
         "left_px and right_px are the same point in both pictures, each [column, row]."
     ),
-    "farther than any rig has one": "world_mm is in millimetres, in the table's frame.",
     "of memory": "Use less, or set memory_limit_mib in the file that declares it.",
     "before it was ready": (
         "The program ended at its start. Its last words are above; run its command by hand to see"

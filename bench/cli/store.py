@@ -14,7 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.cli.arguments import CODES, code_of
+from bench.cli.arguments import CODES, code_of, complain
 from bench.cli.terminal import working
 from bench.config import ConfigError, writing
 from bench.files import write_synced
@@ -48,6 +48,8 @@ def check(given: argparse.Namespace) -> int:
     print("looked at " + ", ".join(f"{count} {name}" for name, count in done.counts.items()))
     if done.head.number:
         print(f"digest: {done.head.wall_digest}\ndigest without real time: {done.head.digest}")
+    if done.unchecked:
+        return complain(done.unchecked, CODES.inconclusive)
     print("The record is as it was written." if done.whole else f"{NOT_AS_WRITTEN}.")
     return CODES.met if done.whole else CODES.not_met
 

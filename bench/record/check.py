@@ -58,6 +58,14 @@ class Checked:
     def whole(self) -> bool:
         return not any(finding.weight is Weight.DAMAGE for finding in self.findings)
 
+    @property
+    def unchecked(self) -> str:
+        """What nothing was there to check by; empty where a chain covers the record."""
+        if not self.whole or self.head.number:
+            return ""
+        looked = f"0 links of a chain, {self.counts['frames']} frames with their SHA-256"
+        return f"not checked: whether the record's rows are as they were written ({looked})"
+
 
 def check_run(folder: Path, digest: str | None = None) -> Checked:
     """Check all; ``digest`` is one that a report names. Raises ConfigError where it is no run."""
@@ -66,7 +74,7 @@ def check_run(folder: Path, digest: str | None = None) -> Checked:
         version = known_version(db, folder)
         findings: list[Finding] = []  # what was found before something fails is kept
         links: list[tuple[Any, ...]] = []
-        counts = dict.fromkeys(COUNTED, 0)
+        counts = dict.fromkeys((*COUNTED, "files"), 0)
         try:
             for (text,) in db.execute("PRAGMA integrity_check"):
                 findings += [_damage(f"{DATABASE}: {text}")] if text != "ok" else []
@@ -79,7 +87,7 @@ def check_run(folder: Path, digest: str | None = None) -> Checked:
                 findings.append(finding)
             counts |= {
                 name: int(db.execute(f"SELECT count(*) FROM {name}").fetchone()[0])  # noqa: S608
-                for name in COUNTED
+                for name in (*COUNTED, *(("files",) if version >= CHAINED_SINCE else ()))
             }
         except (sqlite3.Error, ValueError, TypeError, RecursionError) as error:
             findings.append(_damage(f"{DATABASE} can't be read to its end: {error}"))

@@ -141,12 +141,13 @@ def _without_noise(rows: ErrorRows) -> str:
         return ""
     seen = mean_square(rows.errors_mm, rows.truth)
     low, high = seen.interval_mm
-    rest = f"without it the rms is {low:.2f} to {high:.2f} mm (95 %)"
+    rest = f"without it the rms is {low:.2f} to {high:.2f} mm (95 %, two-sided)"
     if not low:
-        rest = f"without it the rms is at most {high:.2f} mm (95 %): it may be all that was seen"
+        rest = f"without it the rms is at most {high:.2f} mm (97.5 %, one-sided): it may be all"
+        rest += " that was seen"
     return (
         f" The truth's noise alone would show {seen.truth_rms_mm:.2f} mm rms, at most"
-        f" {seen.truth_most_mm:.2f} mm (95 %), much of it common to all ends: {rest}."
+        f" {seen.truth_most_mm:.2f} mm (95 %, one-sided), much of it common to all ends: {rest}."
     )
 
 
@@ -171,7 +172,7 @@ def _tolerance(pool: Pool, detector: str) -> Part:
         _, upper = quantile_bounds(worst, share, CONFIDENCE)
         k = normal_k(n, share, CONFIDENCE)
         few = f"{NOT_MEASURED}: {zero_failure_n(share, CONFIDENCE)} poses are the least"
-        says = (f"{100 * share:g} % of poses", f"{100 * CONFIDENCE:g} % confidence")
+        says = (f"{100 * share:g} % of poses", f"{100 * CONFIDENCE:g} % confidence, one-sided")
         free = few if upper is None else upper
         lines.append((*says, n, free, k, worst.mean() + k * worst.std(ddof=1)))
     note = (

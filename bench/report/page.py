@@ -4,6 +4,7 @@ bench, run, calibration, checksums, faults, command.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -33,6 +34,7 @@ from bench.report.trials import (
 )
 from bench.report.truth import arm_parts, cameras_parts, deviation_parts, truth_parts
 from bench.report.wording import headline, headlines, id_of, key_values, table
+from bench.results.cameras_agree import UNCHECKED_FACT
 from bench.results.exports import write_exports
 from bench.results.verdicts import (
     LATENCY_RULE,
@@ -45,8 +47,9 @@ from bench.results.verdicts import (
     stored_rules,
     truth_u_mm,
 )
+from bench.rig.frame_capture import FRAMES_FACT
 from bench.scoring.guard_band import acceptance_limit_mm
-from bench.scoring.rates import zero_failure_n
+from bench.scoring.rates import plural, zero_failure_n
 from bench.script.calibration_age import CALIBRATION_FACT
 from bench.script.model import ErrorRequirement, Rules, SuccessRequirement, TimeRequirement
 from detector.calibration import Calibration
@@ -222,7 +225,8 @@ def _confidence(run: RunRecord, rules: Rules, poses: int) -> str:
     if not claims:
         return f"{poses} poses."
     rate, confidence = claims[0]
-    needed, sure = zero_failure_n(rate, confidence), f"{100 * confidence:g} % confidence"
+    needed = zero_failure_n(rate, confidence)
+    sure = f"one-sided {100 * confidence:g} % confidence"
     if not poses:
         without = f"{needed} without a failure would show {100 * rate:g} % with {sure}."
         return f"No pose was tried; {without}"
@@ -235,6 +239,8 @@ def _confidence(run: RunRecord, rules: Rules, poses: int) -> str:
         message += f" To show {100 * rate:g} % takes {needed} poses without a failure."
     if (known_mm := tables.truth_known_mm(run)) is not None:
         message += f" The truth is known to {known_mm:.2f} mm in 95 %."
+    if unchecked := run.facts.get(UNCHECKED_FACT):
+        message += f" Cameras {unchecked}, so an error may be theirs."
     return message
 
 
@@ -370,6 +376,7 @@ FAULTS = {
     "camera faults": "Frames that were refused and taken again",
     "retries": "Asks that were repeated",
 }
+UNKNOWN_AGE = "Its age is not known, so it is not checked."
 MOST_EVENTS = 60  # at either end
 FILES = {
     SCRIPT: "the trials and the rules, as used",
@@ -442,6 +449,17 @@ def fault_parts(run: RunRecord) -> Iterator[Part]:
     for fact, title in FAULTS.items():
         if counts := sorted((run.facts.get(fact) or {}).items()):
             yield Notes(title, tuple(f"{name}: {count} times" for name, count in counts))
+    looked = Counter[str]()
+    for fact in (fact for fact in run.facts if fact.startswith(FRAMES_FACT)):  # one a session
+        looked.update(run.facts[fact])
+    if looked:
+        rows = (f"{name}: {looked_at(count)}" for name, count in sorted(looked.items()))
+        yield Notes("What the frames were checked for", tuple(rows))
+
+
+def looked_at(count: int) -> str:
+    """A check that looked at nothing has found nothing."""
+    return f"{plural(count, 'picture')} looked at" if count else "not checked"
 
 
 def record_parts(run: RunRecord) -> Iterator[Part]:
@@ -453,7 +471,7 @@ def record_parts(run: RunRecord) -> Iterator[Part]:
         emulated = fact["emulated"]
         yield Paragraph(
             "The calibration has no record of who made it, when and with what."
-            f" {'The emulated cameras are made from it.' if emulated else 'Its age is not known.'}",
+            f" {'The emulated cameras are made from it.' if emulated else UNKNOWN_AGE}",
             tone="plain" if emulated else "warn",
         )
         return

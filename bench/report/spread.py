@@ -172,10 +172,11 @@ def trend_parts(rows: ErrorRows, detector: str) -> Iterator[Part]:
     yield Figure(svg, caption, says, wide=True)
     heads = (
         "error | against | >n | >poses # independent units; within poses: trials"
-        " | >range [of the unit] ~.3g | >slope [mm per unit] ~+.3g | >95 % interval [mm per unit]"
+        " | >range [of the unit] ~.3g | >slope [mm per unit] ~+.3g"
+        " | >95 % interval, two-sided [mm per unit]"
         " | >over the range [mm] ~+.2f | >could be up to [mm] ~.2f # over the range, either way,"
-        " 95 % | >of it the truth's, up to [mm] ~.2f # 95 %: below it detector and truth can't be"
-        " parted | >p (Holm) ~.3g? | trend"
+        " 95 %, two-sided | >of it the truth's, up to [mm] ~.2f # 95 %: below it detector and truth"
+        " can't be parted | >p (Holm) ~.3g? | trend"
     )
     lines = (*measured, *unmeasured.values())
     listed = table(f"Trends of the error, {detector}", heads, lines, NOTE)
@@ -385,7 +386,7 @@ def _consistent(run: RunRecord, detector: str) -> str:
     return (
         f"Stated covariances, with the truth's: mean e' C⁻¹ e / 3 is {held.ratio:.2f} over {held.n}"
         f" ends, where 1 is as stated and chance leaves {held.low:.2f} to {held.high:.2f} (95 %,"
-        " with what the truths share); above,"
+        " two-sided, with what the truths share); above,"
         f" the detector claims to be surer than it is; below, it is too modest.{left_out}"
     )
 

@@ -13,7 +13,16 @@ import numpy as np
 from bench.record.reader import RunRecord, TrialRecord, points_mm
 from bench.report.tables import covariance_of, truth_known_mm
 from bench.report.wording import key_values, listed, number, spanned, table, xyz
-from bench.results.cameras_agree import DEFAULT, DISPARITY, answers_of, cameras_of, shift_text
+from bench.results.cameras_agree import (
+    DEFAULT,
+    DISPARITY,
+    UNCHECKED_FACT,
+    answers_of,
+    cameras_of,
+    shift_text,
+    unchecked_of,
+)
+from bench.results.doubts import LOOKED_FACT
 from bench.results.stated_arm import STATED_FACT, VERIFICATION_FACT, arm_checks, too_small
 from bench.results.verdicts import age_of
 from bench.rig.arm_files import LocationTest, Verification, from_dict
@@ -40,6 +49,10 @@ LOCATIONS = (
 def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:
     """The check of the cameras on known ends, and whether answers share their shift."""
     check = cameras_of(run.counted)
+    if looked := run.facts.get(LOOKED_FACT):
+        yield Paragraph(f"{looked}.")
+    if text := run.facts.get(UNCHECKED_FACT) or unchecked_of(run.counted, check):
+        yield Paragraph(f"Cameras {text}.", tone="warn")
     if not check.ends:
         return
     asked = [r.limit_px for r in rules.requirements if isinstance(r, CamerasRequirement)]
@@ -58,8 +71,8 @@ def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Ite
             for who, one in found
         ],
         f"{check.measured} of {check.ends} ends measured in left and right{thermal}. Means over"
-        " poses, with 95 % confidence; px of the sensor for the thermal camera. Answers: of matched"
-        " ends.",
+        " poses, with 95 % intervals, two-sided; px of the sensor for the thermal camera. Answers:"
+        " of matched ends.",
     )
     if text := check.unseen:
         yield Paragraph(f"{text[0].upper()}{text[1:]}.", tone="warn")
@@ -167,7 +180,7 @@ def _stated(run: RunRecord) -> Iterator[Part]:
         figures = (check.squares, check.limit(level), f"{check.p_value:.2g}")
         rows.append((check.name, check.df, u_mm * check.ratio, span, *figures, wrong))
     heads = (
-        "deviations | >degrees of freedom | >u shown [mm] ~.3f | >its 95 % interval [mm]"
+        "deviations | >degrees of freedom | >u shown [mm] ~.3f | >its 95 % interval, two-sided [mm]"
         " | >chi-square ~.1f # sum of (deviation / stated u)²"
         " | >limit ~.1f # a sound statement seldom exceeds it; Fisher's F where it has degrees of"
         " freedom itself | >p | stated u"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass, replace
 from typing import Any
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.record.recording import TruthRow
+from bench.results.working_volume import outside_volume
 from bench.scoring.scene import SceneScore, score_scene
 from detector.calibration import Calibration
 from detector.protocol import (
@@ -33,11 +34,12 @@ from detector.protocol import (
 from instruments.clock import load_per_processor, processor_s, stopwatch_s
 from reports.sanitize import sanitized
 
-# an end may lie wherever the rig's world has it; one farther from its origin is kept at so far,
-# where it is a false one, and what is made of it stays a number
-FARTHEST_MM = 1e6
+# an end that is farther from the world's origin is kept at so far, so that what is made of it stays
+# a number; it is a false one, as all are that lie outside of the working volume
+MOST_MM = 1e6
 MOST_TEATS = 16  # four, and what else a detector may take for one; each costs the scorer time
 LONGEST_REASON = 500
+OUTSIDE = "outside of what both cameras see"
 LEFT_OUT = "its covariances leave out"  # of a detector under test, in its own words
 LEAST_SD_MM, MOST_SD_MM = 1e-6, 1e6  # beyond, figures made of it are no longer numbers
 # what a run keeps of the trace of one answer
@@ -46,8 +48,10 @@ _SYMMETRY = 1e-6  # of the greatest entry: six printed digits
 _PIXELS = ("left_px", "right_px", "thermal_px")
 
 
-def checked(detection: Any) -> Detection:
-    """The answer as it may be used. Raises DetectionFailure that names the part that can't be."""
+def checked(detection: Any, calibration: Calibration | None = None) -> Detection:
+    """The answer as it may be used, with what is outside of the working volume of ``calibration``.
+    Raises DetectionFailure that names the part that can't be used.
+    """
     if not isinstance(detection, Detection):
         raise DetectionFailure(f"its answer is a {type(detection).__name__}, not a Detection")
     hidden, teats = detection.hidden, detection.teats
@@ -65,7 +69,7 @@ def checked(detection: Any) -> Detection:
         raise DetectionFailure(f"its answer has {len(teats)} teats; {MOST_TEATS} are taken at most")
     trace, lost = _trace(detection.trace)
     found = tuple(map(_teat, range(1, 1 + len(teats)), teats))
-    reasons = [detection.reason, *map(_far, range(1, 1 + len(teats)), teats), lost]
+    reasons = [detection.reason, *_outside(teats, found, calibration), lost]
     said = [one_line(str(part)) for part in reasons if part is not None]
     reason = "; ".join(filter(None, said))[:LONGEST_REASON] or None
     return Detection(found, int(hidden), reason, trace)
@@ -87,19 +91,22 @@ def _teat(number: int, teat: Any) -> Teat:
         if (given := getattr(teat, name)) is not None
     }
     point = _numbers(teat.world_mm, (3,), f"teat {number} of its answer", "three finite numbers")
-    if (largest := np.abs(point).max()) > FARTHEST_MM:
-        point = point / largest * FARTHEST_MM
+    if (largest := np.abs(point).max()) > MOST_MM:
+        point = point / largest * MOST_MM
     spread = None if teat.covariance_mm2 is None else _covariance(number, teat.covariance_mm2)
     return replace(teat, world_mm=point, covariance_mm2=spread, **seen)
 
 
-def _far(number: int, teat: Teat) -> str:
-    """What is said of an end that no rig has; empty for one that may be."""
-    where = np.asarray(teat.world_mm, dtype=np.float64)
-    if np.abs(where).max() <= FARTHEST_MM:
-        return ""
-    text = ", ".join(f"{value:.4g}" for value in where)
-    return f"teat {number} of its answer is at ({text}) mm, farther than any rig has one"
+def _outside(
+    given: Sequence[Teat], kept: Sequence[Teat], calibration: Calibration | None
+) -> Iterator[str]:
+    """What is said of each end that is where this rig can't have one."""
+    if calibration is None:
+        return
+    points_mm = np.array([teat.world_mm for teat in kept]).reshape(-1, 3)
+    for number in np.flatnonzero(outside_volume(points_mm, calibration)).tolist():
+        text = ", ".join(f"{float(value):.4g}" for value in given[number].world_mm)
+        yield f"teat {number + 1} of its answer is at ({text}) mm, {OUTSIDE}"
 
 
 def _covariance(number: int, given: Any) -> Any:
@@ -237,7 +244,7 @@ def examine(
             raise DetectionFailure(
                 f"it answered after {timeout_s:g} s, which counts as no answer", Outcome.TIMEOUT
             )
-        detection = checked(given)
+        detection = checked(given, calibration)
         if served:
             served.check()
     except DetectionFailure as failure:

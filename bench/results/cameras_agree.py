@@ -24,6 +24,7 @@ from bench.record.reader import TrialRecord, points_mm, read_run
 from bench.record.recording import Recording, RecordingError, TruthRow
 from bench.record.schema import DATABASE
 from bench.scoring.decisions import Decision, Verdict
+from bench.scoring.rates import plural
 from bench.script.model import CamerasRequirement
 from detector.calibration import Calibration
 from detector.geometry import Array
@@ -38,6 +39,7 @@ from detector.outline.pictures import UnusableError
 from instruments.camera.frame import FrameSet
 
 UNCHECKED_FACT = "cameras not checked"  # of a recording: why, and what was looked at
+NOT_CHECKED = "not checked: whether the cameras show the known ends where they are"
 LEAST_POSES, MOST_POSES = 3, 24
 CONFIDENCE = 0.95  # of an interval, two-sided
 DISPARITY = "disparity"
@@ -216,7 +218,16 @@ def unchecked_text(
     measured = sum(one.disparity_px is not None for ends in seen.values() for one in ends.values())
     ends = sum(row.visible for frame in seen for row in truth.get(frame, ()))
     looked = f"{measured} of {ends} visible ends measured in {len(seen)} poses"
-    return f"not checked: whether the cameras show the known ends where they are ({looked})"
+    return f"{NOT_CHECKED} ({looked})"
+
+
+def unchecked_of(trials: Sequence[TrialRecord], check: CamerasCheck) -> str:
+    """As `unchecked_text`, of a run's ``trials`` and their ``check``."""
+    if check.disparity is not None and not check.unseen:
+        return ""
+    visible = [trial.pose for trial in trials for row in trial.truth if row["visible"]]
+    looked = f"{check.measured} of {plural(len(visible), 'visible end')} measured"
+    return f"{NOT_CHECKED} ({looked} in {plural(len(set(visible)), 'pose')})"
 
 
 def truth_rows(trial: TrialRecord) -> list[TruthRow]:
@@ -335,7 +346,7 @@ def decide_cameras(rule: CamerasRequirement, check: CamerasCheck) -> Decision:
         name=rule.name,
         rule=f"touched ends are seen within {rule.limit_px:g} px of where the calibration puts"
         f" them (disparity, rows), and within {rule.thermal_limit_px:g} sensor pixels in the"
-        f" thermal picture; mean over poses, with {CONFIDENCE:.0%} confidence",
+        f" thermal picture; mean over poses, with {CONFIDENCE:.0%} confidence (two-sided)",
         unit="px",
         limit=rule.limit_px,
         sentence=f"It needs touched ends of at least {LEAST_POSES} poses that the cameras show.",

@@ -10,17 +10,19 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from bench.record.recording import FILES, Recording
+from bench.results.working_volume import FARTHEST_MM, outside_picture
+from bench.scoring.rates import plural
 from detector.calibration import Calibration
 from detector.calibration.gate import pair_faults
 from detector.geometry import Array
 
 DOUBTS_FACT = "calibration can't be"
+LOOKED_FACT = "calibration held against"  # of a recording: what it was looked for in
 AGAIN = (
     "Put calibration.toml right (docs/calibration.md): units in mm, left and right, the pictures'"
     " size, the world's axes of truth.csv. Then score the recording again."
 )
 NEAR = 0.05  # of the picture's size, by which an end that counts as visible may lie outside
-FARTHEST_MM = 10_000.0  # no cow is milked farther from the cameras
 LEAST_DISPARITY_PX = 2.0  # of less, one pixel is worth half of the distance
 
 
@@ -29,6 +31,16 @@ def doubts_of(recording: Recording, calibration: Calibration) -> tuple[str, ...]
     pair = (f"calibration.toml, [stereo] T: {w}" for w in pair_faults(calibration.right_from_left))
     found = [*pair, *_sizes(recording, calibration)]
     return tuple(found or _places(recording, calibration))
+
+
+def looked_at(recording: Recording) -> str:
+    """What `doubts_of` holds a calibration against, in words; what it can't is "not checked"."""
+    pictures = sum(len(recording.sizes(frame)) for frame in recording.frames)
+    ends = sum(row.visible for rows in recording.truth.values() for row in rows)
+    sizes = f"The calibration was held against the sizes of {plural(pictures, 'picture')}"
+    if not ends:
+        return f"{sizes}; not checked: whether visible ends have a place in them (none is known)"
+    return f"{sizes} and the places of {plural(ends, 'visible end')}"
 
 
 def _sizes(recording: Recording, calibration: Calibration) -> Iterator[str]:
@@ -58,7 +70,7 @@ def _places(recording: Recording, calibration: Calibration) -> Iterator[str]:
     points = np.array([row.xyz_mm for _, row in rows])
     cameras = calibration.left, calibration.right
     outside: Mapping[str, Array] = {
-        name: _outside(pixels, camera.image_size)
+        name: outside_picture(pixels, camera.image_size, NEAR)
         for name, camera, pixels in zip(
             ("left", "right"), cameras, calibration.project(points), strict=True
         )
@@ -82,10 +94,3 @@ def _places(recording: Recording, calibration: Calibration) -> Iterator[str]:
             f"{int(flat.sum())} of {len(rows)} visible ends have a disparity of less than"
             f" {LEAST_DISPARITY_PX:g} px, which tells no depth"
         )
-
-
-def _outside(pixels_px: Array, size: tuple[int, int]) -> Array:
-    """Which pixels (n, 2) have no place in a picture of this size (columns, rows)."""
-    margin = NEAR * np.array(size)
-    inside = (pixels_px >= -margin) & (pixels_px <= size + margin)
-    return np.asarray(~inside.all(axis=1))

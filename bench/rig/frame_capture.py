@@ -99,6 +99,9 @@ THERMAL_FULL = 0.9
 RADIOMETRIC, DEPTH = "thermal_ck", "depth_dmm"
 PARTS = {"left": "left", "right": "right", "thermal": "thermal", RADIOMETRIC: "thermal"}
 PARTS[DEPTH] = "depth"
+FRAMES_FACT = "frame checks"  # of a run: how many pictures each check looked at
+BY_DRIVERS = (FrameFault.DROPPED, FrameFault.LOST_PACKETS)
+CHECKED = tuple(fault.value for fault in FrameFault if fault not in BY_DRIVERS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +118,7 @@ class FrameProblem:
 
 class FrameChecks:
     """The checks of one rig, with the last set. Size and order need a calibration; ``flat`` False
-    where nothing warm need be seen.
+    where nothing warm need be seen. ``looked``: how many pictures each check has looked at.
     """
 
     def __init__(
@@ -130,6 +133,7 @@ class FrameChecks:
         self._calibration, self._flat = calibration, flat
         self._order: StereoOrder | None = None
         self._last: FrameSet | None = None
+        self.looked: Counter[str] = Counter(dict.fromkeys(CHECKED, 0))
 
     def notice(self, frames: FrameSet) -> list[FrameProblem]:
         """All that is wrong with ``frames``; they are then the last that was seen."""
@@ -150,6 +154,7 @@ class FrameChecks:
         times_s = frames.exposed_s
         latest = max(times_s, key=lambda name: times_s[name], default="")
         skew_s = times_s[latest] - min(times_s.values()) if latest else 0.0
+        self.looked[FrameFault.LATE] += len(times_s) if len(times_s) > 1 else 0
         if skew_s > self._max_skew_s:
             said = (
                 f"exposed {skew_s:.3f} s after the first of its set, limit {self._max_skew_s:g} s:"
@@ -162,6 +167,7 @@ class FrameChecks:
             of, image = getattr(self._calibration, camera), getattr(frames, part)
             if image is None or of is None:
                 continue
+            self.looked[FrameFault.WRONG_SIZE] += 1
             size = of.sensor_size if part == RADIOMETRIC else of.image_size
             if image.shape != size[::-1]:
                 seen, wanted = ("{} x {}".format(*each) for each in (image.shape[::-1], size))
@@ -185,6 +191,9 @@ class FrameChecks:
         same = checks.frozen and last is not None and np.array_equal(image, last)
         # what is too far or too dark for a depth camera may be rows at an edge
         share = 0.0 if part == DEPTH else missing_rows(image, last if checks.frozen else None)
+        self.looked.update((FrameFault.BLACK, FrameFault.SATURATED))
+        self.looked[FrameFault.FROZEN] += checks.frozen and last is not None
+        self.looked[FrameFault.HALF] += part != DEPTH
         yield FrameFault.BLACK, black
         said = f"{100 * white:.0f} % of it is white, limit {100 * full:.0f} %"
         yield FrameFault.SATURATED, said if white > full else ""
@@ -198,6 +207,7 @@ class FrameChecks:
         reference_px = getattr(self._checks.focus_px, part, None)
         if reference_px is None:
             return ""
+        self.looked[FrameFault.OUT_OF_FOCUS] += 1
         blur_px, limit_px = edge_blur_px(image), times * reference_px
         if blur_px is None:
             return "it has no edge that could be measured"
@@ -206,6 +216,7 @@ class FrameChecks:
 
     def _thermal_flat(self, frames: FrameSet) -> Iterator[FrameProblem]:
         within = ""
+        self.looked[FrameFault.FLAT_FIELD] += self._flat and frames.thermal is not None
         if frames.thermal_ck is not None:
             span_k = spread(frames.thermal_ck) / 100.0
             if span_k < self._checks.flat_k:
@@ -219,6 +230,7 @@ class FrameChecks:
     def _swapped(self, frames: FrameSet) -> Iterator[FrameProblem]:
         if self._calibration and not self._order:
             self._order = StereoOrder(self._calibration)
+        self.looked[FrameFault.SWAPPED] += 2 * bool(self._order)
         if self._order and (said := self._order.swapped(frames.left, frames.right)):
             yield FrameProblem(FrameFault.SWAPPED, "left", said)
 
@@ -266,6 +278,11 @@ class FrameTaker:
         )
         self._retries, self._retry_s = 0 if recorded else table.retries, table.retry_s
         self.counts: Counter[str] = Counter()
+
+    @property
+    def looked(self) -> Counter[str]:
+        """How many pictures each check has looked at."""
+        return self._checks.looked
 
     def take(self) -> FrameSet:
         """A frame set without a fault. Raises DeviceError after the last try."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.record.writer import FolderGoneError
+from bench.rig.frame_capture import FRAMES_FACT
 from bench.run.context import RunContext
 from bench.run.estimate import TimeEstimate
 from bench.run.events import EVENT, RunState
@@ -282,6 +283,8 @@ class Engine:
             self._kept(ctx.states.to, state)
         self._write_down("end", ending.value)
         self._kept(ctx.store.fact, "retries", dict(self._recovery.counts))
+        if any(self._trials.frames_looked_at.values()):
+            self._kept(self._fact, FRAMES_FACT, dict(self._trials.frames_looked_at))
         self._kept(ctx.store.fact, "ending", ending.value)
         self._kept(ctx.store.fact, "wall_ended", wall_time().isoformat(timespec="seconds"))
         self._kept(ctx.store.flush)

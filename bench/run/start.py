@@ -21,7 +21,7 @@ from bench.record.schema import GUARDIAN, RULES, SCRIPT
 from bench.record.writer import Store
 from bench.results.answers import Examiner
 from bench.results.cameras_agree import UNCHECKED_FACT, spread, unchecked_text, where_seen
-from bench.results.doubts import DOUBTS_FACT, doubts_of
+from bench.results.doubts import DOUBTS_FACT, LOOKED_FACT, doubts_of, looked_at
 from bench.results.stated_arm import contradictions, stated_fact
 from bench.rig.devices import Devices
 from bench.rig.guardian_client import GuardianClient, Heartbeat, signs_of
@@ -349,6 +349,7 @@ def _scored(
     facts: dict[str, Any] = {"kind": "recorded", "title": f"Recording {path.name}"}
     facts |= {"about": str(path), **({DOUBTS_FACT: doubts} if doubts else {})}
     facts |= {UNCHECKED_FACT: unchecked} if unchecked else {}
+    facts[LOOKED_FACT] = looked_at(recording)
     try:
         write_facts(store, {**facts, "planned": planned}, under_test, recording.calibration_path)
         for number, frame in enumerate(recording.frames, 1):

@@ -276,6 +276,7 @@ class TrialRun:
             cameras, rig.cameras, ctx.rig.calibration, before_another_try, ctx.event
         )
         self.look = self._taker.look  # raises where the cameras give nothing usable
+        self.frames_looked_at = self._taker.looked
 
     def run(self, trial: PlannedTrial) -> None:
         """From settling to the trial's rows; where anything raises, nothing is stored."""

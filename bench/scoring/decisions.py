@@ -121,7 +121,7 @@ def decide_rate(
         uncertainty=100 * (high - value if verdict is Verdict.NOT_MET else value - low),
         verdict=verdict,
         sentence=f"{rate.successes} of {plural(rate.trials, 'pose')} succeeded ({percent(value)}"
-        f"{within}): {reason}, with {surely} confidence.",
+        f"{within}): {reason}, with {surely} confidence (one-sided).",
     )
 
 
@@ -150,7 +150,7 @@ def decide_time(
     if rate is not None:
         rule += (
             f"; at least {zero_failure_n(rate, confidence)} poses in time show it for"
-            f" {exact_percent(rate)}, {exact_percent(confidence)} confidence"
+            f" {exact_percent(rate)}, {exact_percent(confidence)} confidence (one-sided)"
         )
     nothing = Decision(
         name=name, rule=rule, unit="s", limit=limit_s, sentence="No detection was timed."
@@ -264,6 +264,7 @@ def decide_error(
         rule=f"largest distance of the found teats: accepted up to {accepted}, refused from"
         f" {refuse:.3f} mm (T = {limit_mm:g} mm, {stated}, 5 % false acceptance); at least {least}"
         f" poses show it for {share} of poses with {exact_percent(sure)} confidence"
+        " (one-sided)"
         f"{', more near the acceptance limit' if u_mm else ''}",
         unit="mm",
         limit=limit_mm,

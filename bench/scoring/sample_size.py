@@ -240,7 +240,7 @@ def make_plan(
 
 def plan_lines(plan: Plan) -> Iterator[str]:
     """The plan as lines of text."""
-    sure = f"{exact_percent(plan.confidence)} confidence"
+    sure = f"{exact_percent(plan.confidence)} confidence (one-sided)"
     for claim in plan.claims:
         with_failures = ", ".join(
             f"{needed} with {count}" for count, needed in enumerate(claim.poses_needed) if count

@@ -5,6 +5,7 @@ it. An emulated rig's cameras are made from its calibration, which can't be too 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import date
 from typing import TYPE_CHECKING, Any
 
@@ -74,7 +75,8 @@ def decide_calibration(rule: CalibrationRequirement, facts: Mapping[str, Any]) -
         said = f"{said} (emulated cameras are made from it)"
         return decide_condition(rule.name, said, held=1, of=1)
     if fact is None or fact["age_days"] is None:
-        return decide_condition(rule.name, said, held=0, of=0)
+        unknown = "Not checked: the calibration has no [record] that says when it was made."
+        return replace(decide_condition(rule.name, said, held=0, of=0), sentence=unknown)
     fresh = -1 <= fact["age_days"] <= rule.max_age_days
     return decide_condition(rule.name, said, held=int(fresh), of=1)
 

@@ -12,10 +12,12 @@ from typing import Any
 import pytest
 
 from bench.campaign.chunk import ASIDE, Rows, SceneRow, Taken, TeatRow
+from bench.campaign.comparison import compare_campaigns
 from bench.campaign.ledger import Ledger
 from bench.campaign.perturbations import Applied
 from bench.campaign.plan import Plan, plan_text
 from bench.campaign.shards import Shards
+from bench.scoring.decisions import Verdict
 from tests.bench.commands import Said
 
 SCENES = 40
@@ -30,14 +32,16 @@ def written(
     frames: str = "00" * 8,
     aside: int = 0,
     plan: dict[str, Any] | None = None,
+    members: range = range(SCENES),
+    chunk: int = 0,
 ) -> Path:
     """A campaign of two families: `d` loses so many of the second, its ends are so far off."""
     asked = Plan(**{"families": ("ideal", "overlapping"), "scenes": SCENES, **(plan or {})})
-    (folder / "shards").mkdir(parents=True)
+    (folder / "shards").mkdir(parents=True, exist_ok=True)
     Ledger(folder).write("plan.toml", plan_text(asked, MADE_BY).encode("utf-8"))
     for family in asked.families:
         rows, teats = [], []
-        for member in range(SCENES):
+        for member in members:
             key = (family, member, "d")
             fails = family == "overlapping" and member < lost
             row = SceneRow(*key, 2, 0, 2 - fails, fails, 0, 0, off_mm, off_mm, "", frames)
@@ -48,7 +52,7 @@ def written(
                 TeatRow(*key, 2, "missed" if fails else "found", *[None if fails else 0.0] * 3)
             )
         Shards(folder).write(
-            family, 0, Rows(tuple(rows), tuple(teats), (Taken(0.1, 0.1),) * SCENES)
+            family, chunk, Rows(tuple(rows), tuple(teats), (Taken(0.1, 0.1),) * len(rows))
         )
     return folder
 
@@ -84,6 +88,50 @@ def test_the_gate_and_the_figures(old: Path, tmp_path: Path, said: Said) -> None
     far = written(tmp_path / "far", off_mm=0.9)
     grown = said(0, "campaign compare {} {}", old, far).out
     assert "the mean distance to the teat end grew by 0.350 mm" in grown
+
+
+@pytest.mark.slow
+def test_a_campaign_that_grew_is_looked_at_again_and_pays(tmp_path: Path, said: Said) -> None:
+    """Two unfinished campaigns compared, then with more scenes done; the same data is one look."""
+    both = [written(tmp_path / name, members=range(30)) for name in ("old", "new")]
+    line = "campaign compare {} {} --gate --margin-mm 1 --margin-rate 0.055"
+
+    def earlier() -> int:
+        (found,) = compare_campaigns(both, margin_mm=1.0, margin_rate=0.055)
+        assert found.look is not None
+        return len(found.look.after)
+
+    # of n scenes without a change z² / (n + z²): 6.0 % points of 60 at 2.5 %
+    assert said(4, line, *both).out
+    assert earlier() == earlier() == 0, "the same data again is the same look"
+    for folder in both:
+        written(folder, members=range(30, SCENES), chunk=1)
+    # 4.6 of 80 at a first look; 5.9 at a further one, which has half of what is left
+    assert said(4, line, *both).out
+    assert earlier() == earlier() == 1
+    fresh = [written(tmp_path / f"fresh {name}") for name in ("old", "new")]
+    assert said(0, line, *fresh).out
+    (found,) = compare_campaigns(both, margin_mm=1.0, margin_rate=0.06)
+    assert found.look is not None
+    assert found.look.after == [], "another claim"
+    kept = Path(shutil.copytree(both[0], tmp_path / "kept"))
+    assert Ledger(kept).looks(found.look.claim) == [found.look.data], "it goes with its folder"
+    assert not Ledger(kept).damage("shards/")
+
+
+@pytest.mark.slow
+def test_a_look_that_can_not_be_kept_shows_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    both = [written(tmp_path / name) for name in ("old", "new")]
+
+    def full(*_: object) -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr(Ledger, "add_look", full)
+    (found,) = compare_campaigns(both, margin_mm=1.0, margin_rate=0.08)
+    assert found.compared.gate.verdict is Verdict.INCONCLUSIVE
+    assert "no space left" in found.compared.gate.reasons[0]
 
 
 @pytest.mark.slow

@@ -102,12 +102,12 @@ def test_without_a_stage_each_pose_is_a_persons() -> None:
 
 SHOWN = {
     "--rate 0.99 --confidence 0.95": (
-        "A rate of 99 % with 95 % confidence: 299 poses without a failure (473 with 1",
+        "A rate of 99 % with 95 % confidence (one-sided): 299 poses without a failure (473 with 1",
         "at least 6 must be lost",
     ),
     "": tuple(f": {n} poses without a failure" for n in (59, 299, 2995)),
     "--trials 24 --rate 0.95 --sd-mm 1.5": (
-        "24 poses without a failure show 88.3 % with 95 % confidence.",
+        "24 poses without a failure show 88.3 % with 95 % confidence (one-sided).",
         "95 %: can't be shown; 35 more are needed.",
         "a loss of 30.9 % of poses shows with a chance of 80 %",
         "A difference of 0.896 mm in mean distance",  # TTestPower of statsmodels: 0.8958

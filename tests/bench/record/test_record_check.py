@@ -70,7 +70,8 @@ def test_a_run_as_it_was_written_is_whole(run: Path) -> None:
     checked = check_run(run)
     assert checked.whole
     assert checked.findings == ()
-    counts = {"trials": 3, "frames": 3, "events": 2, "bath": 3, "links": checked.head.number}
+    counts = {"trials": 3, "frames": 3, "events": 2, "bath": 3, "files": 2}
+    counts["links"] = checked.head.number
     assert checked.counts == counts
     assert checked.head == read_run(run).head
 
@@ -292,7 +293,10 @@ def test_runs_that_were_kept_still_check(
     checked = check_run(run)
     assert checked.whole
     assert checked.head == Head(links, digest, wall_digest)
-    assert checked.counts == {"trials": 2, "frames": 8, "events": 12, "bath": 24, "links": links}
+    files = checked.counts["files"]
+    counts = {"trials": 2, "frames": 8, "events": 12, "bath": 24, "files": files, "links": links}
+    assert checked.counts == counts
+    assert files == len({"script.toml", "rig.toml", "calibration.toml"})
 
 
 def test_every_schema_that_has_a_chain_has_a_kept_run() -> None:

@@ -104,6 +104,18 @@ def test_an_old_run_is_checked_and_exported_but_not_gone_on_with(
         Store(run)
 
 
+def test_a_record_with_nothing_to_check_it_by_is_not_called_unaltered(
+    run: Path, said: Said
+) -> None:
+    with closing(sqlite3.connect(run / DATABASE)) as db:
+        db.execute("DELETE FROM frames")  # their pictures aren't there
+        db.commit()
+    seen = said(4, "store check {}", run)
+    assert "as it was written." not in seen.out
+    assert "0 frames" in seen.out
+    assert "not checked: whether the record's rows are as they were written (0 links" in seen.err
+
+
 @pytest.mark.slow
 def test_a_run_of_schema_3_is_whole_reported_and_exported(tmp_path: Path, said: Said) -> None:
     run = kept(tmp_path)

@@ -308,6 +308,8 @@ class _Renderer:
 class _Frames:
     """In the place of cameras: four grey levels, and never a fault."""
 
+    looked: ClassVar[dict[str, int]] = {}  # it looks at no picture
+
     def __init__(self, *_: object, **__: object) -> None:
         self.counts: dict[str, int] = {}
 

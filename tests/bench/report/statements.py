@@ -109,6 +109,9 @@ KINDS = (
         "further off",
     ),
     Kind("blamed on calibration", N, lambda m, s, d: float(m[1]) > 0, r"^Whose it is", "^calib"),
+    Kind(
+        "cameras not checked", r"Cameras not checked: .* \(0 of \d+ visible ends measured in .*\)\."
+    ),
     # what is known of the errors
     Kind(
         "bias",
@@ -136,7 +139,7 @@ KINDS = (
     Kind(
         "squared error outside of chance",
         rf"Stated covariances, with the truth's: mean e' C⁻¹ e / 3 is {N} over \d+ ends, where 1 is as"
-        rf" stated and chance leaves {N} to {N}(?: \(95 %, with what the truths share\))?; above, the"
+        rf" stated and chance leaves {N} to {N}(?: \(95 %, two-sided, with what the truths share\))?; above, the"
         r" detector claims to be surer than it is; below, it is too modest\.",
         lambda m, s, d: not float(m[2]) <= float(m[1]) <= float(m[3]),
     ),
@@ -164,13 +167,13 @@ KINDS = (
     ),
     Kind(
         "rms without the truth's noise",
-        rf"The truth's noise alone would show {N} mm rms, at most {N} mm \(95 %\), much of it common to"
-        rf" all ends: without it the rms is {N} to {N} mm \(95 %\)\.",
+        rf"The truth's noise alone would show {N} mm rms, at most {N} mm \(95 %, one-sided\), much of it common to"
+        rf" all ends: without it the rms is {N} to {N} mm \(95 %, two-sided\)\.",
         lambda m, s, d: not float(m[3]) - 0.005 <= _rms(d) <= float(m[4]) + 0.005,
     ),
     Kind(
         "rms without the truth's noise",
-        r"The truth's noise alone .*: without it the rms is at most ([\d.]+) mm \(95 %\): it may be all"
+        r"The truth's noise alone .*: without it the rms is at most ([\d.]+) mm \(97\.5 %, one-sided\): it may be all"
         r" that was seen\.",
         lambda m, s, d: _rms(d) > float(m[1]) + 0.005,
     ),

@@ -176,6 +176,7 @@ def test_hostile_notes_come_out_as_text_and_faults_are_reported(
     cameras = {note: f"opencv:0 (V4L2); {note}: exposure = 3" for note in (AUTOMATIC, UNSEEN_SIZE)}
     facts = {"identities": {**run.facts["identities"], "cameras": {**cameras, "right": "opencv:1"}}}
     facts |= {"camera faults": {"left: frozen": 3}, "retries": {"bath": 2}}
+    facts |= {"frame checks": {"frozen": 5}, "frame checks, session 2": {"frozen": 1, "late": 0}}
     trials = []
     for trial in run.trials[:3]:  # more would draw the same
         invalid = HOSTILE if trial.head["number"] == 2 else None
@@ -201,6 +202,7 @@ def test_hostile_notes_come_out_as_text_and_faults_are_reported(
     noted = [f"{name}: {who}" for name, who in cameras.items()]
     titles = ["cameras adjust themselves (auto = true)", "picture size may change unnoticed (try)"]
     counted = ["left: frozen: 3 times", "bath: 2 times"]
+    counted += ["frozen: 6 pictures looked at", "late: not checked"]
     assert [words for words in (*noted, *titles, *counted) if words not in said] == []
     assert "right: opencv:1" not in said
 

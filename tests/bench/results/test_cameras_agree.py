@@ -13,7 +13,13 @@ import pytest
 
 from bench.record.reader import RunRecord, TrialRecord
 from bench.results.attribution import Cause, attributed
-from bench.results.cameras_agree import answers_of, cameras_of, decide_cameras, shift_text
+from bench.results.cameras_agree import (
+    answers_of,
+    cameras_of,
+    decide_cameras,
+    shift_text,
+    unchecked_of,
+)
 from bench.rig.loading import RIGS, find_rig, load_rig
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.scene import score_scene
@@ -151,6 +157,20 @@ def test_a_shift_of_the_answers_is_the_cameras_only_where_they_have_it_too(
         assert answers.value == pytest.approx(answers_px, abs=0.02)
     run = RunRecord(Path(), {"detectors": ["d"], "ending": "finished"}, tuple(made))
     assert {one.cause for one in attributed(run, "d", TOLD)} == ({cause} if cause else set())
+
+
+def test_a_run_says_how_many_ends_its_cameras_were_checked_on() -> None:
+    def said(made: list[TrialRecord]) -> str:
+        return unchecked_of(made, cameras_of(made))
+
+    assert said(trials(0.0)) == ""
+    few = trials(0.0, poses=2)
+    assert said(few).endswith("where they are (8 of 8 visible ends measured in 2 poses)")
+    for trial in few:
+        for row in trial.truth:
+            row["cameras"] = None  # type: ignore[index]  # rows are dicts here
+    assert said(few).endswith("(0 of 8 visible ends measured in 2 poses)")
+    assert said([]).endswith("(0 of 0 visible ends measured in 0 poses)")
 
 
 @pytest.fixture(scope="module")

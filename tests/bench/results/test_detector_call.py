@@ -14,18 +14,22 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from bench.config import read_calibration
 from bench.record.reader import TrialRecord
 from bench.record.recording import TruthRow
 from bench.results.answers import (
+    OUTSIDE,
     Answer,
     Examiner,
-    checked,
     close_detectors,
     examine,
     score_answer,
 )
+from bench.results.working_volume import outside_volume
+from bench.rig.loading import RIGS
 from bench.run.rows import detection_rows, stage_pictures
 from bench.scoring.scene import scene_from_dict
+from bench.script.model import TRIALS, load_script
 from detector.calibration import Calibration
 from detector.protocol import Detection, DetectionFailure, Frames, Outcome, Served, Stage, Teat
 from instruments.camera.frame import FrameSet
@@ -97,16 +101,47 @@ ENDS = [
 ]
 
 
-@pytest.mark.parametrize("far", [(2100.0, 270.0, 2600.0), (0.0, 0.0, 1e9), (-1e308, 1e308, 0.0)])
+def seen_from(shift_mm: tuple[float, float, float]) -> Calibration:
+    """The shipped rig with its world's origin that far from the table."""
+    here = read_calibration(RIGS / "calibration.toml")
+    world = here.world_from_right
+    return replace(here, world_from_right=replace(world, T=world.T + np.array(shift_mm)))
+
+
+@pytest.mark.parametrize(
+    "far",
+    [
+        (2100.0, 270.0, 2600.0),
+        (0.0, 0.0, 100.0),
+        (2100.0, 12_000.0, 136.0),
+        (0.0, 0.0, 1e9),
+        (-1e308, 1e308, 0.0),
+    ],
+)
 def test_one_answer_far_away_is_one_false_end_and_the_others_stand(far: tuple[float, ...]) -> None:
-    """On a table whose origin is 2 m away, too."""
-    found = checked(answered(*[teat(*end) for end in ENDS], teat(*far))())
+    """On a table whose origin is 2 m away, too: the volume is what that rig's cameras see."""
+    answers = Scripted(answered(*[teat(*end) for end in ENDS], teat(*far)))
+    answer = examine(answers, FRAMES, seen_from((2260.0, 0.0, 0.0)))
     truth = [TruthRow("calm", str(n), (x, y, z), True) for n, (x, y, z) in enumerate(ENDS)]
-    score = score_answer(Answer("any", found, 0.1), truth, limit_mm=5.0, time_limit_s=1.0)
+    score = score_answer(answer, truth, limit_mm=5.0, time_limit_s=1.0)
     counts = score.counts
     assert (counts.matched, counts.missed, counts.false) == (4, 0, 1)
     assert np.isfinite(score.gospa_mm)
-    assert ("farther than any rig has one" in (found.reason or "")) == (max(map(abs, far)) > 1e6)
+    said = answer.detection.reason or ""
+    assert said.count(OUTSIDE) == 1
+    assert said.startswith("teat 5 of its answer is at")
+
+
+@pytest.mark.parametrize("shift_mm", [(0.0, 0.0, 0.0), (2260.0, 0.0, 0.0), (0.0, -3e5, 40.0)])
+def test_the_working_volume_goes_with_the_rig(shift_mm: tuple[float, float, float]) -> None:
+    """All planned ends of the shipped scripts, and 200 mm around each, are in it."""
+    calibration = seen_from(shift_mm)
+    planned = load_script(TRIALS / "six-situations.toml").planned
+    ends_mm = np.concatenate([one.phantom.moved(one.pose).ends_mm for one in planned]) + shift_mm
+    around = np.concatenate([ends_mm + 200.0 * step for step in (*np.eye(3), *-np.eye(3))])
+    assert not outside_volume(around, calibration).any()
+    elsewhere = ends_mm - shift_mm if any(shift_mm) else np.add(ends_mm, (0, 0, 2500))
+    assert outside_volume(elsewhere, calibration).all()
 
 
 def crash() -> Detection:

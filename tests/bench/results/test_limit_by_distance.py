@@ -77,7 +77,7 @@ class TestRecord:
             assert words in said
 
     def test_one_without_a_record_is_no_better_than_unknown(self, rig: Calibration) -> None:
-        assert "Its age is not known." in self.text(rig, emulated=False)
+        assert "Its age is not known, so it is not checked." in self.text(rig, emulated=False)
         assert "The emulated cameras are made from it." in self.text(rig, emulated=True)
 
     def test_a_run_that_kept_nothing_of_it_says_nothing(self) -> None:

@@ -96,6 +96,19 @@ def test_every_frame_has_its_answer_and_its_outcome(scored: Scored) -> None:
     assert "files_sha256" in item["configuration"]
 
 
+def test_where_the_benchs_own_eyes_see_no_end_the_first_screen_says_so(scored: Scored) -> None:
+    """The detector's misses stand, for nothing shows them to be another's; but not without it."""
+    text = plain_text(scored.run.folder / "report" / "index.html")
+    page = " ".join(text.split())
+    unseen = "Cameras not checked: whether the cameras show the known ends where they are"
+    measured = "(0 of 4 visible ends measured in 2 poses)"
+    assert f"{unseen} {measured}, so an error may be theirs." in page
+    assert f"{unseen} {measured}. " in page, "among the truth's figures"
+    held = "held against the sizes of 15 pictures and the places of 10 visible ends"
+    assert f"The calibration was {held}." in page
+    assert scored.code == 1
+
+
 def test_latency_leaves_first_calls_and_failures_out(scored: Scored) -> None:
     mine = latency_of(scored.run, "mine")
     assert (len(mine.seconds), len(mine.cold_s), dict(mine.unanswered)) == (2, 2, {"failure": 1})

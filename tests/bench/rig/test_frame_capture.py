@@ -8,12 +8,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bench.record.recording import Recording, RecordingCameras, RecordingWriter
-from bench.rig.frame_capture import HINTS, FrameTaker
+from bench.rig.frame_capture import CHECKED, FRAMES_FACT, HINTS, FrameChecks, FrameTaker
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import Cameras as CamerasTable
+from bench.rig.model import FocusTable
 from instruments.camera.emulator import FAULTS, EmulatedCameras
 from instruments.camera.frame import FrameFault, FrameSet
 from instruments.errors import DeviceError, LinkError
@@ -109,6 +111,23 @@ def test_a_recording_is_asked_once_for_its_next_frame_is_another_trials(tmp_path
         taker.take()
 
 
+def test_each_check_says_how_many_pictures_it_looked_at() -> None:
+    """Without calibration, focus reference and frames before, nothing is compared with them."""
+    rig = load_rig(find_rig(None))
+    flat = np.zeros((4, 4), np.uint8)
+    table = rig.rig.cameras.checks.model_copy(update={"focus_px": FocusTable()})
+    checks = FrameChecks(table, 0.05, None)
+    assert set(checks.looked) == set(CHECKED)
+    assert not any(checks.looked.values())
+    checks.notice(FrameSet(flat, flat))
+    assert {fault for fault, count in checks.looked.items() if count} == {
+        *("black", "saturated", "half a frame")
+    }
+    checks.notice(FrameSet(flat, flat, exposed_s={"left": 0.0, "right": 0.0}))
+    counts = {"black": 4, "saturated": 4, "half a frame": 4, "frozen": 2, "late": 2}
+    assert +checks.looked == counts
+
+
 @pytest.mark.slow
 def test_a_run_goes_on_through_faults_that_pass_and_keeps_count_of_them(tmp_path: Path) -> None:
     faults = """faults = [
@@ -119,6 +138,10 @@ def test_a_run_goes_on_through_faults_that_pass_and_keeps_count_of_them(tmp_path
     assert (run.ending, len(run.trials)) == ("finished", 3)
     assert run.facts["camera faults"] == {"thermal: flat-field event": 2, "left: swapped": 1}
     assert len(texts(run, "camera")) == 2
+    looked = run.facts[FRAMES_FACT]
+    assert looked["black"] >= 6 * len(run.trials)
+    assert min(looked[name] for name in ("swapped", "flat-field event", "late")) > 0
+    assert looked["out of focus"] == 0, "its rig has no reference"
 
 
 @pytest.mark.slow

@@ -129,5 +129,7 @@ def test_in_a_run_other_cameras_are_an_instruments_fault(
 def test_the_requirement(day: str | None, emulated: bool, verdict: str) -> None:
     calibration = made(day) if day else load_calibration(RIGS / "calibration.toml")
     facts = {CALIBRATION_FACT: calibration_fact(calibration, TODAY, emulated=emulated)}
-    assert decide_calibration(RULE, facts).verdict == verdict
+    decision = decide_calibration(RULE, facts)
+    assert decision.verdict == verdict
+    assert decision.sentence.startswith("Not checked: ") == (verdict == "not measured")
     assert decide_calibration(RULE, {}).verdict == "not measured"
