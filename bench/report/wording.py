@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from bench.record.reader import RunRecord
+from bench.record.state import State
 from bench.results.doubts import AGAIN, DOUBTS_FACT
 from bench.results.exports import why_without_verdict
 from bench.results.verdicts import Judgement, calls_of, run_verdict
@@ -148,9 +149,10 @@ def headline(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdi
         then = "Put back the run's folder from a copy; 'teatbench store check' lists all that is"
         return "no verdict", why, f"{then} damaged."
     if why:
-        if run.ending == "interrupted" and run.guardian:
+        state = run.state
+        if state is State.INTERRUPTED and run.guardian:
             why += f" {guardian_text(run.guardian)}"
-        return "aborted", why, AFTER_FAULT if run.ending == "faulted" else AFTER_END
+        return STOPPED[state], why, THEN[state]
     if doubts := run.facts.get(DOUBTS_FACT):
         why = "; ".join(doubts)
         said = f"The calibration can't be, so nothing is charged to any detector: {why}."
@@ -258,6 +260,25 @@ AFTER_END = (
     "Look whether the bath is in standby, then go on with 'teatbench resume'; what is below is"
     " unfinished."
 )
+
+
+AFTER_RUN = (
+    "Wait for its end, which writes the report anew; 'teatbench console' shows it meanwhile."
+)
+THEN: Mapping[State, str] = {
+    State.RUNNING: AFTER_RUN,
+    State.FAULTED: AFTER_FAULT,
+    State.TRIPPED: AFTER_FAULT,
+    State.ABORTED: AFTER_END,
+    State.INTERRUPTED: AFTER_END,
+}
+STOPPED: Mapping[State, PageVerdict] = {
+    State.RUNNING: "running",
+    State.FAULTED: "faulted",
+    State.TRIPPED: "tripped",
+    State.ABORTED: "aborted",
+    State.INTERRUPTED: "interrupted",
+}
 
 
 def _next_action(verdict: Verdict, named: Sequence[str], of_bench: frozenset[str]) -> str:

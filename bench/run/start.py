@@ -18,6 +18,7 @@ from bench.config import ConfigError, read_calibration, read_config, read_text
 from bench.record.reader import read_run
 from bench.record.recording import Recording
 from bench.record.schema import GUARDIAN, RULES, SCRIPT
+from bench.record.state import run_lock
 from bench.record.writer import Store
 from bench.results.answers import Examiner
 from bench.results.cameras_agree import UNCHECKED_FACT, spread, unchecked_text, where_seen
@@ -35,7 +36,7 @@ from bench.run.estimate import needs, read_durations
 from bench.run.events import Events, Progress, RunState
 from bench.run.interruptions import Requests
 from bench.run.live import Live
-from bench.run.lock import lock_path, locked, run_lock
+from bench.run.lock import lock_path, locked
 from bench.run.packing import check_pack
 from bench.run.recordings import RECORDED, Recorder, recorder_again
 from bench.run.resume import (

@@ -190,7 +190,7 @@ function doing() {
 }
 function live() {
   const now = run.live, under = run.run.ending === "under way";
-  byId("doing").textContent = now ? words(now.state) + (now.paused ? ", a pause is asked for" : "") : under ? "waiting for the run to say how it is" : words(run.run.ending);
+  byId("doing").textContent = now ? words(now.state) + (now.paused ? ", a pause is asked for" : "") : under ? "waiting for the run to say how it is" : words(run.run.state);
   doing();
   byId("health").hidden = !now;
   if (!now) {
@@ -436,7 +436,7 @@ function hintUsed(name) { location.hash = `#/${encodeURIComponent(name)}`; }
 function listed(one) {
   const place = make("div", { className: "thumbnails" });
   if (one.done) shown.observe(Object.assign(place, { run: one.name }));
-  const said_done = `${one.ending}; ${one.done} of ${one.planned ?? "?"} trials`;
+  const said_done = `${one.state}; ${one.done} of ${one.planned ?? "?"} trials`;
   return make("article", { className: "run" },
     make("div", { className: "about" },
       make("h3", {}, make("a", { href: `#/${encodeURIComponent(one.name)}` }, one.name)),
