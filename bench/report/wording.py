@@ -16,6 +16,7 @@ from bench.record.state import State
 from bench.results.doubts import AGAIN, DOUBTS_FACT
 from bench.results.exports import why_without_verdict
 from bench.results.verdicts import Judgement, calls_of, run_verdict
+from bench.rig.by_hand import BY_HAND
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.rates import percent_apart
 from detector.protocol import Outcome
@@ -230,7 +231,7 @@ def guardian_text(record: Mapping[str, Any]) -> str:
     if stage := record.get("stage"):
         more = " The stage stands, by its own report."
         if not stage["stands"]:
-            more = f" THE STAGE COULD NOT BE STOPPED ({stage['error']}): cut its power."
+            more = f" {BY_HAND['stage']}: IT COULD NOT BE STOPPED ({stage['error']})."
     if not record["standby"] and "handed_over" in record:
         return (
             f"{what}; the guardian had not reached the bath in {record['tries']} tries"
@@ -239,8 +240,8 @@ def guardian_text(record: Mapping[str, Any]) -> str:
         )
     if not record["standby"]:
         return (
-            f"{what}; THE GUARDIAN COULD NOT REACH THE BATH in {record['tries']} tries"
-            f" ({record['error']}): switch it off by hand.{more}"
+            f"{what}. {BY_HAND['bath']}: THE GUARDIAN COULD NOT REACH THE BATH in"
+            f" {record['tries']} tries ({record['error']}).{more}"
         )
     more += " The hung bench kept the port and was ended." if record.get("killed") else ""
     more += f" The pump {record['pump']}." if "pump" in record else ""

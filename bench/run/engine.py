@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.record.writer import FolderGoneError
+from bench.rig.by_hand import not_safe_text
 from bench.run.context import RunContext
 from bench.run.estimate import TimeEstimate
 from bench.run.events import EVENT, RunState
@@ -272,8 +273,7 @@ class Engine:
         self.bath_is_safe = "bath" not in unsafe
         ctx.trips.stop()
         if unsafe:
-            names, why = ", ".join(unsafe), " ".join(said)
-            ctx.events.warn(f"NOT SAFE: {names}. {why} SWITCH IT OFF BY HAND.")
+            ctx.events.warn(not_safe_text(unsafe))
         for text in said:
             self._write_down("safe", text)
         if unsafe and ending is RunState.FINISHED:
