@@ -24,6 +24,7 @@ from bench.results.exports import trial_text
 from bench.results.verdicts import Judgement, run_verdict
 from bench.run.events import FAILURES
 from bench.scoring.decisions import Decision, Verdict
+from bench.scoring.rates import plural
 from reports.render import SIGNS
 
 COLOURS: dict[str, str] = {  # the others are yellow
@@ -70,7 +71,7 @@ def _bench(record: RunRecord, judgement: Judgement) -> Text:
     if failed:
         text = f"The bench has to be put right first: {', '.join(failed)}."
         return Text.assemble((text, "bold red"))
-    count = f"{done} of {planned} trials done"
+    count = f"{done} of {plural(planned, 'trial')} done"
     met = [one.name for one in own if one.verdict is Verdict.MET]
     note = [count, *met, *(f"{name}: not decided" for name in open_)]
     return Text.assemble(("The bench works: ", "bold green"), f"{', '.join(note)}.")

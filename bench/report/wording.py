@@ -200,7 +200,9 @@ def _silence(run: RunRecord, detector: str) -> Iterator[str]:
 
 def _finished(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdict, str, str]:
     if not judgements and run.skipped:
-        nothing = f"All {len(run.skipped)} trials were left out, so nothing was scored."
+        n = len(run.skipped)
+        which = "The one trial was" if n == 1 else f"All {n} trials were"
+        nothing = f"{which} left out, so nothing was scored."
         then = "Remove the reasons, which are listed under the deviations, then run the script"
         return "no verdict", nothing, f"{then} again."
     if not judgements:

@@ -52,6 +52,7 @@ from bench.run.rows import write_facts
 from bench.run.trial import refuse_carry, write_trial
 from bench.safety.latch import refuse_latched, refuse_unknown_unit, refuse_untested_cut_out
 from bench.safety.signals import current, undisturbed
+from bench.scoring.rates import plural
 from bench.script.calibration_age import (
     CALIBRATION_FACT,
     calibration_fact,
@@ -242,7 +243,9 @@ def _run(
         Requests(store.folder, how.typed, events.warn).forget()
         Live(store.folder).end()
         note = time_left(expected.settling_s + to_do * expected.each_s(trials))
-        how.begun(f"{to_do} trials, {note} of the bench's time. Run folder: {store.folder}")
+        how.begun(
+            f"{plural(to_do, 'trial')}, {note} of the bench's time. Run folder: {store.folder}"
+        )
         with (
             events.kept_in(store.folder),
             _guarded_instruments(rig, store, how, events, left) as (devices, heartbeat, guardian),
