@@ -85,6 +85,7 @@ class Engine:
             expected.each_s(planned) if expected else None,
         )
         self._reserve = Reserve(store.folder)
+        self._ended = False
         self.bath_is_safe = False  # until the run has ended and made it so
         ctx.events.live = self._live
         ctx.progress = self._progress
@@ -218,6 +219,8 @@ class Engine:
 
     def _live(self) -> dict[str, str]:
         """What stands in the terminal's line beside what is being done."""
+        if self._ended:  # nothing is read any more
+            return {}
         watch, left_s = self._ctx.watch, self._left_s
         live: dict[str, str] = {}
         if silence := watch.silence:
@@ -288,7 +291,7 @@ class Engine:
         unsafe = ctx.devices.make_safe(said.append, lambda: len(current().asked) > asked)
         self.bath_is_safe = "bath" not in unsafe
         ctx.trips.stop()
-        ctx.safing = False
+        self._ended = True
         if unsafe:
             ctx.events.warn(not_safe_text(unsafe))
         for text in said:
@@ -308,7 +311,7 @@ class Engine:
     def _show_safing(self) -> None:
         """Now and every second until all is safe."""
         clock = self._ctx.clock
-        if self._ctx.safing:
+        if not self._ended:
             with suppress(*FAILURES):
                 self._ctx.show()
             clock.call_at(clock.now() + LOOK_S, self._show_safing)
