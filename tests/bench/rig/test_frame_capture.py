@@ -50,8 +50,9 @@ def test_each_fault_is_cured_by_another_try_and_counted_or_refused(fault: FrameF
     bench.cameras.faults.inject(fault)
     with pytest.raises(DeviceError) as refused:
         bench.taker.take()
-    assert f"cameras: no usable frame set in 4 tries: {FAULTS[fault]} camera: {CALLED.get(fault, fault)}: " in str(
-        refused.value
+    assert (
+        f"cameras: no usable frame set in 4 tries: {FAULTS[fault]} camera: {CALLED.get(fault, fault)}: "
+        in str(refused.value)
     )
     assert str(refused.value).endswith(HINTS[fault])
     assert bench.taker.counts == {f"{FAULTS[fault]}: {fault}": 6}
