@@ -15,9 +15,23 @@ from reports.glossary import Term
 from reports.trust import PageError, SvgFacts, address, checked_slug, one_of, svg_facts
 
 Verdict = Literal[
-    "met", "not met", "inconclusive", "not measured", "aborted", "no verdict", "not worse", "worse"
+    "met",
+    "not met",
+    "inconclusive",
+    "not measured",
+    "no verdict",
+    "not worse",
+    "worse",
+    "running",
+    "faulted",
+    "aborted",
+    "tripped",
+    "interrupted",
 ]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
+UNFINISHED: frozenset[Verdict] = frozenset(
+    ("running", "faulted", "aborted", "tripped", "interrupted")
+)
 Tone = Literal["plain", "good", "bad", "warn", "info", "muted"]
 Align = Literal["left", "right", "center"]
 Kind = Literal["computed", "emulated", "mixed", "real", "recorded"]
@@ -365,7 +379,7 @@ class Page:
                     f"{what}: the link {link!r} leads nowhere; no section or trial has that id"
                 )
         rows = (row for part in self.parts_of(Requirements) for row in part.rows)
-        failed = [row.name for row in rows if row.verdict in {"not met", "aborted"}]
+        failed = [row.name for row in rows if row.verdict in {"not met"} | UNFINISHED]
         failed += [
             name
             for board in self.parts_of(Scoreboard)
@@ -380,7 +394,7 @@ class Page:
 
     def first_looks(self) -> tuple[TrialPart, ...]:
         """The worst three trials for the first screen, unless the run has to be resumed first."""
-        if self.banner.verdict == "aborted":
+        if self.banner.verdict in UNFINISHED:
             return ()
         by_id = {trial.id: trial for trial in self.trials}
         return tuple(by_id[name] for name in self.worst[:3])

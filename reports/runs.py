@@ -10,7 +10,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from reports.page import KINDS, Kind, Verdict
+from reports.page import KINDS, UNFINISHED, Kind, Verdict
 from reports.render import SIGNS, assets, environment, policy_hash, write_whole
 from reports.trust import address, one_of
 
@@ -19,8 +19,8 @@ PAGE = "index.html"
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """One detector in one run. ``verdict`` is "aborted" in an unfinished run, "no verdict" where
-    nothing was scored or the record is damaged; errors are None where nothing was found.
+    """One detector in one run. ``verdict`` is the run's state where it is unfinished, "no verdict"
+    where nothing was scored or the record is damaged; errors are None where nothing was found.
     """
 
     detector: str
@@ -61,6 +61,7 @@ class Run:
     script: str
     kind: Kind
     ending: str
+    state: str
     trials: int
     planned: int | None
     results: tuple[Result, ...]
@@ -88,8 +89,11 @@ class Run:
         return f"{self.date}, {result.detector}{version}: {result.verdict}. {result.text}"
 
     def as_dict(self) -> dict[str, Any]:
-        """As JSON takes it."""
+        """As JSON takes it: an unfinished run's verdict is "aborted", as ever; see ``state``."""
         shown = asdict(replace(self, thumbnails=()))
+        for result in shown["results"]:
+            if result["verdict"] in UNFINISHED:
+                result["verdict"] = "aborted"
         del shown["thumbnails"], shown["note"]
         return shown | {"folder": str(self.folder)}
 

@@ -215,7 +215,10 @@ def verify(given: argparse.Namespace) -> int:
             f" {u_mm:g} is {'too small' if check in wrong else 'not refuted'}"
         )
     print(f'Written: {given.out}. Name it in the rig file: [arm] verification = "{given.out.name}"')
-    faults = [*found.faults(limits), *(f"{one.name}: u is too small" for one in wrong)]
-    for fault in faults:
+    broken = [*found.broken(limits), *(f"{one.name}: u is too small" for one in wrong)]
+    gaps = found.gaps(limits)
+    for fault in (*broken, *gaps):
         complain(f"not verified: {fault}", CODES.not_met)
-    return CODES.not_met if faults else CODES.met
+    if broken:
+        return CODES.not_met
+    return CODES.inconclusive if gaps else CODES.met

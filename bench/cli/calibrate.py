@@ -74,6 +74,7 @@ from detector.calibration.bundle import BundleError
 from detector.calibration.gate import pair_faults
 from instruments.clock import wall_time
 from instruments.operators.operator import Finish, Homing
+from instruments.world.boards import NoPlaceError
 
 if TYPE_CHECKING:
     from detector.calibration.diagnosis import Finding
@@ -395,7 +396,10 @@ def _gather_views(
     board, _ = find_board(given.board)
     folder = free_folder(given.out)
     with _opened(given, known, arm=False) as (parts, _, look):
-        kept = gather(look, parts.operator, board, request, folder, tell)
+        try:
+            kept = gather(look, parts.operator, board, request, folder, tell)
+        except NoPlaceError as error:  # of the emulated operator
+            raise ConfigError.plain(f"--board {given.board}: {error}") from error
         parts.operator.ask(Finish())
         identity = dict(parts.cameras.identity)
     tell(f"{kept} views in {folder}")

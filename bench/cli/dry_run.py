@@ -21,6 +21,7 @@ from bench.run.estimate import needs, read_durations
 from bench.run.lock import RigInUseError, lock_path, locked
 from bench.run.trial import refuse_carry
 from bench.safety.latch import latch_path, read_latch
+from bench.scoring.rates import plural
 from bench.script.calibration_age import refuse_old_calibration
 from bench.script.detectors import introduced, make_detectors
 from bench.script.model import LoadedScript
@@ -93,14 +94,14 @@ def look_ahead(
             else ""
         )
         print(
-            f"gone through on emulators, in virtual time: {rehearsal.trials} of {trials}"
-            f" trials{rendered}"
+            f"gone through on emulators, in virtual time: {rehearsal.trials} of"
+            f" {plural(trials, 'trial')}{rendered}"
         )
         for what, times in rehearsal.recovered.items():
             print(f"met and got over: {what} ({times} times)")
         if left := trials - rehearsal.trials:
-            print(f"not gone through: {left} trials, for what is said above")
-    many = f"{trials} trials at {poses} poses"
+            print(f"not gone through: {plural(left, 'trial')}, for what is said above")
+    many = f"{plural(trials, 'trial')} at {plural(poses, 'pose')}"
     if findings:
         problems = "problem" if len(findings) == 1 else "problems"
         print(f"{many}: {len(findings)} {problems}. Nothing was moved.")

@@ -172,7 +172,7 @@ def control(given: argparse.Namespace) -> int:
 
     run = read_run(given.run)
     if run.ending != "interrupted":
-        print(f"{given.run} has ended ({run.ending}): it takes no requests any more.")
+        print(f"{given.run} has ended ({run.state}): it takes no requests any more.")
         return CODES.wrong_use
     leave_request(given.run, " ".join(given.words))
     if was_taken(given.run, RealClock(), TAKEN_S):

@@ -26,6 +26,7 @@ from rich.segment import Segment
 from rich.text import Text
 
 from bench.run.events import FAILURES
+from bench.scoring.rates import plural
 from reports.sanitize import sanitized, unfiltered
 
 
@@ -104,7 +105,7 @@ class TerminalProgress:
             self._console.print(
                 f"trial {done + 1} of {total}: {name}"
                 if done < total
-                else f"{total} of {total} trials done"
+                else f"{total} of {plural(total, 'trial')} done"
             )
 
     def say(self, text: str) -> None:

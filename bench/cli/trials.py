@@ -12,6 +12,7 @@ from pathlib import Path
 from bench.cli.arguments import CODES, print_values
 from bench.config import ConfigError
 from bench.rig.loading import find_rig, load_rig, shipped
+from bench.scoring.rates import plural
 from bench.script.model import TRIALS, find_script, load_script
 from bench.script.pixel_offsets import is_offset_script, load_offsets
 
@@ -60,7 +61,12 @@ def show(given: argparse.Namespace) -> int:
     from bench.cli.terminal import Terminal
     from instruments.world.situations import spoken
 
-    many = f"{len(rows)} trials, {len({one.name for one in script.planned})} poses"
+    many = ", ".join(
+        (
+            plural(len(rows), "trial"),
+            plural(len({one.name for one in script.planned}), "pose"),
+        )
+    )
     console = Terminal()
     cells: dict[str, list[str]] = {
         "trial": [one.id for one in script.planned],

@@ -18,13 +18,21 @@ from rich.text import Text
 from bench.cli.arguments import CODES, code_of
 from bench.cli.terminal import Terminal
 from bench.record.reader import RunRecord
-from bench.report.wording import headline, limit, measured
+from bench.record.state import State
+from bench.report.wording import STOPPED, headline, limit, measured
+from bench.results.exports import trial_text
 from bench.results.verdicts import Judgement, run_verdict
 from bench.run.events import FAILURES
 from bench.scoring.decisions import Decision, Verdict
+from bench.scoring.rates import plural
 from reports.render import SIGNS
 
-COLOURS = {"met": "green", "not met": "red", "aborted": "red"}  # the others are yellow
+COLOURS: dict[str, str] = {  # the others are yellow
+    **dict.fromkeys(STOPPED.values(), "red"),
+    "met": "green",
+    "not met": "red",
+    "running": "yellow",
+}
 
 
 def show_verdict(
@@ -42,10 +50,12 @@ def show_verdict(
             for judgement in judgements:
                 console.print(_of_detector(console, judgement))
         else:
-            console.print(
-                Text.assemble("Verdict: ", (verdict, f"bold {COLOURS.get(verdict, 'yellow')}"))
-            )
-            console.print(why, markup=False)
+            word = (verdict, f"bold {COLOURS.get(verdict, 'yellow')}")
+            if record.state is State.RUNNING and not record.damage:
+                console.print(Text.assemble(word, f": {trial_text(record)}"))
+            else:
+                console.print(Text.assemble("Verdict: ", word))
+                console.print(why, markup=False)
             console.print(f"Next: {then}", markup=False)
         console.print(f"Report: {report.resolve().as_uri()}", markup=False, soft_wrap=True)
     finished = record.ending == "finished"
@@ -61,7 +71,7 @@ def _bench(record: RunRecord, judgement: Judgement) -> Text:
     if failed:
         text = f"The bench has to be put right first: {', '.join(failed)}."
         return Text.assemble((text, "bold red"))
-    count = f"{done} of {planned} trials done"
+    count = f"{done} of {plural(planned, 'trial')} done"
     met = [one.name for one in own if one.verdict is Verdict.MET]
     note = [count, *met, *(f"{name}: not decided" for name in open_)]
     return Text.assemble(("The bench works: ", "bold green"), f"{', '.join(note)}.")

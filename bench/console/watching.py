@@ -20,17 +20,20 @@ import numpy as np
 from bench.config import ConfigError, read_calibration
 from bench.record.reader import opened, points_mm, read_run
 from bench.record.schema import DATABASE
+from bench.record.state import NO_ENDING, TRIP, holder_of, state_of
 from bench.report.runs import run_thumbnails
 from bench.report.trials import project_all
 from bench.run.events import EVENTS_FILE
 from bench.run.live import CAMERAS, LIVE
-from bench.run.lock import holder_of
 from bench.run.set_up_picture import FOLDER as SET_UP
 from instruments.operators.mailbox import FOLDER, read_prompt
 
 TAIL_BYTES = 1 << 16  # of the events, for who has seen none
 PIECE_BYTES = 1 << 16  # read at a time
 CURVE = 600  # points of the bath's curve
+TRIPS = (
+    "SELECT COUNT(*) FROM events WHERE kind = ? AND session = (SELECT MAX(number) FROM sessions)"
+)
 RUN_JSON = "report/run.json"
 
 
@@ -59,11 +62,14 @@ def listed(runs: Path) -> list[dict[str, Any]]:
 
 
 def _card(folder: Path) -> dict[str, Any]:
+    held = under_way(folder)  # first: a run that ends from here on has its ending
     with opened(folder) as db:
         stored = db.execute("SELECT key, value FROM facts").fetchall()
+        (trips,) = db.execute(TRIPS, (TRIP,)).fetchone()
         (done,) = db.execute("SELECT COUNT(*) FROM trials").fetchone()
     facts = {key: json.loads(value) for key, value in stored}
-    ending = "under way" if under_way(folder) else facts.get("ending", "interrupted")
+    state = state_of(facts.get("ending", NO_ENDING), tripped=bool(trips), held=held)
+    ending = "under way" if held else facts.get("ending", NO_ENDING)
     verdicts: dict[str, str] = {}
     if ending == "finished":  # part of a run has no verdict
         with suppress(OSError, ValueError, KeyError):
@@ -82,6 +88,7 @@ def _card(folder: Path) -> dict[str, Any]:
         "set_point_c": facts.get("set_point_c"),
         "started": facts["wall_started"],
         "ending": ending,
+        "state": state.value,
         "verdicts": verdicts,
         "report": (folder / RUN_JSON).is_file(),
     }

@@ -29,6 +29,7 @@ from bench.record.schema import (
     migrate,
     version_of,
 )
+from bench.record.state import NO_ENDING, TRIP, State, holder_of, state_of
 from bench.scoring.scene import SceneScore, scene_from_dict
 
 HEADS = (
@@ -172,8 +173,9 @@ class TrialRecord:
 class RunRecord:
     """A run as it stands on disk. ``bath`` has columns t_s, temp_c, power_percent (n, 3);
     ``external_c`` (n,) is nan without a sensor. ``head``: last link of the chain, number 0 without
-    one; ``first_link``: the digest of its first, "" without. ``guardians``: what those did that had
-    to act, by session. ``damage``: what isn't as it was written, with which no verdict holds.
+    one; ``first_link``: the digest of its first, "" without. ``holder``: the bench that worked on
+    it as it was read, by its lock. ``guardians``: what those did that had to act, by session.
+    ``damage``: what isn't as it was written, with which no verdict holds.
     """
 
     folder: Path
@@ -190,11 +192,19 @@ class RunRecord:
     head: Head | None = None
     damage: tuple[str, ...] = ()
     first_link: str = ""
+    holder: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def ending(self) -> str:
-        """``finished``, ``aborted``, ``faulted``, or ``interrupted`` where the bench died."""
-        return str(self.facts.get("ending", "interrupted"))
+        """``finished``, ``aborted``, ``faulted``; ``interrupted`` without one. For programs."""
+        return str(self.facts.get("ending", NO_ENDING))
+
+    @property
+    def state(self) -> State:
+        """How the run stood as it was read: the word for people."""
+        last = (event for event in self.events if event.get("session", 1) == self.sessions)
+        tripped = any(event["kind"] == TRIP for event in last)
+        return state_of(self.ending, tripped=tripped, held=bool(self.holder))
 
     @property
     def guardian(self) -> Mapping[str, Any] | None:
@@ -228,6 +238,7 @@ def read_run(folder: Path, damage: tuple[str, ...] = ()) -> RunRecord:
 
 def _read(folder: Path, db: sqlite3.Connection, damage: tuple[str, ...]) -> RunRecord:
     db.row_factory = sqlite3.Row
+    holder = holder_of(folder)  # first: a run that ends from here on has its ending
     facts = {key: json.loads(value) for key, value in db.execute("SELECT key, value FROM facts")}
     query = "SELECT t_s, temp_c, power_percent, external_c, state FROM bath ORDER BY session, t_s"
     bath = list(db.execute(query))
@@ -248,6 +259,7 @@ def _read(folder: Path, db: sqlite3.Connection, damage: tuple[str, ...]) -> RunR
         guardians=_guardians(folder, begun, facts),
         head=head_of(db),
         damage=damage,
+        holder=holder,
         first_link=str(row[0]) if (row := db.execute(FIRST_LINK).fetchone()) else "",
     )
 

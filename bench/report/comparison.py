@@ -133,13 +133,14 @@ def notes(comparison: Comparison) -> Iterator[str]:
     yield f"{n} scenes{frames}"
     if comparison.only_old or comparison.only_new:
         yield (
-            f"Without a counterpart, and not compared: {comparison.only_old} trials of the old run,"
-            f" {comparison.only_new} of the new."
+            "Without a counterpart, and not compared:"
+            f" {plural(comparison.only_old, 'trial')} of the old run, {comparison.only_new} of the"
+            " new."
         )
     if comparison.elsewhere:
         yield (
-            f"{comparison.elsewhere} trials of the old run have a namesake in the new one with its"
-            " teats elsewhere: not compared."
+            f"With a namesake in the new run whose teats are elsewhere, and not compared:"
+            f" {plural(comparison.elsewhere, 'trial')} of the old run."
         )
     for what, key in DIFFER.items():
         facts = [side.run.facts.get(key) for side in (comparison.old, comparison.new)]

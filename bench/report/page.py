@@ -30,6 +30,7 @@ from bench.report.trials import (
     trial_id,
     trial_parts,
     trial_table,
+    undecided_of,
     worst_trials,
 )
 from bench.report.truth import arm_parts, cameras_parts, deviation_parts, truth_parts
@@ -138,13 +139,14 @@ def build_page(
         folded = Fold("Rules, counts, margins and reasons", reasons)
         requirements = (tables.scoreboard(judgements), folded)
     sections = [Section("requirements", "Requirements", requirements)]
-    behind = tuple(_pages(run, rules, calibration, chapters))
+    undecided = undecided_of(judgements)
+    behind = tuple(_pages(run, rules, calibration, chapters, undecided))
     drawn = tuple(_figures(run, rules, calibration)) if run.trials and judgements else ()
     made = tuple(trials)
     if judgements:
         told = note_on_statements((requirements, behind), rules, len(judgements))
         sections[0] = replace(sections[0], parts=(*requirements, told))
-    if looked := looks_of(run, made, calibration):
+    if looked := looks_of(run, made, calibration, undecided):
         sections.append(Section("looks", "Where to look first", (Looks(looked),)))
         sections.append(Section("figures", "Figures", drawn))
     alarm = f"{NOT_AS_WRITTEN}: no figure below holds. {shortened(run.damage)}"
@@ -156,7 +158,7 @@ def build_page(
         trials=made,
         trials_in="page-trials",
         detectors=tuple(run.detectors),
-        worst=tuple(map(trial_id, worst_trials(run))),
+        worst=tuple(map(trial_id, worst_trials(run, undecided))),
         alarm=alarm if run.damage else "",
         footer=(f"teatbench {facts['versions']['teatbench']}, run {run.folder.name}",),
         glossary=TERMS,
@@ -164,14 +166,18 @@ def build_page(
 
 
 def _pages(
-    run: RunRecord, rules: Rules, calibration: Calibration, chapters: tuple[Section, ...]
+    run: RunRecord,
+    rules: Rules,
+    calibration: Calibration,
+    chapters: tuple[Section, ...],
+    undecided: frozenset[str],
 ) -> Iterator[Section]:
     """What stands behind the first page, by name."""
 
     def behind(anchor: str, title: str, about: str, *sections: Section) -> Section:
         return Section(anchor, title, sections, folded=True, about=about)
 
-    limit_mm, looks = rules.visible_within_mm, first_looks(run)
+    limit_mm, looks = rules.visible_within_mm, first_looks(run, undecided)
     listed: tuple[Part, ...] = (*([looks] if looks else []), trial_table(run))
     blamed = tuple(tables.attribution_parts(run, calibration))
     deviations = (*deviation_parts(run), *fault_parts(run))

@@ -16,8 +16,11 @@ from bench.config import ConfigError, read_calibration
 from bench.record.check import NOT_AS_WRITTEN, checked_first, shortened
 from bench.record.reader import RunRecord, database_in, read_run
 from bench.record.schema import DATABASE, SCRIPT
+from bench.record.state import State
 from bench.report.page import REPORT
 from bench.report.trials import frames_of, round_teats, worst_trials
+from bench.report.wording import STOPPED
+from bench.results.exports import trial_text, trials_of
 from bench.results.verdicts import judge, scored, stored_rules
 from bench.scoring.rates import plural
 from bench.script.pixel_offsets import is_offset_script
@@ -72,6 +75,7 @@ def _listed(folder: Path) -> Run:
             script=str(facts.get("script") or facts["title"]),
             kind=facts["kind"],
             ending=run.ending,
+            state=run.state.value,
             trials=len(run.trials),
             planned=facts.get("planned"),
             results=tuple(_results(run)),
@@ -88,15 +92,14 @@ def _note(run: RunRecord) -> str:
         return f"{NOT_AS_WRITTEN}: {shortened(run.damage)}"
     if run.ending == "finished":
         return ""
-    ending = "interrupted, or still under way" if run.ending == "interrupted" else run.ending
-    planned = run.facts.get("planned") or "?"
-    return f"{ending[0].upper()}{ending[1:]}: {len(run.trials)} of {planned} trials."
+    how = trial_text(run) if run.state is State.RUNNING else ""
+    return f"{run.state.capitalize()}: {how or f'{len(run.trials)} of {trials_of(run.facts)}'}."
 
 
 def _results(run: RunRecord) -> Iterator[Result]:
     verdicts: dict[str, Verdict] = {}
     if not run.damage and run.ending != "finished":
-        verdicts = dict.fromkeys(run.detectors, "aborted")
+        verdicts = dict.fromkeys(run.detectors, STOPPED[run.state])
     elif not run.damage and any(trial.scores for trial in run.trials):
         verdicts = {one.detector: one.verdict.value for one in judge(run, stored_rules(run.folder))}
     for name in run.detectors:

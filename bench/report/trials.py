@@ -9,7 +9,7 @@ made again at any time, so nothing is synced to the disk.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +25,8 @@ from bench.report.bath import capture_text, surface_at, surface_text
 from bench.report.tables import covariance_of
 from bench.report.truth import trial_truth
 from bench.report.wording import number, table, xyz
+from bench.results.verdicts import Judgement
+from bench.scoring.decisions import Verdict
 from bench.scoring.errors import Floats
 from bench.scoring.scene import SceneScore
 from detector.calibration import Calibration
@@ -47,6 +49,7 @@ from reports.frames import (
 )
 from reports.page import Cell, KeyValues, Look, Result, Table, Tone, TrialPart
 
+DECIDED = (Verdict.MET, Verdict.NOT_MET)
 AT_ONCE = 4  # trials: decoding and encoding pictures lets others work
 MOST_WORST = 60
 NTH = ("Worst", "Second worst", "Third worst")  # looked at, and a typical one
@@ -70,36 +73,58 @@ def trial_parts(run: RunRecord, calibration: Calibration, folder: Path) -> Itera
     return parts
 
 
-def worst_trials(run: RunRecord) -> tuple[TrialRecord, ...]:
-    """The failed trials, worst first: by missed and false, then by largest error."""
+def undecided_of(judgements: Sequence[Judgement]) -> frozenset[str]:
+    """The detectors on which the run has shown too little: their failures are looked at first."""
+    return frozenset(one.detector for one in judgements if one.verdict not in DECIDED)
 
-    def fault(trial: TrialRecord) -> tuple[int, float]:
-        scores = trial.scores.values()
-        wrong = max(score.counts.missed + score.counts.false for score in scores)
-        return wrong, max((mm for score in scores for mm in score.radial_mm), default=0.0)
 
-    failed = [
-        trial for trial in run.counted if any(not score.success for score in trial.scores.values())
-    ]
-    return tuple(sorted(failed, key=fault, reverse=True)[:MOST_WORST])
+def _fault(trial: TrialRecord, name: str) -> tuple[int, float]:
+    """How wrong a detector was: by missed and false, then by its largest error."""
+    score = trial.scores.get(name)
+    if score is None:
+        return -1, 0.0
+    return score.counts.missed + score.counts.false, max(score.radial_mm, default=0.0)
+
+
+def failures_in_turn(
+    run: RunRecord, undecided: Collection[str] = ()
+) -> tuple[tuple[TrialRecord, str], ...]:
+    """The failed trials with the detector that failed: each detector's own in turn, worst first,
+    the ``undecided`` ones' before the others'.
+    """
+    ranks = []
+    for name in sorted(run.detectors, key=lambda name: name not in undecided):
+        own = [t for t in run.counted if name in t.scores and not t.scores[name].success]
+        own.sort(key=lambda trial: _fault(trial, name), reverse=True)
+        ranks.append([(trial, name) for trial in own])
+    found: dict[str, tuple[TrialRecord, str]] = {}
+    while any(ranks):
+        for rank in ranks:
+            while rank and rank[0][0].id in found:
+                del rank[0]
+            if rank:
+                found[rank[0][0].id] = rank[0]
+    return tuple(found.values())[:MOST_WORST]
+
+
+def worst_trials(run: RunRecord, undecided: Collection[str] = ()) -> tuple[TrialRecord, ...]:
+    """The failed trials in the order of ``failures_in_turn``."""
+    return tuple(trial for trial, _ in failures_in_turn(run, undecided))
 
 
 def looks_of(
-    run: RunRecord, parts: Sequence[TrialPart], calibration: Calibration
+    run: RunRecord,
+    parts: Sequence[TrialPart],
+    calibration: Calibration,
+    undecided: Collection[str] = (),
 ) -> tuple[Look, ...]:
     """The worst trials, each detector's in turn, and a typical one; views cut to the teats."""
     scored = [trial for trial in run.counted if trial.scores and trial.truth]
     names = [name for name in run.detectors if any(name in trial.scores for trial in scored)]
     if not names:
         return ()
-
-    def fault(trial: TrialRecord, name: str) -> tuple[int, float]:
-        score = trial.scores.get(name)
-        if score is None:
-            return -1, 0.0
-        return score.counts.missed + score.counts.false, max(score.radial_mm, default=0.0)
-
-    ranks = {name: sorted(scored, key=lambda t: fault(t, name), reverse=True) for name in names}
+    names.sort(key=lambda name: name not in undecided)
+    ranks = {name: sorted(scored, key=lambda t: _fault(t, name), reverse=True) for name in names}
     turns = [(names[k % len(names)], NTH[k // len(names)], 0) for k in range(max(3, len(names)))]
     chosen: dict[str, tuple[TrialRecord, str]] = {}
     for name, nth, first in [*turns, (names[0], "Typical", len(scored) // 2)]:
@@ -183,12 +208,13 @@ def trial_table(run: RunRecord) -> Table:
     return table("All trials", heads, rows, searchable=True)
 
 
-def first_looks(run: RunRecord) -> KeyValues | None:
+def first_looks(run: RunRecord, undecided: Collection[str] = ()) -> KeyValues | None:
     """Links to the trials that are worth the first look; None where none failed."""
     entries = []
-    for trial in worst_trials(run)[:FIRST_LOOKS]:
-        failed = next(score for score in trial.scores.values() if not score.success)
-        entries.append((trial.id, Cell(*_status(trial, failed), href=f"#{trial_id(trial)}")))
+    for trial, name in failures_in_turn(run, undecided)[:FIRST_LOOKS]:
+        text, tone = _status(trial, trial.scores[name])
+        text = f"{name}: {text}" if len(run.detectors) > 1 else text
+        entries.append((trial.id, Cell(text, tone, href=f"#{trial_id(trial)}")))
     return KeyValues("Look at these first", tuple(entries)) if entries else None
 
 

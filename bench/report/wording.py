@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from bench.record.reader import RunRecord
+from bench.record.state import State
 from bench.results.doubts import AGAIN, DOUBTS_FACT
 from bench.results.exports import why_without_verdict
 from bench.results.verdicts import Judgement, calls_of, run_verdict
+from bench.rig.by_hand import BY_HAND
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.rates import percent_apart
 from detector.protocol import Outcome
@@ -148,9 +150,10 @@ def headline(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdi
         then = "Put back the run's folder from a copy; 'teatbench store check' lists all that is"
         return "no verdict", why, f"{then} damaged."
     if why:
-        if run.ending == "interrupted" and run.guardian:
+        state = run.state
+        if state is State.INTERRUPTED and run.guardian:
             why += f" {guardian_text(run.guardian)}"
-        return "aborted", why, AFTER_FAULT if run.ending == "faulted" else AFTER_END
+        return STOPPED[state], why, THEN[state]
     if doubts := run.facts.get(DOUBTS_FACT):
         why = "; ".join(doubts)
         said = f"The calibration can't be, so nothing is charged to any detector: {why}."
@@ -197,7 +200,9 @@ def _silence(run: RunRecord, detector: str) -> Iterator[str]:
 
 def _finished(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdict, str, str]:
     if not judgements and run.skipped:
-        nothing = f"All {len(run.skipped)} trials were left out, so nothing was scored."
+        n = len(run.skipped)
+        which = "The one trial was" if n == 1 else f"All {n} trials were"
+        nothing = f"{which} left out, so nothing was scored."
         then = "Remove the reasons, which are listed under the deviations, then run the script"
         return "no verdict", nothing, f"{then} again."
     if not judgements:
@@ -228,7 +233,7 @@ def guardian_text(record: Mapping[str, Any]) -> str:
     if stage := record.get("stage"):
         more = " The stage stands, by its own report."
         if not stage["stands"]:
-            more = f" THE STAGE COULD NOT BE STOPPED ({stage['error']}): cut its power."
+            more = f" {BY_HAND['stage']}: IT COULD NOT BE STOPPED ({stage['error']})."
     if not record["standby"] and "handed_over" in record:
         return (
             f"{what}; the guardian had not reached the bath in {record['tries']} tries"
@@ -237,8 +242,8 @@ def guardian_text(record: Mapping[str, Any]) -> str:
         )
     if not record["standby"]:
         return (
-            f"{what}; THE GUARDIAN COULD NOT REACH THE BATH in {record['tries']} tries"
-            f" ({record['error']}): switch it off by hand.{more}"
+            f"{what}. {BY_HAND['bath']}: THE GUARDIAN COULD NOT REACH THE BATH in"
+            f" {record['tries']} tries ({record['error']}).{more}"
         )
     more += " The hung bench kept the port and was ended." if record.get("killed") else ""
     more += f" The pump {record['pump']}." if "pump" in record else ""
@@ -258,6 +263,25 @@ AFTER_END = (
     "Look whether the bath is in standby, then go on with 'teatbench resume'; what is below is"
     " unfinished."
 )
+
+
+AFTER_RUN = (
+    "Wait for its end, which writes the report anew; 'teatbench console' shows it meanwhile."
+)
+THEN: Mapping[State, str] = {
+    State.RUNNING: AFTER_RUN,
+    State.FAULTED: AFTER_FAULT,
+    State.TRIPPED: AFTER_FAULT,
+    State.ABORTED: AFTER_END,
+    State.INTERRUPTED: AFTER_END,
+}
+STOPPED: Mapping[State, PageVerdict] = {
+    State.RUNNING: "running",
+    State.FAULTED: "faulted",
+    State.TRIPPED: "tripped",
+    State.ABORTED: "aborted",
+    State.INTERRUPTED: "interrupted",
+}
 
 
 def _next_action(verdict: Verdict, named: Sequence[str], of_bench: frozenset[str]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from datetime import datetime
@@ -14,8 +14,10 @@ from typing import Any
 from bench.files import write_synced
 from bench.record.check import NOT_AS_WRITTEN, printed_chain, shortened
 from bench.record.reader import RunRecord
+from bench.record.state import State
 from bench.results.verdicts import Judgement, run_verdict
 from bench.scoring.decisions import Decision, Verdict
+from bench.scoring.rates import plural
 from reports.sanitize import csv_text, sanitized
 
 COLUMNS = (
@@ -69,6 +71,7 @@ def _run_json(run: RunRecord, judgements: Sequence[Judgement]) -> str:
     table = {
         "facts": dict(run.facts),
         "ending": run.ending,
+        "state": run.state.value,
         "chain": _chain(run),
         **({"damage": list(run.damage)} if run.damage else {}),
         "verdict": run_verdict(judgements).value,
@@ -158,15 +161,33 @@ def why_without_verdict(run: RunRecord) -> str:
     """Why nothing is decided by ``run``: it is damaged or did not finish; empty where it may be."""
     if run.damage:
         return f"{NOT_AS_WRITTEN}, so that nothing is decided by it. {shortened(run.damage)}"
-    if run.ending == "finished":
+    state = run.state
+    if state is State.FINISHED:
         return ""
-    done, planned = len(run.trials), run.facts.get("planned", "?")
-    if run.ending == "interrupted":
-        return f"The bench died before the run was over; {done} of {planned} trials are kept."
+    done, of = len(run.trials), trials_of(run.facts)
+    if state is State.RUNNING:
+        return f"The run goes on: {trial_text(run)}. Nothing is decided before its end."
+    if state is State.INTERRUPTED:
+        return f"The bench died before the run was over; {done} of {of} are kept."
     message = [event["text"] for event in run.events if event["kind"] in ("fault", "aborted")]
+    how = "was tripped by an interlock" if state is State.TRIPPED else f"was {state}"
     return (
-        f"The run was {run.ending} after {done} of {planned} trials:"
+        f"The run {how} after {done} of {of}:"
         f" {message[-1].rstrip('.') if message else 'no reason was recorded'}."
+    )
+
+
+def trials_of(facts: Mapping[str, Any]) -> str:
+    """``18 trials``: how many a run was to have."""
+    planned = facts.get("planned")
+    return plural(planned, "trial") if planned else "? trials"
+
+
+def trial_text(run: RunRecord) -> str:
+    """``trial 3 of 18``: which one a run is in that goes on, or ``all 18 trials done``."""
+    done, planned = len(run.trials) + len(run.skipped), run.facts.get("planned") or "?"
+    return (
+        f"all {trials_of(run.facts)} done" if done == planned else f"trial {done + 1} of {planned}"
     )
 
 

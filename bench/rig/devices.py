@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.rig.by_hand import BY_HAND
 from instruments.bath.driver import Bath
 from instruments.bath.sequence import cause_of, heater_off, pump_off, run_pump_on
 from instruments.camera.frame import FrameSet
@@ -59,6 +60,8 @@ class Safing:
     def texts(self) -> list[str]:
         """For terminal, console, record and report: all have these."""
         if self.evidence is Evidence.FAILED:
+            if self.name == "arm":  # nothing in it heats or moves
+                return [f"arm: its session was not ended; it has no motor: {self.detail}"]
             return [f"{self.name} could not be made safe: {self.detail}"]
         if self.evidence is Evidence.SENT:
             return [f"{self.name}: {self.detail or 'the order to stop was'} {self.evidence}"]
@@ -118,9 +121,10 @@ class Devices:
         cut_short: Callable[[], bool] = lambda: False,
         *,
         only: Collection[str] = ("bath", "stage", "arm", "pump"),
-    ) -> tuple[str, ...]:
-        """Bath to standby, stage still, arm's session ended, whatever a step raises; the names that
-        failed. ``cut_short`` ends the pump's run-on; ``only``: these of them.
+    ) -> Mapping[str, str]:
+        """Bath to standby, stage still, arm's session ended, whatever a step raises. Gives back
+        what failed of that which heats, moves or turns, heat first: by name what to do by hand, and
+        why. ``cut_short`` ends the pump's run-on; ``only``: these of them.
         """
         steps: dict[str, Callable[[], object]] = {
             "bath": lambda: heater_off(self.bath),
@@ -129,13 +133,13 @@ class Devices:
             "pump": lambda: run_pump_on(self.bath, self.clock.sleep, cut_short),
             "pump alone": lambda: pump_off(self.bath),
         }
-        unsafe: list[str] = []
+        unsafe: dict[str, str] = {}
         for name, step in steps.items():
             if name not in only or (name == "stage" and self.stage is None):
                 continue
             found = attempt(name.split()[0], step)
-            if not found.is_safe:
-                unsafe.append(found.name)
+            if not found.is_safe and found.name in BY_HAND:
+                unsafe[found.name] = f"{BY_HAND[found.name]}: {found.detail}"
             for text in found.texts[name.startswith("pump") and found.is_safe :]:
                 report(text)
-        return tuple(unsafe)
+        return unsafe

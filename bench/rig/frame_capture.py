@@ -104,6 +104,10 @@ BY_DRIVERS = (FrameFault.DROPPED, FrameFault.LOST_PACKETS)
 CHECKED = tuple(fault.value for fault in FrameFault if fault not in BY_DRIVERS)
 
 
+# by what is seen, where a rig file's name of the fault is one cause of several
+CALLED: Mapping[FrameFault, str] = {FrameFault.FLAT_FIELD: "no contrast"}
+
+
 @dataclass(frozen=True, slots=True)
 class FrameProblem:
     """A fault of a frame set: what it is called, whose it is, and what was seen."""
@@ -113,7 +117,7 @@ class FrameProblem:
     sentence: str
 
     def __str__(self) -> str:
-        return f"{self.camera} camera: {self.fault}: {self.sentence}"
+        return f"{self.camera} camera: {CALLED.get(self.fault, self.fault)}: {self.sentence}"
 
 
 class FrameChecks:
@@ -220,11 +224,11 @@ class FrameChecks:
         if frames.thermal_ck is not None:
             span_k = spread(frames.thermal_ck) / 100.0
             if span_k < self._checks.flat_k:
-                within = f"{span_k:.2f} K, though something warm is there"
+                within = f"{span_k:.2f} K"
         elif frames.thermal is not None and spread(frames.thermal) < self._checks.flat_dn:
             within = f"{spread(frames.thermal):.0f} grey levels"
         if within and self._flat:
-            said = f"all of it within {within}: its shutter?"
+            said = f"all of it within {within}: is the bath warm? If so, the shutter may be shut"
             yield FrameProblem(FrameFault.FLAT_FIELD, "thermal", said)
 
     def _swapped(self, frames: FrameSet) -> Iterator[FrameProblem]:
@@ -248,8 +252,8 @@ HINTS: Mapping[FrameFault, str] = {
     FrameFault.SATURATED: "Expose shorter, or dim the light.",
     FrameFault.HALF: "Look at the camera's cable; its link may be too slow.",
     FrameFault.FLAT_FIELD: (
-        "Wait for the camera to finish its correction, or let it wait longer between tries"
-        " (retry_s)."
+        "See that the bath is warm and that the teats stand out ('teatbench bath read'). If they"
+        " do, the camera corrects itself: let it wait longer between tries (retry_s)."
     ),
     FrameFault.OUT_OF_FOCUS: "Set the lens with 'teatbench camera focus'.",
     FrameFault.SWAPPED: "Exchange the left and the right camera's addresses in the rig file.",

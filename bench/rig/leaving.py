@@ -19,6 +19,7 @@ from functools import partial
 from pathlib import Path
 from types import TracebackType
 
+from bench.rig.by_hand import not_safe_text
 from bench.rig.devices import Devices
 from bench.rig.guardian_client import GuardianClient, GuardianTarget, Heartbeat, StageTarget
 from bench.rig.loading import LoadedRig
@@ -95,7 +96,7 @@ class Leaving:
             self._note(active)
             return None
         said: list[str] = []
-        unsafe = self._devices.make_safe(said.append, only=active) if active else ()
+        unsafe = self._devices.make_safe(said.append, only=active) if active else {}
         for name, guardian in self._guardians.items():
             (guardian.hand_over if name in unsafe else guardian.done)()
         for folder in self._folders:
@@ -103,12 +104,12 @@ class Leaving:
                 folder.rmdir()
         if not unsafe:
             return None
-        names, why = ", ".join(unsafe), " ".join(said)
-        trying = "The guardian goes on trying. " if self._guardians else ""
-        what = f"NOT SAFE: {names}. {why} {trying}SWITCH IT OFF BY HAND"
+        what = not_safe_text(unsafe)
+        if self._guardians:
+            what += "\nThe guardian goes on trying."
         if not self._guards:
-            what = f"{names} of the emulated rig: {why}"
-        self._warn(f"{what}.")
+            what = f"{', '.join(unsafe)} of the emulated rig: {' '.join(said)}."
+        self._warn(what)
         return NotSafeError("rig", what) if self._guards else None
 
     def _guard(self, name: str, bath: Bath | None, stage: Stage | None) -> None:

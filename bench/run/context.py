@@ -16,7 +16,7 @@ from bench.rig.devices import Devices
 from bench.rig.guardian_client import BRIEF_S, GuardianClient, Heartbeat
 from bench.rig.loading import LoadedRig
 from bench.run.estimate import gate_of
-from bench.run.events import EVENT, Events, RunStates
+from bench.run.events import EVENT, Events, RunState, RunStates
 from bench.run.live import Live, bath_state, interlock_states
 from bench.safety.bath_monitor import TripHandler
 from bench.script.model import LoadedScript
@@ -55,6 +55,7 @@ class RunContext:
         self.check_interrupts: Callable[[], None] = lambda: None
         self.live = Live(store.folder)
         self.progress: Callable[[], Mapping[str, Any]] = dict
+        self.safing = False  # the run is on its way to safe
         self.away = ""  # the instrument that dropped out
         self._touching = False
         self._heartbeat = heartbeat or Heartbeat()
@@ -102,7 +103,13 @@ class RunContext:
         self.watch.check()
         self.check_interrupts()
         if self.live.due:
-            self.live.write(self._state(), self._tip_mm())
+            self.show()
+
+    def show(self) -> None:
+        """The run as it is now, for a viewer; on the screen too where the bath says nothing."""
+        self.live.write(self._state(), self._tip_mm())
+        if self.safing or self.watch.silence:
+            self.events.refresh()
 
     def _state(self) -> dict[str, Any]:
         """The run as it is now; units in the keys."""
@@ -113,13 +120,18 @@ class RunContext:
         names = [*(name for name, one in there.items() if one), "cameras"]
         return {
             "t_s": self.clock.now(),
-            "state": self.states.current.value,
+            "state": (RunState.SAFING if self.safing else self.states.current).value,
             **progress,
             "bath": bath_state(self.watch, settling_s),
             "interlocks": interlock_states(self.watch),
             "tripped": str(self.watch.tripped) if self.watch.tripped else None,
-            "instruments": {name: "away" if name == self.away else "ok" for name in names},
+            "instruments": {name: self._health(name) for name in names},
         }
+
+    def _health(self, name: str) -> str:
+        if name == "bath" and (silence := self.watch.silence):
+            return silence
+        return "away" if name == self.away else "ok"
 
     def _tip_mm(self) -> NDArray[np.float64] | None:
         """The tip in the world while a touch is asked for in real time, else None: in virtual time

@@ -6,16 +6,18 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.record.writer import FolderGoneError
+from bench.rig.by_hand import not_safe_text
 from bench.rig.frame_capture import FRAMES_FACT
-from bench.run.context import RunContext
+from bench.run.context import LOOK_S, RunContext
 from bench.run.estimate import TimeEstimate
-from bench.run.events import EVENT, RunState
+from bench.run.events import EVENT, FAILURES, RunState
 from bench.run.interruptions import Recovery, Requests
 from bench.run.lock import Reserve
 from bench.run.recordings import Recorder
@@ -24,6 +26,7 @@ from bench.run.rows import write_arm_facts
 from bench.run.trial import Attempts, TrialRun, choose_truth
 from bench.safety.interlocks import InterlockTrip
 from bench.safety.signals import current, undisturbed
+from bench.scoring.rates import plural
 from bench.script.planned_trials import PlannedTrial
 from bench.truth.arm_check import AFTER, BEFORE, CHECK_FACT, check_arm, check_text
 from detector.protocol import Detector
@@ -83,6 +86,7 @@ class Engine:
             expected.each_s(planned) if expected else None,
         )
         self._reserve = Reserve(store.folder)
+        self._ended = False
         self.bath_is_safe = False  # until the run has ended and made it so
         ctx.events.live = self._live
         ctx.progress = self._progress
@@ -196,7 +200,7 @@ class Engine:
         self._trials.rehearsing = False
         if left is None:
             return
-        text = f"session {self._ctx.store.session} goes on after {len(left.done)} trials"
+        text = f"session {self._ctx.store.session} goes on after {plural(len(left.done), 'trial')}"
         if self._rehearsed:
             self._end_replay()
             same, differ = self._rehearsed.same, ", ".join(self._rehearsed.differ)
@@ -216,20 +220,32 @@ class Engine:
 
     def _live(self) -> dict[str, str]:
         """What stands in the terminal's line beside what is being done."""
-        watch, left_s = self._ctx.watch, self._attempts.left_s
+        if self._ended:  # nothing is read any more
+            return {}
+        watch, left_s = self._ctx.watch, self._left_s
         live: dict[str, str] = {}
-        if watch.last is not None:
+        if silence := watch.silence:
+            last = f" (last {watch.last.temp_c:.2f} degC)" if watch.last else ""
+            live["bath"] = f"bath: {silence}{last}"
+        elif watch.last is not None:
             live["bath"] = f"bath {watch.last.temp_c:.2f} degC, {watch.state.value}"
         if left_s is not None:
             settling_s = self._expected.settling_s if self._expected else 0.0
             live["left"] = time_left(left_s + watch.stable_in_s(settling_s))
         return live
 
+    @property
+    def _left_s(self) -> float | None:
+        """How long the trials take; None while nobody knows whether they go on."""
+        watch = self._ctx.watch
+        ending = self._ctx.safing or watch.tripped or watch.silence
+        return None if ending else self._attempts.left_s
+
     def _progress(self) -> dict[str, object]:
         return {
             "done": self._attempts.done,
             "planned": len(self._ctx.script.planned),
-            "left_s": self._attempts.left_s,
+            "left_s": self._left_s,
             "paused": self._requests.paused,
             "settling_s": self._expected.settling_s if self._expected else 0.0,
         }
@@ -266,15 +282,19 @@ class Engine:
         self._reserve.give_back()
         ctx.check_interrupts = lambda: None
         ctx.long("going to safe", 300.0)
+        ctx.safing = True
+        with suppress(*FAILURES):
+            ctx.events.state("going to safe")
+        self._show_safing()
         said: list[str] = []
         asked = len(current().asked)
         ctx.trips.end()
         unsafe = ctx.devices.make_safe(said.append, lambda: len(current().asked) > asked)
         self.bath_is_safe = "bath" not in unsafe
         ctx.trips.stop()
+        self._ended = True
         if unsafe:
-            names, why = ", ".join(unsafe), " ".join(said)
-            ctx.events.warn(f"NOT SAFE: {names}. {why} SWITCH IT OFF BY HAND.")
+            ctx.events.warn(not_safe_text(unsafe))
         for text in said:
             self._write_down("safe", text)
         if unsafe and ending is RunState.FINISHED:
@@ -290,6 +310,14 @@ class Engine:
         self._kept(ctx.store.flush)
         ctx.live.end()
         return ending
+
+    def _show_safing(self) -> None:
+        """Now and every second until all is safe."""
+        clock = self._ctx.clock
+        if not self._ended:
+            with suppress(*FAILURES):
+                self._ctx.show()
+            clock.call_at(clock.now() + LOOK_S, self._show_safing)
 
     def _write_down(self, kind: str, text: str, *, aloud: bool = False) -> None:
         """An event, of which the run's end doesn't depend on whether it can be written."""

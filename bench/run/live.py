@@ -116,6 +116,7 @@ def bath_state(watch: BathMonitor, expected_s: float) -> dict[str, Any]:
         "band_k": gate.leave_k,
         "state": watch.state.value,
         "why_not_stable": watch.why_not_stable,
+        "silence": watch.silence,
         "stable_in_s": watch.stable_in_s(expected_s),
     }
 

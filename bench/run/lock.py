@@ -19,6 +19,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from bench.config import ConfigError
+from bench.record.state import holder_in
 from bench.rig.loading import LoadedRig
 from instruments.clock import wall_time
 from instruments.errors import LimitError
@@ -44,38 +45,11 @@ class Reserve:
             self._path.unlink(missing_ok=True)
 
 
-ENDING, RUN_LOCK = ".lock.json", "bench.lock.json"
+ENDING = ".lock.json"
 
 
 class RigInUseError(LimitError):
     """Another bench has the rig."""
-
-
-def run_lock(folder: Path) -> Path:
-    """Where a run's lock is, whatever its rig: a run that is under way is left alone."""
-    return folder / RUN_LOCK
-
-
-def holder_of(folder: Path) -> dict[str, Any]:
-    """Which bench runs in ``folder``; empty for none, or one of this machine that has died."""
-    holder = _holder(run_lock(folder))
-    if holder.get("host") == platform.node() and not _lives(holder.get("pid")):
-        return {}
-    return holder
-
-
-def _lives(pid: Any) -> bool:
-    if not isinstance(pid, int):
-        return False
-    if os.name == "nt":  # os.kill would end it
-        return True
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:  # another user's
-        return True
-    return True
 
 
 def lock_path(rig: LoadedRig) -> Path | None:
@@ -98,11 +72,11 @@ def locked(
             path.touch()
             stack.enter_context(FileLock(path.with_suffix(""), timeout=0))  # beside the text
         except Timeout as error:
-            raise _in_use(path, _holder(path), who) from error
+            raise _in_use(path, holder_in(path), who) from error
         except (OSError, NotImplementedError) as error:
             why = f"{path}: the {who} can't be locked: {getattr(error, 'strerror', None) or error}"
             raise ConfigError.plain(why) from error
-        if holder := _holder(path):
+        if holder := holder_in(path):
             if holder.get("host") != platform.node():  # its process can't be seen from here
                 raise _in_use(path, holder, who)
             report(f"the lock of a bench that died ({_named(holder)}) was taken over")
@@ -111,17 +85,6 @@ def locked(
         path.write_text(json.dumps(me), encoding="utf-8")
         stack.callback(_clear, path)
         yield
-
-
-def _holder(path: Path) -> dict[str, Any]:
-    """What the text says; an older bench padded it with zeros."""
-    if not path.is_file():
-        return {}
-    try:
-        holder = json.loads(path.read_bytes().rstrip(b"\0 ") or b"{}")
-    except ValueError:
-        return {"host": platform.node(), "run": "what it wrote can't be read"}
-    return holder if isinstance(holder, dict) else {}
 
 
 def _clear(path: Path) -> None:

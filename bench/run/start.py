@@ -18,6 +18,7 @@ from bench.config import ConfigError, read_calibration, read_config, read_text
 from bench.record.reader import read_run
 from bench.record.recording import Recording
 from bench.record.schema import GUARDIAN, RULES, SCRIPT
+from bench.record.state import run_lock
 from bench.record.writer import Store
 from bench.results.answers import Examiner
 from bench.results.cameras_agree import UNCHECKED_FACT, spread, unchecked_text, where_seen
@@ -35,7 +36,7 @@ from bench.run.estimate import needs, read_durations
 from bench.run.events import Events, Progress, RunState
 from bench.run.interruptions import Requests
 from bench.run.live import Live
-from bench.run.lock import lock_path, locked, run_lock
+from bench.run.lock import lock_path, locked
 from bench.run.packing import check_pack
 from bench.run.recordings import RECORDED, Recorder, recorder_again
 from bench.run.resume import (
@@ -51,6 +52,7 @@ from bench.run.rows import write_facts
 from bench.run.trial import refuse_carry, write_trial
 from bench.safety.latch import refuse_latched, refuse_unknown_unit, refuse_untested_cut_out
 from bench.safety.signals import current, undisturbed
+from bench.scoring.rates import plural
 from bench.script.calibration_age import (
     CALIBRATION_FACT,
     calibration_fact,
@@ -241,7 +243,9 @@ def _run(
         Requests(store.folder, how.typed, events.warn).forget()
         Live(store.folder).end()
         note = time_left(expected.settling_s + to_do * expected.each_s(trials))
-        how.begun(f"{to_do} trials, {note} of the bench's time. Run folder: {store.folder}")
+        how.begun(
+            f"{plural(to_do, 'trial')}, {note} of the bench's time. Run folder: {store.folder}"
+        )
         with (
             events.kept_in(store.folder),
             _guarded_instruments(rig, store, how, events, left) as (devices, heartbeat, guardian),

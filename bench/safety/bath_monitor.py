@@ -36,6 +36,7 @@ from instruments.stage.driver import Stage
 from instruments.stage.protocol import Status
 
 PERIOD_S = 1.0
+LATE_S = 3.0  # without a reading: shown as silent
 AGAIN_S = 5.0  # between attempts to make safe
 
 
@@ -64,6 +65,7 @@ class BathMonitor:
         self._trip: Exception | None = None
         self._act_again_s = self._answered_s = self._planned_s = self.clock.now()
         self._heating_s: float | None = None
+        self._failing = ""  # how the last reading failed
         self.last: BathReading | None = None
 
     @property
@@ -88,6 +90,14 @@ class BathMonitor:
         heated_s = 0.0 if self._heating_s is None else self.clock.now() - self._heating_s
         with self._gate_lock:
             return max(expected_s - heated_s, self.gate.at_least_s)
+
+    @property
+    def silence(self) -> str:
+        """``no answer for 12 s``; empty while the bath answers, or is asked for nothing more."""
+        silent_s = self.clock.now() - self._answered_s
+        late = self._running and silent_s > LATE_S
+        how = self._failing or ("no answer" if late else "")
+        return f"{how} for {silent_s:.0f} s" if how else ""
 
     @property
     def tripped(self) -> Exception | None:
@@ -145,11 +155,12 @@ class BathMonitor:
         except InstrumentError as error:
             silent_s = self.clock.now() - self._answered_s
             answered = not isinstance(error, LinkError)
+            self._failing = "no usable reading" if answered else "no answer"
             self._trip = self._trip or self.interlocks.silent(silent_s, error, answered=answered)
             return
         if not self._running:
             return  # the run has ended while we waited for it, and with it the heating
-        self._answered_s = reading.t_s
+        self._answered_s, self._failing = reading.t_s, ""
         self.last = reading
         raw, teat_c = self.moving(reading), reading.external_c
         with self._gate_lock:

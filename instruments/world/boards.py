@@ -152,6 +152,10 @@ TABLE_FRONT_MM = -245.0  # before it a board may hang lower than the table
 ATTEMPTS = 400
 
 
+class NoPlaceError(ValueError):
+    """A board fits nowhere into the view of all cameras."""
+
+
 def poses(
     pattern: Pattern,
     cameras: Sequence[CameraModel],
@@ -160,7 +164,7 @@ def poses(
     count: int = 24,
 ) -> tuple[Board, ...]:
     """Boards in ``count`` random poses by ``seed``, at ``depths_mm`` (least, most), tilted up to 40
-    degrees, turned up to 15; wholly in each camera's picture. Raises ValueError.
+    degrees, turned up to 15; wholly in each camera's picture. Raises NoPlaceError.
     """
     rng = np.random.Generator(np.random.PCG64(seed))
     cameras = sorted(cameras, key=lambda camera: camera.width_px / float(camera.fc[0]))
@@ -186,10 +190,11 @@ def poses(
                 boards.append(board)
                 break
         else:
-            raise ValueError(
-                f"no place found for a board of {pattern.size_mm} mm at {depths_mm} mm where"
-                f" {', '.join(c.name for c in cameras)} see 100% of it: take a smaller board,"
-                " or hold it farther away"
+            (wide, high), (near, far) = pattern.size_mm, depths_mm
+            names = " and ".join(sorted(camera.name for camera in cameras))
+            raise NoPlaceError(
+                f"no place found for a board of {wide:g} x {high:g} mm, {near:g} to {far:g} mm off,"
+                f" where {names} see all of it: take a smaller board, or hold it farther away"
             )
     return tuple(boards)
 

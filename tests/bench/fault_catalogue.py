@@ -9,7 +9,7 @@ emulator at the moment when the run comes into the state, and lasts FOR_S.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -92,7 +92,7 @@ def known_to(bringer: Bringer) -> Iterator[None]:
         made(twin, *arguments, **more)
         bringer.twin = twin
 
-    def make_safe(devices: Devices, *arguments: Any) -> tuple[str, ...]:
+    def make_safe(devices: Devices, *arguments: Any) -> Mapping[str, str]:
         bringer.event(EVENT, "safing")
         return safe(devices, *arguments)
 

@@ -227,6 +227,7 @@ RUN = Run(
     script="demo",
     kind="emulated",
     ending="aborted",
+    state="aborted",
     trials=3,
     planned=60,
     results=FOUND,

@@ -190,7 +190,7 @@ function doing() {
 }
 function live() {
   const now = run.live, under = run.run.ending === "under way";
-  byId("doing").textContent = now ? words(now.state) + (now.paused ? ", a pause is asked for" : "") : under ? "waiting for the run to say how it is" : words(run.run.ending);
+  byId("doing").textContent = now ? words(now.state) + (now.paused ? ", a pause is asked for" : "") : under ? "waiting for the run to say how it is" : words(run.run.state);
   doing();
   byId("health").hidden = !now;
   if (!now) {
@@ -201,7 +201,7 @@ function live() {
     return;
   }
   const left = now.left_s === null ? "" : `, about ${minutes(now.left_s)} left`;
-  const trial = now.pose && now.done < now.planned ? `Trial ${now.done + 1} of ${now.planned} (${now.pose})` : `${now.done} of ${now.planned} trials done`;
+  const trial = now.pose && now.done < now.planned ? `Trial ${now.done + 1} of ${now.planned} (${now.pose})` : `${now.done} of ${trialsOf(now.planned)} done`;
   byId("trial").textContent = trial + left;
   byId("done").max = now.planned || 1;
   byId("done").value = now.done;
@@ -210,9 +210,9 @@ function live() {
   run.band_k = bath.band_k;
   byId("temperature").textContent = number(bath.temp_c, "°C");
   const steady = bath.state === "stable";
-  byId("temperature").className = steady ? "huge good" : "huge warn";
+  byId("temperature").className = bath.silence ? "huge bad" : steady ? "huge good" : "huge warn";
   const why = bath.why_not_stable && !run.doing.includes("waiting for the bath") ? ` ${words(bath.why_not_stable)}.` : "";
-  byId("gate").textContent = `${bath.state}${bath.state === "heating" ? " to" : " at"} ${number(bath.set_point_c, "°C", 1)} ± ${number(bath.band_k, "K")}` + (steady ? "" : `; stable in about ${minutes(bath.stable_in_s)}.${why}`);
+  byId("gate").textContent = bath.silence ? `${bath.silence}; this is its last reading` : now.state === "safing" ? "going to safe" : `${bath.state}${bath.state === "heating" ? " to" : " at"} ${number(bath.set_point_c, "°C", 1)} ± ${number(bath.band_k, "K")}` + (steady ? "" : `; stable in about ${minutes(bath.stable_in_s)}.${why}`);
   if (plot && bath.t_s !== null && bath.t_s > (run.curve[0].at(-1) ?? -1)) {
     run.curve[0].push(bath.t_s); run.curve[1].push(bath.temp_c);
     if (run.curve[0].length > 1200) run.curve = run.curve.map((one) => one.filter((_, k) => k % 2 === 0));
@@ -226,6 +226,7 @@ function live() {
   tip(now);
   if (now.frames && now.frames !== run.framesShown) { run.framesShown = now.frames; frames(); }
 }
+const trialsOf = (n) => `${n ?? "?"} ${n === 1 ? "trial" : "trials"}`;
 const words = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 const ROUND_MM = 45; // what the plan shows around the teats
 function tip(now) {
@@ -318,7 +319,7 @@ function ended() {
   byId("ending").replaceChildren(
     make("ul", { className: "chips large" }, ...verdicts(known)),
     make("p", { className: "row" }, known.report ? make("button", { onclick: () => report_of(run.name) }, "Open the report") : null, resumable(known) ? make("button", { className: "quiet", onclick: () => resumed(run.name) }, "Resume this run") : null));
-  byId("trial").textContent = `${known.done} of ${known.planned ?? "?"} trials done`;
+  byId("trial").textContent = `${known.done} of ${trialsOf(known.planned)} done`;
   byId("done").max = known.planned || 1;
   byId("done").value = known.done;
   if (!run.live) live();
@@ -436,7 +437,7 @@ function hintUsed(name) { location.hash = `#/${encodeURIComponent(name)}`; }
 function listed(one) {
   const place = make("div", { className: "thumbnails" });
   if (one.done) shown.observe(Object.assign(place, { run: one.name }));
-  const said_done = `${one.ending}; ${one.done} of ${one.planned ?? "?"} trials`;
+  const said_done = `${one.state}; ${one.done} of ${trialsOf(one.planned)}`;
   return make("article", { className: "run" },
     make("div", { className: "about" },
       make("h3", {}, make("a", { href: `#/${encodeURIComponent(one.name)}` }, one.name)),
@@ -484,7 +485,7 @@ function dried(place, { exit_code, text, found }) {
   const rows = [...by].map(([trial, of]) => make("tr", {}, make("th", { scope: "row" }, trial), make("td", {}, make("ul", {}, ...of.map((one) => make("li", {}, `${words(one.kind)}: ${one.text}`))))));
   place.replaceChildren(
     make("p", { className: count ? "big bad" : "big good" }, count ? `${count} problem${count > 1 ? "s" : ""}` : "Nothing wrong was found"),
-    make("p", { className: "soft" }, `${found.gone_through} of ${found.trials} trials gone through on emulators. Nothing was moved.`),
+    make("p", { className: "soft" }, `${found.gone_through} of ${trialsOf(found.trials)} gone through on emulators. Nothing was moved.`),
     ...(rows.length ? [make("div", { className: "scroll" }, make("table", {}, make("tbody", {}, ...rows)))] : []),
     make("ul", {}, ...[...found.not_checked.map((what) => `Not checked: ${what}`), ...found.needs.map(words)].map((line) => make("li", {}, line))));
 }

@@ -205,3 +205,16 @@ def test_the_published_calibration_ships_with_its_defects_stated() -> None:
     text = (RIGS / "thesis-calibration.toml").read_text(encoding="utf-8")
     assert "1.000, 0.990 and 0.920" in text
     assert "no rigid motion" in text
+
+
+@pytest.mark.slow
+def test_a_board_that_no_thermal_camera_sees_whole_is_refused_by_name(
+    tmp_path: Path, said: Said
+) -> None:
+    board, out = "chessboard-9x6-40", tmp_path / "thermal.toml"
+    cameras = RIGS / "calibration.toml"
+    command = "calibrate thermal --rig emulated --board {} --cameras {} --out {}"
+    why = said(2, command, board, cameras, out).err
+    assert f"--board {board}: no place found for a board of 440 x 320 mm" in why
+    assert "left and thermal see all of it: take a smaller board" in why
+    assert not list(tmp_path.iterdir())

@@ -104,6 +104,16 @@ def test_a_bad_arm_is_not_verified(tmp_path: Path, monkeypatch: Patch, said: Sai
     assert "passed = false" in out.read_text(encoding="utf-8")
 
 
+def test_an_arm_without_a_calibrated_length_is_not_refuted_and_not_verified(
+    tmp_path: Path, monkeypatch: Patch, said: Said
+) -> None:
+    out = tmp_path / "verification.toml"
+    Person(monkeypatch, "Fix the divot", *["tip in the divot"] * 5)
+    why = said(4, f"arm verify {OWN} --homed --distances 1 --touches 5", out).err
+    assert why == "teatbench: not verified: no calibrated length was measured\n"
+    assert "passed = false" in out.read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("limit", ["", "--residual-limit-mm 10"])
 def test_a_frame_whose_check_point_is_off_is_not_written(
     tmp_path: Path, monkeypatch: Patch, said: Said, limit: str

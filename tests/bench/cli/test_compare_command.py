@@ -190,7 +190,7 @@ def test_a_namesake_at_another_place_is_not_the_same_scene(
     (found,) = compare_folders([baseline, far])
     assert (len(found.pairs), found.only_old, found.elsewhere) == (SCENES - 1, 1, 1)
     text = " ".join(said(4, "compare {} {} --gate", baseline, far).out.split())
-    assert "1 trials of the old run have a namesake" in text
+    assert "teats are elsewhere, and not compared: 1 trial of the old run." in text
     why = said(2, "compare {} {}", baseline, moved("nowhere", "25")).err
     assert f"{SCENES} have the same name, but their teats stood at other places" in why
 

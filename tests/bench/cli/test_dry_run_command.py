@@ -84,7 +84,7 @@ def test_a_script_in_python_on_a_rig_whose_stage_does_not_answer(
         0, f"{DRY} --rig {{}}", *one(tmp_path), lab_rig(tmp_path, {"/dev/ttyACM0": NO_STAGE})
     ).out
     assert "not checked: the stage's travel: its controller doesn't answer" in seen
-    assert "1 trials at 1 poses: nothing wrong." in seen
+    assert "1 trial at 1 pose: nothing wrong." in seen
     assert "; the operator's by assumed times, see 'teatbench trials show'" in seen
 
 
@@ -135,4 +135,4 @@ def test_a_controllers_own_settings_are_asked_for_and_rehearsed_with(
         seen = said(0, f"{DRY} --rig {{}}", *one(tmp_path, FAR), path).out
     assert "limits" not in seen
     assert "the stage's travel" not in seen
-    assert "1 of 1 trials" in seen
+    assert "1 of 1 trial" in seen

@@ -17,8 +17,9 @@ from starlette.routing import Mount, Route
 
 from bench.console.app import Console, make_app
 from bench.console.watching import listed
+from bench.record.state import run_lock
 from bench.run.live import LIVE
-from bench.run.lock import locked, run_lock
+from bench.run.lock import locked
 from instruments.operators import operator as op
 from instruments.operators.mailbox import Mailbox, read_answer
 from tests.bench.small_run import KEPT

@@ -12,7 +12,14 @@ import numpy as np
 import pytest
 
 from bench.record.recording import Recording, RecordingCameras, RecordingWriter
-from bench.rig.frame_capture import CHECKED, FRAMES_FACT, HINTS, FrameChecks, FrameTaker
+from bench.rig.frame_capture import (
+    CALLED,
+    CHECKED,
+    FRAMES_FACT,
+    HINTS,
+    FrameChecks,
+    FrameTaker,
+)
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import Cameras as CamerasTable
 from bench.rig.model import FocusTable
@@ -47,13 +54,14 @@ def test_each_fault_is_cured_by_another_try_and_counted_or_refused(fault: FrameF
     assert bench.waits == [0.5, 0.5]
     assert bench.taker.counts == {f"{FAULTS[fault]}: {fault}": 2}
     assert [kind for kind, _ in bench.events] == ["camera", "camera"]
-    assert f"{FAULTS[fault]} camera: {fault}: " in bench.events[0][1]
+    assert f"{FAULTS[fault]} camera: {CALLED.get(fault, fault)}: " in bench.events[0][1]
     assert bench.events[0][1].endswith("Taken again; 3 tries are left.")
     bench.cameras.faults.inject(fault)
     with pytest.raises(DeviceError) as refused:
         bench.taker.take()
-    assert f"cameras: no usable frame set in 4 tries: {FAULTS[fault]} camera: {fault}: " in str(
-        refused.value
+    assert (
+        f"cameras: no usable frame set in 4 tries: {FAULTS[fault]} camera: {CALLED.get(fault, fault)}: "
+        in str(refused.value)
     )
     assert str(refused.value).endswith(HINTS[fault])
     assert bench.taker.counts == {f"{FAULTS[fault]}: {fault}": 6}

@@ -143,8 +143,11 @@ def test_a_thermal_frame_that_is_flat_is_no_fault_where_nothing_need_be_warm() -
     frames = FrameSet(grey(1024, 1360), grey(1024, 1360, 2), flat)
     for warm in (True, False):
         looks = FrameChecks(Checks(swapped=False), 0.05, calibration(), flat=warm)
-        seen = [one.fault for one in looks.notice(frames)]
-        assert seen == ([FrameFault.FLAT_FIELD] if warm else [])
+        noticed = looks.notice(frames)
+        assert [one.fault for one in noticed] == ([FrameFault.FLAT_FIELD] if warm else [])
+        for one in noticed:  # of water that is cold, as of a shutter
+            assert "no contrast" in str(one)
+            assert str(one).index("is the bath warm?") < str(one).index("shutter")
 
 
 @pytest.mark.slow

@@ -17,8 +17,9 @@ import pytest
 from filelock import FileLock
 
 from bench.config import ConfigError
+from bench.record.state import holder_of
 from bench.rig.loading import find_rig, load_rig
-from bench.run.lock import RigInUseError, holder_of, lock_path, locked
+from bench.run.lock import RigInUseError, lock_path, locked
 from tests.bench.commands import Said
 from tests.bench.operated_runs import files
 from tests.conftest import ROOT

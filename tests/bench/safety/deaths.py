@@ -193,7 +193,7 @@ import sys, time
 from pathlib import Path
 
 from bench.console.starting import start
-from bench.run.lock import holder_of
+from bench.record.state import holder_of
 from instruments.clock import RealClock
 
 out = Path(sys.argv[1])

@@ -153,3 +153,20 @@ def test_with_the_real_clock_a_trip_acts_while_the_main_thread_is_blocked() -> N
     assert threads[0] is not threading.current_thread()
     watch.stop()
     clock.close()
+
+
+def test_a_bath_that_falls_silent_is_shown_so_and_a_watch_that_has_ended_is_not() -> None:
+    def gone(t: float) -> BathReading:
+        if t > 40.0:
+            raise LinkError("bath", "no answer", seconds=1.0)
+        return wobble(t)
+
+    w = Watched(gone)
+    w.clock.sleep(39.5)
+    assert w.watch.silence == ""
+    w.clock.sleep(12.5)
+    assert w.watch.silence == "no answer for 12 s"
+    calm = Watched(wobble)
+    calm.watch.end()
+    calm.clock.sleep(60.0)
+    assert calm.watch.silence == "", "it is asked for nothing more"

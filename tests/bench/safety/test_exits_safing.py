@@ -9,6 +9,7 @@ from typing import Any, Literal
 import pytest
 
 from bench.record.reader import read_run
+from bench.rig.by_hand import not_safe_text
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.opening import open_instruments
@@ -142,7 +143,7 @@ def test_every_driver_declares_its_safe_state_and_gets_there() -> None:
         assert all(devices.safe_states().values())
         devices.bath.start(33.0)
         message: list[str] = []
-        assert devices.make_safe(message.append) == ()
+        assert devices.make_safe(message.append) == {}
         assert {"bath is safe", "stage is safe", "arm is safe"} <= set(message)
         assert devices.bath.read().running is False
 
@@ -165,7 +166,10 @@ def test_going_to_safe_is_bounded_in_time_and_goes_on_to_the_others(fault: str) 
         unsafe = devices.make_safe(message.append)
         assert clock.now() - start_s < 30.0
         assert {"stage is safe", "arm is safe"} <= set(message)
-        assert unsafe == ("bath",), message
+        assert list(unsafe) == ["bath"], message
+        assert not_safe_text(unsafe).startswith(
+            "NOT SAFE: bath.\nSWITCH OFF THE BATH AT ITS MAINS: bath"
+        )
         assert any("bath could not be made safe" in text for text in message)
 
 
@@ -189,10 +193,14 @@ def test_each_step_to_safe_is_tried_whatever_the_others_raise(
             message: list[str] = []
             with monkeypatch.context() as patched:
                 patched.setattr(type(getattr(devices, name)), "safe", fails)
-                assert devices.make_safe(message.append) == (name,)
+                unsafe = devices.make_safe(message.append)
+                assert list(unsafe) == ([] if name == "arm" else [name]), "the arm has no motor"
             others = {"bath", "stage", "arm"} - {name}
             assert {f"{other} is safe" for other in others} <= set(message)
-            why = f"{name} could not be made safe: {type(raised).__name__}"
+            failed = f"{name} could not be made safe"
+            if name == "arm":
+                failed = "arm: its session was not ended; it has no motor"
+            why = f"{failed}: {type(raised).__name__}"
             assert any(text.startswith(why) and Path(__file__).name in text for text in message)
             assert (devices.bath.read().running is False) is (name != "bath")
 

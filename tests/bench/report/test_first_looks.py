@@ -1,0 +1,70 @@
+"""Which trials a report says to look at first: each detector's own failures, the undecided first."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+
+import pytest
+
+from bench.config import read_calibration
+from bench.record.reader import RunRecord, read_run
+from bench.report.trials import first_looks, looks_of, trial_id, undecided_of, worst_trials
+from bench.results.verdicts import Judgement
+from bench.scoring.decisions import Decision, Verdict
+from reports.page import Cell, TrialPart
+from tests.bench.small_run import KEPT
+
+BASELINE, UNDER_TEST = "thesis", "fused"
+
+
+def run_with(failures: dict[str, Collection[int]]) -> RunRecord:
+    """A run of six trials in which the detectors failed so; later failures are the worse ones."""
+    kept = read_run(KEPT)
+    (score,) = kept.trials[0].scores.values()
+    trials = []
+    for number in range(1, 7):
+        far = tuple(mm + number for mm in score.match.distances_mm)
+        scores = {
+            name: replace(
+                score, success=number not in failed, match=replace(score.match, distances_mm=far)
+            )
+            for name, failed in failures.items()
+        }
+        head = {**kept.trials[0].head, "id": f"{number:03d}-pose", "number": number}
+        trials.append(replace(kept.trials[0], head=head, scores=scores))
+    facts = {**kept.facts, "detectors": list(failures)}
+    return replace(kept, facts=facts, trials=tuple(trials))
+
+
+def numbers(run: RunRecord, undecided: Collection[str] = ()) -> list[int]:
+    return [int(trial.head["number"]) for trial in worst_trials(run, undecided)]
+
+
+def test_the_one_failure_of_the_undecided_detector_comes_before_all_of_the_baseline() -> None:
+    run = run_with({BASELINE: range(1, 7), UNDER_TEST: [2]})
+    assert numbers(run, {UNDER_TEST}) == [2, 6, 5, 4, 3, 1]
+    assert numbers(run)[:2] == [6, 2], "each in turn, where none is undecided"
+    looked = first_looks(run, {UNDER_TEST})
+    assert looked is not None
+    (_, cell), *_ = looked.entries
+    assert isinstance(cell, Cell)
+    assert cell.text.startswith(f"{UNDER_TEST}: ")
+
+
+def test_the_cards_begin_with_the_same_detector_as_the_line_above_them() -> None:
+    run = run_with({BASELINE: range(1, 7), UNDER_TEST: [6]})
+    parts = [TrialPart(trial_id(trial), "1", "ideal") for trial in run.trials]
+    calibration = read_calibration(KEPT / "calibration.toml", doubtful=True)
+    first, second, *_ = looks_of(run, parts, calibration, {UNDER_TEST})
+    assert (first.trial, first.why) == ("trial-006", f"Worst of {UNDER_TEST}")
+    assert second.why == f"Worst of {BASELINE}"
+
+
+@pytest.mark.parametrize(
+    ("verdict", "undecided"),
+    [(Verdict.INCONCLUSIVE, True), (Verdict.NOT_MEASURED, True), (Verdict.NOT_MET, False)],
+)
+def test_whom_the_run_has_not_decided(verdict: Verdict, undecided: bool) -> None:
+    decision = Decision(name="error", verdict=verdict, limit=5.0, rule="", sentence="")
+    assert (UNDER_TEST in undecided_of([Judgement(UNDER_TEST, (decision,))])) is undecided
