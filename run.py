@@ -4,9 +4,9 @@
     python3 run.py test [arguments of pytest]
     python3 run.py install    only installs what the tests need
 
-Standard library only, so that it starts with nothing but Python 3.11 and pip. The versions are
-those of constraints.txt. A second call finds the installation by its stamp and starts at once. It
-works on Linux, macOS and Windows.
+Standard library only, so that it starts with nothing but Python 3.11 and pip. The packages are
+those of locks/, whose hashes pip checks. A second call finds the installation by its stamp and
+starts at once. It works on Linux, macOS and Windows.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
-CONSTRAINTS = ROOT / "constraints.txt"
+LOCKS = ROOT / "locks"  # made by the command at the top of each, after that of constraints.txt
 NEEDED = (3, 11)
 PYTEST_OPTIONS = (
     *("-n", str(3 * (os.cpu_count() or 1))),  # most of a test in real time is waiting
@@ -33,8 +33,8 @@ DID_ITS_WORK = (0, 1, 4)
 
 HINT_NETWORK = """The package index can't be reached. Check the network, or the proxy (set
 HTTPS_PROXY, or call 'pip config set global.proxy URL'). Without a network: on another machine
-with the same Python run 'pip download -d wheels -c constraints.txt .[test] hatchling', copy the
-folder here, and set PIP_NO_INDEX=1 and PIP_FIND_LINKS=wheels before calling run.py again."""
+with the same Python run 'pip download -d wheels -r locks/test.txt', copy the folder here, and
+set PIP_NO_INDEX=1 and PIP_FIND_LINKS=wheels before calling run.py again."""
 HINT_VENV = """Python can't make a virtual environment here. On Debian or Ubuntu:
 'sudo apt install python3-venv'. Elsewhere install Python from python.org with pip included.
 If the folder can't be written, copy the project to a place of your own."""
@@ -91,12 +91,21 @@ def install(extra: str) -> int:
     fault = make_venv()
     if fault:
         return fault
-    what = f"{ROOT}[{extra}]" if extra else str(ROOT)
+    # what is editable has no hash: the packages come first, then the project with what is there
+    packages = ["--require-hashes", "--requirement", str(LOCKS / f"{extra or 'run'}.txt")]
+    for what in packages, ["--no-deps", "--no-build-isolation", "--editable", str(ROOT)]:
+        if fault := pip_install(what):
+            return fault
+    stamp.write_text(fingerprint(), encoding="utf-8")
+    return 0
+
+
+def pip_install(what: Sequence[str]) -> int:
+    """Install in .venv; 0 when that is done."""
     # most modules are never imported: Python compiles the others itself, at their first import
     quiet = ("--disable-pip-version-check", "--no-compile", "--quiet")
-    pip = [str(python()), "-m", "pip", "install", *quiet]
     done = subprocess.run(
-        [*pip, "--constraint", str(CONSTRAINTS), "--editable", what],
+        [str(python()), "-m", "pip", "install", *quiet, *what],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -104,13 +113,11 @@ def install(extra: str) -> int:
         errors="replace",
         check=False,
     )
-    if done.returncode:
-        last = "\n".join(done.stdout.strip().splitlines()[-15:])
-        return complain(
-            last, HINT_NETWORK if any(sign in done.stdout for sign in NETWORK_SIGNS) else HINT_PIP
-        )
-    stamp.write_text(fingerprint(), encoding="utf-8")
-    return 0
+    if not done.returncode:
+        return 0
+    last = "\n".join(done.stdout.strip().splitlines()[-15:])
+    by_network = any(sign in done.stdout for sign in NETWORK_SIGNS)
+    return complain(last, HINT_NETWORK if by_network else HINT_PIP)
 
 
 def make_venv() -> int:
@@ -148,7 +155,7 @@ def fingerprint() -> str:
     """Changes when the dependencies, their versions, the place or the Python change."""
     text = (
         (ROOT / "pyproject.toml").read_bytes()
-        + CONSTRAINTS.read_bytes()
+        + b"".join(path.read_bytes() for path in sorted(LOCKS.glob("*.txt")))
         + str(ROOT).encode()
         + sys.version.encode()
     )

@@ -180,7 +180,8 @@ class Listener:
         for connection in connections:
             connection.abort()
         for thread in self._threads:
-            thread.join()
+            if thread.ident:  # else a limit of memory or of threads has refused it
+                thread.join()
 
     def _start(self, work: Callable[[], None]) -> None:
         thread = threading.Thread(target=work, name=f"{self.name} emulator", daemon=True)

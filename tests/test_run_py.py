@@ -23,8 +23,9 @@ from tests.conftest import ROOT
 @pytest.fixture
 def run_py(tmp_path: Path) -> ModuleType:
     """The script as a module, in a copy of the project's folder that has no .venv."""
-    for name in ("run.py", "pyproject.toml", "constraints.txt"):
+    for name in ("run.py", "pyproject.toml"):
         shutil.copy(ROOT / name, tmp_path)
+    shutil.copytree(ROOT / "locks", tmp_path / "locks")
     spec = importlib.util.spec_from_file_location("run_py", tmp_path / "run.py")
     assert spec is not None
     assert spec.loader is not None
@@ -136,7 +137,7 @@ def test_a_second_call_installs_nothing(run_py: ModuleType, tmp_path: Path) -> N
 
 
 @pytest.mark.skipif(os.name == "nt", reason="stands a shell script in for Python")
-@pytest.mark.parametrize("changed", ["pyproject.toml", "constraints.txt"])
+@pytest.mark.parametrize("changed", ["pyproject.toml", "locks/test.txt"])
 def test_other_dependencies_are_installed_anew(
     run_py: ModuleType, tmp_path: Path, changed: str
 ) -> None:
@@ -147,26 +148,49 @@ def test_other_dependencies_are_installed_anew(
     (tmp_path / changed).write_text("# other\n", encoding="utf-8")
     run_py.main(["install"])
     said = log.read_text(encoding="utf-8")
-    assert f"--constraint {tmp_path / 'constraints.txt'} --editable {tmp_path}[test]" in said
+    first, then = (line for line in said.splitlines() if "pip install" in line)
+    assert first.endswith(f"--require-hashes --requirement {tmp_path / 'locks' / 'test.txt'}")
+    assert then.endswith(f"--no-deps --no-build-isolation --editable {tmp_path}")
     assert "-m pytest" not in said
 
 
-def test_each_dependency_is_locked_to_a_version_that_it_allows() -> None:
-    """The command at the top of constraints.txt brings it up to date."""
-    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
-    locked: dict[str, list[str]] = {}
-    for line in lines:
-        if found := re.match(r"([\w.-]+)==([\w.]+)", line):
-            locked.setdefault(canonicalize_name(found[1]), []).append(found[2])
-    ours = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    wanted = [
-        *ours["dependencies"],
-        *(text for extra in ours["optional-dependencies"].values() for text in extra),
-    ]
+def pinned(text: str) -> dict[tuple[str, str], int]:
+    """How many hashes each package and version has in a file that uv wrote."""
+    found: dict[tuple[str, str], int] = {}
+    for entry in re.split(r"(?m)^(?=[A-Za-z])", text):
+        if name := re.match(r"([\w.-]+)==([\w.]+)", entry):
+            found[canonicalize_name(name[1]), name[2]] = len(
+                re.findall(r"--hash=sha256:[0-9a-f]{64}\b", entry)
+            )
+    return found
+
+
+@pytest.mark.parametrize(
+    ("lock", "extras"),
+    [
+        ("constraints.txt", None),
+        ("locks/run.txt", ()),
+        ("locks/test.txt", ("test",)),
+        ("locks/ci.txt", ("test", "fast", "genicam", "docs")),
+    ],
+)
+def test_each_dependency_is_locked_to_a_version_that_it_allows(
+    lock: str, extras: tuple[str, ...] | None
+) -> None:
+    """The command at the top of each file brings it up to date, constraints.txt first."""
+    locked = pinned((ROOT / lock).read_text(encoding="utf-8"))
+    known = pinned((ROOT / "constraints.txt").read_text(encoding="utf-8"))
+    assert locked.keys() <= known.keys()
+    assert lock == "constraints.txt" or all(locked.values()), "without a hash"
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    ours = project["project"]
+    every = ours["optional-dependencies"]
+    wanted = [*ours["dependencies"], *project["build-system"]["requires"]]
+    wanted += [text for extra in (every if extras is None else extras) for text in every[extra]]
     for text in wanted:
         needed = Requirement(text)
-        versions = locked.get(canonicalize_name(needed.name), [])
-        assert versions, f"{text} is not in constraints.txt"
+        versions = [version for name, version in locked if name == canonicalize_name(needed.name)]
+        assert versions, f"{text} is not in {lock}"
         assert all(needed.specifier.contains(version) for version in versions), (
-            f"{text}: constraints.txt has {versions}"
+            f"{text}: {lock} has {versions}"
         )

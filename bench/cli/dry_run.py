@@ -8,7 +8,6 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from shutil import disk_usage
 
 from bench.cli.arguments import CODES
 from bench.cli.terminal import working
@@ -17,10 +16,10 @@ from bench.dry_run.rehearsal import NoTwinError, Rehearsal, rehearse
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import open_instruments
 from bench.rig.urls import PEOPLE
-from bench.run.estimate import needs, read_durations
+from bench.run.estimate import needs, no_room, read_durations
 from bench.run.lock import RigInUseError, lock_path, locked
 from bench.run.trial import refuse_carry
-from bench.safety.latch import latch_path, read_latch
+from bench.safety.latch import latch_path, read_latch, unconfirmed
 from bench.scoring.rates import plural
 from bench.script.calibration_age import refuse_old_calibration
 from bench.script.detectors import introduced, make_detectors
@@ -45,6 +44,7 @@ def look_ahead(
     """Print what a dry run finds and what the run needs; gives back the exit code. Raises
     ConfigError, KeyboardInterrupt.
     """
+    rig.refuse_unfilled()
     refuse_carry(rig, script)
     refuse_old_calibration(rig, script, wall_time().date())
     settings, why_not_asked = _stage_settings(rig)
@@ -62,6 +62,7 @@ def look_ahead(
     again = rehearsal.findings if rehearsal else ()
     findings = [
         *([Finding("the rig", "latched", str(latch))] if latch else []),
+        *(Finding("the rig", "refused", why) for why in unconfirmed(rig, wall_time().date())),
         *of_poses,
         *(one for one in again if (one.trial, one.kind) not in known),
     ]
@@ -146,9 +147,8 @@ def _needs(rig: LoadedRig, script: LoadedScript, out: Path) -> Iterator[str]:
     yield f"about {_time(wanted.time.total_s)} of the bench's time: {parts}{how}"
     asked = ", ".join(f"{count} {what}" for what, count in wanted.asked.items() if count)
     yield f"at most {wanted.disk_mb:.0f} MB and the report, {wanted.prompts} prompts: {asked}"
-    there = next(folder for folder in (out.resolve(), *out.resolve().parents) if folder.exists())
-    if (free_mb := disk_usage(there).free / 1e6) < wanted.disk_mb:
-        yield f"NOT ENOUGH ROOM: {free_mb:.0f} MB are free in {there}"
+    if room := no_room(wanted.disk_mb, out):
+        yield room
 
 
 def _time(seconds: float) -> str:

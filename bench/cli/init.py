@@ -13,20 +13,15 @@ from bench.config import ConfigError, parse_config, read_text
 from bench.files import write_synced
 from bench.rig.alone import attached
 from bench.rig.finding import Found, ports, probe, rig_text
-from bench.rig.loading import TO_COPY
+from bench.rig.loading import PLACES, TO_COPY
 from bench.rig.model import Rig, camera_url
+from instruments.bath.profile import load_profile
 from instruments.camera.radiometric import PROFILES
 from instruments.clock import RealClock, wall_time
 
 # standard uncertainty by model, mm, as the maker states it
 MODELS = {"3DX": 0.23, "3DL": 0.64, "3D": 0.38}
 AXES = ("XY", "XYZ", "XYA", "XYZA")
-PLACES = {  # what stands in the file where nothing was found
-    "arm": "/dev/ttyUSB0",
-    "bath": "tcp://192.168.0.40:502",
-    "cameras.left": "opencv:LEFT",
-    "cameras.right": "opencv:RIGHT",
-}
 Ask = Callable[[str, str], str]
 
 
@@ -98,17 +93,25 @@ def _arm(found: Found, ask: Ask) -> Mapping[str, object]:
 
 
 def _bath(found: Found, ask: Ask) -> Mapping[str, object]:
-    profiles, tested = found.profiles, ""
+    profiles = found.profiles
     answer = profiles[0]
     if len(profiles) > 1:
         fits = ", ".join(profiles)
         answer = ask(f"{found.url} answers by several profiles ({fits}): which is it?", answer)
-    day = ask("On which day was the bath's own cut-out tested (2026-11-20)?", "")
+    tested = ask("On which day was the bath's own cut-out tested (2026-11-20)?", "")
+    profile = _one_of("the profile", answer, profiles)
+    values = {"profile": profile, "cut_out_tested": _day(tested)}
+    if not load_profile(profile).number_unit.known:
+        same = "did the bath's display and 'teatbench bath read' show the same, in degC"
+        values["unit_confirmed"] = _day(ask(f"On which day {same} (2026-11-20)?", ""))
+    return values
+
+
+def _day(answer: str) -> str:
     try:
-        tested = date.fromisoformat(day).isoformat() if day else ""
+        return date.fromisoformat(answer).isoformat() if answer else ""
     except ValueError:
-        raise ConfigError.plain(f"{day!r} is no day; write it as 2026-11-20") from None
-    return {"profile": _one_of("the profile", answer, profiles), "cut_out_tested": tested}
+        raise ConfigError.plain(f"{answer!r} is no day; write it as 2026-11-20") from None
 
 
 def _stage(found: Found, ask: Ask) -> Mapping[str, object]:

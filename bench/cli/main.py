@@ -103,14 +103,27 @@ def _run(given: argparse.Namespace) -> int:
         return CODES.met
 
 
-MEMORY_WORDS = ("insufficient memory", "cannot allocate memory", "failed to map segment")
+MEMORY_WORDS = (
+    "insufficient memory",
+    "cannot allocate memory",
+    "failed to map segment",
+    "can't start new thread",  # its stack is 8 MB of the limit
+)
+
+
+def _is_of_memory(error: BaseException) -> bool:
+    """Whether ``error``, or what it was raised in the course of, is of memory."""
+    cause = error.__cause__ or error.__context__
+    if isinstance(error, MemoryError) or any(w in str(error).lower() for w in MEMORY_WORDS):
+        return True
+    return cause is not None and _is_of_memory(cause)
 
 
 def _unforeseen(error: Exception) -> int:
     """Of the system amid whatever the command did, or a mistake of ours: its exit code must not
     look like a requirement that isn't met, which Python's own would.
     """
-    if isinstance(error, MemoryError) or any(w in str(error).lower() for w in MEMORY_WORDS):
+    if _is_of_memory(error):
         why = "out of memory: give the machine, or the limit that it works under (ulimit -v), more"
         return complain(f"{why}, or ask for less at once ({error})", CODES.fault)
     if isinstance(error, OSError):

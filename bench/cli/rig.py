@@ -17,7 +17,7 @@ from bench.cli.arguments import CODES, complain, print_values, refuse_existing
 from bench.cli.terminal import working
 from bench.config import ConfigError, did_you_mean
 from bench.rig.loading import NO_RIGS, RIGS, TO_COPY, LoadedRig, find_rig, load_rig, shipped
-from instruments.clock import Clock, RealClock
+from instruments.clock import Clock, RealClock, wall_time
 
 if TYPE_CHECKING:
     from bench.campaign.sensitivity import Measured
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 def check(given: argparse.Namespace) -> int:
     from bench.rig.alone import check_rig
+    from bench.safety.latch import unconfirmed
 
     rig = load_rig(find_rig(given.rig))
     if rig.made_calibration is None:
@@ -33,6 +34,8 @@ def check(given: argparse.Namespace) -> int:
             f"calibration: not made yet ({rig.calibration_path}); a run needs it, see"
             " docs/calibration.md"
         )
+    for why in unconfirmed(rig, wall_time().date()):
+        print(why)
     failed = False
     for name, fault, lines in check_rig(rig, given.capture):
         failed |= fault

@@ -278,6 +278,9 @@ def check_rig(
         else:
             clock = stack.enter_context(closing(RealClock()))
         for name in names:
+            if unfilled := rig.unfilled(name):
+                yield name, True, unfilled
+                continue
             try:
                 with open_instruments(rig, (name,), clock, twin=twin, capture=capture) as devices:
                     device = getattr(devices, name)

@@ -23,6 +23,7 @@ from dataclasses import asdict, dataclass
 
 from serial.tools import list_ports
 
+from bench.rig.loading import MISSING
 from bench.rig.model import Arm
 from bench.rig.model import Bath as BathTable
 from bench.rig.opening import open_instruments, rig_of
@@ -173,7 +174,6 @@ def _bath(url: str, name: str, clock: Clock) -> str:
 _TABLE = re.compile(r"\[([\w.]+)\]")
 _KEY = re.compile(r"(\w+) = .*?(?:\s+# (.*))?")
 KEPT = ("cameras", "cameras.checks", "limits")  # all of their keys have defaults
-MISSING = "NOT FOUND: fill it in"
 
 
 def rig_text(

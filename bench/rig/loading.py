@@ -15,6 +15,7 @@ from bench.config import (
     KeyPath,
     Section,
     did_you_mean,
+    find_places,
     located,
     read_calibration,
     read_config,
@@ -36,6 +37,13 @@ RIGS = Path(__file__).parents[1] / "rigs"
 NO_RIGS = ("calibration", "thesis-calibration", "depth-calibration", "lab.example")
 T = TypeVar("T")
 TO_COPY = RIGS / "lab.example.toml"
+MISSING = "NOT FOUND: fill it in"  # what `init` writes beside the url of what it did not find
+PLACES = {  # and the url, by table
+    "arm": "/dev/ttyUSB0",
+    "bath": "tcp://192.168.0.40:502",
+    "cameras.left": "opencv:LEFT",
+    "cameras.right": "opencv:RIGHT",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +82,22 @@ class LoadedRig:
     def relay_source(self) -> str:
         """As ``profile_source``, of the pump's relay; empty where there is none."""
         return self._source(self.rig.bath.pump_profile)
+
+    def unfilled(self, *instruments: str) -> list[str]:
+        """Where a url, of ``instruments`` or of all, still is what `init` wrote for want of one."""
+        places, lines, found = find_places(self.text), self.text.split("\n"), []
+        for table, url in PLACES.items():
+            place = places.get((*table.split("."), "url"))
+            line = lines[place.line - 1] if place else ""
+            asked = not instruments or table.partition(".")[0] in instruments
+            if place and asked and f'"{url}"' in line and MISSING in line:
+                found.append(f"not filled in yet: {self.path}:{place.line} ({table}.url)")
+        return found
+
+    def refuse_unfilled(self, *instruments: str) -> None:
+        """Raises ConfigError where `unfilled` finds something."""
+        if found := self.unfilled(*instruments):
+            raise ConfigError.plain("\n".join(found))
 
     def _source(self, name: str) -> str:
         return str((self.path.parent / name).resolve()) if name.endswith(".toml") else name

@@ -83,6 +83,8 @@ def open_instruments(
     which ``warn`` gets too), and by a guardian where the process dies. ``leave_running``: it goes
     on, which is noted beside the rig file; ``supervised``: the caller sees to all that.
     """
+    if twin is None:
+        rig.refuse_unfilled(*names)
     emulated = twin is not None or any(rig.rig.urls.get(name) == EMULATED for name in names)
 
     def leaving(devices: Devices) -> Leaving:

@@ -16,8 +16,10 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from shutil import disk_usage
 from typing import Any
 
+from bench.config import ConfigError
 from bench.files import write_synced
 from bench.record.reader import RunRecord
 from bench.rig.loading import LoadedRig
@@ -230,16 +232,33 @@ def needs(
         time = replace(time, settling_s=settling_of(rig, script))
     arm, touches = rig.rig.arm, _touches(rig, script)
     checks = 2 * arm.check_touches if arm.check_point_mm else 0
-    # as if nothing could be compressed, with as much again for the pictures of detectors' stages
-    c = rig.calibration
-    one = sum(w * h for w, h in (c.left.image_size, c.right.image_size, c.thermal.image_size))
-    one += 2 * math.prod(c.thermal.sensor_size)
-    disk_mb = 2.0 * len(script.planned) * one / 1e6
     readings = script.script.truth.readings or arm.touches
     of_ends = f"teat ends ({readings} {'touch' if readings == 1 else 'touches'} each)"
     ends = sum(touches) // readings
     asked = {"homing": 1, "arm check": checks, "set-ups": len(touches), of_ends: ends}
-    return Forecast(time, disk_mb, asked)
+    return Forecast(time, disk_mb(rig, len(script.planned)), asked)
+
+
+def disk_mb(rig: LoadedRig, trials: int) -> float:
+    """As if nothing could be compressed, with as much again for pictures of detectors' stages."""
+    c = rig.calibration
+    one = sum(w * h for w, h in (c.left.image_size, c.right.image_size, c.thermal.image_size))
+    return 2.0 * trials * (one + 2 * math.prod(c.thermal.sensor_size)) / 1e6
+
+
+def no_room(wanted_mb: float, folder: Path) -> str:
+    """What is said where ``wanted_mb`` are not free at ``folder``, which need not be there yet."""
+    there = next(at for at in (folder.resolve(), *folder.resolve().parents) if at.exists())
+    if (free_mb := disk_usage(there).free / 1e6) >= wanted_mb:
+        return ""
+    free = f"{free_mb:.0f} MB are free in {there}"
+    return f"NOT ENOUGH ROOM: {free}, and up to {wanted_mb:.0f} MB are needed"
+
+
+def refuse_no_room(rig: LoadedRig, trials: int, folder: Path) -> None:
+    """Raises ConfigError where so many trials may not fit in ``folder``."""
+    if room := no_room(disk_mb(rig, trials), folder):
+        raise ConfigError.plain(room)
 
 
 def took(run: RunRecord) -> dict[str, float]:

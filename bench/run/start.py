@@ -32,7 +32,7 @@ from bench.rig.opening import in_virtual_time, open_instruments
 from bench.rig.urls import EMULATED
 from bench.run.context import RunContext
 from bench.run.engine import Engine
-from bench.run.estimate import needs, read_durations
+from bench.run.estimate import needs, read_durations, refuse_no_room
 from bench.run.events import Events, Progress, RunState
 from bench.run.interruptions import Requests
 from bench.run.live import Live
@@ -116,6 +116,7 @@ def run_script(
         introduced(under_test, script.scenes),
         locked(lock_path(rig), str(out.resolve()), events.warn),
     ):
+        refuse_no_room(rig, len(script.planned), out)
         for text in _contradicted(rig, script):
             events.warn(text)
         recorder = Recorder(how.record, rig.calibration_path, events.warn) if how.record else None
@@ -154,6 +155,7 @@ def resume_run(
         run_locked,
     ):
         left = what_is_left(folder, [trial.id for trial in script.planned])
+        refuse_no_room(rig, len(script.planned) - len(left.done), folder)
         recorder = recorder_again(left.run, rig.calibration_path, events.warn)
         store = open_store(left, rehearsed=in_virtual_time(rig, realtime=how.realtime))
         return _run(rig, script, store, under_test, events, how, recorder, left)
@@ -176,6 +178,7 @@ def _stream(progress: Progress) -> Events:
 def _allowed(rig: LoadedRig, script: LoadedScript, names: Sequence[str]) -> list[Detector]:
     """The detectors under test, unless a run is refused (LatchedError, ConfigError)."""
     today = wall_time().date()
+    rig.refuse_unfilled()
     refuse_latched(rig)
     refuse_old_calibration(rig, script, today)
     refuse_untested_cut_out(rig, today)

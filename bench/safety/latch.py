@@ -8,14 +8,14 @@ An emulated rig has none, for its bath is a new one in each run.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 
-from bench.config import located
+from bench.config import ConfigError, located
 from bench.files import write_synced
 from bench.rig.loading import LoadedRig
 from bench.safety.interlocks import InterlockTrip, rule_named
@@ -108,8 +108,7 @@ def refuse_untested_cut_out(rig: LoadedRig, today: date) -> None:
 
 def refuse_unknown_unit(rig: LoadedRig, today: date) -> None:
     """Raises ConfigError where nothing tells the unit of the bath's numbers, and no person has."""
-    told = rig.profile.number_unit
-    if told.rows or told.fixed or rig.rig.bath.unit_confirmed or rig.rig.bath_emulated:
+    if rig.profile.number_unit.known or rig.rig.bath.unit_confirmed or rig.rig.bath_emulated:
         return
     why = (
         f"missing: nothing tells whether the numbers of a {rig.profile.family} are degC, so nothing"
@@ -117,6 +116,15 @@ def refuse_unknown_unit(rig: LoadedRig, today: date) -> None:
         f' shows them. Where both agree, write the day: unit_confirmed = "{today.isoformat()}"'
     )
     raise located(rig.path, rig.text, [(("bath", "unit_confirmed"), why, False)])
+
+
+def unconfirmed(rig: LoadedRig, today: date) -> Iterator[str]:
+    """What a person has to look at before a run heats this bath, in the words that refuse one."""
+    for refuse in (refuse_untested_cut_out, refuse_unknown_unit):
+        try:
+            refuse(rig, today)
+        except ConfigError as error:
+            yield from (fault.message for fault in error.faults)
 
 
 def acknowledge(rig: LoadedRig, latch: Latch, reading: BathReading) -> None:

@@ -200,6 +200,11 @@ class NumberUnit(Strict):
     fixed: Literal["", "degC"] = ""
     note: str = ""
 
+    @property
+    def known(self) -> bool:
+        """Whether rows or the protocol tell it."""
+        return bool(self.rows or self.fixed)
+
 
 class OrderFrom(Strict):
     """The row that gives the order of bytes (it has one of its own), and what its codes mean."""

@@ -181,7 +181,7 @@ def test_focus_sees_a_lens_go_out_of_focus(tmp_path: Path, said: Said) -> None:
 def test_what_focus_prints_is_a_line_of_a_rig_file(
     tmp_path: Path, best: dict[str, float], expected: dict[str, float] | None
 ) -> None:
-    text = find_rig("emulated").read_text(encoding="utf-8")
+    text = find_rig("lab.example").read_text(encoding="utf-8")
     old = next(line for line in text.splitlines() if line.startswith("focus_px"))
     text = text.replace(old, focus_line(best))
     rig = tmp_path / "rig.toml"

@@ -6,12 +6,14 @@ import json
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import EmulatedStage
+from bench.run import estimate
 from bench.script.model import find_script
 from instruments.clock import RealClock
 from tests.bench.campaign.small_campaign import write_small_rig
@@ -64,6 +66,7 @@ def trials():
     yield {"name": "one", "situation": "ideal", "layout": "single", "set_up": "One teat."POSE}
 """
 NO_STAGE = "/dev/tty-there-is-none"
+ELSEWHERE = {"/dev/ttyACM0": NO_STAGE, 'cut_out_tested = ""': 'cut_out_tested = "2026-11-20"'}
 
 
 def test_json_is_of_a_dry_run(tmp_path: Path, said: Said) -> None:
@@ -80,9 +83,7 @@ def one(folder: Path, pose: str = "") -> tuple[Path, Path]:
 def test_a_script_in_python_on_a_rig_whose_stage_does_not_answer(
     tmp_path: Path, said: Said
 ) -> None:
-    seen = said(
-        0, f"{DRY} --rig {{}}", *one(tmp_path), lab_rig(tmp_path, {"/dev/ttyACM0": NO_STAGE})
-    ).out
+    seen = said(0, f"{DRY} --rig {{}}", *one(tmp_path), lab_rig(tmp_path, ELSEWHERE)).out
     assert "not checked: the stage's travel: its controller doesn't answer" in seen
     assert "1 trial at 1 pose: nothing wrong." in seen
     assert "; the operator's by assumed times, see 'teatbench trials show'" in seen
@@ -90,7 +91,7 @@ def test_a_script_in_python_on_a_rig_whose_stage_does_not_answer(
 
 @pytest.mark.slow
 def test_what_a_run_is_refused_for_is_reported_by_its_dry_run(tmp_path: Path, said: Said) -> None:
-    rig = lab_rig(tmp_path, {"/dev/ttyACM0": NO_STAGE})
+    rig = lab_rig(tmp_path, ELSEWHERE)
     (tmp_path / "lab.tripped.json").write_text(
         '{"rule": "bath too hot", "why": "38 degC"}', encoding="utf-8"
     )
@@ -104,9 +105,43 @@ def test_what_a_run_is_refused_for_is_reported_by_its_dry_run(tmp_path: Path, sa
 
 
 @pytest.mark.slow
+def test_what_a_person_has_to_confirm_is_said_by_check_and_dry_run_as_by_a_run(
+    tmp_path: Path, said: Said, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unknown = {"/dev/ttyACM0": NO_STAGE, '"julabo-presto"': '"lauda-ascii"'}
+    rig = lab_rig(tmp_path, unknown)
+    script, runs = one(tmp_path)
+    cut_out = "bath.cut_out_tested: missing: nothing is heated before the bath's independent cut-"
+    unit = "bath.unit_confirmed: missing: nothing tells whether the numbers of a "
+    monkeypatch.setattr("bench.rig.alone.check_rig", lambda *_: iter(()))  # takes seconds
+    checked = said(0, "check {}", rig).out.splitlines()
+    dry = said(2, f"{DRY} --rig {{}}", script, runs, rig).out.splitlines()
+    for sentence in (cut_out, unit):
+        assert any(line.startswith(sentence) for line in checked)
+        assert any(line.startswith(f"the rig: refused: {sentence}") for line in dry)
+    assert cut_out in said(2, "run {} --rig {} --out {}", script, rig, runs).err
+    lab_rig(tmp_path, ELSEWHERE | unknown)
+    assert unit in said(2, "run {} --rig {} --out {}", script, rig, runs).err
+    assert not runs.exists()
+
+
+@pytest.mark.slow
+def test_a_run_without_room_is_refused_before_it_starts_in_the_words_of_its_dry_run(
+    tmp_path: Path, said: Said, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig, out = write_small_rig(tmp_path), tmp_path / "there" / "runs"
+    wanted_mb = estimate.disk_mb(load_rig(rig), 1)
+    monkeypatch.setattr(estimate, "disk_usage", lambda _: SimpleNamespace(free=1e6 * wanted_mb - 1))
+    sentence = f"NOT ENOUGH ROOM: {wanted_mb:.0f} MB are free in {tmp_path.resolve()}, and up to"
+    assert sentence in said(2, "run {} --out {} --rig {}", one(tmp_path)[0], out, rig).err
+    assert sentence in said(0, f"{DRY} --rig {{}}", one(tmp_path)[0], out, rig).out
+    assert not out.parent.exists()
+
+
+@pytest.mark.slow
 def test_a_stage_is_not_asked_while_a_run_has_its_rig(tmp_path: Path, said: Said) -> None:
     """Opening its port resets most boards."""
-    rig = lab_rig(tmp_path, {"/dev/ttyACM0": NO_STAGE})
+    rig = lab_rig(tmp_path, ELSEWHERE)
     held = {"host": "another machine", "pid": 1, "since": "2026-11-01T12:00:00", "run": "runs/o"}
     (tmp_path / "lab.lock.json").write_text(json.dumps(held), encoding="utf-8")
     seen = said(0, f"{DRY} --rig {{}}", *one(tmp_path), rig).out
@@ -130,7 +165,10 @@ def test_a_controllers_own_settings_are_asked_for_and_rehearsed_with(
     wide = rig.rig.emulation.model_copy(update={"stage": EmulatedStage(settings={130: 640.0})})
     twin = replace(rig, rig=rig.rig.model_copy(update={"emulation": wide}))
     with closing(RealClock()) as clock, EmulatedRig(twin, clock, 1) as there:
-        elsewhere = {"/dev/ttyACM0": there.urls["stage"], "[-150.0, -137.5]": "[-320.0, -137.5]"}
+        elsewhere = ELSEWHERE | {
+            "/dev/ttyACM0": there.urls["stage"],
+            "[-150.0, -137.5]": "[-320.0, -137.5]",
+        }
         path = lab_rig(tmp_path, elsewhere)
         seen = said(0, f"{DRY} --rig {{}}", *one(tmp_path, FAR), path).out
     assert "limits" not in seen

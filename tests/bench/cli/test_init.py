@@ -11,9 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from bench.cli.init import _bath
 from bench.rig import finding
 from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.loading import find_rig, load_rig
+from bench.rig.loading import MISSING, PLACES, find_rig, load_rig
 from bench.rig.model import Rig
 from instruments.clock import RealClock, VirtualClock
 from instruments.link import Link
@@ -157,6 +158,7 @@ def test_what_is_not_found_is_marked_and_the_file_can_be_checked(
     tmp_path: Path, said: Said
 ) -> None:
     out = tmp_path / "my-rig.toml"
+    marked: dict[str, str] = {}
     text = said(0, "init --yes --out {}", out).out
     assert "no serial port on this machine" in text
     for name in ("arm", "bath", "cameras.left", "cameras.right"):
@@ -164,10 +166,52 @@ def test_what_is_not_found_is_marked_and_the_file_can_be_checked(
     rig = rig_of(out)
     assert rig.stage is None
     assert rig.cameras.thermal is None
-    assert out.read_text(encoding="utf-8").count(finding.MISSING) == 4
+    assert out.read_text(encoding="utf-8").count(MISSING) == 4
+    lines = out.read_text(encoding="utf-8").splitlines()
+    for name, url in PLACES.items():
+        (at,) = (n for n, line in enumerate(lines, 1) if f'"{url}"' in line and "# NOT" in line)
+        marked[name] = f"not filled in yet: {out}:{at} ({name}.url)"
+    seen = said(3, "check {}", out).out
+    assert all(text in seen for text in marked.values())
+    assert "Check cable" not in seen
+    runs = tmp_path / "runs"
+    for more in ("", " --dry-run"):
+        seen = said(2, "run six-situations --rig {} --out {}" + more, out, runs).err
+        assert all(text in seen for text in marked.values())
+    assert not runs.exists()
     again = said(2, "init --yes --out {}", out).err
     assert "is there already" in again
     assert teatbench("init --yes --replace --out {}", out) == 0
+
+
+def test_a_place_that_was_filled_in_is_no_placeholder(tmp_path: Path, said: Said) -> None:
+    """By its url, or by leaving out the mark where what stands there is right."""
+    out = tmp_path / "my-rig.toml"
+    said(0, "init --yes --out {}", out)
+    text = out.read_text(encoding="utf-8").replace("opencv:LEFT", "opencv:3")
+    bath = next(line for line in text.splitlines() if PLACES["bath"] in line)
+    out.write_text(text.replace(bath, bath.partition("#")[0]), encoding="utf-8")
+    assert [one.split()[-1] for one in load_rig(out).unfilled()] == [
+        "(arm.url)",
+        "(cameras.right.url)",
+    ]
+    assert load_rig(out).unfilled("bath", "stage") == []
+    assert "(cameras.right.url)" in said(2, "camera focus {} --seconds 0.1", out).err
+
+
+@pytest.mark.parametrize("answer", ["2026-11-20", ""])
+def test_a_bath_whose_unit_nothing_tells_is_asked_about(answer: str) -> None:
+    asked: list[str] = []
+
+    def ask(question: str, default: str) -> str:
+        asked.append(question)
+        return answer if "display" in question else default
+
+    values = _bath(finding.Found("bath", "/dev/ttyUSB1", "it", ("lauda-ascii",)), ask)
+    assert values == {"profile": "lauda-ascii", "cut_out_tested": "", "unit_confirmed": answer}
+    assert "'teatbench bath read' show the same, in degC" in asked[-1]
+    told = _bath(finding.Found("bath", "/dev/ttyUSB1", "it", ("julabo-presto",)), ask)
+    assert told.keys() == {"profile", "cut_out_tested"}
 
 
 @pytest.mark.parametrize(

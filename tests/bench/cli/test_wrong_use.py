@@ -182,6 +182,11 @@ def test_a_name_that_is_too_long_is_named_as_that(command: str, tmp_path: Path, 
     assert "disk full" not in said(2, f"{command} {{}}", tmp_path / ("long" * 80)).err
 
 
+def caused(error: Exception, by: Exception) -> Exception:
+    error.__context__ = by
+    return error
+
+
 @pytest.mark.parametrize(
     "error",
     [
@@ -189,6 +194,8 @@ def test_a_name_that_is_too_long_is_named_as_that(command: str, tmp_path: Path, 
         ImportError("libcv2.so: failed to map segment from shared object"),
         OSError(12, "Cannot allocate memory"),
         RuntimeError("OpenCV: Insufficient memory"),
+        RuntimeError("can't start new thread"),
+        caused(RuntimeError("cannot join thread before it is started"), MemoryError()),
     ],
 )
 def test_a_limit_of_memory_ends_with_a_sentence(
