@@ -28,6 +28,7 @@ from math import sqrt
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array, hstack
 from scipy.special import chdtri, fdtrc, fdtri, ndtri, stdtr, stdtrit
 
 from bench.scoring.comparison import holm
@@ -415,22 +416,27 @@ def _ordinary(
     rest = np.maximum(in_stratum[blocks // count] - in_block, 1)
     forms = centred + (np.bincount(block, centred) / rest)[block]
     forms /= (sxx - less_xx)[group]
-    of_strata = np.zeros((count, len(in_stratum)))
-    of_strata[blocks % count, blocks // count] = np.bincount(block, forms)
-    of_slope = np.bincount(group, forms * centred) / sqrt(sxx)
-    lost = np.column_stack([of_strata / np.sqrt(in_stratum), of_slope])
+    # a group has rows in few of all strata
+    shared = np.bincount(block, forms) / np.sqrt(in_stratum[blocks // count])
+    of_strata = csr_array((shared, (blocks % count, blocks // count)), (count, len(in_stratum)))
+    of_slope = np.bincount(group, forms * centred)[:, None] / sqrt(sxx)
+    lost = csr_array(hstack([of_strata, csr_array(of_slope)]))
     freedom = _jackknife_freedom(forms, group, lost)
     return _Line(sxy / sxx, without, centred / sxx, freedom), sxx
 
 
-def _jackknife_freedom(forms: Floats, group: npt.NDArray[np.intp], lost: Floats) -> float:
+def _jackknife_freedom(forms: Floats, group: npt.NDArray[np.intp], lost: csr_array) -> float:
     """tr(A)^2 / tr(A^2) of the groups' slopes about their mean, whose covariance A is that of sums
-    of ``forms`` (n,) in each group, less ``lost`` (count, k) times its transpose.
+    of ``forms`` (n,) in each group, less ``lost`` (count, k) times its transpose; A (count, count)
+    itself is never formed.
     """
-    covariance = np.diag(np.bincount(group, np.square(forms))) - lost @ lost.T
-    covariance -= covariance.mean(axis=0)
-    covariance -= covariance.mean(axis=1, keepdims=True)
-    return float(np.trace(covariance)) ** 2 / float(np.sum(np.square(covariance)))
+    own = np.bincount(group, np.square(forms))
+    count, less = len(own), np.asarray((lost * lost).sum(axis=1))
+    total = own - lost @ np.asarray(lost.sum(axis=0))
+    mean = float(total.sum()) / count
+    trace = float(own.sum() - less.sum()) - mean
+    squares = float(own @ own - 2.0 * own @ less) + float(np.square((lost.T @ lost).data).sum())
+    return trace**2 / (squares - 2.0 * float(total @ total) / count + mean**2)
 
 
 def _centred(x: Floats, stratum: npt.NDArray[np.intp]) -> Floats:
@@ -476,7 +482,7 @@ def _generalised(
         for what, size in ((F, inner / noise), (VX, G))
         if what.size
     ]
-    freedom = _jackknife_freedom(forms / sqrt(noise), group, np.column_stack(lost))
+    freedom = _jackknife_freedom(forms / sqrt(noise), group, csr_array(np.column_stack(lost)))
     return _Line(slope, without, np.asarray(weights), freedom)
 
 
