@@ -117,10 +117,10 @@ def test_what_only_reads_leaves_a_bath_that_somebody_left_on_as_it_is(
 
 
 def test_what_is_told_to_stay_on_stays_on_and_that_is_noted(there: Elsewhere, said: Said) -> None:
-    rig = load_rig(there.rig_path)
+    rig, before = load_rig(there.rig_path), set(there.folder.glob("lab.guardian-*"))
     with open_instruments(rig, ("bath",), leave_running=True) as devices:
         devices.bath.start(33.0)
-        assert not list(there.folder.glob("lab.guardian-*"))
+        assert set(there.folder.glob("lab.guardian-*")) == before
     assert there.heats()
     (line,) = (there.folder / "lab.left-running.jsonl").read_text(encoding="utf-8").splitlines()
     note = json.loads(line)
@@ -214,6 +214,7 @@ def both_killed(profile: Path, folder: Path) -> None:
     assert isinstance(lauda, LineProfile)
     with served(lambda clock: LineEmulator(plant, lauda, clock)) as (device, at):
         table = {"url": at.replace("socket", "tcp"), "profile": str(profile)}
+        table["unit_confirmed"] = "2026-11-20"  # by a person at its display
         script = folder / "script.py"
         script.write_text(HEATER.format(table=table), encoding="utf-8")
         with on_a_terminal([script], folder / "none", script=True) as dying:
