@@ -145,7 +145,8 @@ def build_page(
     made = tuple(trials)
     if judgements:
         told = note_on_statements((requirements, behind), rules, len(judgements))
-        sections[0] = replace(sections[0], parts=(*requirements, told))
+        with_note = replace(folded, parts=(*folded.parts, told))
+        sections[0] = replace(sections[0], parts=(requirements[0], with_note))
     if looked := looks_of(run, made, calibration, undecided):
         sections.append(Section("looks", "Where to look first", (Looks(looked),)))
         sections.append(Section("figures", "Figures", drawn))
