@@ -26,7 +26,7 @@ from detector.external.lines import BadAnswer, Garbled, check_ready, parse_answe
 from instruments.bath import protocol as modbus
 from instruments.bath.line_access import LONGEST as LONGEST_LINE
 from instruments.bath.line_access import Lines
-from instruments.bath.profile import RegisterProfile, load_profile
+from instruments.bath.profile import LineProfile, RegisterProfile, load_profile
 from instruments.bath.requests import Answers, read_question, values_in, write_question
 from instruments.bath.rows import LineRow
 from instruments.bath.transactions import MOST_UNUSED
@@ -75,7 +75,7 @@ FLOODS = (
     b"\xc6\xff",
 )
 FLOOD = 1 << 14
-TALKS = ROOT / "tests/instruments/stage/lines"
+TALKS = ROOT / "tests/instruments/stage/witnesses"
 
 
 @dataclass(frozen=True)
@@ -188,6 +188,7 @@ def bath_rows(data: bytes) -> None:
 def bath_lines(data: bytes) -> None:
     lines = Lines.__new__(Lines)  # without a link: what comes is given
     lines._reply_end, lines._buffer, lines._open, lines.in_step = b"\r\n", b"", None, True
+    lines._profile = next(one for one in profiles() if isinstance(one, LineProfile))
     for at in range(0, len(data), 50):
         lines.take(data[at : at + 50])
         assert len(lines._buffer) <= LONGEST_LINE
@@ -308,7 +309,7 @@ def codecs(folder: Path) -> dict[str, Codec]:
     def films(name: str) -> InFile:
         return InFile(folder, name, lambda path: taken(OpenCvCamera("left", str(path), clock)))
 
-    marlins = spoken("Marlin")
+    marlins = spoken("marlin")
     stored = b"echo:  M92 X80.00 Y80.00 Z400.00 E93.00\necho:  M203 X300.00 Y300.00 Z5.00 E25.00\n"
     stored += (
         b"echo:  M201 X3000.00 Y3000.00 Z100.00 E10000.00\necho:Soft endstops: On  Min:  X0.00"
@@ -317,11 +318,11 @@ def codecs(folder: Path) -> dict[str, Codec]:
     made = (
         Codec(arm_packets, (bytes.fromhex("8300 20002000200020002000 2000".replace(" ", "")) * 3,)),
         Codec(arm_blocks, (b"\xc8MicroScribe\0", b"\xc6" + bytes(60), b"\xc0\x24" + bytes(36))),
-        Codec(stage(grbl.parse), spoken("Grbl")),
-        Codec(stage(grbl.parse), spoken("FluidNC")),
+        Codec(stage(grbl.parse), spoken("grbl-locked")),
+        Codec(stage(grbl.parse), spoken("fluidnc")),
         Codec(stage(marlin.parse), marlins),
         Codec(marlin_settings, (stored,), (InstrumentError,)),
-        Codec(stage(zaber.parse), spoken("Zaber")),
+        Codec(stage(zaber.parse), spoken("zaber")),
         Codec(modbus_server, (MASTER, MASTER[12:])),
         Codec(modbus_answers, (SLAVE, b"\0\1\0\0\0\x0b\1" + SLAVE[1:-2])),
         Codec(lambda data: list(_ids(data)), (MASTER,)),
@@ -402,6 +403,7 @@ def test_only_named_errors_leave_a_reader_in_a_million_inputs(codec: Codec) -> N
 @pytest.mark.slow
 @every
 def test_floods_take_bounded_memory(codec: Codec) -> None:
+    codec.check(codec.samples[0])  # what is loaded once is no flood's
     for flood in (*FLOODS, *codec.samples[:1]):
         data = (flood * (FLOOD // len(flood) + 1))[:FLOOD]
         tracemalloc.start()

@@ -14,6 +14,7 @@ Vector = tuple[float, ...]
 SOON_S = 1e-9  # two moments nearer than this are one: sums of times differ in their last bits
 LEAST_MM_S = 1 / 60  # the firmware's slowest feed
 LEAST_MM_S2 = 0.01  # for a setting of 0, which no board can do anything with
+ROUNDED = 1e-12  # of a length: its parts differ from it in their last bits
 
 
 class Run:
@@ -104,7 +105,11 @@ class Leg:
 
     @property
     def end_mm(self) -> Vector:
-        return self.move.place(self.from_mm + self.run.length_mm)
+        """The move's own target where it goes so far, whatever parts of it were run before."""
+        along_mm = self.from_mm + self.run.length_mm
+        if along_mm >= self.move.length_mm * (1.0 - ROUNDED):
+            return self.move.target_mm
+        return self.move.place(along_mm)
 
 
 class Motion:
