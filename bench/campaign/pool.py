@@ -1,4 +1,4 @@
-"""Processes of this machine that work on scenes. One that ends or is silent for too long is replaced,
+"""Processes of this machine that work on scenes. One that ends or is silent too long is replaced,
 and its scene is tried again. A scene at which two processes ended is tried alone in a new process;
 where that ends too, the scene is set aside.
 
