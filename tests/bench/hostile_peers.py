@@ -333,10 +333,16 @@ _WRITES = (5, 6, 15, 16)
 
 
 def _writes(sent: bytes) -> list[bytes]:
-    """Requests of Modbus that write: TCP's by their heads, RTU's by their check sums."""
-    found = [
-        one[0] for one in re.finditer(rb"..\0\0\0[\x06-\xff].([\x05\x06\x0f\x10])", sent, re.S)
-    ]
+    """Requests of Modbus that write: TCP's one after the other by their heads, RTU's by their check
+    sums.
+    """
+    found, at = [], 0
+    while at + 8 <= len(sent):
+        tcp = sent[at + 2 : at + 5] == b"\0\0\0" and sent[at + 5] >= 2
+        length = 6 + sent[at + 5] if tcp else 1
+        if tcp and sent[at + 7] in _WRITES:
+            found.append(sent[at : at + length])
+        at += length
     for at in range(len(sent) - 7):
         unit_on = sent[at : at + 8]
         if unit_on[1] in _WRITES[:2] and crc(unit_on[:6]) == unit_on[6:]:
