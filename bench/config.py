@@ -116,7 +116,7 @@ SHOWN, TOLD = 120, 2000  # characters of a line of the file, and of a message
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class FileFault:
     """One fault of a file: ``line`` from 1, the caret's ``column`` and ``width``."""
 
     line: int
@@ -128,7 +128,7 @@ class Fault:
 class ConfigError(Exception):
     """A file or an argument is wrong. Lists all faults; the command exits with 2."""
 
-    def __init__(self, path: Path | None, faults: Sequence[Fault], text: str = "") -> None:
+    def __init__(self, path: Path | None, faults: Sequence[FileFault], text: str = "") -> None:
         self.path = path
         self.faults = tuple(faults)
         super().__init__("\n".join(_rendered(path, self.faults, text.split("\n"))))
@@ -136,7 +136,7 @@ class ConfigError(Exception):
     @classmethod
     def plain(cls, message: str) -> Self:
         """A fault that has no place in a file."""
-        return cls(None, [Fault(0, 0, 0, message)])
+        return cls(None, [FileFault(0, 0, 0, message)])
 
 
 def read_config(path: Path, model: type[Model], *, stored: bool = False) -> Model:
@@ -196,7 +196,7 @@ def toml_table(path: Path, text: str) -> dict[str, Any]:
         return read_toml(text)
     except DocumentError as error:
         line, column = error.line or text.count("\n") + 1, error.column or 1
-        raise ConfigError(path, [Fault(line, column - 1, 1, str(error))], text) from error
+        raise ConfigError(path, [FileFault(line, column - 1, 1, str(error))], text) from error
 
 
 def located(path: Path, text: str, found: Iterable[tuple[KeyPath, str, bool]]) -> ConfigError:
@@ -211,7 +211,7 @@ def located(path: Path, text: str, found: Iterable[tuple[KeyPath, str, bool]]) -
             start = place.value_start
             width = len(lines[place.line - 1][start:].split("  #")[0].rstrip())
         text_of = f"{_dotted(key_path)}: {message}"
-        faults.append(Fault(place.line, start, max(1, width), text_of))
+        faults.append(FileFault(place.line, start, max(1, width), text_of))
     return ConfigError(path, sorted(faults, key=lambda fault: (fault.line, fault.column)), text)
 
 
@@ -244,7 +244,7 @@ def short(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _rendered(path: Path | None, faults: Sequence[Fault], lines: Sequence[str]) -> list[str]:
+def _rendered(path: Path | None, faults: Sequence[FileFault], lines: Sequence[str]) -> list[str]:
     if path is None:
         return [fault.message for fault in faults]
     out = [f"{path}: {len(faults)} fault{'s' if len(faults) > 1 else ''}"]

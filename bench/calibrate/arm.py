@@ -147,7 +147,7 @@ def limits_of(script: str | None) -> ArmRequirement:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class VerificationPlan:
     """Divots at 1 to 3 ``distances``, ``touches`` each, and a ``length_mm`` in ``directions``, with
     ``length_u_mm`` and ``gauge`` of its certificate, between ``spheres`` or cones.
     """
@@ -211,7 +211,7 @@ def touch_frame(session: ArmSession, checks: Sequence[Triple | None], made: date
     return frame
 
 
-def verify(session: ArmSession, plan: Plan, made: datetime) -> Verification:
+def verify(session: ArmSession, plan: VerificationPlan, made: datetime) -> Verification:
     """The readings that ``plan`` asks for, as a verification. Raises as its touches do."""
     names = {1: ("middle",), 2: ("near", "far"), 3: ("near", "middle", "far")}[plan.distances]
     locations = []
@@ -247,7 +247,7 @@ def verify(session: ArmSession, plan: Plan, made: datetime) -> Verification:
 
 
 def _end(
-    session: ArmSession, what: str, number: int, text: str, plan: Plan
+    session: ArmSession, what: str, number: int, text: str, plan: VerificationPlan
 ) -> tuple[Floats, Floats | None]:
     """An end of a length, (3,): as touched; or a sphere's centre by touches round it, with its
     covariance for touches of 1 mm.

@@ -25,13 +25,13 @@ from detector.calibration.cameras import (
     COLUMNS,
     LEAST_CORNERS,
     ROWS,
+    BoardView,
     Coverage,
-    View,
     coverage,
     rough_poses,
 )
 from detector.calibration.corners import (
-    Found,
+    DetectedBoard,
     SubPixel,
     ViewRefusedError,
     counted_corners,
@@ -119,14 +119,14 @@ class BoardViews:
     """``found`` by camera and view; ``image_size`` (columns, rows) px by camera."""
 
     board: Board
-    found: Mapping[str, Mapping[str, Found]]
+    found: Mapping[str, Mapping[str, DetectedBoard]]
     image_size: Mapping[str, tuple[int, int]]
     refused: tuple[Refused, ...]
 
-    def views(self, camera: str) -> list[View]:
+    def views(self, camera: str) -> list[BoardView]:
         """What the solver wants of one camera."""
         return [
-            View(name, self.board.points_mm[found.ids], found.pixels_px)
+            BoardView(name, self.board.points_mm[found.ids], found.pixels_px)
             for name, found in self.found[camera].items()
         ]
 
@@ -156,7 +156,7 @@ def find_views(
     """
     chosen_views = {camera: _spread(views, max_views) for camera, views in pictures.items()}
     done, total = 0, sum(map(len, chosen_views.values()))
-    found: dict[str, dict[str, Found]] = {}
+    found: dict[str, dict[str, DetectedBoard]] = {}
     sizes: dict[str, tuple[int, int]] = {}
     refused: list[Refused] = []
     for camera, chosen in chosen_views.items():
@@ -188,7 +188,7 @@ def _picture(path: Path, *, turn: bool) -> Grey:
     return image[:, ::-1].copy() if turn else image
 
 
-def _order_alike(found: dict[str, dict[str, Found]], board: Board) -> None:
+def _order_alike(found: dict[str, dict[str, DetectedBoard]], board: Board) -> None:
     """Boards that read the same when turned: all cameras count from the first camera's end."""
     first, *others = found
     for camera in others:
@@ -197,7 +197,9 @@ def _order_alike(found: dict[str, dict[str, Found]], board: Board) -> None:
                 found[camera][name] = order_alike(reference, other, board)
 
 
-def _alone(found: Mapping[str, Mapping[str, Found]], pictures: Pictures) -> Iterator[Refused]:
+def _alone(
+    found: Mapping[str, Mapping[str, DetectedBoard]], pictures: Pictures
+) -> Iterator[Refused]:
     """Views of one camera that the other has no picture of."""
     for camera, views in found.items():
         for other, theirs in pictures.items():
@@ -225,7 +227,7 @@ AGREE = 2  # of them, before a board's own count is doubted
 def _refuse_other_count(
     camera: str,
     paths: Mapping[str, Path],
-    found: Mapping[str, Mapping[str, Found]],
+    found: Mapping[str, Mapping[str, DetectedBoard]],
     board: Board,
     *,
     turn: bool,
@@ -357,8 +359,8 @@ class Guide:
     def __init__(self, board: Board, guided: tuple[str, ...]) -> None:
         self._board = board
         self._guided = guided
-        self._found: dict[str, list[Found]] = {}
-        self._latest: dict[str, tuple[Grey, Found | None]] = {}
+        self._found: dict[str, list[DetectedBoard]] = {}
+        self._latest: dict[str, tuple[Grey, DetectedBoard | None]] = {}
 
     def add(self, pictures: Mapping[str, Grey]) -> dict[str, str]:
         """One view; returns by camera: found, or refused with the reason."""
@@ -395,7 +397,7 @@ class Guide:
         points = [self._board.points_mm[view.ids] for view in found]
         return coverage(pixels, size, rough_poses(points, pixels, size))
 
-    def _drawn(self, camera: str, picture: Grey, found: Found | None) -> NDArray[np.uint8]:
+    def _drawn(self, camera: str, picture: Grey, found: DetectedBoard | None) -> NDArray[np.uint8]:
         scale = HEIGHT_PX / picture.shape[0]
         size = (round(picture.shape[1] * scale), HEIGHT_PX)
         small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)

@@ -21,7 +21,7 @@ from bench.campaign.plan import Plan
 from bench.campaign.run import plan_of
 from bench.campaign.shards import Shards
 from bench.config import ConfigError
-from bench.record.looks import GATE, Look, claim_of
+from bench.record.looks import GATE, InterimLook, claim_of
 from bench.record.reader import RunRecord
 from bench.results.comparison import Comparison, Side, sides
 from bench.scoring.comparison import ScenePair, compare
@@ -88,7 +88,7 @@ def compare_campaigns(
             again=len(before),
         )
         verdicts = {"gate": compared.gate.verdict.value}
-        look = Look(GATE, claim, data, {}, {"poses": len(both)}, verdicts, before)
+        look = InterimLook(GATE, claim, data, {}, {"poses": len(both)}, verdicts, before)
         one = Comparison(old, new, pairs, same.count(True), *alone, compared, look=look)
         found.append(_written(one) if len(runs) > 1 else one)
     return tuple(found)

@@ -128,7 +128,9 @@ def show(given: argparse.Namespace) -> int:
     return CODES.fault if faults else CODES.met
 
 
-def _next_look(alone: rig_alone.Alone, clock: Clock, end_s: float, every_s: float) -> Pictures:
+def _next_look(
+    alone: rig_alone.OpenCameras, clock: Clock, end_s: float, every_s: float
+) -> Pictures:
     """Pictures of all cameras, as soon as all come whole: no frame ends the wait. Raises FrameError
     after ``end_s``.
     """

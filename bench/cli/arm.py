@@ -15,7 +15,7 @@ import numpy as np
 
 from bench.calibrate.arm import (
     ArmSession,
-    Plan,
+    VerificationPlan,
     limits_of,
     mm,
     open_arm,
@@ -36,7 +36,7 @@ from bench.results.stated_arm import (
 )
 from bench.rig.arm_files import (
     LengthTest,
-    Limits,
+    VerificationLimits,
     frame_text,
     load_frame,
     verification_text,
@@ -184,7 +184,9 @@ def verify(given: argparse.Namespace) -> int:
             "--accuracy-mm is needed: the standard uncertainty of a point of this arm"
         )
     u_mm = given.accuracy_mm or Arm.model_fields["accuracy_mm"].default
-    plan = Plan(**{field.name: getattr(given, field.name) for field in fields(Plan)})
+    plan = VerificationPlan(
+        **{field.name: getattr(given, field.name) for field in fields(VerificationPlan)}
+    )
     with _homed(given, given.length_mm) as session:
         found = verify_arm(session, plan, today())
     stated = stated_fact(Arm.model_construct(url=given.port, accuracy_mm=u_mm))
@@ -193,7 +195,7 @@ def verify(given: argparse.Namespace) -> int:
     if length_mm is None and rule.dated_required:  # none was measured, and one is asked for
         none = LengthTest("", np.zeros(3), np.zeros(3), 0.0)
         length_mm = length_limit_mm(rule, stated, [none])
-    limits = Limits(location_limit_mm(rule, stated, sizes), length_mm)
+    limits = VerificationLimits(location_limit_mm(rule, stated, sizes), length_mm)
     write_file(given.out, verification_text(found, limits))
     print(
         f"Articulated location error {found.location_mm:.2f} mm, limit {limits.location_mm:.2f} mm"

@@ -54,7 +54,7 @@ from bench.cli.arguments import CODES, code_of, command_line, complain, refuse_e
 from bench.cli.terminal import working
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
-from bench.rig.alone import Look, pictures, with_retries
+from bench.rig.alone import TakePictures, pictures, with_retries
 from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig, find_board, find_rig, load_rig
 from bench.rig.opening import open_instruments
@@ -430,7 +430,7 @@ def _gather_world(given: argparse.Namespace, known: Part) -> Path:
 @contextmanager
 def _opened(
     given: argparse.Namespace, known: Part | None, *, arm: bool
-) -> Iterator[tuple[Devices, LoadedRig, Look]]:
+) -> Iterator[tuple[Devices, LoadedRig, TakePictures]]:
     """The rig's instruments, and what takes each camera's picture once all has come to rest."""
     rig = load_rig(find_rig(given.rig))
     seed = rig.rig.seed if given.seed is None else given.seed

@@ -12,7 +12,7 @@ from bench.cli.arguments import CODES, refuse_existing
 from bench.config import ConfigError, parse_config, read_text
 from bench.files import write_synced
 from bench.rig.alone import attached
-from bench.rig.finding import Found, ports, probe, rig_text
+from bench.rig.finding import FoundInstrument, ports, probe, rig_text
 from bench.rig.loading import PLACES, TO_COPY
 from bench.rig.model import Rig, camera_url
 from instruments.bath.profile import load_profile
@@ -62,7 +62,7 @@ def init(given: argparse.Namespace) -> int:
     return CODES.met
 
 
-def _found(urls: list[str] | None) -> list[Found]:
+def _found(urls: list[str] | None) -> list[FoundInstrument]:
     """What answers, printed line by line."""
     at = dict.fromkeys(urls, "") if urls else dict(ports())
     if not at:
@@ -77,7 +77,7 @@ def _found(urls: list[str] | None) -> list[Found]:
     return found
 
 
-def _chosen(kind: str, there: list[Found], ask: Ask) -> Found | None:
+def _chosen(kind: str, there: list[FoundInstrument], ask: Ask) -> FoundInstrument | None:
     if len(there) < 2:
         return there[0] if there else None
     urls = ", ".join(one.url for one in there)
@@ -86,13 +86,13 @@ def _chosen(kind: str, there: list[Found], ask: Ask) -> Found | None:
     return known[_one_of(f"the {kind}", answer, known)]
 
 
-def _arm(found: Found, ask: Ask) -> Mapping[str, object]:
+def _arm(found: FoundInstrument, ask: Ask) -> Mapping[str, object]:
     known = next((one for one in MODELS if one.removeprefix("3") in found.who.split()), "3DX")
     model = _one_of("the model", ask(f"Which MicroScribe ({', '.join(MODELS)})?", known), MODELS)
     return {"accuracy_mm": MODELS[model], "accuracy_source": f"maker's data sheet, {model}"}
 
 
-def _bath(found: Found, ask: Ask) -> Mapping[str, object]:
+def _bath(found: FoundInstrument, ask: Ask) -> Mapping[str, object]:
     profiles = found.profiles
     answer = profiles[0]
     if len(profiles) > 1:
@@ -114,7 +114,7 @@ def _day(answer: str) -> str:
         raise ConfigError.plain(f"{answer!r} is no day; write it as 2026-11-20") from None
 
 
-def _stage(found: Found, ask: Ask) -> Mapping[str, object]:
+def _stage(found: FoundInstrument, ask: Ask) -> Mapping[str, object]:
     answer = ask(f"What does the stage move ({', '.join(AXES)})?", AXES[0])
     axes = _one_of("the axes", answer.upper(), AXES)
     values: dict[str, object] = {"axes": axes, "dialect": found.dialect}

@@ -58,15 +58,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if odd := next((word for word in words if not _is_text(word)), None):
                 shown = ascii(odd)
                 return complain(f"{shown} isn't UTF-8: name it otherwise", CODES.wrong_use)
-            if gone := next(
-                (
-                    word
-                    for at, word in enumerate(words)
-                    if word in REMOVED and (at == 0 or "-" in word)
-                ),
-                None,
-            ):
-                return complain(f"'{gone}' went: {REMOVED[gone]}", CODES.wrong_use)
+            # a command comes first; options and names with a hyphen stand anywhere
+            for word in REMOVED.keys() & {*words[:1], *(word for word in words if "-" in word)}:
+                return complain(f"'{word}' went: {REMOVED[word]}", CODES.wrong_use)
             return _run(top.parse_args(arguments))
     except Exception as error:
         return _unforeseen(error)

@@ -29,7 +29,7 @@ from instruments.world.objects import make_object
 from instruments.world.phantom import Phantom, PlatePose, spoken_name
 from instruments.world.solids import clearance_mm
 
-View = tuple[str, Camera, Motion]  # name, lens, camera_from_world
+NamedCamera = tuple[str, Camera, Motion]  # name, lens, camera_from_world
 
 MARGIN_PX = 4.0  # between a teat's rounded end and the picture's edge
 PLAY_MM = 0.01  # two teats may touch
@@ -76,7 +76,7 @@ def dry_run(
     return findings, tuple(what for what, missing in unchecked.items() if missing)
 
 
-def _views_of(calibration: Calibration) -> list[View]:
+def _views_of(calibration: Calibration) -> list[NamedCamera]:
     """Left, right, and thermal where its lens and its place are calibrated."""
     c, right_from_world = calibration, calibration.world_from_right.inverse()
     left_from_world = c.right_from_left.inverse() @ right_from_world
@@ -108,7 +108,7 @@ def _beyond(
             yield Finding(name, "limits", f"{text} {limits.low_mm:g} to {limits.high_mm:g}")
 
 
-def _unseen(one: PlannedTrial, views: Sequence[View]) -> Iterator[Finding]:
+def _unseen(one: PlannedTrial, views: Sequence[NamedCamera]) -> Iterator[Finding]:
     """Teat ends whose rim, that of a ball, comes too near to the edge of a picture."""
     phantom = one.phantom.moved(one.pose)
     radii = np.array([teat.shape.radius_mm for teat in phantom.teats])

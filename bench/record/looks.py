@@ -26,7 +26,7 @@ TOGETHER, GATE = "together", "gate"
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class InterimLook:
     """One look at ``data`` of ``runs`` (their ids -> folders' names), for one ``claim``, with the
     ``poses`` that each requirement counted and the ``verdicts`` that came out; ``after`` are the
     keys of those before it. `claim_of` gives claim and data.
@@ -58,12 +58,14 @@ def id_of(run: RunRecord) -> str:
     return (run.first_link or claim_of(own))[:16]
 
 
-def looks_before(runs: Iterable[RunRecord], kind: str, claim: str, data: str) -> tuple[Look, ...]:
+def looks_before(
+    runs: Iterable[RunRecord], kind: str, claim: str, data: str
+) -> tuple[InterimLook, ...]:
     """The looks of this kind, for this claim, at any of the runs, that came before one at ``data``:
     all but that one, or those that did when it was taken.
     """
     found = {
-        key: Look(**value)
+        key: InterimLook(**value)
         for run in runs
         for key, value in run.facts.items()
         if key.startswith(FACT) and (value["kind"], value["claim"]) == (kind, claim)
@@ -76,12 +78,12 @@ def looks_before(runs: Iterable[RunRecord], kind: str, claim: str, data: str) ->
     )
 
 
-def write_looks(runs: Sequence[RunRecord], looks: Sequence[Look]) -> None:
+def write_looks(runs: Sequence[RunRecord], looks: Sequence[InterimLook]) -> None:
     """Writes what isn't there yet into every run. Raises ConfigError where one can't be written to,
     before any is.
     """
     new = [(run, [look for look in looks if look.key not in run.facts]) for run in runs]
-    stores: list[tuple[Store, list[Look]]] = []
+    stores: list[tuple[Store, list[InterimLook]]] = []
     try:
         for run, missing in new:
             if missing:

@@ -20,7 +20,15 @@ from typing import Any
 
 from bench.config import ConfigError, did_you_mean
 from bench.record.check import NOT_AS_WRITTEN, shortened
-from bench.record.looks import GATE, TOGETHER, Look, claim_of, id_of, looks_before, write_looks
+from bench.record.looks import (
+    GATE,
+    TOGETHER,
+    InterimLook,
+    claim_of,
+    id_of,
+    looks_before,
+    write_looks,
+)
 from bench.record.reader import RunRecord, TrialRecord, read_run
 from bench.record.recording import FILES
 from bench.record.schema import SCRIPT
@@ -81,7 +89,7 @@ class Comparison:
     only_new: int
     compared: Compared
     elsewhere: int = 0
-    look: Look | None = None
+    look: InterimLook | None = None
 
 
 def scored_together(runs: Sequence[RunRecord], detector: str) -> Pool:
@@ -166,7 +174,7 @@ def compare_sides(
         found = replace(found, gate=gate)
     ids = {id_of(side.run): side.run.folder.resolve().name for side in (old, new)}
     poses, verdicts = {"poses": found.pooled.poses}, {"gate": found.gate.verdict.value}
-    look = Look(GATE, claim, data, ids, poses, verdicts, [one.key for one in before])
+    look = InterimLook(GATE, claim, data, ids, poses, verdicts, [one.key for one in before])
     return Comparison(old, new, pairs, same, only_old, only_new, found, elsewhere, look)
 
 
@@ -320,7 +328,7 @@ def judge_folders(
     return tuple(replace(one, scripts=several) for one, _ in found)
 
 
-def _together(runs: Sequence[RunRecord], name: str, rules: Rules) -> tuple[Together, Look]:
+def _together(runs: Sequence[RunRecord], name: str, rules: Rules) -> tuple[Together, InterimLook]:
     """One detector on all runs, and the look that this is."""
     held = [rule for rule in rules.requirements if isinstance(rule, DetectorRequirement)]
     claim = claim_of(_item(Side(runs[0], name)), [rule.model_dump() for rule in held])
@@ -339,7 +347,7 @@ def _together(runs: Sequence[RunRecord], name: str, rules: Rules) -> tuple[Toget
     verdicts = {one.name: one.verdict.value for one in decisions}
     poses = {one.name: one.n for one in decisions}
     after = [one.key for one in before]
-    look = Look(TOGETHER, claim, data, ids, poses, verdicts, after)
+    look = InterimLook(TOGETHER, claim, data, ids, poses, verdicts, after)
     return Together(judgement, looks), look
 
 
@@ -354,7 +362,11 @@ def _decided_on(
 
 
 def _looks_before(
-    before: Sequence[Look], ids: Mapping[str, str], rule: str, own: tuple[int, ...], planned: int
+    before: Sequence[InterimLook],
+    ids: Mapping[str, str],
+    rule: str,
+    own: tuple[int, ...],
+    planned: int,
 ) -> Looks:
     """What was looked at before runs of these ``ids`` are judged as one."""
     within = [look for look in before if look.runs.keys() <= ids.keys()]

@@ -29,7 +29,14 @@ from bench.results.stated_arm import (
     too_small,
 )
 from bench.results.teats_seen import TEATS_FACT
-from bench.rig.arm_files import Limits, LocationTest, Verification, broken_by, from_dict, gaps_of
+from bench.rig.arm_files import (
+    LocationTest,
+    Verification,
+    VerificationLimits,
+    broken_by,
+    from_dict,
+    gaps_of,
+)
 from bench.scoring.decisions import (
     Decision,
     Verdict,
@@ -102,7 +109,7 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
 
 
 @dataclass(frozen=True, slots=True)
-class _ArmLimits(Limits):
+class _ArmLimits(VerificationLimits):
     """With that on the check point's move between before and after."""
 
     drift_mm: float = float("inf")
@@ -169,7 +176,7 @@ def _against(
 
 def _missing(
     rule: ArmRequirement,
-    limits: Limits,
+    limits: VerificationLimits,
     tests: Mapping[str, LocationTest],
     dated: Verification | None,
     facts: Mapping[str, Any],

@@ -38,18 +38,18 @@ from instruments.stage.driver import Stage
 from instruments.stage.settings import check_within, declared
 
 Seen = TypeVar("Seen")
-Look = Callable[[], Mapping[str, Grey]]
+TakePictures = Callable[[], Mapping[str, Grey]]
 TRIES = 4
 ONE = "single"  # what one camera without a place in a rig is called
 
 
 @dataclass(frozen=True, slots=True)
-class Alone:
+class OpenCameras:
     """Open cameras. ``look`` gives pictures by camera; ``frame_set`` is None for a single one."""
 
     clock: Clock
     identity: Callable[[], Mapping[str, str]]
-    look: Look
+    look: TakePictures
     frame_set: Cameras | None
     rig: LoadedRig
 
@@ -65,7 +65,7 @@ class Alone:
 
 
 @contextmanager
-def open_alone(sources: Sequence[str]) -> Iterator[Alone]:
+def open_alone(sources: Sequence[str]) -> Iterator[OpenCameras]:
     """Cameras of a rig (none: the emulated one) or by URL. Raises ConfigError, InstrumentError."""
     by_url = any(source.partition(":")[0] in ("opencv", "genicam", "files") for source in sources)
     if by_url and len(sources) > len(KNOWN):
@@ -91,7 +91,7 @@ def open_alone(sources: Sequence[str]) -> Iterator[Alone]:
                 return {ONE: Conversion().picture(camera.take())}
 
             look = with_retries(picture)
-            yield Alone(clock, lambda: {ONE: camera.identity}, look, None, rig)
+            yield OpenCameras(clock, lambda: {ONE: camera.identity}, look, None, rig)
         return
     else:
         tables = {
@@ -101,7 +101,7 @@ def open_alone(sources: Sequence[str]) -> Iterator[Alone]:
     with open_instruments(rig, ("cameras",)) as devices:
         cameras = devices.cameras
         look = with_retries(lambda: pictures(cameras.capture()))
-        yield Alone(devices.clock, lambda: cameras.identity, look, cameras, rig)
+        yield OpenCameras(devices.clock, lambda: cameras.identity, look, cameras, rig)
 
 
 def _table(source: str) -> OneCamera:
@@ -145,7 +145,7 @@ def figures(picture: Grey) -> dict[str, object]:
     }
 
 
-def calibration_text(alone: Alone) -> str | None:
+def calibration_text(alone: OpenCameras) -> str | None:
     """The rig's calibration file; None for cameras by URL, and where it has not been made."""
     return read_text(alone.rig.calibration_path) if alone.rig.made_calibration else None
 

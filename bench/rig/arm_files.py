@@ -249,7 +249,7 @@ class LengthTest:
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class VerificationLimits:
     """What an arm has to keep, mm. ``length_mm`` is None where lengths are not asked for."""
 
     location_mm: float
@@ -280,11 +280,11 @@ class Verification:
         errors = [test.error_mm for test in self.lengths]
         return 2.0 * float(np.sqrt(np.mean(np.square(errors)))) if errors else None
 
-    def faults(self, limits: Limits) -> tuple[str, ...]:
+    def faults(self, limits: VerificationLimits) -> tuple[str, ...]:
         """A sentence for each broken limit and each gap. Empty: verified."""
         return (*self.broken(limits), *self.gaps(limits))
 
-    def broken(self, limits: Limits) -> tuple[str, ...]:
+    def broken(self, limits: VerificationLimits) -> tuple[str, ...]:
         found = [fault for test in self.locations for fault in broken_by(test, limits.location_mm)]
         worst = max(self.lengths, key=lambda test: abs(test.error_mm), default=None)
         if worst and limits.length_mm is not None and abs(worst.error_mm) > limits.length_mm:
@@ -294,7 +294,7 @@ class Verification:
             )
         return tuple(found)
 
-    def gaps(self, limits: Limits) -> tuple[str, ...]:
+    def gaps(self, limits: VerificationLimits) -> tuple[str, ...]:
         """A sentence for each thing not shown: too few touches, too little swing, no length."""
         found = [gap for test in self.locations for gap in gaps_of(test, LEAST_TOUCHES)]
         if limits.length_mm is not None and not self.lengths:
@@ -476,11 +476,11 @@ def load_frame(path: Path, *, serial_number: str | None = None) -> TableFrame:
     return frame
 
 
-def verification_text(verification: Verification, limits: Limits) -> str:
+def verification_text(verification: Verification, limits: VerificationLimits) -> str:
     return toml_text(_verification_table(verification, limits), VERIFICATION_HEADING)
 
 
-def _verification_table(found: Verification, limits: Limits) -> dict[str, Any]:
+def _verification_table(found: Verification, limits: VerificationLimits) -> dict[str, Any]:
     touched = as_dict(found)
 
     def rows(name: str, *keys: str) -> list[dict[str, Any]]:
@@ -511,7 +511,7 @@ def load_verification(path: Path) -> Verification:
         raise located(path, read_text(path), uneven)
     said = file.model_dump()
     found = from_dict({**said, "locations": said["location"], "lengths": said["length"]})
-    refuse_changed(path, file, _verification_table(found, Limits(**said["limits"])))
+    refuse_changed(path, file, _verification_table(found, VerificationLimits(**said["limits"])))
     return found
 
 

@@ -24,8 +24,7 @@ from instruments.operators.emulated import EmulatedOperator
 from instruments.pty_listener import PtyListener
 from instruments.stage.emulator import EMULATED as DIALECTS
 from instruments.stage.emulator import Mounting, StageEmulator
-from instruments.stage.emulator.board import LATE_S, LOST_MM
-from instruments.stage.emulator.board import Fault as StageFault
+from instruments.stage.emulator.board import LATE_S, LOST_MM, StageFault
 from instruments.world.phantom import PlatePose
 from instruments.world.world import World
 

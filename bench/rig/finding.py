@@ -41,7 +41,7 @@ LISTEN_S = 2.5  # a board that the port's opening resets says its welcome within
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class FoundInstrument:
     """What answered at ``url``, and who it says it is; the profiles that a bath answered by, a
     stage's dialect, and Zaber's devices and axes.
     """
@@ -60,7 +60,7 @@ def ports() -> Iterator[tuple[str, str]]:
         yield port.device, port.description if port.description != "n/a" else "no name"
 
 
-def probe(url: str, clock: Clock, report: Callable[[str], None]) -> Found | None:
+def probe(url: str, clock: Clock, report: Callable[[str], None]) -> FoundInstrument | None:
     """What answers at ``url``; None where nothing that is known does, or it can't be opened."""
     if _is(serial_url, url):
         for look in (_stage, _arm, _marlin_or_zaber):
@@ -82,7 +82,7 @@ def probe(url: str, clock: Clock, report: Callable[[str], None]) -> Found | None
             fitting[name] = who
     if not fitting:
         return None
-    return Found("bath", url, next(iter(fitting.values())), tuple(fitting))
+    return FoundInstrument("bath", url, next(iter(fitting.values())), tuple(fitting))
 
 
 def _talks(url: str, clock: Clock) -> bool:
@@ -103,7 +103,7 @@ def _is(check: Callable[[str], str], url: str) -> bool:
         return False
 
 
-def _stage(url: str, clock: Clock) -> Found | None:
+def _stage(url: str, clock: Clock) -> FoundInstrument | None:
     """Listens for a welcome, and asks for the status, which needs no line and changes nothing."""
     with closing(Link(url, clock, who="stage")) as link:
         decoder, who, start_s = Decoder(), "", clock.now()
@@ -115,13 +115,15 @@ def _stage(url: str, clock: Clock) -> Found | None:
                     who = f"{answer.dialect} {answer.version}"
                 elif isinstance(answer, Status):
                     axes = answer.mpos_mm or answer.wpos_mm or ()
-                    return Found("stage", url, f"{who or 'GRBL'}, {len(axes)} axes, {answer.name}")
+                    return FoundInstrument(
+                        "stage", url, f"{who or 'GRBL'}, {len(axes)} axes, {answer.name}"
+                    )
                 elif isinstance(answer, Message):  # FluidNC's start takes long with a network
                     until_s = min(start_s + BOOT_S, clock.now() + LISTEN_S)
     return None
 
 
-def _marlin_or_zaber(url: str, clock: Clock) -> Found | None:
+def _marlin_or_zaber(url: str, clock: Clock) -> FoundInstrument | None:
     """Asks Marlin who it is, as long as a board takes to start, and Zaber where its axes are."""
     with closing(Link(url, clock, who="stage")) as link:
         decoder, until_s = Decoder(marlin.parse), clock.now() + LISTEN_S
@@ -130,7 +132,7 @@ def _marlin_or_zaber(url: str, clock: Clock) -> Found | None:
             for answer in decoder.feed(link.drain(0.2, at_most_s=0.6)):
                 if isinstance(answer, Message) and answer.text.startswith("FIRMWARE_NAME:Marlin"):
                     who = answer.text.removeprefix("FIRMWARE_NAME:").partition(" (")[0]
-                    return Found("stage", url, who, dialect="marlin")
+                    return FoundInstrument("stage", url, who, dialect="marlin")
         link.write(zaber.GET_POSITIONS)
         received = Decoder(zaber.parse).feed(link.drain(0.3, at_most_s=0.6))
         replies = [answer for answer in received if isinstance(answer, Reply)]
@@ -142,10 +144,10 @@ def _marlin_or_zaber(url: str, clock: Clock) -> Found | None:
     if not devices:
         return None
     who = f"Zaber, device and axis {', '.join(devices)}"
-    return Found("stage", url, who, dialect="zaber", devices=devices)
+    return FoundInstrument("stage", url, who, dialect="zaber", devices=devices)
 
 
-def _arm(url: str, clock: Clock) -> Found | None:
+def _arm(url: str, clock: Clock) -> FoundInstrument | None:
     rig = rig_of(arm=Arm.model_construct(url=url))
     with open_instruments(rig, ("arm",), clock) as devices:
         try:
@@ -153,7 +155,7 @@ def _arm(url: str, clock: Clock) -> Found | None:
         except InstrumentError:
             return None
     named = (identity[key] for key in ("product", "model", "serial_number"))
-    return Found("arm", url, " ".join(map(str, named)))
+    return FoundInstrument("arm", url, " ".join(map(str, named)))
 
 
 def _bath(url: str, name: str, clock: Clock) -> str:

@@ -461,7 +461,7 @@ class Operator(Section):
     remind_s: Positive = 120.0
 
 
-class Limits(Section):
+class SafetyLimits(Section):
     set_point_c: tuple[float, float] = (20.0, 36.0)
     bath_max_c: Annotated[float, Field(le=40.0)] = 37.0
     bath_plausible_c: tuple[float, float] = (-5.0, 60.0)
@@ -480,7 +480,7 @@ class Limits(Section):
         return span
 
     @model_validator(mode="after")
-    def _headroom(self) -> Limits:
+    def _headroom(self) -> SafetyLimits:
         if self.set_point_c[1] >= self.bath_max_c:
             raise ValueError(
                 f"set_point_c allows {self.set_point_c[1]:g} degC, which bath_max_c ="
@@ -671,9 +671,9 @@ class EmulatedFault(Section):
             camera_faults.check_amount(camera_faults.named(self.name), self.amount)
             camera_faults.check_camera(camera_faults.named(self.name), self.camera)
         elif instrument == "stage":
-            from instruments.stage.emulator.board import AMOUNTS, Fault
+            from instruments.stage.emulator.board import AMOUNTS, StageFault
 
-            if self.amount is not None and Fault(self.name) not in AMOUNTS:
+            if self.amount is not None and StageFault(self.name) not in AMOUNTS:
                 having = ", ".join(f'"{fault.value}" ({unit})' for fault, unit in AMOUNTS.items())
                 raise ValueError(
                     f'the stage\'s fault "{self.name}" has no amount; one have {having}'
@@ -688,13 +688,13 @@ class EmulatedFault(Section):
 def fault_names(instrument: str) -> tuple[str, ...]:
     """The faults of the emulated "arm", "bath", "pump" (its relay), "cameras" or "stage"."""
     if instrument == "arm":
-        return tuple(arm_faults.Fault)
+        return tuple(arm_faults.ArmFault)
     if instrument == "cameras":
         return tuple(camera_faults.FAULTS)
     if instrument == "stage":
-        from instruments.stage.emulator.board import Fault
+        from instruments.stage.emulator.board import StageFault
 
-        return tuple(fault.value for fault in Fault)
+        return tuple(fault.value for fault in StageFault)
     from instruments.bath.emulator import FAULTS, RELAY_FAULTS
     from instruments.bath.line_emulator import LINE_FAULTS
 
@@ -732,7 +732,7 @@ class Rig(Section):
     bath: Bath
     stage: Stage | None = None
     cameras: Cameras
-    limits: Limits = Limits()
+    limits: SafetyLimits = SafetyLimits()
     emulation: Emulation = Emulation()
 
     @property

@@ -17,7 +17,7 @@ from typing import Annotated
 
 from pydantic import Field, field_validator, model_validator
 
-from bench.config import ConfigError, Fault, Section, did_you_mean, read_config, read_text
+from bench.config import ConfigError, FileFault, Section, did_you_mean, read_config, read_text
 from instruments.operators.operator import Kind
 from instruments.operators.prompted import KINDS, ScriptedAnswer, ScriptedAnswers, check_answer
 
@@ -73,7 +73,7 @@ def load_answers(path: Path, show: Callable[[str], None] = lambda _: None) -> Sc
             try:
                 _take(words, f"line {number}", answers, otherwise)
             except ValueError as error:
-                fault = Fault(number, line.index(words), len(words), str(error))
+                fault = FileFault(number, line.index(words), len(words), str(error))
                 raise ConfigError(path, [fault], text) from error
     return ScriptedAnswers(answers, otherwise, path.name, show=show)
 

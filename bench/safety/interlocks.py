@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
 
-from bench.rig.model import Limits
+from bench.rig.model import SafetyLimits
 from bench.safety.liveness import Liveness
 from instruments.bath.profile import Profile
 from instruments.bath.reading import BathReading
@@ -32,7 +32,7 @@ SAME_SET_POINT_K = 0.06  # a controller may show tenths
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class RuleInput:
     """One reading in its context. ``asked_c``: the set point asked for, None before. ``since``: the
     last reading without the fault; ``earlier``: one RATE_SPAN_S older. ``settled``: the other
     sensors have followed. ``lived``: the reading has shown a sign of life since the one before.
@@ -45,11 +45,11 @@ class Look:
     pump_on: bool | None
     settled: bool
     lived: bool
-    limits: Limits
+    limits: SafetyLimits
     profile: Profile
 
 
-def too_hot(look: Look) -> str | None:
+def too_hot(look: RuleInput) -> str | None:
     limit_c = look.limits.bath_max_c
     now = look.now
     seen = {"bath": now.temp_c, "safety sensor": now.safety_c, "external sensor": now.external_c}
@@ -61,7 +61,7 @@ def too_hot(look: Look) -> str | None:
     return f"{' and '.join(hot)}, above {limit_c:g} degC" if hot else None
 
 
-def dry_heat(look: Look) -> str | None:
+def dry_heat(look: RuleInput) -> str | None:
     output = look.now.power_percent
     if not output or output <= 0.0:
         return None
@@ -71,14 +71,14 @@ def dry_heat(look: Look) -> str | None:
     return f"the heater is asked for {output:.0f} % while the pump stands" if stands else None
 
 
-def implausible_c(now: BathReading, limits: Limits) -> str | None:
+def implausible_c(now: BathReading, limits: SafetyLimits) -> str | None:
     low, high = limits.bath_plausible_c
     if low <= now.temp_c <= high:
         return None
     return f"the bath reads {now.temp_c:.2f} degC, which no water bath has"
 
 
-def frozen(look: Look) -> str | None:
+def frozen(look: RuleInput) -> str | None:
     output = look.now.power_percent
     if output is None or output <= FROZEN_OUTPUT_PERCENT or look.now.raw != look.since.raw:
         return None
@@ -87,7 +87,7 @@ def frozen(look: Look) -> str | None:
     return f"{stood} with the output at {output:.0f} %"
 
 
-def lifeless(look: Look) -> str | None:
+def lifeless(look: RuleInput) -> str | None:
     heats = look.asked_c is not None and look.now.running is not False
     if look.lived or not heats:
         return None
@@ -95,7 +95,7 @@ def lifeless(look: Look) -> str | None:
     return f"the reading has stood at {look.now.temp_c:.2f} degC for {lasted_s:.0f} s"
 
 
-def too_fast(look: Look) -> str | None:
+def too_fast(look: RuleInput) -> str | None:
     now, earlier = look.now, look.earlier
     if earlier is None:
         return None
@@ -104,7 +104,7 @@ def too_fast(look: Look) -> str | None:
     return f"the bath changed by {rate:+.1f} K/min" if fast else None
 
 
-def loop_broken(look: Look) -> str | None:
+def loop_broken(look: RuleInput) -> str | None:
     output, rise_k = look.now.power_percent, look.now.temp_c - look.since.temp_c
     if output is None or output <= LOOP_BREAK_OUTPUT_PERCENT or rise_k > LOOP_RISE_K:
         return None
@@ -114,7 +114,7 @@ def loop_broken(look: Look) -> str | None:
     )
 
 
-def sensors_disagree(look: Look) -> str | None:
+def sensors_disagree(look: RuleInput) -> str | None:
     if not look.settled:
         return None
     for name, other_c in (("external", look.now.external_c), ("safety", look.now.safety_c)):
@@ -124,7 +124,7 @@ def sensors_disagree(look: Look) -> str | None:
     return None
 
 
-def changed(look: Look) -> str | None:
+def changed(look: RuleInput) -> str | None:
     if look.asked_c is None:
         return None
     if look.now.running is False:
@@ -136,7 +136,7 @@ def changed(look: Look) -> str | None:
     return f"the controller's set point is {seen_c:.2f} degC, and {asked}"
 
 
-def still_hot(now: BathReading, limits: Limits) -> str | None:
+def still_hot(now: BathReading, limits: SafetyLimits) -> str | None:
     readings = (now.temp_c, now.safety_c, now.external_c)
     hottest, limit_c = max(v for v in readings if v is not None), limits.bath_max_c - 1.0
     if hottest < limit_c:
@@ -144,16 +144,16 @@ def still_hot(now: BathReading, limits: Limits) -> str | None:
     return f"it is still at {hottest:.2f} degC; it has to cool below {limit_c:g} degC"
 
 
-def still_alarmed(now: BathReading, _: Limits) -> str | None:
+def still_alarmed(now: BathReading, _: SafetyLimits) -> str | None:
     return f"the controller still reports alarm {now.alarm}" if now.alarm else None
 
 
-def still_heating(now: BathReading, _: Limits, above_percent: float = 0.0) -> str | None:
+def still_heating(now: BathReading, _: SafetyLimits, above_percent: float = 0.0) -> str | None:
     output = now.power_percent or 0.0
     return f"the heater is still asked for {output:.0f} %" if output > above_percent else None
 
 
-def not_cold_and_plausible(now: BathReading, limits: Limits) -> str | None:
+def not_cold_and_plausible(now: BathReading, limits: SafetyLimits) -> str | None:
     return implausible_c(now, limits) or still_heating(now, limits)
 
 
@@ -166,9 +166,9 @@ class Rule:
 
     name: str
     trips: str
-    wrong: Callable[[Look], str | None]
+    wrong: Callable[[RuleInput], str | None]
     resets: str
-    not_yet: Callable[[BathReading, Limits], str | None]
+    not_yet: Callable[[BathReading, SafetyLimits], str | None]
     then: str
     after_s: float = 0.0
     needs: tuple[str, ...] = ()
@@ -331,7 +331,7 @@ class InterlockTrip(Exception):  # noqa: N818 - the field's word
 class Interlocks:
     """Holds the table against each reading. ``t_s`` of the readings has to advance."""
 
-    def __init__(self, limits: Limits, profile: Profile) -> None:
+    def __init__(self, limits: SafetyLimits, profile: Profile) -> None:
         self._limits = limits
         self._profile = profile
         provided = {row.name for row in profile.rows}
@@ -364,7 +364,7 @@ class Interlocks:
         for rule in self._active:
             since = self._since.setdefault(rule.name, now)
             seen = (now, since, earlier, self._asked_c, pump_on, settled, lived)
-            why = rule.wrong(Look(*seen, self._limits, self._profile))
+            why = rule.wrong(RuleInput(*seen, self._limits, self._profile))
             if why is None:
                 self._since[rule.name] = now
             elif now.t_s - since.t_s >= rule.after_s:

@@ -175,15 +175,3 @@ def allowed_leak(test: RateTest) -> float:
     kept for it, whatever part of the truth's error all poses have in common.
     """
     return LEAKED * LEAKED_SHARE * test.level
-
-
-def looks_text(looks: Looks, confidence: float) -> str:
-    """What was looked at before, as a sentence; empty for a first look."""
-    if not looks.again:
-        return ""
-    before = len(looks.own) + len(looks.pooled)
-    return (
-        f"This is a further look: {before} {'was' if before == 1 else 'were'} taken at these poses,"
-        f" or at some of them, and all together decide falsely in no more than"
-        f" {exact_percent(1.0 - confidence)}."
-    )

@@ -163,7 +163,7 @@ class Claim:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class SampleSizePlan:
     """Claims, and what a comparison of two detectors can show. Lengths in mm, shares 0 to 1."""
 
     confidence: float
@@ -196,7 +196,7 @@ def make_plan(
     power: float = 0.8,
     limit_mm: float | None = None,
     u_mm: float | None = None,
-) -> Plan:
+) -> SampleSizePlan:
     """The plan for showing ``rates``, and for comparing with the chance ``power`` at the level 1 -
     ``confidence``; with ``limit_mm`` and ``u_mm``, near the limit.
     """
@@ -218,7 +218,7 @@ def make_plan(
     needed_for_shift = None
     if shift_mm and sd_mm:
         needed_for_shift = poses_for_shift(shift_mm, sd_mm, power, alpha)
-    return Plan(
+    return SampleSizePlan(
         confidence=confidence,
         claims=tuple(claims),
         limit_mm=limit_mm,
@@ -238,7 +238,7 @@ def make_plan(
     )
 
 
-def plan_lines(plan: Plan) -> Iterator[str]:
+def plan_lines(plan: SampleSizePlan) -> Iterator[str]:
     """The plan as lines of text."""
     sure = f"{exact_percent(plan.confidence)} confidence (one-sided)"
     for claim in plan.claims:
@@ -271,7 +271,7 @@ def plan_lines(plan: Plan) -> Iterator[str]:
         )
 
 
-def _text_of_error(plan: Plan) -> Iterator[str]:
+def _text_of_error(plan: SampleSizePlan) -> Iterator[str]:
     """How near to its limit the largest error may lie."""
     truth = f"An error below {plan.limit_mm:g} mm, against a truth of u = {plan.u_mm:g} mm along an"
     if plan.accept_mm is None:
@@ -289,7 +289,7 @@ def _text_of_error(plan: Plan) -> Iterator[str]:
         yield f"  {share}: {poses} {shown}; {edge} up to the acceptance limit."
 
 
-def _text_of_poses(plan: Plan, sure: str) -> Iterator[str]:
+def _text_of_poses(plan: SampleSizePlan, sure: str) -> Iterator[str]:
     if plan.rate_shown is None:
         yield "No pose shows anything."
         return

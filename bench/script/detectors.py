@@ -23,13 +23,13 @@ from pydantic import Field, StringConstraints
 
 from bench.config import ConfigError, Positive, Section, did_you_mean, read_config
 from detector import registry
-from detector.external import ExternalDetector, Limits
+from detector.external import ExternalDetector, ProcessLimits
 from detector.protocol import Detector, Served, TrainedOn
 from instruments.clock import stopwatch_s
 
 EXEC, FILE = "exec:", ".toml"
 DECLARED = Path("detectors")
-_DEFAULT = Limits()
+_DEFAULT = ProcessLimits()
 NEVER = {"restarts": sys.maxsize, "in_a_row": sys.maxsize}  # is a detector given up
 
 
@@ -181,7 +181,7 @@ def _of_file(path: Path, gives_up: bool) -> Detector:
             f'{path}: "{name}" is the name of a detector that ships. Give yours another: name ='
             ' "…".'
         )
-    limits = Limits(
+    limits = ProcessLimits(
         given.start_limit_s,
         given.time_limit_s,
         given.memory_limit_mib,

@@ -2,7 +2,7 @@
 
 from detector.calibration.file import (
     CalibrationError,
-    Fault,
+    KeyFault,
     check_text,
     dump_calibration,
     file_hash,
@@ -28,8 +28,8 @@ __all__ = [
     "DEFAULT_PLANE_DEPTH_MM",
     "Calibration",
     "CalibrationError",
-    "Fault",
     "Homographies",
+    "KeyFault",
     "ParameterCovariance",
     "Part",
     "Polarity",

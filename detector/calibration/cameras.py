@@ -43,7 +43,7 @@ class TooFewViewsError(BundleError):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class BoardView:
     """A board's points (n, 3) mm at (n, 2) px; ``name``: the pose, in every camera."""
 
     name: str
@@ -71,7 +71,7 @@ class Calibrated:
 
 def calibrate_camera(
     name: str,
-    views: Sequence[View],
+    views: Sequence[BoardView],
     image_size: tuple[int, int],
     *,
     model: str = "k1 k2 p1 p2",
@@ -103,7 +103,7 @@ def calibrate_camera(
     return _alone(name, views, camera, poses, Freedom({name: free}, aspect, motions=False))
 
 
-def place_board(name: str, views: Sequence[View], lens: Camera) -> Calibrated:
+def place_board(name: str, views: Sequence[BoardView], lens: Camera) -> Calibrated:
     """Where the board was before a camera whose lens is known and held. Raises TooFewViewsError."""
     _refuse_too_few(name, views)
     poses = [flat_pose(view.board_mm, view.pixels_px, lens) for view in views]
@@ -117,14 +117,14 @@ def flat_pose(board_mm: Floats, pixels_px: Floats, lens: Camera) -> Motion:
     return Motion.from_vectors(turn, shift)
 
 
-def _refuse_too_few(name: str, views: Sequence[View]) -> None:
+def _refuse_too_few(name: str, views: Sequence[BoardView]) -> None:
     if len(views) < LEAST_VIEWS:
         what = f"{name} has {len(views)} usable views of the board"
         raise TooFewViewsError(f"{what}, at least {LEAST_VIEWS} are needed, 15 to 30 are good")
 
 
 def _alone(
-    name: str, views: Sequence[View], camera: Camera, poses: Sequence[Motion], freedom: Freedom
+    name: str, views: Sequence[BoardView], camera: Camera, poses: Sequence[Motion], freedom: Freedom
 ) -> Calibrated:
     sightings = tuple(Sighting(name, i, v.board_mm, v.pixels_px) for i, v in enumerate(views))
     fit = bundle.adjust(Rig({name: camera}, {name: Motion.identity()}), poses, sightings, freedom)
@@ -267,7 +267,7 @@ class Halves:
 
 
 def split_half(
-    views: Mapping[str, Sequence[View]],
+    views: Mapping[str, Sequence[BoardView]],
     image_size: tuple[int, int],
     *,
     model: str,

@@ -81,7 +81,7 @@ class ViewRefusedError(ValueError):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class DetectedBoard:
     """``ids`` (n,) at ``pixels_px`` (n, 2); ``edges_px``: 10 to 90 % of the rise along rows and
     columns, None if not measurable; ``window_px``: half the sub-pixel window's side.
     """
@@ -91,12 +91,12 @@ class Found:
     edges_px: tuple[float, float] | None
     window_px: int
 
-    def turned(self, board: Board) -> Found:
+    def turned(self, board: Board) -> DetectedBoard:
         """The same points counted from the board's other end."""
         return replace(self, ids=np.asarray(board.columns * board.rows - 1 - self.ids))
 
 
-def find_board(image: Gray, board: Board, *, sub_pixel: SubPixel = SubPixel()) -> Found:
+def find_board(image: Gray, board: Board, *, sub_pixel: SubPixel = SubPixel()) -> DetectedBoard:
     """The board in an 8-bit picture, dark or bright. Raises ViewRefusedError."""
     if image.ndim != 2 or image.dtype != np.uint8:
         kind = f"{image.dtype} of shape {image.shape}"
@@ -125,7 +125,7 @@ def counted_corners(image: Gray) -> tuple[int, int] | None:
     return (columns, rows) if columns * rows > 9 else None  # 3 x 3: a part of one
 
 
-def order_alike(first: Found, second: Found, board: Board) -> Found:
+def order_alike(first: DetectedBoard, second: DetectedBoard, board: Board) -> DetectedBoard:
     """``second`` counted from ``first``'s end; the cameras differ by less than a right angle."""
     if not board.reads_the_same_turned:
         return second
@@ -136,7 +136,7 @@ def order_alike(first: Found, second: Found, board: Board) -> Found:
     return second if float(one[0] @ other[0]) >= 0.0 else second.turned(board)
 
 
-def _chessboard(image: Gray, board: Board, sub_pixel: SubPixel) -> Found | None:
+def _chessboard(image: Gray, board: Board, sub_pixel: SubPixel) -> DetectedBoard | None:
     shape = (board.columns, board.rows)
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH + cv2.CALIB_CB_NORMALIZE_IMAGE
     done, corners = cv2.findChessboardCorners(image, shape, flags=flags)
@@ -160,10 +160,10 @@ def _chessboard(image: Gray, board: Board, sub_pixel: SubPixel) -> Found | None:
         float(np.ravel(cv2.estimateChessboardSharpness(image, shape, fine, 0.8, vertical)[0])[0])
         for vertical in (False, True)
     )
-    return Found(np.arange(len(pixels)), pixels, (along, across), window)
+    return DetectedBoard(np.arange(len(pixels)), pixels, (along, across), window)
 
 
-def _charuco(image: Gray, board: Board, sub_pixel: SubPixel) -> Found | None:
+def _charuco(image: Gray, board: Board, sub_pixel: SubPixel) -> DetectedBoard | None:
     corners, ids, _, _ = cv2.aruco.CharucoDetector(board.aruco).detectBoard(image)
     if ids is None or len(ids) < LEAST_CHARUCO:
         return None
@@ -173,10 +173,10 @@ def _charuco(image: Gray, board: Board, sub_pixel: SubPixel) -> Found | None:
     # the marker's corner must stay out of the window too
     reach = min(REACH, 0.5 * (1.0 - (board.marker_mm or 0.0) / board.pitch_mm))
     fine, window = sub_pixel.refine(image, corners.reshape(-1, 1, 2).copy(), grid, reach)
-    return Found(numbers, np.asarray(fine.reshape(-1, 2), dtype=np.float64), None, window)
+    return DetectedBoard(numbers, np.asarray(fine.reshape(-1, 2), dtype=np.float64), None, window)
 
 
-def _circles(image: Gray, board: Board, _: SubPixel) -> Found | None:
+def _circles(image: Gray, board: Board, _: SubPixel) -> DetectedBoard | None:
     """Dark blobs in OpenCV's grid finder (its own detector needs 8 px), by one threshold or by
     their surroundings.
     """
@@ -188,7 +188,7 @@ def _circles(image: Gray, board: Board, _: SubPixel) -> Found | None:
             side = int(share * image.shape[1]) | 1
             dark = cv2.adaptiveThreshold(image, 255, *how, side, float(step))
         if (pixels := _grid_of_blobs(image, dark, board)) is not None:
-            return Found(np.arange(len(pixels)), pixels, None, 0)
+            return DetectedBoard(np.arange(len(pixels)), pixels, None, 0)
     return None
 
 

@@ -102,7 +102,7 @@ Key = tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class KeyFault:
     """One thing wrong: the dotted key as a tuple, empty for the file as a whole, and a sentence."""
 
     key: Key
@@ -115,7 +115,7 @@ class Fault:
 class CalibrationError(ValueError):
     """An unusable calibration file, with every fault in it."""
 
-    def __init__(self, path: Path, faults: Sequence[Fault]) -> None:
+    def __init__(self, path: Path, faults: Sequence[KeyFault]) -> None:
         self.path = path
         self.faults = tuple(faults)
         count = f"{len(faults)} fault{'' if len(faults) == 1 else 's'}"
@@ -287,7 +287,7 @@ def check_text(path: Path, text: str, *, whole: bool) -> None:
     try:
         document = read_toml(text)
     except TextError as error:
-        raise CalibrationError(path, [Fault((), str(error))]) from None
+        raise CalibrationError(path, [KeyFault((), str(error))]) from None
     if whole:
         _whole(path, document)
     else:
@@ -298,7 +298,11 @@ def _whole(path: Path, document: Mapping[str, Any], *, doubtful: bool = False) -
     found = _checked(path, document, whole=True)
     part = _part(found)
     pair = part.right_from_left
-    if pair and not doubtful and (wrong := [Fault(("stereo", "T"), f) for f in pair_faults(pair)]):
+    if (
+        pair
+        and not doubtful
+        and (wrong := [KeyFault(("stereo", "T"), f) for f in pair_faults(pair)])
+    ):
         raise CalibrationError(path, wrong)
     values: dict[str, Any] = {field.name: getattr(part, field.name) for field in fields(Part)}
     if part.homographies is None:
@@ -310,7 +314,7 @@ def _whole(path: Path, document: Mapping[str, Any], *, doubtful: bool = False) -
         # the one thing that only shows once the parts are together
         except ValueError as error:
             at = ("homography",) if ("homography",) in found else ("thermal",)
-            raise CalibrationError(path, [Fault(at, str(error))]) from None
+            raise CalibrationError(path, [KeyFault(at, str(error))]) from None
     return Calibration(**values)
 
 
@@ -356,7 +360,7 @@ def _read(path: Path) -> dict[str, Any]:
         reason = str(error)
     except OSError as error:
         reason = f"can't be read: {error.strerror or error}"
-    raise CalibrationError(path, [Fault((), reason)])
+    raise CalibrationError(path, [KeyFault((), reason)])
 
 
 def _checked(path: Path, document: Mapping[str, Any], *, whole: bool) -> dict[Key, dict[str, Any]]:
@@ -375,9 +379,9 @@ def _checked(path: Path, document: Mapping[str, Any], *, whole: bool) -> dict[Ke
             found[key], wrong = _checked_block(key, table)
             faults += wrong
         elif table is not None:
-            faults.append(Fault(key, f"must be a block [{dotted}] of keys, not a single value"))
+            faults.append(KeyFault(key, f"must be a block [{dotted}] of keys, not a single value"))
         elif whole and key not in _OPTIONAL_BLOCKS:
-            faults.append(Fault(key, f"missing block [{dotted}]"))
+            faults.append(KeyFault(key, f"missing block [{dotted}]"))
     faults += _faults_between(found)
     if whole and isinstance(cameras, dict) and isinstance(cameras.get("thermal"), dict):
         faults += _thermal_faults(cameras["thermal"], document)
@@ -386,16 +390,16 @@ def _checked(path: Path, document: Mapping[str, Any], *, whole: bool) -> dict[Ke
     return found
 
 
-def _unknown(at: Key, table: Mapping[str, Any], allowed: list[str], what: str) -> list[Fault]:
+def _unknown(at: Key, table: Mapping[str, Any], allowed: list[str], what: str) -> list[KeyFault]:
     faults = []
     for name in (name for name in table if name not in allowed):
         near = get_close_matches(name, allowed, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(allowed)}"
-        faults.append(Fault((*at, name), f"unknown {what}; {hint}"))
+        faults.append(KeyFault((*at, name), f"unknown {what}; {hint}"))
     return faults
 
 
-def _checked_block(key: Key, table: Mapping[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
+def _checked_block(key: Key, table: Mapping[str, Any]) -> tuple[dict[str, Any], list[KeyFault]]:
     checks, values = _BLOCKS[key], {}
     faults = _unknown(key, table, list(checks), "key")
     for name, value in table.items():
@@ -403,56 +407,60 @@ def _checked_block(key: Key, table: Mapping[str, Any]) -> tuple[dict[str, Any], 
             try:
                 values[name] = checks[name](value)
             except _WrongError as wrong:
-                faults.append(Fault((*key, name), str(wrong)))
+                faults.append(KeyFault((*key, name), str(wrong)))
     optional = _NEVER_REQUIRED | _NOT_REQUIRED.get(key, set())
-    faults += [Fault((*key, n), "missing") for n in checks if n not in table and n not in optional]
+    faults += [
+        KeyFault((*key, n), "missing") for n in checks if n not in table and n not in optional
+    ]
     return values, faults
 
 
-def _thermal_faults(camera: Mapping[str, Any], document: Mapping[str, Any]) -> list[Fault]:
+def _thermal_faults(camera: Mapping[str, Any], document: Mapping[str, Any]) -> list[KeyFault]:
     """Either lens and pose of the thermal camera, or both homographies."""
     faults = []
     lens, pose = any(name in camera for name in LENS_KEYS), "thermal" in document
     if lens:
         faults += [
-            Fault(("cameras", "thermal", n), "missing, while other keys of the lens are given")
+            KeyFault(("cameras", "thermal", n), "missing, while other keys of the lens are given")
             for n in LENS_KEYS
             if n not in camera and n not in _NEVER_REQUIRED
         ]
     if lens and not pose:
         why = "missing block [thermal] (om, T): cameras.thermal has a lens but no pose"
-        faults.append(Fault(("thermal",), why))
+        faults.append(KeyFault(("thermal",), why))
     if pose and not lens:
         why = "missing (fc, cc, kc): there is a pose in [thermal] but no lens"
-        faults.append(Fault(("cameras", "thermal", "fc"), why))
+        faults.append(KeyFault(("cameras", "thermal", "fc"), why))
     maps = document.get("homography")
     absent = [n for n in ("left", "right") if not isinstance(maps, dict) or n not in maps]
     if len(absent) == 1 or (absent and not (lens and pose)):
         where = "" if lens and pose else " where the thermal camera has no pose"
         why = f"missing; both are needed{where}"
-        faults += [Fault(("homography", n), why) for n in absent]
+        faults += [KeyFault(("homography", n), why) for n in absent]
     return faults
 
 
-def _faults_between(found: dict[Key, dict[str, Any]]) -> list[Fault]:
+def _faults_between(found: dict[Key, dict[str, Any]]) -> list[KeyFault]:
     """What only shows in several values; adds the matrix of the uncertainty."""
     why = "a depth camera has a lens and a pose"
     absent = [key for key in DEPTH if key not in found]
     faults = [
-        Fault(key, f"missing block [{'.'.join(key)}]: {why}") for key in absent if len(absent) == 1
+        KeyFault(key, f"missing block [{'.'.join(key)}]: {why}")
+        for key in absent
+        if len(absent) == 1
     ]
     if found.get(("stereo",), {}).get("T") == (0.0, 0.0, 0.0):
         why = "must not be zero: two cameras in one place see no depth"
-        faults.append(Fault(("stereo", "T"), why))
+        faults.append(KeyFault(("stereo", "T"), why))
     for key in (key for key in found if key[0] == "cameras"):
         block = {name: found[key].get(name) for name in ("image_size", *LENS_KEYS)}
         if None not in (block["image_size"], block["fc"], block["cc"], block["kc"]):
             lens = Camera(**{**block, "alpha_c": block["alpha_c"] or 0.0})  # type: ignore[arg-type]
-            faults += [Fault((*key, name), message) for name, message in lens_faults(lens)]
+            faults += [KeyFault((*key, name), message) for name, message in lens_faults(lens)]
     given = found.get(("uncertainty",), {})
     if len(given) == 2:
         try:
             given["matrix"] = ParameterCovariance(given["parameters"], given["covariance"])
         except ValueError as error:
-            faults.append(Fault(("uncertainty", "covariance"), str(error)))
+            faults.append(KeyFault(("uncertainty", "covariance"), str(error)))
     return faults

@@ -4,6 +4,6 @@
 detector of it; `serve`: the other end in Python.
 """
 
-from detector.external.detector import ExternalDetector, Limits
+from detector.external.detector import ExternalDetector, ProcessLimits
 
-__all__ = ["ExternalDetector", "Limits"]
+__all__ = ["ExternalDetector", "ProcessLimits"]

@@ -37,7 +37,7 @@ _PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class ProcessLimits:
     """Seconds to be ready, seconds an answer, MiB of memory with all children (None: any).
 
     restarts: at most, in a run; in_a_row: consecutive faults after which it is given up.
@@ -62,14 +62,14 @@ class ExternalDetector:
         stopwatch: Callable[[], float],
         *,
         folder: Path | None = None,
-        limits: Limits | None = None,
+        limits: ProcessLimits | None = None,
         version: str | None = None,
         environment: Sequence[str] = (),
     ) -> None:
         self.name = name
         self._command, self._folder = tuple(command), folder
         self._environment = tuple(environment)
-        self._stopwatch, self._limits = stopwatch, limits or Limits()
+        self._stopwatch, self._limits = stopwatch, limits or ProcessLimits()
         files = {part: digest for part in self._command if (digest := _digest(part, folder))}
         # as given; else made from the bytes of the files that its command names
         of_files = hashlib.sha256("".join(files.values()).encode()).hexdigest()[:12]

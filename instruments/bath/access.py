@@ -36,7 +36,7 @@ Raw = Sequence[int] | str  # registers, or a line
 
 
 @dataclass(frozen=True, slots=True)
-class Tried:
+class RowAnswer:
     """What became of one question for ``row``: what was ``asked``, what came, what it means;
     ``sensible``: whether that can be its value.
     """
@@ -258,10 +258,10 @@ class Access(ABC, Generic[R]):
         """The rows of a profile that is being made, as the model has them if that is known."""
         return cast("Sequence[R]", self.profile.rows)
 
-    def tried(self, row: R) -> Tried:
+    def tried(self, row: R) -> RowAnswer:
         """Ask for ``row``, whatever its evidence; writes nothing. Raises BrokenError."""
         if row.access == "w":
-            return Tried(row.name, row.evidence, NOT_READ, answered=False, said="not tried")
+            return RowAnswer(row.name, row.evidence, NOT_READ, answered=False, said="not tried")
         value = math.nan
         try:
             answered, (value, said) = True, self.try_row(row)
@@ -276,7 +276,7 @@ class Access(ABC, Generic[R]):
         elif answered and row.by_model and row.name in self.absent:
             sensible = False
             said += f"; models differ here, and {self.absent[row.name]}: see [[models]]"
-        return Tried(row.name, row.evidence, self.asking(row), answered, said, sensible)
+        return RowAnswer(row.name, row.evidence, self.asking(row), answered, said, sensible)
 
     def _makes_sense(self, row: R, value: float) -> bool:
         """Whether ``value`` can be what ``row`` shows: a bath's temperature, a part of 100 %."""

@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, TypeVar, cast
 
-from instruments.bath.access import Access, Tried
+from instruments.bath.access import Access, RowAnswer
 from instruments.bath.line_access import LineAccess
 from instruments.bath.profile import (
     PUMP,
@@ -136,7 +136,7 @@ class Bath:
         row = self._rows.row(name)
         return self._retried(lambda: self._after_poll(row).value(row))
 
-    def try_rows(self) -> Iterator[Tried]:
+    def try_rows(self) -> Iterator[RowAnswer]:
         """Ask each row of a profile that is being made, and write nothing; no more than FUTILE_S
         where nothing makes sense. Raises LinkError.
         """

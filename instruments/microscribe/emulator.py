@@ -20,7 +20,7 @@ from instruments.listener import Connection
 from instruments.microscribe import configuration as conf
 from instruments.microscribe import protocol as wire
 from instruments.microscribe.configuration import StreamRequest
-from instruments.microscribe.faults import Fault, Faults
+from instruments.microscribe.faults import ArmFault, Faults
 from instruments.microscribe.kinematics import (
     COUNT_MODULUS,
     JOINTS,
@@ -53,7 +53,7 @@ class Hand(Protocol):
         """
 
 
-class Look(NamedTuple):
+class EncoderSample(NamedTuple):
     """Pedals and encoders at one moment."""
 
     buttons: int
@@ -182,14 +182,14 @@ class Stream:
     or mask bit of 0 leaves its encoder or pedal out.
     """
 
-    def __init__(self, request: StreamRequest, look: Look | None) -> None:
+    def __init__(self, request: StreamRequest, look: EncoderSample | None) -> None:
         self.command = request.command & ~wire.MARK
         wire_s = (1 + wire.payload_length(self.command)) * _BITS_PER_BYTE / FASTEST_BAUD
         self.period_s = max(request.delay_ms / 1000.0, wire_s)
         self._request = request
         self._last = look
 
-    def fires(self, now: Look) -> bool:
+    def fires(self, now: EncoderSample) -> bool:
         """Whether a pedal changed since the last look, or an encoder by its delta."""
         if self._last is None:
             return True
@@ -199,7 +199,7 @@ class Stream:
             delta and delta <= min(step, COUNT_MODULUS - step)  # the shorter way round
             for delta, step in zip(self._request.encoder_deltas, steps, strict=False)
         )
-        self._last = Look(now.buttons, now.counts if fires else counts)
+        self._last = EncoderSample(now.buttons, now.counts if fires else counts)
         return fires
 
 
@@ -252,7 +252,7 @@ class ArmEmulator:
     @buttons.setter
     def buttons(self, pressed: int) -> None:
         self._pressed_before, self._pressed = self._pressed, pressed
-        self._settled_s = self._clock.now() + self.faults.amount_now(Fault.PEDAL_BOUNCE)
+        self._settled_s = self._clock.now() + self.faults.amount_now(ArmFault.PEDAL_BOUNCE)
         self._presses += 1
 
     def check_reach(self, point_mm: Floats, direction: Floats | None) -> None:
@@ -275,10 +275,10 @@ class ArmEmulator:
         self.power_off()
         self.power_on()
 
-    def _fault_changed(self, fault: Fault, on: bool) -> None:
-        if fault is Fault.POWER_LOSS:
+    def _fault_changed(self, fault: ArmFault, on: bool) -> None:
+        if fault is ArmFault.POWER_LOSS:
             (self.power_off if on else self.power_on)()
-        elif fault is Fault.NEVER_HOMED:
+        elif fault is ArmFault.NEVER_HOMED:
             self._displace()
 
     # The firmware. In a live session bit 7 of a command is ignored, so letters are commands;
@@ -308,7 +308,7 @@ class ArmEmulator:
         self._command = b""
         return self._execute(command)
 
-    def _packet(self, command: int, look: Look) -> bytes:
+    def _packet(self, command: int, look: EncoderSample) -> bytes:
         """The answer to a data command; nothing for what isn't one."""
         if command & (wire.MARK | wire.CONFIGURE | wire.UNUSED):
             return b""
@@ -331,14 +331,14 @@ class ArmEmulator:
             self.state = wire.next_state(self.state, Event.END)
         elif self._words.endswith(wire.SYNC):
             self._syncs += 1
-            if faults.on(Fault.LATE_ECHO) and self._syncs < faults.amount(Fault.LATE_ECHO):
+            if faults.on(ArmFault.LATE_ECHO) and self._syncs < faults.amount(ArmFault.LATE_ECHO):
                 return b""
             self.state = wire.next_state(self.state, Event.SYNC)
             self._rate = rate
-            return wire.SYNC * (3 if faults.strikes(Fault.SURPLUS_ECHOES) else 1)
+            return wire.SYNC * (3 if faults.strikes(ArmFault.SURPLUS_ECHOES) else 1)
         elif self._words == wire.BEGIN and self.state is State.SYNCED:
             self._enter(wire.next_state(self.state, Event.BEGIN))
-            box = faults.strikes(Fault.INTERFACE_BOX)
+            box = faults.strikes(ArmFault.INTERFACE_BOX)
             return (wire.INTERFACE_BOX if box else wire.PRODUCT_ID) + b"\0"
         return b""
 
@@ -372,13 +372,13 @@ class ArmEmulator:
             self._rate = rates[0] if rates else self._rate
             return bytes([code]) if rates else b""
         reply = self._replies.get(code, b"")
-        if code == Code.PARAMETERS and self.faults.strikes(Fault.BLOCK_LENGTH):
+        if code == Code.PARAMETERS and self.faults.strikes(ArmFault.BLOCK_LENGTH):
             return reply[:1] + bytes([conf.PARAMETER_BYTES - 2]) + reply[2:-2]
         return reply
 
     # The body behind the firmware
 
-    def _look(self) -> Look:
+    def _look(self) -> EncoderSample:
         """Pedals and encoders at this moment. Raises OutOfReachError for an impossible hand."""
         self._looks += 1
         buttons = self._pressed
@@ -386,7 +386,9 @@ class ArmEmulator:
             chance = np.random.default_rng([self._seed, _CONTACTS, self._presses, self._looks])
             buttons = self._pressed_before if chance.random() < 0.5 else buttons
         joints = zip(self._mechanics.counts(self._looks), self._offset, strict=True)
-        return Look(buttons, [(count + offset) % COUNT_MODULUS for count, offset in joints])
+        return EncoderSample(
+            buttons, [(count + offset) % COUNT_MODULUS for count, offset in joints]
+        )
 
     def _load_home(self) -> None:
         """Show the home counts, wherever the stylus is. Raises OutOfReachError."""
@@ -395,7 +397,7 @@ class ArmEmulator:
 
     def _displace(self) -> None:
         """The arm wakes with its stylus off the peg, where that is its fault."""
-        if self.faults.strikes(Fault.NEVER_HOMED):
+        if self.faults.strikes(ArmFault.NEVER_HOMED):
             displaced = self.faults.displacement(len(self._offset))
             self._offset = [a + b for a, b in zip(self._offset, displaced, strict=True)]
 
@@ -404,12 +406,12 @@ class ArmEmulator:
     def connect(self, connection: Connection) -> None:
         """A host plugs in. The arm doesn't notice; what another host left behind is still there."""
         self._sent_until_s = 0.0
-        if self._powered and self.faults.strikes(Fault.OLD_SESSION):
+        if self._powered and self.faults.strikes(ArmFault.OLD_SESSION):
             self._enter(State.SESSION)
         known = connection.baud() is not None
-        if self._powered and known and self.faults.strikes(Fault.WRONG_BAUD):
+        if self._powered and known and self.faults.strikes(ArmFault.WRONG_BAUD):
             self._enter(State.SESSION)
-            self._rate = int(self.faults.amount(Fault.WRONG_BAUD))
+            self._rate = int(self.faults.amount(ArmFault.WRONG_BAUD))
         if self._stream:
             self._run(self._stream, connection)
 
@@ -418,11 +420,11 @@ class ArmEmulator:
 
     def receive(self, connection: Connection, data: bytes) -> None:
         """Take bytes, cut anywhere, and answer."""
-        if not self._powered or self.faults.strikes(Fault.SILENT):
+        if not self._powered or self.faults.strikes(ArmFault.SILENT):
             return
         rate = connection.baud()
         if (
-            self.faults.strikes(Fault.WRONG_BAUD)  # where the host's rate is unknown
+            self.faults.strikes(ArmFault.WRONG_BAUD)  # where the host's rate is unknown
             if rate is None
             else self._rate not in (None, rate)
         ):
@@ -473,7 +475,7 @@ class ArmEmulator:
         if not data and not broken:
             return
         now = self._clock.now()
-        late_s = self.faults.amount_now(Fault.SLOW_ADAPTER)
+        late_s = self.faults.amount_now(ArmFault.SLOW_ADAPTER)
         self._sent_until_s = max(self._sent_until_s, now + late_s)
 
         def arrive() -> None:

@@ -14,7 +14,7 @@ FOREVER = sys.maxsize
 _CHANCE = 2  # this stream of chance; the arm's mechanics have the others
 
 
-class Fault(StrEnum):
+class ArmFault(StrEnum):
     """The names that a test or a rig file gives."""
 
     SILENT = "silent"
@@ -37,13 +37,13 @@ class Fault(StrEnum):
 
 
 # what some faults have an amount of, and its default
-AMOUNTS: dict[Fault, float] = {
-    Fault.WRONG_BAUD: 9600,  # of a session that was left open, where the host's rate is known
-    Fault.LATE_ECHO: 3,  # the IMMC that is echoed first
-    Fault.NEVER_HOMED: 1000,  # counts that a joint stood off its peg at power-up, at most
-    Fault.PEDAL_BOUNCE: 0.02,  # seconds that a contact takes to settle
-    Fault.SLOW_ADAPTER: 0.016,  # seconds that each answer is held back
-    Fault.DISCONNECT: 0,  # bytes for the host that still pass
+AMOUNTS: dict[ArmFault, float] = {
+    ArmFault.WRONG_BAUD: 9600,  # of a session that was left open, where the host's rate is known
+    ArmFault.LATE_ECHO: 3,  # the IMMC that is echoed first
+    ArmFault.NEVER_HOMED: 1000,  # counts that a joint stood off its peg at power-up, at most
+    ArmFault.PEDAL_BOUNCE: 0.02,  # seconds that a contact takes to settle
+    ArmFault.SLOW_ADAPTER: 0.016,  # seconds that each answer is held back
+    ArmFault.DISCONNECT: 0,  # bytes for the host that still pass
 }
 
 
@@ -51,18 +51,18 @@ class Faults:
     """The active faults, and how often each still strikes. ``changed`` is called at each change."""
 
     def __init__(
-        self, seed: int, changed: Callable[[Fault, bool], None] = lambda _fault, _on: None
+        self, seed: int, changed: Callable[[ArmFault, bool], None] = lambda _fault, _on: None
     ) -> None:
         self._seed = seed
         self._changed = changed
-        self._left: dict[Fault, int] = {}
-        self._spared: dict[Fault, int] = {}
-        self._amounts: dict[Fault, float] = dict(AMOUNTS)
+        self._left: dict[ArmFault, int] = {}
+        self._spared: dict[ArmFault, int] = {}
+        self._amounts: dict[ArmFault, float] = dict(AMOUNTS)
         self._hits = 0
 
     def inject(
         self,
-        fault: Fault | str,
+        fault: ArmFault | str,
         times: int = FOREVER,
         *,
         amount: float | None = None,
@@ -78,17 +78,17 @@ class Faults:
         self._left[known], self._spared[known] = times, after
         self._changed(known, True)
 
-    def clear(self, fault: Fault | str) -> None:
+    def clear(self, fault: ArmFault | str) -> None:
         """End a fault, whether it was on or not. Raises ValueError for a name that isn't one."""
         known = named(fault)
         if self._left.pop(known, None) is not None:
             self._changed(known, False)
 
-    def on(self, fault: Fault) -> bool:
+    def on(self, fault: ArmFault) -> bool:
         """Whether the fault would strike; none of its times is used up."""
         return self._left.get(fault, 0) > 0
 
-    def strikes(self, fault: Fault) -> bool:
+    def strikes(self, fault: ArmFault) -> bool:
         """Whether the fault happens now; one of its times is used up."""
         if self._left.get(fault, 0) <= 0:
             return False
@@ -98,11 +98,11 @@ class Faults:
         self._left[fault] -= 1
         return True
 
-    def amount(self, fault: Fault) -> float:
+    def amount(self, fault: ArmFault) -> float:
         """How much of it, in the unit of `AMOUNTS`."""
         return self._amounts[fault]
 
-    def amount_now(self, fault: Fault) -> float:
+    def amount_now(self, fault: ArmFault) -> float:
         """As ``amount`` where the fault happens now, as by ``strikes``; else 0."""
         return self._amounts[fault] if self.strikes(fault) else 0.0
 
@@ -114,18 +114,18 @@ class Faults:
         data = bytearray(answer)
         at = int(chance.integers(min(1, len(data) - 1), len(data)))
         bit, lost = int(chance.integers(0, 7)), int(chance.integers(0, len(data)))
-        if self.strikes(Fault.FLIPPED_BIT):
+        if self.strikes(ArmFault.FLIPPED_BIT):
             data[at] ^= 1 << bit
-        if self.strikes(Fault.BIT_7):
+        if self.strikes(ArmFault.BIT_7):
             data[at] |= MARK
-        if self.strikes(Fault.LOST_BYTE):
+        if self.strikes(ArmFault.LOST_BYTE):
             del data[lost]
-        garbage = self.noise(5) if self.strikes(Fault.GARBAGE) else b""
+        garbage = self.noise(5) if self.strikes(ArmFault.GARBAGE) else b""
         return garbage + bytes(data)
 
     def mislay(self, question: bytes) -> bytes:
         """What came from the host, not empty, less a byte that got lost on the way."""
-        if not self.strikes(Fault.LOST_QUESTION):
+        if not self.strikes(ArmFault.LOST_QUESTION):
             return question
         lost = int(self._chance().integers(0, len(question)))
         return question[:lost] + question[lost + 1 :]
@@ -136,18 +136,18 @@ class Faults:
 
     def cut(self, data: bytes) -> tuple[bytes, bool]:
         """As much of ``data`` as passes, and whether the cable breaks behind it."""
-        if not self.on(Fault.DISCONNECT) or not data:
+        if not self.on(ArmFault.DISCONNECT) or not data:
             return data, False
-        passes = self._amounts[Fault.DISCONNECT]
+        passes = self._amounts[ArmFault.DISCONNECT]
         if len(data) <= passes:
-            self._amounts[Fault.DISCONNECT] = passes - len(data)
+            self._amounts[ArmFault.DISCONNECT] = passes - len(data)
             return data, False
-        self.clear(Fault.DISCONNECT)
+        self.clear(ArmFault.DISCONNECT)
         return data[: int(passes)], True
 
     def displacement(self, joints: int) -> list[int]:
         """Counts that each joint is off its peg at a power-up without homing: none near 0."""
-        most = int(self._amounts[Fault.NEVER_HOMED])
+        most = int(self._amounts[ArmFault.NEVER_HOMED])
         sizes = self._chance().integers(most // 2, most + 1, joints)
         return [int(size) if joint % 2 else -int(size) for joint, size in enumerate(sizes)]
 
@@ -156,7 +156,7 @@ class Faults:
         return np.random.default_rng([self._seed, _CHANCE, self._hits])
 
 
-def check_amount(fault: Fault, amount: float | None) -> None:
+def check_amount(fault: ArmFault, amount: float | None) -> None:
     """Raise ValueError unless ``fault`` may have that amount."""
     if amount is not None and (fault not in AMOUNTS or amount < 0):
         known = ", ".join(f"{one} ({usual:g})" for one, usual in AMOUNTS.items())
@@ -164,10 +164,10 @@ def check_amount(fault: Fault, amount: float | None) -> None:
         raise ValueError(f"{what}; an amount of 0 or more have: {known}")
 
 
-def named(fault: Fault | str) -> Fault:
+def named(fault: ArmFault | str) -> ArmFault:
     """The fault of that name. Raises ValueError that lists them all."""
     try:
-        return Fault(fault)
+        return ArmFault(fault)
     except ValueError:
-        what = f"an arm has no fault {str(fault)!r}; it has: {', '.join(Fault)}"
+        what = f"an arm has no fault {str(fault)!r}; it has: {', '.join(ArmFault)}"
         raise ValueError(what) from None

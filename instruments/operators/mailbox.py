@@ -39,7 +39,7 @@ class AlreadyAnsweredError(NotOpenError):
 
 
 @dataclass(frozen=True, slots=True)
-class Given:
+class Reply:
     """``words`` as they would be typed, from ``by``."""
 
     number: int
@@ -76,18 +76,18 @@ class Mailbox:
         }
         self._show({**self._prompt, "open": True, "by": ""})
 
-    def answer(self) -> Given | None:
+    def answer(self) -> Reply | None:
         """The answer to the open prompt, None while there is none."""
         return read_answer(self._folder.parent, self._number)
 
-    def close(self, words: str, by: str) -> Given:
+    def close(self, words: str, by: str) -> Reply:
         """Close the prompt: ``by`` answered ``words``. Returns the answer that holds, which may be
         another one that came first. Raises OSError.
         """
         try:
             given = _create(self._folder.parent, self._number, words, by)
         except AlreadyAnsweredError:
-            given = self.answer() or Given(self._number, words, by, "")
+            given = self.answer() or Reply(self._number, words, by, "")
         self._show({**self._prompt, "open": False, "by": given.by})
         return given
 
@@ -132,16 +132,16 @@ def read_prompt(folder: Path) -> dict[str, Any] | None:
         return None
 
 
-def read_answer(folder: Path, number: int) -> Given | None:
+def read_answer(folder: Path, number: int) -> Reply | None:
     """The answer to prompt ``number``, None where there is none."""
     try:
         data = _read(folder / FOLDER / ANSWERS / f"{number}.json")
-        return TypeAdapter(Given).validate_json(data, strict=True)
+        return TypeAdapter(Reply).validate_json(data, strict=True)
     except (OSError, ValueError):
         return None
 
 
-def give_answer(folder: Path, number: int, words: str, by: str) -> Given:
+def give_answer(folder: Path, number: int, words: str, by: str) -> Reply:
     """Answer prompt ``number`` of the run in ``folder``, durable on return. Raises
     AlreadyAnsweredError, NotOpenError, ValueError for a wrong answer, OSError.
     """
@@ -155,9 +155,9 @@ def give_answer(folder: Path, number: int, words: str, by: str) -> Given:
     return _create(folder, number, words, by)
 
 
-def _create(folder: Path, number: int, words: str, by: str) -> Given:
+def _create(folder: Path, number: int, words: str, by: str) -> Reply:
     """Written whole under another name, then linked to its own, which fails where it exists."""
-    given = Given(number, words, by, wall_time().isoformat(timespec="milliseconds"))
+    given = Reply(number, words, by, wall_time().isoformat(timespec="milliseconds"))
     place = folder / FOLDER / ANSWERS / f"{number}.json"
     part = place.with_name(f"{number}.{os.getpid()}-{os.urandom(4).hex()}.part")
     data = json.dumps(asdict(given), ensure_ascii=False).encode()

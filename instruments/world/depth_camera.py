@@ -35,7 +35,7 @@ from instruments.world.backdrop import (
 from instruments.world.boards import Board
 from instruments.world.compositing import Layer, lay_over
 from instruments.world.objects import SceneObject
-from instruments.world.optical_camera import KeptLayers, View
+from instruments.world.optical_camera import KeptLayers, PixelRays
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.sensor import normal_noise
 from instruments.world.solids import dot
@@ -75,7 +75,7 @@ class DepthCamera:
     """The depth camera: phasors of all that it sees, lens and sensor."""
 
     def __init__(self, camera: CameraModel, sensor: DepthSensor) -> None:
-        self.view = View(camera)
+        self.view = PixelRays(camera)
         self.sensor = sensor
         x, y = self.view.rays
         self._stretch = np.sqrt(x * x + y * y + 1.0)  # distance by depth

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from instruments.world.optical_camera import View
+from instruments.world.optical_camera import PixelRays
 from instruments.world.optics import Floats
 from instruments.world.scene import Renderer
 from instruments.world.solids import Bools, Ints
@@ -41,7 +41,7 @@ class Labeller:
 
     def __init__(self, renderer: Renderer) -> None:
         self._renderer = renderer
-        thermal = View(renderer.cameras[2])  # the camera's own view has its sensor's fine grid
+        thermal = PixelRays(renderer.cameras[2])  # the camera's own view has its sensor's fine grid
         self._views = (renderer.left.view, renderer.right.view, thermal)
 
     def of(self, state: SceneState) -> tuple[Labels, Labels, Labels]:
@@ -55,7 +55,7 @@ class Labeller:
         return left, right, thermal
 
 
-def _labels(view: View, state: SceneState, ends_seen: Bools, *, mirrored: bool) -> Labels:
+def _labels(view: PixelRays, state: SceneState, ends_seen: Bools, *, mirrored: bool) -> Labels:
     camera, teats = view.camera, len(state.phantom.teats)
     shown = _nearest(view, state)
     shown[shown >= teats] = -1
@@ -72,7 +72,7 @@ def _labels(view: View, state: SceneState, ends_seen: Bools, *, mirrored: bool) 
     return Labels(camera.name, shown, ends, bases, ends_seen, bases_seen)
 
 
-def _nearest(view: View, state: SceneState) -> NDArray[np.intp]:
+def _nearest(view: PixelRays, state: SceneState) -> NDArray[np.intp]:
     """The number of the nearest thing that covers most of a pixel, boards last; -1 for none."""
     stage = Stage.of(state.everything())
     seen = view.surfaces(stage)

@@ -1,7 +1,7 @@
 """The optical cameras: the still background drawn once, things laid over it, lens and sensor.
 
-A `View` is a camera with the ray of each pixel; what it computes for a thing depends on that thing
-alone and is kept.
+A `PixelRays` is a camera with the ray of each pixel; what it computes for a thing depends on that
+thing alone and is kept.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class BoardSurface:
         return Layer(at.row, at.column, at.share, self.depth_mm, value, along)
 
 
-class View:
+class PixelRays:
     """A camera with the ray of each of its pixels: what of the stage it sees, and where."""
 
     def __init__(self, camera: CameraModel) -> None:
@@ -182,7 +182,7 @@ class OpticalCamera:
     def __init__(
         self, camera: CameraModel, sensor: OpticalSensor, seed: np.random.SeedSequence
     ) -> None:
-        self.view = View(camera)
+        self.view = PixelRays(camera)
         self.readout = OpticalReadout(sensor, self.view.rays, seed)
         self._focal_px = float(camera.fc.mean())
         self._layers = KeptLayers()

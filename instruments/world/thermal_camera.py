@@ -21,7 +21,7 @@ from instruments.world.backdrop import warmer
 from instruments.world.boards import Board
 from instruments.world.compositing import Layer, lay_over
 from instruments.world.objects import SceneObject
-from instruments.world.optical_camera import KeptLayers, View
+from instruments.world.optical_camera import KeptLayers, PixelRays
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.sensor import normal_noise
 from instruments.world.shading import (
@@ -191,7 +191,7 @@ class ThermalCamera:
     ) -> None:
         self.camera = camera
         fine = sensor.oversample
-        self.view = View(camera.resized(sensor.width_px * fine, sensor.height_px * fine))
+        self.view = PixelRays(camera.resized(sensor.width_px * fine, sensor.height_px * fine))
         self.readout = ThermalReadout(sensor, seed)
         self._layers = KeptLayers()
 

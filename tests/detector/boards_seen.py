@@ -14,8 +14,8 @@ from detector.calibration import Calibration, ParameterCovariance, load_calibrat
 from detector.calibration.boards import Board
 from detector.calibration.bundle import LENS, POSE
 from detector.calibration.cameras import (
+    BoardView,
     Calibrated,
-    View,
     calibrate_camera,
     join_cameras,
     pair_of,
@@ -53,7 +53,7 @@ def world_fit(
     return fit_world(pair, *points, pair_covariance=covariance, **noise)
 
 
-Views = Mapping[str, list[View]]
+Views = Mapping[str, list[BoardView]]
 
 
 def alone_of(views: Views) -> dict[str, Calibrated]:
@@ -113,24 +113,24 @@ def seen(
     shape: Callable[[Array], Array] = lambda points: points,
     thermal: bool = False,
     count: int = 24,
-) -> Mapping[str, list[View]]:
+) -> Mapping[str, list[BoardView]]:
     """Views by camera, with noise; ``shape`` bends the printed points into the real ones."""
     rng = np.random.default_rng([seed, 8])
     cameras = {"left": (rig.left, Motion.identity()), "right": (rig.right, rig.right_from_left)}
     if thermal and rig.thermal.lens and rig.thermal_from_left:
         cameras["thermal"] = (rig.thermal.lens, rig.thermal_from_left)
     board = SMALL_BOARD if thermal else BOARD
-    views: dict[str, list[View]] = {name: [] for name in cameras}
+    views: dict[str, list[BoardView]] = {name: [] for name in cameras}
     for number, pose in enumerate(poses(seed, count, board, 0.15 if thermal else 1.0)):
         for name, (camera, motion) in cameras.items():
             pixels = project(camera, motion @ pose, shape(board.points_mm))
             if inside(camera, pixels):
                 noisy = pixels + rng.normal(0.0, NOISE_PX, pixels.shape)
-                views[name].append(View(f"{number:02d}", board.points_mm, noisy))
+                views[name].append(BoardView(f"{number:02d}", board.points_mm, noisy))
     return views
 
 
-def pair_views(views: Mapping[str, list[View]]) -> list[PairView]:
+def pair_views(views: Mapping[str, list[BoardView]]) -> list[PairView]:
     right = {view.name: view for view in views["right"]}
     ids = np.arange(len(BOARD.points_mm))
     return [
@@ -140,7 +140,7 @@ def pair_views(views: Mapping[str, list[View]]) -> list[PairView]:
     ]
 
 
-def shifted(views: list[View], by_px: tuple[float, float]) -> list[View]:
+def shifted(views: list[BoardView], by_px: tuple[float, float]) -> list[BoardView]:
     return [replace(view, pixels_px=view.pixels_px + np.array(by_px)) for view in views]
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from detector.calibration import Calibration
-from detector.external import ExternalDetector, Limits
+from detector.external import ExternalDetector, ProcessLimits
 from detector.external.serve import Pictures
 from detector.protocol import Detection, DetectionFailure
 from detector.registry import GROUP
@@ -49,7 +49,7 @@ def child(folder: Path, program: str, **limits: float | None) -> ExternalDetecto
     """A detector that runs ``program``."""
     path = folder / "program.py"
     path.write_text(program, encoding="utf-8")
-    command, allowed = [sys.executable, str(path)], Limits(**limits)  # type: ignore[arg-type]
+    command, allowed = [sys.executable, str(path)], ProcessLimits(**limits)  # type: ignore[arg-type]
     return ExternalDetector("mine", command, time.perf_counter, limits=allowed)
 
 

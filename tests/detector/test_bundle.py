@@ -22,9 +22,9 @@ from detector.calibration import (
 from detector.calibration.boards import Board
 from detector.calibration.bundle import LENS, POSE, BundleError, Freedom, Rig, Sighting, adjust
 from detector.calibration.cameras import (
+    BoardView,
     Calibrated,
     TooFewViewsError,
-    View,
     calibrate_camera,
     join_cameras,
     pair_of,
@@ -200,7 +200,7 @@ def test_zhangs_own_points(shared_data: Path) -> None:
     flat = np.loadtxt(folder / "Model.txt").reshape(-1, 2)
     board = np.column_stack([flat, np.zeros(len(flat))])
     points = [np.loadtxt(folder / f"data{n}.txt").reshape(-1, 2) for n in range(1, 6)]
-    views = [View(str(n), board, pixels) for n, pixels in enumerate(points)]
+    views = [BoardView(str(n), board, pixels) for n, pixels in enumerate(points)]
     fit = calibrate_camera("zhang", views, (640, 480), model="k1 k2").fit
     camera = fit.rig.cameras["zhang"]
     assert round(fit.rms_px, 4) == 0.3369
@@ -220,7 +220,7 @@ def opencv_camera(shared_data: Path, camera: str, sub_pixel: SubPixel) -> Calibr
     for path in sorted(folder.glob(f"{camera}*.jpg")):
         image = np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
         found = find_board(image, OPENCV_BOARD, sub_pixel=sub_pixel)
-        views.append(View(path.stem[-2:], OPENCV_BOARD.points_mm[found.ids], found.pixels_px))
+        views.append(BoardView(path.stem[-2:], OPENCV_BOARD.points_mm[found.ids], found.pixels_px))
     return calibrate_camera(camera, views, (640, 480), model=OPENCV_MODEL, square_pixels=True)
 
 
@@ -273,7 +273,7 @@ class TestRefusals:
         for number, x in enumerate((-200.0, -100.0, 0.0, 100.0)):
             pose = Motion.from_vectors([0.1, 0.02, 0.0], [x - 160.0, -100.0, 900.0 + x])
             pixels = rig.left.project(pose.apply(BOARD.points_mm))
-            views.append(View(str(number), BOARD.points_mm, pixels))
+            views.append(BoardView(str(number), BOARD.points_mm, pixels))
         with pytest.raises(TooFewViewsError, match=r"from one side.*tilt it by 20 to 40 degrees"):
             calibrate_camera("left", views, SIZE)
 

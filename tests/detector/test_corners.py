@@ -11,7 +11,7 @@ import pytest
 
 from detector.calibration.boards import Board
 from detector.calibration.corners import (
-    Found,
+    DetectedBoard,
     Gray,
     ViewRefusedError,
     between_neighbours,
@@ -77,7 +77,7 @@ def picture(board: Board, turned: bool = False, *, blur_px: float = 0.8, moved_p
     return np.clip(40 + soft / 255 * 170 + grain, 0, 255).astype(np.uint8)
 
 
-def missed_px(found: Found, board: Board, H: Array = TILTED) -> Array:
+def missed_px(found: DetectedBoard, board: Board, H: Array = TILTED) -> Array:
     return found.pixels_px - apply_homography(H, board.points_mm[found.ids, :2])
 
 

@@ -24,7 +24,7 @@ from instruments.link import Link, Tap
 from instruments.listener import Connection, Device, Listener
 from instruments.microscribe.driver import ANSWER_S, MicroScribe
 from instruments.microscribe.emulator import ArmEmulator
-from instruments.microscribe.faults import Fault
+from instruments.microscribe.faults import ArmFault
 from instruments.microscribe.kinematics import Floats
 from instruments.stage.driver import Stage
 from instruments.stage.emulator import StageEmulator
@@ -193,8 +193,8 @@ def failing(session: Session) -> Session:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", Fault, ids=str)
-def test_an_arm_with_a_fault_has_it_again(fault: Fault, tmp_path: Path) -> None:
+@pytest.mark.parametrize("fault", ArmFault, ids=str)
+def test_an_arm_with_a_fault_has_it_again(fault: ArmFault, tmp_path: Path) -> None:
     """Whether the driver finds its way or gives up, it does the same, byte for byte, and says the
     same.
     """

@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser
 
-from reports.page import Page
 from reports.pdf import BROWSER, find_browser, print_pdf, travelling
 from reports.render import write_report
 from reports.trust import PageError
@@ -28,7 +27,6 @@ INFO = (
     b" HeadlessChrome/156.0.0.0)\n/Producer (Skia/PDF m156)>>"
 )
 PATIENCE_S = 280.0  # a busy machine's browser; the suite's own limit comes after it
-Made = tuple[Page, Path]
 
 
 @pytest.fixture(scope="module")
@@ -139,8 +137,9 @@ def test_a_browser_that_hangs_is_ended(tmp_path: Path) -> None:
         assert not (Path("/proc") / pid.read_text(encoding="utf-8").strip()).exists()
 
 
-def test_a_program_that_prints_nothing_is_reported(made: Made, tmp_path: Path) -> None:
-    target, page = tmp_path / "report.pdf", write_report(*made)
+def test_a_program_that_prints_nothing_is_reported(tmp_path: Path) -> None:
+    target = tmp_path / "report.pdf"
+    page = write_report(sample_page(tmp_path), tmp_path)
     said = r"report\.pdf: .* ended with code 2 and printed nothing: .*unknown option"
     with pytest.raises(PageError, match=said):
         print_pdf(page, target, sys.executable)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from instruments.stage.emulator.board import Fault, StageEmulator
+from instruments.stage.emulator.board import StageEmulator, StageFault
 from instruments.stage.emulator.carriage import Mounting
 from instruments.stage.emulator.store import (
     CLASSIC,
@@ -22,7 +22,7 @@ __all__ = [
     "MARLIN",
     "ZABER",
     "Dialect",
-    "Fault",
     "Mounting",
     "StageEmulator",
+    "StageFault",
 ]

@@ -28,7 +28,7 @@ CONTROLLERS: dict[str, type[Controller]] = {
 GLANCE_S = 1e-3  # over which a velocity is measured
 
 
-class Fault(Enum):
+class StageFault(Enum):
     """Faults by name. Those of a motion strike in the running motion, or in the next one."""
 
     SILENT = "silent"  # nothing is answered any more
@@ -48,26 +48,32 @@ class Fault(Enum):
 
 
 IN_MOTION = frozenset(
-    {Fault.LIMIT_HIT, Fault.DISCONNECT, Fault.STALL, Fault.LOST_STEP, Fault.RESTART}
+    {
+        StageFault.LIMIT_HIT,
+        StageFault.DISCONNECT,
+        StageFault.STALL,
+        StageFault.LOST_STEP,
+        StageFault.RESTART,
+    }
 )
 # homing is there to hit switches, and heals lost steps
-NOT_WHILE_HOMING = frozenset({Fault.LIMIT_HIT, Fault.LOST_STEP})
+NOT_WHILE_HOMING = frozenset({StageFault.LIMIT_HIT, StageFault.LOST_STEP})
 BROKEN_SWITCHES = {
-    Fault.NO_SWITCH: (0, Switch.MISSING),
-    Fault.STUCK_SWITCH: (0, Switch.STUCK),
-    Fault.CROOKED_GANTRY: (1, Switch.CROOKED),
+    StageFault.NO_SWITCH: (0, Switch.MISSING),
+    StageFault.STUCK_SWITCH: (0, Switch.STUCK),
+    StageFault.CROOKED_GANTRY: (1, Switch.CROOKED),
 }
 NOISE = b"\xff\x00<Ru|\x1b\r\n"
 LOST_MM = 1.0  # lost by a lost step of which no amount is said
 LATE_S = 3.0  # how late a late answer is of which no amount is said
 _INTO = "s into the motion"
 AMOUNTS = {  # what an amount of a fault is; others have none
-    Fault.LOST_STEP: "mm lost",
-    Fault.LATE_OK: "s late",
-    Fault.LIMIT_HIT: _INTO,
-    Fault.DISCONNECT: _INTO,
-    Fault.STALL: _INTO,
-    Fault.RESTART: _INTO,
+    StageFault.LOST_STEP: "mm lost",
+    StageFault.LATE_OK: "s late",
+    StageFault.LIMIT_HIT: _INTO,
+    StageFault.DISCONNECT: _INTO,
+    StageFault.STALL: _INTO,
+    StageFault.RESTART: _INTO,
 }
 
 
@@ -96,7 +102,7 @@ class StageEmulator:
         self._controller = made(clock, store, self._carriage, self._answer)
         self._origin_mm, self._resets = store.origin_mm, dialect.resets_on_open
         self._connection: Connection | None = None
-        self._faults: dict[Fault, float] = {}
+        self._faults: dict[StageFault, float] = {}
         self._lost_mm = LOST_MM
         self._starts_seen = 0
         self._wake_planned_s = math.inf
@@ -115,17 +121,17 @@ class StageEmulator:
         way = np.subtract(motion.position(now + GLANCE_S), motion.position(now))
         return np.asarray(way / GLANCE_S, dtype=np.float64)
 
-    def inject(self, fault: Fault, after_s: float = 0.0, *, lost_mm: float = LOST_MM) -> None:
+    def inject(self, fault: StageFault, after_s: float = 0.0, *, lost_mm: float = LOST_MM) -> None:
         """Start ``fault``: one of a motion ``after_s`` into it, a late answer ``after_s`` late.
         Lost steps are ``lost_mm`` on the axis that goes furthest.
         """
         self._faults[fault] = after_s
-        self._lost_mm = lost_mm if fault is Fault.LOST_STEP else self._lost_mm
+        self._lost_mm = lost_mm if fault is StageFault.LOST_STEP else self._lost_mm
         self._tell_switches()
         if fault in IN_MOTION and self._controller.moving:
             self._arm()
 
-    def cure(self, fault: Fault) -> None:
+    def cure(self, fault: StageFault) -> None:
         """End a fault that lasts, or that hasn't struck yet."""
         self._faults.pop(fault, None)
         self._tell_switches()
@@ -154,7 +160,7 @@ class StageEmulator:
     def _settle(self) -> None:
         """After an event: send the output, plan the next look, plan faults of a new motion."""
         out, self._controller.out = bytes(self._controller.out), bytearray()
-        if Fault.SILENT not in self._faults:
+        if StageFault.SILENT not in self._faults:
             self._send(out)
         if self._carriage.starts != self._starts_seen:
             self._starts_seen = self._carriage.starts
@@ -179,11 +185,11 @@ class StageEmulator:
             self._connection.after(max(0.0, seconds), action)
 
     def _answer(self, text: str) -> None:
-        if self._faults.pop(Fault.GARBAGE, None) is not None:
+        if self._faults.pop(StageFault.GARBAGE, None) is not None:
             self._controller.out += NOISE
-        if self._faults.pop(Fault.LOST_OK, None) is not None:
+        if self._faults.pop(StageFault.LOST_OK, None) is not None:
             return
-        late = self._faults.pop(Fault.LATE_OK, None)
+        late = self._faults.pop(StageFault.LATE_OK, None)
         if late is None:
             self._controller.say(text)
         else:
@@ -193,7 +199,7 @@ class StageEmulator:
         self._controller.broken_switches = dict(
             switch for fault, switch in BROKEN_SWITCHES.items() if fault in self._faults
         )
-        self._controller.probe_closed = Fault.PROBE_CLOSED in self._faults
+        self._controller.probe_closed = StageFault.PROBE_CLOSED in self._faults
 
     def _arm(self) -> None:
         """Plan the faults that strike in the motion that runs now."""
@@ -201,17 +207,17 @@ class StageEmulator:
         for fault in sorted(IN_MOTION & self._faults.keys() - waits, key=lambda fault: fault.value):
             self._later(self._faults.pop(fault), partial(self._strike, fault))
 
-    def _strike(self, fault: Fault) -> None:
+    def _strike(self, fault: StageFault) -> None:
         if not self._controller.moving:
             return
-        if fault is Fault.DISCONNECT and self._connection:
+        if fault is StageFault.DISCONNECT and self._connection:
             self._connection.hang_up()
-        elif fault is Fault.STALL:
+        elif fault is StageFault.STALL:
             self._carriage.stall(self._clock.now())
-        elif fault is Fault.LOST_STEP and not self._carriage.homing:
+        elif fault is StageFault.LOST_STEP and not self._carriage.homing:
             self._carriage.lose_steps(self._lost_mm, self._clock.now())
-        elif fault is Fault.RESTART:
+        elif fault is StageFault.RESTART:
             self._controller.power_up()
-        elif fault is Fault.LIMIT_HIT and not self._carriage.homing:
+        elif fault is StageFault.LIMIT_HIT and not self._carriage.homing:
             self._controller.alarm(1, critical=True)
         self._settle()

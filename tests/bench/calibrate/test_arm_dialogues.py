@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 from bench.calibrate.arm import (
     DIRECTIONS,
     ROUND,
-    Plan,
+    VerificationPlan,
     sphere_centre,
     sphere_centre_mm2,
     touch_frame,
@@ -26,12 +26,12 @@ from bench.results.stated_arm import check_verification, stated_fact
 from bench.rig.arm_files import (
     FrameError,
     LengthTest,
-    Limits,
     LocationTest,
     TableFrame,
     TouchedPoint,
     Triple,
     Verification,
+    VerificationLimits,
     as_dict,
     from_dict,
     least_sphere_mm,
@@ -213,7 +213,7 @@ SWUNG = np.array(
 CROSS = np.array(
     [[0.3, 0.0, 0.0], [-0.3, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, -0.1, 0.0], [0.0, 0.0, 0.0]]
 )
-LIMITS = Limits(0.46, 0.7)  # as the shipped script
+LIMITS = VerificationLimits(0.46, 0.7)  # as the shipped script
 
 
 def test_figures_worked_by_hand() -> None:
@@ -237,7 +237,7 @@ def test_lengths_worked_by_hand() -> None:
     assert found.length_mm == pytest.approx(0.5)
     assert found.length_two_rms_mm == pytest.approx(2.0 * np.sqrt(0.35 / 3.0))
     assert found.faults(LIMITS) == ()
-    assert found.faults(Limits(0.46, 0.49)) == (
+    assert found.faults(VerificationLimits(0.46, 0.49)) == (
         "way 1: 300 mm were measured -0.50 mm wrong, limit 0.49 mm",
     )
 
@@ -247,13 +247,13 @@ def test_without_lengths_a_limit_on_lengths_is_not_kept() -> None:
     assert found.length_mm is None
     assert found.length_two_rms_mm is None
     assert found.faults(LIMITS) == ("no calibrated length was measured",)
-    assert found.faults(Limits(0.46)) == ()
+    assert found.faults(VerificationLimits(0.46)) == ()
 
 
 def test_a_test_that_could_not_fail_is_no_test() -> None:
     still = LocationTest("near", CROSS, np.repeat(UP, 5, axis=0))
     few = LocationTest("far", CROSS[:4], SWUNG[:4])
-    faults = Verification(MADE, "40937", (still, few)).faults(Limits(0.46))
+    faults = Verification(MADE, "40937", (still, few)).faults(VerificationLimits(0.46))
     assert faults == (
         "near: the stylus was swung by 0 degrees only; 30 are needed",
         "far: 4 touches only; 5 are needed",
@@ -305,11 +305,11 @@ class Found(NamedTuple):
 
 def verified(accuracy_mm: float, seed: int) -> Found:
     with emulated(seed=seed, accuracy_mm=accuracy_mm) as (arm, trying):
-        found = verify(Follower(arm, trying), Plan(1, 10, None), MADE)
+        found = verify(Follower(arm, trying), VerificationPlan(1, 10, None), MADE)
     return Found(
         found.location_mm,
         max(test.two_sd_mm for test in found.locations),
-        not found.faults(Limits(LIMITS.location_mm)),
+        not found.faults(VerificationLimits(LIMITS.location_mm)),
     )
 
 
@@ -338,7 +338,7 @@ def test_verification_finds_what_accuracy_was_put_in() -> None:
 def test_what_is_asked_for_is_what_was_planned() -> None:
     with emulated() as (arm, trying):
         person = Follower(arm, trying)
-        found = verify(person, Plan(2, 5, 300.0, 3), MADE)
+        found = verify(person, VerificationPlan(2, 5, 300.0, 3), MADE)
     assert [test.where for test in found.locations] == ["near", "far"]
     assert [test.n for test in found.locations] == [5, 5]
     assert [test.where for test in found.lengths] == list(DIRECTIONS[:3])
@@ -356,7 +356,7 @@ def test_what_is_asked_for_is_what_was_planned() -> None:
 @pytest.mark.slow
 def test_a_bar_of_another_length_than_was_said_is_found_out() -> None:
     with emulated(length_mm=302.0) as (arm, trying):
-        found = verify(Follower(arm, trying), Plan(1, 5, 300.0, 2), MADE)
+        found = verify(Follower(arm, trying), VerificationPlan(1, 5, 300.0, 2), MADE)
     assert [test.error_mm for test in found.lengths] == pytest.approx([2.0, 2.0], abs=0.5)
     assert any("mm wrong" in fault for fault in found.faults(LIMITS))
 
@@ -365,7 +365,7 @@ def test_a_bar_of_another_length_than_was_said_is_found_out() -> None:
 def test_a_ball_bar_is_measured_between_the_centres_of_its_spheres() -> None:
     with emulated(length_mm=302.0) as (arm, trying):
         person = Follower(arm, trying)
-        plan = Plan(1, 5, 300.0, 2, spheres=True)
+        plan = VerificationPlan(1, 5, 300.0, 2, spheres=True)
         found = verify(person, plan, MADE)
     assert len(person.steps) == 5 + 2 * 2 * len(ROUND)
     assert [test.error_mm for test in found.lengths] == pytest.approx([2.0, 2.0], abs=0.5)

@@ -82,8 +82,8 @@ def test_by_command_with_its_page(lab: Path, in_lab: Said) -> None:
     cameras, world = load_part(lab / "cameras.toml"), load_part(lab / "wc.toml")
     whole = replace(cameras, world_from_right=world.world_from_right, covariance=world.covariance)
     (lab / "whole.toml").write_text(dump_calibration(whole), encoding="utf-8")
-    check = "calibrate check whole.toml --points again.csv --page points.page"
-    assert "18 points: missed by" in in_lab(0, check).out
+    check = "calibrate check whole.toml --points again.csv"
+    assert "18 points: missed by" in in_lab(0, f"{check} --page points.page").out
     page = (lab / "points.page" / "index.html").read_text(encoding="utf-8")
     assert "It still holds." in page
     assert "Measured less touched" in page

@@ -22,7 +22,7 @@ from detector.calibration import Part, dump_calibration
 from detector.calibration.boards import Board
 from detector.calibration.bundle import BundleError
 from detector.calibration.cameras import OddPairError
-from detector.calibration.corners import Found
+from detector.calibration.corners import DetectedBoard
 from tests.bench.calibrate.board_pictures import (
     BOARD,
     BOARD_TOML,
@@ -38,7 +38,7 @@ pytestmark = pytest.mark.slow
 
 PAIRS = 7
 COMMAND = "calibrate cameras {} --board {} --model {} --out {}"
-Views = dict[str, dict[str, Found]]
+Views = dict[str, dict[str, DetectedBoard]]
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ import scipy
 from bench.calibrate.views import pattern_of
 from detector.calibration import dump_calibration
 from detector.calibration.boards import Board
-from detector.calibration.cameras import Calibrated, View, calibrate_camera, join_cameras
+from detector.calibration.cameras import BoardView, Calibrated, calibrate_camera, join_cameras
 from detector.calibration.corners import ViewRefusedError, find_board
 from instruments.world.boards import poses
 from instruments.world.phantom import Phantom
@@ -36,10 +36,10 @@ BOARD = Board("chessboard", 9, 6, 40.0)
 DEPTHS_MM = (500.0, 1200.0)
 
 
-def rendered_views(table: Mapping[str, Any], seed: int) -> dict[str, list[View]]:
+def rendered_views(table: Mapping[str, Any], seed: int) -> dict[str, list[BoardView]]:
     """Boards in new poses, found by cameras with patterns and noise of their own."""
     renderer = Renderer.from_calibration(table, seed)
-    views: dict[str, list[View]] = {"left": [], "right": []}
+    views: dict[str, list[BoardView]] = {"left": [], "right": []}
     for number, board in enumerate(
         poses(pattern_of(BOARD), renderer.cameras[:2], DEPTHS_MM, seed, VIEWS)
     ):
@@ -52,11 +52,11 @@ def rendered_views(table: Mapping[str, Any], seed: int) -> dict[str, list[View]]
                 found = find_board(camera.expose(state, None, rng).astype(np.uint8), BOARD)
             except ViewRefusedError:
                 continue
-            views[name].append(View(str(number), BOARD.points_mm[found.ids], found.pixels_px))
+            views[name].append(BoardView(str(number), BOARD.points_mm[found.ids], found.pixels_px))
     return views
 
 
-def calibrated(views: Mapping[str, list[View]], size: tuple[int, int]) -> Calibrated:
+def calibrated(views: Mapping[str, list[BoardView]], size: tuple[int, int]) -> Calibrated:
     alone = {name: calibrate_camera(name, seen, size) for name, seen in views.items()}
     return join_cameras(alone, joint_lenses=("left", "right"))
 

@@ -23,7 +23,7 @@ from instruments.camera.emulator import EmulatedCameras
 from instruments.camera.frame import FrameError, FrameFault
 from instruments.camera.stream import StreamServer
 from instruments.clock import RealClock, VirtualClock
-from instruments.stage.emulator import GRBL_HAL, MARLIN, Fault, StageEmulator
+from instruments.stage.emulator import GRBL_HAL, MARLIN, StageEmulator, StageFault
 from tests.bench.commands import Said, served, teatbench
 from tests.bench.rig.test_emulated_faults import with_emulation
 from tests.instruments.camera.peers import ADDRESS, gige_camera
@@ -58,7 +58,7 @@ def test_status_says_everything_with_units(stage: Served, said: Said) -> None:
     known = {"dialect": "grblHAL", "version": "1.1f", "state": "Alarm", "homed": False}
     assert text | known == text
     assert text["pins"] == "none active"
-    stage.emulator.inject(Fault.PROBE_CLOSED)
+    stage.emulator.inject(StageFault.PROBE_CLOSED)
     assert json.loads(said(0, "stage status {} --json", stage.at).out)["pins"] == "probe"
     assert text["travel_x_mm"] == [-300.0, 0.0]
     assert text["travel_a_deg"] == [-360.0, 0.0]
@@ -100,9 +100,9 @@ def test_beyond_the_travel_nothing_moves_at_all(stage: Served, said: Said) -> No
 
 @pytest.mark.slow
 def test_a_fault_ends_at_a_stand_with_what_to_do(stage: Served, said: Said) -> None:
-    stage.emulator.inject(Fault.NO_SWITCH)
+    stage.emulator.inject(StageFault.NO_SWITCH)
     assert "alarm 9: homing found no switch" in said(3, "stage home {}", stage.at).err
-    stage.emulator.cure(Fault.NO_SWITCH)
+    stage.emulator.cure(StageFault.NO_SWITCH)
     assert said(0, "stage recover {}", stage.at).out.startswith(
         "restarted, in state Alarm; its position is unknown"
     )

@@ -20,7 +20,7 @@ from bench.config import read_config
 from bench.record.reader import read_run
 from bench.results.thesis_figures import thesis
 from bench.script.detectors import DetectorFile
-from detector.external import Limits
+from detector.external import ProcessLimits
 from detector.registry import available
 from tests.bench.commands import Said, teatbench
 from tests.bench.small_recording import write_recording
@@ -188,7 +188,7 @@ def test_the_tutorial_word_by_word(
 
 def test_the_file_shows_the_defaults(tmp_path: Path) -> None:
     (tmp_path / "example.toml").write_text(block("toml"), encoding="utf-8")
-    shown, usual = read_config(tmp_path / "example.toml", DetectorFile), Limits()
+    shown, usual = read_config(tmp_path / "example.toml", DetectorFile), ProcessLimits()
     assert (shown.start_limit_s, shown.time_limit_s, shown.memory_limit_mib) == (
         usual.start_s,
         usual.answer_s,

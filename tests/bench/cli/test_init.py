@@ -207,10 +207,10 @@ def test_a_bath_whose_unit_nothing_tells_is_asked_about(answer: str) -> None:
         asked.append(question)
         return answer if "display" in question else default
 
-    values = _bath(finding.Found("bath", "/dev/ttyUSB1", "it", ("lauda-ascii",)), ask)
+    values = _bath(finding.FoundInstrument("bath", "/dev/ttyUSB1", "it", ("lauda-ascii",)), ask)
     assert values == {"profile": "lauda-ascii", "cut_out_tested": "", "unit_confirmed": answer}
     assert "'teatbench bath read' show the same, in degC" in asked[-1]
-    told = _bath(finding.Found("bath", "/dev/ttyUSB1", "it", ("julabo-presto",)), ask)
+    told = _bath(finding.FoundInstrument("bath", "/dev/ttyUSB1", "it", ("julabo-presto",)), ask)
     assert told.keys() == {"profile", "cut_out_tested"}
 
 

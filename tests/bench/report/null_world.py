@@ -28,11 +28,11 @@ from bench.record.reader import RunRecord, points_mm, read_run
 from bench.report.page import write_run_report
 from bench.rig.arm_files import (
     LengthTest,
-    Limits,
     LocationTest,
     TableFrame,
     TouchedPoint,
     Verification,
+    VerificationLimits,
     frame_text,
     verification_text,
 )
@@ -392,7 +392,7 @@ def _write(folder: Path, world: World, errors: _Errors, arm_rule: str) -> TableF
     frame = TableFrame.from_touches(MADE, SERIAL, touched)
     (folder / "arm-frame.toml").write_text(frame_text(frame), encoding="utf-8")
     verified = _verification(rng, u_mm)
-    text = verification_text(verified, Limits(5.0, 5.0))
+    text = verification_text(verified, VerificationLimits(5.0, 5.0))
     (folder / "arm-verification.toml").write_text(text, encoding="utf-8")
     drawn = PLACES_MM.copy()
     drawn[:, 2] = 0.0 if world.flat else (25.0 + drawn[:, 2] / 4.0).round(1)

@@ -20,11 +20,11 @@ from hypothesis import strategies as st
 from bench.config import ConfigError
 from bench.rig.arm_files import (
     LengthTest,
-    Limits,
     LocationTest,
     TableFrame,
     TouchedPoint,
     Verification,
+    VerificationLimits,
     frame_text,
     load_frame,
     load_verification,
@@ -56,7 +56,7 @@ VERIFICATION = Verification(
     ),
     (LengthTest("upright", np.zeros(3), np.array([0.0, 0.0, 300.25]), 300.0),),
 )
-LIMITS = Limits(0.46, 0.7)
+LIMITS = VerificationLimits(0.46, 0.7)
 
 
 def written(tmp_path: Path, text: str, *changes: tuple[str, str]) -> Path:
@@ -145,7 +145,7 @@ def test_a_verification_is_read_as_it_was_written(tmp_path: Path) -> None:
 
 def test_a_verification_without_lengths_is_read_too(tmp_path: Path) -> None:
     bare = Verification(MADE, "40937", VERIFICATION.locations)
-    path = written(tmp_path, verification_text(bare, Limits(0.46)))
+    path = written(tmp_path, verification_text(bare, VerificationLimits(0.46)))
     assert load_verification(path).lengths == ()
     assert tomllib.loads(verification_text(bare, LIMITS))["passed"] is False
 

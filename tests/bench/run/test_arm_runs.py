@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.calibrate.arm import Plan, touch_frame, verify
+from bench.calibrate.arm import VerificationPlan, touch_frame, verify
 from bench.calibrate.simulated_arm import Step, TryingArm
 from bench.record.reader import RunRecord, read_run
 from bench.results.verdicts import judge, stored_rules
-from bench.rig.arm_files import Limits, frame_text, verification_text, write_file
+from bench.rig.arm_files import VerificationLimits, frame_text, verification_text, write_file
 from bench.rig.model import Arm
 from bench.scoring.decisions import Verdict
 from bench.truth.arm_check import check_arm, location_of, shift_mm
@@ -82,8 +82,11 @@ def arm_files(folder: Path) -> None:
         write_file(
             folder / "arm-frame.toml", frame_text(touch_frame(Follower(arm, trying), [None], now))
         )
-        found = verify(Follower(arm, trying), Plan(1, 5, 300.0, 2), now)
-        write_file(folder / "arm-verification.toml", verification_text(found, Limits(0.46, 0.7)))
+        found = verify(Follower(arm, trying), VerificationPlan(1, 5, 300.0, 2), now)
+        write_file(
+            folder / "arm-verification.toml",
+            verification_text(found, VerificationLimits(0.46, 0.7)),
+        )
 
 
 @pytest.fixture(scope="module")

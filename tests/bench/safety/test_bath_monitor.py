@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from bench.record.schema import Row
-from bench.rig.model import Limits
+from bench.rig.model import SafetyLimits
 from bench.safety.bath_monitor import BathMonitor
 from bench.safety.interlocks import Interlocks, InterlockTrip
 from bench.safety.stability import StabilityGate, State
@@ -27,7 +27,7 @@ class Watched:
         self.clock, self.rows = VirtualClock(), list[Row]()
         self.acts: list[tuple[float, Exception]] = []
         gate = StabilityGate(33.0, window_s=60.0)
-        interlocks = Interlocks(Limits(), load_profile("julabo-presto"))
+        interlocks = Interlocks(SafetyLimits(), load_profile("julabo-presto"))
 
         def act(trip: Exception) -> bool:
             self.acts.append((self.clock.now(), trip))
@@ -141,7 +141,7 @@ def test_with_the_real_clock_a_trip_acts_while_the_main_thread_is_blocked() -> N
         return True
 
     reading = replace(CALM, temp_c=38.0)
-    interlocks = Interlocks(Limits(), load_profile("julabo-presto"))
+    interlocks = Interlocks(SafetyLimits(), load_profile("julabo-presto"))
 
     def read() -> BathReading:
         now = clock.now()

@@ -72,6 +72,7 @@ with installed():
     say(why)
 """
 
+STORMS = 40  # of signals
 SAFE = ["working", "going to safe", "safe"]
 
 
@@ -214,7 +215,7 @@ def test_a_request_never_leaves_a_lock_held(monkeypatch: pytest.MonkeyPatch) -> 
         condition.release()
 
     main_thread = threading.get_ident()
-    for _ in range(100):
+    for _ in range(STORMS):
         storm = threading.Timer(
             rng.uniform(0.001, 0.003), lambda: signal.pthread_kill(main_thread, signal.SIGINT)
         )
@@ -232,7 +233,7 @@ def test_a_request_never_leaves_a_lock_held(monkeypatch: pytest.MonkeyPatch) -> 
         other.start()
         other.join()
         assert free == [True]
-    assert raised == 100
+    assert raised == STORMS
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
@@ -70,6 +70,24 @@ STEPS = {
     "checking the arm before": Step("1 of 2] Arm check"),
     "preparing": Step("on its peg"),
 }
+# a kill or a request in each step; both in all of them are the weekly run's
+KILLED = (
+    "moving",
+    "checking the arm after",
+    "storing",
+    "touching",
+    "settling",
+    "homing",
+    "preparing",
+)
+ASKED = (
+    "going to safe",
+    "detecting",
+    "capturing",
+    "setting up",
+    "heating",
+    "checking the arm before",
+)
 NOT_YET_HEATING = ("preparing", "checking the arm before", "homing")
 PAST_ENDING = ("going to safe",)  # what is asked there is noted: the run has ended already
 
@@ -150,17 +168,20 @@ def run_state(url: str) -> str:
         return profile.row("run").label(bath.get("run"))
 
 
-def all_steps(
-    kills: tuple[str, ...], folder: Path, recording: Path, measured: Measured
+def killed_in_steps(
+    steps: Iterable[str],
+    kills: tuple[str, ...],
+    folder: Path,
+    recording: Path,
+    measured: Measured,
 ) -> list[Outcome]:
-    """A bench killed in each step, beside each other, by each of ``kills`` in turn; the test's
-    record gets what was measured.
+    """A bench killed in each of ``steps``, beside each other, by each of ``kills`` in turn; the
+    test's record gets what was measured.
     """
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        turns = zip(STEPS, cycle(kills), strict=False)
+        turns = zip(steps, cycle(kills), strict=False)
         jobs = [pool.submit(kill_in, name, kill, folder / name, recording) for name, kill in turns]
         outcomes = [job.result() for job in jobs]
-    assert len(outcomes) == len(STEPS) == 13
     for outcome in outcomes:
         how = f"{outcome.kill} while {outcome.step}"
         measured(how, outcome.seconds)
@@ -169,10 +190,19 @@ def all_steps(
     return outcomes
 
 
+ALL = pytest.param(tuple(STEPS), id="all", marks=pytest.mark.weekly)
+
+
+def test_the_steps_are_all_there_are() -> None:
+    assert {*KILLED, *ASKED} == set(STEPS)
+    assert len(STEPS) == 13
+
+
+@pytest.mark.parametrize("steps", [pytest.param(KILLED, id="some"), ALL])
 def test_a_kill_in_any_step_leaves_standby_and_a_record_of_it(
-    recording: Path, tmp_path: Path, measured: Measured
+    steps: tuple[str, ...], recording: Path, tmp_path: Path, measured: Measured
 ) -> None:
-    for outcome in all_steps(("SIGKILL",), tmp_path, recording, measured):
+    for outcome in killed_in_steps(steps, ("SIGKILL",), tmp_path, recording, measured):
         note = outcome.run.guardian
         assert outcome.run.ending == "interrupted", outcome.step
         late = outcome.step in ("checking the arm after", "going to safe")
@@ -189,11 +219,12 @@ def test_a_kill_in_any_step_leaves_standby_and_a_record_of_it(
         assert sentence in headline(outcome.run, ())[1]
 
 
+@pytest.mark.parametrize("steps", [pytest.param(ASKED, id="some"), ALL])
 def test_a_bench_that_is_asked_to_end_in_any_step_makes_safe_itself(
-    recording: Path, tmp_path: Path, measured: Measured
+    steps: tuple[str, ...], recording: Path, tmp_path: Path, measured: Measured
 ) -> None:
     """Both requests have one handler: they take turns."""
-    for outcome in all_steps(("SIGTERM", "SIGHUP"), tmp_path, recording, measured):
+    for outcome in killed_in_steps(steps, ("SIGTERM", "SIGHUP"), tmp_path, recording, measured):
         texts = [event["text"] for event in outcome.run.events]
         assert outcome.run.guardian is None, f"{outcome.step}: nothing was left for the guardian"
         assert "bath is safe" in texts, outcome.step

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.rig.model import Limits
+from bench.rig.model import SafetyLimits
 from bench.safety.interlocks import RULES, Interlocks, InterlockTrip, rule_named
 from instruments.bath.profile import CommsLoss, Profile, load_profile
 from instruments.bath.reading import BathReading
@@ -47,7 +47,7 @@ def first_trip(
     pump_on: bool | None = None,
     start_s: float = 0.0,
 ) -> InterlockTrip | None:
-    interlocks = Interlocks(Limits(), bath)
+    interlocks = Interlocks(SafetyLimits(), bath)
     interlocks.heating(33.0)
     for reading in readings(at, seconds, start_s):
         trip = interlocks.add(reading, pump_on)
@@ -188,14 +188,14 @@ def test_when_each_rule_trips_and_when_not(what: str, start_s: float) -> None:
 
 @pytest.mark.parametrize(("set_point_c", "trips"), [(0.06, False), (0.0601, True)])
 def test_a_set_point_may_be_off_by_what_a_display_rounds(set_point_c: float, trips: bool) -> None:
-    interlocks = Interlocks(Limits(), PRESTO)
+    interlocks = Interlocks(SafetyLimits(), PRESTO)
     interlocks.heating(0.0)
     seen = replace(CALM, temp_c=0.0, set_point_c=set_point_c)
     assert (interlocks.add(seen) is not None) is trips
 
 
 def test_sensors_of_a_bath_that_was_not_started_may_disagree() -> None:
-    interlocks = Interlocks(Limits(), PRESTO)
+    interlocks = Interlocks(SafetyLimits(), PRESTO)
     for reading in readings(lambda _: with_external(33.0, 25.0), 300):
         assert interlocks.add(reading) is None
 
@@ -212,14 +212,14 @@ def test_no_heat_while_the_pump_is_known_to_stand(pump_on: bool | None, rule: st
 
 
 def test_a_family_that_tells_no_output_has_rules_that_sleep_and_says_so() -> None:
-    silent = Interlocks(Limits(), without("power", "external", "safety"))
+    silent = Interlocks(SafetyLimits(), without("power", "external", "safety"))
     assert set(silent.inactive) == {
         "heat without pump or level",
         "frozen reading",
         "loop break",
         "sensor disagreement",
     }
-    assert Interlocks(Limits(), PRESTO).inactive == ()
+    assert Interlocks(SafetyLimits(), PRESTO).inactive == ()
 
 
 def test_every_row_says_what_trips_what_resets_and_what_to_do() -> None:
@@ -247,12 +247,12 @@ def test_every_row_says_what_trips_what_resets_and_what_to_do() -> None:
     ],
 )
 def test_what_resets_each_rule(rule: str, reading: BathReading, word: str | None) -> None:
-    said = rule_named(rule).not_yet(reading, Limits())
+    said = rule_named(rule).not_yet(reading, SafetyLimits())
     assert said is None if word is None else word in str(said)
 
 
 def test_a_bath_that_the_bench_has_not_started_may_stand_and_have_any_set_point() -> None:
-    interlocks = Interlocks(Limits(), PRESTO)
+    interlocks = Interlocks(SafetyLimits(), PRESTO)
     for reading in readings(
         lambda t: replace(CALM, running=False, set_point_c=12.0, power_percent=0.0), 300
     ):
@@ -278,7 +278,7 @@ def test_a_trip_has_the_readings_that_led_to_it() -> None:
 def test_a_bath_near_its_set_point_with_little_power_never_trips(
     temps: list[float], power: float
 ) -> None:
-    interlocks = Interlocks(Limits(), PRESTO)
+    interlocks = Interlocks(SafetyLimits(), PRESTO)
     for reading in readings(
         lambda t: replace(CALM, temp_c=temps[t], external_c=temps[t] - 0.3, power_percent=power),
         len(temps),

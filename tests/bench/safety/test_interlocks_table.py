@@ -15,7 +15,7 @@ import pytest
 from bench.cli.main import main
 from bench.config import ConfigError
 from bench.rig.loading import RIGS, LoadedRig, find_rig, load_rig
-from bench.rig.model import Limits
+from bench.rig.model import SafetyLimits
 from bench.safety.bath_monitor import BathMonitor
 from bench.safety.interlocks import RULES, Interlocks, InterlockTrip, rule_named
 from bench.safety.latch import (
@@ -139,7 +139,7 @@ def walked(walk: Walk) -> list[tuple[float, Exception]]:
     """
     clock, acts = VirtualClock(), list[tuple[float, Exception]]()
     profile = load_profile("julabo-presto")
-    interlocks = Interlocks(Limits(), profile)
+    interlocks = Interlocks(SafetyLimits(), profile)
 
     def act(trip: Exception) -> bool:
         acts.append((clock.now(), trip))

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 
-from bench.rig.model import Limits
+from bench.rig.model import SafetyLimits
 from bench.safety.interlocks import LIFELESS_S, Interlocks
 from bench.safety.liveness import TURNS_WITHIN_S, Liveness
 from bench.safety.stability import StabilityGate, State
@@ -55,7 +55,11 @@ def readings(
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_sound_bath_of_every_family_is_never_accused(family: str) -> None:
     profile = load_profile(family)
-    gate, moving, interlocks = StabilityGate(SP), Liveness(profile), Interlocks(Limits(), profile)
+    gate, moving, interlocks = (
+        StabilityGate(SP),
+        Liveness(profile),
+        Interlocks(SafetyLimits(), profile),
+    )
     interlocks.heating(SP)
     for one in readings(family, frozen_s=1e9, until_s=5400):
         gate.add(one.t_s, one.temp_c, raw=moving(one))
@@ -71,7 +75,11 @@ def test_a_sensor_that_stands_closes_the_gate_and_trips_within_minutes(
     family: str, frozen_s: float
 ) -> None:
     profile = load_profile(family)
-    gate, moving, interlocks = StabilityGate(SP), Liveness(profile), Interlocks(Limits(), profile)
+    gate, moving, interlocks = (
+        StabilityGate(SP),
+        Liveness(profile),
+        Interlocks(SafetyLimits(), profile),
+    )
     interlocks.heating(SP)
     closed_s = tripped_s = None
     for one in readings(family, frozen_s=frozen_s, until_s=int(frozen_s) + 900):

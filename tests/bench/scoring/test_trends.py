@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from bench.scoring.errors import Floats
 from bench.scoring.spread import LEAST_TREND_POSES, Trend, trend, trends
+from tests.examples import examples
 
 
 def line(x: Floats, y: Floats, strata: npt.NDArray[np.int64]) -> float:
@@ -95,7 +96,7 @@ def test_the_chance_of_many_questions_is_that_of_one() -> None:
     """Adjusted together, each is judged far out, where groups - 1 degrees of freedom are too many:
     of these 20 questions of 16 poses one was then shown in 13 % of runs.
     """
-    rng, shown, runs = np.random.default_rng(9), 0, 500
+    rng, shown, runs = np.random.default_rng(9), 0, examples(200)
     for _ in range(runs):
         asked = {str(k): rng.normal(0.0, 50.0, 16) for k in range(5)}
         found = trends(asked, rng.normal(0.0, 1.0, (16, 3)), range(16))

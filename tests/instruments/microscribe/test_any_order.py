@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from instruments.errors import InstrumentError, LinkError
-from instruments.microscribe.faults import Fault
+from instruments.microscribe.faults import ArmFault
 from instruments.microscribe.kinematics import Floats
 from tests.examples import examples
 from tests.instruments.microscribe.rigs import UNIT, Rig
@@ -28,9 +28,14 @@ POINTS = [None, np.array([-180.0, 240.0, 130.0]), np.array([-120.0, 200.0, 140.0
 # and a bit flipped in one of eight packets moves their mean by an eighth of what the reading's
 # spread allows it.
 NOISE_MM = 0.31 + 0.15 + 0.1
-ONCE = [Fault.FLIPPED_BIT, Fault.LOST_QUESTION]
-WITH_RULES_OF_THEIR_OWN = [Fault.LATE_ECHO, Fault.DISCONNECT, Fault.POWER_LOSS, Fault.NEVER_HOMED]
-PASSING = [fault for fault in Fault if fault not in (*ONCE, *WITH_RULES_OF_THEIR_OWN)]
+ONCE = [ArmFault.FLIPPED_BIT, ArmFault.LOST_QUESTION]
+WITH_RULES_OF_THEIR_OWN = [
+    ArmFault.LATE_ECHO,
+    ArmFault.DISCONNECT,
+    ArmFault.POWER_LOSS,
+    ArmFault.NEVER_HOMED,
+]
+PASSING = [fault for fault in ArmFault if fault not in (*ONCE, *WITH_RULES_OF_THEIR_OWN)]
 WRITES = {0xC3, 0xC7, 0xD0, 0xD1}
 
 
@@ -48,7 +53,7 @@ class ArmInAnyOrder(RuleBasedStateMachine):
 
     @property
     def powered(self) -> bool:
-        return not self.arm.faults.on(Fault.POWER_LOSS)
+        return not self.arm.faults.on(ArmFault.POWER_LOSS)
 
     # The arm, its cable, and the hand
 
@@ -57,43 +62,45 @@ class ArmInAnyOrder(RuleBasedStateMachine):
         self.hand.point = point
 
     @rule(fault=st.sampled_from(PASSING), times=st.integers(1, 5))
-    def trouble(self, fault: Fault, times: int) -> None:
+    def trouble(self, fault: ArmFault, times: int) -> None:
         self.arm.faults.inject(fault, times)
 
     @rule(fault=st.sampled_from(ONCE))
-    def trouble_once(self, fault: Fault) -> None:
-        self.may_have_lost_c5 |= fault is Fault.LOST_QUESTION
+    def trouble_once(self, fault: ArmFault) -> None:
+        self.may_have_lost_c5 |= fault is ArmFault.LOST_QUESTION
         self.arm.faults.inject(fault, 1)
 
     @rule(repeats=st.integers(1, 8))
     def late_echo(self, repeats: int) -> None:
-        self.arm.faults.inject(Fault.LATE_ECHO, amount=repeats)
+        self.arm.faults.inject(ArmFault.LATE_ECHO, amount=repeats)
 
     @rule(at=st.integers(0, 250))
     def break_cable(self, at: int) -> None:
-        self.arm.faults.inject(Fault.DISCONNECT, amount=at)
+        self.arm.faults.inject(ArmFault.DISCONNECT, amount=at)
 
-    @rule(fault=st.sampled_from([Fault.LATE_ECHO, Fault.SLOW_ADAPTER, Fault.DISCONNECT]))
-    def cured(self, fault: Fault) -> None:
+    @rule(fault=st.sampled_from([ArmFault.LATE_ECHO, ArmFault.SLOW_ADAPTER, ArmFault.DISCONNECT]))
+    def cured(self, fault: ArmFault) -> None:
         self.arm.faults.clear(fault)
 
     @rule()
     def power_off(self) -> None:
         if self.powered:
-            self.arm.faults.inject(Fault.POWER_LOSS)
+            self.arm.faults.inject(ArmFault.POWER_LOSS)
 
     @rule()
     def power_on(self) -> None:
         if not self.powered:
-            self.arm.faults.clear(Fault.POWER_LOSS)
-            self.well_homed = self.hand.point is None and not self.arm.faults.on(Fault.NEVER_HOMED)
+            self.arm.faults.clear(ArmFault.POWER_LOSS)
+            self.well_homed = self.hand.point is None and not self.arm.faults.on(
+                ArmFault.NEVER_HOMED
+            )
 
     @precondition(lambda self: self.powered)
     @rule()
     def switched_on_off_its_peg(self) -> None:
         """Its counts jump, so it was switched on just now: no session of before is left."""
         self.arm.power_cycle()
-        self.arm.faults.inject(Fault.NEVER_HOMED, 1)
+        self.arm.faults.inject(ArmFault.NEVER_HOMED, 1)
         self.well_homed = False
 
     @rule(buttons=st.integers(0, 3))
@@ -174,17 +181,17 @@ class ArmInAnyOrder(RuleBasedStateMachine):
         self.read()
 
     @rule(point=st.sampled_from(POINTS[1:]), fault=st.sampled_from([*PASSING, *ONCE]))
-    def work_through_trouble(self, point: Floats, fault: Fault) -> None:
+    def work_through_trouble(self, point: Floats, fault: ArmFault) -> None:
         self.work(point)
-        self.may_have_lost_c5 |= fault is Fault.LOST_QUESTION
+        self.may_have_lost_c5 |= fault is ArmFault.LOST_QUESTION
         self.arm.faults.inject(fault, 1)
         self.work(point)
 
     @rule(
-        fault=st.sampled_from([Fault.FLIPPED_BIT, Fault.LOST_BYTE]),
+        fault=st.sampled_from([ArmFault.FLIPPED_BIT, ArmFault.LOST_BYTE]),
         after=st.sampled_from([0, 1, 5, 9, 10, 11, 20]),
     )
-    def work_through_a_bad_sign_on(self, fault: Fault, after: int) -> None:
+    def work_through_a_bad_sign_on(self, fault: ArmFault, after: int) -> None:
         """Replies have no checksum: a bit flipped in maxima or parameters (9 to 11 answers after
         the echo's) bends the arm.
         """
@@ -214,7 +221,7 @@ class ArmInAnyOrder(RuleBasedStateMachine):
     def all_is_well_again(self, asks_driver_to_recover: bool) -> None:
         self.plug_in()
         self.power_on()
-        for fault in Fault:
+        for fault in ArmFault:
             self.arm.faults.clear(fault)
         self.hand.point = None
         if asks_driver_to_recover:

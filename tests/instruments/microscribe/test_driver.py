@@ -23,7 +23,7 @@ from instruments.microscribe.errors import (
     SilentArmError,
     UnusableArmError,
 )
-from instruments.microscribe.faults import Fault
+from instruments.microscribe.faults import ArmFault
 from instruments.microscribe.pedals import Debouncer, Pedal, PedalEvent
 from instruments.microscribe.protocol import State
 from tests.instruments.microscribe.rigs import POINT, UNIT, UP, Ear, Rig, renamed
@@ -137,14 +137,16 @@ def test_one_wrong_packet_among_eight_does_not_move_a_reading(rig: Rig) -> None:
     np.testing.assert_allclose(reading.axis, right.axis, atol=1e-9)
 
 
-@pytest.mark.parametrize("fault", [Fault.BIT_7, Fault.LOST_BYTE, Fault.GARBAGE, Fault.SILENT])
-def test_a_damaged_packet_is_asked_for_again(rig: Rig, fault: Fault) -> None:
+@pytest.mark.parametrize(
+    "fault", [ArmFault.BIT_7, ArmFault.LOST_BYTE, ArmFault.GARBAGE, ArmFault.SILENT]
+)
+def test_a_damaged_packet_is_asked_for_again(rig: Rig, fault: ArmFault) -> None:
     driver = rig.signed_on()
     for _ in range(20):
         rig.arm.faults.inject(fault, 1)
         assert driver.poll().counts == UNIT.home
     # a lost header leaves no packet to call damaged
-    assert driver.damaged >= (15 if fault in (Fault.BIT_7, Fault.LOST_BYTE) else 0)
+    assert driver.damaged >= (15 if fault in (ArmFault.BIT_7, ArmFault.LOST_BYTE) else 0)
 
 
 def test_packets_that_are_always_damaged_are_refused(rig: Rig) -> None:

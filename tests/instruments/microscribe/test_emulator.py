@@ -20,8 +20,8 @@ from instruments.listener import Listener
 from instruments.microscribe.configuration import StreamRequest
 from instruments.microscribe.emulator import (
     ArmEmulator,
+    EncoderSample,
     KinematicError,
-    Look,
     Mechanics,
     Stream,
     workspace,
@@ -161,7 +161,7 @@ def test_by_differences_a_joint_or_a_pedal_sends_when_it_changes(host: Host) -> 
 
 
 def test_a_slow_drift_is_measured_from_the_last_packet() -> None:
-    drift = [Look(0, (count % 16384,)) for count in range(16380, 16414)]
+    drift = [EncoderSample(0, (count % 16384,)) for count in range(16380, 16414)]
     running = Stream(StreamRequest(0, 3, encoder_deltas=(5, 0, 0, 0, 0, 0)), drift[0])
     fired = [look.counts[0] for look in drift[1:] if running.fires(look)]
     assert fired == [1, 6, 11, 16, 21, 26], "counts go round at 16384"

@@ -20,7 +20,7 @@ from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.errors import NotHomedError
-from instruments.microscribe.faults import Fault
+from instruments.microscribe.faults import ArmFault
 from instruments.microscribe.protocol import State
 from instruments.pty_listener import PtyListener
 from tests.instruments.microscribe.rigs import POINT, UNIT, UP, Hand
@@ -107,7 +107,7 @@ def test_a_touch_over_a_real_port(bench: Bench) -> None:
 
 
 def test_the_arm_changes_its_rate_with_the_host_and_takes_no_other(bench: Bench) -> None:
-    bench.arm.faults.inject(Fault.WRONG_BAUD, 1, amount=9600)
+    bench.arm.faults.inject(ArmFault.WRONG_BAUD, 1, amount=9600)
     link = Link(str(bench.name), bench.clock, who="host", baud=38400)
     link.drain(0.1)
     link.write(b"\x03\xc5")

@@ -26,7 +26,7 @@ from instruments.microscribe.errors import (
     SilentArmError,
     UnusableArmError,
 )
-from instruments.microscribe.faults import Fault
+from instruments.microscribe.faults import ArmFault
 from instruments.microscribe.protocol import State
 from tests.instruments.microscribe.rigs import UNIT, Ear, Parrot, Rig, driver_of, ghost, renamed
 
@@ -59,7 +59,7 @@ def test_what_a_run_records_is_enough_to_compute_positions_anew(rig: Rig) -> Non
 
 @pytest.mark.parametrize("echo_after", [2, 6])
 def test_an_arm_that_wants_it_several_times(rig: Rig, echo_after: int) -> None:
-    rig.arm.faults.inject(Fault.LATE_ECHO, amount=echo_after)
+    rig.arm.faults.inject(ArmFault.LATE_ECHO, amount=echo_after)
     rig.driver().sign_on()
     assert rig.ear.heard.startswith(b"\xc5" + b"\xc5IMMC" * echo_after + b"BEGIN" + MAKERS_ORDER)
 
@@ -111,7 +111,7 @@ def test_a_flipped_bit_in_any_reply_is_outvoted() -> None:
 
 def test_whichever_byte_of_sign_on_is_lost_an_old_session_comes_to_no_harm(rig: Rig) -> None:
     for lost in range(30):
-        rig.arm.faults.inject(Fault.OLD_SESSION, 1)
+        rig.arm.faults.inject(ArmFault.OLD_SESSION, 1)
         driver = rig.driver()
         rig.ear.lose = {lost}
         with contextlib.suppress(InstrumentError):  # a BEGIN that arrives maimed is not sent again
@@ -251,7 +251,7 @@ class AtRate(Ear):
 
 
 def test_a_session_at_another_rate_is_found_and_then_only_homing_helps(rig: Rig) -> None:
-    rig.arm.faults.inject(Fault.OLD_SESSION, 1)
+    rig.arm.faults.inject(ArmFault.OLD_SESSION, 1)
     device = AtRate(rig, 9600)
     driver = device.driver
     driver.sign_on()

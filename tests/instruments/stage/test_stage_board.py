@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from instruments.clock import VirtualClock
-from instruments.stage.emulator import GRBL_HAL, ZABER, Fault, StageEmulator
+from instruments.stage.emulator import GRBL_HAL, ZABER, StageEmulator, StageFault
 from instruments.stage.protocol import ALARMS
 from tests.instruments.stage.board import LOCK, WELCOME, Board
 
@@ -52,9 +52,9 @@ def test_a_program_pauses_until_it_is_resumed(free: Board) -> None:
 
 def test_pins_that_are_active_are_reported(make_board: Make) -> None:
     board = make_board()
-    board.emulator.inject(Fault.PROBE_CLOSED)
+    board.emulator.inject(StageFault.PROBE_CLOSED)
     assert b"|Pn:P|" in board.say(b"?")
-    board.emulator.cure(Fault.PROBE_CLOSED)
+    board.emulator.cure(StageFault.PROBE_CLOSED)
     assert b"Pn:" not in board.say(b"?")
     board.say(b"$5=1\n")  # not as the switches are wired
     assert b"|Pn:XYZ" in board.say(b"?")
@@ -300,7 +300,7 @@ RESTARTED = b"ok\r\n" + WELCOME + LOCK
 
 def _limit_by_lost_steps(board: Board) -> bytes:
     board.answered_at(HOMED)
-    board.emulator.inject(Fault.LOST_STEP, lost_mm=5.0)
+    board.emulator.inject(StageFault.LOST_STEP, lost_mm=5.0)
     board.say(b"G53G1X-50F3000\n", 10.0)
     return board.say(b"G53G1X-1\n", 10.0)
 
@@ -316,11 +316,11 @@ def _reset_in_motion(board: Board) -> bytes:
     return board.say(b"\x18")
 
 
-def _homing(fault: Fault | bytes) -> Callable[[Board], bytes]:
+def _homing(fault: StageFault | bytes) -> Callable[[Board], bytes]:
     """With a broken switch, or a byte that comes meanwhile."""
 
     def run(board: Board) -> bytes:
-        if isinstance(fault, Fault):
+        if isinstance(fault, StageFault):
             board.emulator.inject(fault)
             return board.say(HOMED, 60.0)
         board.say(HOMED, 3.0)
@@ -333,7 +333,7 @@ def _probe(line: bytes, closed: bool = False) -> Callable[[Board], bytes]:
     def run(board: Board) -> bytes:
         board.answered_at(HOMED)
         if closed:
-            board.emulator.inject(Fault.PROBE_CLOSED)
+            board.emulator.inject(StageFault.PROBE_CLOSED)
         return board.say(line, 10.0)
 
     return run
@@ -348,9 +348,9 @@ CASES: list[tuple[int, Callable[[Board], bytes], bytes]] = [
     (5, _probe(b"G38.2Z-5F100\n"), b"ALARM:5\r\n[PRB:0.000,0.000,0.000:0]\r\nok\r\n"),
     (6, _homing(b"\x18"), b"ALARM:6\r\n" + RESTARTED),
     (7, _homing(b"\x84"), b"ALARM:7\r\n" + RESTARTED),
-    (8, _homing(Fault.STUCK_SWITCH), b"ALARM:8\r\n" + RESTARTED),
-    (9, _homing(Fault.NO_SWITCH), b"ALARM:9\r\n" + RESTARTED),
-    (10, _homing(Fault.CROOKED_GANTRY), b"ALARM:10\r\n" + RESTARTED),
+    (8, _homing(StageFault.STUCK_SWITCH), b"ALARM:8\r\n" + RESTARTED),
+    (9, _homing(StageFault.NO_SWITCH), b"ALARM:9\r\n" + RESTARTED),
+    (10, _homing(StageFault.CROOKED_GANTRY), b"ALARM:10\r\n" + RESTARTED),
 ]
 
 
@@ -368,7 +368,7 @@ def test_every_alarm_of_the_sheet(
         assert board.say(b"?\n$X\n?!~", 10.0) == b""
     assert board.say(b"\x18").endswith(WELCOME + LOCK)
     assert board.state() == b"Alarm"
-    for fault in Fault:
+    for fault in StageFault:
         board.emulator.cure(fault)
     board.answered_at(HOMED)
     assert board.state() == b"Idle"
@@ -379,7 +379,7 @@ def test_the_cases_are_the_sheets_and_a_crooked_gantry_is_another_number_in_grbl
 ) -> None:
     assert {code for code, _, _ in CASES} == set(range(1, 11)) == ALARMS.keys()
     board = make_board(dialect=GRBL_HAL)
-    board.emulator.inject(Fault.CROOKED_GANTRY)
+    board.emulator.inject(StageFault.CROOKED_GANTRY)
     assert board.say(HOMED, 60.0).startswith(b"ALARM:15\r\nok\r\n")
 
 

@@ -16,7 +16,7 @@ from instruments.errors import DeviceError, InstrumentError, LimitError, LinkErr
 from instruments.listener import Connection
 from instruments.stage import marlin, protocol, zaber
 from instruments.stage.driver import Stage
-from instruments.stage.emulator import EMULATED, FLUIDNC, MARLIN, ZABER, Fault
+from instruments.stage.emulator import EMULATED, FLUIDNC, MARLIN, ZABER, StageFault
 from instruments.stage.emulator import marlin as emulated_marlin
 from instruments.stage.emulator import zaber as emulated_zaber
 from instruments.stage.protocol import Malformed, Reply
@@ -124,15 +124,17 @@ def test_after_an_upset_it_is_believed_to_be_nowhere(
     assert each.emulator.position_mm()[:2] == pytest.approx([x, y], abs=0.006)
 
 
-@pytest.mark.parametrize("fault", [Fault.LOST_OK, Fault.LATE_OK, Fault.GARBAGE, Fault.DISCONNECT])
-def test_after_a_lost_or_late_answer_it_is_recovered(newer: Bench, fault: Fault) -> None:
+@pytest.mark.parametrize(
+    "fault", [StageFault.LOST_OK, StageFault.LATE_OK, StageFault.GARBAGE, StageFault.DISCONNECT]
+)
+def test_after_a_lost_or_late_answer_it_is_recovered(newer: Bench, fault: StageFault) -> None:
     stage = newer.homed()
     x, y = somewhere(stage)
-    newer.emulator.inject(fault, 3.0 if fault is Fault.LATE_OK else 0.2)
+    newer.emulator.inject(fault, 3.0 if fault is StageFault.LATE_OK else 0.2)
     with pytest.raises((LinkError, ProtocolError, DeviceError)):
         stage.move_to(x + 100, y)
     newer.clock.sleep(10.0)
-    if fault is Fault.DISCONNECT:
+    if fault is StageFault.DISCONNECT:
         stage.reconnect()
     with pytest.raises(InstrumentError):
         newer.again().stage.move_to(x, y)
@@ -140,8 +142,8 @@ def test_after_a_lost_or_late_answer_it_is_recovered(newer: Bench, fault: Fault)
     assert newer.emulator.position_mm()[:2] == pytest.approx([x, y], abs=0.006)
 
 
-@pytest.mark.parametrize("fault", [Fault.NO_SWITCH, Fault.STUCK_SWITCH])
-def test_homing_that_fails_is_told(newer: Bench, fault: Fault) -> None:
+@pytest.mark.parametrize("fault", [StageFault.NO_SWITCH, StageFault.STUCK_SWITCH])
+def test_homing_that_fails_is_told(newer: Bench, fault: StageFault) -> None:
     newer.stage.connect()
     newer.emulator.inject(fault)
     with pytest.raises(DeviceError):

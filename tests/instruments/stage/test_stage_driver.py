@@ -10,7 +10,7 @@ import pytest
 
 from instruments.errors import DeviceError, LimitError, LinkError
 from instruments.stage.driver import Stage
-from instruments.stage.emulator import Fault
+from instruments.stage.emulator import StageFault
 from tests.instruments.stage.board import Bench
 
 Make = Callable[..., Bench]
@@ -256,13 +256,13 @@ def _homing(bench: Bench) -> None:
 
 
 def _alarm(bench: Bench) -> None:
-    bench.emulator.inject(Fault.LIMIT_HIT, 0.5)
+    bench.emulator.inject(StageFault.LIMIT_HIT, 0.5)
     with pytest.raises(DeviceError):
         bench.homed().move_to(-200, -200)
 
 
 def _alarm_unseen(bench: Bench) -> None:
-    bench.emulator.inject(Fault.LIMIT_HIT, 0.5)
+    bench.emulator.inject(StageFault.LIMIT_HIT, 0.5)
     _moving(bench, 2.0)
 
 

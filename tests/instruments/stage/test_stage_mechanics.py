@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from instruments.errors import LinkError
-from instruments.stage.emulator import Fault, Mounting
+from instruments.stage.emulator import Mounting, StageFault
 from instruments.stage.emulator.carriage import AxisDrive
 from instruments.stage.emulator.gcode import GCode, Move
 from instruments.stage.emulator.motion import AxisRates, Motion, Run, Vector
@@ -124,7 +124,7 @@ def test_homing_ends_at_the_pull_off_from_anywhere(make_board: Make, far: int) -
 
 
 def test_a_stalled_carriage_stands_while_the_count_goes_on(free: Board) -> None:
-    free.emulator.inject(Fault.STALL, 1.25)
+    free.emulator.inject(StageFault.STALL, 1.25)
     free.say(b"G1X-100F3000\n", 5.0)
     assert free.say(b"?").startswith(b"<Idle|MPos:-100.000,")
     assert free.emulator.position_mm()[0] == pytest.approx(-206.25)
@@ -144,7 +144,7 @@ def test_opening_the_port_again_resets_the_board_where_the_carriage_stands(board
 
 
 def test_a_pulled_cable_ends_the_link_and_not_the_motion(free: Board) -> None:
-    free.emulator.inject(Fault.DISCONNECT, 0.5)
+    free.emulator.inject(StageFault.DISCONNECT, 0.5)
     free.links[-1].write(b"G1X-50F3000\n")
     with pytest.raises(LinkError, match="hung up"):
         free.hear_until_broken()
@@ -154,28 +154,28 @@ def test_a_pulled_cable_ends_the_link_and_not_the_motion(free: Board) -> None:
 
 
 def test_a_power_dip_in_motion_shows_as_a_welcome(free: Board) -> None:
-    free.emulator.inject(Fault.RESTART, 0.5)
+    free.emulator.inject(StageFault.RESTART, 0.5)
     assert free.say(b"G1X-50F3000\n", 2.0) == b"ok\r\n" + WELCOME + LOCK
 
 
 def test_faulty_answers(free: Board) -> None:
-    free.emulator.inject(Fault.LOST_OK)
+    free.emulator.inject(StageFault.LOST_OK)
     assert free.say(b"G21\n", 5.0) == b""
-    free.emulator.inject(Fault.LATE_OK, 3.0)
+    free.emulator.inject(StageFault.LATE_OK, 3.0)
     assert free.say(b"G21\n", 2.9) == b""
     assert free.hear(0.2) == b"ok\r\n"
-    free.emulator.inject(Fault.GARBAGE)
+    free.emulator.inject(StageFault.GARBAGE)
     assert free.say(b"G21\n").endswith(b"\r\nok\r\n")
-    free.emulator.inject(Fault.SILENT)
+    free.emulator.inject(StageFault.SILENT)
     assert free.say(b"?\nG21\n\x18", 5.0) == b""
-    free.emulator.cure(Fault.SILENT)
+    free.emulator.cure(StageFault.SILENT)
     assert free.state() == b"Idle"
 
 
 def test_lost_steps_wait_for_a_motion_that_is_not_homing_and_stay_until_the_next(
     board: Board,
 ) -> None:
-    board.emulator.inject(Fault.LOST_STEP, lost_mm=0.8)
+    board.emulator.inject(StageFault.LOST_STEP, lost_mm=0.8)
     board.answered_at(b"$H\n")
     assert board.emulator.position_mm() == pytest.approx([-1, -1, -1])
     board.say(b"G53G1X-101Y-11F3000\n", 5.0)
@@ -189,7 +189,7 @@ def test_lost_steps_wait_for_a_motion_that_is_not_homing_and_stay_until_the_next
 
 def test_lost_steps_are_lost_on_the_way_and_not_by_a_leap(board: Board) -> None:
     board.answered_at(b"$H\n")
-    board.emulator.inject(Fault.LOST_STEP, lost_mm=5.0)
+    board.emulator.inject(StageFault.LOST_STEP, lost_mm=5.0)
     board.say(b"G53G1X-101F600\n", 0.25)
     before = board.emulator.position_mm()[0]
     assert before == pytest.approx(-1.0), "of the first 2.25 mm not one was made"

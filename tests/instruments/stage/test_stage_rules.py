@@ -26,7 +26,7 @@ from instruments.stage.emulator import (
     MARLIN,
     ZABER,
     Dialect,
-    Fault,
+    StageFault,
 )
 from instruments.stage.emulator.grbl import GrblController
 from tests.examples import examples
@@ -38,7 +38,7 @@ Place = tuple[float, float, float, float]
 INSIDE = st.tuples(*(st.floats(-travel, 0) for travel in TRAVEL))
 PLACES = st.one_of(INSIDE, INSIDE, st.tuples(*(st.floats(-travel - 10, 10) for travel in TRAVEL)))
 WAYS = st.tuples(*(st.floats(-0.2 * travel, 0.2 * travel) for travel in TRAVEL))
-UNSEEN = frozenset({Fault.STALL, Fault.LOST_STEP})
+UNSEEN = frozenset({StageFault.STALL, StageFault.LOST_STEP})
 PLAY = (0.2, 0.1, 0.05, 0.5)
 MOST_S = 4.0  # into a motion, or late
 BOARDS = [
@@ -203,16 +203,18 @@ class StageRules(RuleBasedStateMachine):
             self.stage.jog(x_mm=-1)
 
     @rule(
-        fault=st.sampled_from(list(Fault)), after=st.floats(0.01, MOST_S), lost=st.floats(0.1, 20)
+        fault=st.sampled_from(list(StageFault)),
+        after=st.floats(0.01, MOST_S),
+        lost=st.floats(0.1, 20),
     )
-    def go_wrong(self, fault: Fault, after: float, lost: float) -> None:
+    def go_wrong(self, fault: StageFault, after: float, lost: float) -> None:
         self.emulator.inject(fault, after, lost_mm=lost)
         self.unseen = self.unseen or fault in UNSEEN
         self.waiting = self.waiting or fault in UNSEEN
 
     @rule()
     def repair_and_plug_in_again(self) -> None:
-        for fault in Fault:
+        for fault in StageFault:
             self.emulator.cure(fault)
         self.bench.again().stage.connect()
         assert not self.stage.homed

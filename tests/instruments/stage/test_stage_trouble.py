@@ -14,7 +14,7 @@ from instruments.clock import RealClock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.link import Link
 from instruments.stage.driver import Spoken, Stage
-from instruments.stage.emulator import CLASSIC, GRBL_HAL, Dialect, Fault, StageEmulator
+from instruments.stage.emulator import CLASSIC, GRBL_HAL, Dialect, StageEmulator, StageFault
 from instruments.stage.emulator.grbl import GrblController, Mode
 from instruments.stage.protocol import ALARMS, HAL_ALARMS
 from tests.instruments.stage.board import GREETING, Bench, Parrot, identify
@@ -22,8 +22,10 @@ from tests.instruments.stage.board import GREETING, Bench, Parrot, identify
 Make = Callable[..., Bench]
 
 
-@pytest.mark.parametrize(("fault", "alarm"), [(Fault.NO_SWITCH, 9), (Fault.STUCK_SWITCH, 8)])
-def test_failed_homing(bench: Bench, fault: Fault, alarm: int) -> None:
+@pytest.mark.parametrize(
+    ("fault", "alarm"), [(StageFault.NO_SWITCH, 9), (StageFault.STUCK_SWITCH, 8)]
+)
+def test_failed_homing(bench: Bench, fault: StageFault, alarm: int) -> None:
     bench.stage.connect()
     bench.emulator.inject(fault)
     with pytest.raises(DeviceError, match=f"alarm {alarm}: "):
@@ -52,10 +54,15 @@ def test_the_controllers_own_soft_limit_is_an_alarm_too(make: Make) -> None:
 @pytest.mark.parametrize(
     ("fault", "error", "what", "refusal"),
     [
-        (Fault.RESTART, DeviceError, "restarted by itself", "no move before homing"),
-        (Fault.LOST_OK, LinkError, r"no answer \(asked G21.*after 2 s\)", "is still outstanding"),
+        (StageFault.RESTART, DeviceError, "restarted by itself", "no move before homing"),
         (
-            Fault.GARBAGE,
+            StageFault.LOST_OK,
+            LinkError,
+            r"no answer \(asked G21.*after 2 s\)",
+            "is still outstanding",
+        ),
+        (
+            StageFault.GARBAGE,
             ProtocolError,
             r"malformed answer: .*FF 00 3C 52 75 7C 1B",
             "no move before",
@@ -63,21 +70,21 @@ def test_the_controllers_own_soft_limit_is_an_alarm_too(make: Make) -> None:
     ],
 )
 def test_a_fault_in_a_move_is_a_sentence_and_asks_for_recovery(
-    make: Make, fault: Fault, error: type[InstrumentError], what: str, refusal: str
+    make: Make, fault: StageFault, error: type[InstrumentError], what: str, refusal: str
 ) -> None:
     bench = make()
     stage = bench.homed()
     bench.emulator.inject(fault, 0.5)
     with pytest.raises(error, match=what):
         stage.move_to(-250, -250)
-    assert stage.homed == (fault is Fault.LOST_OK)
+    assert stage.homed == (fault is StageFault.LOST_OK)
     with pytest.raises(InstrumentError, match=refusal):
-        stage.home() if fault is Fault.LOST_OK else stage.move_to(-5, -5)
+        stage.home() if fault is StageFault.LOST_OK else stage.move_to(-5, -5)
 
 
 def test_a_late_answer_is_not_taken_for_another_lines(bench: Bench) -> None:
     stage = bench.homed()
-    bench.emulator.inject(Fault.LATE_OK, 3.0)
+    bench.emulator.inject(StageFault.LATE_OK, 3.0)
     with pytest.raises(LinkError, match="no answer"):
         stage.move_to(-100, -100)
     bench.clock.sleep(5.0)
@@ -88,7 +95,7 @@ def test_a_late_answer_is_not_taken_for_another_lines(bench: Bench) -> None:
 def test_silence_in_a_move(bench: Bench) -> None:
     stage = bench.homed()
     stage.begin_move(-200, -200)
-    bench.emulator.inject(Fault.SILENT)
+    bench.emulator.inject(StageFault.SILENT)
     with pytest.raises(LinkError, match="no status report"):
         stage.finish_move()
     start = bench.clock.now()
