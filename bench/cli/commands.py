@@ -27,19 +27,19 @@ TASKS = {
     "set up a rig": ("init", "check", "rigs", "calibrate", "emulate"),
     "use one instrument alone": ("arm", "bath", "stage", "camera"),
     "keep and exchange what was recorded": ("store", "recording", "replay-wire"),
-    "this program": ("completion",),
+    "this program": ("help", "completion"),
 }
 
 GROUPS = {
-    "store": "check that a run's record is unaltered, or export it (docs/record.md)",
-    "recording": "make a recording (frames, calibration, truth) to publish (docs/record.md)",
-    "scene": "draw simulated scenes: pictures, recordings, boards (docs/scene.md)",
-    "campaign": "score detectors on thousands of simulated scenes (docs/campaigns.md)",
+    "store": "check that a run's record is unaltered, or export it (help record)",
+    "recording": "make a recording (frames, calibration, truth) to publish (help record)",
+    "scene": "draw simulated scenes: pictures, recordings, boards (help scene)",
+    "campaign": "score detectors on thousands of simulated scenes (help campaigns)",
     "arm": "a MicroScribe arm alone: read, watch, home, set the table frame, verify",
     "bath": "the water bath alone, without a rig file",
     "stage": "the motion stage alone, without a script",
     "camera": "the cameras alone: list, show, set the focus, save frames",
-    "calibrate": "calibrate cameras, thermal camera, table and stage (docs/calibration.md)",
+    "calibrate": "calibrate cameras, thermal camera, table and stage (help calibration)",
 }
 
 BAUDS = (9600, 14400, 19200, 28800, 38400, 57600, 115200)
@@ -60,7 +60,7 @@ SHARE = number(
 RIG_HELP = "a shipped rig by name, or a .toml file (default: emulated)"
 SCRIPT_HELP = "a shipped script by name ('teatbench trials' lists them), or a .toml file"
 
-CAPTURE = option("--capture FILE", "record the bytes of every link in a new file (docs/record.md)")
+CAPTURE = option("--capture FILE", "record the bytes of every link in a new file (help record)")
 JSON = flag("--json", "one JSON object, units in its keys")
 TABLES_JSON = flag("--json", "print JSON instead of tables")
 RIG = option("rig RIG", RIG_HELP, nargs="?")
@@ -72,7 +72,7 @@ WORKERS = option("--workers N", "how many processes (default: one a processor)",
 RUN = option("run RUN", "the run's folder", Path)
 RECORDING = option("recording RECORDING", "a recording's folder", Path)
 OUT_RUNS = option("--out DIR", "the folder for run folders", default=Path("runs"))
-DETECTOR_HELP = "a detector by name, a file DETECTOR.toml, or exec:COMMAND (docs/detectors.md)"
+DETECTOR_HELP = "a detector by name, a file DETECTOR.toml, or exec:COMMAND (help detectors)"
 DETECTORS = option(
     "--detector NAME",
     f"{DETECTOR_HELP}; may be given several times",
@@ -106,7 +106,7 @@ COMPARED_PAGE = option("--out DIR", "also write a page and comparison.json there
 ALL = "which; may be given several times (default: all)"
 PERTURB = option(
     "--perturb NAME=AMOUNT",
-    "change every scene, such as vergence=0.1 (docs/campaigns.md); may be given several times",
+    "change every scene, such as vergence=0.1 (help campaigns); may be given several times",
     parsed("bench.campaign.perturbations:Applied.parse"),
     many=True,
 )
@@ -119,7 +119,10 @@ FIRST_SEEDS = (
 CAMPAIGN = option("folder DIR", "the campaign's folder")
 PLAN_OR_FAMILIES = (
     option(
-        "plan PLAN", "a .toml file in place of the options (docs/campaigns.md)", Path, nargs="?"
+        "plan PLAN",
+        "a .toml file in place of the options (help campaigns)",
+        Path,
+        nargs="?",
     ),
     option("--family NAME", ALL, many=True),
 )
@@ -161,7 +164,7 @@ BATH_LINK = (
     ),
     option(
         "--profile NAME",
-        "a shipped profile by name, or a .toml file (docs/add-a-bath.md)",
+        "a shipped profile by name, or a .toml file (help add-a-bath)",
         required=True,
     ),
 )
@@ -222,7 +225,7 @@ TOUCH_NOISE = (
     option("--pixel-sd PX", "standard deviation of a pixel coordinate, px", SD, 0.1),
     option("--touch-sd MM", "standard deviation of a touch along each axis, mm", SD, 0.25),
 )
-FRAMES = option("frames FRAMES", "folders of pictures (docs/calibration.md)", nargs="*")
+FRAMES = option("frames FRAMES", "folders of pictures (help calibration)", nargs="*")
 BOARD = option("board BOARD", BOARD_HELP)
 BOARD_SHOWN = (
     option("--board BOARD", BOARD_HELP),
@@ -264,6 +267,11 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option("--seed N", "seed of all random numbers (default: the rig file's)", whole(0)),
         option("--record DIR", "also write a recording, which 'teatbench score' reads"),
         flag("--realtime", "emulated rig only: waits take their real time"),
+        option(
+            "--speed N",
+            "emulated rig only: --realtime, N times as fast, to practise",
+            number("a number of 1 or more, below 21", least=1.0, below=21.0),
+        ),
         flag("--dry-run", "move nothing: check each pose, then try all trials on emulators"),
         flag("--json", "with --dry-run: one JSON object with each finding by its trial"),
         OUT_RUNS,
@@ -461,7 +469,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "scene sensitivity": (
         (
             "draw how errors grow with noise, range, tilt and so on, beside the physical limit"
-            " (docs/scene.md)"
+            " (help scene)"
         ),
         "scene sensitivity --detector fused --out sensitivity",
         DETECTORS,
@@ -587,8 +595,8 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         RIG,
     ),
     "emulate": (
-        "run a rig's emulators alone, in real time, until Ctrl-C",
-        "emulate --write-rig elsewhere.toml",
+        "run a rig's emulators alone, in real time, until Ctrl-C, with a page to practise faults",
+        "emulate --port-base 9100 --write-rig practice.toml",
         RIG,
         LISTEN,
         flag("--pty", "serial instruments on pseudo-terminals (Linux and macOS)"),
@@ -598,6 +606,13 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         ),
         REPLACE,
         flag("--paced", "serial instruments at the rig's baud rate, 10 bits a byte"),
+        option(
+            "--port-base N",
+            "TCP ports from N on, always the same ones, so that a written rig file stays good"
+            " (default: free ones)",
+            whole(1024, 65530),
+            0,
+        ),
     ),
     "init": (
         "find instruments and cameras, ask for the rest, write a rig file; nothing moves or heats",
@@ -633,7 +648,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         flag("--on-peg", "the stylus is on its peg: don't ask"),
     ),
     "arm frame": (
-        "set the table frame: three touches and check points (docs/rig.md)",
+        "set the table frame: three touches and check points (help rig)",
         "arm frame --port /dev/ttyUSB0 --out frame.toml",
         *HOMED,
         option("--plane-checks N", "further touches anywhere in the plane", whole(0, 20), 1),
@@ -647,7 +662,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *ARM_FILE,
     ),
     "arm verify": (
-        "verify the arm: one divot at up to three distances, a calibrated length (docs/rig.md)",
+        "verify the arm: one divot at up to three distances, a calibrated length (help rig)",
         "arm verify --port /dev/ttyUSB0 --out verification.toml",
         *HOMED,
         option("--distances N", "divots: 1 (middle), 2 (near and far) or 3 (all)", whole(1, 3), 3),
@@ -903,7 +918,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "calibrate stage": (
         (
             "register the stage in the world: one teat end touched at several stage positions"
-            " (docs/trials.md)"
+            " (help trials)"
         ),
         "calibrate stage --rig my-rig.toml --out registration.toml",
         CAPTURE,
@@ -974,6 +989,11 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             nargs="?",
         ),
     ),
+    "help": (
+        "show a page of the documentation here, without a network; without TOPIC, list them",
+        "help record",
+        option("topic TOPIC", "a page, or a command that a page explains", nargs="?"),
+    ),
     "completion": (
         "print a script that makes your shell complete commands, options and names at Tab",
         "completion bash",
@@ -989,6 +1009,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
 # where a command's or a group's functions are, unless in the module of the same name
 MODULES = {
     "alone": ("camera", "stage"),
+    "manual": ("help",),
     "rig": ("check", "detect", "emulate", "replay-wire", "rigs", "scene"),
     "run": ("report", "resume", "score"),
     "store": ("compare", "control", "recording", "runs"),
@@ -997,6 +1018,7 @@ MODULES = {
 # a command's function, unless it has the name of its last word
 FUNCTIONS = {
     "bath set": "change",
+    "help": "shown",
     "camera list": "attached",
     "calibrate import": "take_over",
     "replay-wire": "replay_wire",

@@ -26,7 +26,10 @@ FILENAME_EXCED_RANGE = 206  # of Windows, which gives it the errno of a file tha
 
 HELP_COLUMNS = 78
 FEW = 8  # choices that a message lists
-MORE_HELP = "'teatbench COMMAND --help' has a command's arguments, and an example of it."
+MORE_HELP = (
+    "'teatbench COMMAND --help' has a command's arguments, and an example of it; 'teatbench help"
+    " COMMAND' the page that explains it."
+)
 
 # What libraries read when they are loaded. OpenCV and its FFmpeg would write to the terminal
 # themselves; OpenBLAS would share out small sums, which costs a quarter of a detector's time.

@@ -32,7 +32,7 @@ def check(given: argparse.Namespace) -> int:
     if rig.made_calibration is None:
         print(
             f"calibration: not made yet ({rig.calibration_path}); a run needs it, see"
-            " docs/calibration.md"
+            " 'teatbench help calibration'"
         )
     for why in unconfirmed(rig, wall_time().date()):
         print(why)
@@ -47,20 +47,37 @@ def check(given: argparse.Namespace) -> int:
 
 def emulate(given: argparse.Namespace) -> int:
     from bench.files import write_synced
-    from bench.rig.emulated_rig import EmulatedRig
+    from bench.rig.emulated_rig import EmulatedRig, port_of
+    from bench.rig.practice import Practice, page_of
     from bench.rig.urls import ELSEWHERE
     from instruments.camera.stream import StreamServer
     from instruments.listener import Listener
     from instruments.operators.remote import OperatorPort
 
     rig = load_rig(find_rig(given.rig))
-    clock = RealClock()
+    clock, base = RealClock(), given.port_base
+    valid = f"while it runs with --port-base {base}" if base else "while this runs"
     try:
         with (
             EmulatedRig(
-                rig, clock, rig.rig.seed, host=given.listen, pty=given.pty, paced=given.paced
+                rig,
+                clock,
+                rig.rig.seed,
+                host=given.listen,
+                pty=given.pty,
+                paced=given.paced,
+                port_base=base,
             ) as twin,
-            closing(StreamServer(twin.cameras, clock, host=given.listen)) as streams,
+            closing(
+                StreamServer(
+                    twin.cameras,
+                    clock,
+                    host=given.listen,
+                    port=port_of("cameras", base),
+                    page=lambda: page_of(practice),
+                    act=lambda words: practice.do(words),
+                )
+            ) as streams,
             closing(
                 Listener(
                     OperatorPort(twin.operator),
@@ -68,9 +85,13 @@ def emulate(given: argparse.Namespace) -> int:
                     lock=threading.RLock(),
                     name="operator",
                     host=given.listen,
+                    port=port_of("operator", base),
                 )
             ) as hands,
         ):
+            practice = Practice(
+                twin, lambda one, out: (streams.pulled.add if out else streams.pulled.discard)(one)
+            )
             more = {name: f"opencv:{url}" for name, url in streams.urls.items()}
             more["operator"] = hands.url.replace("socket://", ELSEWHERE)
             shown: dict[str, str] = {}
@@ -81,9 +102,13 @@ def emulate(given: argparse.Namespace) -> int:
                     if shown.get(name) != url:
                         print(f"{name} {url}", flush=True)
                 if given.write_rig and shown != urls:
-                    write_synced(given.write_rig, _rig_text(rig, urls).encode("utf-8"))
-                    print(f"written: {given.write_rig}; good while this runs", flush=True)
+                    text = _rig_text(rig, urls, valid)
+                    write_synced(given.write_rig, text.encode("utf-8"))
+                    print(f"written: {given.write_rig}; good {valid}", flush=True)
+                if not shown:
+                    print(f"page {streams.page_url}", flush=True)
                 shown = urls
+                practice.jam_again()
                 clock.sleep(0.5)
     except KeyboardInterrupt:
         return CODES.met
@@ -94,7 +119,7 @@ def emulate(given: argparse.Namespace) -> int:
         clock.close()
 
 
-def _rig_text(rig: LoadedRig, urls: Mapping[str, str]) -> str:
+def _rig_text(rig: LoadedRig, urls: Mapping[str, str], valid: str) -> str:
     """The file of ``rig`` with its emulators at ``urls``, for any folder."""
     from bench.toml import toml_text
 
@@ -119,7 +144,7 @@ def _rig_text(rig: LoadedRig, urls: Mapping[str, str]) -> str:
         name = holder.get(key, "")
         if name and ("profile" not in key or name.endswith(".toml")):
             holder[key] = (rig.path.parent / name).resolve().as_posix()
-    return toml_text(table, "Written by 'teatbench emulate', and good while that runs.")
+    return toml_text(table, f"Written by 'teatbench emulate', and good {valid}.")
 
 
 def rigs(_: argparse.Namespace) -> None:

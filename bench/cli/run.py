@@ -44,6 +44,8 @@ def run(given: argparse.Namespace) -> int:
         from bench.report.pixel_offsets import run_offsets
 
         return _offsets_reported(run_offsets(rig, path, given.out))
+    if given.speed and not rig.rig.emulated:
+        raise ConfigError.plain("--speed is for an emulated rig: no real instrument is hurried.")
     script = load_script(path, rig.rig.limits.set_point_c)
     if given.dry_run:
         from bench.cli.dry_run import look_ahead
@@ -69,7 +71,9 @@ def _run(given: argparse.Namespace, rig: LoadedRig, script: LoadedScript) -> int
             seed=given.seed,
             detectors=given.detector,
             record=given.record,
-            realtime=given.realtime or (given.console and bool(rig.rig.emulated)),
+            realtime=bool(given.realtime or given.speed)
+            or (given.console and bool(rig.rig.emulated)),
+            speed=given.speed,
             capture=given.capture,
             begun=shown.say,
         )

@@ -27,6 +27,7 @@ from starlette.types import ASGIApp
 from bench.config import ConfigError
 from bench.console import starting, watching
 from bench.console.guard import Guard
+from bench.rig.practice import leave
 from bench.run.interruptions import ABORT, leave_request, parse_request
 from instruments.clock import RealClock, wall_time
 from instruments.operators.mailbox import AlreadyAnsweredError, NotOpenError, give_answer
@@ -35,6 +36,7 @@ from instruments.operators.operator import ABORT as ABORTS
 STATIC = Path(__file__).parent / "static"
 POLL_S = 0.05  # between two looks at a run's files
 BEAT_S = 10.0  # a comment, so that a connection that went away is noticed
+SPEEDS = {1: ["--realtime"], 10: ["--speed", "10"]}  # of a run on emulators that is watched
 LONGEST = 400  # of a name or an answer
 MOST_PAGES, QUEUED = 500, 2000  # pages that follow runs; news that one may not have read yet
 BODY_S = 8.0  # a request's body has come by then
@@ -68,7 +70,7 @@ class Lease:
         return {"mine": self.client == client, "name": self.name, "since": self.since}
 
 
-News = tuple[str, Any]  # "event", "live", "prompt" or "lease", and its value
+News = tuple[str, Any]  # "event", "live", "prompt", "practice" or "lease", and its value
 
 
 @dataclass(slots=True, eq=False)
@@ -122,6 +124,7 @@ class Pages:
             now: dict[str, Any] = {
                 "live": watching.live(folder),
                 "prompt": watching.prompt(folder),
+                "practice": watching.practice(folder),
                 "lease": (lease.client, lease.name, lease.since),
             }
             news: list[News] = [("event", event) for event in came]
@@ -166,6 +169,7 @@ class Console:
             Route(f"{one}/set-up", self.set_up),
             Route(f"{one}/answers/{{number:int}}", self.answer, methods=["POST"]),
             Route(f"{one}/control", self.control, methods=["POST"]),
+            Route(f"{one}/practice", self.practise, methods=["POST"]),
             Route(f"{one}/resume", self.resume, methods=["POST"]),
             Route(f"{one}/report", self.open_report, methods=["POST"]),
         ]
@@ -198,7 +202,8 @@ class Console:
             recent = await _off(lambda: list(watching.Events(folder).recent()))
             if after is None:
                 after = first["number"]
-            seen: dict[str, Any] = {name: first[name] for name in ("live", "prompt", "lease")}
+            kinds = ("live", "prompt", "practice", "lease")
+            seen: dict[str, Any] = {name: first[name] for name in kinds}
             news: list[News] = [("event", event) for event in recent]
             while True:
                 for kind, value in news:
@@ -278,6 +283,15 @@ class Console:
         await _off(leave_request, folder, words)
         return JSONResponse({"left": words})
 
+    async def practise(self, request: Request) -> Response:
+        """``{"words": "pull arm"}``: one of those that the emulated rig shows."""
+        folder, given = self._folder(request), await _body(request)
+        words, now = _text(given, "words"), watching.practice(folder)
+        if now is None or not any(words in one["words"].values() for one in now["choices"]):
+            return _refused(409, "that can't be done to this run's rig just now")
+        await _off(leave, folder, words)
+        return JSONResponse({"left": words})
+
     async def take_lease(self, request: Request) -> Response:
         given, client = await _body(request), _client(request)
         if not client:
@@ -296,8 +310,8 @@ class Console:
     async def start(self, request: Request) -> Response:
         given = await _body(request)
         arguments = [*await self._chosen(given), "--out", str(self.runs)]
-        if given.get("realtime") is True:
-            arguments.append("--realtime")
+        if (speed := given.get("speed")) in SPEEDS:
+            arguments += SPEEDS[speed]
         return await self._started(arguments)
 
     async def resume(self, request: Request) -> Response:

@@ -23,6 +23,7 @@ from bench.record.schema import DATABASE
 from bench.record.state import NO_ENDING, TRIP, holder_of, state_of
 from bench.report.runs import run_thumbnails
 from bench.report.trials import project_all
+from bench.rig.practice import SHOWN as PRACTICE
 from bench.run.events import EVENTS_FILE
 from bench.run.live import CAMERAS, LIVE
 from bench.run.set_up_picture import FOLDER as SET_UP
@@ -102,6 +103,7 @@ def snapshot(folder: Path) -> dict[str, Any]:
         "run": _card(folder),
         "live": live(folder),
         "prompt": prompt(folder),
+        "practice": practice(folder),
         "curve": curve(folder),
         "events": last,
         "number": last[-1]["number"] if last else 0,
@@ -120,10 +122,19 @@ def _thumbnails(folder: Path, _: int) -> tuple[tuple[str, str], ...]:
 
 def live(folder: Path) -> dict[str, Any] | None:
     """The run as it is now; None where no run is under way: a killed bench leaves its last."""
+    return _now(folder, f"{FOLDER}/{LIVE}")
+
+
+def practice(folder: Path) -> dict[str, Any] | None:
+    """How the emulated rig of a run in real time stands, and what can be done to it."""
+    return _now(folder, PRACTICE)
+
+
+def _now(folder: Path, name: str) -> dict[str, Any] | None:
     if not under_way(folder):
         return None
     try:
-        found = json.loads((folder / FOLDER / LIVE).read_bytes())
+        found = json.loads((folder / name).read_bytes())
     except (OSError, ValueError):
         return None
     return found if isinstance(found, dict) else None

@@ -29,6 +29,7 @@ from instruments.stage.emulator.board import Fault as StageFault
 from instruments.world.phantom import PlatePose
 from instruments.world.world import World
 
+PORTS = ("arm", "bath", "pump", "stage", "cameras", "operator")  # from a first port on
 AS_A_PTY = "?parity=N&bytesize=8&handshake=none"  # a pseudo-terminal has no other frames
 
 Heated = BathEmulator | LineEmulator | RelayEmulator
@@ -53,8 +54,9 @@ class PlacedHand:
 
 
 class EmulatedRig:
-    """The emulators of ``rig``. ``pty``: serial ports are pseudo-terminals; ``paced``: real baud.
-    Raises OSError, ValueError for either under virtual time, ConfigError for a fault.
+    """The emulators of ``rig``. ``pty``: serial ports are pseudo-terminals; ``paced``: real baud;
+    ``port_base``: see ``port_of``. Raises OSError, ValueError for ``pty`` or ``paced`` under
+    virtual time, ConfigError for a fault.
     """
 
     def __init__(
@@ -66,7 +68,9 @@ class EmulatedRig:
         host: str = "127.0.0.1",
         pty: bool = False,
         paced: bool = False,
+        port_base: int = 0,
     ) -> None:
+        self._port_base = port_base
         emulation = rig.rig.emulation
         table = toml_of(rig.calibration_path)
         sensors = emulation.optical, emulation.thermal, emulation.depth
@@ -90,7 +94,7 @@ class EmulatedRig:
             mistakes=emulation.mistakes,
         )
         self._clock, self._host, self._pty, self._paced = clock, host, pty, paced
-        self._listeners: dict[str, Listener | PtyListener] = {}
+        self.listeners: dict[str, Listener | PtyListener] = {}
         placed = Motion.from_vectors(emulation.arm_placed.om, emulation.arm_placed.T)
         self.arm = ArmEmulator(
             PlacedHand(self.world, placed),
@@ -141,7 +145,7 @@ class EmulatedRig:
     @property
     def urls(self) -> dict[str, str]:
         """What a driver opens, by instrument; a pseudo-terminal's changes after a hang-up."""
-        urls = {name: listener.url for name, listener in self._listeners.items()}
+        urls = {name: listener.url for name, listener in self.listeners.items()}
         for name, device in (("bath", self.bath), ("pump", self.pump)):
             if device and name in urls:
                 scheme = "rtu+tcp://" if device.framing == "rtu" else "tcp://"
@@ -151,7 +155,7 @@ class EmulatedRig:
         return urls
 
     def close(self) -> None:
-        for listener in self._listeners.values():
+        for listener in self.listeners.values():
             listener.close()
         self.world.close()
 
@@ -195,10 +199,12 @@ class EmulatedRig:
     def _listen(self, name: str, device: Device, serial_baud: int | None) -> None:
         how: dict[str, Any] = {"lock": self.world.lock, "name": name}
         how["baud"] = serial_baud if self._paced else None
-        self._listeners[name] = (
+        self.listeners[name] = (
             PtyListener(device, self._clock, **how)
             if self._pty and serial_baud is not None
-            else Listener(device, self._clock, host=self._host, **how)
+            else Listener(
+                device, self._clock, host=self._host, port=port_of(name, self._port_base), **how
+            )
         )
 
     def _plan(self, fault: EmulatedFault) -> None:
@@ -248,3 +254,10 @@ class EmulatedRig:
             device.fault(name)
 
         return break_it, lambda: device.fault(name, on=False)
+
+
+def port_of(name: str, base: int) -> int:
+    """The TCP port of what is called so in `PORTS`, whatever the rig lacks; 0 (free) without
+    ``base``.
+    """
+    return base and base + PORTS.index(name)

@@ -17,6 +17,7 @@ from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.leaving import Leaving, Opened, to_stderr
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Emulation, OneCamera, Operator, Rig, ThermalTable
+from bench.rig.practice import following
 from bench.rig.scripted_answers import load_answers
 from bench.rig.urls import BROWSER, CONSOLE, ELSEWHERE, EMULATED, PEOPLE, SCRIPT
 from detector.calibration import Calibration
@@ -28,7 +29,7 @@ from instruments.camera.frame import Conversion
 from instruments.camera.genicam import DeviceTime, GenicamCamera
 from instruments.camera.opencv import OpenCvCamera
 from instruments.captures.capture import CaptureFile
-from instruments.clock import Clock, RealClock, VirtualClock
+from instruments.clock import Clock, PacedClock, RealClock, VirtualClock
 from instruments.errors import DeviceError, InstrumentError
 from instruments.link import Link, Tap
 from instruments.microscribe.driver import MicroScribe
@@ -68,6 +69,7 @@ def open_instruments(
     twin: EmulatedRig | None = None,
     seed: int | None = None,
     realtime: bool = False,
+    speed: float | None = None,
     capture: CaptureFile | None = None,
     screen: Screen = nullcontext,
     start_s: float = 0.0,
@@ -76,7 +78,8 @@ def open_instruments(
 ) -> AbstractContextManager[Devices]:
     """The instruments ``names`` of ``rig``, closed at the end; others are None. Without ``clock``
     time is virtual where all is emulated and no person takes part. ``twin``: emulators already up;
-    ``screen`` is entered around a question; ``folder``: of a run with a browser. Raises
+    ``screen`` is entered around a question; ``folder``: of a run with a browser, or with emulators
+    to practise on; ``speed`` of emulators in real time. Raises
     BringUpError, or a single instrument's fault, and ConfigError.
 
     What was made to heat or to move is made safe at the end (NotSafeError where it could not be,
@@ -96,6 +99,8 @@ def open_instruments(
         person = "operator" in names and rig.rig.operator.url in PEOPLE
         if emulated and not realtime and not person:
             return VirtualClock()
+        if speed is not None and rig.rig.emulated:  # nothing real is hurried
+            return PacedClock(speed, start_s)
         return stack.enter_context(closing(RealClock(start_s)))
 
     @contextmanager
@@ -107,6 +112,8 @@ def open_instruments(
             world = twin
             if emulated and world is None:
                 world = stack.enter_context(EmulatedRig(rig, time, seeded))
+                if folder and type(time) is not VirtualClock:
+                    stack.enter_context(following(folder, world, time, speed or 1.0))
             openers = _openers(rig, time, world, capture, identify=identify)
             found = _opened(stack, names, openers)
             yield _together(found, time, world, answerer, names)

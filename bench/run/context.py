@@ -138,7 +138,7 @@ class RunContext:
         a further poll would change what the emulated arm answers.
         """
         arm = self.devices.arm
-        if not self._touching or isinstance(self.clock, VirtualClock) or not arm.homed:
+        if not self._touching or type(self.clock) is VirtualClock or not arm.homed:
             return None
         if not isinstance(arm, MicroScribe):
             return None  # a point is there once it is touched

@@ -85,14 +85,16 @@ INTERRUPTED = "interrupted (Ctrl-C)"
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """``seed`` and ``detectors`` instead of the rig's and the script's; ``typed`` gives typed
-    lines; ``begun`` gets where the run is kept, and how long it takes.
+    """``seed`` and ``detectors`` instead of the rig's and the script's; ``speed`` of emulators that
+    are watched; ``typed`` gives typed lines; ``begun`` gets where the run is kept, and how long it
+    takes.
     """
 
     seed: int | None = None
     detectors: Sequence[str] = ()
     record: Path | None = None
     realtime: bool = False
+    speed: float | None = None
     capture: CaptureFile | None = None
     typed: Callable[[], str | None] = lambda: None
     begun: Callable[[str], None] = lambda _: None
@@ -145,6 +147,7 @@ def resume_run(
         detectors=tuple(asked["detectors"]),
         record=None,
         realtime=bool(asked["realtime"]),
+        speed=asked.get("speed"),
     )
     under_test = _allowed(rig, script, how.detectors)
     here = str(folder.resolve())
@@ -215,6 +218,7 @@ def _begun(
             "script": str(script.path.resolve()),
             "detectors": list(how.detectors),
             "realtime": how.realtime,
+            "speed": how.speed,
         },
     }
     with undisturbed():  # a run that is there at all says what it is, and how it ended
@@ -314,6 +318,7 @@ def _guarded_instruments(
             rig,
             seed=how.seed or 0,
             realtime=how.realtime,
+            speed=how.speed,
             capture=how.capture,
             supervised=True,
             screen=events.aside,

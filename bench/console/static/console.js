@@ -123,6 +123,7 @@ function received(kind, value) {
     run[kind] = value;
     if (kind === "live") live();
     if (kind === "prompt") { prompted(value); doing(); }
+    if (kind === "practice") practice();
     if (kind === "lease") leased();
   }
 }
@@ -154,11 +155,22 @@ function page() {
     card({ className: "half" }, heading("What happened"), make("ol", { id: "log", className: "log", tabIndex: 0, ariaLabel: "what happened" })),
     card({ id: "seen", hidden: true }, heading("Last frames"), make("div", { id: "frames", className: "frames" })),
     card({ id: "result", hidden: true }, heading("Last trial with its truth"), make("div", { id: "scored" })),
+    card({ id: "practice", hidden: true }, heading("Practice"), make("p", { className: "soft" }, "An emulated rig: this happens to it at once, as by a hand. The run is not told."), make("ul", { id: "rig" })),
     card({ id: "health" }, heading("Instruments and interlocks"), make("ul", { id: "instruments", className: "chips" }), make("details", {}, make("summary", { id: "armed" }), make("ul", { id: "interlocks", className: "chips" }))),
   );
   const under = run.run.ending === "under way";
   controls.hidden = !under;
-  chart(); events(); prompted(run.prompt); leased(); live(); ended(); trials();
+  chart(); events(); prompted(run.prompt); leased(); live(); practice(); ended(); trials();
+}
+// an emulated rig in real time: what a hand may do to it
+function practice() {
+  const place = byId("practice"), now = run.practice;
+  if (!place) return;
+  place.hidden = !now;
+  if (!now) return;
+  const row = (one) => make("li", { className: "row" }, make("span", { className: "of" }, words(one.of)), make("b", { className: /^[A-Z]+$/.test(one.is) ? "bad" : "" }, one.is),
+    ...Object.entries(one.words).map(([label, text]) => make("button", { className: "quiet", ariaLabel: text, onclick: () => ask(at("/practice"), { words: text }).catch((error) => problem(error.message)) }, words(label))));
+  byId("rig").replaceChildren(...now.choices.map(row));
 }
 let plot = null;
 const CHART_PX = 215;
@@ -457,6 +469,7 @@ const shown = new IntersectionObserver((entries) => {
     ask(`/runs/${encodeURIComponent(target.run)}/thumbnails`).then(({ thumbnails }) => target.append(...thumbnails.map(([alt, data]) => make("img", { src: `data:image/jpeg;base64,${data}`, alt })))).catch(() => null);
   }
 });
+const SPEEDS = { "in real time": 1, "ten times as fast, to practise": 10, "as fast as they can": 0 };
 function starter(known) {
   const choice = (label, names, first) => {
     const select = make("select", { ariaLabel: label }, ...names.map((name) => make("option", { value: name, selected: name === first }, name)));
@@ -464,8 +477,8 @@ function starter(known) {
   };
   const [rigLabel, rig] = choice("Rig", known.rigs, "emulated-browser"), [scriptLabel, script] = choice("Script", known.scripts, "six-situations");
   const boxes = known.detectors.map((name) => make("input", { type: "checkbox", value: name, checked: name === "fused" }));
-  const realtime = make("input", { type: "checkbox", checked: true });
-  const chosen = () => ({ rig: rig.value, script: script.value, detectors: boxes.filter((box) => box.checked).map((box) => box.value), realtime: realtime.checked && rig.value.startsWith("emulated") });
+  const [speedLabel, speed] = choice("Emulated rigs", Object.keys(SPEEDS), "in real time");
+  const chosen = () => ({ rig: rig.value, script: script.value, detectors: boxes.filter((box) => box.checked).map((box) => box.value), speed: rig.value.startsWith("emulated") ? SPEEDS[speed.value] : 0 });
   const result = make("div", { id: "dry", role: "status" });
   const tried = make("button", { className: "quiet", id: "try", onclick: async () => {
     tried.disabled = true; problem(""); result.replaceChildren("Going through the script on emulators: this takes a while.");
@@ -473,9 +486,8 @@ function starter(known) {
     tried.disabled = false;
   } }, "Dry run");
   const go = make("button", { id: "start", onclick: async () => { go.disabled = true; await started(ask("/start", chosen())); go.disabled = false; } }, "Start");
-  byId("new").append(make("p", { className: "row" }, rigLabel, scriptLabel),
+  byId("new").append(make("p", { className: "row" }, rigLabel, scriptLabel, speedLabel),
     make("fieldset", {}, make("legend", {}, "Detectors"), ...boxes.map((box) => make("label", { className: "choice" }, box, box.value))),
-    make("p", { className: "row" }, make("label", { className: "choice" }, realtime, "emulated rigs in real time")),
     make("p", { className: "row" }, tried, go), result);
 }
 // what a dry run found: each finding under its trial
