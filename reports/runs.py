@@ -10,7 +10,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from reports.page import KINDS, UNFINISHED, Kind, Verdict
+from reports.page import KINDS, Kind, Verdict
 from reports.render import SIGNS, assets, environment, policy_hash, write_whole
 from reports.trust import address, one_of
 
@@ -51,8 +51,8 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A run that could be read: ``damage`` to its record, a ``note`` on what is missing, its
-    ``report``'s path, ``thumbnails`` as text and JPEG.
+    """A run that could be read: ``status`` as JSON (docs/json.md), ``damage`` to its record, a
+    ``note`` on what is missing, its ``report``'s path, ``thumbnails`` as text and JPEG.
     """
 
     folder: Path
@@ -61,9 +61,7 @@ class Run:
     script: str
     kind: Kind
     ending: str
-    state: str
-    trials: int
-    planned: int | None
+    status: Mapping[str, Any]
     results: tuple[Result, ...]
     damage: tuple[str, ...]
     report: str
@@ -89,13 +87,12 @@ class Run:
         return f"{self.date}, {result.detector}{version}: {result.verdict}. {result.text}"
 
     def as_dict(self) -> dict[str, Any]:
-        """As JSON takes it: an unfinished run's verdict is "aborted", as ever; see ``state``."""
+        """As JSON takes it."""
         shown = asdict(replace(self, thumbnails=()))
-        for result in shown["results"]:
-            if result["verdict"] in UNFINISHED:
-                result["verdict"] = "aborted"
         del shown["thumbnails"], shown["note"]
-        return shown | {"folder": str(self.folder)}
+        said = {"state": "state", "trials": "done", "planned": "planned"}
+        of_status = {key: self.status[name] for key, name in said.items()}
+        return shown | {"folder": str(self.folder), **of_status}
 
 
 @dataclass(frozen=True, slots=True)

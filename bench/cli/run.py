@@ -83,17 +83,17 @@ def _run(given: argparse.Namespace, rig: LoadedRig, script: LoadedScript) -> int
         from bench.report.page import write_run_report  # late: loads for half a second
 
         written = write_run_report(folder)
-    code = show_verdict(console, *written)
-    record = read_run(folder)
+    code = show_verdict(console, written)
+    record = written.run
     spent = estimate.took(record)
     # the next estimate is better by what this run took; one that stopped shows nothing
-    if record.ending == "finished" and "total_s" in spent:
+    if written.status.state == "finished" and "total_s" in spent:
         expected = estimate.needs(rig, script, estimate.read_durations(given.out, rig)).time
         figures = estimate.figures(record, rig, script, spent)
         estimate.write_durations(folder, rig, expected, spent, figures)
         print(estimate.estimate_text(expected, spent))
     if given.open:
-        open_report(written[0])
+        open_report(written.path)
     return code
 
 
@@ -109,7 +109,7 @@ def resume(given: argparse.Namespace) -> int:
             from bench.report.page import write_run_report
 
             print(f"{given.run}: every trial is done, the bench died before it wrote the report")
-            return show_verdict(console, *write_run_report(given.run, damage=damage))
+            return show_verdict(console, write_run_report(given.run, damage=damage))
         operator = files_of(record)[0].rig.operator.url
         with event_lines(given.events) as lines, TerminalProgress(console) as shown:
             progress = Events(shown, lines)
@@ -122,7 +122,7 @@ def resume(given: argparse.Namespace) -> int:
             from bench.report.page import write_run_report
 
             written = write_run_report(given.run, damage=damage)
-        return show_verdict(console, *written)
+        return show_verdict(console, written)
 
 
 def _is_reported(folder: Path) -> bool:
@@ -163,7 +163,7 @@ def score(given: argparse.Namespace) -> int:
         folder = score_recording(given.recording, given.out, progress, given.detector or ["thesis"])
         progress.state("writing the report")
         written = write_run_report(folder)
-    code = show_verdict(console, *written)
+    code = show_verdict(console, written)
     run = read_run(folder)
     if text := run.facts.get(UNCHECKED_FACT):
         print(f"Cameras {text}.")
@@ -216,7 +216,7 @@ def report(given: argparse.Namespace) -> int:
                 written = write_run_report(
                     given.run, chapters, damage, single_file=given.single_file
                 )
-            code = show_verdict(Terminal(), *written)
+            code = show_verdict(Terminal(), written)
     if browser:
         folder = given.run / REPORT
         try:

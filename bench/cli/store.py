@@ -22,6 +22,7 @@ from bench.record.check import NOT_AS_WRITTEN, check_run, checked_first, shorten
 
 if TYPE_CHECKING:
     from bench.results.comparison import Comparison
+    from reports.runs import Runs
 
 DAMAGED = "NOT-AS-WRITTEN.txt"  # beside what was exported of a damaged record
 TAKEN_S = 10.0  # a run looks once a second; a capture or a detection may take longer
@@ -166,13 +167,13 @@ def _show(found: Sequence[Comparison]) -> None:
 
 
 def control(given: argparse.Namespace) -> int:
-    from bench.record.reader import read_run
+    from bench.results.status import read_status
     from bench.run.interruptions import leave_request, was_taken
     from instruments.clock import RealClock
 
-    run = read_run(given.run)
-    if run.ending != "interrupted":
-        print(f"{given.run} has ended ({run.state}): it takes no requests any more.")
+    status = read_status(given.run)
+    if not status.under_way:
+        print(f"{given.run} has ended ({status.state}): it takes no requests any more.")
         return CODES.wrong_use
     leave_request(given.run, " ".join(given.words))
     if was_taken(given.run, RealClock(), TAKEN_S):
@@ -186,14 +187,19 @@ def control(given: argparse.Namespace) -> int:
 
 
 def runs(given: argparse.Namespace) -> None:
-    from bench.cli.terminal import Terminal, working
-    from bench.report.runs import counted, list_runs, write_runs_page
-    from bench.report.wording import number
+    from bench.cli.terminal import working
+    from bench.report.runs import list_runs, write_runs_page
 
     with working("reading the runs"):
         found = list_runs(given.folder)
+    page, why = None, ""
+    try:
+        page = str(write_runs_page(found))
+    except OSError as error:  # a folder to look at, and no more
+        why = f"not written: {error.strerror or error}"
     if given.json:
         text = {
+            "version": 1,
             "runs": [run.as_dict() for run in found.runs],
             "history": [
                 {"detector": detector, "script": script, "runs": [str(run.folder) for run, _ in of]}
@@ -202,11 +208,20 @@ def runs(given: argparse.Namespace) -> None:
             "others": [
                 {"folder": str(found.folder / name), "why": why} for name, why in found.others
             ],
-            "page": str(write_runs_page(found)),
+            "page": page,
         }
         print(json.dumps(text, indent=1, ensure_ascii=False))
         return
+    _show_runs(found)
+    print(f"Page: {page or why}")
+
+
+def _show_runs(found: Runs) -> None:
     from rich.table import Table
+
+    from bench.cli.terminal import Terminal
+    from bench.report.runs import counted
+    from bench.report.wording import number
 
     console = Terminal()
     table = Table()
@@ -229,4 +244,3 @@ def runs(given: argparse.Namespace) -> None:
             console.print(f"{run.folder.name}: {run.note}", highlight=False, soft_wrap=True)
     for name, why in found.others:
         console.print(f"not a run: {name}: {why}", highlight=False, soft_wrap=True)
-    print(f"Page: {write_runs_page(found)}")

@@ -27,6 +27,7 @@ from starlette.types import ASGIApp
 from bench.config import ConfigError
 from bench.console import starting, watching
 from bench.console.guard import Guard
+from bench.results.status import under_way
 from bench.rig.practice import leave
 from bench.run.interruptions import ABORT, leave_request, parse_request
 from instruments.clock import RealClock, wall_time
@@ -70,7 +71,8 @@ class Lease:
         return {"mine": self.client == client, "name": self.name, "since": self.since}
 
 
-News = tuple[str, Any]  # "event", "live", "prompt", "practice" or "lease", and its value
+FOLLOWED = ("status", "live", "prompt", "practice", "lease")
+News = tuple[str, Any]  # "event" or one of FOLLOWED, and its value
 
 
 @dataclass(slots=True, eq=False)
@@ -122,6 +124,7 @@ class Pages:
         seen: dict[str, Any] = {}
         while True:
             now: dict[str, Any] = {
+                "status": watching.status(folder),
                 "live": watching.live(folder),
                 "prompt": watching.prompt(folder),
                 "practice": watching.practice(folder),
@@ -183,7 +186,7 @@ class Console:
         return JSONResponse({**found, "lease": self.lease.as_seen_by(_client(request))})
 
     async def stream(self, request: Request) -> Response:
-        """Server-sent events: `snapshot`, then `event` (by number), `live`, `prompt`, `lease`."""
+        """Server-sent events: `snapshot`, then `event` (by number) and what is in FOLLOWED."""
         folder, last = self._folder(request), request.headers.get("last-event-id", "")
         after = int(last) if last.isdecimal() else None
         if (page := self.pages.add(folder, self.lease)) is None:
@@ -202,8 +205,7 @@ class Console:
             recent = await _off(lambda: list(watching.Events(folder).recent()))
             if after is None:
                 after = first["number"]
-            kinds = ("live", "prompt", "practice", "lease")
-            seen: dict[str, Any] = {name: first[name] for name in kinds}
+            seen: dict[str, Any] = {name: first[name] for name in FOLLOWED}
             news: list[News] = [("event", event) for event in recent]
             while True:
                 for kind, value in news:
@@ -256,7 +258,7 @@ class Console:
         number = request.path_params["number"]
         if words.strip().lower() not in ABORTS and not self.lease.held_by(client, name):
             return _refused(403, f"{self.lease.name} answers prompts; take over first")
-        if not watching.under_way(folder):
+        if not under_way(folder):
             return _refused(409, "this run is not under way")
         try:
             taken = await _off(give_answer, folder, number, words, name or "a browser")
@@ -278,7 +280,7 @@ class Console:
             return _refused(422, str(error))
         if wish != ABORT and not self.lease.held_by(_client(request), _text(given, "name")):
             return _refused(403, f"{self.lease.name} has the controls; take over first")
-        if not watching.under_way(folder):
+        if not under_way(folder):
             return _refused(409, "this run is not under way")
         await _off(leave_request, folder, words)
         return JSONResponse({"left": words})

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -34,9 +35,10 @@ from bench.report.trials import (
     worst_trials,
 )
 from bench.report.truth import arm_parts, cameras_parts, deviation_parts, truth_parts
-from bench.report.wording import headline, headlines, id_of, key_values, table
+from bench.report.wording import id_of, key_values, table
 from bench.results.cameras_agree import UNCHECKED_FACT
 from bench.results.exports import write_exports
+from bench.results.status import RunStatus, status_of
 from bench.results.verdicts import (
     LATENCY_RULE,
     Judgement,
@@ -72,10 +74,22 @@ from reports.page import (
     Paragraph,
     Part,
     Section,
+    Verdict,
 )
 from reports.render import write_report
 
 REPORT, SINGLE_FILE, PDF = "report", "single-file.html", "report.pdf"
+
+
+class Written(NamedTuple):
+    """A report that was written: its page, the record that it is of, what was judged, and how the
+    run stood.
+    """
+
+    path: Path
+    run: RunRecord
+    judgements: tuple[Judgement, ...]
+    status: RunStatus
 
 
 def write_run_report(
@@ -84,27 +98,29 @@ def write_run_report(
     damage: tuple[str, ...] = (),
     *,
     single_file: bool = False,
-) -> tuple[Path, RunRecord, tuple[Judgement, ...]]:
+) -> Written:
     """Write a run's report and exports, with ``chapters`` after the results and, if wanted, the
-    file for mail; gives back the page's path. Raises ConfigError.
+    file for mail. Raises ConfigError.
     """
     run = read_run(folder, damage)
     rules = stored_rules(folder)
     judgements = judge(run, rules) if any(trial.scores for trial in run.trials) else ()
     calibration = read_calibration(folder / "calibration.toml", doubtful=True)
-    page = build_page(run, rules, judgements, calibration, folder / REPORT, chapters)
+    status = status_of(run, judgements)
+    page = build_page(run, status, rules, judgements, calibration, folder / REPORT, chapters)
     # by another reading of the run: it may not stand beside this one
     for written_before in (SINGLE_FILE, PDF):
         (folder / REPORT / written_before).unlink(missing_ok=True)
     path = write_report(page, folder / REPORT)
-    write_exports(run, judgements, folder / REPORT)
+    write_exports(run, status, judgements, folder / REPORT)
     if single_file:
         write_single_file(page, folder / REPORT, folder / REPORT / SINGLE_FILE)
-    return path, run, judgements
+    return Written(path, run, judgements, status)
 
 
 def build_page(
     run: RunRecord,
+    status: RunStatus,
     rules: Rules,
     judgements: Sequence[Judgement],
     calibration: Calibration,
@@ -113,24 +129,22 @@ def build_page(
 ) -> Page:
     """The page; writes the trials' pictures into ``folder``/images. ``chapters`` come later."""
     trials = trial_parts(run, calibration, folder)
-    verdict, why, then = headline(run, judgements)
-    each = run.ending == "finished" and not run.damage and len(judgements) > 1
-    if each:
-        why, then = headlines(run, judgements)
     facts = run.facts
     poses, invalid = len({trial.pose for trial in run.counted}), len(run.trials) - len(run.counted)
     left_out = f"; {invalid} more have lost their truth (see Deviations)" if invalid else ""
     banner = Banner(
         kind=facts["kind"],
-        verdict=verdict,
+        verdict=cast(Verdict, status.word),
         tested=(
             f"{facts['title']}: teat detector {', '.join(run.detectors)} "
             f"on {len(run.counted)} frame sets of {poses} poses{left_out}."
         ),
-        sentence=why,
+        sentence=status.why,
         confidence=_confidence(run, rules, poses),
-        next_action=then,
-        each=tuple((j.detector, j.verdict.value) for j in judgements) if each else (),
+        next_action="\n".join(status.next),
+        each=tuple((name, cast(Verdict, word)) for name, word in status.verdicts.items())
+        if status.decided and len(judgements) > 1
+        else (),
     )
     nothing = "Nothing was scored, so no requirement was decided."
     requirements: tuple[Part, ...] = (Paragraph(nothing, tone="warn"),)
@@ -140,7 +154,7 @@ def build_page(
         requirements = (tables.scoreboard(judgements), folded)
     sections = [Section("requirements", "Requirements", requirements)]
     undecided = undecided_of(judgements)
-    behind = tuple(_pages(run, rules, calibration, chapters, undecided))
+    behind = tuple(_pages(run, status, rules, calibration, chapters, undecided))
     drawn = tuple(_figures(run, rules, calibration)) if run.trials and judgements else ()
     made = tuple(trials)
     if judgements:
@@ -168,6 +182,7 @@ def build_page(
 
 def _pages(
     run: RunRecord,
+    status: RunStatus,
     rules: Rules,
     calibration: Calibration,
     chapters: tuple[Section, ...],
@@ -214,7 +229,7 @@ def _pages(
         yield behind("page-thesis", "Thesis", "its figures beside ours", *thesis)
     yield behind(
         *("page-provenance", "Provenance", "item, versions, files, command"),
-        Section("provenance", "Who, with what, when", tuple(provenance_parts(run))),
+        Section("provenance", "Who, with what, when", tuple(provenance_parts(run, status))),
     )
 
 
@@ -399,7 +414,7 @@ BESIDE = {
 }
 
 
-def provenance_parts(run: RunRecord) -> Iterator[Part]:
+def provenance_parts(run: RunRecord, status: RunStatus) -> Iterator[Part]:
     """Who was tested, with what, when, and by which data."""
     facts, chain = run.facts, _chain(run)
     for name, item in facts["items"].items():
@@ -408,9 +423,10 @@ def provenance_parts(run: RunRecord) -> Iterator[Part]:
         "Bench and run",
         {
             "folder": run.folder.name,
-            "ending": run.ending,
+            "state": status.state.value,
             "started": facts["wall_started"],
             "ended": facts.get("wall_ended"),
+            **{f"{one.name} at the end": one.text for one in status.instruments},
             **{name: facts.get(name) for name in ("seed", "rig", "script")},
             **{f"version, {name}": version for name, version in facts["versions"].items()},
             "bench's commit": facts.get("commit"),

@@ -8,19 +8,18 @@ import base64
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import cast
 
 import cv2
 import numpy as np
 
 from bench.config import ConfigError, read_calibration
-from bench.record.check import NOT_AS_WRITTEN, checked_first, shortened
+from bench.record.check import checked_first
 from bench.record.reader import RunRecord, database_in, read_run
 from bench.record.schema import DATABASE, SCRIPT
-from bench.record.state import State
 from bench.report.page import REPORT
 from bench.report.trials import frames_of, round_teats, worst_trials
-from bench.report.wording import STOPPED
-from bench.results.exports import trial_text, trials_of
+from bench.results.status import RunStatus, status_of
 from bench.results.verdicts import judge, scored, stored_rules
 from bench.scoring.rates import plural
 from bench.script.pixel_offsets import is_offset_script
@@ -67,6 +66,8 @@ def _listed(folder: Path) -> Run:
     database_in(folder)
     with checked_first([folder], despite_damage=True) as damage:
         run = read_run(folder, damage)
+        scored_too = not run.damage and any(trial.scores for trial in run.trials)
+        status = status_of(run, judge(run, stored_rules(folder)) if scored_too else ())
         facts, report = run.facts, f"{REPORT}/{PAGE}"
         return Run(
             folder=folder,
@@ -75,40 +76,31 @@ def _listed(folder: Path) -> Run:
             script=str(facts.get("script") or facts["title"]),
             kind=facts["kind"],
             ending=run.ending,
-            state=run.state.value,
-            trials=len(run.trials),
-            planned=facts.get("planned"),
-            results=tuple(_results(run)),
+            status=status.as_dict(),
+            results=tuple(_results(run, status)),
             damage=damage,
             report=f"{folder.name}/{report}" if (folder / report).is_file() else "",
-            note=_note(run),
+            note=_note(status),
             thumbnails=tuple(run_thumbnails(run)),
         )
 
 
-def _note(run: RunRecord) -> str:
+def _note(status: RunStatus) -> str:
     """What holds it back; empty for a whole and finished run."""
-    if run.damage:
-        return f"{NOT_AS_WRITTEN}: {shortened(run.damage)}"
-    if run.ending == "finished":
+    if status.decided:
         return ""
-    how = trial_text(run) if run.state is State.RUNNING else ""
-    return f"{run.state.capitalize()}: {how or f'{len(run.trials)} of {trials_of(run.facts)}'}."
+    how = status.why if status.damage else f"{status.headline[0].upper()}{status.headline[1:]}."
+    return "\n".join((*status.unsafe, how))
 
 
-def _results(run: RunRecord) -> Iterator[Result]:
-    verdicts: dict[str, Verdict] = {}
-    if not run.damage and run.ending != "finished":
-        verdicts = dict.fromkeys(run.detectors, STOPPED[run.state])
-    elif not run.damage and any(trial.scores for trial in run.trials):
-        verdicts = {one.detector: one.verdict.value for one in judge(run, stored_rules(run.folder))}
+def _results(run: RunRecord, status: RunStatus) -> Iterator[Result]:
     for name in run.detectors:
         pool, item = scored(run, name), run.facts["items"].get(name, {})
         radial = np.linalg.norm(pool.errors_mm, axis=1)
         yield Result(
             detector=name,
             version=str(item.get("version", "")),
-            verdict=verdicts.get(name, "no verdict"),
+            verdict=cast(Verdict, status.verdicts[name]),
             visible=pool.counts.visible,
             found=pool.counts.matched,
             false=pool.counts.false,

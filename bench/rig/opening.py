@@ -58,6 +58,26 @@ class BringUpError(InstrumentError):
         super().__init__("rig", "\n  ".join([*lines, *(str(fault) for fault in faults.values())]))
 
 
+class Heard(Tap):
+    """Notes when an instrument last sent anything; all goes on to ``then``."""
+
+    def __init__(self, name: str, clock: Clock, heard: dict[str, float], then: Tap) -> None:
+        self._name, self._clock, self._heard, self._then = name, clock, heard, then
+
+    def opened(self, url: str) -> None:
+        self._then.opened(url)
+
+    def sent(self, data: bytes) -> None:
+        self._then.sent(data)
+
+    def closed(self, why: str = "") -> None:
+        self._then.closed(why)
+
+    def received(self, data: bytes) -> None:
+        self._heard[self._name] = self._clock.now()
+        self._then.received(data)
+
+
 def open_instruments(
     rig: LoadedRig,
     names: Sequence[str] = ALL,
@@ -114,9 +134,10 @@ def open_instruments(
                 world = stack.enter_context(EmulatedRig(rig, time, seeded))
                 if folder and type(time) is not VirtualClock:
                     stack.enter_context(following(folder, world, time, speed or 1.0))
-            openers = _openers(rig, time, world, capture, identify=identify)
+            heard: dict[str, float] = {}
+            openers = _openers(rig, time, world, capture, heard, identify=identify)
             found = _opened(stack, names, openers)
-            yield _together(found, time, world, answerer, names)
+            yield _together(found, time, world, answerer, names, heard)
 
     return Opened(opened(), None if supervised else leaving)
 
@@ -144,6 +165,7 @@ def _together(
     twin: EmulatedRig | None,
     answerer: PromptedOperator | None,
     names: Sequence[str],
+    heard: dict[str, float],
 ) -> Devices:
     has_pedals = isinstance(opened.get("arm"), MicroScribe)
     if isinstance(answerer, Console) and twin is None and has_pedals:
@@ -158,7 +180,7 @@ def _together(
     if isinstance(arm, PointArm):
         arm.asked_of(answerer or hands)
     exact_ends = twin.world.ends_mm if twin else None
-    return Devices(clock, arm, bath, stage, cameras, answerer or hands, exact_ends)
+    return Devices(clock, arm, bath, stage, cameras, answerer or hands, exact_ends, heard)
 
 
 def in_virtual_time(rig: LoadedRig, *, realtime: bool) -> bool:
@@ -263,14 +285,15 @@ def _openers(
     clock: Clock,
     twin: EmulatedRig | None,
     capture: CaptureFile | None,
+    heard: dict[str, float],
     *,
     identify: bool,
 ) -> dict[str, Callable[[], Any]]:
     r = rig.rig
     urls = twin.urls if twin else r.urls
 
-    def tap(name: str) -> Tap | None:
-        return capture.tap(name, clock) if capture else None
+    def tap(name: str) -> Tap:
+        return Heard(name, clock, heard, capture.tap(name, clock) if capture else Tap())
 
     def link(name: str, baud: int) -> Link:
         return Link(urls[name], clock, who=name, baud=baud, tap=tap(name))

@@ -7,12 +7,15 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.record.writer import FolderGoneError
+from bench.results.status import INSTRUMENTS_FACT
 from bench.rig.by_hand import not_safe_text
 from bench.rig.frame_capture import FRAMES_FACT
 from bench.run.context import LOOK_S, RunContext
@@ -39,7 +42,6 @@ from instruments.operators.operator import (
     OperatorAbort,
     OperatorRepeat,
     OperatorSkip,
-    time_left,
 )
 from instruments.stage.driver import Stage
 
@@ -88,7 +90,7 @@ class Engine:
         self._reserve = Reserve(store.folder)
         self._ended = False
         self.bath_is_safe = False  # until the run has ended and made it so
-        ctx.events.live = self._live
+        ctx.under_test = [one.name for one in detectors]
         ctx.progress = self._progress
         # for a person who looks for what the screen had to show
         ctx.events.not_shown = partial(self._kept, ctx.event, "not shown")
@@ -218,22 +220,6 @@ class Engine:
             self._rehearsed.silent = False
         self._ctx.events.replaying = False
 
-    def _live(self) -> dict[str, str]:
-        """What stands in the terminal's line beside what is being done."""
-        if self._ended:  # nothing is read any more
-            return {}
-        watch, left_s = self._ctx.watch, self._left_s
-        live: dict[str, str] = {}
-        if silence := watch.silence:
-            last = f" (last {watch.last.temp_c:.2f} degC)" if watch.last else ""
-            live["bath"] = f"bath: {silence}{last}"
-        elif watch.last is not None:
-            live["bath"] = f"bath {watch.last.temp_c:.2f} degC, {watch.state.value}"
-        if left_s is not None:
-            settling_s = self._expected.settling_s if self._expected else 0.0
-            live["left"] = time_left(left_s + watch.stable_in_s(settling_s))
-        return live
-
     @property
     def _left_s(self) -> float | None:
         """How long the trials take; None while nobody knows whether they go on."""
@@ -241,10 +227,9 @@ class Engine:
         ending = self._ctx.safing or watch.tripped or watch.silence
         return None if ending else self._attempts.left_s
 
-    def _progress(self) -> dict[str, object]:
+    def _progress(self) -> dict[str, Any]:
         return {
             "done": self._attempts.done,
-            "planned": len(self._ctx.script.planned),
             "left_s": self._left_s,
             "paused": self._requests.paused,
             "settling_s": self._expected.settling_s if self._expected else 0.0,
@@ -292,6 +277,9 @@ class Engine:
         unsafe = ctx.devices.make_safe(said.append, lambda: len(current().asked) > asked)
         self.bath_is_safe = "bath" not in unsafe
         ctx.trips.stop()
+        with suppress(*FAILURES):
+            ctx.show()
+        left = [asdict(one) for one in ctx.status().at_end]
         self._ended = True
         if unsafe:
             ctx.events.warn(not_safe_text(unsafe))
@@ -303,6 +291,8 @@ class Engine:
             self._kept(ctx.states.to, state)
         self._write_down("end", ending.value)
         self._kept(ctx.store.fact, "retries", dict(self._recovery.counts))
+        session = ctx.store.session
+        self._kept(ctx.store.fact, INSTRUMENTS_FACT, {"session": session, "instruments": left})
         if any(self._trials.frames_looked_at.values()):
             self._kept(self._fact, FRAMES_FACT, dict(self._trials.frames_looked_at))
         self._kept(ctx.store.fact, "ending", ending.value)

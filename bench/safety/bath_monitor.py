@@ -95,9 +95,13 @@ class BathMonitor:
     def silence(self) -> str:
         """``no answer for 12 s``; empty while the bath answers, or is asked for nothing more."""
         silent_s = self.clock.now() - self._answered_s
-        late = self._running and silent_s > LATE_S
-        how = self._failing or ("no answer" if late else "")
-        return f"{how} for {silent_s:.0f} s" if how else ""
+        return f"{self.failing} for {silent_s:.0f} s" if self.failing else ""
+
+    @property
+    def failing(self) -> str:
+        """``no answer`` or ``no usable reading``; empty as `silence`."""
+        late = self._running and self.clock.now() - self._answered_s > LATE_S
+        return self._failing or ("no answer" if late else "")
 
     @property
     def tripped(self) -> Exception | None:
@@ -278,8 +282,10 @@ class TripHandler:
         # first, for it takes a byte, and a bath that doesn't answer half a minute
         braked = attempt("stage", stage.brake) if stage and not self._held else None
         heater = attempt("heater", lambda: heater_off(self._devices.bath), "is in standby")
+        self._devices.safed["bath"] = replace(heater, name="bath")
         if stage and braked:
             steps.append(held(stage) if braked.is_safe else braked)
+            self._devices.safed["stage"] = steps[-1]
         self._held = self._held or all(step.is_safe for step in steps)
         steps.append(heater)
         if not self._reported:

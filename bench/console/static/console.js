@@ -111,7 +111,6 @@ function received(kind, value) {
     Object.assign(run, value, { name: run.name });
     page();
   } else if (kind === "event") {
-    if (value.what === "doing") { run.doing = value.text; doing(); }
     if (["event", "warning"].includes(value.what)) {
       run.events.push(value);
       run.events.splice(0, run.events.length - EVENTS);
@@ -121,8 +120,9 @@ function received(kind, value) {
     if (value.what === "trial") trials();
   } else {
     run[kind] = value;
-    if (kind === "live") live();
-    if (kind === "prompt") { prompted(value); doing(); }
+    if (kind === "live" || kind === "status") live();
+    if (kind === "status") ended();
+    if (kind === "prompt") prompted(value);
     if (kind === "practice") practice();
     if (kind === "lease") leased();
   }
@@ -131,7 +131,7 @@ function received(kind, value) {
 async function refreshed(tries = 40) {
   const mine = run, found = await ask(at("")).catch(() => null);
   if (run !== mine) return;
-  if (found) { run.run = found.run; ended(); trials(); }
+  if (found) { run.run = found.run; run.status = found.status; live(); ended(); trials(); }
   if (tries && !run.run.report) setTimeout(() => run === mine && refreshed(tries - 1), 1500);
 }
 const at = (path) => `/runs/${encodeURIComponent(run.name)}${path}`;
@@ -144,12 +144,11 @@ function page() {
   // a prompt that was there before the connection was lost keeps what was ticked and typed
   const kept = run.prompt && run.asked === run.prompt.number ? byId("ask") : null;
   if (!kept) run.asked = 0;
-  run.doing = run.events.findLast((one) => one.what === "doing")?.text || "";
   main.replaceChildren(
     card({ id: "tip", hidden: true }),
     kept || card({ id: "ask", hidden: true, "aria-live": "assertive" }),
     card({ id: "problem", className: "bad", hidden: true, role: "alert" }),
-    card({ className: "wide" }, make("p", { id: "doing", className: "big" }), make("p", { id: "step", className: "step" }), make("p", { id: "tripped", className: "big bad" }), make("p", { id: "trial", className: "soft" }), make("progress", { id: "done", max: 1, value: 0, ariaLabel: "trials done" }), make("div", { id: "ending" })),
+    card({ className: "wide" }, make("p", { id: "doing", className: "big" }), make("p", { id: "step", className: "step" }), make("p", { id: "tripped", className: "big bad" }), make("ul", { id: "next", className: "next" }), make("p", { id: "trial", className: "soft" }), make("progress", { id: "done", max: 1, value: 0, ariaLabel: "trials done" }), make("div", { id: "ending" })),
     card({ id: "bath", className: "third" }, heading("Bath"), make("p", { id: "temperature", className: "huge" }, "–"), make("p", { id: "gate", className: "soft" })),
     card({ className: "half" }, heading("Temperature of the bath"), make("div", { id: "curve" }), make("p", { className: "soft" }, "Dashed: set point. Shaded: its band.")),
     card({ className: "half" }, heading("What happened"), make("ol", { id: "log", className: "log", tabIndex: 0, ariaLabel: "what happened" })),
@@ -158,8 +157,7 @@ function page() {
     card({ id: "practice", hidden: true }, heading("Practice"), make("p", { className: "soft" }, "An emulated rig: this happens to it at once, as by a hand. The run is not told."), make("ul", { id: "rig" })),
     card({ id: "health" }, heading("Instruments and interlocks"), make("ul", { id: "instruments", className: "chips" }), make("details", {}, make("summary", { id: "armed" }), make("ul", { id: "interlocks", className: "chips" }))),
   );
-  const under = run.run.ending === "under way";
-  controls.hidden = !under;
+  controls.hidden = !under();
   chart(); events(); prompted(run.prompt); leased(); live(); practice(); ended(); trials();
 }
 // an emulated rig in real time: what a hand may do to it
@@ -194,17 +192,26 @@ function chart() {
   new ResizeObserver(() => plot.setSize({ width: Math.max(240, place.clientWidth), height: CHART_PX })).observe(place);
 }
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if (run && byId("curve")) { byId("curve").replaceChildren(); chart(); } });
-function doing() {
-  const place = byId("step");
-  if (!place) return;
-  const under = run.run.ending === "under way";
-  place.textContent = !under ? "" : run.prompt ? "waiting for an answer" : run.doing;
+const under = () => run.status.state === "running";
+// how the run stands, as every surface says it; words are made by the bench
+function stands() {
+  const now = run.status, going = under();
+  byId("doing").textContent = words(going ? now.step : now.word) + (now.paused ? ", a pause is asked for" : "");
+  byId("step").textContent = going ? (now.asked ? `waiting for an answer: ${now.asked.kind}` : now.doing) : now.why;
+  byId("tripped").textContent = now.tripped;
+  byId("next").replaceChildren(...now.next.filter((line) => line && !(now.asked && line.startsWith("Answer what"))).map((line) => make("li", { className: now.unsafe.includes(line) ? "big bad" : "" }, line)));
+  const left = now.left_s === null ? "" : `, about ${minutes(now.left_s)} left`;
+  byId("trial").textContent = words(now.trials) + (going && now.pose ? ` (${now.pose})` : "") + (going ? "" : " done") + left;
+  byId("done").max = now.planned || 1;
+  byId("done").value = now.done;
+  byId("pause").textContent = now.paused ? "Go on" : "Pause";
+  byId("health").hidden = !now.instruments.length;
+  byId("instruments").replaceChildren(...now.instruments.map((one) => make("li", { className: one.trouble ? "bad" : "" }, one.text)));
 }
 function live() {
-  const now = run.live, under = run.run.ending === "under way";
-  byId("doing").textContent = now ? words(now.state) + (now.paused ? ", a pause is asked for" : "") : under ? "waiting for the run to say how it is" : words(run.run.state);
-  doing();
-  byId("health").hidden = !now;
+  const now = run.live;
+  stands();
+  byId("armed").parentElement.hidden = !now;
   if (!now) {
     byId("tip").hidden = byId("seen").hidden = true;
     byId("temperature").className = "huge soft";
@@ -212,27 +219,19 @@ function live() {
     byId("gate").textContent = run.curve[1].length ? "last reading of this run; nothing is read now" : "no reading yet";
     return;
   }
-  const left = now.left_s === null ? "" : `, about ${minutes(now.left_s)} left`;
-  const trial = now.pose && now.done < now.planned ? `Trial ${now.done + 1} of ${now.planned} (${now.pose})` : `${now.done} of ${trialsOf(now.planned)} done`;
-  byId("trial").textContent = trial + left;
-  byId("done").max = now.planned || 1;
-  byId("done").value = now.done;
-  byId("pause").textContent = now.paused ? "Go on" : "Pause";
-  const bath = now.bath;
+  const bath = now.bath, said = run.status.instruments.find((one) => one.name === "bath");
   run.band_k = bath.band_k;
   byId("temperature").textContent = number(bath.temp_c, "°C");
   const steady = bath.state === "stable";
-  byId("temperature").className = bath.silence ? "huge bad" : steady ? "huge good" : "huge warn";
-  const why = bath.why_not_stable && !run.doing.includes("waiting for the bath") ? ` ${words(bath.why_not_stable)}.` : "";
-  byId("gate").textContent = bath.silence ? `${bath.silence}; this is its last reading` : now.state === "safing" ? "going to safe" : `${bath.state}${bath.state === "heating" ? " to" : " at"} ${number(bath.set_point_c, "°C", 1)} ± ${number(bath.band_k, "K")}` + (steady ? "" : `; stable in about ${minutes(bath.stable_in_s)}.${why}`);
+  byId("temperature").className = said?.trouble ? "huge bad" : steady ? "huge good" : "huge warn";
+  const why = bath.why_not_stable && !run.status.doing.includes("waiting for the bath") ? ` ${words(bath.why_not_stable)}.` : "";
+  byId("gate").textContent = said?.trouble ? said.text : run.status.step === "going to safe" ? run.status.step : `${bath.state}${bath.state === "heating" ? " to" : " at"} ${number(bath.set_point_c, "°C", 1)} ± ${number(bath.band_k, "K")}` + (steady ? "" : `; stable in about ${minutes(bath.stable_in_s)}.${why}`);
   if (plot && bath.t_s !== null && bath.t_s > (run.curve[0].at(-1) ?? -1)) {
     run.curve[0].push(bath.t_s); run.curve[1].push(bath.temp_c);
     if (run.curve[0].length > 1200) run.curve = run.curve.map((one) => one.filter((_, k) => k % 2 === 0));
     plot.setData(curves());
   }
-  byId("instruments").replaceChildren(...Object.entries(now.instruments).map(([name, health]) => make("li", { className: health === "ok" ? "" : "bad" }, `${name}: ${health}`)));
   byId("interlocks").replaceChildren(...now.interlocks.map((one) => make("li", { className: one.state === "tripped" ? "bad" : "" }, `${one.name}: ${one.state}`)));
-  byId("tripped").textContent = now.tripped || "";
   const count = (state) => now.interlocks.filter((one) => one.state === state).length;
   byId("armed").textContent = `${count("armed")} of ${now.interlocks.length} interlocks armed${count("asleep") ? `, ${count("asleep")} need what this bath doesn't tell` : ""}`;
   tip(now);
@@ -320,21 +319,15 @@ function events() {
   byId("log").replaceChildren(...lines.map((one) => make("li", { className: one.what === "warning" || BAD.includes(one.kind) ? "bad" : "" }, `${one.wall_time.slice(11, 19)} ${one.kind ? one.kind + ": " : ""}${one.text}`)));
 }
 const resumed = (name) => started(ask(`/runs/${encodeURIComponent(name)}/resume`, {}));
-const verdicts = (known) => Object.entries(known.verdicts).map(([name, verdict]) => make("li", { className: { met: "good", "not met": "bad" }[verdict] || "warn" }, `${name}: ${verdict}`));
-const resumable = (known) => !["under way", "finished"].includes(known.ending);
+const verdicts = (status) => Object.entries(status.verdicts).map(([name, verdict]) => make("li", { className: { met: "good", "not met": "bad" }[verdict] || "warn" }, `${name}: ${verdict}`));
+const resumable = (known) => !["running", "finished"].includes(known.status.state) && known.kind !== "recorded";
 function ended() {
-  const known = run.run, under = known.ending === "under way";
-  controls.hidden = !under;
-  if (under) { byId("ending").replaceChildren(); return; }
-  const trip = run.events.findLast((one) => one.kind === "trip");
-  byId("tripped").textContent = known.ending !== "finished" && trip ? trip.text : "";
+  const known = { ...run.run, status: run.status };
+  controls.hidden = !under();
+  if (under()) { byId("ending").replaceChildren(); return; }
   byId("ending").replaceChildren(
-    make("ul", { className: "chips large" }, ...verdicts(known)),
+    make("ul", { className: "chips large" }, ...verdicts(known.status)),
     make("p", { className: "row" }, known.report ? make("button", { onclick: () => report_of(run.name) }, "Open the report") : null, resumable(known) ? make("button", { className: "quiet", onclick: () => resumed(run.name) }, "Resume this run") : null));
-  byId("trial").textContent = `${known.done} of ${trialsOf(known.planned)} done`;
-  byId("done").max = known.planned || 1;
-  byId("done").value = known.done;
-  if (!run.live) live();
 }
 async function report_of(name) {
   const tab = window.open("", "_blank");
@@ -419,7 +412,7 @@ function sounded() {
   tone.stop(beep.context.currentTime + 0.25);
 }
 const controlled = (given) => ask(at("/control"), { words: given, name: NAME }).catch((error) => problem(error.message));
-byId("pause").onclick = () => controlled(run.live?.paused ? "go on" : "pause");
+byId("pause").onclick = () => controlled(run.status?.paused ? "go on" : "pause");
 byId("abort").onclick = () => { byId("abort").textContent = "Aborting"; controlled("abort").then(() => setTimeout(() => { byId("abort").textContent = "Abort"; }, 4000)); };
 byId("sound").onclick = () => { beep.on = !beep.on; byId("sound").textContent = beep.on ? "Sound on" : "Sound off"; byId("sound").ariaPressed = String(beep.on); sounded(); };
 document.addEventListener("keydown", (event) => {
@@ -436,7 +429,7 @@ async function home() {
   try {
     const [{ runs }, known] = await Promise.all([ask("/runs"), ask("/choices")]);
     showStatus("connected");
-    const now = runs.find((one) => one.ending === "under way");
+    const now = runs.find((one) => one.status.state === "running");
     if (now && hint === "now") { hintUsed(now.name); return; }
     starter(known);
     byId("list").append(...(runs.length ? runs.map(listed) : [make("p", {}, "No runs yet.")]));
@@ -448,18 +441,18 @@ async function home() {
 function hintUsed(name) { location.hash = `#/${encodeURIComponent(name)}`; }
 function listed(one) {
   const place = make("div", { className: "thumbnails" });
-  if (one.done) shown.observe(Object.assign(place, { run: one.name }));
-  const said_done = `${one.state}; ${one.done} of ${trialsOf(one.planned)}`;
+  if (one.status.done) shown.observe(Object.assign(place, { run: one.name }));
   return make("article", { className: "run" },
     make("div", { className: "about" },
       make("h3", {}, make("a", { href: `#/${encodeURIComponent(one.name)}` }, one.name)),
       make("p", { className: "soft" }, `${one.title}; on ${one.rig || "a recording"}`),
-      make("p", { className: one.ending === "under way" ? "good" : "" }, said_done),
-      make("ul", { className: "chips" }, ...(verdicts(one).length ? verdicts(one) : one.detectors.map((name) => make("li", {}, name))))),
+      make("p", { className: one.status.state === "running" ? "good" : "" }, one.status.headline),
+      ...one.status.unsafe.map((line) => make("p", { className: "bad" }, line)),
+      make("ul", { className: "chips" }, ...verdicts(one.status))),
     place,
     make("p", { className: "row" },
       one.report ? make("button", { className: "quiet", ariaLabel: `Report of ${one.name}`, onclick: () => report_of(one.name) }, "Report") : null,
-      resumable(one) && one.kind !== "recorded" ? make("button", { className: "quiet", ariaLabel: `Resume ${one.name}`, onclick: () => resumed(one.name) }, "Resume") : null));
+      resumable(one) ? make("button", { className: "quiet", ariaLabel: `Resume ${one.name}`, onclick: () => resumed(one.name) }, "Resume") : null));
 }
 // thumbnails are asked for when they come into sight: a folder may have hundreds of runs
 const shown = new IntersectionObserver((entries) => {
