@@ -3,14 +3,14 @@ time. Its pictures are in it; links to reports need the folders beside it.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 
-from reports.page import KINDS, Kind, Verdict
+from reports.page import KINDS, Figure, Kind, Verdict
 from reports.render import SIGNS, assets, environment, policy_hash, write_whole
 from reports.trust import address, one_of
 
@@ -97,11 +97,15 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Runs:
-    """The runs in ``folder``, newest first, and the other folders with why they are no run."""
+    """The runs in ``folder``, newest first, the other folders with why they are no run, and charts
+    of the bench's health with what they warn of.
+    """
 
     folder: Path
     runs: tuple[Run, ...]
     others: tuple[tuple[str, str], ...]
+    health: Mapping[str, Sequence[Figure]] = field(default_factory=dict)  # by rig
+    warnings: Sequence[str] = ()
 
     def histories(self) -> Mapping[tuple[str, str], Sequence[tuple[Run, Result]]]:
         """Detector and script with their runs, oldest first."""
@@ -131,6 +135,7 @@ def write_runs(runs: Runs, summary: str) -> Path:
             style=Markup(style),  # noqa: S704 our own file
             policy=f"{policy}; base-uri 'none'; form-action 'none'",
             link=lambda href: address(href, "link"),
+            drawing=lambda figure: Markup(figure.svg),  # noqa: S704 page.Figure has checked it
         )
     )
     return write_whole(runs.folder / PAGE, html)

@@ -208,6 +208,7 @@ def runs(given: argparse.Namespace) -> None:
             "others": [
                 {"folder": str(found.folder / name), "why": why} for name, why in found.others
             ],
+            "health": found.warnings,
             "page": page,
         }
         print(json.dumps(text, indent=1, ensure_ascii=False))
@@ -242,5 +243,7 @@ def _show_runs(found: Runs) -> None:
     for run in found.runs:
         if run.note:
             console.print(f"{run.folder.name}: {run.note}", highlight=False, soft_wrap=True)
+    for text in found.warnings:
+        console.print(f"Bench health: {text}", style="yellow", highlight=False, soft_wrap=True)
     for name, why in found.others:
         console.print(f"not a run: {name}: {why}", highlight=False, soft_wrap=True)

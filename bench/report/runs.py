@@ -19,11 +19,14 @@ from bench.record.reader import RunRecord, database_in, read_run
 from bench.record.schema import DATABASE, SCRIPT
 from bench.report.page import REPORT
 from bench.report.trials import frames_of, round_teats, worst_trials
+from bench.results.health import Chart, charts, history
 from bench.results.status import RunStatus, status_of
 from bench.results.verdicts import judge, scored, stored_rules
+from bench.scoring.control_chart import BASE
 from bench.scoring.rates import plural
 from bench.script.pixel_offsets import is_offset_script
-from reports.page import Verdict
+from reports.figures.course import control_chart
+from reports.page import Figure, Verdict
 from reports.runs import PAGE, Result, Run, Runs, write_runs
 
 THUMBNAIL_PX = (200, 150)
@@ -50,7 +53,22 @@ def list_runs(folder: Path) -> Runs:
         except (ConfigError, OSError) as error:
             others.append((one.name, _why(one, error)))
     runs.sort(key=lambda run: (run.started, run.folder.name), reverse=True)
-    return Runs(folder, tuple(runs), tuple(others))
+    whole = {run.folder.name for run in runs if not run.damage}
+    drawn = list(charts([one for one in history(folder) if one.run in whole]))
+    health: dict[str, list[Figure]] = {}
+    for number, chart in enumerate(drawn, 1):
+        health.setdefault(chart.rig, []).append(_drawn(chart, f"health-{number}"))
+    warned = [chart.warning for chart in drawn if chart.warning]
+    return Runs(folder, tuple(runs), tuple(others), health, warned)
+
+
+def _drawn(chart: Chart, name: str) -> Figure:
+    limits = (chart.limits.centre, chart.limits.sigma) if chart.limits else None
+    broken, dates = [bool(rule) for rule in chart.rules], (chart.dates[0], chart.dates[-1])
+    svg = control_chart(chart.values, limits, broken, BASE, dates, name=name)
+    runs = plural(len(chart.values), "run")
+    few = "" if chart.limits or len(chart.values) >= BASE else f"; limits come with {BASE} runs"
+    return Figure(svg, chart.warning or f"{chart.last}{few}", f"{chart.name}, {runs}: {chart.last}")
 
 
 def _why(folder: Path, error: Exception) -> str:

@@ -20,6 +20,7 @@ from bench.record.recording import Recording
 from bench.record.schema import GUARDIAN, RULES, SCRIPT
 from bench.record.state import run_lock
 from bench.record.writer import Store
+from bench.results import health
 from bench.results.answers import Examiner
 from bench.results.cameras_agree import UNCHECKED_FACT, spread, unchecked_text, where_seen
 from bench.results.doubts import DOUBTS_FACT, LOOKED_FACT, doubts_of, looked_at
@@ -121,10 +122,11 @@ def run_script(
         refuse_no_room(rig, len(script.planned), out)
         for text in _contradicted(rig, script):
             events.warn(text)
+        warned = health.warnings(out, rig.rig.name)
         recorder = Recorder(how.record, rig.calibration_path, events.warn) if how.record else None
         store = _begun(rig, script, out, under_test, how)
         with locked(run_lock(store.folder), "itself", events.warn, "run"):
-            return _run(rig, script, store, under_test, events, how, recorder)
+            return _run(rig, script, store, under_test, events, how, recorder, warned=warned)
 
 
 def resume_run(
@@ -240,6 +242,7 @@ def _run(
     how: RunOptions,
     recorder: Recorder | None,
     left: ResumePoint | None = None,
+    warned: Sequence[str] = (),
 ) -> tuple[Path, RunState]:
     """From open files to an ended run; closes store and detectors."""
     try:
@@ -257,6 +260,8 @@ def _run(
             events.kept_in(store.folder),
             _guarded_instruments(rig, store, how, events, left) as (devices, heartbeat, guardian),
         ):
+            for text in warned:
+                events.warn(f"Bench health: {text}")
             refuse_other_cameras(rig.calibration.record, devices.cameras.identity)
             ctx = RunContext(rig, script, devices, store, events, heartbeat, guardian)
             engine = Engine(
