@@ -121,8 +121,17 @@ class Runs:
         return {result.verdict for run in self.runs for result in run.results}
 
 
-def write_runs(runs: Runs, summary: str) -> Path:
-    """Writes the page into the folder of the runs, whole or not at all; gives back its path."""
+def write_runs(
+    runs: Runs,
+    summary: str,
+    *,
+    name: str = PAGE,
+    title: str = "Runs",
+    rest: str = "Other folders",
+) -> Path:
+    """Writes the page into the folder of the runs, whole or not at all; gives back its path.
+    ``rest``: the heading over what is no run.
+    """
     style = assets("style.css", "runs.css")
     policy = f"default-src 'none'; img-src data:; style-src '{policy_hash(style)}'"
     html = (
@@ -130,6 +139,8 @@ def write_runs(runs: Runs, summary: str) -> Path:
         .get_template("runs.html.j2")
         .render(
             page=runs,
+            title=title,
+            rest=rest,
             summary=summary,
             signs=SIGNS,
             style=Markup(style),  # noqa: S704 our own file
@@ -138,4 +149,4 @@ def write_runs(runs: Runs, summary: str) -> Path:
             drawing=lambda figure: Markup(figure.svg),  # noqa: S704 page.Figure has checked it
         )
     )
-    return write_whole(runs.folder / PAGE, html)
+    return write_whole(runs.folder / name, html)

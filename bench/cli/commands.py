@@ -260,8 +260,9 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         CAPTURE,
         option(
             "script SCRIPT",
-            "a shipped script by name, or a .toml file (default: six-situations)",
-            nargs="?",
+            "a shipped script by name, or a .toml file (default: six-situations); several run one"
+            " after the other on an open, warm rig",
+            nargs="*",
         ),
         RIG_OPTION,
         option("--seed N", "seed of all random numbers (default: the rig file's)", whole(0)),

@@ -8,7 +8,7 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,12 +21,16 @@ from bench.record.reader import read_run
 from bench.rig.loading import LoadedRig, find_rig, load_rig
 from bench.rig.urls import PEOPLE
 from bench.run.events import Events, SafeProgress, event_lines
+from bench.run.resume import ASKED
 from bench.script.model import LoadedScript, find_script, load_script
 from bench.script.pixel_offsets import is_offset_script, load_offsets, outcomes
 from instruments.operators.console import keyboard_of
 
 if TYPE_CHECKING:
+    from bench.report.page import Written
     from reports.page import Section
+
+WORST = (CODES.met, CODES.inconclusive, CODES.not_met, CODES.fault)  # of several runs
 
 
 def run(given: argparse.Namespace) -> int:
@@ -35,33 +39,40 @@ def run(given: argparse.Namespace) -> int:
             "--json is for --dry-run. What a run found is JSON in its report/run.json."
         )
     rig = load_rig(find_rig(given.rig))
-    path = find_script(given.script)
-    if is_offset_script(path):  # no instrument takes part
+    paths = [find_script(name) for name in given.script or [None]]
+    several = len(paths) > 1
+    if several and given.record:
+        raise ConfigError.plain("--record is of one script. Give one, or leave --record out.")
+    if any(map(is_offset_script, paths)):  # no instrument takes part
+        if several:
+            raise ConfigError.plain("A calculation of pixel offsets runs alone: name it alone.")
         if given.dry_run:
-            outcomes(load_offsets(path), rig.calibration)
+            outcomes(load_offsets(paths[0]), rig.calibration)
             print("nothing wrong. This script opens no instrument.")
             return CODES.met
         from bench.report.pixel_offsets import run_offsets
 
-        return _offsets_reported(run_offsets(rig, path, given.out))
+        return _offsets_reported(run_offsets(rig, paths[0], given.out))
     if given.speed and not rig.rig.emulated:
         raise ConfigError.plain("--speed is for an emulated rig: no real instrument is hurried.")
-    script = load_script(path, rig.rig.limits.set_point_c)
+    scripts = [load_script(path, rig.rig.limits.set_point_c) for path in paths]
     if given.dry_run:
         from bench.cli.dry_run import look_ahead
 
-        return look_ahead(rig, script, given.out, given.detector, given.seed, as_json=given.json)
+        return max(
+            look_ahead(rig, one, given.out, given.detector, given.seed, as_json=given.json)
+            for one in scripts
+        )
     if given.console:
         from bench.cli.console import beside
 
         with beside(given.out):
-            return _run(given, rig, script)
-    return _run(given, rig, script)
+            return _run(given, rig, scripts)
+    return _run(given, rig, scripts)
 
 
-def _run(given: argparse.Namespace, rig: LoadedRig, script: LoadedScript) -> int:
-    from bench.run import estimate
-    from bench.run.start import RunOptions, run_script
+def _run(given: argparse.Namespace, rig: LoadedRig, scripts: Sequence[LoadedScript]) -> int:
+    from bench.run.start import RunOptions, run_queue
 
     console = Terminal()
     with event_lines(given.events) as lines, TerminalProgress(console) as shown:
@@ -77,24 +88,50 @@ def _run(given: argparse.Namespace, rig: LoadedRig, script: LoadedScript) -> int
             capture=given.capture,
             begun=shown.say,
         )
-        folder, _ = run_script(rig, script, given.out, progress, how)
+        ended = run_queue(rig, scripts, given.out, progress, how)
         progress.state("writing the report")
-        from bench.cli.verdict import open_report, show_verdict
         from bench.report.page import write_run_report  # late: loads for half a second
 
-        written = write_run_report(folder)
-    code = show_verdict(console, written)
-    record = written.run
-    spent = estimate.took(record)
-    # the next estimate is better by what this run took; one that stopped shows nothing
-    if written.status.state == "finished" and "total_s" in spent:
-        expected = estimate.needs(rig, script, estimate.read_durations(given.out, rig)).time
-        figures = estimate.figures(record, rig, script, spent)
-        estimate.write_durations(folder, rig, expected, spent, figures)
-        print(estimate.estimate_text(expected, spent))
+        reports = [write_run_report(folder) for folder, _ in ended]
+    return _shown(given, console, rig, scripts, reports)
+
+
+def _shown(
+    given: argparse.Namespace,
+    console: Terminal,
+    rig: LoadedRig,
+    scripts: Sequence[LoadedScript],
+    reports: Sequence[Written],
+) -> int:
+    """Verdicts and times of the runs; the worst exit code."""
+    from bench.cli.verdict import open_report, show_verdict
+    from bench.run import estimate
+
+    codes = []
+    for script, written in zip(scripts, reports, strict=False):
+        codes.append(show_verdict(console, written))
+        record = written.run
+        spent = estimate.took(record)
+        # the next estimate is better by what this run took; one that stopped shows nothing, and one
+        # on a warm rig did not heat
+        if written.status.state == "finished" and "total_s" in spent:
+            expected = estimate.needs(rig, script, estimate.read_durations(given.out, rig)).time
+            if not record.facts[ASKED].get("warm"):
+                figures = estimate.figures(record, rig, script, spent)
+                estimate.write_durations(record.folder, rig, expected, spent, figures)
+            print(estimate.estimate_text(expected, spent))
+    page = reports[-1].path
+    if len(scripts) > 1:
+        from bench.report.runs import write_queue_page
+        from bench.results.queue import queues
+
+        queue = next(queues(given.out))
+        page = write_queue_page(given.out, queue)
+        print(f"Queue: {queue.headline}\nPage: {page}")
+        codes += [CODES.fault] * (len(scripts) - len(reports))
     if given.open:
-        open_report(written.path)
-    return code
+        open_report(page)
+    return max(codes, key=WORST.index)
 
 
 def resume(given: argparse.Namespace) -> int:

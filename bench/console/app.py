@@ -27,6 +27,7 @@ from starlette.types import ASGIApp
 from bench.config import ConfigError
 from bench.console import starting, watching
 from bench.console.guard import Guard
+from bench.results.queue import queues
 from bench.results.status import under_way
 from bench.rig.practice import leave
 from bench.run.interruptions import ABORT, leave_request, parse_request
@@ -179,7 +180,8 @@ class Console:
 
     async def listed(self, _: Request) -> Response:
         found = await _off(watching.listed, self.runs)
-        return JSONResponse({"runs": found, "pages": self.pages.count})
+        queued = await _off(lambda: [one.as_dict() for one in queues(self.runs, 1)])
+        return JSONResponse({"runs": found, "queues": queued, "pages": self.pages.count})
 
     async def snapshot(self, request: Request) -> Response:
         found = await _off(watching.snapshot, self._folder(request))
@@ -322,10 +324,13 @@ class Console:
         return await self._started(["resume", str(folder)], folder.name)
 
     async def _chosen(self, given: Mapping[str, Any]) -> list[str]:
-        names = given.get("detectors", [])
-        detectors = [str(name) for name in names] if isinstance(names, list) else []
+        def names(key: str) -> list[str]:
+            named = given.get(key, [])
+            return [str(name) for name in named] if isinstance(named, list) else []
+
         found = await _off(starting.choices, self.rigs)
-        return found.command(_text(given, "rig"), _text(given, "script"), detectors)
+        scripts = names("scripts") or [_text(given, "script")]
+        return found.command(_text(given, "rig"), scripts, names("detectors"))
 
     async def _started(self, arguments: list[str], known: str = "") -> Response:
         name = await _off(starting.start, arguments, self.runs, RealClock(), known)

@@ -20,6 +20,7 @@ from bench.record.schema import DATABASE, SCRIPT
 from bench.report.page import REPORT
 from bench.report.trials import frames_of, round_teats, worst_trials
 from bench.results.health import Chart, charts, history
+from bench.results.queue import QueueStatus
 from bench.results.status import RunStatus, status_of
 from bench.results.verdicts import judge, scored, stored_rules
 from bench.scoring.control_chart import BASE
@@ -145,6 +146,23 @@ def run_thumbnails(run: RunRecord) -> Iterator[tuple[str, str]]:
 def write_runs_page(found: Runs) -> Path:
     """Writes the page into the folder of the runs; gives back its path. Raises OSError."""
     return write_runs(found, f"{found.folder.resolve()}: {counted(found)}")
+
+
+def write_queue_page(folder: Path, queue: QueueStatus) -> Path:
+    """The summary of a queue of runs in ``folder``, as a page like that over all. Raises
+    OSError.
+    """
+    begun, runs = {one.run for one in queue.scripts if one.run}, list[Run]()
+    others = [(one.script, one.text) for one in queue.scripts if not one.run]
+    for name in sorted(begun):
+        try:
+            runs.append(_listed(folder / name))
+        except (ConfigError, OSError) as error:
+            others.append((name, str(error)))
+    found = Runs(folder, tuple(runs), tuple(others))
+    title = f"Queue of {plural(len(queue.scripts), 'script')}"
+    summary = f"{queue.rig}, begun {queue.started[:16].replace('T', ' ')}; {queue.headline}."
+    return write_runs(found, summary, name=f"{queue.name}.html", title=title, rest="Not run")
 
 
 def counted(found: Runs) -> str:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -79,7 +81,8 @@ def attempt(name: str, step: Callable[[], object], done: str = "is safe") -> Saf
 @dataclass(frozen=True, slots=True)
 class Devices:
     """All that is open. ``exact_ends``, world mm (n, 3), is there on an emulated rig only.
-    ``heard``: when each instrument last sent anything; ``safed``: how making it safe went.
+    ``heard``: when each instrument last sent anything; ``safed``: how making it safe went;
+    ``practice``: while it lasts, what is left in a run's folder happens to emulators in real time.
     """
 
     clock: Clock
@@ -91,6 +94,7 @@ class Devices:
     exact_ends: Callable[[], NDArray[np.float64]] | None = None
     heard: dict[str, float] = field(default_factory=dict)
     safed: dict[str, Safing] = field(default_factory=dict)
+    practice: Callable[[Path], AbstractContextManager[None]] = lambda _: nullcontext()
 
     def identities(self) -> dict[str, dict[str, str]]:
         """What each instrument says of itself; where it was reached stands in the rig file."""

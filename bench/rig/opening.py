@@ -7,6 +7,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -17,7 +18,7 @@ from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.leaving import Leaving, Opened, to_stderr
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Emulation, OneCamera, Operator, Rig, ThermalTable
-from bench.rig.practice import following
+from bench.rig.practice import Practice, following
 from bench.rig.scripted_answers import load_answers
 from bench.rig.urls import BROWSER, CONSOLE, ELSEWHERE, EMULATED, PEOPLE, SCRIPT
 from detector.calibration import Calibration
@@ -98,8 +99,8 @@ def open_instruments(
 ) -> AbstractContextManager[Devices]:
     """The instruments ``names`` of ``rig``, closed at the end; others are None. Without ``clock``
     time is virtual where all is emulated and no person takes part. ``twin``: emulators already up;
-    ``screen`` is entered around a question; ``folder``: of a run with a browser, or with emulators
-    to practise on; ``speed`` of emulators in real time. Raises
+    ``screen`` is entered around a question; ``folder``: of a run with a browser; ``speed`` of
+    emulators in real time. Raises
     BringUpError, or a single instrument's fault, and ConfigError.
 
     What was made to heat or to move is made safe at the end (NotSafeError where it could not be,
@@ -132,12 +133,14 @@ def open_instruments(
             world = twin
             if emulated and world is None:
                 world = stack.enter_context(EmulatedRig(rig, time, seeded))
-                if folder and type(time) is not VirtualClock:
-                    stack.enter_context(following(folder, world, time, speed or 1.0))
             heard: dict[str, float] = {}
             openers = _openers(rig, time, world, capture, heard, identify=identify)
             found = _opened(stack, names, openers)
-            yield _together(found, time, world, answerer, names, heard)
+            together = _together(found, time, world, answerer, names, heard)
+            if world and type(time) is not VirtualClock:
+                practice = partial(following, Practice(world), time, speed or 1.0)
+                together = replace(together, practice=practice)
+            yield together
 
     return Opened(opened(), None if supervised else leaving)
 

@@ -136,12 +136,14 @@ def leave(folder: Path, words: str) -> None:
 
 
 @contextmanager
-def following(folder: Path, twin: EmulatedRig, clock: Clock, speed: float) -> Iterator[None]:
+def following(practice: Practice, clock: Clock, speed: float, folder: Path) -> Iterator[None]:
     """Do what is left in ``folder``, and show there how the rig stands."""
-    practice, seen, last = Practice(twin), _left(folder), None
+    seen, last, over = _left(folder), None, False
 
     def look() -> None:
         nonlocal seen, last
+        if over:
+            return
         left = _left(folder)
         for line in left[len(seen) :]:
             with suppress(ValueError, KeyError):
@@ -161,6 +163,7 @@ def following(folder: Path, twin: EmulatedRig, clock: Clock, speed: float) -> It
     try:
         yield
     finally:
+        over = True
         with suppress(OSError):
             (folder / SHOWN).unlink(missing_ok=True)
 

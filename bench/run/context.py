@@ -29,7 +29,8 @@ from bench.rig.loading import LoadedRig
 from bench.run.estimate import gate_of
 from bench.run.events import EVENT, Events, RunStates
 from bench.run.live import Live, bath_state, interlock_states
-from bench.safety.bath_monitor import TripHandler
+from bench.safety.bath_monitor import BathMonitor, TripHandler
+from bench.safety.stability import StabilityGate
 from bench.script.model import LoadedScript
 from bench.truth.touching import TipReader
 from instruments.clock import VirtualClock, stopwatch_s, wall_time
@@ -43,7 +44,8 @@ READ_S = 1.0  # both clocks are read within microseconds
 
 class RunContext:
     """One run. Time passes through ``wait`` only, which checks the interlocks every second;
-    ``check_interrupts`` raises what a person requests.
+    ``check_interrupts`` raises what a person requests; ``before``: the run that left the rig open
+    and warm.
     """
 
     def __init__(
@@ -55,7 +57,9 @@ class RunContext:
         events: Events,
         heartbeat: Heartbeat | None = None,
         guardian_client: GuardianClient | None = None,
+        before: RunContext | None = None,
     ) -> None:
+        self.before = before
         self.rig = rig
         self.script = script
         self.devices = devices
@@ -75,13 +79,20 @@ class RunContext:
         self._touching = False
         self._heartbeat = heartbeat or Heartbeat()
         self._wall_behind_s: float | None = None
+        gate: StabilityGate = before.watch.gate if before and self.is_warm else gate_of(script)
         self.trips = TripHandler(
-            rig, devices, gate_of(script), store, events.warn, self._heartbeat, guardian_client
+            rig, devices, gate, store, events.warn, self._heartbeat, guardian_client
         )
         self.trips.on_event, self.trips.seen = events.event, self._seen
-        self.watch = self.trips.watch
+        self.watch: BathMonitor = self.trips.watch
         self.states = RunStates(lambda state: self.event(EVENT, state.value), self.clock.now)
         events.now_s, events.status = self.clock.now, self.status
+
+    @property
+    def is_warm(self) -> bool:
+        """Whether the run before left the bath as this script wants it."""
+        before = self.before
+        return before is not None and before.script.script.bath == self.script.script.bath
 
     def ask(self, request: Request) -> Answer:
         """Have the operator do it; the interlocks are looked at meanwhile."""

@@ -5,7 +5,7 @@ safe.
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.record.state import TRIP
 from bench.record.writer import FolderGoneError
 from bench.results.status import INSTRUMENTS_FACT
 from bench.rig.by_hand import not_safe_text
@@ -46,12 +47,15 @@ from instruments.operators.operator import (
 from instruments.stage.driver import Stage
 
 RECORD_FAULTS = (sqlite3.Error, OSError)
+BETWEEN_S = 120.0  # between two scripts of a queue, before the guardian takes the bench for hung
+STAYS_WARM = "nothing was made safe: the rig stays open, heated and watched for the next script"
 REQUESTS = (KeyboardInterrupt, OperatorAbort, OperatorSkip, OperatorRepeat)
 
 
 class Engine:
     """One run. ``exact_ends``: the scene's exact truth, never scored against; ``left``: of the last
-    session; ``typed`` gives typed lines; ``expected``: how long it takes.
+    session; ``typed`` gives typed lines; ``expected``: how long it takes; ``more``: another script
+    follows on this rig, which stays warm where this one finishes.
     """
 
     def __init__(
@@ -64,7 +68,10 @@ class Engine:
         left: ResumePoint | None = None,
         typed: Callable[[], str | None] = lambda: None,
         expected: TimeEstimate | None = None,
+        more: bool = False,
     ) -> None:
+        self._more = more
+        self.is_warm = False  # ended, with the rig open, heated and watched
         self._ctx = ctx
         self._left = left
         self._expected = expected
@@ -96,6 +103,10 @@ class Engine:
         ctx.events.not_shown = partial(self._kept, ctx.event, "not shown")
         ctx.events.replaying = self._rehearsed is not None
 
+    @property
+    def context(self) -> RunContext:
+        return self._ctx
+
     def run(self) -> RunState:
         """Everything, to the end or to safe. Faults of instruments and aborts are recorded."""
         exits, ending = current(), RunState.FAULTED
@@ -113,8 +124,25 @@ class Engine:
             with undisturbed():
                 ending = self._finish(ending)
             exits.let_go()
-            exits.at_close = None
+            exits.at_close = self._ctx.trips.heater_off if self.is_warm else None
         return ending
+
+    def let_go(self) -> None:
+        """Make safe what the run left warm, since none follows."""
+        with undisturbed():
+            self.is_warm = False
+            if unsafe := self._make_safe()[1]:
+                self._ctx.events.warn(not_safe_text(unsafe))
+        current().at_close = None
+
+    def _make_safe(self) -> tuple[list[str], Mapping[str, str]]:
+        """Bath, stage, arm and pump: what they said, and which are not safe."""
+        ctx, said, asked = self._ctx, list[str](), len(current().asked)
+        ctx.trips.end()
+        unsafe = ctx.devices.make_safe(said.append, lambda: len(current().asked) > asked)
+        self.bath_is_safe = "bath" not in unsafe
+        ctx.trips.stop()
+        return said, unsafe
 
     def _work(self) -> None:
         ctx, planned, again = self._ctx, self._ctx.script.planned, self._recovery.run
@@ -122,11 +150,11 @@ class Engine:
         ctx.check_interrupts = self._requests.look_between
         ctx.states.to(RunState.PREPARING)
         ctx.note("preparing")
-        ctx.watch.start()
+        self._take_over()
         again("signing on to the arm", self._sign_on)
         again("the arm check", lambda: self._check_arm(BEFORE))
         ctx.check()
-        if stage := ctx.devices.stage:
+        if (stage := ctx.devices.stage) and not (ctx.before and stage.homed):
             again("homing the stage", lambda: self._home(stage))
         self._fact("identities", ctx.devices.identities())
         self._fact("arm record", ctx.devices.arm.record())
@@ -136,10 +164,11 @@ class Engine:
             ctx.long("starting the bath", 60.0)
             start_bath(ctx.devices.bath, set_point_c, ctx.wait)
 
-        again("starting the bath", start)
+        if not ctx.is_warm:
+            again("starting the bath", start)
         if (seconds := ctx.devices.bath.watchdog_s) is not None:
             self._fact("watchdog", seconds)
-        ctx.watch.heating()
+        ctx.watch.heating(anew=not ctx.is_warm)
         again("preparing the truth", self._truth.begin)
         for trial in planned:
             if self._left and trial.id not in self._left.done:
@@ -151,6 +180,17 @@ class Engine:
         again("confirming the truth", self._truth.end)
         again("the arm check after the trials", lambda: self._check_arm(AFTER))
         ctx.ask(Finish())
+
+    def _take_over(self) -> None:
+        """Watch the bath, on from the run before where that left it heated. Raises its trip."""
+        ctx, before = self._ctx, self._ctx.before
+        if before:
+            ctx.watch.interlocks.heating(before.script.script.bath.set_point_c)
+            before.trips.watch.stop()
+        ctx.watch.start()
+        if before and (trip := before.watch.tripped):
+            ctx.event(TRIP, str(trip))
+            raise trip
 
     def _check_arm(self, when: str) -> None:
         """Touch the rig's check point, where it names one: a fact for the script's requirement."""
@@ -170,9 +210,13 @@ class Engine:
     def _sign_on(self) -> None:
         arm = self._ctx.devices.arm
         self._ctx.long("signing on to the arm", 120.0)
-        arm.sign_on()
+        homed = self._ctx.before is not None and arm.homed
+        if not homed:
+            arm.sign_on()
         write_arm_facts(self._ctx.store, self._ctx.rig)
         self._ctx.tip.refuse_other_arm()
+        if homed:
+            return
         self._ctx.ask(Homing(arm.homing))
         arm.confirm_homed()
 
@@ -262,21 +306,25 @@ class Engine:
         return RunState.FAULTED
 
     def _finish(self, ending: RunState) -> RunState:
-        """To safe first, whatever the disk, the terminal and the watch do."""
+        """To safe first, whatever the disk, the terminal and the watch do; not where the rig stays
+        warm.
+        """
         ctx = self._ctx
         self._reserve.give_back()
         ctx.check_interrupts = lambda: None
-        ctx.long("going to safe", 300.0)
-        ctx.safing = True
-        with suppress(*FAILURES):
-            ctx.events.state("going to safe")
-        self._show_safing()
-        said: list[str] = []
-        asked = len(current().asked)
-        ctx.trips.end()
-        unsafe = ctx.devices.make_safe(said.append, lambda: len(current().asked) > asked)
-        self.bath_is_safe = "bath" not in unsafe
-        ctx.trips.stop()
+        said: list[str] = [STAYS_WARM]
+        unsafe: Mapping[str, str] = {}
+        self.is_warm = self._more and ending is RunState.FINISHED and not ctx.watch.tripped
+        if self.is_warm:
+            ctx.trips.watch_beyond()
+            ctx.long("beginning the next script", BETWEEN_S)
+        else:
+            ctx.long("going to safe", 300.0)
+            ctx.safing = True
+            with suppress(*FAILURES):
+                ctx.events.state("going to safe")
+            self._show_safing()
+            said, unsafe = self._make_safe()
         with suppress(*FAILURES):
             ctx.show()
         left = [asdict(one) for one in ctx.status().at_end]

@@ -14,6 +14,7 @@ import select
 import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
 from typing import TextIO
 
 from instruments.clock import Clock
@@ -143,6 +144,11 @@ class Console(PromptedOperator):
         self._keyboard = keyboard_of(answers, self._write)
         self._listening = self._terminal or mailbox is None
         self.watch_pedals(watch)
+
+    def asked_in(self, folder: Path) -> None:
+        """From now on a browser is asked in the folder of another run, where one is asked."""
+        if self._mailbox:
+            self._mailbox = Mailbox(folder)
 
     def watch_pedals(self, watch: Callable[[], Pedal] | None) -> None:
         """From now on a pedal is as good as Enter where a touch is asked for."""

@@ -427,11 +427,12 @@ async function home() {
   controls.hidden = true;
   main.replaceChildren(make("section", { id: "problem", className: "card bad", hidden: true, role: "alert" }), make("section", { className: "card", id: "new" }, make("h2", {}, "Start a run")), make("section", { className: "card", id: "list" }, make("h2", {}, "Runs")));
   try {
-    const [{ runs }, known] = await Promise.all([ask("/runs"), ask("/choices")]);
+    const [{ runs, queues }, known] = await Promise.all([ask("/runs"), ask("/choices")]);
     showStatus("connected");
     const now = runs.find((one) => one.status.state === "running");
     if (now && hint === "now") { hintUsed(now.name); return; }
     starter(known);
+    if (queues.length) main.insertBefore(queue(queues[0]), byId("list"));
     byId("list").append(...(runs.length ? runs.map(listed) : [make("p", {}, "No runs yet.")]));
   } catch (error) {
     showStatus("no connection to the console", true);
@@ -462,6 +463,11 @@ const shown = new IntersectionObserver((entries) => {
     ask(`/runs/${encodeURIComponent(target.run)}/thumbnails`).then(({ thumbnails }) => target.append(...thumbnails.map(([alt, data]) => make("img", { src: `data:image/jpeg;base64,${data}`, alt })))).catch(() => null);
   }
 });
+// the last queue of scripts: what has run, what runs and what follows
+function queue(known) {
+  const row = (one, at) => make("li", {}, make("b", {}, `${at + 1}. ${one.script}`), " ", one.run ? make("a", { href: `#/${encodeURIComponent(one.run)}` }, one.text) : make("span", { className: "soft" }, one.text));
+  return card({ id: "queue" }, heading(known.under_way ? "Queue, running" : "Last queue"), make("p", { className: known.under_way ? "good" : "" }, words(known.headline)), make("ol", { className: "next" }, ...known.scripts.map(row)));
+}
 const SPEEDS = { "in real time": 1, "ten times as fast, to practise": 10, "as fast as they can": 0 };
 function starter(known) {
   const choice = (label, names, first) => {
@@ -470,16 +476,30 @@ function starter(known) {
   };
   const [rigLabel, rig] = choice("Rig", known.rigs, "emulated-browser"), [scriptLabel, script] = choice("Script", known.scripts, "six-situations");
   const boxes = known.detectors.map((name) => make("input", { type: "checkbox", value: name, checked: name === "fused" }));
+  const more = [], queued = make("button", { className: "quiet", id: "then", onclick: () => {
+    const [label, select] = choice("then", known.scripts, script.value);
+    more.push(select);
+    queued.before(label);
+  } }, "Add a script after it");
+  const scripts = () => [script, ...more].map((one) => one.value);
   const [speedLabel, speed] = choice("Emulated rigs", Object.keys(SPEEDS), "in real time");
-  const chosen = () => ({ rig: rig.value, script: script.value, detectors: boxes.filter((box) => box.checked).map((box) => box.value), speed: rig.value.startsWith("emulated") ? SPEEDS[speed.value] : 0 });
+  const chosen = () => ({ rig: rig.value, scripts: scripts(), detectors: boxes.filter((box) => box.checked).map((box) => box.value), speed: rig.value.startsWith("emulated") ? SPEEDS[speed.value] : 0 });
   const result = make("div", { id: "dry", role: "status" });
   const tried = make("button", { className: "quiet", id: "try", onclick: async () => {
     tried.disabled = true; problem(""); result.replaceChildren("Going through the script on emulators: this takes a while.");
-    try { dried(result, await ask("/dry-run", chosen())); } catch (error) { result.replaceChildren(); problem(error.message); }
+    try {
+      const shown = [];
+      for (const name of scripts()) {
+        const place = make("div"), found = await ask("/dry-run", { ...chosen(), scripts: [name] });
+        dried(place, found);
+        shown.push(...(more.length ? [make("h3", {}, name)] : []), place);
+      }
+      result.replaceChildren(...shown);
+    } catch (error) { result.replaceChildren(); problem(error.message); }
     tried.disabled = false;
   } }, "Dry run");
   const go = make("button", { id: "start", onclick: async () => { go.disabled = true; await started(ask("/start", chosen())); go.disabled = false; } }, "Start");
-  byId("new").append(make("p", { className: "row" }, rigLabel, scriptLabel, speedLabel),
+  byId("new").append(make("p", { className: "row" }, rigLabel, speedLabel), make("p", { className: "row" }, scriptLabel, queued),
     make("fieldset", {}, make("legend", {}, "Detectors"), ...boxes.map((box) => make("label", { className: "choice" }, box, box.value))),
     make("p", { className: "row" }, tried, go), result);
 }

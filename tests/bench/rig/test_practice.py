@@ -91,7 +91,7 @@ def test_what_a_console_leaves_is_done_once(tmp_path: Path) -> None:
     practice.leave(tmp_path, "pull bath")  # of an earlier session
     with (
         EmulatedRig(loaded, clock, 1) as twin,
-        practice.following(tmp_path, twin, clock, clock.speed),
+        practice.following(practice.Practice(twin), clock, clock.speed, tmp_path),
     ):
         practice.leave(tmp_path, "warm the room")
         practice.leave(tmp_path, "nonsense")
