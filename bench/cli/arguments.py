@@ -68,7 +68,9 @@ def refuse_existing(
 
 def command_line() -> str:
     """The command as it was given, to be given again."""
-    return shlex.join(["teatbench", *sys.argv[1:]])
+    from bench.run.notify import without_secrets
+
+    return shlex.join(["teatbench", *without_secrets(sys.argv[1:])])
 
 
 def print_values(values: Mapping[str, object]) -> None:

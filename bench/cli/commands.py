@@ -78,6 +78,12 @@ DETECTORS = option(
     f"{DETECTOR_HELP}; may be given several times",
     many=True,
 )
+NOTIFY = option(
+    "--notify URL",
+    "send word to this address, such as ntfy://ntfy.sh/TOPIC: asked, tripped, not safe, ended; may"
+    " be given several times (default: the rig's [notify])",
+    many=True,
+)
 EVENTS = option("--events FILE", "also write each event as a JSON line, for other programs")
 DESPITE_DAMAGE = flag(
     "--despite-damage",
@@ -278,6 +284,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         OUT_RUNS,
         DETECTORS,
         EVENTS,
+        NOTIFY,
         flag("--open", "open the report in the browser at the end, where there is a desktop"),
         flag("--console", "open the console beside it; an emulated rig then takes its real time"),
     ),
@@ -287,6 +294,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         CAPTURE,
         RUN,
         EVENTS,
+        NOTIFY,
         DESPITE_DAMAGE,
     ),
     "control": (

@@ -8,8 +8,8 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +20,7 @@ from bench.config import ConfigError
 from bench.record.reader import read_run
 from bench.rig.loading import LoadedRig, find_rig, load_rig
 from bench.rig.urls import PEOPLE
-from bench.run.events import Events, SafeProgress, event_lines
+from bench.run.events import ENDED, PROMPTED, Events, SafeProgress, event_lines
 from bench.run.resume import ASKED
 from bench.script.model import LoadedScript, find_script, load_script
 from bench.script.pixel_offsets import is_offset_script, load_offsets, outcomes
@@ -28,6 +28,7 @@ from instruments.operators.console import keyboard_of
 
 if TYPE_CHECKING:
     from bench.report.page import Written
+    from bench.results.status import RunStatus
     from reports.page import Section
 
 WORST = (CODES.met, CODES.inconclusive, CODES.not_met, CODES.fault)  # of several runs
@@ -75,8 +76,13 @@ def _run(given: argparse.Namespace, rig: LoadedRig, scripts: Sequence[LoadedScri
     from bench.run.start import RunOptions, run_queue
 
     console = Terminal()
-    with event_lines(given.events) as lines, TerminalProgress(console) as shown:
+    with (
+        ExitStack() as stack,
+        event_lines(given.events) as lines,
+        TerminalProgress(console) as shown,
+    ):
         progress = Events(shown, lines)
+        word = stack.enter_context(_words(given, rig, progress))
         how = RunOptions(
             typed=typed_lines(rig.rig.operator.url),
             seed=given.seed,
@@ -93,7 +99,31 @@ def _run(given: argparse.Namespace, rig: LoadedRig, scripts: Sequence[LoadedScri
         from bench.report.page import write_run_report  # late: loads for half a second
 
         reports = [write_run_report(folder) for folder, _ in ended]
+        word([one.status for one in reports])
     return _shown(given, console, rig, scripts, reports)
+
+
+@contextmanager
+def _words(
+    given: argparse.Namespace, rig: LoadedRig, events: Events
+) -> Iterator[Callable[[Sequence[RunStatus]], None]]:
+    """Sends word of what happens; gives what sends the last one, of all runs as they ended."""
+    from bench.run.notify import notifying, text_of
+
+    person = rig.rig.operator.url in PEOPLE
+    with notifying(given.notify or rig.rig.notify.urls, events.warn) as send:
+
+        def now(kind: str) -> None:
+            if kind != PROMPTED or person:
+                send(kind, lambda: text_of(kind, events.status()))
+
+        def ended(runs: Sequence[RunStatus]) -> None:
+            first, *others = (text_of(ENDED, status) or ("", "") for status in runs)
+            title = first[0] if not others else f"{len(runs)} runs: {ENDED}"
+            send(ENDED, lambda: (title, "\n\n".join(text for _, text in (first, *others))))
+
+        events.notify = now
+        yield ended
 
 
 def _shown(
@@ -147,10 +177,15 @@ def resume(given: argparse.Namespace) -> int:
 
             print(f"{given.run}: every trial is done, the bench died before it wrote the report")
             return show_verdict(console, write_run_report(given.run, damage=damage))
-        operator = files_of(record)[0].rig.operator.url
-        with event_lines(given.events) as lines, TerminalProgress(console) as shown:
+        rig = files_of(record)[0]
+        with (
+            ExitStack() as stack,
+            event_lines(given.events) as lines,
+            TerminalProgress(console) as shown,
+        ):
             progress = Events(shown, lines)
-            typed = typed_lines(operator)
+            word = stack.enter_context(_words(given, rig, progress))
+            typed = typed_lines(rig.rig.operator.url)
             resume_run(
                 given.run, progress, RunOptions(capture=given.capture, typed=typed, begun=shown.say)
             )
@@ -159,6 +194,7 @@ def resume(given: argparse.Namespace) -> int:
             from bench.report.page import write_run_report
 
             written = write_run_report(given.run, damage=damage)
+            word([written.status])
         return show_verdict(console, written)
 
 

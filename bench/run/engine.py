@@ -21,7 +21,7 @@ from bench.rig.by_hand import not_safe_text
 from bench.rig.frame_capture import FRAMES_FACT
 from bench.run.context import LOOK_S, RunContext
 from bench.run.estimate import TimeEstimate
-from bench.run.events import EVENT, FAILURES, RunState
+from bench.run.events import EVENT, FAILURES, NOT_SAFE, RunState
 from bench.run.interruptions import Recovery, Requests
 from bench.run.lock import Reserve
 from bench.run.recordings import Recorder
@@ -133,6 +133,7 @@ class Engine:
             self.is_warm = False
             if unsafe := self._make_safe()[1]:
                 self._ctx.events.warn(not_safe_text(unsafe))
+                self._ctx.events.notify(NOT_SAFE)
         current().at_close = None
 
     def _make_safe(self) -> tuple[list[str], Mapping[str, str]]:
@@ -331,6 +332,7 @@ class Engine:
         self._ended = True
         if unsafe:
             ctx.events.warn(not_safe_text(unsafe))
+            ctx.events.notify(NOT_SAFE)
         for text in said:
             self._write_down("safe", text)
         if unsafe and ending is RunState.FINISHED:

@@ -25,9 +25,11 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from bench.config import ConfigError
+from bench.record.state import TRIP
 from bench.results.status import RunStatus
 from instruments.clock import wall_time
 
+PROMPTED, TRIPPED, NOT_SAFE, ENDED = "asked", "tripped", "not safe", "ended"  # to be notified
 EVENT = "run state"  # the kind of a change of state, in the record
 
 
@@ -153,8 +155,8 @@ class SafeProgress:
 
 class Events:
     """The stream, from any thread, shown on ``screen`` as one line and written to ``file``.
-    ``status``: the run as it is; ``not_shown`` gets which listener failed. While
-    ``replaying``, events are shown and not written.
+    ``status``: the run as it is; ``not_shown`` gets which listener failed; ``notify`` gets what a
+    person elsewhere has to know. While ``replaying``, events are shown and not written.
     """
 
     def __init__(self, screen: Progress, file: FileIO | None = None) -> None:
@@ -167,10 +169,12 @@ class Events:
         self.status: Callable[[], RunStatus | None] = lambda: None
         self.not_shown: Callable[[str], object] = lambda _: None
         self.replaying = False
+        self.notify: Callable[[str], None] = lambda _: None
 
     @contextmanager
     def kept_in(self, folder: Path) -> Iterator[None]:
         """Written to `EVENTS_FILE` in ``folder`` too, on from its last number."""
+        self.pose = self.doing = self.error = ""
         try:
             file = FileIO(folder / EVENTS_FILE, "a+")
         except OSError as error:
@@ -206,6 +210,8 @@ class Events:
     def asked(self, kind: str) -> None:
         """The operator is asked for something of this kind; "" once it is done."""
         self._write("asked", kind=kind)
+        if kind and not self.replaying:
+            self.notify(PROMPTED)
 
     def warn(self, text: str) -> None:
         self._screen.warn(text)
@@ -216,6 +222,8 @@ class Events:
         if kind in ERRORS:
             self.error = text
         self._write("event", kind=kind, text=text)
+        if kind == TRIP:
+            self.notify(TRIPPED)
 
     def aside(self) -> AbstractContextManager[None]:
         return self._screen.aside()
