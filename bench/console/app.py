@@ -13,9 +13,12 @@ import secrets
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import partial
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
+import segno
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool as _off
 from starlette.requests import Request
@@ -26,7 +29,7 @@ from starlette.types import ASGIApp
 
 from bench.config import ConfigError
 from bench.console import starting, watching
-from bench.console.guard import Guard
+from bench.console.guard import PAIRED, Guard, Pairing
 from bench.results.queue import queues
 from bench.results.status import under_way
 from bench.rig.practice import leave
@@ -149,6 +152,7 @@ class Console:
     runs: Path
     rigs: Path
     origin: str
+    pairing: Pairing
     lease: Lease = field(default_factory=Lease)
     tickets: dict[str, Path] = field(default_factory=dict)
     pages: Pages = field(default_factory=Pages)
@@ -164,6 +168,8 @@ class Console:
             Route("/api/dry-run", self.dry_run, methods=["POST"]),
             Route("/api/start", self.start, methods=["POST"]),
             Route("/api/lease", self.take_lease, methods=["POST"]),
+            Route("/api/pair", self.pair, methods=["POST"]),
+            Route(PAIRED, self.paired, methods=["POST"]),
             Route(one, self.snapshot),
             Route(f"{one}/stream", self.stream),
             Route(f"{one}/thumbnails", self.thumbnails),
@@ -303,6 +309,18 @@ class Console:
         self.lease.take(client, _text(given, "name"))
         return JSONResponse(self.lease.as_seen_by(client))
 
+    async def pair(self, request: Request) -> Response:
+        """A link that another browser opens once, and its QR code as a data URI."""
+        await _body(request)
+        url = pairing_url(self)
+        svg = segno.make(url, error="m").svg_data_uri(scale=6, light="white")
+        return JSONResponse({"url": url, "qr": svg, "here": is_here(self.origin)})
+
+    async def paired(self, request: Request) -> Response:
+        """The token, for a code that the guard has taken."""
+        await _body(request)
+        return JSONResponse({"token": self.pairing.token})
+
     async def choices(self, _: Request) -> Response:
         found = asdict(await _off(starting.choices, self.rigs))
         return JSONResponse({kind: list(names) for kind, names in found.items()})
@@ -360,10 +378,22 @@ class Console:
         return watching.run_folder(self.runs, request.path_params["run"])
 
 
-def make_app(console: Console, token: str, hosts: list[str]) -> ASGIApp:
+def pairing_url(console: Console) -> str:
+    return f"{console.origin}/#pair-{console.pairing.code()}"
+
+
+def is_here(origin: str) -> bool:
+    """Whether only this machine reaches it."""
+    host = urlsplit(origin).hostname or ""
+    return ip_address(host.partition("%")[0]).is_loopback
+
+
+def make_app(console: Console, hosts: list[str]) -> ASGIApp:
     handlers: dict[Any, Any] = {watching.NoRunError: _said(404), OSError: _said(500)}
     handlers |= dict.fromkeys((starting.NotStartedError, BadBodyError, ConfigError), _said(422))
-    return Guard(Starlette(routes=console.routes(), exception_handlers=handlers), token, hosts)
+    return Guard(
+        Starlette(routes=console.routes(), exception_handlers=handlers), console.pairing, hosts
+    )
 
 
 class BadBodyError(ValueError):

@@ -3,10 +3,16 @@
 
 const [token, hint] = location.hash.slice(1).split("#");
 if (token && !token.startsWith("/")) {
-  sessionStorage.setItem("token", token);
+  sessionStorage.setItem("token", token.startsWith("pair-") ? await exchanged(token.slice(5)) : token);
   history.replaceState(null, "", "#/" + (hint || ""));
 }
 const TOKEN = sessionStorage.getItem("token") || "";
+// a code from another page's QR code, good once, for the token
+async function exchanged(code) {
+  const options = { method: "POST", headers: { Authorization: `Bearer ${code}`, "Content-Type": "application/json" }, body: "{}" };
+  const found = await fetch("/api/paired", options).then((answer) => answer.json()).catch(() => ({}));
+  return found.token || "";
+}
 const CLIENT = sessionStorage.getItem("client") || crypto.randomUUID();
 sessionStorage.setItem("client", CLIENT);
 const NAME = /Mobi|Android/.test(navigator.userAgent) ? "a telephone or tablet" : "a computer's browser";
@@ -102,6 +108,15 @@ function quickly(promise) {
   });
   return Promise.race([promise, dead]).finally(() => after.abort());
 }
+byId("pair").onclick = async () => {
+  try {
+    const { url, qr, here } = await ask("/pair", {});
+    const place = byId("pairing");
+    const where = here ? "Only this machine reaches this console. For a phone start it with: teatbench console --listen ADDRESS" : "Scan it with a phone in the same network. It works once, for 10 minutes; the phone may then answer, start and end runs.";
+    place.replaceChildren(heading("Pair a phone"), make("img", { src: qr, alt: "QR code of the link below" }), make("p", {}, make("a", { href: url, target: "_blank", rel: "noopener" }, url)), make("p", { className: here ? "warn" : "soft" }, where), make("button", { className: "quiet", onclick: () => place.close() }, "Close"));
+    place.showModal();
+  } catch (error) { problem(error.message); }
+};
 function showStatus(text, lost = false) {
   byId("connection").textContent = text;
   byId("connection").classList.toggle("lost", lost);
