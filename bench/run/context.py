@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from bench.record.state import State
 from bench.record.writer import Store
+from bench.results.headline import AFTER_RUN
 from bench.results.status import (
     GOING_TO_SAFE,
     Asked,
@@ -180,6 +181,8 @@ class RunContext:
             yield f"Answer what is asked: {status.asked.kind}."
         elif status.paused:
             yield f"Go on with: teatbench control {self.store.folder} go on"
+        else:
+            yield AFTER_RUN
 
     @property
     def _names(self) -> tuple[str, ...]:

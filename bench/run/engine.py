@@ -287,6 +287,7 @@ class Engine:
             self._write_down("safe", text)
         if unsafe and ending is RunState.FINISHED:
             ending = RunState.FAULTED
+            self._write_down("fault", f"could not be made safe at its end: {', '.join(unsafe)}")
         for state in (RunState.SAFING, ending):
             self._kept(ctx.states.to, state)
         self._write_down("end", ending.value)
