@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -28,7 +29,7 @@ from bench.rig.devices import Devices
 from bench.rig.guardian_client import BRIEF_S, GuardianClient, Heartbeat
 from bench.rig.loading import LoadedRig
 from bench.run.estimate import gate_of
-from bench.run.events import EVENT, Events, RunStates
+from bench.run.events import EVENT, FAILURES, Events, RunStates
 from bench.run.live import Live, bath_state, interlock_states
 from bench.safety.bath_monitor import TripHandler
 from bench.script.model import LoadedScript
@@ -129,10 +130,11 @@ class RunContext:
             self.events.refresh()
 
     def _seen(self) -> None:
-        """With each reading of the bath, on the thread of the watch."""
+        """With each reading of the bath, on the thread of the watch. Raises nothing."""
         self.events.refresh()
-        if self.live.due:
-            self._publish()
+        with suppress(*FAILURES):
+            if self.live.due:
+                self._publish()
 
     def _publish(self) -> None:
         settling_s = float(self.progress().get("settling_s", 0.0))

@@ -277,9 +277,10 @@ class Engine:
         unsafe = ctx.devices.make_safe(said.append, lambda: len(current().asked) > asked)
         self.bath_is_safe = "bath" not in unsafe
         ctx.trips.stop()
+        left: list[dict[str, Any]] = []
         with suppress(*FAILURES):
             ctx.show()
-        left = [asdict(one) for one in ctx.status().at_end]
+            left = [asdict(one) for one in ctx.status().at_end]
         self._ended = True
         if unsafe:
             ctx.events.warn(not_safe_text(unsafe))

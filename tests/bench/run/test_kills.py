@@ -34,7 +34,7 @@ from bench.run.events import Events
 from bench.run.live import Live
 from bench.run.start import RunOptions
 from bench.safety.bath_monitor import LATE_S, PERIOD_S
-from instruments.listener import Connection
+from instruments.listener import Connection, Listener
 from tests.bench.fault_catalogue import STATES, Bringer, known_to
 from tests.bench.killed_runs import start
 from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files
@@ -95,7 +95,7 @@ class Watch(Bringer):
         SEND(connection, data)
         rig = self.rig or self.twin
         for name, listener in rig._listeners.items() if rig else ():
-            if connection in listener._connections:
+            if isinstance(listener, Listener) and connection in listener._connections:
                 self.sent_s[name] = connection._clock.now()
 
     @property
