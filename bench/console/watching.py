@@ -25,8 +25,8 @@ from bench.report.trials import project_all
 from bench.results.status import LIVE, RUN_JSON, RunStatus, live_status, read_status, under_way
 from bench.rig.practice import SHOWN as PRACTICE
 from bench.run.events import EVENTS_FILE
-from bench.run.live import CAMERAS
 from bench.run.set_up_picture import FOLDER as SET_UP
+from instruments.camera.cameras import KNOWN as CAMERAS
 from instruments.operators.mailbox import FOLDER, read_prompt
 
 TAIL_BYTES = 1 << 16  # of the events, for who has seen none

@@ -258,7 +258,7 @@ def status_of(run: RunRecord, judgements: Sequence[Judgement] = ()) -> RunStatus
         skipped=len(run.skipped),
         planned=run.facts.get("planned"),
         damage=run.damage,
-        wall_time=str(run.facts.get("wall_ended") or run.facts["wall_started"]),
+        wall_time=str(run.facts.get("wall_ended") or run.facts.get("wall_started", "")),
     )
     if state is State.RUNNING and live:
         status = replace(_as_asked(live.later(), run.folder), damage=run.damage)

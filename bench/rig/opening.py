@@ -60,22 +60,27 @@ class BringUpError(InstrumentError):
 
 
 class Heard(Tap):
-    """Notes when an instrument last sent anything; all goes on to ``then``."""
+    """Notes when an instrument was last asked what it answered; all goes on to ``then``. What it
+    sent may have waited here for long, so that the time of reading says nothing.
+    """
 
     def __init__(self, name: str, clock: Clock, heard: dict[str, float], then: Tap) -> None:
         self._name, self._clock, self._heard, self._then = name, clock, heard, then
+        self._asked_s = 0.0
 
     def opened(self, url: str) -> None:
+        self._asked_s = self._clock.now()
         self._then.opened(url)
 
     def sent(self, data: bytes) -> None:
+        self._asked_s = self._clock.now()
         self._then.sent(data)
 
     def closed(self, why: str = "") -> None:
         self._then.closed(why)
 
     def received(self, data: bytes) -> None:
-        self._heard[self._name] = self._clock.now()
+        self._heard[self._name] = self._asked_s
         self._then.received(data)
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from bench.record.state import State
 from bench.record.writer import Store
+from bench.results.headline import AFTER_RUN
 from bench.results.status import (
     GOING_TO_SAFE,
     Asked,
@@ -27,7 +29,7 @@ from bench.rig.devices import Devices
 from bench.rig.guardian_client import BRIEF_S, GuardianClient, Heartbeat
 from bench.rig.loading import LoadedRig
 from bench.run.estimate import gate_of
-from bench.run.events import EVENT, Events, RunStates
+from bench.run.events import EVENT, FAILURES, Events, RunStates
 from bench.run.live import Live, bath_state, interlock_states
 from bench.safety.bath_monitor import BathMonitor, TripHandler
 from bench.safety.stability import StabilityGate
@@ -139,10 +141,11 @@ class RunContext:
             self.events.refresh()
 
     def _seen(self) -> None:
-        """With each reading of the bath, on the thread of the watch."""
+        """With each reading of the bath, on the thread of the watch. Raises nothing."""
         self.events.refresh()
-        if self.live.due:
-            self._publish()
+        with suppress(*FAILURES):
+            if self.live.due:
+                self._publish()
 
     def _publish(self) -> None:
         settling_s = float(self.progress().get("settling_s", 0.0))
@@ -191,6 +194,8 @@ class RunContext:
             yield f"Answer what is asked: {status.asked.kind}."
         elif status.paused:
             yield f"Go on with: teatbench control {self.store.folder} go on"
+        else:
+            yield AFTER_RUN
 
     @property
     def _names(self) -> tuple[str, ...]:

@@ -326,9 +326,10 @@ class Engine:
                 ctx.events.state("going to safe")
             self._show_safing()
             said, unsafe = self._make_safe()
+        left: list[dict[str, Any]] = []
         with suppress(*FAILURES):
             ctx.show()
-        left = [asdict(one) for one in ctx.status().at_end]
+            left = [asdict(one) for one in ctx.status().at_end]
         self._ended = True
         if unsafe:
             ctx.events.warn(not_safe_text(unsafe))
@@ -337,6 +338,7 @@ class Engine:
             self._write_down("safe", text)
         if unsafe and ending is RunState.FINISHED:
             ending = RunState.FAULTED
+            self._write_down("fault", f"could not be made safe at its end: {', '.join(unsafe)}")
         for state in (RunState.SAFING, ending):
             self._kept(ctx.states.to, state)
         self._write_down("end", ending.value)

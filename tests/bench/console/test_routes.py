@@ -20,7 +20,8 @@ from bench.console.app import Console, make_app
 from bench.console.guard import PAIR_S, Pairing
 from bench.console.watching import listed
 from bench.record.state import run_lock
-from bench.run.live import LIVE
+from bench.report.page import write_run_report
+from bench.results.status import LIVE, RUN_JSON
 from bench.run.lock import locked
 from instruments.operators import operator as op
 from instruments.operators.mailbox import Mailbox, read_answer
@@ -229,10 +230,15 @@ def test_what_a_killed_bench_left_open_is_neither_shown_nor_answered(tmp_path: P
 def test_a_verdict_of_an_earlier_session_is_not_the_run_s(tmp_path: Path) -> None:
     """The first was ended and has a report; the second finished, and was killed before its own."""
     folder = Path(shutil.copytree(KEPT, tmp_path / "runs" / "twice"))
-    (folder / "report").mkdir()
-    judged = {"judgements": [{"detector": "fused", "verdict": "met"}]}
-    for ending, verdicts in (("finished", {"fused": "met"}), ("faulted", {})):
-        text = json.dumps(judged | {"ending": ending})
-        (folder / "report" / "run.json").write_text(text, encoding="utf-8")
+    write_run_report(folder)
+    right = listed(tmp_path / "runs")[0]["status"]
+    assert right["state"] == "finished"
+    path = folder / RUN_JSON
+    written = json.loads(path.read_text(encoding="utf-8"))
+    written["status"]["verdicts"] = dict.fromkeys(right["verdicts"], "of the report")
+    for digest, verdict in ((written["chain"]["wall_digest"], "of the report"), ("0", None)):
+        written["chain"]["wall_digest"] = digest
+        path.write_text(json.dumps(written), encoding="utf-8")
         (card,) = listed(tmp_path / "runs")
-        assert (card["ending"], card["verdicts"]) == ("finished", verdicts)
+        wanted = dict.fromkeys(right["verdicts"], verdict) if verdict else right["verdicts"]
+        assert card["status"]["verdicts"] == wanted

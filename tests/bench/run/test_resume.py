@@ -23,10 +23,10 @@ from bench.record.reader import RunRecord, read_run
 from bench.record.recording import Recording, RecordingWriter
 from bench.record.state import run_lock
 from bench.record.writer import Store
+from bench.results.status import LIVE
 from bench.rig.opening import open_instruments
 from bench.run.events import EVENT, RunState
 from bench.run.interruptions import leave_request
-from bench.run.live import LIVE
 from bench.run.lock import locked
 from bench.run.recordings import RECORDED, Recorder
 from bench.run.resume import what_is_left
