@@ -43,6 +43,17 @@ def code_of(verdict: str) -> int:
     return {"met": CODES.met, "not met": CODES.not_met}.get(verdict, CODES.inconclusive)
 
 
+LATEST = "latest"
+
+
+def a_run(text: str) -> Path:
+    """A run's folder; ``latest``: the newest one in runs/."""
+    if text != LATEST or Path(text).exists():
+        return Path(text)
+    found = max(Path("runs").glob("*/run.sqlite"), key=lambda path: path.parent.name, default=None)
+    return found.parent if found else Path(text)
+
+
 def complain(text: str, code: int) -> int:
     """Say on standard error what is wrong; gives back ``code``."""
     print(f"teatbench: {text}", file=sys.stderr)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from bench.cli.arguments import (
     Argument,
+    a_run,
     address,
     flag,
     number,
@@ -69,7 +70,8 @@ CAMERAS_OF = option(
     "--rig RIG", "whose cameras: a shipped rig by name, or a .toml file (default: emulated)"
 )
 WORKERS = option("--workers N", "how many processes (default: one a processor)", whole(1, 1024))
-RUN = option("run RUN", "the run's folder", Path)
+RUN = option("run RUN", "the run's folder; 'latest': the newest in runs/", a_run)
+SUMMARY = option("--summary FILE", "append what was found to this file as Markdown, for CI", Path)
 RECORDING = option("recording RECORDING", "a recording's folder", Path)
 OUT_RUNS = option("--out DIR", "the folder for run folders", default=Path("runs"))
 DETECTOR_HELP = "a detector by name, a file DETECTOR.toml, or exec:COMMAND (help detectors)"
@@ -106,6 +108,7 @@ COMPARED = (
         0.95,
     ),
     flag("--gate", "exit code 1 when the new one is worse, 4 when that is undecided"),
+    SUMMARY,
 )
 COMPARED_PAGE = option("--out DIR", "also write a page and comparison.json there")
 
@@ -285,6 +288,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         DETECTORS,
         EVENTS,
         NOTIFY,
+        SUMMARY,
         flag("--open", "open the report in the browser at the end, where there is a desktop"),
         flag("--console", "open the console beside it; an emulated rig then takes its real time"),
     ),
@@ -295,6 +299,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         RUN,
         EVENTS,
         NOTIFY,
+        SUMMARY,
         DESPITE_DAMAGE,
     ),
     "control": (
@@ -305,7 +310,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     ),
     "report": (
         "write the report of a run again",
-        "report runs/20260601-120000-six-situations --single-file",
+        "report latest --open",
         RUN,
         option("--baseline RUN", "also compare it with this older run of the same scenes"),
         flag(
@@ -317,6 +322,8 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             flag("--pdf", "fail where no Chromium, Chrome or Edge prints report.pdf"),
             flag("--no-pdf", "print no report.pdf, though a browser is installed"),
         ),
+        SUMMARY,
+        flag("--open", "open it in the browser, where there is a desktop"),
         flag("--appendix", "print the folded sections too: report.pdf is the whole report"),
     ),
     "console": (
@@ -349,6 +356,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         RECORDING,
         OUT_RUNS,
         DETECTORS,
+        SUMMARY,
     ),
     "compare": (
         "compare runs, or the detectors of one run, trial by trial",
@@ -1037,3 +1045,101 @@ FUNCTIONS = {
     "trials": "listed",
 }
 ONCE = {"control": ("tell",)}  # names of earlier releases, which work for one more
+
+# what a person mostly does next: two commands, with what this one was given in {}; what is in
+# capitals he names himself
+NEXT: Mapping[str, tuple[str, str]] = {
+    "run": ("report latest --open", "runs {out}"),
+    "resume": ("report {run} --open", "store check {run}"),
+    "control": ("console", "report {run} --open"),
+    "report": ("store check {run}", "compare OLDER {run}"),
+    "console": ("runs {runs}", "report latest --open"),
+    "runs": ("report latest --open", "compare OLDER NEWER"),
+    "trials": ("trials show plane-map", "run six-situations --dry-run"),
+    "trials show": ("run {script} --rig {rig} --dry-run", "run {script} --rig {rig}"),
+    "plan": ("trials", "run six-situations --dry-run"),
+    "score": ("runs {out}", "compare OLDER NEWER --gate"),
+    "compare": ("help scoring", "runs"),
+    "detectors": ("detectors try fused", "detectors new python --name mine"),
+    "detectors new": ("detectors try {name}", "help first-detector"),
+    "detectors try": (
+        "run demo --detector {word}",
+        "campaign run --family ideal --detector {word} --out campaigns/ideal",
+    ),
+    "detect": ("score {recording} --detector fused", "detectors try fused {recording}"),
+    "scene sheet": ("scene record --situation overlapping", "help scene"),
+    "scene record": ("score {out} --detector fused", "detect {out} --detector fused"),
+    "scene boards": (
+        "calibrate cameras {out} --board {board} --out cameras.toml",
+        "help calibration",
+    ),
+    "scene sensitivity": ("help scene", "campaign run --family ideal --out campaigns/ideal"),
+    "campaign run": ('campaign query {out} "SELECT * FROM scenes"', "campaign compare {out} OTHER"),
+    "campaign chunk": ("campaign chunk {plan}", "help campaigns"),
+    "campaign search": (
+        "campaign show {out} SCENE",
+        "campaign keep {out} 1 --into recordings/kept",
+    ),
+    "campaign herd": ("help campaigns", "help detectors"),
+    "campaign keep": ("score {into} --detector fused", "detect {into} --detector fused"),
+    "campaign show": ("campaign keep {folder} 1 --into recordings/kept", "help campaigns"),
+    "campaign compare": ("help campaigns", "help scoring"),
+    "campaign query": ("campaign show {folder} SCENE", "help campaigns"),
+    "init": ("check {out}", "help lab"),
+    "check": ("run six-situations --rig {rig} --dry-run", "console"),
+    "rigs": ("check emulated", "init"),
+    "emulate": ("check RIG", "run six-situations --rig RIG"),
+    "arm read": ("arm home --port {port}", "arm verify --port {port} --out verification.toml"),
+    "arm watch": ("arm read --port {port}", "arm home --port {port}"),
+    "arm home": ("arm read --port {port}", "arm frame --port {port} --out frame.toml"),
+    "arm frame": ("arm verify --port {port} --out verification.toml", "check RIG"),
+    "arm verify": ("check RIG", "run six-situations --rig RIG --dry-run"),
+    "bath read": ("bath watch --port {port} --profile {profile}", "check RIG"),
+    "bath learn": ("help add-a-bath", "bath read --port {port} --profile {profile}"),
+    "bath set": (
+        "bath watch --port {port} --profile {profile}",
+        "bath standby --port {port} --profile {profile}",
+    ),
+    "bath watch": (
+        "bath read --port {port} --profile {profile}",
+        "bath standby --port {port} --profile {profile}",
+    ),
+    "bath standby": ("bath read --port {port} --profile {profile}", "help safety"),
+    "bath acknowledge": ("check {rig}", "resume RUN"),
+    "stage status": ("stage home --rig RIG", "check RIG"),
+    "stage home": ("stage move --rig RIG -- X Y", "stage status --rig RIG"),
+    "stage move": ("stage jog --rig RIG X-5", "stage status --rig RIG"),
+    "stage jog": ("stage status --rig RIG", "calibrate stage --rig RIG --out registration.toml"),
+    "stage recover": ("stage home --rig RIG", "stage status --rig RIG"),
+    "camera list": ("camera show opencv:0", "camera focus opencv:0 --page"),
+    "camera show": ("camera focus RIG --page", "camera grab RIG --out recordings/mine"),
+    "camera focus": ("camera show RIG", "calibrate board chessboard-9x6-40 --pdf board.pdf"),
+    "camera grab": ("detect {out} --detector fused", "camera show RIG"),
+    "calibrate cameras": ("calibrate check {out} --rig RIG --board {board}", "help calibration"),
+    "calibrate thermal": (
+        "calibrate world --rig RIG --cameras cameras.toml --out world.toml",
+        "help calibration",
+    ),
+    "calibrate world": (
+        "calibrate merge cameras.toml thermal.toml {out} --out calibration.toml",
+        "help calibration",
+    ),
+    "calibrate merge": ("calibrate check {out} --rig RIG --board BOARD", "check RIG"),
+    "calibrate check": ("check RIG", "run six-situations --rig RIG --dry-run"),
+    "calibrate board": (
+        "calibrate cameras --rig RIG --board {board} --out cameras.toml",
+        "help calibration",
+    ),
+    "calibrate export": ("help calibration", "check RIG"),
+    "calibrate import": (
+        "calibrate merge {out} thermal.toml world.toml --out calibration.toml",
+        "help calibration",
+    ),
+    "calibrate stage": ("trials", "help trials"),
+    "store check": ("report {run} --open", "store export {run} --format csv --out tables"),
+    "store export": ("store check {run}", "help record"),
+    "recording pack": ("score {out} --detector fused", "help record"),
+    "replay-wire": ("check RIG", "help record"),
+    "help": ("trials", "run demo"),
+    "completion": ("help", "trials"),
+}

@@ -103,6 +103,13 @@ def _run(given: argparse.Namespace, rig: LoadedRig, scripts: Sequence[LoadedScri
     return _shown(given, console, rig, scripts, reports)
 
 
+def _summarize(given: argparse.Namespace, written: Written) -> None:
+    if given.summary:
+        from bench.report import summary
+
+        summary.append(given.summary, summary.of_run(written))
+
+
 @contextmanager
 def _words(
     given: argparse.Namespace, rig: LoadedRig, events: Events
@@ -140,6 +147,7 @@ def _shown(
     codes = []
     for script, written in zip(scripts, reports, strict=False):
         codes.append(show_verdict(console, written))
+        _summarize(given, written)
         record = written.run
         spent = estimate.took(record)
         # the next estimate is better by what this run took; one that stopped shows nothing, and one
@@ -195,6 +203,7 @@ def resume(given: argparse.Namespace) -> int:
 
             written = write_run_report(given.run, damage=damage)
             word([written.status])
+        _summarize(given, written)
         return show_verdict(console, written)
 
 
@@ -237,6 +246,7 @@ def score(given: argparse.Namespace) -> int:
         progress.state("writing the report")
         written = write_run_report(folder)
     code = show_verdict(console, written)
+    _summarize(given, written)
     run = read_run(folder)
     if text := run.facts.get(UNCHECKED_FACT):
         print(f"Cameras {text}.")
@@ -259,7 +269,7 @@ def _offsets_reported(folder: Path) -> int:
 
 
 def report(given: argparse.Namespace) -> int:
-    from bench.cli.verdict import show_verdict
+    from bench.cli.verdict import open_report, show_verdict
     from bench.report.page import PDF, REPORT, write_run_report
     from bench.report.pixel_offsets import is_offset_run
     from reports.pdf import find_browser, print_pdf
@@ -290,6 +300,9 @@ def report(given: argparse.Namespace) -> int:
                     given.run, chapters, damage, single_file=given.single_file
                 )
             code = show_verdict(Terminal(), written)
+            _summarize(given, written)
+    if given.open:
+        open_report(given.run / REPORT / "index.html")
     if browser:
         folder = given.run / REPORT
         try:

@@ -136,6 +136,10 @@ def print_comparisons(given: argparse.Namespace, found: Sequence[Comparison]) ->
             path = write_comparison(found, given.out)
         if not given.json:
             print(f"Report: {path}")
+    if given.summary:
+        from bench.report import summary
+
+        summary.append(given.summary, summary.of_comparisons(found))
     verdict = overall(one.compared.gate.verdict for one in found)
     return code_of(verdict.value) if given.gate else CODES.met
 
