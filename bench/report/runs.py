@@ -154,7 +154,7 @@ def write_queue_page(folder: Path, queue: QueueStatus) -> Path:
     """
     begun, runs = {one.run for one in queue.scripts if one.run}, list[Run]()
     others = [(one.script, one.text) for one in queue.scripts if not one.run]
-    for name in sorted(begun):
+    for name in sorted(begun, reverse=True):
         try:
             runs.append(_listed(folder / name))
         except (ConfigError, OSError) as error:

@@ -25,6 +25,7 @@ CAMERA = "{} camera"
 LOOK_S = 0.2  # of real time
 STEP_K = 2.0
 COOLEST_C, WARMEST_C = 0.0, 40.0
+OUT, JAMMED = "OUT", "JAMMED"
 PULL, PUT_BACK = "pull", "put back"
 WARM, COOL, JAM, FREE = "warm the room", "cool the room", "jam the stage", "free the stage"
 
@@ -37,7 +38,7 @@ body {{ max-width: 44rem; margin: 1rem auto; padding: 0 1rem;
   font: 17px/1.5 system-ui, sans-serif }}
 form {{ display: flex; flex-wrap: wrap; gap: .6rem 1rem; align-items: center;
   border-top: 1px solid #8886; padding: .5rem 0 }}
-span {{ flex: 1 1 9rem }} b {{ flex: 0 0 5rem }}
+span {{ flex: 1 1 7rem }}
 button {{ font: inherit; padding: .5rem; border-radius: .5rem; border: 2px solid; cursor: pointer }}
 .bad b {{ color: light-dark(#b3201f, #ff8f87) }}
 </style></head><body><h1>Practice</h1>
@@ -60,10 +61,10 @@ class Shown:
     def choices(self) -> Iterator[tuple[str, str, Mapping[str, str]]]:
         """What can be done next: about what, how that stands; label and words of each button."""
         for name, plugged in self.cables.items():
-            word, how = (PULL, "in") if plugged else (PUT_BACK, "OUT")
+            word, how = (PULL, "in") if plugged else (PUT_BACK, OUT)
             yield f"{name} cable", how, {word: f"{word} {name}"}
         if self.jammed is not None:
-            yield "stage", *(("JAMMED", {"free": FREE}) if self.jammed else ("free", {"jam": JAM}))
+            yield "stage", *((JAMMED, {"free": FREE}) if self.jammed else ("free", {"jam": JAM}))
         yield "room", f"{self.room_c:.0f} °C", {"warm": WARM, "cool": COOL}
 
 
@@ -118,7 +119,7 @@ def page_of(practice: Practice) -> str:
     shown = practice.shown
     rows = [
         ROW.format(
-            kind="bad" if how.isupper() else "",
+            kind="bad" if how in (OUT, JAMMED) else "",
             of=of.capitalize(),
             how=how,
             buttons="".join(BUTTON.format(words[on], on.capitalize()) for on in words),

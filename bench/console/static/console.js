@@ -492,12 +492,12 @@ function starter(known) {
   const [rigLabel, rig] = choice("Rig", known.rigs, "emulated-browser"), [scriptLabel, script] = choice("Script", known.scripts, "six-situations");
   const boxes = known.detectors.map((name) => make("input", { type: "checkbox", value: name, checked: name === "fused" }));
   const more = [], queued = make("button", { className: "quiet", id: "then", onclick: () => {
-    const [label, select] = choice("then", known.scripts, script.value);
+    const [label, select] = choice("Then", known.scripts, script.value);
     more.push(select);
     queued.before(label);
   } }, "Add a script after it");
   const scripts = () => [script, ...more].map((one) => one.value);
-  const [speedLabel, speed] = choice("Emulated rigs", Object.keys(SPEEDS), "in real time");
+  const [speedLabel, speed] = choice("Speed of emulated rigs", Object.keys(SPEEDS), "in real time");
   const chosen = () => ({ rig: rig.value, scripts: scripts(), detectors: boxes.filter((box) => box.checked).map((box) => box.value), speed: rig.value.startsWith("emulated") ? SPEEDS[speed.value] : 0 });
   const result = make("div", { id: "dry", role: "status" });
   const tried = make("button", { className: "quiet", id: "try", onclick: async () => {
