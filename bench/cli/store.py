@@ -116,7 +116,7 @@ def compare(given: argparse.Namespace) -> int:
                 found = compare_folders(given.run, given.detector, **how, damage=damage)
             return print_comparisons(given, found)
         if given.json:
-            print(json.dumps(rows, indent=1, ensure_ascii=False))
+            print(json.dumps({"version": 1, "together": rows}, indent=1, ensure_ascii=False))
         else:
             print("\n".join(line for one in judged for line in judgement_lines(one)))
     return code_of(verdict.value) if given.gate else CODES.met

@@ -22,10 +22,7 @@ AFTER_FAULT = (
     "See the events, remove the cause, check the instruments with 'teatbench check', then go on"
     " with 'teatbench resume'."
 )
-AFTER_END = (
-    "Look whether the bath is in standby, then go on with 'teatbench resume'; what there is is"
-    " unfinished."
-)
+AFTER_END = "Go on with 'teatbench resume'; what there is is unfinished."
 AFTER_RUN = (
     "Wait for its end, which writes the report anew; 'teatbench console' shows it meanwhile."
 )

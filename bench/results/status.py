@@ -282,7 +282,7 @@ def status_of(run: RunRecord, judgements: Sequence[Judgement] = ()) -> RunStatus
     why, then = stopped_why(run, state, status.trials), stopped_next(run, state)
     if state is State.RUNNING and not run.damage:
         return replace(status, why=why, next=status.next or (then,))
-    look = () if run.damage else _look(status)
+    look = () if run.damage or run.facts.get("kind") == "recorded" else _look(status)
     return replace(status, why=why, next=(*status.unsafe, *look, then))
 
 
@@ -373,5 +373,6 @@ def _orphaned(
 def _look(status: RunStatus) -> tuple[str, ...]:
     """What a person has to look at, since nobody knows."""
     names = [one.name for one in status.instruments if one.safe is Safe.UNKNOWN]
+    names = names if status.instruments else ["bath"]  # an older record says nothing of them
     at = [LOOK[name] for name in names if name in LOOK]
     return (f"Look whether {' and '.join(at)}.",) if at else ()
