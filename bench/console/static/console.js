@@ -539,4 +539,4 @@ function routed() {
   if (name && name !== "now") { run = { name, events: [], curve: [[], []], prompt: null }; main.replaceChildren(make("p", {}, "Looking at the run.")); follow(name); } else { run = null; home(); }
 }
 window.addEventListener("hashchange", routed);
-addEventListener("DOMContentLoaded", routed);
+routed();
