@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -94,7 +94,7 @@ class EmulatedRig:
             mistakes=emulation.mistakes,
         )
         self._clock, self._host, self._pty, self._paced = clock, host, pty, paced
-        self.listeners: dict[str, Listener | PtyListener] = {}
+        self._listeners: dict[str, Listener | PtyListener] = {}
         placed = Motion.from_vectors(emulation.arm_placed.om, emulation.arm_placed.T)
         self.arm = ArmEmulator(
             PlacedHand(self.world, placed),
@@ -145,7 +145,7 @@ class EmulatedRig:
     @property
     def urls(self) -> dict[str, str]:
         """What a driver opens, by instrument; a pseudo-terminal's changes after a hang-up."""
-        urls = {name: listener.url for name, listener in self.listeners.items()}
+        urls = {name: listener.url for name, listener in self._listeners.items()}
         for name, device in (("bath", self.bath), ("pump", self.pump)):
             if device and name in urls:
                 scheme = "rtu+tcp://" if device.framing == "rtu" else "tcp://"
@@ -154,8 +154,13 @@ class EmulatedRig:
                     urls[name] += AS_A_PTY
         return urls
 
+    @property
+    def listeners(self) -> Mapping[str, Listener | PtyListener]:
+        """Each instrument's end of its cable."""
+        return self._listeners
+
     def close(self) -> None:
-        for listener in self.listeners.values():
+        for listener in self._listeners.values():
             listener.close()
         self.world.close()
 
@@ -199,7 +204,7 @@ class EmulatedRig:
     def _listen(self, name: str, device: Device, serial_baud: int | None) -> None:
         how: dict[str, Any] = {"lock": self.world.lock, "name": name}
         how["baud"] = serial_baud if self._paced else None
-        self.listeners[name] = (
+        self._listeners[name] = (
             PtyListener(device, self._clock, **how)
             if self._pty and serial_baud is not None
             else Listener(

@@ -23,6 +23,7 @@ from bench.record.state import run_lock
 from bench.report.page import write_run_report
 from bench.results.status import LIVE, RUN_JSON
 from bench.run.lock import locked
+from instruments.clock import stopwatch_s
 from instruments.operators import operator as op
 from instruments.operators.mailbox import Mailbox, read_answer
 from tests.bench.small_run import KEPT
@@ -198,7 +199,7 @@ def test_a_phone_is_paired_once_and_in_time(
     assert post("/api/paired", code) == (200, {"token": TOKEN})
     assert post("/api/paired", code)[0] == 401
     _, late = post("/api/pair", TOKEN)
-    there_s = guard.stopwatch_s() + PAIR_S + 1.0
+    there_s = stopwatch_s() + PAIR_S + 1.0
     monkeypatch.setattr(guard, "stopwatch_s", lambda: there_s)
     assert post("/api/paired", late["url"].split("#pair-")[1])[0] == 401
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.record.reader import RunRecord, read_run
 from bench.results import health
 from bench.results.health import KEPT, QUANTITIES, Measured, charts, history, warnings
 from bench.scoring.control_chart import BASE
@@ -66,8 +67,12 @@ def test_a_run_is_read_once_and_anew_where_it_changed(
     assert {"stable_min", "disparity_px", "left_blur_px"} & {*found.values}
     assert all(key in QUANTITIES or key.startswith("found by ") for key in found.values)
     read: list[Path] = []
-    whole = health.read_run
-    monkeypatch.setattr(health, "read_run", lambda run: (read.append(run), whole(run))[1])
+
+    def reading(run: Path) -> RunRecord:
+        read.append(run)
+        return read_run(run)
+
+    monkeypatch.setattr(health, "read_run", reading)
     assert history(tmp_path) == [found]
     assert read == []
     (tmp_path / KEPT).write_text("{", encoding="utf-8")

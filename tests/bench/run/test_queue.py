@@ -6,9 +6,11 @@ from __future__ import annotations
 
 import json
 import platform
+import re
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,7 +20,10 @@ from bench.results.queue import DIED, ENDED, QueueStatus, queues, read_queue
 from bench.results.status import Safe, status_of
 from bench.rig.emulated_rig import EmulatedRig
 from bench.run.engine import STAYS_WARM, Engine
+from bench.safety.bath_monitor import WATCHING
+from instruments.clock import stopwatch_s
 from tests.bench.campaign.small_campaign import write_small_rig
+from tests.bench.real_rig import SCRIPT as REAL
 from tests.bench.small_run import SCRIPT
 
 pytestmark = pytest.mark.slow
@@ -45,6 +50,19 @@ def run(scripts: list[str], *more: str) -> tuple[int, QueueStatus, list[RunRecor
     return code, queue, [read_run(out / one.run) for one in queue.scripts if one.run]
 
 
+def stood_up(monkeypatch: pytest.MonkeyPatch) -> list[EmulatedRig]:
+    """The emulated rigs, once they are opened."""
+    rigs: list[EmulatedRig] = []
+    stand_up = EmulatedRig.__init__
+
+    def instead(self: EmulatedRig, *given: Any, **more: Any) -> None:
+        rigs.append(self)
+        stand_up(self, *given, **more)
+
+    monkeypatch.setattr(EmulatedRig, "__init__", instead)
+    return rigs
+
+
 def kinds(run: RunRecord, kind: str) -> list[str]:
     return [event["text"] for event in run.events if event["kind"] == kind]
 
@@ -57,16 +75,10 @@ def bath_safe(run: RunRecord) -> Safe:
 def test_the_rig_stays_open_and_warm_and_is_safe_at_the_end(
     scripts: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    opened: list[int] = []
-    stand_up = EmulatedRig.__init__
-    monkeypatch.setattr(
-        EmulatedRig,
-        "__init__",
-        lambda self, *a, **k: (opened.append(1), stand_up(self, *a, **k))[1],
-    )
+    opened = stood_up(monkeypatch)
     code, queue, (first, second, third) = run(scripts)
     assert code == 4  # small pictures show nothing
-    assert opened == [1]
+    assert len(opened) == 1
     assert queue.headline == "ended: 3 of 3 scripts finished"
     assert kinds(first, "safe") == kinds(second, "safe") == [STAYS_WARM]
     assert "bath is safe" in kinds(third, "safe")
@@ -139,13 +151,7 @@ def test_a_trip_ends_all(scripts: list[str], monkeypatch: pytest.MonkeyPatch, am
             take_over(self)
         self.context.watch.check()
 
-    twin_of: list[EmulatedRig] = []
-    stand_up = EmulatedRig.__init__
-    monkeypatch.setattr(
-        EmulatedRig,
-        "__init__",
-        lambda self, *a, **k: (twin_of.append(self), stand_up(self, *a, **k))[1],
-    )
+    twin_of = stood_up(monkeypatch)
     monkeypatch.setattr(Engine, "_take_over", broken)
     code, queue, runs = run(scripts)
     assert code == 3
@@ -162,3 +168,20 @@ def test_a_queue_whose_bench_died_says_so(tmp_path: Path) -> None:
     queue = read_queue(path)
     assert queue.ended == DIED
     assert [one.text for one in queue.scripts] == ["not begun", "not begun"]
+
+
+def test_in_real_time_one_guardian_stays_to_the_end(tmp_path: Path) -> None:
+    rig = write_small_rig(tmp_path)
+    warm = "\n[emulation]\nbath_start_c = 33.0\n"
+    text = re.sub(r"\n\[stage\].*?(?=\n\[)", "", rig.read_text(encoding="utf-8"), flags=re.DOTALL)
+    rig.write_text(text + warm, encoding="utf-8")
+    path = tmp_path / "a.toml"
+    path.write_text(REAL.format(window_s=2.0, repeats=1), encoding="utf-8")
+    began_s = stopwatch_s()
+    code, queue, (first, second) = run([str(path)] * 2, "--realtime")
+    assert stopwatch_s() - began_s > 2.0
+    assert (code, queue.ended) == (0, ENDED)
+    assert [one.facts["guardian"] for one in (first, second)] == [WATCHING] * 2
+    assert kinds(first, "safe") == [STAYS_WARM]
+    assert bath_safe(second) is Safe.READ_BACK
+    assert not [*(tmp_path / "runs").glob("*/guardian-*")]  # it had nothing to do, and has ended
