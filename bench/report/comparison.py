@@ -39,6 +39,7 @@ from bench.scoring.rates import plural
 from bench.scoring.scene import SceneScore
 from instruments.world.situations import spoken
 from reports.figures.errors import change_by_situation, change_scatter
+from reports.frames import places_of
 from reports.page import (
     Banner,
     Cell,
@@ -558,7 +559,10 @@ def _by_situation(comparison: Comparison, number: int) -> Figure:
     ]
     margin_mm, called = comparison.compared.gate.margin_mm, _short(comparison)
     name = f"situations-{number}"
-    svg = change_by_situation(names, right, change, margin_mm, called=called, name=name)
+    sides = comparison.old.detector, comparison.new.detector
+    places = places_of(sides)
+    who = (places[sides[0]], places[sides[1]]) if len(places) > 1 else None  # else two versions
+    svg = change_by_situation(names, right, change, margin_mm, called=called, who=who, name=name)
     alt = "; ".join(
         f"{name}: {a} and {b} of {plural(n, 'pose')} right, distance {_difference(row.radial)}"
         for name, (a, b, n), row in zip(names, right, rows, strict=True)

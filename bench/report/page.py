@@ -61,6 +61,7 @@ from instruments.world.situations import spoken
 from reports.figures.course import found_bars, latency_strip
 from reports.figures.errors import error_histogram, error_scatter, per_axis_errors
 from reports.figures.situations import error_strips, outcome_bars
+from reports.frames import places_of
 from reports.mail import write_single_file
 from reports.page import (
     Banner,
@@ -309,7 +310,7 @@ def _figures(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator
     alt = "; ".join(f"{name}: {' · '.join(map(str, each))}" for name, each in sums.items())
     yield Figure(outcome_bars(called, outcomes), "Teats found · missed · false answers", alt)
     camera_from_world = calibration.world_from_right.inverse().R
-    for place, detector in enumerate(run.detectors):
+    for detector, who in places_of(run.detectors).items():
         errors_mm = scored(run, detector).errors_mm
         camera = errors_mm @ camera_from_world.T
         lateral = np.copysign(np.hypot(camera[:, 0], camera[:, 1]), camera[:, 0])
@@ -318,7 +319,7 @@ def _figures(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator
                 *(lateral, camera[:, 2], limit_mm),
                 accept_mm=_accepted_mm(run, rules, detector),
                 links=_links(run, detector),
-                place=(place, len(run.detectors)),
+                who=who,
                 name=f"scatter-{id_of(detector)}",
             ),
             f"Depth error against lateral error, {detector}",
