@@ -5,7 +5,7 @@ bench, run, calibration, checksums, faults, command.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, cast
@@ -400,6 +400,7 @@ FAULTS = {
     "retries": "Asks that were repeated",
 }
 UNKNOWN_AGE = "Its age is not known, so it is not checked."
+LONGEST_VALUE = 120  # of a list of names and values, in characters
 MOST_EVENTS = 60  # at either end
 FILES = {
     SCRIPT: "the trials and the rules, as used",
@@ -415,11 +416,21 @@ BESIDE = {
 }
 
 
+def _configured(title: str, entries: Mapping[str, object]) -> Iterator[Part]:
+    """Names and values; what is a program's configuration rather than a word is folded."""
+    texts = {key: value if isinstance(value, str) else str(value) for key, value in entries.items()}
+    raw = {key: text for key, text in texts.items() if len(text) > LONGEST_VALUE}
+    yield key_values(title, {key: entries[key] for key in texts if key not in raw})
+    if raw:
+        codes = tuple(Code(key, text) for key, text in raw.items())
+        yield Fold(f"Raw configuration: {title.partition(': ')[2]}", codes)
+
+
 def provenance_parts(run: RunRecord, status: RunStatus) -> Iterator[Part]:
     """Who was tested, with what, when, and by which data."""
     facts, chain = run.facts, _chain(run)
     for name, item in facts["items"].items():
-        yield key_values(f"Item under test: {name}", item)
+        yield from _configured(f"Item under test: {name}", item)
     yield key_values(
         "Bench and run",
         {
@@ -435,7 +446,7 @@ def provenance_parts(run: RunRecord, status: RunStatus) -> Iterator[Part]:
         },
     )
     for name, identity in facts.get("identities", {}).items():
-        yield key_values(f"Instrument: {name}", identity)
+        yield from _configured(f"Instrument: {name}", identity)
     # each file that the run used, with its checksum now; frames are in the record's chain
     rows = [
         (Cell(name, href=f"../{name}"), what, Cell(sha256_of(run.folder / name), mono=True))

@@ -204,7 +204,8 @@ def trial_table(run: RunRecord) -> Table:
             time = Cell(f"{seconds:.3f}", sort=round(seconds, 4))
             who = (link, spoken(trial.head["situation"]), str(detection["detector"]))
             rows.append((*who, *counts, far, time, Cell(*_status(trial, score))))
-    return table("All trials", heads, rows, searchable=True)
+    note = "The filter takes words: a detector's name with missed, false, beyond or slow, say."
+    return table("All trials", heads, rows, note, searchable=True)
 
 
 def first_looks(run: RunRecord, undecided: Collection[str] = ()) -> KeyValues | None:

@@ -118,7 +118,7 @@ def test_of_too_few_poses_the_gate_says_how_many_it_takes(
     baseline: Path, tmp_path: Path, said: Said
 ) -> None:
     again = changed(baseline, tmp_path / "again")
-    text = " ".join(said(4, "compare {} {} --gate", baseline, again).out.split())
+    text = " ".join(said(0, "compare {} {} --gate", baseline, again).out.split())
     assert "…" not in text
     assert (
         "identical answers in all 3 frame sets: nothing changed in these; of other poses at most"
