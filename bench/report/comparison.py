@@ -241,11 +241,11 @@ def _difference(difference: PairedDifference, form: str = ".3f") -> str:
     """``+0.12 (-0.03 to +0.27)``; without an interval where there is none."""
     if difference.mean is None:
         return NOT_MEASURED
-    capped = CAPPED if difference.capped else ""
+    mean = f"{difference.mean:+{form}}{CAPPED if difference.capped else ''}"
     if difference.low is None or difference.high is None:
-        return f"{difference.mean:+{form}}{capped}"
+        return mean
     low, high = (f"{bound:+{form}}" for bound in (difference.low, difference.high))
-    return f"{difference.mean:+{form}} ({low} to {high}){capped}"
+    return f"{mean} ({low} to {high})"
 
 
 def as_json(found: Sequence[Comparison]) -> dict[str, Any]:
@@ -572,6 +572,8 @@ def _by_situation(comparison: Comparison, number: int) -> Figure:
         f" from the teat ends, with {100 * comparison.compared.confidence:g} % intervals; one that"
         " stays left of the margin is not worse."
     )
+    if capped := capped_text(comparison):
+        caption += f" {capped}"
     return Figure(svg, caption, alt, wide=True)
 
 

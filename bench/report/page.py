@@ -150,7 +150,9 @@ def build_page(
     nothing = "Nothing was scored, so no requirement was decided."
     requirements: tuple[Part, ...] = (Paragraph(nothing, tone="warn"),)
     if judgements:
-        reasons = tuple(tables.requirements(j, rules) for j in judgements)
+        reasons = tuple(
+            tables.requirements(j, rules, first=not at) for at, j in enumerate(judgements)
+        )
         folded = Fold("Rules, counts, margins and reasons", reasons)
         requirements = (tables.scoreboard(judgements), folded)
     sections = [Section("requirements", "Requirements", requirements)]
