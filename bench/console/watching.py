@@ -28,6 +28,7 @@ from bench.run.events import EVENTS_FILE
 from bench.run.set_up_picture import FOLDER as SET_UP
 from instruments.camera.cameras import KNOWN as CAMERAS
 from instruments.operators.mailbox import FOLDER, read_prompt
+from reports.frames import places_of
 
 TAIL_BYTES = 1 << 16  # of the events, for who has seen none
 PIECE_BYTES = 1 << 16  # read at a time
@@ -184,6 +185,7 @@ def trials(folder: Path) -> list[dict[str, Any]]:
                     *({"of": str(row["detector"]), "text": ""} for row in trial.found),
                 ],
                 "px": seen,
+                "places": places_of(trial.scores),
                 "mirrored": ["thermal"] if calibration.thermal.mirrored else [],
                 "scores": {
                     name: {

@@ -39,6 +39,7 @@ from bench.scoring.rates import plural
 from bench.scoring.scene import SceneScore
 from instruments.world.situations import spoken
 from reports.figures.errors import change_by_situation, change_scatter
+from reports.frames import places_of
 from reports.page import (
     Banner,
     Cell,
@@ -240,11 +241,11 @@ def _difference(difference: PairedDifference, form: str = ".3f") -> str:
     """``+0.12 (-0.03 to +0.27)``; without an interval where there is none."""
     if difference.mean is None:
         return NOT_MEASURED
-    capped = CAPPED if difference.capped else ""
+    mean = f"{difference.mean:+{form}}{CAPPED if difference.capped else ''}"
     if difference.low is None or difference.high is None:
-        return f"{difference.mean:+{form}}{capped}"
+        return mean
     low, high = (f"{bound:+{form}}" for bound in (difference.low, difference.high))
-    return f"{difference.mean:+{form}} ({low} to {high}){capped}"
+    return f"{mean} ({low} to {high})"
 
 
 def as_json(found: Sequence[Comparison]) -> dict[str, Any]:
@@ -558,7 +559,10 @@ def _by_situation(comparison: Comparison, number: int) -> Figure:
     ]
     margin_mm, called = comparison.compared.gate.margin_mm, _short(comparison)
     name = f"situations-{number}"
-    svg = change_by_situation(names, right, change, margin_mm, called=called, name=name)
+    sides = comparison.old.detector, comparison.new.detector
+    places = places_of(sides)
+    who = (places[sides[0]], places[sides[1]]) if len(places) > 1 else None  # else two versions
+    svg = change_by_situation(names, right, change, margin_mm, called=called, who=who, name=name)
     alt = "; ".join(
         f"{name}: {a} and {b} of {plural(n, 'pose')} right, distance {_difference(row.radial)}"
         for name, (a, b, n), row in zip(names, right, rows, strict=True)
@@ -568,6 +572,8 @@ def _by_situation(comparison: Comparison, number: int) -> Figure:
         f" from the teat ends, with {100 * comparison.compared.confidence:g} % intervals; one that"
         " stays left of the margin is not worse."
     )
+    if capped := capped_text(comparison):
+        caption += f" {capped}"
     return Figure(svg, caption, alt, wide=True)
 
 

@@ -5,7 +5,7 @@ bench, run, calibration, checksums, faults, command.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, cast
@@ -61,6 +61,7 @@ from instruments.world.situations import spoken
 from reports.figures.course import found_bars, latency_strip
 from reports.figures.errors import error_histogram, error_scatter, per_axis_errors
 from reports.figures.situations import error_strips, outcome_bars
+from reports.frames import places_of
 from reports.mail import write_single_file
 from reports.page import (
     Banner,
@@ -149,7 +150,9 @@ def build_page(
     nothing = "Nothing was scored, so no requirement was decided."
     requirements: tuple[Part, ...] = (Paragraph(nothing, tone="warn"),)
     if judgements:
-        reasons = tuple(tables.requirements(j, rules) for j in judgements)
+        reasons = tuple(
+            tables.requirements(j, rules, first=not at) for at, j in enumerate(judgements)
+        )
         folded = Fold("Rules, counts, margins and reasons", reasons)
         requirements = (tables.scoreboard(judgements), folded)
     sections = [Section("requirements", "Requirements", requirements)]
@@ -309,7 +312,7 @@ def _figures(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator
     alt = "; ".join(f"{name}: {' · '.join(map(str, each))}" for name, each in sums.items())
     yield Figure(outcome_bars(called, outcomes), "Teats found · missed · false answers", alt)
     camera_from_world = calibration.world_from_right.inverse().R
-    for place, detector in enumerate(run.detectors):
+    for detector, who in places_of(run.detectors).items():
         errors_mm = scored(run, detector).errors_mm
         camera = errors_mm @ camera_from_world.T
         lateral = np.copysign(np.hypot(camera[:, 0], camera[:, 1]), camera[:, 0])
@@ -318,7 +321,7 @@ def _figures(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator
                 *(lateral, camera[:, 2], limit_mm),
                 accept_mm=_accepted_mm(run, rules, detector),
                 links=_links(run, detector),
-                place=(place, len(run.detectors)),
+                who=who,
                 name=f"scatter-{id_of(detector)}",
             ),
             f"Depth error against lateral error, {detector}",
@@ -399,6 +402,7 @@ FAULTS = {
     "retries": "Asks that were repeated",
 }
 UNKNOWN_AGE = "Its age is not known, so it is not checked."
+LONGEST_VALUE = 120  # of a list of names and values, in characters
 MOST_EVENTS = 60  # at either end
 FILES = {
     SCRIPT: "the trials and the rules, as used",
@@ -414,11 +418,21 @@ BESIDE = {
 }
 
 
+def _configured(title: str, entries: Mapping[str, object]) -> Iterator[Part]:
+    """Names and values; what is a program's configuration rather than a word is folded."""
+    texts = {key: value if isinstance(value, str) else str(value) for key, value in entries.items()}
+    raw = {key: text for key, text in texts.items() if len(text) > LONGEST_VALUE}
+    yield key_values(title, {key: entries[key] for key in texts if key not in raw})
+    if raw:
+        codes = tuple(Code(key, text) for key, text in raw.items())
+        yield Fold(f"Raw configuration: {title.partition(': ')[2]}", codes)
+
+
 def provenance_parts(run: RunRecord, status: RunStatus) -> Iterator[Part]:
     """Who was tested, with what, when, and by which data."""
     facts, chain = run.facts, _chain(run)
     for name, item in facts["items"].items():
-        yield key_values(f"Item under test: {name}", item)
+        yield from _configured(f"Item under test: {name}", item)
     yield key_values(
         "Bench and run",
         {
@@ -434,7 +448,7 @@ def provenance_parts(run: RunRecord, status: RunStatus) -> Iterator[Part]:
         },
     )
     for name, identity in facts.get("identities", {}).items():
-        yield key_values(f"Instrument: {name}", identity)
+        yield from _configured(f"Instrument: {name}", identity)
     # each file that the run used, with its checksum now; frames are in the record's chain
     rows = [
         (Cell(name, href=f"../{name}"), what, Cell(sha256_of(run.folder / name), mono=True))

@@ -20,6 +20,7 @@ from bench.scoring.decisions import Decision, Verdict
 from reports.sanitize import csv_text, sanitized
 
 VERSION = 1  # of `run.json`
+BENCH = "bench"  # the suite of its own requirements, where several detectors were judged
 COLUMNS = (
     "trial situation repeat detector teats visible found missed false hidden_claimed hidden"
     " max_error_mm mean_error_mm gospa_mm success seconds cold outcome reason bath_c truth invalid"
@@ -119,11 +120,18 @@ def _junit_xml(run: RunRecord, status: RunStatus, judgements: Sequence[Judgement
     """A test case a requirement: not met is a failure, undecided is skipped with its reason. A run
     without a verdict has a case of its own that is an error, for readers of this file alone.
     """
-    cases = [
-        (judgement.detector, decision.name, *_outcome(decision))
-        for judgement in judgements
-        for decision in judgement.decisions
-    ]
+    several = len(judgements) > 1  # else its requirements stand with the one detector's
+    cases = list(
+        dict.fromkeys(
+            (
+                BENCH if several and decision.name in judgement.of_bench else judgement.detector,
+                decision.name,
+                *_outcome(decision),
+            )
+            for judgement in judgements
+            for decision in judgement.decisions
+        )
+    )
     if not status.decided:
         why = "\n".join((status.why, *status.unsafe))
         ended = "the run has a verdict"

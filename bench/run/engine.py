@@ -199,9 +199,20 @@ class Engine:
         if arm.check_point_mm is None:
             return
         ctx.events.state(f"checking the arm {when} the trials")
-        found = check_arm(ctx.ask, ctx.tip, arm, ctx.clock, ctx.check)
+        earlier = self._checked_before() if when == BEFORE else None
+        found = check_arm(ctx.ask, ctx.tip, arm, ctx.clock, ctx.check, earlier)
         (self._fact if when == BEFORE else ctx.store.fact)(CHECK_FACT.format(when), found)
         ctx.event("arm", check_text(found, when))
+
+    def _checked_before(self) -> dict[str, Any] | None:
+        """The last check before the trials of an earlier session; a rehearsal is gone through as
+        that was.
+        """
+        if self._left is None or self._rehearsed:
+            return None
+        facts, key = self._left.run.facts, CHECK_FACT.format(BEFORE)
+        later = [facts.get(f"{key}, session {n}") for n in range(self._session - 1, 1, -1)]
+        return next((fact for fact in (*later, facts.get(key)) if fact), None)
 
     def _fact(self, key: str, value: object) -> None:
         """Under its own name in the first session, apart from it in each later one."""

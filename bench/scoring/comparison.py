@@ -407,7 +407,8 @@ def gate(
     names = ("distance to the teat end", "error along x", "error along y", "error along z")
     for what, change in zip(names, (pooled.radial, *pooled.axes), strict=True):
         if change.mean is not None and change.mean > margin_mm:
-            by = f"grew by {change.mean:.3f} mm, more than the margin of {margin_mm:g} mm"
+            most = " or more" if change.capped else ""
+            by = f"grew by {change.mean:.3f} mm{most}, more than the margin of {margin_mm:g} mm"
             worse.append(f"the mean {what} {by}")
     shown, perhaps = _grown_in(situations, margin_mm)
     worse, left_open = worse + shown, left_open + perhaps

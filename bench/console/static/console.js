@@ -16,7 +16,10 @@ async function exchanged(code) {
 const CLIENT = sessionStorage.getItem("client") || crypto.randomUUID();
 sessionStorage.setItem("client", CLIENT);
 const NAME = /Mobi|Android/.test(navigator.userAgent) ? "a telephone or tablet" : "a computer's browser";
-const RETRY_MS = 1000, EVENTS = 40, TONES = ["#2fbf71", "#e5533d", "#3d8fe5", "#c678dd", "#e5a13d"];
+const RETRY_MS = 1000, EVENTS = 40, TRUTH = "#2fbf71", TONES = ["#3d8fe5", "#e5a13d", "#c678dd", "#8a97a5"];
+// of an answer by its detector's place, as in the report: cross, square, triangle, diamond
+const MARKS = ["✕", "□", "△", "◇"], form = (who) => (who - 1 + Math.floor((who - 1) / 4)) % 4;
+const marked = (who, x, y, r) => [`M${x - r} ${y - r}l${2 * r} ${2 * r}M${x - r} ${y + r}l${2 * r} ${-2 * r}`, `M${x - r} ${y - r}h${2 * r}v${2 * r}h${-2 * r}z`, `M${x} ${y - 1.2 * r}L${x + r} ${y + r}H${x - r}z`, `M${x} ${y - 1.3 * r}L${x + 1.3 * r} ${y}L${x} ${y + 1.3 * r}L${x - 1.3 * r} ${y}z`][form(who)];
 const SHOWN = { left: "left camera", right: "right camera", thermal: "thermal camera" };
 const BAD = ["trip", "fault", "dropped out", "invalid"]; // kinds of events
 const main = document.getElementById("main"), controls = document.getElementById("controls");
@@ -291,7 +294,7 @@ async function trials() {
   const last = found?.trials.at(-1);
   if (!last || last.id === run.lastTrial) return;
   run.lastTrial = last.id;
-  const names = Object.keys(last.scores), tone = (of) => TONES[1 + names.indexOf(of)] || TONES[1];
+  const names = Object.keys(last.scores), who = (of) => last.places[of] || 1, tone = (of) => TONES[(who(of) - 1) % 4];
   const scores = names.map((name) => {
     const one = last.scores[name];
     return make("tr", {}, make("th", { scope: "row" }, name), make("td", {}, `${one.found} of ${one.visible} found`), make("td", {}, `${one.false} false`), make("td", {}, one.max_error_mm === null ? "–" : `at most ${one.max_error_mm.toFixed(2)} mm off`));
@@ -310,14 +313,14 @@ async function trials() {
     (last.px[camera] || []).forEach(([across, y], k) => {
       const x = last.mirrored.includes(camera) ? w - 1 - across : across;
       const mark = last.marks[k];
-      if (mark.of === "truth") view.append(draw("circle", { cx: x, cy: y, r, fill: "none", stroke: TONES[0], "stroke-width": r / 4 }));
-      else view.append(draw("path", { d: `M${x - r} ${y}h${2 * r}M${x} ${y - r}v${2 * r}`, stroke: tone(mark.of), "stroke-width": r / 4 }));
+      if (mark.of === "truth") view.append(draw("circle", { cx: x, cy: y, r, fill: "none", stroke: TRUTH, "stroke-width": r / 4 }));
+      else view.append(draw("path", { d: marked(who(mark.of), x, y, r), fill: "none", stroke: tone(mark.of), "stroke-width": r / 4 }));
     });
     views.push(make("figure", {}, view, make("figcaption", {}, SHOWN[camera])));
   }
   const key = (mark, colour, text) => { const shown = make("b", {}, mark); shown.style.color = colour; return make("span", {}, shown, ` ${text}`); };
   byId("result").hidden = false;
-  byId("scored").replaceChildren(make("p", { className: "big" }, `${last.name} (${last.situation})`), make("div", { className: "scroll" }, make("table", {}, make("tbody", {}, ...scores))), make("div", { className: "frames" }, ...views), make("p", { className: "key" }, key("◯", TONES[0], "truth"), ...names.map((name) => key("✛", tone(name), name))));
+  byId("scored").replaceChildren(make("p", { className: "big" }, `${last.name} (${last.situation})`), make("div", { className: "scroll" }, make("table", {}, make("tbody", {}, ...scores))), make("div", { className: "frames" }, ...views), make("p", { className: "key" }, key("◯", TRUTH, "truth"), ...names.map((name) => key(MARKS[form(who(name))], tone(name), name))));
 }
 // the part of a picture round the teats, 4:3: left, top and width
 function cut(trial, camera, w, h) {
