@@ -23,7 +23,6 @@ from bench.rig.urls import PEOPLE
 from bench.run.events import ENDED, PROMPTED, Events, SafeProgress, event_lines
 from bench.run.resume import ASKED
 from bench.script.model import LoadedScript, find_script, load_script
-from bench.script.pixel_offsets import is_offset_script, load_offsets, outcomes
 from instruments.operators.console import keyboard_of
 
 if TYPE_CHECKING:
@@ -41,19 +40,8 @@ def run(given: argparse.Namespace) -> int:
         )
     rig = load_rig(find_rig(given.rig))
     paths = [find_script(name) for name in given.script or [None]]
-    several = len(paths) > 1
-    if several and given.record:
+    if len(paths) > 1 and given.record:
         raise ConfigError.plain("--record is of one script. Give one, or leave --record out.")
-    if any(map(is_offset_script, paths)):  # no instrument takes part
-        if several:
-            raise ConfigError.plain("A calculation of pixel offsets runs alone: name it alone.")
-        if given.dry_run:
-            outcomes(load_offsets(paths[0]), rig.calibration)
-            print("nothing wrong. This script opens no instrument.")
-            return CODES.met
-        from bench.report.pixel_offsets import run_offsets
-
-        return _offsets_reported(run_offsets(rig, paths[0], given.out))
     if given.speed and not rig.rig.emulated:
         raise ConfigError.plain("--speed is for an emulated rig: no real instrument is hurried.")
     scripts = [load_script(path, rig.rig.limits.set_point_c) for path in paths]
@@ -254,24 +242,9 @@ def score(given: argparse.Namespace) -> int:
     return code
 
 
-def _offsets_reported(folder: Path) -> int:
-    from bench.report.pixel_offsets import offset_text, report_offsets
-
-    page, loaded, found, verdict = report_offsets(folder)
-    for one in found:
-        figures = (
-            f"up to {one.worst_mm:.2f} mm in the worst of {len(one.errors_mm)} directions, median"
-            f" {one.median_mm:.2f} mm"
-        )
-        print(f"teat {one.offset.teat}, {offset_text(one.offset)}: {figures}")
-    print(f"Verdict: {verdict} (limit {loaded.script.limit_mm:g} mm)\nReport: {page}")
-    return CODES.met if verdict == "met" else CODES.not_met
-
-
 def report(given: argparse.Namespace) -> int:
     from bench.cli.verdict import open_report, show_verdict
     from bench.report.page import PDF, REPORT, write_run_report
-    from bench.report.pixel_offsets import is_offset_run
     from reports.pdf import find_browser, print_pdf
     from reports.render import WHOLE
     from reports.trust import PageError
@@ -285,22 +258,17 @@ def report(given: argparse.Namespace) -> int:
             "no Chromium, Chrome or Edge was found to print a PDF with. Install one, or print"
             " index.html by hand."
         )
-    if is_offset_run(given.run):
-        code = _offsets_reported(given.run)
-    else:
-        with undamaged([given.run, *filter(None, [given.baseline])], given) as damage:
-            chapters: tuple[Section, ...] = ()
-            if given.baseline:
-                from bench.report.comparison import baseline_section
+    with undamaged([given.run, *filter(None, [given.baseline])], given) as damage:
+        chapters: tuple[Section, ...] = ()
+        if given.baseline:
+            from bench.report.comparison import baseline_section
 
-                with working("comparing the runs"):
-                    chapters = (baseline_section(given.baseline, given.run, damage),)
-            with working("writing the report"):
-                written = write_run_report(
-                    given.run, chapters, damage, single_file=given.single_file
-                )
-            code = show_verdict(Terminal(), written)
-            _summarize(given, written)
+            with working("comparing the runs"):
+                chapters = (baseline_section(given.baseline, given.run, damage),)
+        with working("writing the report"):
+            written = write_run_report(given.run, chapters, damage)
+        code = show_verdict(Terminal(), written)
+        _summarize(given, written)
     if given.open:
         open_report(given.run / REPORT / "index.html")
     if browser:
