@@ -131,7 +131,7 @@ def _say_next(given: argparse.Namespace, code: int) -> None:
     """The next two commands, to a person at a terminal whose command did its work."""
     values = vars(given)
     asked = code in (CODES.wrong_use, CODES.fault) or values.get("json") or not sys.stdout.isatty()
-    if asked or given.called == "completion":
+    if asked:
         return
 
     def given_or_named(found: re.Match[str]) -> str:

@@ -32,7 +32,8 @@ from bench.script.calibration_age import CALIBRATION_FACT
 from bench.truth.arm_check import BEFORE, CHECK_FACT, location_of, shift_mm
 from instruments.camera.quality import edge_blur_px, level_dn
 
-KEPT = ".health.json"  # in the folder of runs
+KEPT, VERSION = ".health.json", 1  # in the folder of runs; of what is measured
+MOST_NEW = 20  # runs that are read before a run begins
 LOOKED_AT = 3  # trials whose pictures are looked at
 BRIGHTEST = 0.995  # share of the pixels that are darker
 MOST_WARNINGS = 3
@@ -119,24 +120,29 @@ class Chart:
         return ""
 
 
-def history(folder: Path) -> list[Measured]:
-    """What each ended run on a rig in ``folder`` says, oldest first. Raises nothing."""
+def history(folder: Path, most: int | None = None) -> list[Measured]:
+    """What each ended run on a rig in ``folder`` says, oldest first; of those that were never read
+    only the last ``most``. Raises nothing.
+    """
     kept: dict[str, Measured] = {}
     with suppress(OSError, ValueError, TypeError, KeyError):
-        for row in json.loads((folder / KEPT).read_text(encoding="utf-8"))["runs"]:
-            kept[row["run"]] = Measured(**row)
+        text = json.loads((folder / KEPT).read_text(encoding="utf-8"))
+        if text["version"] == VERSION:
+            kept = {row["run"]: Measured(**row) for row in text["runs"]}
     found: dict[str, Measured] = {}
     with suppress(OSError):
-        for path in sorted(folder.glob(f"*/{DATABASE}")):
+        there_are = sorted(folder.glob(f"*/{DATABASE}"))
+        late = {*there_are[-most:]} if most else {*there_are}
+        for path in there_are:
             run, stamp = path.parent, path.stat().st_mtime_ns
             there = kept.get(run.name)
             if there and there.stamp == stamp:
                 found[run.name] = there
-            elif not holder_of(run):
+            elif path in late and not holder_of(run):
                 with suppress(ConfigError, OSError):
                     found[run.name] = _of_run(read_run(run), stamp)
     if found != kept:
-        text = json.dumps({"version": 1, "runs": [asdict(one) for one in found.values()]})
+        text = json.dumps({"version": VERSION, "runs": [asdict(one) for one in found.values()]})
         with suppress(OSError, ConfigError):
             write_synced(folder / KEPT, text.encode())
     return sorted((one for one in found.values() if one.rig), key=lambda one: one.day)
@@ -227,7 +233,7 @@ def _chart(rig: str, key: str, runs: Sequence[Measured]) -> Chart:
 
 def warnings(folder: Path, rig: str) -> list[str]:
     """What the runs in ``folder`` say of this rig before its next one, at most a few sentences."""
-    of_rig = [one for one in history(folder) if one.rig == rig]
+    of_rig = [one for one in history(folder, MOST_NEW) if one.rig == rig]
     said = [chart.warning for chart in charts(of_rig) if chart.warning]
     more = len(said) - MOST_WARNINGS
     tail = [f"and {more} more: see 'teatbench runs {folder}'"] if more > 0 else []

@@ -71,7 +71,7 @@ def test_a_page_of_the_documentation_is_shown_offline(said: Said) -> None:
     assert said(0, "help resume").out == said(0, "help runs").out
     assert 'did you mean "record"' in said(2, "help recor").err
     firsts = {name.split()[0] for name in COMMANDS}
-    assert firsts - {*topics()} <= {"help", "completion"}  # every command has its page
+    assert firsts - {*topics()} <= {"help"}  # every command has its page
 
 
 @pytest.mark.slow

@@ -92,7 +92,7 @@ def test_a_few_sentences_warn_before_a_run(monkeypatch: pytest.MonkeyPatch) -> N
         replace(one, values={**every, **dict.fromkeys(every, v)})
         for one, v in zip(rows, [0.2] * BASE + [500.0], strict=True)
     ]
-    monkeypatch.setattr(health, "history", lambda _: many)
+    monkeypatch.setattr(health, "history", lambda *_: many)
     said = warnings(Path("runs"), "lab")
     assert len(said) == health.MOST_WARNINGS + 1
     assert (
