@@ -5,6 +5,7 @@ table of them all.
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import platform
 import re
@@ -69,6 +70,14 @@ def refuse_existing(
 def command_line() -> str:
     """The command as it was given, to be given again."""
     return shlex.join(["teatbench", *sys.argv[1:]])
+
+
+JSON_VERSION = 1  # of what `--json` prints; docs/json.md has the keys
+
+
+def json_of(value: Mapping[str, Any], **how: Any) -> str:
+    """What `--json` prints: an object that says its version first."""
+    return json.dumps({"schema_version": JSON_VERSION, **value}, ensure_ascii=False, **how)
 
 
 def print_values(values: Mapping[str, object]) -> None:

@@ -5,11 +5,10 @@ long it takes; `plan`, how many poses a claim needs and what so many can show.
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import asdict
 from pathlib import Path
 
-from bench.cli.arguments import CODES, print_values
+from bench.cli.arguments import CODES, json_of, print_values
 from bench.config import ConfigError
 from bench.rig.loading import find_rig, load_rig, shipped
 from bench.scoring.rates import plural
@@ -27,7 +26,7 @@ def listed(given: argparse.Namespace) -> None:
         loaded = load_offsets(path) if is_offset_script(path) else load_script(path)
         rows[name] = loaded.script.about
     if given.json:
-        print(json.dumps(rows, ensure_ascii=False))
+        print(json_of({"scripts": rows}))
     else:
         print_values(rows)
 
@@ -54,7 +53,7 @@ def show(given: argparse.Namespace) -> int:
             "estimate": {**asdict(time), "total_s": time.total_s},
             "assumed": {f"{key} [{UNITS.get(key, 's')}]": value for key, value in ASSUMED.items()},
         }
-        print(json.dumps(shown, ensure_ascii=False))
+        print(json_of(shown))
         return CODES.met
     from rich.table import Table
 
@@ -109,7 +108,7 @@ def show(given: argparse.Namespace) -> int:
 def _show_offsets(path: Path, *, as_json: bool) -> int:
     script = load_offsets(path).script
     if as_json:
-        print(script.model_dump_json())
+        print(json_of(script.model_dump(mode="json")))
         return CODES.met
     print(f"{script.title}: {script.about}")
     for offset in script.offsets:
@@ -151,6 +150,6 @@ def plan(given: argparse.Namespace) -> None:
     more = {name: getattr(given, name) for name in names}
     found = make_plan(tuple(given.rate) or RATES, confidence, poses=poses, **more)
     if given.json:
-        print(json.dumps(asdict(found), indent=1))
+        print(json_of(asdict(found), indent=1))
     else:
         print(*plan_lines(found), sep="\n")
