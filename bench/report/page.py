@@ -62,7 +62,6 @@ from reports.figures.course import found_bars, latency_strip
 from reports.figures.errors import error_histogram, error_scatter, per_axis_errors
 from reports.figures.situations import error_strips, outcome_bars
 from reports.frames import places_of
-from reports.mail import write_single_file
 from reports.page import (
     Banner,
     Cell,
@@ -79,7 +78,7 @@ from reports.page import (
 )
 from reports.render import write_report
 
-REPORT, SINGLE_FILE, PDF = "report", "single-file.html", "report.pdf"
+REPORT, PDF = "report", "report.pdf"
 
 
 class Written(NamedTuple):
@@ -94,15 +93,9 @@ class Written(NamedTuple):
 
 
 def write_run_report(
-    folder: Path,
-    chapters: tuple[Section, ...] = (),
-    damage: tuple[str, ...] = (),
-    *,
-    single_file: bool = False,
+    folder: Path, chapters: tuple[Section, ...] = (), damage: tuple[str, ...] = ()
 ) -> Written:
-    """Write a run's report and exports, with ``chapters`` after the results and, if wanted, the
-    file for mail. Raises ConfigError.
-    """
+    """Write a run's report and exports, with ``chapters`` after the results. Raises ConfigError."""
     run = read_run(folder, damage)
     rules = stored_rules(folder)
     judgements = judge(run, rules) if any(trial.scores for trial in run.trials) else ()
@@ -110,12 +103,9 @@ def write_run_report(
     status = status_of(run, judgements)
     page = build_page(run, status, rules, judgements, calibration, folder / REPORT, chapters)
     # by another reading of the run: it may not stand beside this one
-    for written_before in (SINGLE_FILE, PDF):
-        (folder / REPORT / written_before).unlink(missing_ok=True)
+    (folder / REPORT / PDF).unlink(missing_ok=True)
     path = write_report(page, folder / REPORT)
     write_exports(run, status, judgements, folder / REPORT)
-    if single_file:
-        write_single_file(page, folder / REPORT, folder / REPORT / SINGLE_FILE)
     return Written(path, run, judgements, status)
 
 

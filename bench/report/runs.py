@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import cast
 
@@ -16,13 +15,12 @@ import numpy as np
 from bench.config import ConfigError, read_calibration
 from bench.record.check import checked_first
 from bench.record.reader import RunRecord, database_in, read_run
-from bench.record.schema import DATABASE, SCRIPT
+from bench.record.schema import DATABASE
 from bench.report.page import REPORT
 from bench.report.trials import frames_of, round_teats, worst_trials
 from bench.results.status import RunStatus, status_of
 from bench.results.verdicts import judge, scored, stored_rules
 from bench.scoring.rates import plural
-from bench.script.pixel_offsets import is_offset_script
 from reports.page import Verdict
 from reports.runs import PAGE, Result, Run, Runs, write_runs
 
@@ -56,9 +54,6 @@ def list_runs(folder: Path) -> Runs:
 def _why(folder: Path, error: Exception) -> str:
     if (folder / DATABASE).is_file():
         return str(error)
-    with suppress(ConfigError, OSError):
-        if is_offset_script(folder / SCRIPT):
-            return f"A calculation of pixel offsets, without trials: see {REPORT}/{PAGE} in it."
     return f"There is no {DATABASE} in it."
 
 
