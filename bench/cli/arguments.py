@@ -5,6 +5,7 @@ table of them all.
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import platform
 import re
@@ -82,6 +83,14 @@ def command_line() -> str:
     from bench.run.notify import without_secrets
 
     return shlex.join(["teatbench", *without_secrets(sys.argv[1:])])
+
+
+JSON_VERSION = 1  # of what `--json` prints; docs/json.md has the keys
+
+
+def json_of(value: Mapping[str, Any], **how: Any) -> str:
+    """What `--json` prints: an object that says its version first."""
+    return json.dumps({"schema_version": JSON_VERSION, **value}, ensure_ascii=False, **how)
 
 
 def print_values(values: Mapping[str, object]) -> None:

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import closing
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench import __version__
-from bench.cli.arguments import CODES, complain, print_values, refuse_existing
+from bench.cli.arguments import CODES, complain, json_of, print_values, refuse_existing
 from bench.cli.terminal import working
 from bench.config import ConfigError, did_you_mean
 from bench.rig.loading import NO_RIGS, RIGS, TO_COPY, LoadedRig, find_rig, load_rig, shipped
@@ -211,7 +210,7 @@ def detect(given: argparse.Namespace) -> int:
 
     answered = False
     for line, text in detect_lines(given.recording, given.detector or ["thesis"]):
-        print(json.dumps(line) if given.json else text, flush=True)
+        print(json_of(line) if given.json else text, flush=True)
         answered = answered or "outcome" not in line
     if not answered:
         return complain(

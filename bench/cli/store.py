@@ -6,7 +6,6 @@ run that goes on.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -14,7 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.cli.arguments import CODES, code_of, complain
+from bench.cli.arguments import CODES, code_of, complain, json_of
 from bench.cli.terminal import working
 from bench.config import ConfigError, writing
 from bench.files import write_synced
@@ -116,7 +115,7 @@ def compare(given: argparse.Namespace) -> int:
                 found = compare_folders(given.run, given.detector, **how, damage=damage)
             return print_comparisons(given, found)
         if given.json:
-            print(json.dumps({"version": 1, "together": rows}, indent=1, ensure_ascii=False))
+            print(json_of({"together": rows}, indent=1))
         else:
             print("\n".join(line for one in judged for line in judgement_lines(one)))
     return code_of(verdict.value) if given.gate else CODES.met
@@ -128,7 +127,7 @@ def print_comparisons(given: argparse.Namespace, found: Sequence[Comparison]) ->
     from bench.scoring.decisions import overall
 
     if given.json:
-        print(json.dumps(as_json(found), indent=1, ensure_ascii=False))
+        print(json_of(as_json(found), indent=1))
     else:
         _show(found)
     if given.out:
@@ -203,7 +202,6 @@ def runs(given: argparse.Namespace) -> None:
         why = f"not written: {error.strerror or error}"
     if given.json:
         text = {
-            "version": 1,
             "runs": [run.as_dict() for run in found.runs],
             "history": [
                 {"detector": detector, "script": script, "runs": [str(run.folder) for run, _ in of]}
@@ -215,7 +213,7 @@ def runs(given: argparse.Namespace) -> None:
             "health": found.warnings,
             "page": page,
         }
-        print(json.dumps(text, indent=1, ensure_ascii=False))
+        print(json_of(text, indent=1))
         return
     _show_runs(found)
     print(f"Page: {page or why}")

@@ -273,7 +273,7 @@ def as_json(found: Sequence[Comparison]) -> dict[str, Any]:
                 ],
             }
         )
-    return {"version": JSON_VERSION, "comparisons": whole}
+    return {"schema_version": JSON_VERSION, "comparisons": whole}
 
 
 def _numbers(row: Row, confidence: float) -> dict[str, Any]:

@@ -430,7 +430,10 @@ def provenance_parts(run: RunRecord, status: RunStatus) -> Iterator[Part]:
             "state": status.state.value,
             "started": facts["wall_started"],
             "ended": facts.get("wall_ended"),
-            **{f"{one.name} at the end": one.text for one in status.instruments},
+            **{
+                f"{one.name} at the end": one.text.removeprefix(f"{one.name}: ")
+                for one in status.instruments
+            },
             **{name: facts.get(name) for name in ("seed", "rig", "script")},
             **{f"version, {name}": version for name, version in facts["versions"].items()},
             "bench's commit": facts.get("commit"),

@@ -186,8 +186,8 @@ def _results(trial: TrialRecord, *, farthest: bool = False) -> tuple[Result, ...
 def trial_table(run: RunRecord) -> Table:
     """All trials with links to their parts."""
     heads = (
-        "trial | situation | detector | >found | >missed | >false | >max error [mm] | >time [s]"
-        " | scene"
+        "trial | detector | result | situation | >found | >missed | >false | >max error [mm]"
+        " | >time [s]"
     )
     rows = []
     for trial in run.trials:
@@ -202,8 +202,8 @@ def trial_table(run: RunRecord) -> Table:
             # more digits make the page heavy, not the order right
             far = Cell(number(worst), sort=None if worst is None else round(worst, 4))
             time = Cell(f"{seconds:.3f}", sort=round(seconds, 4))
-            who = (link, spoken(trial.head["situation"]), str(detection["detector"]))
-            rows.append((*who, *counts, far, time, Cell(*_status(trial, score))))
+            what = (str(detection["detector"]), Cell(*_status(trial, score)))
+            rows.append((link, *what, spoken(trial.head["situation"]), *counts, far, time))
     note = "The filter takes words: a detector's name with missed, false, beyond or slow, say."
     return table("All trials", heads, rows, note, searchable=True)
 

@@ -72,7 +72,7 @@ def _trials_csv(run: RunRecord) -> str:
 def _run_json(run: RunRecord, status: RunStatus, judgements: Sequence[Judgement]) -> str:
     """Facts, verdicts and all scores of the run."""
     table = {
-        "version": VERSION,
+        "schema_version": VERSION,
         "facts": dict(run.facts),
         "ending": run.ending,
         "state": status.state.value,

@@ -236,7 +236,7 @@ class RunStatus:
         for of, one in zip(shown["instruments"], self.instruments, strict=True):
             of |= {"text": one.text, "trouble": one.trouble}
         said = {"word": self.word, "headline": self.headline, "trials": self.trials}
-        return {"version": VERSION, **shown, **said, "unsafe": [*self.unsafe]}
+        return {"schema_version": VERSION, **shown, **said, "unsafe": [*self.unsafe]}
 
 
 def state_in(run: RunRecord) -> State:

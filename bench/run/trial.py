@@ -427,7 +427,8 @@ class TrialRun:
                 ctx.long("moving the stage", 600.0)
                 place = there.machine(shared(pose, self._axes)[0])
                 stage.move_to(**place, feed_mm_min=there.feed_mm_per_min)
-                ctx.last["stage"] = ", ".join(f"{axis} {at:.1f}" for axis, at in place.items())
+                at = (f"{axis.partition('_')[0]} {value:.1f}" for axis, value in place.items())
+                ctx.last["stage"] = ", ".join(at)
                 ctx.check()
 
     def _detect(self, frames: FrameSet) -> list[Answer]:
