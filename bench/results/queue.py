@@ -81,7 +81,7 @@ class QueueStatus:
         ]
         said = {"headline": self.headline, "under_way": self.under_way, "ended": self.ended}
         head = {"name": self.name, "rig": self.rig, "started": self.started}
-        return {"version": VERSION, **head, **said, "scripts": shown}
+        return {"schema_version": VERSION, **head, **said, "scripts": shown}
 
 
 @dataclass(slots=True)

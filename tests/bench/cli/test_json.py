@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from bench.record.state import State
+from bench.results.queue import Queued, QueueStatus
 from bench.results.status import InstrumentStatus, Link, RunStatus, Safe
 from tests.bench.commands import Said
 from tests.bench.small_run import KEPT
@@ -39,6 +40,12 @@ def test_a_run_s_status_and_its_instruments_have_the_keys_of_the_page() -> None:
     assert set(shown) - {"schema_version"} == keys("key | what")
     assert set(shown["instruments"][0]) == keys("key of an instrument")
     assert {one.name for one in fields(RunStatus)} <= set(shown)
+
+
+def test_a_queue_has_the_keys_of_the_page() -> None:
+    shown = QueueStatus("queue-1", "rig", "", (Queued("a", "run", STATUS),), "").as_dict()
+    assert set(shown) - {"schema_version"} == keys("key of a queue")
+    assert set(shown["scripts"][0]) == set(table("key of a queue")["`scripts`"])
 
 
 def test_each_word_of_a_status_is_explained() -> None:
