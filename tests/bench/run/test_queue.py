@@ -23,7 +23,7 @@ from bench.run.engine import STAYS_WARM, Engine
 from bench.safety.bath_monitor import WATCHING
 from instruments.clock import stopwatch_s
 from tests.bench.campaign.small_campaign import write_small_rig
-from tests.bench.real_rig import SCRIPT as REAL
+from tests.bench.operated_runs import ONE
 from tests.bench.small_run import SCRIPT
 
 pytestmark = pytest.mark.slow
@@ -176,7 +176,7 @@ def test_in_real_time_one_guardian_stays_to_the_end(tmp_path: Path) -> None:
     text = re.sub(r"\n\[stage\].*?(?=\n\[)", "", rig.read_text(encoding="utf-8"), flags=re.DOTALL)
     rig.write_text(text + warm, encoding="utf-8")
     path = tmp_path / "a.toml"
-    path.write_text(REAL.format(window_s=2.0, repeats=1), encoding="utf-8")
+    path.write_text(ONE, encoding="utf-8")
     began_s = stopwatch_s()
     code, queue, (first, second) = run([str(path)] * 2, "--realtime")
     assert stopwatch_s() - began_s > 2.0
