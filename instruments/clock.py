@@ -158,6 +158,26 @@ class VirtualClock:
             self._wires.pop(port, None)
 
 
+class PacedClock(VirtualClock):
+    """Virtual time from ``start_s`` on that a person can watch: it passes ``speed`` times as fast
+    as the world's, and stands still while something is computed for longer or on its way.
+    """
+
+    def __init__(self, speed: float, start_s: float = 0.0) -> None:
+        super().__init__()
+        self.speed = speed
+        self._now = start_s
+        self._moved = time.monotonic()
+
+    def step(self, limit_s: float) -> bool:
+        with self._lock:
+            until_s = min([limit_s, *(planned[0] for planned in self._planned[:1])])
+        due = self._moved + (until_s - self._now) / self.speed
+        time.sleep(max(0.0, due - time.monotonic()))
+        self._moved = time.monotonic()
+        return super().step(limit_s)
+
+
 class Wire:
     """Counts the bytes between a link and an emulator: time stands still while any is in flight,
     and so doesn't depend on load. Ctrl-C may come anywhere: only the interpreter's own locks are

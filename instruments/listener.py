@@ -164,7 +164,15 @@ class Listener:
         self._connections: set[Connection] = set()
         self._threads: list[threading.Thread] = []
         self._closing = False
+        self.pulled = False
         self._start(self._accept)
+
+    def pull(self, *, out: bool) -> None:
+        """Pull the cable, or put it back: while it is out no host keeps a connection."""
+        with self._lock:
+            self.pulled = out
+            for connection in self._connections if out else ():
+                connection.hang_up()
 
     def close(self) -> None:
         """Stop listening, break all connections and wait for the threads to end."""
@@ -204,7 +212,9 @@ class Listener:
         wire = self._clock.wire(host_port) if isinstance(self._clock, VirtualClock) else None
         with sock:
             with self._lock:
-                if self._closing:
+                if self._closing or self.pulled:
+                    if wire:
+                        wire.closed()
                     return
                 port = _TcpPort(sock)
                 connection = Connection(port, self._clock, self._lock, wire=wire, pace=self._pace)

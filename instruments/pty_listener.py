@@ -66,6 +66,7 @@ class PtyListener:
         self._pace = baud, latency_s
         self._closing = threading.Event()
         self._connection: Connection | None = None
+        self.pulled = False
         self._terminal = _Terminal(name)
         self._thread = threading.Thread(target=self._run, name=f"{name} emulator", daemon=True)
         self._thread.start()
@@ -74,6 +75,13 @@ class PtyListener:
     def url(self) -> str:
         """Where the next host finds the device: another path after the device has hung up."""
         return self._terminal.path
+
+    def pull(self, *, out: bool) -> None:
+        """As `Listener.pull`: a host that opens the terminal while it is out hears nothing."""
+        with self._lock:
+            self.pulled = out
+            if out and self._connection:
+                self._connection.hang_up()
 
     def close(self) -> None:
         """Hang up and wait for the thread to end; the terminal is gone then."""
@@ -96,7 +104,7 @@ class PtyListener:
         while seen < 2:
             if self._closing.wait(LOOK_S):
                 return False
-            seen = seen + 1 if self._terminal.has_host() else 0
+            seen = seen + 1 if self._terminal.has_host() and not self.pulled else 0
         return True
 
     def _serve(self) -> None:

@@ -7,6 +7,7 @@ Coordinates are pixels of the image file `src`: x right, y down, the first pixel
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
+from hashlib import sha256
 from typing import Literal, get_args
 
 from reports.trust import PageError, address
@@ -80,8 +81,25 @@ class Label:
 Shape = Circle | Ellipse | Cross | Rect | Polyline | Label
 
 
+def places_of(detectors: Iterable[str]) -> dict[str, int]:
+    """The place from 1 of each detector, which picks its colour and mark: by its name, so that it
+    is the same on every page. Where two names share one, the later in the alphabet has the next.
+    """
+    names = dict.fromkeys(detectors)
+    found: dict[str, int] = {}
+    for name in sorted(names, key=lambda name: (name not in KNOWN_PLACES, name)):
+        place = (
+            KNOWN_PLACES.get(name)
+            or 1 + int(sha256(name.encode()).hexdigest(), 16) % MOST_DETECTORS
+        )
+        while place in found.values() and len(found) < MOST_DETECTORS:
+            place = place % MOST_DETECTORS + 1
+        found[name] = place
+    return {name: found[name] for name in names}
+
+
 def answer_mark(who: int, x_px: float, y_px: float, arm_px: float, title: str = "") -> Shape:
-    """The mark of an answer: an X; of several detectors that of the one at place `who`, from 1."""
+    """The mark of an answer of the detector at place `who`, from 1; an X without one."""
     x, y, a = x_px, y_px, arm_px
     match MARKS[(who - 1 + (who - 1) // len(MARKS)) % len(MARKS)] if who else "cross":
         case "square":
@@ -96,12 +114,13 @@ def answer_mark(who: int, x_px: float, y_px: float, arm_px: float, title: str = 
 
 MARKS = ("cross", "square", "triangle", "diamond")
 MOST_DETECTORS = len(MARKS) ** 2  # that marks and colours tell apart
+KNOWN_PLACES = {"fused": 1, "thesis": 2}
 
 
 @dataclass(frozen=True, slots=True)
 class Overlay:
-    """One layer: `tone` picks colour and switch, `name` is in the legend. `who`: of several
-    detectors the place of its own, from 1, which picks the colour.
+    """One layer: `tone` picks colour and switch, `name` is in the legend. `who`: the place of the
+    detector whose it is (`places_of`), which picks the colour.
     """
 
     tone: LayerTone

@@ -31,6 +31,7 @@ from reports.frames import (
     Shape,
     answer_mark,
     layers,
+    places_of,
 )
 from reports.glossary import Explained, style_rules
 from reports.page import Cell, Figure, Page, Part, Section, Table, TrialPart, Verdict
@@ -86,7 +87,7 @@ class Press:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._style = assets("style.css", "frames.css", "print.css") + style_rules(page.glossary)
-        for who in range(1, len(page.detectors) + 1):
+        for who in places_of(page.detectors).values():
             self._style += (
                 f".who-{who}{{color:var(--who-{(who - 1) % len(MARKS) + 1})}}\n"
                 f"body:has(#who-{who}:not(:checked)) .pane .who-{who}{{display:none}}\n"
@@ -147,6 +148,8 @@ class Press:
             page=self._page,
             place=place,
             layers=layers(shown),
+            places=(places := places_of(self._page.detectors)),
+            alone=next(iter(places.values())) if len(places) == 1 else 0,
             shapes=_shapes,
             answer_mark=lambda who: _shape(answer_mark(who, 10, 10, 5)),
             view_name=lambda image: views[_view(image)],

@@ -3,14 +3,14 @@ time. Its pictures are in it; links to reports need the folders beside it.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 
-from reports.page import KINDS, UNFINISHED, Kind, Verdict
+from reports.page import KINDS, Figure, Kind, Verdict
 from reports.render import SIGNS, assets, environment, policy_hash, write_whole
 from reports.trust import address, one_of
 
@@ -51,8 +51,8 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A run that could be read: ``damage`` to its record, a ``note`` on what is missing, its
-    ``report``'s path, ``thumbnails`` as text and JPEG.
+    """A run that could be read: ``status`` as JSON (docs/json.md), ``damage`` to its record, a
+    ``note`` on what is missing, its ``report``'s path, ``thumbnails`` as text and JPEG.
     """
 
     folder: Path
@@ -61,9 +61,7 @@ class Run:
     script: str
     kind: Kind
     ending: str
-    state: str
-    trials: int
-    planned: int | None
+    status: Mapping[str, Any]
     results: tuple[Result, ...]
     damage: tuple[str, ...]
     report: str
@@ -89,22 +87,25 @@ class Run:
         return f"{self.date}, {result.detector}{version}: {result.verdict}. {result.text}"
 
     def as_dict(self) -> dict[str, Any]:
-        """As JSON takes it: an unfinished run's verdict is "aborted", as ever; see ``state``."""
+        """As JSON takes it."""
         shown = asdict(replace(self, thumbnails=()))
-        for result in shown["results"]:
-            if result["verdict"] in UNFINISHED:
-                result["verdict"] = "aborted"
         del shown["thumbnails"], shown["note"]
-        return shown | {"folder": str(self.folder)}
+        said = {"state": "state", "trials": "done", "planned": "planned"}
+        of_status = {key: self.status[name] for key, name in said.items()}
+        return shown | {"folder": str(self.folder), **of_status}
 
 
 @dataclass(frozen=True, slots=True)
 class Runs:
-    """The runs in ``folder``, newest first, and the other folders with why they are no run."""
+    """The runs in ``folder``, newest first, the other folders with why they are no run, and charts
+    of the bench's health with what they warn of.
+    """
 
     folder: Path
     runs: tuple[Run, ...]
     others: tuple[tuple[str, str], ...]
+    health: Mapping[str, Sequence[Figure]] = field(default_factory=dict)  # by rig
+    warnings: Sequence[str] = ()
 
     def histories(self) -> Mapping[tuple[str, str], Sequence[tuple[Run, Result]]]:
         """Detector and script with their runs, oldest first."""
@@ -120,8 +121,17 @@ class Runs:
         return {result.verdict for run in self.runs for result in run.results}
 
 
-def write_runs(runs: Runs, summary: str) -> Path:
-    """Writes the page into the folder of the runs, whole or not at all; gives back its path."""
+def write_runs(
+    runs: Runs,
+    summary: str,
+    *,
+    name: str = PAGE,
+    title: str = "Runs",
+    rest: str = "Other folders",
+) -> Path:
+    """Writes the page into the folder of the runs, whole or not at all; gives back its path.
+    ``rest``: the heading over what is no run.
+    """
     style = assets("style.css", "runs.css")
     policy = f"default-src 'none'; img-src data:; style-src '{policy_hash(style)}'"
     html = (
@@ -129,11 +139,14 @@ def write_runs(runs: Runs, summary: str) -> Path:
         .get_template("runs.html.j2")
         .render(
             page=runs,
+            title=title,
+            rest=rest,
             summary=summary,
             signs=SIGNS,
             style=Markup(style),  # noqa: S704 our own file
             policy=f"{policy}; base-uri 'none'; form-action 'none'",
             link=lambda href: address(href, "link"),
+            drawing=lambda figure: Markup(figure.svg),  # noqa: S704 page.Figure has checked it
         )
     )
-    return write_whole(runs.folder / PAGE, html)
+    return write_whole(runs.folder / name, html)

@@ -5,14 +5,13 @@ alone, of a rig or by their URLs.
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 import webbrowser
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 
-from bench.cli.arguments import CODES, complain, print_values
+from bench.cli.arguments import CODES, complain, json_of, print_values
 from bench.cli.verdict import on_a_desktop
 from bench.config import ConfigError
 from bench.record.recording import RecordingWriter
@@ -46,7 +45,7 @@ def status(given: argparse.Namespace) -> None:
     with open_stage(_at(given), given.capture) as stage:
         figures = rig_alone.described(stage)
     if given.json:
-        print(json.dumps(figures))
+        print(json_of(figures))
     else:
         print_values(figures)
 
@@ -117,7 +116,7 @@ def show(given: argparse.Namespace) -> int:
         seen = {name: rig_alone.figures(picture) for name, picture in taken.items()}
         identity = dict(alone.identity())
     if given.json:
-        print(json.dumps({"identity": identity, "cameras": seen, "faults": faults}))
+        print(json_of({"identity": identity, "cameras": seen, "faults": faults}))
     else:
         for name, values in seen.items():
             print(f"{name}: {identity.get(name, '')}")

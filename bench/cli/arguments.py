@@ -5,6 +5,7 @@ table of them all.
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import platform
 import re
@@ -43,6 +44,17 @@ def code_of(verdict: str) -> int:
     return {"met": CODES.met, "not met": CODES.not_met}.get(verdict, CODES.inconclusive)
 
 
+LATEST = "latest"
+
+
+def a_run(text: str) -> Path:
+    """A run's folder; ``latest``: the newest one in runs/."""
+    if text != LATEST or Path(text).exists():
+        return Path(text)
+    found = max(Path("runs").glob("*/run.sqlite"), key=lambda path: path.parent.name, default=None)
+    return found.parent if found else Path(text)
+
+
 def complain(text: str, code: int) -> int:
     """Say on standard error what is wrong; gives back ``code``."""
     print(f"teatbench: {text}", file=sys.stderr)
@@ -68,7 +80,17 @@ def refuse_existing(
 
 def command_line() -> str:
     """The command as it was given, to be given again."""
-    return shlex.join(["teatbench", *sys.argv[1:]])
+    from bench.run.notify import without_secrets
+
+    return shlex.join(["teatbench", *without_secrets(sys.argv[1:])])
+
+
+JSON_VERSION = 1  # of what `--json` prints; docs/json.md has the keys
+
+
+def json_of(value: Mapping[str, Any], **how: Any) -> str:
+    """What `--json` prints: an object that says its version first."""
+    return json.dumps({"schema_version": JSON_VERSION, **value}, ensure_ascii=False, **how)
 
 
 def print_values(values: Mapping[str, object]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 from collections.abc import Iterator
@@ -25,7 +24,7 @@ from bench.calibrate.arm import (
 )
 from bench.calibrate.arm import verify as verify_arm
 from bench.calibrate.simulated_arm import Step
-from bench.cli.arguments import CODES, complain
+from bench.cli.arguments import CODES, complain, json_of
 from bench.config import ConfigError
 from bench.results.stated_arm import (
     check_verification,
@@ -86,7 +85,7 @@ def read(given: argparse.Namespace) -> None:
         "counts": reading.evidence,
     }
     if given.json:
-        print(json.dumps(line))
+        print(json_of(line))
         return
     print(f"arm {serial_number}")
     spread = f", spread {reading.spread_mm:.2f} mm over {reading.n} packets"

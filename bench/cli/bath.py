@@ -7,7 +7,6 @@ it changes nothing at the bath.
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from collections import deque
 from collections.abc import Callable, Hashable, Iterator, Sequence
@@ -21,7 +20,7 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from bench.cli.arguments import CODES, complain, print_values
+from bench.cli.arguments import CODES, complain, json_of, print_values
 from bench.cli.terminal import Terminal
 from bench.config import ConfigError, did_you_mean
 from bench.rig.loading import find_rig, load_rig
@@ -71,7 +70,7 @@ def read(given: argparse.Namespace) -> None:
             "comms_loss": bath.profile.comms_loss,
         }
     if given.json:
-        print(json.dumps(values))
+        print(json_of(values))
     else:
         print_values(
             {key: "not reported" if value is None else value for key, value in values.items()}
@@ -85,7 +84,7 @@ def learn(given: argparse.Namespace) -> int:
         tried, doubt = list(bath.try_rows()), bath.doubt
     answered = [one for one in tried if one.answered]
     if given.json:
-        print(json.dumps([asdict(one) for one in tried]))
+        print(json_of({"rows": [asdict(one) for one in tried]}))
     else:
         width = max(len(one.row) for one in tried)
         for one in tried:

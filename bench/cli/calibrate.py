@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
+from itertools import permutations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -153,6 +154,9 @@ def thermal(given: argparse.Namespace) -> None:
         result = calibrate_thermal(views, pair.part, delivered, plane_mm)
     record = _record(given, paths, identity, {CAMERAS_INPUT: pair.sha256})
     _write_step(given, result.part(record), thermal_page(result, record, command_line()))
+    of_views = [*result.joint.view_rms_px("thermal").values()]
+    rms = float(np.sqrt(np.mean(np.square(of_views))))
+    print(f"thermal camera: {rms:.3f} px rms over {len(of_views)} views")
 
 
 def _delivered(given: argparse.Namespace) -> Delivered:
@@ -190,6 +194,11 @@ def world(given: argparse.Namespace) -> int:
     )
     record = _record(given, (given.points,), more={CAMERAS_INPUT: pair.sha256})
     _write_step(given, result.part(record), world_page(result, record, command_line()))
+    fit = result.fit
+    print(
+        f"{len(fit.touched_mm)} points: missed by {fit.comparison.rigid.fre_mm:.3f} mm rms, lengths"
+        f" {fit.scale:.5f} ± {fit.scale_sd:.5f} of the arm's"
+    )
     return _say(result.findings)
 
 
@@ -301,6 +310,15 @@ def _views_of(
     """The board in the pictures of these cameras, and the files they were."""
     board, files = find_board(given.board)
     found = find_pictures(given.frames, wanted)
+    alone = [
+        f"{camera} {view}: no picture of the {other} camera"
+        for camera, other in permutations(wanted, 2)
+        for view in found[camera].keys() - found[other].keys()
+    ]
+    for text in sorted(alone)[:SHOWN]:
+        print(f"without its partner: {text}")
+    if (more := len(alone) - SHOWN) > 0:
+        print(f"without its partner: {more} more")
     with working("finding the board in the pictures") as report:
         views = find_views(
             found,

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bench.cli.arguments import CODES, complain
+from bench.cli.arguments import CODES, complain, json_of
 from bench.config import ConfigError
 
 if TYPE_CHECKING:
@@ -127,7 +126,7 @@ def query(given: argparse.Namespace) -> None:
     names, rows = ask(given.folder, given.sql)
     if given.json:
         objects = [dict(zip(names, row, strict=True)) for row in rows]
-        print(json.dumps(objects, ensure_ascii=False, default=str))
+        print(json_of({"rows": objects}, default=str))
         return
     texts = [["" if value is None else str(value) for value in row] for row in rows]
     print(plain_table(names, texts))
@@ -149,7 +148,7 @@ def search(given: argparse.Namespace) -> int:
         rates = [{"family": family, **asdict(rate)} for family, rate in found.rates.items()]
         hits = [asdict(one) for one in found.hits]
         failures = [asdict(one) for one in found.failures]
-        print(json.dumps({"hits": hits, "failures": failures, "rates": rates}, ensure_ascii=False))
+        print(json_of({"hits": hits, "failures": failures, "rates": rates}))
         return CODES.met
     counts = ["scenes", "failures", "distinct"]
     rows = [[one.family, *map(str, astuple(one)[1:])] for one in found.hits]
@@ -178,7 +177,7 @@ def herd(given: argparse.Namespace) -> None:
         found = run_herd(given.out, given.cows, given.visits, given.seed, given.workers, shown)
     one = score(found, given.cows, given.visits)
     if given.json:
-        print(json.dumps({k: v if v == v else None for k, v in asdict(one).items()}))
+        print(json_of({k: v if v == v else None for k, v in asdict(one).items()}))
         return
     print(f"{one.visits} visits with a history; {one.unseen} unseen ends, {one.found} found.")
     rows = [
@@ -297,7 +296,7 @@ def _print_status(given: argparse.Namespace, campaign: Campaign, status: Status,
             "plan": str(campaign.folder / "plan.toml"),
             "report": str(page),
         }
-        print(json.dumps(found, ensure_ascii=False))
+        print(json_of(found))
     else:
         heads = ["family", "detector", "scenes", "failures", "rate", "95 % interval, two-sided"]
         rows = [

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from bench.cli.arguments import (
     Argument,
+    a_run,
     address,
     flag,
     number,
@@ -27,18 +28,19 @@ TASKS = {
     "set up a rig": ("init", "check", "rigs", "calibrate", "emulate"),
     "use one instrument alone": ("arm", "bath", "stage", "camera"),
     "keep and exchange what was recorded": ("store", "recording", "replay-wire"),
+    "this program": ("help",),
 }
 
 GROUPS = {
-    "store": "check that a run's record is unaltered, or export it (docs/record.md)",
-    "recording": "make a recording (frames, calibration, truth) to publish (docs/record.md)",
-    "scene": "draw simulated scenes: pictures, recordings, boards (docs/scene.md)",
-    "campaign": "score detectors on thousands of simulated scenes (docs/campaigns.md)",
+    "store": "check that a run's record is unaltered, or export it (help record)",
+    "recording": "make a recording (frames, calibration, truth) to publish (help record)",
+    "scene": "draw simulated scenes: pictures, recordings, boards (help scene)",
+    "campaign": "score detectors on thousands of simulated scenes (help campaigns)",
     "arm": "a MicroScribe arm alone: read, watch, home, set the table frame, verify",
     "bath": "the water bath alone, without a rig file",
     "stage": "the motion stage alone, without a script",
     "camera": "the cameras alone: list, show, set the focus, save frames",
-    "calibrate": "calibrate cameras, thermal camera, table and stage (docs/calibration.md)",
+    "calibrate": "calibrate cameras, thermal camera, table and stage (help calibration)",
 }
 
 BAUDS = (9600, 14400, 19200, 28800, 38400, 57600, 115200)
@@ -58,7 +60,7 @@ SHARE = number(
 RIG_HELP = "a shipped rig by name, or a .toml file (default: emulated)"
 SCRIPT_HELP = "a shipped script by name ('teatbench trials' lists them), or a .toml file"
 
-CAPTURE = option("--capture FILE", "record the bytes of every link in a new file (docs/record.md)")
+CAPTURE = option("--capture FILE", "record the bytes of every link in a new file (help record)")
 JSON = flag("--json", "one JSON object, units in its keys")
 TABLES_JSON = flag("--json", "print JSON instead of tables")
 RIG = option("rig RIG", RIG_HELP, nargs="?")
@@ -67,13 +69,20 @@ CAMERAS_OF = option(
     "--rig RIG", "whose cameras: a shipped rig by name, or a .toml file (default: emulated)"
 )
 WORKERS = option("--workers N", "how many processes (default: one a processor)", whole(1, 1024))
-RUN = option("run RUN", "the run's folder", Path)
+RUN = option("run RUN", "the run's folder; 'latest': the newest in runs/", a_run)
+SUMMARY = option("--summary FILE", "append what was found to this file as Markdown, for CI", Path)
 RECORDING = option("recording RECORDING", "a recording's folder", Path)
 OUT_RUNS = option("--out DIR", "the folder for run folders", default=Path("runs"))
-DETECTOR_HELP = "a detector by name, a file DETECTOR.toml, or exec:COMMAND (docs/detectors.md)"
+DETECTOR_HELP = "a detector by name, a file DETECTOR.toml, or exec:COMMAND (help detectors)"
 DETECTORS = option(
     "--detector NAME",
     f"{DETECTOR_HELP}; may be given several times",
+    many=True,
+)
+NOTIFY = option(
+    "--notify URL",
+    "send word to this address, such as ntfy://ntfy.sh/TOPIC: asked, tripped, not safe, ended; may"
+    " be given several times (default: the rig's [notify])",
     many=True,
 )
 EVENTS = option("--events FILE", "also write each event as a JSON line, for other programs")
@@ -98,13 +107,14 @@ COMPARED = (
         0.95,
     ),
     flag("--gate", "exit code 1 when the new one is worse, 4 when that is undecided"),
+    SUMMARY,
 )
 COMPARED_PAGE = option("--out DIR", "also write a page and comparison.json there")
 
 ALL = "which; may be given several times (default: all)"
 PERTURB = option(
     "--perturb NAME=AMOUNT",
-    "change every scene, such as vergence=0.1 (docs/campaigns.md); may be given several times",
+    "change every scene, such as vergence=0.1 (help campaigns); may be given several times",
     parsed("bench.campaign.perturbations:Applied.parse"),
     many=True,
 )
@@ -117,7 +127,10 @@ FIRST_SEEDS = (
 CAMPAIGN = option("folder DIR", "the campaign's folder")
 PLAN_OR_FAMILIES = (
     option(
-        "plan PLAN", "a .toml file in place of the options (docs/campaigns.md)", Path, nargs="?"
+        "plan PLAN",
+        "a .toml file in place of the options (help campaigns)",
+        Path,
+        nargs="?",
     ),
     option("--family NAME", ALL, many=True),
 )
@@ -159,7 +172,7 @@ BATH_LINK = (
     ),
     option(
         "--profile NAME",
-        "a shipped profile by name, or a .toml file (docs/add-a-bath.md)",
+        "a shipped profile by name, or a .toml file (help add-a-bath)",
         required=True,
     ),
 )
@@ -220,7 +233,7 @@ TOUCH_NOISE = (
     option("--pixel-sd PX", "standard deviation of a pixel coordinate, px", SD, 0.1),
     option("--touch-sd MM", "standard deviation of a touch along each axis, mm", SD, 0.25),
 )
-FRAMES = option("frames FRAMES", "folders of pictures (docs/calibration.md)", nargs="*")
+FRAMES = option("frames FRAMES", "folders of pictures (help calibration)", nargs="*")
 BOARD = option("board BOARD", BOARD_HELP)
 BOARD_SHOWN = (
     option("--board BOARD", BOARD_HELP),
@@ -255,18 +268,26 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         CAPTURE,
         option(
             "script SCRIPT",
-            "a shipped script by name, or a .toml file (default: six-situations)",
-            nargs="?",
+            "a shipped script by name, or a .toml file (default: six-situations); several run one"
+            " after the other on an open, warm rig",
+            nargs="*",
         ),
         RIG_OPTION,
         option("--seed N", "seed of all random numbers (default: the rig file's)", whole(0)),
         option("--record DIR", "also write a recording, which 'teatbench score' reads"),
         flag("--realtime", "emulated rig only: waits take their real time"),
+        option(
+            "--speed N",
+            "emulated rig only: --realtime, N times as fast, to practise",
+            number("a number of 1 or more, below 21", least=1.0, below=21.0),
+        ),
         flag("--dry-run", "move nothing: check each pose, then try all trials on emulators"),
         flag("--json", "with --dry-run: one JSON object with each finding by its trial"),
         OUT_RUNS,
         DETECTORS,
         EVENTS,
+        NOTIFY,
+        SUMMARY,
         flag("--open", "open the report in the browser at the end, where there is a desktop"),
         flag("--console", "open the console beside it; an emulated rig then takes its real time"),
     ),
@@ -276,6 +297,8 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         CAPTURE,
         RUN,
         EVENTS,
+        NOTIFY,
+        SUMMARY,
         DESPITE_DAMAGE,
     ),
     "control": (
@@ -286,7 +309,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     ),
     "report": (
         "write the report of a run again",
-        "report runs/20260601-120000-six-situations --baseline runs/older",
+        "report latest --open",
         RUN,
         option("--baseline RUN", "also compare it with this older run of the same scenes"),
         DESPITE_DAMAGE,
@@ -294,6 +317,8 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             flag("--pdf", "fail where no Chromium, Chrome or Edge prints report.pdf"),
             flag("--no-pdf", "print no report.pdf, though a browser is installed"),
         ),
+        SUMMARY,
+        flag("--open", "open it in the browser, where there is a desktop"),
         flag("--appendix", "print the folded sections too: report.pdf is the whole report"),
     ),
     "console": (
@@ -326,6 +351,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         RECORDING,
         OUT_RUNS,
         DETECTORS,
+        SUMMARY,
     ),
     "compare": (
         "compare runs, or the detectors of one run, trial by trial",
@@ -455,7 +481,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "scene sensitivity": (
         (
             "draw how errors grow with noise, range, tilt and so on, beside the physical limit"
-            " (docs/scene.md)"
+            " (help scene)"
         ),
         "scene sensitivity --detector fused --out sensitivity",
         DETECTORS,
@@ -581,8 +607,8 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         RIG,
     ),
     "emulate": (
-        "run a rig's emulators alone, in real time, until Ctrl-C",
-        "emulate --write-rig elsewhere.toml",
+        "run a rig's emulators alone, in real time, until Ctrl-C, with a page to practise faults",
+        "emulate --port-base 9100 --write-rig practice.toml",
         RIG,
         LISTEN,
         flag("--pty", "serial instruments on pseudo-terminals (Linux and macOS)"),
@@ -592,6 +618,13 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         ),
         REPLACE,
         flag("--paced", "serial instruments at the rig's baud rate, 10 bits a byte"),
+        option(
+            "--port-base N",
+            "TCP ports from N on, always the same ones, so that a written rig file stays good"
+            " (default: free ones)",
+            whole(1024, 65530),
+            0,
+        ),
     ),
     "init": (
         "find instruments and cameras, ask for the rest, write a rig file; nothing moves or heats",
@@ -627,7 +660,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         flag("--on-peg", "the stylus is on its peg: don't ask"),
     ),
     "arm frame": (
-        "set the table frame: three touches and check points (docs/rig.md)",
+        "set the table frame: three touches and check points (help rig)",
         "arm frame --port /dev/ttyUSB0 --out frame.toml",
         *HOMED,
         option("--plane-checks N", "further touches anywhere in the plane", whole(0, 20), 1),
@@ -641,7 +674,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *ARM_FILE,
     ),
     "arm verify": (
-        "verify the arm: one divot at up to three distances, a calibrated length (docs/rig.md)",
+        "verify the arm: one divot at up to three distances, a calibrated length (help rig)",
         "arm verify --port /dev/ttyUSB0 --out verification.toml",
         *HOMED,
         option("--distances N", "divots: 1 (middle), 2 (near and far) or 3 (all)", whole(1, 3), 3),
@@ -897,7 +930,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "calibrate stage": (
         (
             "register the stage in the world: one teat end touched at several stage positions"
-            " (docs/trials.md)"
+            " (help trials)"
         ),
         "calibrate stage --rig my-rig.toml --out registration.toml",
         CAPTURE,
@@ -968,10 +1001,16 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             nargs="?",
         ),
     ),
+    "help": (
+        "show a page of the documentation here, without a network; without TOPIC, list them",
+        "help record",
+        option("topic TOPIC", "a page, or a command that a page explains", nargs="?"),
+    ),
 }
 # where a command's or a group's functions are, unless in the module of the same name
 MODULES = {
     "alone": ("camera", "stage"),
+    "manual": ("help",),
     "rig": ("check", "detect", "emulate", "replay-wire", "rigs", "scene"),
     "run": ("report", "resume", "score"),
     "store": ("compare", "control", "recording", "runs"),
@@ -980,6 +1019,7 @@ MODULES = {
 # a command's function, unless it has the name of its last word
 FUNCTIONS = {
     "bath set": "change",
+    "help": "shown",
     "camera list": "attached",
     "calibrate import": "take_over",
     "replay-wire": "replay_wire",
@@ -988,6 +1028,103 @@ FUNCTIONS = {
     "trials": "listed",
 }
 ONCE = {"control": ("tell",)}  # names of earlier releases, which work for one more
+
+# what a person mostly does next: two commands, with what this one was given in {}; what is in
+# capitals he names himself
+NEXT: Mapping[str, tuple[str, str]] = {
+    "run": ("report latest --open", "runs {out}"),
+    "resume": ("report {run} --open", "store check {run}"),
+    "control": ("console", "report {run} --open"),
+    "report": ("store check {run}", "compare OLDER {run}"),
+    "console": ("runs {runs}", "report latest --open"),
+    "runs": ("report latest --open", "compare OLDER NEWER"),
+    "trials": ("trials show plane-map", "run six-situations --dry-run"),
+    "trials show": ("run {script} --rig {rig} --dry-run", "run {script} --rig {rig}"),
+    "plan": ("trials", "run six-situations --dry-run"),
+    "score": ("runs {out}", "compare OLDER NEWER --gate"),
+    "compare": ("help scoring", "runs"),
+    "detectors": ("detectors try fused", "detectors new python --name mine"),
+    "detectors new": ("detectors try {name}", "help first-detector"),
+    "detectors try": (
+        "run demo --detector {word}",
+        "campaign run --family ideal --detector {word} --out campaigns/ideal",
+    ),
+    "detect": ("score {recording} --detector fused", "detectors try fused {recording}"),
+    "scene sheet": ("scene record --situation overlapping", "help scene"),
+    "scene record": ("score {out} --detector fused", "detect {out} --detector fused"),
+    "scene boards": (
+        "calibrate cameras {out} --board {board} --out cameras.toml",
+        "help calibration",
+    ),
+    "scene sensitivity": ("help scene", "campaign run --family ideal --out campaigns/ideal"),
+    "campaign run": ('campaign query {out} "SELECT * FROM scenes"', "campaign compare {out} OTHER"),
+    "campaign chunk": ("campaign chunk {plan}", "help campaigns"),
+    "campaign search": (
+        "campaign show {out} SCENE",
+        "campaign keep {out} 1 --into recordings/kept",
+    ),
+    "campaign herd": ("help campaigns", "help detectors"),
+    "campaign keep": ("score {into} --detector fused", "detect {into} --detector fused"),
+    "campaign show": ("campaign keep {folder} 1 --into recordings/kept", "help campaigns"),
+    "campaign compare": ("help campaigns", "help scoring"),
+    "campaign query": ("campaign show {folder} SCENE", "help campaigns"),
+    "init": ("check {out}", "help lab"),
+    "check": ("run six-situations --rig {rig} --dry-run", "console"),
+    "rigs": ("check emulated", "init"),
+    "emulate": ("check RIG", "run six-situations --rig RIG"),
+    "arm read": ("arm home --port {port}", "arm verify --port {port} --out verification.toml"),
+    "arm watch": ("arm read --port {port}", "arm home --port {port}"),
+    "arm home": ("arm read --port {port}", "arm frame --port {port} --out frame.toml"),
+    "arm frame": ("arm verify --port {port} --out verification.toml", "check RIG"),
+    "arm verify": ("check RIG", "run six-situations --rig RIG --dry-run"),
+    "bath read": ("bath watch --port {port} --profile {profile}", "check RIG"),
+    "bath learn": ("help add-a-bath", "bath read --port {port} --profile {profile}"),
+    "bath set": (
+        "bath watch --port {port} --profile {profile}",
+        "bath standby --port {port} --profile {profile}",
+    ),
+    "bath watch": (
+        "bath read --port {port} --profile {profile}",
+        "bath standby --port {port} --profile {profile}",
+    ),
+    "bath standby": ("bath read --port {port} --profile {profile}", "help safety"),
+    "bath acknowledge": ("check {rig}", "resume RUN"),
+    "stage status": ("stage home --rig RIG", "check RIG"),
+    "stage home": ("stage move --rig RIG -- X Y", "stage status --rig RIG"),
+    "stage move": ("stage jog --rig RIG X-5", "stage status --rig RIG"),
+    "stage jog": ("stage status --rig RIG", "calibrate stage --rig RIG --out registration.toml"),
+    "stage recover": ("stage home --rig RIG", "stage status --rig RIG"),
+    "camera list": ("camera show opencv:0", "camera focus opencv:0 --page"),
+    "camera show": ("camera focus RIG --page", "camera grab RIG --out recordings/mine"),
+    "camera focus": ("camera show RIG", "calibrate board chessboard-9x6-40 --pdf board.pdf"),
+    "camera grab": ("detect {out} --detector fused", "camera show RIG"),
+    "calibrate cameras": ("calibrate check {out} --rig RIG --board {board}", "help calibration"),
+    "calibrate thermal": (
+        "calibrate world --rig RIG --cameras cameras.toml --out world.toml",
+        "help calibration",
+    ),
+    "calibrate world": (
+        "calibrate merge cameras.toml thermal.toml {out} --out calibration.toml",
+        "help calibration",
+    ),
+    "calibrate merge": ("calibrate check {out} --rig RIG --board BOARD", "check RIG"),
+    "calibrate check": ("check RIG", "run six-situations --rig RIG --dry-run"),
+    "calibrate board": (
+        "calibrate cameras --rig RIG --board {board} --out cameras.toml",
+        "help calibration",
+    ),
+    "calibrate export": ("help calibration", "check RIG"),
+    "calibrate import": (
+        "calibrate merge {out} thermal.toml world.toml --out calibration.toml",
+        "help calibration",
+    ),
+    "calibrate stage": ("trials", "help trials"),
+    "store check": ("report {run} --open", "store export {run} --format csv --out tables"),
+    "store export": ("store check {run}", "help record"),
+    "recording pack": ("score {out} --detector fused", "help record"),
+    "replay-wire": ("check RIG", "help record"),
+    "help": ("trials", "run demo"),
+}
 # words that went, and what to use
 REMOVED = {
     "completion": "bash and zsh take 'eval \"$(register-python-argcomplete teatbench)\"'",

@@ -29,10 +29,11 @@ EXPOSED = (
 
 def console(given: argparse.Namespace) -> None:
     try:
+        import segno
         import uvicorn
 
-        from bench.console.app import Console, make_app
-        from bench.console.guard import shedding
+        from bench.console.app import Console, make_app, pairing_url
+        from bench.console.guard import Pairing, shedding
     except ImportError as error:
         raise ConfigError.plain(
             f"the console needs {error.name}, which isn't installed: pip install"
@@ -56,7 +57,11 @@ def console(given: argparse.Namespace) -> None:
             print(EXPOSED, file=sys.stderr, flush=True)
         if not given.no_open and on_a_desktop():
             webbrowser.open(f"{origin}/#{token}")
-        app = make_app(Console(given.runs.resolve(), Path.cwd(), origin), token, hosts)
+        served = Console(given.runs.resolve(), Path.cwd(), origin, Pairing(token))
+        if not inside and sys.stdout.isatty():
+            print("To pair a phone, once and within 10 min:")
+            segno.make(pairing_url(served)).terminal(compact=True)
+        app = make_app(served, hosts)
         config = uvicorn.Config(
             app,
             http=shedding(),

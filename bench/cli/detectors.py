@@ -103,7 +103,7 @@ def new(given: argparse.Namespace) -> None:
         "start_limit_s": 30.0,
         "time_limit_s": 30.0,
     }
-    heading = "A detector of your own; docs/detectors.md has all keys. The command runs here."
+    heading = "A detector of your own; all keys: teatbench help detectors. The command runs here."
     if given.language == "cpp":
         heading += f"\nCompile it first: {COMPILED.format(name=name)}"
     given.out.mkdir(parents=True, exist_ok=True)
@@ -200,7 +200,8 @@ def _explain(answer: Answer, number: int, why: str) -> None:
     asked = "" if number == 1 else ", the second time that it was asked"
     complain(f"no answer{asked}: {why}.", CODES.not_met)
     cure = next((cure for words, cure in CURES.items() if words in why), "")
-    complain(f"what to do: {cure or 'docs/detectors.md has what is asked for'}", CODES.not_met)
+    otherwise = "'teatbench help detectors' has what is asked for"
+    complain(f"what to do: {cure or otherwise}", CODES.not_met)
 
 
 def _tell(answers: Sequence[Answer], truth: Sequence[TruthRow]) -> None:

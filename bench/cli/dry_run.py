@@ -4,12 +4,11 @@ by a rehearsal on emulators.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from bench.cli.arguments import CODES
+from bench.cli.arguments import CODES, json_of
 from bench.cli.terminal import working
 from bench.dry_run.pose_checks import Finding, dry_run
 from bench.dry_run.rehearsal import NoTwinError, Rehearsal, rehearse
@@ -79,7 +78,7 @@ def look_ahead(
             "not_checked": [*unchecked, *why_not],
             "needs": wanted,
         }
-        print(json.dumps(found, indent=1, ensure_ascii=False))
+        print(json_of(found, indent=1))
         return CODES.wrong_use if findings else CODES.met
     for finding in findings[:SHOWN]:
         print(f"{finding.trial}: {finding.kind}: {finding.text}")

@@ -52,7 +52,7 @@ def init(given: argparse.Namespace) -> int:
     about += [f"  {one.url}: {one.kind}, {one.who}" for one in found]
     about += [f"  {url}: camera, {name}" for url, name in cameras.items()]
     about += [f"  nothing for {name}" for name in missing]
-    about += [f"Next: teatbench check {given.out.name}, then docs/lab.md."]
+    about += [f"Next: teatbench check {given.out.name}, then 'teatbench help lab'."]
     text = rig_text(read_text(TO_COPY), values, missing, "\n".join(about))
     parse_config(given.out, text, Rig)
     write_synced(given.out, text.encode("utf-8"))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import errno
 import os
+import re
+import shlex
 import sqlite3
 import sys
 import traceback
@@ -15,7 +17,16 @@ from typing import TYPE_CHECKING, Any
 
 from bench import __version__
 from bench.cli.arguments import CODES, EXIT_CODES, call, complain
-from bench.cli.commands import COMMANDS, FUNCTIONS, GROUPS, MODULES, ONCE, REMOVED, TASKS
+from bench.cli.commands import (
+    COMMANDS,
+    FUNCTIONS,
+    GROUPS,
+    MODULES,
+    NEXT,
+    ONCE,
+    REMOVED,
+    TASKS,
+)
 from bench.safety.signals import installed
 from reports.sanitize import sanitizing
 
@@ -26,7 +37,10 @@ FILENAME_EXCED_RANGE = 206  # of Windows, which gives it the errno of a file tha
 
 HELP_COLUMNS = 78
 FEW = 8  # choices that a message lists
-MORE_HELP = "'teatbench COMMAND --help' has a command's arguments, and an example of it."
+MORE_HELP = (
+    "'teatbench COMMAND --help' has a command's arguments, and an example of it; 'teatbench help"
+    " COMMAND' the page that explains it."
+)
 
 # What libraries read when they are loaded. OpenCV and its FFmpeg would write to the terminal
 # themselves; OpenBLAS would share out small sums, which costs a quarter of a detector's time.
@@ -85,6 +99,7 @@ def _run(given: argparse.Namespace) -> int:
 
     try:
         code = call(given)
+        _say_next(given, code)
         sys.stdout.flush()
         return code
     except (ConfigError, RecordingError, CaptureError) as error:
@@ -104,6 +119,22 @@ def _run(given: argparse.Namespace) -> int:
     except BrokenPipeError:  # the reader of our output has gone (`| head`)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return CODES.met
+
+
+def _say_next(given: argparse.Namespace, code: int) -> None:
+    """The next two commands, to a person at a terminal whose command did its work."""
+    values = vars(given)
+    asked = code in (CODES.wrong_use, CODES.fault) or values.get("json") or not sys.stdout.isatty()
+    if asked:
+        return
+
+    def given_or_named(found: re.Match[str]) -> str:
+        value = values.get(found[1])
+        one = value[0] if isinstance(value, list) and value else value
+        return shlex.quote(str(one)) if one else found[1].upper()
+
+    then = (re.sub(r"\{(\w+)\}", given_or_named, text) for text in NEXT[given.called])
+    print("Then, for instance:", *(f"teatbench {text}" for text in then), sep="\n  ")
 
 
 MEMORY_WORDS = (
@@ -237,5 +268,5 @@ def parser() -> argparse.ArgumentParser:
             argument(parser)
         first, last = name.split()[0], name.split()[-1]
         module = next((one for one, words in MODULES.items() if first in words), first)
-        parser.set_defaults(command=(module, FUNCTIONS.get(name, last)))
+        parser.set_defaults(command=(module, FUNCTIONS.get(name, last)), called=name)
     return top

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import closing
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench import __version__
-from bench.cli.arguments import CODES, complain, print_values, refuse_existing
+from bench.cli.arguments import CODES, complain, json_of, print_values, refuse_existing
 from bench.cli.terminal import working
 from bench.config import ConfigError, did_you_mean
 from bench.rig.loading import NO_RIGS, RIGS, TO_COPY, LoadedRig, find_rig, load_rig, shipped
@@ -32,7 +31,7 @@ def check(given: argparse.Namespace) -> int:
     if rig.made_calibration is None:
         print(
             f"calibration: not made yet ({rig.calibration_path}); a run needs it, see"
-            " docs/calibration.md"
+            " 'teatbench help calibration'"
         )
     for why in unconfirmed(rig, wall_time().date()):
         print(why)
@@ -47,20 +46,37 @@ def check(given: argparse.Namespace) -> int:
 
 def emulate(given: argparse.Namespace) -> int:
     from bench.files import write_synced
-    from bench.rig.emulated_rig import EmulatedRig
+    from bench.rig.emulated_rig import EmulatedRig, port_of
+    from bench.rig.practice import Practice, page_of
     from bench.rig.urls import ELSEWHERE
     from instruments.camera.stream import StreamServer
     from instruments.listener import Listener
     from instruments.operators.remote import OperatorPort
 
     rig = load_rig(find_rig(given.rig))
-    clock = RealClock()
+    clock, base = RealClock(), given.port_base
+    valid = f"while it runs with --port-base {base}" if base else "while this runs"
     try:
         with (
             EmulatedRig(
-                rig, clock, rig.rig.seed, host=given.listen, pty=given.pty, paced=given.paced
+                rig,
+                clock,
+                rig.rig.seed,
+                host=given.listen,
+                pty=given.pty,
+                paced=given.paced,
+                port_base=base,
             ) as twin,
-            closing(StreamServer(twin.cameras, clock, host=given.listen)) as streams,
+            closing(
+                StreamServer(
+                    twin.cameras,
+                    clock,
+                    host=given.listen,
+                    port=port_of("cameras", base),
+                    page=lambda: page_of(practice),
+                    act=lambda words: practice.do(words),
+                )
+            ) as streams,
             closing(
                 Listener(
                     OperatorPort(twin.operator),
@@ -68,9 +84,13 @@ def emulate(given: argparse.Namespace) -> int:
                     lock=threading.RLock(),
                     name="operator",
                     host=given.listen,
+                    port=port_of("operator", base),
                 )
             ) as hands,
         ):
+            practice = Practice(
+                twin, lambda one, out: (streams.pulled.add if out else streams.pulled.discard)(one)
+            )
             more = {name: f"opencv:{url}" for name, url in streams.urls.items()}
             more["operator"] = hands.url.replace("socket://", ELSEWHERE)
             shown: dict[str, str] = {}
@@ -81,9 +101,13 @@ def emulate(given: argparse.Namespace) -> int:
                     if shown.get(name) != url:
                         print(f"{name} {url}", flush=True)
                 if given.write_rig and shown != urls:
-                    write_synced(given.write_rig, _rig_text(rig, urls).encode("utf-8"))
-                    print(f"written: {given.write_rig}; good while this runs", flush=True)
+                    text = _rig_text(rig, urls, valid)
+                    write_synced(given.write_rig, text.encode("utf-8"))
+                    print(f"written: {given.write_rig}; good {valid}", flush=True)
+                if not shown:
+                    print(f"page {streams.page_url}", flush=True)
                 shown = urls
+                practice.jam_again()
                 clock.sleep(0.5)
     except KeyboardInterrupt:
         return CODES.met
@@ -94,7 +118,7 @@ def emulate(given: argparse.Namespace) -> int:
         clock.close()
 
 
-def _rig_text(rig: LoadedRig, urls: Mapping[str, str]) -> str:
+def _rig_text(rig: LoadedRig, urls: Mapping[str, str], valid: str) -> str:
     """The file of ``rig`` with its emulators at ``urls``, for any folder."""
     from bench.toml import toml_text
 
@@ -119,7 +143,7 @@ def _rig_text(rig: LoadedRig, urls: Mapping[str, str]) -> str:
         name = holder.get(key, "")
         if name and ("profile" not in key or name.endswith(".toml")):
             holder[key] = (rig.path.parent / name).resolve().as_posix()
-    return toml_text(table, "Written by 'teatbench emulate', and good while that runs.")
+    return toml_text(table, f"Written by 'teatbench emulate', and good {valid}.")
 
 
 def rigs(_: argparse.Namespace) -> None:
@@ -186,7 +210,7 @@ def detect(given: argparse.Namespace) -> int:
 
     answered = False
     for line, text in detect_lines(given.recording, given.detector or ["thesis"]):
-        print(json.dumps(line) if given.json else text, flush=True)
+        print(json_of(line) if given.json else text, flush=True)
         answered = answered or "outcome" not in line
     if not answered:
         return complain(

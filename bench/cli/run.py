@@ -8,23 +8,29 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bench.cli.arguments import CODES
 from bench.cli.store import undamaged
 from bench.cli.terminal import Terminal, TerminalProgress, working
 from bench.config import ConfigError
 from bench.record.reader import read_run
 from bench.rig.loading import LoadedRig, find_rig, load_rig
 from bench.rig.urls import PEOPLE
-from bench.run.events import Events, SafeProgress, event_lines
+from bench.run.events import ENDED, PROMPTED, Events, SafeProgress, event_lines
+from bench.run.resume import ASKED
 from bench.script.model import LoadedScript, find_script, load_script
 from instruments.operators.console import keyboard_of
 
 if TYPE_CHECKING:
+    from bench.report.page import Written
+    from bench.results.status import RunStatus
     from reports.page import Section
+
+WORST = (CODES.met, CODES.inconclusive, CODES.not_met, CODES.fault)  # of several runs
 
 
 def run(given: argparse.Namespace) -> int:
@@ -33,54 +39,125 @@ def run(given: argparse.Namespace) -> int:
             "--json is for --dry-run. What a run found is JSON in its report/run.json."
         )
     rig = load_rig(find_rig(given.rig))
-    path = find_script(given.script)
-    script = load_script(path, rig.rig.limits.set_point_c)
+    paths = [find_script(name) for name in given.script or [None]]
+    if len(paths) > 1 and given.record:
+        raise ConfigError.plain("--record is of one script. Give one, or leave --record out.")
+    if given.speed and not rig.rig.emulated:
+        raise ConfigError.plain("--speed is for an emulated rig: no real instrument is hurried.")
+    scripts = [load_script(path, rig.rig.limits.set_point_c) for path in paths]
     if given.dry_run:
         from bench.cli.dry_run import look_ahead
 
-        return look_ahead(rig, script, given.out, given.detector, given.seed, as_json=given.json)
+        return max(
+            look_ahead(rig, one, given.out, given.detector, given.seed, as_json=given.json)
+            for one in scripts
+        )
     if given.console:
         from bench.cli.console import beside
 
         with beside(given.out):
-            return _run(given, rig, script)
-    return _run(given, rig, script)
+            return _run(given, rig, scripts)
+    return _run(given, rig, scripts)
 
 
-def _run(given: argparse.Namespace, rig: LoadedRig, script: LoadedScript) -> int:
-    from bench.run import estimate
-    from bench.run.start import RunOptions, run_script
+def _run(given: argparse.Namespace, rig: LoadedRig, scripts: Sequence[LoadedScript]) -> int:
+    from bench.run.start import RunOptions, run_queue
 
     console = Terminal()
-    with event_lines(given.events) as lines, TerminalProgress(console) as shown:
+    with (
+        ExitStack() as stack,
+        event_lines(given.events) as lines,
+        TerminalProgress(console) as shown,
+    ):
         progress = Events(shown, lines)
+        word = stack.enter_context(_words(given, rig, progress))
         how = RunOptions(
             typed=typed_lines(rig.rig.operator.url),
             seed=given.seed,
             detectors=given.detector,
             record=given.record,
-            realtime=given.realtime or (given.console and bool(rig.rig.emulated)),
+            realtime=bool(given.realtime or given.speed)
+            or (given.console and bool(rig.rig.emulated)),
+            speed=given.speed,
             capture=given.capture,
             begun=shown.say,
         )
-        folder, _ = run_script(rig, script, given.out, progress, how)
+        ended = run_queue(rig, scripts, given.out, progress, how)
         progress.state("writing the report")
-        from bench.cli.verdict import open_report, show_verdict
         from bench.report.page import write_run_report  # late: loads for half a second
 
-        written = write_run_report(folder)
-    code = show_verdict(console, *written)
-    record = read_run(folder)
-    spent = estimate.took(record)
-    # the next estimate is better by what this run took; one that stopped shows nothing
-    if record.ending == "finished" and "total_s" in spent:
-        expected = estimate.needs(rig, script, estimate.read_durations(given.out, rig)).time
-        figures = estimate.figures(record, rig, script, spent)
-        estimate.write_durations(folder, rig, expected, spent, figures)
-        print(estimate.estimate_text(expected, spent))
+        reports = [write_run_report(folder) for folder, _ in ended]
+        word([one.status for one in reports])
+    return _shown(given, console, rig, scripts, reports)
+
+
+def _summarize(given: argparse.Namespace, written: Written) -> None:
+    if given.summary:
+        from bench.report import summary
+
+        summary.append(given.summary, summary.of_run(written))
+
+
+@contextmanager
+def _words(
+    given: argparse.Namespace, rig: LoadedRig, events: Events
+) -> Iterator[Callable[[Sequence[RunStatus]], None]]:
+    """Sends word of what happens; gives what sends the last one, of all runs as they ended."""
+    from bench.run.notify import notifying, text_of
+
+    person = rig.rig.operator.url in PEOPLE
+    with notifying(given.notify or rig.rig.notify.urls, events.warn) as send:
+
+        def now(kind: str) -> None:
+            if kind != PROMPTED or person:
+                send(kind, lambda: text_of(kind, events.status()))
+
+        def ended(runs: Sequence[RunStatus]) -> None:
+            first, *others = (text_of(ENDED, status) or ("", "") for status in runs)
+            title = first[0] if not others else f"{len(runs)} runs: {ENDED}"
+            send(ENDED, lambda: (title, "\n\n".join(text for _, text in (first, *others))))
+
+        events.notify = now
+        yield ended
+
+
+def _shown(
+    given: argparse.Namespace,
+    console: Terminal,
+    rig: LoadedRig,
+    scripts: Sequence[LoadedScript],
+    reports: Sequence[Written],
+) -> int:
+    """Verdicts and times of the runs; the worst exit code."""
+    from bench.cli.verdict import open_report, show_verdict
+    from bench.run import estimate
+
+    codes = []
+    for script, written in zip(scripts, reports, strict=False):
+        codes.append(show_verdict(console, written))
+        _summarize(given, written)
+        record = written.run
+        spent = estimate.took(record)
+        # the next estimate is better by what this run took; one that stopped shows nothing, and one
+        # on a warm rig did not heat
+        if written.status.state == "finished" and "total_s" in spent:
+            expected = estimate.needs(rig, script, estimate.read_durations(given.out, rig)).time
+            if not record.facts[ASKED].get("warm"):
+                figures = estimate.figures(record, rig, script, spent)
+                estimate.write_durations(record.folder, rig, expected, spent, figures)
+            print(estimate.estimate_text(expected, spent))
+    page = reports[-1].path
+    if len(scripts) > 1:
+        from bench.report.runs import write_queue_page
+        from bench.results.queue import queues
+
+        queue = next(queues(given.out))
+        page = write_queue_page(given.out, queue)
+        print(f"Queue: {queue.headline}\nPage: {page}")
+        codes += [CODES.fault] * (len(scripts) - len(reports))
     if given.open:
-        open_report(written[0])
-    return code
+        open_report(page)
+    return max(codes, key=WORST.index)
 
 
 def resume(given: argparse.Namespace) -> int:
@@ -95,11 +172,16 @@ def resume(given: argparse.Namespace) -> int:
             from bench.report.page import write_run_report
 
             print(f"{given.run}: every trial is done, the bench died before it wrote the report")
-            return show_verdict(console, *write_run_report(given.run, damage=damage))
-        operator = files_of(record)[0].rig.operator.url
-        with event_lines(given.events) as lines, TerminalProgress(console) as shown:
+            return show_verdict(console, write_run_report(given.run, damage=damage))
+        rig = files_of(record)[0]
+        with (
+            ExitStack() as stack,
+            event_lines(given.events) as lines,
+            TerminalProgress(console) as shown,
+        ):
             progress = Events(shown, lines)
-            typed = typed_lines(operator)
+            word = stack.enter_context(_words(given, rig, progress))
+            typed = typed_lines(rig.rig.operator.url)
             resume_run(
                 given.run, progress, RunOptions(capture=given.capture, typed=typed, begun=shown.say)
             )
@@ -108,7 +190,9 @@ def resume(given: argparse.Namespace) -> int:
             from bench.report.page import write_run_report
 
             written = write_run_report(given.run, damage=damage)
-        return show_verdict(console, *written)
+            word([written.status])
+        _summarize(given, written)
+        return show_verdict(console, written)
 
 
 def _is_reported(folder: Path) -> bool:
@@ -149,7 +233,8 @@ def score(given: argparse.Namespace) -> int:
         folder = score_recording(given.recording, given.out, progress, given.detector or ["thesis"])
         progress.state("writing the report")
         written = write_run_report(folder)
-    code = show_verdict(console, *written)
+    code = show_verdict(console, written)
+    _summarize(given, written)
     run = read_run(folder)
     if text := run.facts.get(UNCHECKED_FACT):
         print(f"Cameras {text}.")
@@ -158,7 +243,7 @@ def score(given: argparse.Namespace) -> int:
 
 
 def report(given: argparse.Namespace) -> int:
-    from bench.cli.verdict import show_verdict
+    from bench.cli.verdict import open_report, show_verdict
     from bench.report.page import PDF, REPORT, write_run_report
     from reports.pdf import find_browser, print_pdf
     from reports.render import WHOLE
@@ -182,7 +267,10 @@ def report(given: argparse.Namespace) -> int:
                 chapters = (baseline_section(given.baseline, given.run, damage),)
         with working("writing the report"):
             written = write_run_report(given.run, chapters, damage)
-        code = show_verdict(Terminal(), *written)
+        code = show_verdict(Terminal(), written)
+        _summarize(given, written)
+    if given.open:
+        open_report(given.run / REPORT / "index.html")
     if browser:
         folder = given.run / REPORT
         try:

@@ -6,7 +6,6 @@ run that goes on.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -14,7 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.cli.arguments import CODES, code_of, complain
+from bench.cli.arguments import CODES, code_of, complain, json_of
 from bench.cli.terminal import working
 from bench.config import ConfigError, writing
 from bench.files import write_synced
@@ -22,6 +21,7 @@ from bench.record.check import NOT_AS_WRITTEN, check_run, checked_first, shorten
 
 if TYPE_CHECKING:
     from bench.results.comparison import Comparison
+    from reports.runs import Runs
 
 DAMAGED = "NOT-AS-WRITTEN.txt"  # beside what was exported of a damaged record
 TAKEN_S = 10.0  # a run looks once a second; a capture or a detection may take longer
@@ -115,7 +115,7 @@ def compare(given: argparse.Namespace) -> int:
                 found = compare_folders(given.run, given.detector, **how, damage=damage)
             return print_comparisons(given, found)
         if given.json:
-            print(json.dumps(rows, indent=1, ensure_ascii=False))
+            print(json_of({"together": rows}, indent=1))
         else:
             print("\n".join(line for one in judged for line in judgement_lines(one)))
     return code_of(verdict.value) if given.gate else CODES.met
@@ -127,7 +127,7 @@ def print_comparisons(given: argparse.Namespace, found: Sequence[Comparison]) ->
     from bench.scoring.decisions import overall
 
     if given.json:
-        print(json.dumps(as_json(found), indent=1, ensure_ascii=False))
+        print(json_of(as_json(found), indent=1))
     else:
         _show(found)
     if given.out:
@@ -135,6 +135,10 @@ def print_comparisons(given: argparse.Namespace, found: Sequence[Comparison]) ->
             path = write_comparison(found, given.out)
         if not given.json:
             print(f"Report: {path}")
+    if given.summary:
+        from bench.report import summary
+
+        summary.append(given.summary, summary.of_comparisons(found))
     verdict = overall(one.compared.gate.verdict for one in found)
     return code_of(verdict.value) if given.gate else CODES.met
 
@@ -166,13 +170,13 @@ def _show(found: Sequence[Comparison]) -> None:
 
 
 def control(given: argparse.Namespace) -> int:
-    from bench.record.reader import read_run
+    from bench.results.status import read_status
     from bench.run.interruptions import leave_request, was_taken
     from instruments.clock import RealClock
 
-    run = read_run(given.run)
-    if run.ending != "interrupted":
-        print(f"{given.run} has ended ({run.state}): it takes no requests any more.")
+    status = read_status(given.run)
+    if not status.under_way:
+        print(f"{given.run} has ended ({status.state}): it takes no requests any more.")
         return CODES.wrong_use
     leave_request(given.run, " ".join(given.words))
     if was_taken(given.run, RealClock(), TAKEN_S):
@@ -186,12 +190,16 @@ def control(given: argparse.Namespace) -> int:
 
 
 def runs(given: argparse.Namespace) -> None:
-    from bench.cli.terminal import Terminal, working
-    from bench.report.runs import counted, list_runs, write_runs_page
-    from bench.report.wording import number
+    from bench.cli.terminal import working
+    from bench.report.runs import list_runs, write_runs_page
 
     with working("reading the runs"):
         found = list_runs(given.folder)
+    page, why = None, ""
+    try:
+        page = str(write_runs_page(found))
+    except OSError as error:  # a folder to look at, and no more
+        why = f"not written: {error.strerror or error}"
     if given.json:
         text = {
             "runs": [run.as_dict() for run in found.runs],
@@ -202,11 +210,21 @@ def runs(given: argparse.Namespace) -> None:
             "others": [
                 {"folder": str(found.folder / name), "why": why} for name, why in found.others
             ],
-            "page": str(write_runs_page(found)),
+            "health": found.warnings,
+            "page": page,
         }
-        print(json.dumps(text, indent=1, ensure_ascii=False))
+        print(json_of(text, indent=1))
         return
+    _show_runs(found)
+    print(f"Page: {page or why}")
+
+
+def _show_runs(found: Runs) -> None:
     from rich.table import Table
+
+    from bench.cli.terminal import Terminal
+    from bench.report.runs import counted
+    from bench.report.wording import number
 
     console = Terminal()
     table = Table()
@@ -227,6 +245,7 @@ def runs(given: argparse.Namespace) -> None:
     for run in found.runs:
         if run.note:
             console.print(f"{run.folder.name}: {run.note}", highlight=False, soft_wrap=True)
+    for text in found.warnings:
+        console.print(f"Bench health: {text}", style="yellow", highlight=False, soft_wrap=True)
     for name, why in found.others:
         console.print(f"not a run: {name}: {why}", highlight=False, soft_wrap=True)
-    print(f"Page: {write_runs_page(found)}")

@@ -5,10 +5,9 @@ long it takes; `plan`, how many poses a claim needs and what so many can show.
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import asdict
 
-from bench.cli.arguments import CODES, print_values
+from bench.cli.arguments import CODES, json_of, print_values
 from bench.config import ConfigError
 from bench.rig.loading import find_rig, load_rig, shipped
 from bench.scoring.rates import plural
@@ -22,7 +21,7 @@ def listed(given: argparse.Namespace) -> None:
     names = shipped(TRIALS)
     rows = {name: load_script(TRIALS / f"{name}.toml").script.about for name in names}
     if given.json:
-        print(json.dumps(rows, ensure_ascii=False))
+        print(json_of({"scripts": rows}))
     else:
         print_values(rows)
 
@@ -47,7 +46,7 @@ def show(given: argparse.Namespace) -> int:
             "estimate": {**asdict(time), "total_s": time.total_s},
             "assumed": {f"{key} [{UNITS.get(key, 's')}]": value for key, value in ASSUMED.items()},
         }
-        print(json.dumps(shown, ensure_ascii=False))
+        print(json_of(shown))
         return CODES.met
     from rich.table import Table
 
@@ -126,6 +125,6 @@ def plan(given: argparse.Namespace) -> None:
     more = {name: getattr(given, name) for name in names}
     found = make_plan(tuple(given.rate) or RATES, confidence, poses=poses, **more)
     if given.json:
-        print(json.dumps(asdict(found), indent=1))
+        print(json_of(asdict(found), indent=1))
     else:
         print(*plan_lines(found), sep="\n")

@@ -18,30 +18,28 @@ from rich.text import Text
 from bench.cli.arguments import CODES, code_of
 from bench.cli.terminal import Terminal
 from bench.record.reader import RunRecord
-from bench.record.state import State
-from bench.report.wording import STOPPED, headline, limit, measured
-from bench.results.exports import trial_text
+from bench.report.page import Written
+from bench.report.wording import limit, measured
 from bench.results.verdicts import Judgement, run_verdict
 from bench.run.events import FAILURES
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.rates import plural
+from reports.page import UNFINISHED
 from reports.render import SIGNS
 
 COLOURS: dict[str, str] = {  # the others are yellow
-    **dict.fromkeys(STOPPED.values(), "red"),
+    **dict.fromkeys(UNFINISHED, "red"),
     "met": "green",
     "not met": "red",
     "running": "yellow",
 }
 
 
-def show_verdict(
-    console: Terminal, report: Path, record: RunRecord, judgements: Sequence[Judgement]
-) -> int:
+def show_verdict(console: Terminal, written: Written) -> int:
     """Show what a run found; gives back its exit code, whether or not it can be shown."""
+    report, record, judgements, status = written
     with suppress(*FAILURES):
-        verdict, why, then = headline(record, judgements)
-        decided = record.ending == "finished" and not record.damage and bool(judgements)
+        decided = status.decided and bool(judgements)
         if decided:
             console.print(_bench(record, judgements[0]))
         if judgements:
@@ -50,15 +48,19 @@ def show_verdict(
             for judgement in judgements:
                 console.print(_of_detector(console, judgement))
         else:
-            word = (verdict, f"bold {COLOURS.get(verdict, 'yellow')}")
-            if record.state is State.RUNNING and not record.damage:
-                console.print(Text.assemble(word, f": {trial_text(record)}"))
+            word = (status.word, f"bold {COLOURS.get(status.word, 'yellow')}")
+            if status.under_way and not status.damage:
+                console.print(Text.assemble(word, f": {status.trials}"))
+                console.print(status.line, markup=False)
             else:
                 console.print(Text.assemble("Verdict: ", word))
-                console.print(why, markup=False)
+                console.print(status.why, markup=False)
+            for line in status.unsafe:
+                console.print(f"NOT SAFE: {line}", style="bold red", markup=False)
+            then = " ".join(status.next[len(status.unsafe) :])
             console.print(f"Next: {then}", markup=False)
         console.print(f"Report: {report.resolve().as_uri()}", markup=False, soft_wrap=True)
-    finished = record.ending == "finished"
+    finished = status.state == "finished"
     return code_of(run_verdict(judgements).value) if finished else CODES.fault
 
 

@@ -13,9 +13,12 @@ import secrets
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import partial
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
+import segno
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool as _off
 from starlette.requests import Request
@@ -26,7 +29,10 @@ from starlette.types import ASGIApp
 
 from bench.config import ConfigError
 from bench.console import starting, watching
-from bench.console.guard import Guard
+from bench.console.guard import PAIRED, Guard, Pairing
+from bench.results.queue import queues
+from bench.results.status import under_way
+from bench.rig.practice import leave
 from bench.run.interruptions import ABORT, leave_request, parse_request
 from instruments.clock import RealClock, wall_time
 from instruments.operators.mailbox import AlreadyAnsweredError, NotOpenError, give_answer
@@ -35,6 +41,7 @@ from instruments.operators.operator import ABORT as ABORTS
 STATIC = Path(__file__).parent / "static"
 POLL_S = 0.05  # between two looks at a run's files
 BEAT_S = 10.0  # a comment, so that a connection that went away is noticed
+SPEEDS = {1: ["--realtime"], 10: ["--speed", "10"]}  # of a run on emulators that is watched
 LONGEST = 400  # of a name or an answer
 MOST_PAGES, QUEUED = 500, 2000  # pages that follow runs; news that one may not have read yet
 BODY_S = 8.0  # a request's body has come by then
@@ -68,7 +75,8 @@ class Lease:
         return {"mine": self.client == client, "name": self.name, "since": self.since}
 
 
-News = tuple[str, Any]  # "event", "live", "prompt" or "lease", and its value
+FOLLOWED = ("status", "live", "prompt", "practice", "lease")
+News = tuple[str, Any]  # "event" or one of FOLLOWED, and its value
 
 
 @dataclass(slots=True, eq=False)
@@ -120,8 +128,10 @@ class Pages:
         seen: dict[str, Any] = {}
         while True:
             now: dict[str, Any] = {
+                "status": watching.status(folder),
                 "live": watching.live(folder),
                 "prompt": watching.prompt(folder),
+                "practice": watching.practice(folder),
                 "lease": (lease.client, lease.name, lease.since),
             }
             news: list[News] = [("event", event) for event in came]
@@ -142,6 +152,7 @@ class Console:
     runs: Path
     rigs: Path
     origin: str
+    pairing: Pairing
     lease: Lease = field(default_factory=Lease)
     tickets: dict[str, Path] = field(default_factory=dict)
     pages: Pages = field(default_factory=Pages)
@@ -157,6 +168,8 @@ class Console:
             Route("/api/dry-run", self.dry_run, methods=["POST"]),
             Route("/api/start", self.start, methods=["POST"]),
             Route("/api/lease", self.take_lease, methods=["POST"]),
+            Route("/api/pair", self.pair, methods=["POST"]),
+            Route(PAIRED, self.paired, methods=["POST"]),
             Route(one, self.snapshot),
             Route(f"{one}/stream", self.stream),
             Route(f"{one}/thumbnails", self.thumbnails),
@@ -166,20 +179,22 @@ class Console:
             Route(f"{one}/set-up", self.set_up),
             Route(f"{one}/answers/{{number:int}}", self.answer, methods=["POST"]),
             Route(f"{one}/control", self.control, methods=["POST"]),
+            Route(f"{one}/practice", self.practise, methods=["POST"]),
             Route(f"{one}/resume", self.resume, methods=["POST"]),
             Route(f"{one}/report", self.open_report, methods=["POST"]),
         ]
 
     async def listed(self, _: Request) -> Response:
         found = await _off(watching.listed, self.runs)
-        return JSONResponse({"runs": found, "pages": self.pages.count})
+        queued = await _off(lambda: [one.as_dict() for one in queues(self.runs, 1)])
+        return JSONResponse({"runs": found, "queues": queued, "pages": self.pages.count})
 
     async def snapshot(self, request: Request) -> Response:
         found = await _off(watching.snapshot, self._folder(request))
         return JSONResponse({**found, "lease": self.lease.as_seen_by(_client(request))})
 
     async def stream(self, request: Request) -> Response:
-        """Server-sent events: `snapshot`, then `event` (by number), `live`, `prompt`, `lease`."""
+        """Server-sent events: `snapshot`, then `event` (by number) and what is in FOLLOWED."""
         folder, last = self._folder(request), request.headers.get("last-event-id", "")
         after = int(last) if last.isdecimal() else None
         if (page := self.pages.add(folder, self.lease)) is None:
@@ -198,7 +213,7 @@ class Console:
             recent = await _off(lambda: list(watching.Events(folder).recent()))
             if after is None:
                 after = first["number"]
-            seen: dict[str, Any] = {name: first[name] for name in ("live", "prompt", "lease")}
+            seen: dict[str, Any] = {name: first[name] for name in FOLLOWED}
             news: list[News] = [("event", event) for event in recent]
             while True:
                 for kind, value in news:
@@ -251,7 +266,7 @@ class Console:
         number = request.path_params["number"]
         if words.strip().lower() not in ABORTS and not self.lease.held_by(client, name):
             return _refused(403, f"{self.lease.name} answers prompts; take over first")
-        if not watching.under_way(folder):
+        if not under_way(folder):
             return _refused(409, "this run is not under way")
         try:
             taken = await _off(give_answer, folder, number, words, name or "a browser")
@@ -273,9 +288,18 @@ class Console:
             return _refused(422, str(error))
         if wish != ABORT and not self.lease.held_by(_client(request), _text(given, "name")):
             return _refused(403, f"{self.lease.name} has the controls; take over first")
-        if not watching.under_way(folder):
+        if not under_way(folder):
             return _refused(409, "this run is not under way")
         await _off(leave_request, folder, words)
+        return JSONResponse({"left": words})
+
+    async def practise(self, request: Request) -> Response:
+        """``{"words": "pull arm"}``: one of those that the emulated rig shows."""
+        folder, given = self._folder(request), await _body(request)
+        words, now = _text(given, "words"), watching.practice(folder)
+        if now is None or not any(words in one["words"].values() for one in now["choices"]):
+            return _refused(409, "that can't be done to this run's rig just now")
+        await _off(leave, folder, words)
         return JSONResponse({"left": words})
 
     async def take_lease(self, request: Request) -> Response:
@@ -284,6 +308,18 @@ class Console:
             return _refused(422, "a page says its own number in the header X-Client")
         self.lease.take(client, _text(given, "name"))
         return JSONResponse(self.lease.as_seen_by(client))
+
+    async def pair(self, request: Request) -> Response:
+        """A link that another browser opens once, and its QR code as a data URI."""
+        await _body(request)
+        url = pairing_url(self)
+        svg = segno.make(url, error="m").svg_data_uri(scale=6, light="white")
+        return JSONResponse({"url": url, "qr": svg, "here": is_here(self.origin)})
+
+    async def paired(self, request: Request) -> Response:
+        """The token, for a code that the guard has taken."""
+        await _body(request)
+        return JSONResponse({"token": self.pairing.token})
 
     async def choices(self, _: Request) -> Response:
         found = asdict(await _off(starting.choices, self.rigs))
@@ -296,8 +332,8 @@ class Console:
     async def start(self, request: Request) -> Response:
         given = await _body(request)
         arguments = [*await self._chosen(given), "--out", str(self.runs)]
-        if given.get("realtime") is True:
-            arguments.append("--realtime")
+        if (speed := given.get("speed")) in SPEEDS:
+            arguments += SPEEDS[speed]
         return await self._started(arguments)
 
     async def resume(self, request: Request) -> Response:
@@ -306,10 +342,13 @@ class Console:
         return await self._started(["resume", str(folder)], folder.name)
 
     async def _chosen(self, given: Mapping[str, Any]) -> list[str]:
-        names = given.get("detectors", [])
-        detectors = [str(name) for name in names] if isinstance(names, list) else []
+        def names(key: str) -> list[str]:
+            named = given.get(key, [])
+            return [str(name) for name in named] if isinstance(named, list) else []
+
         found = await _off(starting.choices, self.rigs)
-        return found.command(_text(given, "rig"), _text(given, "script"), detectors)
+        scripts = names("scripts") or [_text(given, "script")]
+        return found.command(_text(given, "rig"), scripts, names("detectors"))
 
     async def _started(self, arguments: list[str], known: str = "") -> Response:
         name = await _off(starting.start, arguments, self.runs, RealClock(), known)
@@ -339,10 +378,22 @@ class Console:
         return watching.run_folder(self.runs, request.path_params["run"])
 
 
-def make_app(console: Console, token: str, hosts: list[str]) -> ASGIApp:
+def pairing_url(console: Console) -> str:
+    return f"{console.origin}/#pair-{console.pairing.code()}"
+
+
+def is_here(origin: str) -> bool:
+    """Whether only this machine reaches it."""
+    host = urlsplit(origin).hostname or ""
+    return ip_address(host.partition("%")[0]).is_loopback
+
+
+def make_app(console: Console, hosts: list[str]) -> ASGIApp:
     handlers: dict[Any, Any] = {watching.NoRunError: _said(404), OSError: _said(500)}
     handlers |= dict.fromkeys((starting.NotStartedError, BadBodyError, ConfigError), _said(422))
-    return Guard(Starlette(routes=console.routes(), exception_handlers=handlers), token, hosts)
+    return Guard(
+        Starlette(routes=console.routes(), exception_handlers=handlers), console.pairing, hosts
+    )
 
 
 class BadBodyError(ValueError):

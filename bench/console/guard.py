@@ -1,20 +1,24 @@
 """Who may ask the console anything: each request is looked at before any route.
 
 The token goes in the header ``Authorization: Bearer TOKEN``, which no form, link, picture or other
-site can send; cookies are never read. Host has to be the console's own (else a foreign name that
-resolves to it could read answers), Origin too where there is one, and what changes something has to
-come as JSON.
+site can send; cookies are never read. A phone gets it in exchange for a code that is good once.
+Host has to be the console's own (else a foreign name that resolves to it could read answers),
+Origin too where there is one, and what changes something has to come as JSON.
 """
 
 from __future__ import annotations
 
 import asyncio
 import hmac
+import secrets
 from collections.abc import Collection
+from dataclasses import dataclass, field
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from instruments.clock import stopwatch_s
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:;"
@@ -28,16 +32,35 @@ HEADERS = {
     "cross-origin-resource-policy": "same-origin",
     "cross-origin-opener-policy": "same-origin",
 }
+PAIRED, PAIR_S = "/api/paired", 600.0  # where a code is exchanged; how long it is good
 MOST_BYTES = 1 << 16  # of a request's body
 REQUEST_S = 8.0  # a request's head has come by then
+
+
+@dataclass(slots=True)
+class Pairing:
+    """The token, and codes that are exchanged for it once, each within `PAIR_S`."""
+
+    token: str
+    _until_s: dict[str, float] = field(default_factory=dict)
+
+    def code(self) -> str:
+        code = secrets.token_urlsafe(18)
+        self._until_s[code] = stopwatch_s() + PAIR_S
+        return code
+
+    def takes(self, code: str) -> bool:
+        """Whether ``code`` is good; it is no longer, from now on."""
+        return stopwatch_s() < self._until_s.pop(code, 0.0)
 
 
 class Guard:
     """``app`` behind the checks. ``hosts``: allowed values of Host, as ``127.0.0.1:8421``."""
 
-    def __init__(self, app: ASGIApp, token: str, hosts: Collection[str]) -> None:
+    def __init__(self, app: ASGIApp, pairing: Pairing, hosts: Collection[str]) -> None:
         self._app = app
-        self._token = token.encode()
+        self._pairing = pairing
+        self._token = pairing.token.encode()
         self._hosts = frozenset(hosts)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -69,7 +92,9 @@ class Guard:
         if not scope["path"].startswith("/api"):
             return None if scope["method"] in ("GET", "HEAD") else (405, "only to be read")
         kind, _, token = headers.get("authorization", "").partition(" ")
-        if kind.lower() != "bearer" or not hmac.compare_digest(token.encode(), self._token):
+        paired = scope["path"] == PAIRED and self._pairing.takes(token)
+        known = paired or hmac.compare_digest(token.encode(), self._token)
+        if kind.lower() != "bearer" or not known:
             return 401, "no token, or a wrong one: open the address that the console printed"
         if scope["method"] in ("GET", "HEAD"):
             return None

@@ -39,11 +39,13 @@ class Choices:
     scripts: Mapping[str, str]
     detectors: Sequence[str]
 
-    def command(self, rig: str, script: str, detectors: Sequence[str]) -> list[str]:
-        """The arguments of `teatbench` that run it. Raises NotStartedError for other names."""
+    def command(self, rig: str, scripts: Sequence[str], detectors: Sequence[str]) -> list[str]:
+        """The arguments of `teatbench` that run them one after the other. Raises NotStartedError
+        for other names.
+        """
         for what, name, known in (
             ("rig", rig, self.rigs),
-            ("script", script, self.scripts),
+            *(("script", script, self.scripts) for script in scripts or [""]),
             *(("detector", name, self.detectors) for name in detectors),
         ):
             if name not in known:
@@ -51,7 +53,8 @@ class Choices:
                     f"there is no {what} {name!r} (there are: {', '.join(known)})"
                 )
         under_test = [word for name in detectors for word in ("--detector", name)]
-        return ["run", self.scripts[script], "--rig", self.rigs[rig], *under_test]
+        names = [self.scripts[script] for script in scripts]
+        return ["run", *names, "--rig", self.rigs[rig], *under_test]
 
 
 def choices(folder: Path) -> Choices:

@@ -19,22 +19,20 @@ import numpy as np
 
 from bench.config import ConfigError, read_calibration
 from bench.record.reader import opened, points_mm, read_run
-from bench.record.schema import DATABASE
-from bench.record.state import NO_ENDING, TRIP, holder_of, state_of
+from bench.record.schema import DATABASE, GUARDIAN_FILES
 from bench.report.runs import run_thumbnails
 from bench.report.trials import project_all
+from bench.results.status import LIVE, RUN_JSON, RunStatus, live_status, read_status, under_way
+from bench.rig.practice import SHOWN as PRACTICE
 from bench.run.events import EVENTS_FILE
-from bench.run.live import CAMERAS, LIVE
 from bench.run.set_up_picture import FOLDER as SET_UP
+from instruments.camera.cameras import KNOWN as CAMERAS
 from instruments.operators.mailbox import FOLDER, read_prompt
+from reports.frames import places_of
 
 TAIL_BYTES = 1 << 16  # of the events, for who has seen none
 PIECE_BYTES = 1 << 16  # read at a time
 CURVE = 600  # points of the bath's curve
-TRIPS = (
-    "SELECT COUNT(*) FROM events WHERE kind = ? AND session = (SELECT MAX(number) FROM sessions)"
-)
-RUN_JSON = "report/run.json"
 
 
 class NoRunError(LookupError):
@@ -51,7 +49,7 @@ def run_folder(runs: Path, name: str) -> Path:
 
 
 def listed(runs: Path) -> list[dict[str, Any]]:
-    """All runs, newest first: name, title, how it ended, verdict by detector."""
+    """All runs, newest first: what each is, and how it stands."""
     found = []
     with suppress(OSError):
         for folder in sorted(runs.iterdir(), key=lambda one: one.name, reverse=True):
@@ -62,36 +60,38 @@ def listed(runs: Path) -> list[dict[str, Any]]:
 
 
 def _card(folder: Path) -> dict[str, Any]:
-    held = under_way(folder)  # first: a run that ends from here on has its ending
     with opened(folder) as db:
-        stored = db.execute("SELECT key, value FROM facts").fetchall()
-        (trips,) = db.execute(TRIPS, (TRIP,)).fetchone()
-        (done,) = db.execute("SELECT COUNT(*) FROM trials").fetchone()
-    facts = {key: json.loads(value) for key, value in stored}
-    state = state_of(facts.get("ending", NO_ENDING), tripped=bool(trips), held=held)
-    ending = "under way" if held else facts.get("ending", NO_ENDING)
-    verdicts: dict[str, str] = {}
-    if ending == "finished":  # part of a run has no verdict
-        with suppress(OSError, ValueError, KeyError):
-            written = json.loads((folder / RUN_JSON).read_text(encoding="utf-8"))
-            if written["ending"] == ending:  # else of an earlier session
-                verdicts = {one["detector"]: one["verdict"] for one in written["judgements"]}
+        facts = {k: json.loads(v) for k, v in db.execute("SELECT key, value FROM facts")}
     return {
         "name": folder.name,
-        "title": facts["title"],
-        "script": facts.get("script", ""),
-        "rig": facts.get("rig", ""),
-        "kind": facts["kind"],
-        "planned": facts.get("planned"),
-        "done": done,
+        **{key: facts.get(key, "") for key in ("title", "script", "rig", "kind", "set_point_c")},
         "detectors": facts["detectors"],
-        "set_point_c": facts.get("set_point_c"),
         "started": facts["wall_started"],
-        "ending": ending,
-        "state": state.value,
-        "verdicts": verdicts,
         "report": (folder / RUN_JSON).is_file(),
+        "status": status(folder),
     }
+
+
+def status(folder: Path) -> dict[str, Any]:
+    """How the run stands, as JSON; of one under way by what it says of itself."""
+    if under_way(folder) and (found := live_status(folder)):
+        return found.as_dict()
+    files = [folder / name for name in (DATABASE, f"{DATABASE}-wal", RUN_JSON)]
+    marks = map(_mark, (*files, *sorted(folder.glob(GUARDIAN_FILES))))
+    return _read(folder, under_way(folder), *marks).as_dict()
+
+
+@lru_cache(maxsize=512)
+def _read(folder: Path, *_: float) -> RunStatus:
+    return read_status(folder)
+
+
+def _mark(path: Path) -> float:
+    """Changes when the file does."""
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
 
 
 def snapshot(folder: Path) -> dict[str, Any]:
@@ -100,8 +100,10 @@ def snapshot(folder: Path) -> dict[str, Any]:
     last = list(events.recent())
     return {
         "run": _card(folder),
+        "status": status(folder),
         "live": live(folder),
         "prompt": prompt(folder),
+        "practice": practice(folder),
         "curve": curve(folder),
         "events": last,
         "number": last[-1]["number"] if last else 0,
@@ -119,14 +121,23 @@ def _thumbnails(folder: Path, _: int) -> tuple[tuple[str, str], ...]:
 
 
 def live(folder: Path) -> dict[str, Any] | None:
-    """The run as it is now; None where no run is under way: a killed bench leaves its last."""
-    if not under_way(folder):
-        return None
-    try:
-        found = json.loads((folder / FOLDER / LIVE).read_bytes())
-    except (OSError, ValueError):
-        return None
-    return found if isinstance(found, dict) else None
+    """Bath, interlocks, tip and frames as they are now; None where no run is under way: a
+    killed bench leaves its last.
+    """
+    found = _now(folder, f"{FOLDER}/{LIVE}")
+    return found and {key: value for key, value in found.items() if key != "status"}
+
+
+def practice(folder: Path) -> dict[str, Any] | None:
+    """How the emulated rig of a run in real time stands, and what can be done to it."""
+    return _now(folder, PRACTICE)
+
+
+def _now(folder: Path, name: str) -> dict[str, Any] | None:
+    if under_way(folder):
+        with suppress(OSError, ValueError, TypeError):
+            return dict(json.loads((folder / name).read_bytes()))
+    return None
 
 
 def prompt(folder: Path) -> dict[str, Any] | None:
@@ -141,10 +152,6 @@ def set_up_picture(folder: Path) -> Path | None:
     """The newest picture of a set-up; None where none was made."""
     made = list((folder / SET_UP).glob("*.png"))
     return max(made, key=lambda path: path.stat().st_mtime_ns, default=None)
-
-
-def under_way(folder: Path) -> bool:
-    return bool(holder_of(folder))
 
 
 def curve(folder: Path) -> list[list[float]]:
@@ -178,6 +185,7 @@ def trials(folder: Path) -> list[dict[str, Any]]:
                     *({"of": str(row["detector"]), "text": ""} for row in trial.found),
                 ],
                 "px": seen,
+                "places": places_of(trial.scores),
                 "mirrored": ["thermal"] if calibration.thermal.mirrored else [],
                 "scores": {
                     name: {

@@ -27,7 +27,7 @@ from bench.record.schema import (
     Row,
     version_of,
 )
-from bench.record.state import NO_ENDING, TRIP, State, holder_of, state_of
+from bench.record.state import NO_ENDING, TRIP, holder_of
 from bench.scoring.scene import SceneScore, scene_from_dict
 
 HEADS = (
@@ -167,7 +167,8 @@ class RunRecord:
     ``external_c`` (n,) is nan without a sensor. ``head``: last link of the chain, number 0 without
     one; ``first_link``: the digest of its first, "" without. ``holder``: the bench that worked on
     it as it was read, by its lock. ``guardians``: what those did that had to act, by session.
-    ``damage``: what isn't as it was written, with which no verdict holds.
+    ``damage``: what isn't as it was written, with which no verdict holds. ``counted_trials``: of a
+    record that was read without its trials and readings.
     """
 
     folder: Path
@@ -185,6 +186,7 @@ class RunRecord:
     damage: tuple[str, ...] = ()
     first_link: str = ""
     holder: Mapping[str, Any] = field(default_factory=dict)
+    counted_trials: int | None = None
 
     @property
     def ending(self) -> str:
@@ -192,11 +194,15 @@ class RunRecord:
         return str(self.facts.get("ending", NO_ENDING))
 
     @property
-    def state(self) -> State:
-        """How the run stood as it was read: the word for people."""
+    def tripped(self) -> bool:
+        """Whether an interlock tripped in its last session."""
         last = (event for event in self.events if event.get("session", 1) == self.sessions)
-        tripped = any(event["kind"] == TRIP for event in last)
-        return state_of(self.ending, tripped=tripped, held=bool(self.holder))
+        return any(event["kind"] == TRIP for event in last)
+
+    @property
+    def done(self) -> int:
+        """How many trials have their result."""
+        return len(self.trials) if self.counted_trials is None else self.counted_trials
 
     @property
     def guardian(self) -> Mapping[str, Any] | None:
@@ -213,11 +219,13 @@ class RunRecord:
         return tuple(self.facts["detectors"])
 
 
-def read_run(folder: Path, damage: tuple[str, ...] = ()) -> RunRecord:
-    """The run in ``folder``, whatever its state. Raises ConfigError."""
+def read_run(folder: Path, damage: tuple[str, ...] = (), *, whole: bool = True) -> RunRecord:
+    """The run in ``folder``, whatever its state; unless ``whole`` without its trials and readings.
+    Raises ConfigError.
+    """
     try:
         with opened(folder) as db:
-            record = _read(folder, db, damage)
+            record = _read(folder, db, damage, whole=whole)
     except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
         hint = f"'teatbench store check {folder}' says what is damaged."
         why = f"{type(error).__name__}: {error}. {hint}"
@@ -228,19 +236,23 @@ def read_run(folder: Path, damage: tuple[str, ...] = ()) -> RunRecord:
     return record
 
 
-def _read(folder: Path, db: sqlite3.Connection, damage: tuple[str, ...]) -> RunRecord:
+def _read(
+    folder: Path, db: sqlite3.Connection, damage: tuple[str, ...], *, whole: bool
+) -> RunRecord:
     db.row_factory = sqlite3.Row
     holder = holder_of(folder)  # first: a run that ends from here on has its ending
     facts = {key: json.loads(value) for key, value in db.execute("SELECT key, value FROM facts")}
     query = "SELECT t_s, temp_c, power_percent, external_c, state FROM bath ORDER BY session, t_s"
-    bath = list(db.execute(query))
+    bath = list(db.execute(query)) if whole else []
+    (done,) = db.execute("SELECT COUNT(*) FROM trials").fetchone()
     columns = [[np.nan if row[k] is None else row[k] for k in range(4)] for row in bath]
     table = np.array(columns, dtype=np.float64).reshape(-1, 4)
     sessions = [number for (number,) in db.execute("SELECT number FROM sessions")]
     return RunRecord(
         folder=folder,
         facts=facts,
-        trials=tuple(_trials(db)),
+        trials=tuple(_trials(db)) if whole else (),
+        counted_trials=None if whole else done,
         skipped=tuple(map(dict, db.execute("SELECT * FROM skipped ORDER BY number"))),
         checks=tuple(map(dict, db.execute("SELECT * FROM checks ORDER BY number, teat"))),
         events=tuple(map(dict, db.execute("SELECT * FROM events ORDER BY number"))),

@@ -48,7 +48,7 @@ def run_lock(folder: Path) -> Path:
 def holder_of(folder: Path) -> dict[str, Any]:
     """Which bench runs in ``folder``; empty for none, or one of this machine that has died."""
     holder = holder_in(run_lock(folder))
-    if holder.get("host") == platform.node() and not _lives(holder.get("pid")):
+    if holder.get("host") == platform.node() and not lives(holder.get("pid")):
         return {}
     return holder
 
@@ -64,7 +64,8 @@ def holder_in(path: Path) -> dict[str, Any]:
     return holder if isinstance(holder, dict) else {}
 
 
-def _lives(pid: Any) -> bool:
+def lives(pid: Any) -> bool:
+    """Whether a process of this machine has this number."""
     if not isinstance(pid, int):
         return False
     if os.name == "nt":  # os.kill would end it

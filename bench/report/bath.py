@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.record.reader import RunRecord, TrialRecord
-from bench.report.wording import NOT_MEASURED, guardian_text, key_values, number, spanned, table
+from bench.report.wording import NOT_MEASURED, key_values, number, spanned, table
+from bench.results.headline import guardian_text
 from bench.results.teat_temperature import Figures, Surface, surface
 from bench.safety.interlocks import RULES
 from bench.script.model import Rules, Script

@@ -114,6 +114,7 @@ def campaign_page(
         trials=parts,
         trials_in="worst" if parts else "",
         trials_note="Truth is drawn as the cameras see it by the calibration that detectors got.",
+        detectors=tuple(numbers.detectors),
         worst=tuple(part.id for part in parts[:LOOKED_AT]),
         glossary=TERMS,
     )

@@ -27,7 +27,9 @@ from bench.scoring.comparison import (
     PairedDifference,
     Row,
     ScenePair,
+    chance_text,
     common_errors,
+    fewest_that_show,
     poses_needed,
     why_failed,
 )
@@ -37,6 +39,7 @@ from bench.scoring.rates import plural
 from bench.scoring.scene import SceneScore
 from instruments.world.situations import spoken
 from reports.figures.errors import change_by_situation, change_scatter
+from reports.frames import places_of
 from reports.page import (
     Banner,
     Cell,
@@ -56,6 +59,7 @@ from reports.page import (
 from reports.page import Verdict as PageVerdict
 from reports.render import write_report
 
+JSON_VERSION = 1
 LEGEND = (
     "All differences are new less old, with their intervals. Lost and won: poses that only the old "
     "or only the new one got right (exact McNemar; the interval is Tango's). Distance: mean over "
@@ -99,6 +103,7 @@ GATE: dict[Verdict, tuple[PageVerdict, str, str, Tone]] = {
 }
 
 
+CAPPED = "†"  # beside a change of which a part counts as the limit
 P_HINT = "how likely chance alone makes so large a difference: below 0.05 it is taken as real"
 MOST_REASONS = 5  # in a sentence
 RIGHT, MISSED, FALSE = "Poses right", "Teats missed", "False teats"
@@ -148,6 +153,8 @@ def notes(comparison: Comparison) -> Iterator[str]:
             a, b = ("not known" if fact is None else str(fact)[:40] for fact in facts)
             yield f"The runs also differ in {what}: {a} (old), {b} (new)."
     yield from _truth(comparison)
+    if capped := capped_text(comparison):
+        yield capped
     confidence, gate = comparison.compared.confidence, comparison.compared.gate
     yield f"Intervals: {100 * confidence:g} %. Margin: {gate.margin_mm:g} mm."
 
@@ -207,7 +214,7 @@ def distance_table(comparison: Comparison, *, wide: bool = False) -> Table:
         f">p # {P_HINT}",
         *(f">|{axis}| [mm] # change of the mean absolute error along {axis}" for axis in "xyz"),
     )
-    return table("Distance to the teat end", heads, rows)
+    return table("Distance to the teat end", heads, rows, capped_text(comparison))
 
 
 def _rows(comparison: Comparison) -> tuple[Row, ...]:
@@ -219,18 +226,30 @@ def _name(row: Row) -> str:
     return spoken(row.situation) if row.situation else "all"
 
 
+def capped_text(comparison: Comparison) -> str:
+    """What the mark of a capped change means, and how many there are; empty for none."""
+    radial, limit = comparison.compared.pooled.radial, comparison.pairs[0].old.limit_mm
+    if not radial.capped:
+        return ""
+    return (
+        f"{CAPPED} {radial.capped} of {plural(radial.rows, 'teat')} changed by more than the limit"
+        f" of {limit:g} mm, and count as {limit:g} mm."
+    )
+
+
 def _difference(difference: PairedDifference, form: str = ".3f") -> str:
     """``+0.12 (-0.03 to +0.27)``; without an interval where there is none."""
     if difference.mean is None:
         return NOT_MEASURED
+    mean = f"{difference.mean:+{form}}{CAPPED if difference.capped else ''}"
     if difference.low is None or difference.high is None:
-        return f"{difference.mean:+{form}}"
+        return mean
     low, high = (f"{bound:+{form}}" for bound in (difference.low, difference.high))
-    return f"{difference.mean:+{form}} ({low} to {high})"
+    return f"{mean} ({low} to {high})"
 
 
-def as_json(found: Sequence[Comparison]) -> list[dict[str, Any]]:
-    """Plain numbers and text; every figure that is printed, unrounded."""
+def as_json(found: Sequence[Comparison]) -> dict[str, Any]:
+    """Plain numbers and text; every figure that is printed, unrounded (docs/json.md)."""
     whole = []
     for one in found:
         compared, gate = one.compared, one.compared.gate
@@ -245,6 +264,7 @@ def as_json(found: Sequence[Comparison]) -> list[dict[str, Any]]:
                 "only_old": one.only_old,
                 "only_new": one.only_new,
                 "elsewhere": one.elsewhere,
+                "identical": compared.identical,
                 "confidence": compared.confidence,
                 "gate": {**said, "margin_mm": gate.margin_mm, **rate},
                 "rows": [
@@ -253,7 +273,7 @@ def as_json(found: Sequence[Comparison]) -> list[dict[str, Any]]:
                 ],
             }
         )
-    return whole
+    return {"schema_version": JSON_VERSION, "comparisons": whole}
 
 
 def _numbers(row: Row, confidence: float) -> dict[str, Any]:
@@ -382,6 +402,8 @@ def _outcome(one: Comparison) -> str:
     row, verdict = one.compared.pooled, one.compared.gate.verdict
     won, change = row.success, row.radial
     same = f"{one.new.detector}: " if one.old.detector == one.new.detector else ""
+    if one.compared.identical:
+        return f"{same}{one.compared.gate.reasons[0][0].upper()}{one.compared.gate.reasons[0][1:]}."
     said = {
         Verdict.MET: f"{same}{new} is not worse than {old}.",
         Verdict.NOT_MET: f"{same}{new} is worse than {old}.",
@@ -393,7 +415,8 @@ def _outcome(one: Comparison) -> str:
     if right[0] == right[1]:
         poses = f"Both got {right[0]} of {plural(row.poses, 'pose')} right"
     else:
-        poses += ", more than chance explains" if won.p_value < ALPHA else ", which may be chance"
+        why = chance_text(won.only_old + won.only_new, "in which they differ")
+        poses += ", more than chance explains" if won.p_value < ALPHA else f", {why}"
     if change.mean is None:
         return f"{said} {poses}. No teat was found by both, so no distance was compared."
     before, now = (_mean_mm(errors, one) for errors in common_errors(one.pairs)[:2])
@@ -401,7 +424,7 @@ def _outcome(one: Comparison) -> str:
         return f"{said} {poses}. Their points lie equally far from the teat ends, {now} on average."
     far = f"{new}'s points lie {now} from the teat ends on average, {old}'s {before}"
     if change.p_value is not None and change.p_value >= ALPHA:
-        far += ", which may be chance"
+        far += f", {chance_text(change.poses, 'in which both found teats')}"
     return f"{said} {poses}. {far[0].upper() if far.startswith('the ') else far[0]}{far[1:]}."
 
 
@@ -426,6 +449,9 @@ def _sure(one: Comparison) -> str:
     change, confidence = one.compared.pooled.radial, 100 * one.compared.confidence
     if change.low is None or change.high is None:
         return "No distance was compared."
+    if change.poses < fewest_that_show():
+        few = f"{plural(change.poses, 'pose')} in which both found teats"
+        return f"{few} can show nothing by themselves: {fewest_that_show()} can."
     span = f"{change.low:+.2f} to {change.high:+.2f} mm"
     return (
         f"For all such poses, not only these {change.poses}, the mean distance changes by {span},"
@@ -491,7 +517,8 @@ def _scoreboard(one: Comparison) -> Scoreboard:
         mm, worst = max(there, key=lambda pair: pair[0])
         sure = worst.radial_holm is not None and worst.radial_holm < ALPHA
         verdict = "not worse" if mm <= margin else "worse" if sure else "inconclusive"
-        note = ", which may be chance" if verdict == "inconclusive" else ""
+        why = chance_text(worst.radial.poses, "of it", len(one.compared.situations))
+        note = f", {why}" if verdict == "inconclusive" else ""
         add(WORST, limit, None, verdict, f"{mm:+.2f} mm", f"{spoken(worst.situation or '')}{note}")
     heads = ("Compared", "May be worse by")
     return Scoreboard(f"{names[0]} and {names[1]}", names, tuple(rows), heads, HINTS)
@@ -532,7 +559,10 @@ def _by_situation(comparison: Comparison, number: int) -> Figure:
     ]
     margin_mm, called = comparison.compared.gate.margin_mm, _short(comparison)
     name = f"situations-{number}"
-    svg = change_by_situation(names, right, change, margin_mm, called=called, name=name)
+    sides = comparison.old.detector, comparison.new.detector
+    places = places_of(sides)
+    who = (places[sides[0]], places[sides[1]]) if len(places) > 1 else None  # else two versions
+    svg = change_by_situation(names, right, change, margin_mm, called=called, who=who, name=name)
     alt = "; ".join(
         f"{name}: {a} and {b} of {plural(n, 'pose')} right, distance {_difference(row.radial)}"
         for name, (a, b, n), row in zip(names, right, rows, strict=True)
@@ -542,6 +572,8 @@ def _by_situation(comparison: Comparison, number: int) -> Figure:
         f" from the teat ends, with {100 * comparison.compared.confidence:g} % intervals; one that"
         " stays left of the margin is not worse."
     )
+    if capped := capped_text(comparison):
+        caption += f" {capped}"
     return Figure(svg, caption, alt, wide=True)
 
 

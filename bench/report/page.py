@@ -5,9 +5,10 @@ bench, run, calibration, checksums, faults, command.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -34,9 +35,10 @@ from bench.report.trials import (
     worst_trials,
 )
 from bench.report.truth import arm_parts, cameras_parts, deviation_parts, truth_parts
-from bench.report.wording import headline, headlines, id_of, key_values, table
+from bench.report.wording import id_of, key_values, table
 from bench.results.cameras_agree import UNCHECKED_FACT
 from bench.results.exports import write_exports
+from bench.results.status import RunStatus, status_of
 from bench.results.verdicts import (
     LATENCY_RULE,
     Judgement,
@@ -59,6 +61,7 @@ from instruments.world.situations import spoken
 from reports.figures.course import found_bars, latency_strip
 from reports.figures.errors import error_histogram, error_scatter, per_axis_errors
 from reports.figures.situations import error_strips, outcome_bars
+from reports.frames import places_of
 from reports.page import (
     Banner,
     Cell,
@@ -71,32 +74,44 @@ from reports.page import (
     Paragraph,
     Part,
     Section,
+    Verdict,
 )
 from reports.render import write_report
 
 REPORT, PDF = "report", "report.pdf"
 
 
+class Written(NamedTuple):
+    """A report that was written: its page, the record that it is of, what was judged, and how the
+    run stood.
+    """
+
+    path: Path
+    run: RunRecord
+    judgements: tuple[Judgement, ...]
+    status: RunStatus
+
+
 def write_run_report(
     folder: Path, chapters: tuple[Section, ...] = (), damage: tuple[str, ...] = ()
-) -> tuple[Path, RunRecord, tuple[Judgement, ...]]:
-    """Write a run's report and exports, with ``chapters`` after the results; gives back the page's
-    path. Raises ConfigError.
-    """
+) -> Written:
+    """Write a run's report and exports, with ``chapters`` after the results. Raises ConfigError."""
     run = read_run(folder, damage)
     rules = stored_rules(folder)
     judgements = judge(run, rules) if any(trial.scores for trial in run.trials) else ()
     calibration = read_calibration(folder / "calibration.toml", doubtful=True)
-    page = build_page(run, rules, judgements, calibration, folder / REPORT, chapters)
+    status = status_of(run, judgements)
+    page = build_page(run, status, rules, judgements, calibration, folder / REPORT, chapters)
     # by another reading of the run: it may not stand beside this one
     (folder / REPORT / PDF).unlink(missing_ok=True)
     path = write_report(page, folder / REPORT)
-    write_exports(run, judgements, folder / REPORT)
-    return path, run, judgements
+    write_exports(run, status, judgements, folder / REPORT)
+    return Written(path, run, judgements, status)
 
 
 def build_page(
     run: RunRecord,
+    status: RunStatus,
     rules: Rules,
     judgements: Sequence[Judgement],
     calibration: Calibration,
@@ -105,34 +120,34 @@ def build_page(
 ) -> Page:
     """The page; writes the trials' pictures into ``folder``/images. ``chapters`` come later."""
     trials = trial_parts(run, calibration, folder)
-    verdict, why, then = headline(run, judgements)
-    each = run.ending == "finished" and not run.damage and len(judgements) > 1
-    if each:
-        why, then = headlines(run, judgements)
     facts = run.facts
     poses, invalid = len({trial.pose for trial in run.counted}), len(run.trials) - len(run.counted)
     left_out = f"; {invalid} more have lost their truth (see Deviations)" if invalid else ""
     banner = Banner(
         kind=facts["kind"],
-        verdict=verdict,
+        verdict=cast(Verdict, status.word),
         tested=(
             f"{facts['title']}: teat detector {', '.join(run.detectors)} "
             f"on {len(run.counted)} frame sets of {poses} poses{left_out}."
         ),
-        sentence=why,
+        sentence=status.why,
         confidence=_confidence(run, rules, poses),
-        next_action=then,
-        each=tuple((j.detector, j.verdict.value) for j in judgements) if each else (),
+        next_action="\n".join(status.next),
+        each=tuple((name, cast(Verdict, word)) for name, word in status.verdicts.items())
+        if status.decided and len(judgements) > 1
+        else (),
     )
     nothing = "Nothing was scored, so no requirement was decided."
     requirements: tuple[Part, ...] = (Paragraph(nothing, tone="warn"),)
     if judgements:
-        reasons = tuple(tables.requirements(j, rules) for j in judgements)
+        reasons = tuple(
+            tables.requirements(j, rules, first=not at) for at, j in enumerate(judgements)
+        )
         folded = Fold("Rules, counts, margins and reasons", reasons)
         requirements = (tables.scoreboard(judgements), folded)
     sections = [Section("requirements", "Requirements", requirements)]
     undecided = undecided_of(judgements)
-    behind = tuple(_pages(run, rules, calibration, chapters, undecided))
+    behind = tuple(_pages(run, status, rules, calibration, chapters, undecided))
     drawn = tuple(_figures(run, rules, calibration)) if run.trials and judgements else ()
     made = tuple(trials)
     if judgements:
@@ -160,6 +175,7 @@ def build_page(
 
 def _pages(
     run: RunRecord,
+    status: RunStatus,
     rules: Rules,
     calibration: Calibration,
     chapters: tuple[Section, ...],
@@ -206,7 +222,7 @@ def _pages(
         yield behind("page-thesis", "Thesis", "its figures beside ours", *thesis)
     yield behind(
         *("page-provenance", "Provenance", "item, versions, files, command"),
-        Section("provenance", "Who, with what, when", tuple(provenance_parts(run))),
+        Section("provenance", "Who, with what, when", tuple(provenance_parts(run, status))),
     )
 
 
@@ -286,7 +302,7 @@ def _figures(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator
     alt = "; ".join(f"{name}: {' · '.join(map(str, each))}" for name, each in sums.items())
     yield Figure(outcome_bars(called, outcomes), "Teats found · missed · false answers", alt)
     camera_from_world = calibration.world_from_right.inverse().R
-    for place, detector in enumerate(run.detectors):
+    for detector, who in places_of(run.detectors).items():
         errors_mm = scored(run, detector).errors_mm
         camera = errors_mm @ camera_from_world.T
         lateral = np.copysign(np.hypot(camera[:, 0], camera[:, 1]), camera[:, 0])
@@ -295,7 +311,7 @@ def _figures(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator
                 *(lateral, camera[:, 2], limit_mm),
                 accept_mm=_accepted_mm(run, rules, detector),
                 links=_links(run, detector),
-                place=(place, len(run.detectors)),
+                who=who,
                 name=f"scatter-{id_of(detector)}",
             ),
             f"Depth error against lateral error, {detector}",
@@ -376,6 +392,7 @@ FAULTS = {
     "retries": "Asks that were repeated",
 }
 UNKNOWN_AGE = "Its age is not known, so it is not checked."
+LONGEST_VALUE = 120  # of a list of names and values, in characters
 MOST_EVENTS = 60  # at either end
 FILES = {
     SCRIPT: "the trials and the rules, as used",
@@ -391,18 +408,32 @@ BESIDE = {
 }
 
 
-def provenance_parts(run: RunRecord) -> Iterator[Part]:
+def _configured(title: str, entries: Mapping[str, object]) -> Iterator[Part]:
+    """Names and values; what is a program's configuration rather than a word is folded."""
+    texts = {key: value if isinstance(value, str) else str(value) for key, value in entries.items()}
+    raw = {key: text for key, text in texts.items() if len(text) > LONGEST_VALUE}
+    yield key_values(title, {key: entries[key] for key in texts if key not in raw})
+    if raw:
+        codes = tuple(Code(key, text) for key, text in raw.items())
+        yield Fold(f"Raw configuration: {title.partition(': ')[2]}", codes)
+
+
+def provenance_parts(run: RunRecord, status: RunStatus) -> Iterator[Part]:
     """Who was tested, with what, when, and by which data."""
     facts, chain = run.facts, _chain(run)
     for name, item in facts["items"].items():
-        yield key_values(f"Item under test: {name}", item)
+        yield from _configured(f"Item under test: {name}", item)
     yield key_values(
         "Bench and run",
         {
             "folder": run.folder.name,
-            "ending": run.ending,
+            "state": status.state.value,
             "started": facts["wall_started"],
             "ended": facts.get("wall_ended"),
+            **{
+                f"{one.name} at the end": one.text.removeprefix(f"{one.name}: ")
+                for one in status.instruments
+            },
             **{name: facts.get(name) for name in ("seed", "rig", "script")},
             **{f"version, {name}": version for name, version in facts["versions"].items()},
             "bench's commit": facts.get("commit"),
@@ -410,7 +441,7 @@ def provenance_parts(run: RunRecord) -> Iterator[Part]:
         },
     )
     for name, identity in facts.get("identities", {}).items():
-        yield key_values(f"Instrument: {name}", identity)
+        yield from _configured(f"Instrument: {name}", identity)
     # each file that the run used, with its checksum now; frames are in the record's chain
     rows = [
         (Cell(name, href=f"../{name}"), what, Cell(sha256_of(run.folder / name), mono=True))

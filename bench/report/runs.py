@@ -7,22 +7,25 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
 
 import cv2
 import numpy as np
 
 from bench.config import ConfigError, read_calibration
-from bench.record.check import NOT_AS_WRITTEN, checked_first, shortened
+from bench.record.check import checked_first
 from bench.record.reader import RunRecord, database_in, read_run
 from bench.record.schema import DATABASE
-from bench.record.state import State
 from bench.report.page import REPORT
 from bench.report.trials import frames_of, round_teats, worst_trials
-from bench.report.wording import STOPPED
-from bench.results.exports import trial_text, trials_of
+from bench.results.health import Chart, charts, history
+from bench.results.queue import QueueStatus
+from bench.results.status import RunStatus, status_of
 from bench.results.verdicts import judge, scored, stored_rules
+from bench.scoring.control_chart import BASE
 from bench.scoring.rates import plural
-from reports.page import Verdict
+from reports.figures.course import control_chart
+from reports.page import Figure, Verdict
 from reports.runs import PAGE, Result, Run, Runs, write_runs
 
 THUMBNAIL_PX = (200, 150)
@@ -49,7 +52,22 @@ def list_runs(folder: Path) -> Runs:
         except (ConfigError, OSError) as error:
             others.append((one.name, _why(one, error)))
     runs.sort(key=lambda run: (run.started, run.folder.name), reverse=True)
-    return Runs(folder, tuple(runs), tuple(others))
+    whole = {run.folder.name for run in runs if not run.damage}
+    drawn = list(charts([one for one in history(folder) if one.run in whole]))
+    health: dict[str, list[Figure]] = {}
+    for number, chart in enumerate(drawn, 1):
+        health.setdefault(chart.rig, []).append(_drawn(chart, f"health-{number}"))
+    warned = [chart.warning for chart in drawn if chart.warning]
+    return Runs(folder, tuple(runs), tuple(others), health, warned)
+
+
+def _drawn(chart: Chart, name: str) -> Figure:
+    limits = (chart.limits.centre, chart.limits.sigma) if chart.limits else None
+    broken, dates = [bool(rule) for rule in chart.rules], (chart.dates[0], chart.dates[-1])
+    svg = control_chart(chart.values, limits, broken, BASE, dates, name=name)
+    runs = plural(len(chart.values), "run")
+    few = "" if chart.limits or len(chart.values) >= BASE else f"; limits come with {BASE} runs"
+    return Figure(svg, chart.warning or f"{chart.last}{few}", f"{chart.name}, {runs}: {chart.last}")
 
 
 def _why(folder: Path, error: Exception) -> str:
@@ -62,6 +80,8 @@ def _listed(folder: Path) -> Run:
     database_in(folder)
     with checked_first([folder], despite_damage=True) as damage:
         run = read_run(folder, damage)
+        scored_too = not run.damage and any(trial.scores for trial in run.trials)
+        status = status_of(run, judge(run, stored_rules(folder)) if scored_too else ())
         facts, report = run.facts, f"{REPORT}/{PAGE}"
         return Run(
             folder=folder,
@@ -70,40 +90,31 @@ def _listed(folder: Path) -> Run:
             script=str(facts.get("script") or facts["title"]),
             kind=facts["kind"],
             ending=run.ending,
-            state=run.state.value,
-            trials=len(run.trials),
-            planned=facts.get("planned"),
-            results=tuple(_results(run)),
+            status=status.as_dict(),
+            results=tuple(_results(run, status)),
             damage=damage,
             report=f"{folder.name}/{report}" if (folder / report).is_file() else "",
-            note=_note(run),
+            note=_note(status),
             thumbnails=tuple(run_thumbnails(run)),
         )
 
 
-def _note(run: RunRecord) -> str:
+def _note(status: RunStatus) -> str:
     """What holds it back; empty for a whole and finished run."""
-    if run.damage:
-        return f"{NOT_AS_WRITTEN}: {shortened(run.damage)}"
-    if run.ending == "finished":
+    if status.decided:
         return ""
-    how = trial_text(run) if run.state is State.RUNNING else ""
-    return f"{run.state.capitalize()}: {how or f'{len(run.trials)} of {trials_of(run.facts)}'}."
+    how = status.why if status.damage else f"{status.headline[0].upper()}{status.headline[1:]}."
+    return "\n".join((*status.unsafe, how))
 
 
-def _results(run: RunRecord) -> Iterator[Result]:
-    verdicts: dict[str, Verdict] = {}
-    if not run.damage and run.ending != "finished":
-        verdicts = dict.fromkeys(run.detectors, STOPPED[run.state])
-    elif not run.damage and any(trial.scores for trial in run.trials):
-        verdicts = {one.detector: one.verdict.value for one in judge(run, stored_rules(run.folder))}
+def _results(run: RunRecord, status: RunStatus) -> Iterator[Result]:
     for name in run.detectors:
         pool, item = scored(run, name), run.facts["items"].get(name, {})
         radial = np.linalg.norm(pool.errors_mm, axis=1)
         yield Result(
             detector=name,
             version=str(item.get("version", "")),
-            verdict=verdicts.get(name, "no verdict"),
+            verdict=cast(Verdict, status.verdicts[name]),
             visible=pool.counts.visible,
             found=pool.counts.matched,
             false=pool.counts.false,
@@ -130,6 +141,23 @@ def run_thumbnails(run: RunRecord) -> Iterator[tuple[str, str]]:
 def write_runs_page(found: Runs) -> Path:
     """Writes the page into the folder of the runs; gives back its path. Raises OSError."""
     return write_runs(found, f"{found.folder.resolve()}: {counted(found)}")
+
+
+def write_queue_page(folder: Path, queue: QueueStatus) -> Path:
+    """The summary of a queue of runs in ``folder``, as a page like that over all. Raises
+    OSError.
+    """
+    begun, runs = {one.run for one in queue.scripts if one.run}, list[Run]()
+    others = [(one.script, one.text) for one in queue.scripts if not one.run]
+    for name in sorted(begun, reverse=True):
+        try:
+            runs.append(_listed(folder / name))
+        except (ConfigError, OSError) as error:
+            others.append((name, str(error)))
+    found = Runs(folder, tuple(runs), tuple(others))
+    title = f"Queue of {plural(len(queue.scripts), 'script')}"
+    summary = f"{queue.rig}, begun {queue.started[:16].replace('T', ' ')}; {queue.headline}."
+    return write_runs(found, summary, name=f"{queue.name}.html", title=title, rest="Not run")
 
 
 def counted(found: Runs) -> str:

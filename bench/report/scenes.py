@@ -158,6 +158,7 @@ def _page(
         banner,
         (),
         trials=parts,
+        detectors=tuple(run.detectors),
         trials_title="Frames",
         footer=("; ".join(f"{name} {value}" for name, value in made.items()),),
     )

@@ -49,6 +49,7 @@ from reports.figures.plane import (
     error_maps,
     error_regions,
 )
+from reports.frames import places_of
 from reports.page import Cell, Figure, Fold, Notes, Paragraph, Part
 
 POSE_SET = "pose set"
@@ -230,7 +231,7 @@ def spread_parts(
             error_drift(
                 *(minutes[timed], distances[timed], limit_mm),
                 links=links,
-                place=(run.detectors.index(detector), len(run.detectors)),
+                who=places_of(run.detectors)[detector],
                 name=f"drift-{id_of(detector)}",
             ),
             f"Drift: distance over the time of the run, {detector}; each point opens its trial",

@@ -50,14 +50,17 @@ NARROW = (
 )
 
 
-def requirements(judgement: Judgement, rules: Rules) -> Requirements:
-    """One row a requirement: rule, n, measured, limit, margin, verdict."""
+def requirements(judgement: Judgement, rules: Rules, *, first: bool = True) -> Requirements:
+    """One row a requirement: rule, n, measured, limit, margin, verdict; those of the bench with the
+    ``first`` detector only.
+    """
     sources = {rule.name: rule.source for rule in rules.requirements}
     rows = []
-    for d in judgement.decisions:
+    own = [d for d in judgement.decisions if first or d.name not in judgement.of_bench]
+    for d in own:
         figures, source = (measured(d), limit(d), margin(d)), sources.get(d.name, "")
         rows.append(Requirement(d.name, d.rule, d.n, *figures, d.verdict.value, source))
-    note = " ".join(d.sentence for d in judgement.decisions)
+    note = " ".join(d.sentence for d in own)
     return Requirements(
         f"Requirements, detector {judgement.detector}: {judgement.verdict.value}", tuple(rows), note
     )
@@ -72,7 +75,8 @@ SHOWS = {
 
 
 def scoreboard(judgements: Sequence[Judgement]) -> Scoreboard:
-    """Each requirement and what each detector shows of it."""
+    """Each requirement and what each detector shows of it; the bench's once."""
+    several, of_bench = len(judgements) > 1, judgements[0].of_bench
     counts = [d.n for judgement in judgements for d in judgement.decisions]
     usual = max(sorted(set(counts)), key=counts.count, default=0)
     by_name = [{d.name: d for d in judgement.decisions} for judgement in judgements]
@@ -82,11 +86,23 @@ def scoreboard(judgements: Sequence[Judgement]) -> Scoreboard:
         return Score(d.verdict.value, measured(d), f"{SHOWS[d.verdict]}{of}")
 
     rows = []
+    sound = [d for d in judgements[0].decisions if d.name in of_bench and d.verdict is Verdict.MET]
+    merged = (
+        {d.name for d in sound} if len(sound) > 1 else set[str]()
+    )  # each has its row in the fold
     for name in dict.fromkeys(name for each in by_name for name in each):
+        if name in merged:
+            continue
         decisions = [each.get(name) for each in by_name]
         limits = dict.fromkeys(limit(d) for d in decisions if d)
         scores = tuple(score(d) if d else None for d in decisions)
-        rows.append((name[0].upper() + name[1:], ", ".join(limits), scores))
+        called = name[0].upper() + name[1:]
+        if several and name in of_bench:
+            called, scores = f"Bench: {name}", (scores[0], *(None,) * (len(scores) - 1))
+        rows.append((called, ", ".join(limits), scores))
+    if merged:
+        met = Score(Verdict.MET.value, f"{len(sound)} of {len(of_bench)}", "met")
+        rows.append(("The bench's own", "", (met, *(None,) * (len(judgements) - 1))))
     names = tuple(judgement.detector for judgement in judgements)
     caption = f"What each detector shows, from {usual} where nothing else is said"
     return Scoreboard(caption, names, tuple(rows))

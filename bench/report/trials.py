@@ -46,6 +46,7 @@ from reports.frames import (
     Rect,
     Shape,
     answer_mark,
+    places_of,
 )
 from reports.page import Cell, KeyValues, Look, Result, Table, Tone, TrialPart
 
@@ -167,19 +168,17 @@ def look_at(trial: TrialRecord, why: str, part: TrialPart, calibration: Calibrat
 
 
 def _places(trial: TrialRecord) -> dict[str, int]:
-    """Of each detector its place among several, from 1; 0 where it is alone."""
-    names = dict.fromkeys(str(detection["detector"]) for detection in trial.detections)
-    return {name: place if len(names) > 1 else 0 for place, name in enumerate(names, 1)}
+    return places_of(str(detection["detector"]) for detection in trial.detections)
 
 
 def _results(trial: TrialRecord, *, farthest: bool = False) -> tuple[Result, ...]:
     """What came out, whose it is where there are several; ``farthest`` adds the largest error."""
-    found = []
-    for name, who in _places(trial).items():
+    found, places = [], _places(trial)
+    for name, who in places.items():
         score = trial.scores.get(name)
         text, tone = _status(trial, score)
         worst = max(score.radial_mm, default=None) if score and farthest else None
-        text = f"{name}: {text}" if who else text
+        text = f"{name}: {text}" if len(places) > 1 else text
         found.append(Result(f"{text}, farthest {worst:.1f} mm" if worst else text, tone, who))
     return tuple(found) or (Result(*_status(trial, None)),)
 
@@ -187,8 +186,8 @@ def _results(trial: TrialRecord, *, farthest: bool = False) -> tuple[Result, ...
 def trial_table(run: RunRecord) -> Table:
     """All trials with links to their parts."""
     heads = (
-        "trial | situation | detector | >found | >missed | >false | >max error [mm] | >time [s]"
-        " | scene"
+        "trial | detector | result | situation | >found | >missed | >false | >max error [mm]"
+        " | >time [s]"
     )
     rows = []
     for trial in run.trials:
@@ -203,9 +202,10 @@ def trial_table(run: RunRecord) -> Table:
             # more digits make the page heavy, not the order right
             far = Cell(number(worst), sort=None if worst is None else round(worst, 4))
             time = Cell(f"{seconds:.3f}", sort=round(seconds, 4))
-            who = (link, spoken(trial.head["situation"]), str(detection["detector"]))
-            rows.append((*who, *counts, far, time, Cell(*_status(trial, score))))
-    return table("All trials", heads, rows, searchable=True)
+            what = (str(detection["detector"]), Cell(*_status(trial, score)))
+            rows.append((link, *what, spoken(trial.head["situation"]), *counts, far, time))
+    note = "The filter takes words: a detector's name with missed, false, beyond or slow, say."
+    return table("All trials", heads, rows, note, searchable=True)
 
 
 def first_looks(run: RunRecord, undecided: Collection[str] = ()) -> KeyValues | None:
@@ -345,7 +345,9 @@ def pictures(
         _write(255 - edges, folder / name, cv2.IMWRITE_PNG_BILEVEL, 1)
         label = f"{detection['detector']}: edges in the thermal frame"
         alt, (high, wide) = f"{label}, trial {trial.id}", edges.shape
-        layers = stage_overlays(detection, _places(trial)[str(detection["detector"])])
+        places = _places(trial)
+        who = places[str(detection["detector"])] if len(places) > 1 else 0
+        layers = stage_overlays(detection, who)
         yield ImageView(label, name, wide, high, alt, layers, original=f"../{path}")
 
 
@@ -450,7 +452,9 @@ def overlays(
                         drawn.append(("point", answer_mark(who, x, y, 6, f"{name}: end")))
                 drawn += [("spread", shape) for shape in _spread(row, camera, calibration)]
         for tone, shape in drawn:
-            shapes.setdefault((tone, who), []).append(shape)
+            # of one detector its stages have colours of their own
+            whose = who if tone == "point" or len(places) > 1 else 0
+            shapes.setdefault((tone, whose), []).append(shape)
     return tuple(
         Overlay(tone, NAMES[tone], tuple(found), who)
         for (tone, who), found in shapes.items()

@@ -1,31 +1,20 @@
-"""How values become text, tables and ids, and a run's verdict a headline: once for page, terminal
-and exports.
-"""
+"""How values become text, tables and ids: once for page, terminal and exports."""
 
 from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from bench.record.reader import RunRecord
-from bench.record.state import State
-from bench.results.doubts import AGAIN, DOUBTS_FACT
-from bench.results.exports import why_without_verdict
-from bench.results.verdicts import Judgement, calls_of, run_verdict
-from bench.rig.by_hand import BY_HAND
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.rates import percent_apart
-from detector.protocol import Outcome
 from reports.page import Align, Cell, Column, KeyValues, Table
-from reports.page import Verdict as PageVerdict
 
 LONGEST = 60  # with what stands before it an id has room
 NOT_MEASURED = "not measured"
-LONGEST_WORDS = 200
 DIGITS = {"s": 3, "%": 1, "": 0}  # of a decision's figures by unit; 2 of the others
 
 
@@ -141,167 +130,3 @@ def margin(decision: Decision) -> str:
     if decision.margin is None:
         return ""
     return f"{decision.margin:+.{DIGITS.get(decision.unit, 2)}f} {decision.unit}".rstrip()
-
-
-def headline(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdict, str, str]:
-    """The run's verdict, why, and what to do next; a detector without answers comes first."""
-    why = why_without_verdict(run)
-    if run.damage:
-        then = "Put back the run's folder from a copy; 'teatbench store check' lists all that is"
-        return "no verdict", why, f"{then} damaged."
-    if why:
-        state = run.state
-        if state is State.INTERRUPTED and run.guardian:
-            why += f" {guardian_text(run.guardian)}"
-        return STOPPED[state], why, THEN[state]
-    if doubts := run.facts.get(DOUBTS_FACT):
-        why = "; ".join(doubts)
-        said = f"The calibration can't be, so nothing is charged to any detector: {why}."
-        return "inconclusive", said, AGAIN
-    verdict, why, then = _finished(run, judgements)
-    silent = [message for name in run.detectors for message in _silence(run, name)]
-    if not silent:
-        return verdict, why, then
-    first = (
-        "First find out why the detector did not answer: its reasons stand with the trials below."
-    )
-    then = then if verdict == "not met" else "Then run it again."
-    return verdict, "\n".join([*silent, why]), f"{first} {then}"
-
-
-def headlines(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[str, str]:
-    """Why and what next where several detectors are judged, a line for each."""
-    why: list[str] = []
-    then: dict[str, list[str]] = {}
-    for one in judgements:
-        verdict, _, action = _finished(run, (one,))
-        names = [d.name for d in one.decisions if d.verdict.value == verdict]
-        if verdict == "inconclusive":
-            names += [d.name for d in one.decisions if d.verdict is Verdict.NOT_MEASURED]
-        which = "all requirements" if verdict == "met" else ", ".join(names)
-        why += [*_silence(run, one.detector), f"{one.detector}: {verdict}: {which}."]
-        then.setdefault(action, []).append(one.detector)
-    return "\n".join(why), "\n".join(f"{', '.join(who)}: {what}" for what, who in then.items())
-
-
-def _silence(run: RunRecord, detector: str) -> Iterator[str]:
-    """How often it gave no answer, with the last reason and the last line that it wrote."""
-    rows = [row for _, row in calls_of(run, detector)]
-    silent = [row for row in rows if row["outcome"] != Outcome.ANSWERED.value]
-    if not silent:
-        return
-    reasons = [row["reason"] for row in silent if row["outcome"] != Outcome.OFF.value]
-    why = next((f": {reason}" for reason in reversed(reasons) if reason), "")
-    written = "\n".join(row["wall_stderr"] or "" for row in silent).splitlines()
-    words = next((line.strip() for line in reversed(written) if line.strip()), "")
-    last = f' Its last words: "{words[:LONGEST_WORDS]}".' if words else ""
-    yield f"{detector} did not answer on {len(silent)} of {len(rows)} frame sets{why}.{last}"
-
-
-def _finished(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdict, str, str]:
-    if not judgements and run.skipped:
-        n = len(run.skipped)
-        which = "The one trial was" if n == 1 else f"All {n} trials were"
-        nothing = f"{which} left out, so nothing was scored."
-        then = "Remove the reasons, which are listed under the deviations, then run the script"
-        return "no verdict", nothing, f"{then} again."
-    if not judgements:
-        nothing = "The recording has no truth, so nothing was scored."
-        return "no verdict", nothing, "Add truth.csv to the recording, then score it again."
-    verdict = run_verdict(judgements)
-    same = {verdict}
-    if verdict is Verdict.INCONCLUSIVE:
-        same.add(Verdict.NOT_MEASURED)
-    worst = [(j.detector, d) for j in judgements for d in j.decisions if d.verdict in same]
-    why = "\n".join(
-        f"{f'{name}: ' if len(judgements) > 1 else ''}{d.name[0].upper()}{d.name[1:]}: {d.sentence}"
-        for name, d in worst
-    )
-    names = list(dict.fromkeys(decision.name for _, decision in worst))
-    return verdict.value, why, _next_action(verdict, names, judgements[0].of_bench)
-
-
-def guardian_text(record: Mapping[str, Any]) -> str:
-    """What happened to the bench and when, and whether the guardian reached standby."""
-    when, why = record["wall_noticed"], record["why"]
-    what = {
-        "died": f"The bench died at {when}",
-        "hung": f"The bench hung ({why}); its last sign of life was at {record['wall_last_sign']}",
-        "gave up": f"At {when} the bench gave up: {why}",
-    }[record["cause"]]
-    more = ""
-    if stage := record.get("stage"):
-        more = " The stage stands, by its own report."
-        if not stage["stands"]:
-            more = f" {BY_HAND['stage']}: IT COULD NOT BE STOPPED ({stage['error']})."
-    if not record["standby"] and "handed_over" in record:
-        return (
-            f"{what}; the guardian had not reached the bath in {record['tries']} tries"
-            f" ({record['error']}) when it handed it over to a later session at"
-            f" {record['handed_over']}.{more}"
-        )
-    if not record["standby"]:
-        return (
-            f"{what}. {BY_HAND['bath']}: THE GUARDIAN COULD NOT REACH THE BATH in"
-            f" {record['tries']} tries ({record['error']}).{more}"
-        )
-    more += " The hung bench kept the port and was ended." if record.get("killed") else ""
-    more += f" The pump {record['pump']}." if "pump" in record else ""
-    if "handed_over" in record:
-        more += f" It handed the bath over to a later session at {record['handed_over']}."
-    return (
-        f"{what}; the guardian had the bath in standby at {record['wall_safe']},"
-        f" {record['seconds']:.1f} s after it took notice.{more}"
-    )
-
-
-AFTER_FAULT = (
-    "See the events below, remove the cause, check the instruments with 'teatbench check', then go"
-    " on with 'teatbench resume'."
-)
-AFTER_END = (
-    "Look whether the bath is in standby, then go on with 'teatbench resume'; what is below is"
-    " unfinished."
-)
-
-
-AFTER_RUN = (
-    "Wait for its end, which writes the report anew; 'teatbench console' shows it meanwhile."
-)
-THEN: Mapping[State, str] = {
-    State.RUNNING: AFTER_RUN,
-    State.FAULTED: AFTER_FAULT,
-    State.TRIPPED: AFTER_FAULT,
-    State.ABORTED: AFTER_END,
-    State.INTERRUPTED: AFTER_END,
-}
-STOPPED: Mapping[State, PageVerdict] = {
-    State.RUNNING: "running",
-    State.FAULTED: "faulted",
-    State.TRIPPED: "tripped",
-    State.ABORTED: "aborted",
-    State.INTERRUPTED: "interrupted",
-}
-
-
-def _next_action(verdict: Verdict, named: Sequence[str], of_bench: frozenset[str]) -> str:
-    if verdict is Verdict.MET:
-        return (
-            "Keep this run folder as the evidence; it names everything that is needed to repeat it."
-        )
-    bench, names = (
-        ", ".join(name for name in named if (name in of_bench) is of) for of in (True, False)
-    )
-    if verdict is Verdict.NOT_MET:
-        first = f"Put the bench right before all else: {bench}; what it measured may be wrong."
-        then = (
-            f"The detector has to become better at: {names}. Start with the trials marked below;"
-            " each shows where its points went wrong."
-            if names
-            else "Then run the script again."
-        )
-    else:
-        first = f"Complete what is missing of: {bench}."
-        then = f"Run more poses to decide: {names}. Each row says how many are missing."
-        then = then if names else ""
-    return f"{first} {then}".strip() if bench else then

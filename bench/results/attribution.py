@@ -13,6 +13,7 @@ import numpy as np
 
 from bench.record.reader import RunRecord, TrialRecord
 from bench.results.cameras_agree import DEFAULT, answers_of, cameras_of, share_shift
+from bench.results.status import state_in
 from bench.safety.stability import State
 from bench.scoring.joint import radial_95_mm
 from detector.calibration import Calibration
@@ -127,7 +128,8 @@ def _not_judged(run: RunRecord) -> Iterator[tuple[str, Cause, str]]:
         cause = Cause.BENCH if "the bench died in it" in reason else Cause.TRUTH
         yield trial, Cause.OPERATOR if trial in by_operator else cause, reason
     known = {trial.id for trial in run.trials} | skipped.keys()
-    cause = Cause.OPERATOR if run.ending == "aborted" else Cause.BENCH
+    state = state_in(run)
+    cause = Cause.OPERATOR if state == "aborted" else Cause.BENCH
     for pose in run.facts.get("pose set", {}).get("poses", ()):
         if str(pose[0]) not in known:
-            yield str(pose[0]), cause, f"the run was {run.ending} before it"
+            yield str(pose[0]), cause, f"the run was {state} before it"

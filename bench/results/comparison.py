@@ -172,6 +172,8 @@ def compare_sides(
         why = f"{NOT_AS_WRITTEN}: {shortened(damage)}"
         gate = Gate(Verdict.INCONCLUSIVE, (why,), found.gate.margin_mm)
         found = replace(found, gate=gate)
+    elif found.identical and _item(old) == _item(new):  # the detector itself is the same, too
+        found = replace(found, gate=replace(found.gate, verdict=Verdict.MET))
     ids = {id_of(side.run): side.run.folder.resolve().name for side in (old, new)}
     poses, verdicts = {"poses": found.pooled.poses}, {"gate": found.gate.verdict.value}
     look = InterimLook(GATE, claim, data, ids, poses, verdicts, [one.key for one in before])

@@ -19,8 +19,8 @@ from detector.geometry import Array
 DOUBTS_FACT = "calibration can't be"
 LOOKED_FACT = "calibration held against"  # of a recording: what it was looked for in
 AGAIN = (
-    "Put calibration.toml right (docs/calibration.md): units in mm, left and right, the pictures'"
-    " size, the world's axes of truth.csv. Then score the recording again."
+    "Put calibration.toml right ('teatbench help calibration'): units in mm, left and right, the"
+    " pictures' size, the world's axes of truth.csv. Then score the recording again."
 )
 NEAR = 0.05  # of the picture's size, by which an end that counts as visible may lie outside
 LEAST_DISPARITY_PX = 2.0  # of less, one pixel is worth half of the distance

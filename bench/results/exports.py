@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from datetime import datetime
@@ -12,25 +12,28 @@ from pathlib import Path
 from typing import Any
 
 from bench.files import write_synced
-from bench.record.check import NOT_AS_WRITTEN, printed_chain, shortened
+from bench.record.check import NOT_AS_WRITTEN, printed_chain
 from bench.record.reader import RunRecord
-from bench.record.state import State
+from bench.results.status import RunStatus
 from bench.results.verdicts import Judgement, run_verdict
 from bench.scoring.decisions import Decision, Verdict
-from bench.scoring.rates import plural
 from reports.sanitize import csv_text, sanitized
 
+VERSION = 1  # of `run.json`
+BENCH = "bench"  # the suite of its own requirements, where several detectors were judged
 COLUMNS = (
     "trial situation repeat detector teats visible found missed false hidden_claimed hidden"
     " max_error_mm mean_error_mm gospa_mm success seconds cold outcome reason bath_c truth invalid"
 )
 
 
-def write_exports(run: RunRecord, judgements: Sequence[Judgement], folder: Path) -> None:
+def write_exports(
+    run: RunRecord, status: RunStatus, judgements: Sequence[Judgement], folder: Path
+) -> None:
     """Write the three files into ``folder``."""
     write_synced(folder / "trials.csv", _trials_csv(run).encode())
-    write_synced(folder / "run.json", _run_json(run, judgements).encode())
-    write_synced(folder / "junit.xml", _junit_xml(run, judgements).encode())
+    write_synced(folder / "run.json", _run_json(run, status, judgements).encode())
+    write_synced(folder / "junit.xml", _junit_xml(run, status, judgements).encode())
 
 
 def _trials_csv(run: RunRecord) -> str:
@@ -66,12 +69,14 @@ def _trials_csv(run: RunRecord) -> str:
     return csv_text(rows)
 
 
-def _run_json(run: RunRecord, judgements: Sequence[Judgement]) -> str:
+def _run_json(run: RunRecord, status: RunStatus, judgements: Sequence[Judgement]) -> str:
     """Facts, verdicts and all scores of the run."""
     table = {
+        "schema_version": VERSION,
         "facts": dict(run.facts),
         "ending": run.ending,
-        "state": run.state.value,
+        "state": status.state.value,
+        "status": status.as_dict(),
         "chain": _chain(run),
         **({"damage": list(run.damage)} if run.damage else {}),
         "verdict": run_verdict(judgements).value,
@@ -111,17 +116,24 @@ def _chain(run: RunRecord) -> Any:
     return {"links": head.number, "digest": head.digest, "wall_digest": head.wall_digest}
 
 
-def _junit_xml(run: RunRecord, judgements: Sequence[Judgement]) -> str:
+def _junit_xml(run: RunRecord, status: RunStatus, judgements: Sequence[Judgement]) -> str:
     """A test case a requirement: not met is a failure, undecided is skipped with its reason. A run
     without a verdict has a case of its own that is an error, for readers of this file alone.
     """
-    cases = [
-        (judgement.detector, decision.name, *_outcome(decision))
-        for judgement in judgements
-        for decision in judgement.decisions
-    ]
-    why = why_without_verdict(run)
-    if why:
+    several = len(judgements) > 1  # else its requirements stand with the one detector's
+    cases = list(
+        dict.fromkeys(
+            (
+                BENCH if several and decision.name in judgement.of_bench else judgement.detector,
+                decision.name,
+                *_outcome(decision),
+            )
+            for judgement in judgements
+            for decision in judgement.decisions
+        )
+    )
+    if not status.decided:
+        why = "\n".join((status.why, *status.unsafe))
         ended = "the run has a verdict"
         cases = [(who, name, "skipped", why, "") for who, name, *_ in cases]
         cases = [*((who, ended, "error", why, "") for who in run.detectors), *cases]
@@ -155,40 +167,6 @@ def _outcome(decision: Decision) -> tuple[str, str, str]:
     if decision.verdict is Verdict.NOT_MET:
         return "failure", decision.sentence, decision.rule
     return "skipped", f"{decision.verdict.value}: {decision.sentence}", ""
-
-
-def why_without_verdict(run: RunRecord) -> str:
-    """Why nothing is decided by ``run``: it is damaged or did not finish; empty where it may be."""
-    if run.damage:
-        return f"{NOT_AS_WRITTEN}, so that nothing is decided by it. {shortened(run.damage)}"
-    state = run.state
-    if state is State.FINISHED:
-        return ""
-    done, of = len(run.trials), trials_of(run.facts)
-    if state is State.RUNNING:
-        return f"The run goes on: {trial_text(run)}. Nothing is decided before its end."
-    if state is State.INTERRUPTED:
-        return f"The bench died before the run was over; {done} of {of} are kept."
-    message = [event["text"] for event in run.events if event["kind"] in ("fault", "aborted")]
-    how = "was tripped by an interlock" if state is State.TRIPPED else f"was {state}"
-    return (
-        f"The run {how} after {done} of {of}:"
-        f" {message[-1].rstrip('.') if message else 'no reason was recorded'}."
-    )
-
-
-def trials_of(facts: Mapping[str, Any]) -> str:
-    """``18 trials``: how many a run was to have."""
-    planned = facts.get("planned")
-    return plural(planned, "trial") if planned else "? trials"
-
-
-def trial_text(run: RunRecord) -> str:
-    """``trial 3 of 18``: which one a run is in that goes on, or ``all 18 trials done``."""
-    done, planned = len(run.trials) + len(run.skipped), run.facts.get("planned") or "?"
-    return (
-        f"all {trials_of(run.facts)} done" if done == planned else f"trial {done + 1} of {planned}"
-    )
 
 
 def _span(run: RunRecord) -> tuple[str, float]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import asdict, dataclass
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -78,7 +80,10 @@ def attempt(name: str, step: Callable[[], object], done: str = "is safe") -> Saf
 
 @dataclass(frozen=True, slots=True)
 class Devices:
-    """All that is open. ``exact_ends``, world mm (n, 3), is there on an emulated rig only."""
+    """All that is open. ``exact_ends``, world mm (n, 3), is there on an emulated rig only.
+    ``heard``: when each instrument last sent anything; ``safed``: how making it safe went;
+    ``practice``: while it lasts, what is left in a run's folder happens to emulators in real time.
+    """
 
     clock: Clock
     arm: AnyArm
@@ -87,6 +92,9 @@ class Devices:
     cameras: Cameras
     operator: Operator
     exact_ends: Callable[[], NDArray[np.float64]] | None = None
+    heard: dict[str, float] = field(default_factory=dict)
+    safed: dict[str, Safing] = field(default_factory=dict)
+    practice: Callable[[Path], AbstractContextManager[None]] = lambda _: nullcontext()
 
     def identities(self) -> dict[str, dict[str, str]]:
         """What each instrument says of itself; where it was reached stands in the rig file."""
@@ -138,6 +146,7 @@ class Devices:
             if name not in only or (name == "stage" and self.stage is None):
                 continue
             found = attempt(name.split()[0], step)
+            self.safed[found.name] = found
             if not found.is_safe and found.name in BY_HAND:
                 unsafe[found.name] = f"{BY_HAND[found.name]}: {found.detail}"
             for text in found.texts[name.startswith("pump") and found.is_safe :]:

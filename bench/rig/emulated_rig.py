@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ from instruments.stage.emulator.board import LATE_S, LOST_MM, StageFault
 from instruments.world.phantom import PlatePose
 from instruments.world.world import World
 
+PORTS = ("arm", "bath", "pump", "stage", "cameras", "operator")  # from a first port on
 AS_A_PTY = "?parity=N&bytesize=8&handshake=none"  # a pseudo-terminal has no other frames
 
 Heated = BathEmulator | LineEmulator | RelayEmulator
@@ -57,8 +58,9 @@ class PlacedHand:
 
 
 class EmulatedRig:
-    """The emulators of ``rig``. ``pty``: serial ports are pseudo-terminals; ``paced``: real baud.
-    Raises OSError, ValueError for either under virtual time, ConfigError for a fault.
+    """The emulators of ``rig``. ``pty``: serial ports are pseudo-terminals; ``paced``: real baud;
+    ``port_base``: see ``port_of``. Raises OSError, ValueError for ``pty`` or ``paced`` under
+    virtual time, ConfigError for a fault.
     """
 
     def __init__(
@@ -70,7 +72,9 @@ class EmulatedRig:
         host: str = "127.0.0.1",
         pty: bool = False,
         paced: bool = False,
+        port_base: int = 0,
     ) -> None:
+        self._port_base = port_base
         emulation = rig.rig.emulation
         table = toml_of(rig.calibration_path)
         sensors = emulation.optical, emulation.thermal, emulation.depth
@@ -158,6 +162,11 @@ class EmulatedRig:
                     urls[name] += AS_A_PTY
         return urls
 
+    @property
+    def listeners(self) -> Mapping[str, Listener | PtyListener]:
+        """Each instrument's end of its cable."""
+        return self._listeners
+
     def close(self) -> None:
         for listener in self._listeners.values():
             listener.close()
@@ -206,7 +215,9 @@ class EmulatedRig:
         self._listeners[name] = (
             PtyListener(device, self._clock, **how)
             if self._pty and serial_baud is not None
-            else Listener(device, self._clock, host=self._host, **how)
+            else Listener(
+                device, self._clock, host=self._host, port=port_of(name, self._port_base), **how
+            )
         )
 
     def _plan(self, fault: EmulatedFault) -> None:
@@ -256,3 +267,10 @@ class EmulatedRig:
             device.fault(name)
 
         return break_it, lambda: device.fault(name, on=False)
+
+
+def port_of(name: str, base: int) -> int:
+    """The TCP port of what is called so in `PORTS`, whatever the rig lacks; 0 (free) without
+    ``base``.
+    """
+    return base and base + PORTS.index(name)

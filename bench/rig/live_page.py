@@ -40,9 +40,9 @@ class LivePage:
         # one camera without a place in a rig is shown in the first one's
         self._places = dict(zip(cameras, cameras if len(cameras) > 1 else KNOWN, strict=False))
         rows = [FIGURE.format(name, place) for name, place in self._places.items()]
-        page = PAGE.format(figures="".join(rows)).encode("utf-8")
-        self._server = StreamServer(self, clock, fps=1.0 / every_s, page=page)
-        self.url = self._server.urls[KNOWN[0]].rpartition("/")[0] + "/"
+        page = PAGE.format(figures="".join(rows))
+        self._server = StreamServer(self, clock, fps=1.0 / every_s, page=lambda: page)
+        self.url = self._server.page_url
 
     def capture(self) -> FrameSet:
         """The pictures shown last. Raises FrameError before there are any."""

@@ -65,7 +65,7 @@ class LoadedRig:
     def calibration(self) -> Calibration:
         """The calibration. Raises ConfigError where none has been made yet."""
         if self.made_calibration is None:
-            how = "make it with 'teatbench calibrate' (docs/calibration.md)"
+            how = "make it with 'teatbench calibrate' ('teatbench help calibration')"
             if self.rig.emulated:
                 shipped_one = RIGS / "calibration.toml"
                 how = f"the emulated cameras are made from it: copy the shipped one, {shipped_one}"

@@ -722,6 +722,12 @@ class Emulation(Section):
     faults: tuple[EmulatedFault, ...] = ()
 
 
+class Notify(Section):
+    """Where word is sent to, by apprise; ``$NAME`` in an address is taken from the environment."""
+
+    urls: tuple[Annotated[str, Field(min_length=1, max_length=500)], ...] = ()
+
+
 class Rig(Section):
     name: str
     seed: Annotated[int, Field(ge=0)] = 1
@@ -733,6 +739,7 @@ class Rig(Section):
     stage: Stage | None = None
     cameras: Cameras
     limits: SafetyLimits = SafetyLimits()
+    notify: Notify = Notify()
     emulation: Emulation = Emulation()
 
     @property

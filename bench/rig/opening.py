@@ -7,6 +7,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -17,6 +18,7 @@ from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.leaving import Leaving, Opened, to_stderr
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Emulation, OneCamera, Operator, Rig, ThermalTable
+from bench.rig.practice import Practice, following
 from bench.rig.scripted_answers import load_answers
 from bench.rig.urls import BROWSER, CONSOLE, ELSEWHERE, EMULATED, PEOPLE, SCRIPT
 from detector.calibration import Calibration
@@ -28,7 +30,7 @@ from instruments.camera.frame import Conversion
 from instruments.camera.genicam import DeviceTime, GenicamCamera
 from instruments.camera.opencv import OpenCvCamera
 from instruments.captures.capture import CaptureFile
-from instruments.clock import Clock, RealClock, VirtualClock
+from instruments.clock import Clock, PacedClock, RealClock, VirtualClock
 from instruments.errors import DeviceError, InstrumentError
 from instruments.link import Link, Tap
 from instruments.microscribe.driver import MicroScribe
@@ -57,6 +59,31 @@ class BringUpError(InstrumentError):
         super().__init__("rig", "\n  ".join([*lines, *(str(fault) for fault in faults.values())]))
 
 
+class Heard(Tap):
+    """Notes when an instrument was last asked what it answered; all goes on to ``then``. What it
+    sent may have waited here for long, so that the time of reading says nothing.
+    """
+
+    def __init__(self, name: str, clock: Clock, heard: dict[str, float], then: Tap) -> None:
+        self._name, self._clock, self._heard, self._then = name, clock, heard, then
+        self._asked_s = 0.0
+
+    def opened(self, url: str) -> None:
+        self._asked_s = self._clock.now()
+        self._then.opened(url)
+
+    def sent(self, data: bytes) -> None:
+        self._asked_s = self._clock.now()
+        self._then.sent(data)
+
+    def closed(self, why: str = "") -> None:
+        self._then.closed(why)
+
+    def received(self, data: bytes) -> None:
+        self._heard[self._name] = self._asked_s
+        self._then.received(data)
+
+
 def open_instruments(
     rig: LoadedRig,
     names: Sequence[str] = ALL,
@@ -68,6 +95,7 @@ def open_instruments(
     twin: EmulatedRig | None = None,
     seed: int | None = None,
     realtime: bool = False,
+    speed: float | None = None,
     capture: CaptureFile | None = None,
     screen: Screen = nullcontext,
     start_s: float = 0.0,
@@ -76,7 +104,8 @@ def open_instruments(
 ) -> AbstractContextManager[Devices]:
     """The instruments ``names`` of ``rig``, closed at the end; others are None. Without ``clock``
     time is virtual where all is emulated and no person takes part. ``twin``: emulators already up;
-    ``screen`` is entered around a question; ``folder``: of a run with a browser. Raises
+    ``screen`` is entered around a question; ``folder``: of a run with a browser; ``speed`` of
+    emulators in real time. Raises
     BringUpError, or a single instrument's fault, and ConfigError.
 
     What was made to heat or to move is made safe at the end (NotSafeError where it could not be,
@@ -96,6 +125,8 @@ def open_instruments(
         person = "operator" in names and rig.rig.operator.url in PEOPLE
         if emulated and not realtime and not person:
             return VirtualClock()
+        if speed is not None and rig.rig.emulated:  # nothing real is hurried
+            return PacedClock(speed, start_s)
         return stack.enter_context(closing(RealClock(start_s)))
 
     @contextmanager
@@ -107,9 +138,14 @@ def open_instruments(
             world = twin
             if emulated and world is None:
                 world = stack.enter_context(EmulatedRig(rig, time, seeded))
-            openers = _openers(rig, time, world, capture, identify=identify)
+            heard: dict[str, float] = {}
+            openers = _openers(rig, time, world, capture, heard, identify=identify)
             found = _opened(stack, names, openers)
-            yield _together(found, time, world, answerer, names)
+            together = _together(found, time, world, answerer, names, heard)
+            if world and type(time) is not VirtualClock:
+                practice = partial(following, Practice(world), time, speed or 1.0)
+                together = replace(together, practice=practice)
+            yield together
 
     return Opened(opened(), None if supervised else leaving)
 
@@ -137,6 +173,7 @@ def _together(
     twin: EmulatedRig | None,
     answerer: PromptedOperator | None,
     names: Sequence[str],
+    heard: dict[str, float],
 ) -> Devices:
     has_pedals = isinstance(opened.get("arm"), MicroScribe)
     if isinstance(answerer, Console) and twin is None and has_pedals:
@@ -151,7 +188,7 @@ def _together(
     if isinstance(arm, PointArm):
         arm.asked_of(answerer or hands)
     exact_ends = twin.world.ends_mm if twin else None
-    return Devices(clock, arm, bath, stage, cameras, answerer or hands, exact_ends)
+    return Devices(clock, arm, bath, stage, cameras, answerer or hands, exact_ends, heard)
 
 
 def in_virtual_time(rig: LoadedRig, *, realtime: bool) -> bool:
@@ -256,14 +293,15 @@ def _openers(
     clock: Clock,
     twin: EmulatedRig | None,
     capture: CaptureFile | None,
+    heard: dict[str, float],
     *,
     identify: bool,
 ) -> dict[str, Callable[[], Any]]:
     r = rig.rig
     urls = twin.urls if twin else r.urls
 
-    def tap(name: str) -> Tap | None:
-        return capture.tap(name, clock) if capture else None
+    def tap(name: str) -> Tap:
+        return Heard(name, clock, heard, capture.tap(name, clock) if capture else Tap())
 
     def link(name: str, baud: int) -> Link:
         return Link(urls[name], clock, who=name, baud=baud, tap=tap(name))

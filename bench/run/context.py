@@ -5,20 +5,34 @@ events; with them signs of life for the guardian, looks at the interlocks, and t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.record.state import State
 from bench.record.writer import Store
+from bench.results.headline import AFTER_RUN
+from bench.results.status import (
+    GOING_TO_SAFE,
+    Asked,
+    InstrumentStatus,
+    Link,
+    RunStatus,
+    Safe,
+)
+from bench.rig.by_hand import BY_HAND
 from bench.rig.devices import Devices
 from bench.rig.guardian_client import BRIEF_S, GuardianClient, Heartbeat
 from bench.rig.loading import LoadedRig
 from bench.run.estimate import gate_of
-from bench.run.events import EVENT, Events, RunState, RunStates
+from bench.run.events import EVENT, FAILURES, Events, RunStates
 from bench.run.live import Live, bath_state, interlock_states
-from bench.safety.bath_monitor import TripHandler
+from bench.safety.bath_monitor import BathMonitor, TripHandler
+from bench.safety.stability import StabilityGate
 from bench.script.model import LoadedScript
 from bench.truth.touching import TipReader
 from instruments.clock import VirtualClock, stopwatch_s, wall_time
@@ -32,7 +46,8 @@ READ_S = 1.0  # both clocks are read within microseconds
 
 class RunContext:
     """One run. Time passes through ``wait`` only, which checks the interlocks every second;
-    ``check_interrupts`` raises what a person requests.
+    ``check_interrupts`` raises what a person requests; ``before``: the run that left the rig open
+    and warm.
     """
 
     def __init__(
@@ -44,7 +59,9 @@ class RunContext:
         events: Events,
         heartbeat: Heartbeat | None = None,
         guardian_client: GuardianClient | None = None,
+        before: RunContext | None = None,
     ) -> None:
+        self.before = before
         self.rig = rig
         self.script = script
         self.devices = devices
@@ -56,17 +73,28 @@ class RunContext:
         self.live = Live(store.folder)
         self.progress: Callable[[], Mapping[str, Any]] = dict
         self.safing = False  # the run is on its way to safe
-        self.away = ""  # the instrument that dropped out
+        # the instrument that dropped out, in what way, and what a person does about it
+        self.away = self.away_how = self.check_away = ""
+        self.last: dict[str, str] = {}  # an instrument's last value, in words
+        self.under_test: Sequence[str] = ()
+        self._asked = ""
         self._touching = False
         self._heartbeat = heartbeat or Heartbeat()
         self._wall_behind_s: float | None = None
+        gate: StabilityGate = before.watch.gate if before and self.is_warm else gate_of(script)
         self.trips = TripHandler(
-            rig, devices, gate_of(script), store, events.warn, self._heartbeat, guardian_client
+            rig, devices, gate, store, events.warn, self._heartbeat, guardian_client
         )
-        self.trips.on_event, self.trips.seen = events.event, events.refresh
-        self.watch = self.trips.watch
+        self.trips.on_event, self.trips.seen = events.event, self._seen
+        self.watch: BathMonitor = self.trips.watch
         self.states = RunStates(lambda state: self.event(EVENT, state.value), self.clock.now)
-        events.now_s = self.clock.now
+        events.now_s, events.status = self.clock.now, self.status
+
+    @property
+    def is_warm(self) -> bool:
+        """Whether the run before left the bath as this script wants it."""
+        before = self.before
+        return before is not None and before.script.script.bath == self.script.script.bath
 
     def ask(self, request: Request) -> Answer:
         """Have the operator do it; the interlocks are looked at meanwhile."""
@@ -76,12 +104,12 @@ class RunContext:
                 self.events.asked("release")
             return self.devices.operator.ask(request, self.look)
         self._heartbeat.sign(f"waiting for the operator: {kind}", math.inf)
+        self._asked, self._touching = kind, isinstance(request, Touch | BoardTouch)
         self.events.asked(kind)
-        self._touching = isinstance(request, Touch | BoardTouch)
         try:
             return self.devices.operator.ask(request, self.look)
         finally:
-            self._touching = False
+            self._asked, self._touching = "", False
             self.events.asked("")
             self._heartbeat.sign("going on")
 
@@ -107,38 +135,104 @@ class RunContext:
 
     def show(self) -> None:
         """The run as it is now, for a viewer; on the screen too where the bath says nothing."""
-        self.live.write(self._state(), self._tip_mm())
+        self.live.tip(self._tip_mm())
+        self._publish()
         if self.safing or self.watch.silence:
             self.events.refresh()
 
-    def _state(self) -> dict[str, Any]:
-        """The run as it is now; units in the keys."""
-        progress = dict(self.progress())
-        settling_s = progress.pop("settling_s", 0.0)
-        devices = self.devices
-        there = {"arm": devices.arm, "bath": devices.bath, "stage": devices.stage}
-        names = [*(name for name, one in there.items() if one), "cameras"]
-        return {
-            "t_s": self.clock.now(),
-            "state": (RunState.SAFING if self.safing else self.states.current).value,
-            **progress,
-            "bath": bath_state(self.watch, settling_s),
-            "interlocks": interlock_states(self.watch),
-            "tripped": str(self.watch.tripped) if self.watch.tripped else None,
-            "instruments": {name: self._health(name) for name in names},
-        }
+    def _seen(self) -> None:
+        """With each reading of the bath, on the thread of the watch. Raises nothing."""
+        self.events.refresh()
+        with suppress(*FAILURES):
+            if self.live.due:
+                self._publish()
 
-    def _health(self, name: str) -> str:
-        if name == "bath" and (silence := self.watch.silence):
-            return silence
-        return "away" if name == self.away else "ok"
+    def _publish(self) -> None:
+        settling_s = float(self.progress().get("settling_s", 0.0))
+        bath = bath_state(self.watch, settling_s)
+        more = {"t_s": self.clock.now(), "bath": bath, "interlocks": interlock_states(self.watch)}
+        self.live.write(self.status(), more)
+
+    def status(self) -> RunStatus:
+        """The run as it is now; may be asked on any thread."""
+        progress, watch, events = self.progress(), self.watch, self.events
+        tripped = str(watch.tripped) if watch.tripped else ""
+        safing = self.safing or bool(tripped)
+        instruments = tuple(map(self._instrument, self._names))
+        left_s = progress.get("left_s")
+        if left_s is not None:
+            left_s += watch.stable_in_s(float(progress.get("settling_s", 0.0)))
+        status = RunStatus(
+            run=self.store.folder.name,
+            title=self.script.script.title,
+            state=State.RUNNING,
+            step=GOING_TO_SAFE if safing else self.states.current.value,
+            verdicts=dict.fromkeys(self.under_test, State.RUNNING.value),
+            doing=GOING_TO_SAFE if safing else events.doing,
+            pose=events.pose,
+            done=int(progress.get("done", 0)),
+            planned=len(self.script.planned),
+            left_s=None if tripped else left_s,
+            paused=bool(progress.get("paused")),
+            asked=Asked(self._asked) if self._asked and not safing else None,
+            instruments=instruments,
+            tripped=tripped,
+            last_error=events.error,
+            wall_time=wall_time().isoformat(timespec="milliseconds"),
+        )
+        return replace(status, next=(*status.unsafe, *self._next(status)))
+
+    def _next(self, status: RunStatus) -> Iterator[str]:
+        """What a person does beside making safe what is not."""
+        if status.step == GOING_TO_SAFE:
+            yield "The run ends; an open question needs no answer any more."
+        elif self.away:
+            yield self.check_away
+        elif any(one.trouble for one in status.instruments):
+            yield "Check the bath's power and its cable. Where it stays silent, an interlock trips."
+        elif status.asked:
+            yield f"Answer what is asked: {status.asked.kind}."
+        elif status.paused:
+            yield f"Go on with: teatbench control {self.store.folder} go on"
+        else:
+            yield AFTER_RUN
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        there = {"arm": True, "bath": True, "stage": bool(self.devices.stage), "cameras": True}
+        pump = self.devices.safed.get("pump")
+        there["pump"] = bool(self.devices.bath.pump_url or (pump and not pump.is_safe))
+        return tuple(name for name, one in there.items() if one)
+
+    def _instrument(self, name: str) -> InstrumentStatus:
+        devices, now_s = self.devices, self.clock.now()
+        heard_s, found = devices.heard.get(name), devices.safed.get(name)
+        link, how, last, by_hand = Link.ANSWERS, "", self.last.get(name, ""), ""
+        if name == self.away:
+            link, how = Link.AWAY, self.away_how
+        if name == "bath":
+            if reading := self.watch.last:
+                last, heard_s = f"{reading.temp_c:.2f} degC", reading.t_s
+            if failing := self.watch.failing:
+                link, how = (Link.AWAY if name == self.away else Link.SILENT), failing
+            elif link is Link.ANSWERS and last:
+                last += f", {self.watch.state.value}"
+        if found and not found.is_safe and name in BY_HAND:
+            how, by_hand = found.detail or found.evidence.value, BY_HAND[name]
+        safe = Safe.IN_USE if name in devices.active else Safe.AT_REST
+        if found and (safe is Safe.AT_REST or not found.is_safe):
+            safe = Safe(found.evidence.value)
+        age_s = None if heard_s is None else max(0.0, now_s - heard_s)
+        if name == "arm" and found and not found.is_safe:
+            safe = Safe.AT_REST  # nothing in it heats or moves
+        return InstrumentStatus(name, link, safe, last=last, age_s=age_s, how=how, by_hand=by_hand)
 
     def _tip_mm(self) -> NDArray[np.float64] | None:
         """The tip in the world while a touch is asked for in real time, else None: in virtual time
         a further poll would change what the emulated arm answers.
         """
         arm = self.devices.arm
-        if not self._touching or isinstance(self.clock, VirtualClock) or not arm.homed:
+        if not self._touching or type(self.clock) is VirtualClock or not arm.homed:
             return None
         if not isinstance(arm, MicroScribe):
             return None  # a point is there once it is touched

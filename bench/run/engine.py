@@ -5,19 +5,23 @@ safe.
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.record.state import TRIP
 from bench.record.writer import FolderGoneError
+from bench.results.status import INSTRUMENTS_FACT
 from bench.rig.by_hand import not_safe_text
 from bench.rig.frame_capture import FRAMES_FACT
 from bench.run.context import LOOK_S, RunContext
 from bench.run.estimate import TimeEstimate
-from bench.run.events import EVENT, FAILURES, RunState
+from bench.run.events import EVENT, FAILURES, NOT_SAFE, RunState
 from bench.run.interruptions import Recovery, Requests
 from bench.run.lock import Reserve
 from bench.run.recordings import Recorder
@@ -39,17 +43,19 @@ from instruments.operators.operator import (
     OperatorAbort,
     OperatorRepeat,
     OperatorSkip,
-    time_left,
 )
 from instruments.stage.driver import Stage
 
 RECORD_FAULTS = (sqlite3.Error, OSError)
+BETWEEN_S = 120.0  # between two scripts of a queue, before the guardian takes the bench for hung
+STAYS_WARM = "nothing was made safe: the rig stays open, heated and watched for the next script"
 REQUESTS = (KeyboardInterrupt, OperatorAbort, OperatorSkip, OperatorRepeat)
 
 
 class Engine:
     """One run. ``exact_ends``: the scene's exact truth, never scored against; ``left``: of the last
-    session; ``typed`` gives typed lines; ``expected``: how long it takes.
+    session; ``typed`` gives typed lines; ``expected``: how long it takes; ``more``: another script
+    follows on this rig, which stays warm where this one finishes.
     """
 
     def __init__(
@@ -62,7 +68,10 @@ class Engine:
         left: ResumePoint | None = None,
         typed: Callable[[], str | None] = lambda: None,
         expected: TimeEstimate | None = None,
+        more: bool = False,
     ) -> None:
+        self._more = more
+        self.is_warm = False  # ended, with the rig open, heated and watched
         self._ctx = ctx
         self._left = left
         self._expected = expected
@@ -88,11 +97,15 @@ class Engine:
         self._reserve = Reserve(store.folder)
         self._ended = False
         self.bath_is_safe = False  # until the run has ended and made it so
-        ctx.events.live = self._live
+        ctx.under_test = [one.name for one in detectors]
         ctx.progress = self._progress
         # for a person who looks for what the screen had to show
         ctx.events.not_shown = partial(self._kept, ctx.event, "not shown")
         ctx.events.replaying = self._rehearsed is not None
+
+    @property
+    def context(self) -> RunContext:
+        return self._ctx
 
     def run(self) -> RunState:
         """Everything, to the end or to safe. Faults of instruments and aborts are recorded."""
@@ -111,8 +124,26 @@ class Engine:
             with undisturbed():
                 ending = self._finish(ending)
             exits.let_go()
-            exits.at_close = None
+            exits.at_close = self._ctx.trips.heater_off if self.is_warm else None
         return ending
+
+    def let_go(self) -> None:
+        """Make safe what the run left warm, since none follows."""
+        with undisturbed():
+            self.is_warm = False
+            if unsafe := self._make_safe()[1]:
+                self._ctx.events.warn(not_safe_text(unsafe))
+                self._ctx.events.notify(NOT_SAFE)
+        current().at_close = None
+
+    def _make_safe(self) -> tuple[list[str], Mapping[str, str]]:
+        """Bath, stage, arm and pump: what they said, and which are not safe."""
+        ctx, said, asked = self._ctx, list[str](), len(current().asked)
+        ctx.trips.end()
+        unsafe = ctx.devices.make_safe(said.append, lambda: len(current().asked) > asked)
+        self.bath_is_safe = "bath" not in unsafe
+        ctx.trips.stop()
+        return said, unsafe
 
     def _work(self) -> None:
         ctx, planned, again = self._ctx, self._ctx.script.planned, self._recovery.run
@@ -120,11 +151,11 @@ class Engine:
         ctx.check_interrupts = self._requests.look_between
         ctx.states.to(RunState.PREPARING)
         ctx.note("preparing")
-        ctx.watch.start()
+        self._take_over()
         again("signing on to the arm", self._sign_on)
         again("the arm check", lambda: self._check_arm(BEFORE))
         ctx.check()
-        if stage := ctx.devices.stage:
+        if (stage := ctx.devices.stage) and not (ctx.before and stage.homed):
             again("homing the stage", lambda: self._home(stage))
         self._fact("identities", ctx.devices.identities())
         self._fact("arm record", ctx.devices.arm.record())
@@ -134,10 +165,11 @@ class Engine:
             ctx.long("starting the bath", 60.0)
             start_bath(ctx.devices.bath, set_point_c, ctx.wait)
 
-        again("starting the bath", start)
+        if not ctx.is_warm:
+            again("starting the bath", start)
         if (seconds := ctx.devices.bath.watchdog_s) is not None:
             self._fact("watchdog", seconds)
-        ctx.watch.heating()
+        ctx.watch.heating(anew=not ctx.is_warm)
         again("preparing the truth", self._truth.begin)
         for trial in planned:
             if self._left and trial.id not in self._left.done:
@@ -150,15 +182,37 @@ class Engine:
         again("the arm check after the trials", lambda: self._check_arm(AFTER))
         ctx.ask(Finish())
 
+    def _take_over(self) -> None:
+        """Watch the bath, on from the run before where that left it heated. Raises its trip."""
+        ctx, before = self._ctx, self._ctx.before
+        if before:
+            ctx.watch.interlocks.heating(before.script.script.bath.set_point_c)
+            before.trips.watch.stop()
+        ctx.watch.start()
+        if before and (trip := before.watch.tripped):
+            ctx.event(TRIP, str(trip))
+            raise trip
+
     def _check_arm(self, when: str) -> None:
         """Touch the rig's check point, where it names one: a fact for the script's requirement."""
         ctx, arm = self._ctx, self._ctx.rig.rig.arm
         if arm.check_point_mm is None:
             return
         ctx.events.state(f"checking the arm {when} the trials")
-        found = check_arm(ctx.ask, ctx.tip, arm, ctx.clock, ctx.check)
+        earlier = self._checked_before() if when == BEFORE else None
+        found = check_arm(ctx.ask, ctx.tip, arm, ctx.clock, ctx.check, earlier)
         (self._fact if when == BEFORE else ctx.store.fact)(CHECK_FACT.format(when), found)
         ctx.event("arm", check_text(found, when))
+
+    def _checked_before(self) -> dict[str, Any] | None:
+        """The last check before the trials of an earlier session; a rehearsal is gone through as
+        that was.
+        """
+        if self._left is None or self._rehearsed:
+            return None
+        facts, key = self._left.run.facts, CHECK_FACT.format(BEFORE)
+        later = [facts.get(f"{key}, session {n}") for n in range(self._session - 1, 1, -1)]
+        return next((fact for fact in (*later, facts.get(key)) if fact), None)
 
     def _fact(self, key: str, value: object) -> None:
         """Under its own name in the first session, apart from it in each later one."""
@@ -168,9 +222,13 @@ class Engine:
     def _sign_on(self) -> None:
         arm = self._ctx.devices.arm
         self._ctx.long("signing on to the arm", 120.0)
-        arm.sign_on()
+        homed = self._ctx.before is not None and arm.homed
+        if not homed:
+            arm.sign_on()
         write_arm_facts(self._ctx.store, self._ctx.rig)
         self._ctx.tip.refuse_other_arm()
+        if homed:
+            return
         self._ctx.ask(Homing(arm.homing))
         arm.confirm_homed()
 
@@ -218,22 +276,6 @@ class Engine:
             self._rehearsed.silent = False
         self._ctx.events.replaying = False
 
-    def _live(self) -> dict[str, str]:
-        """What stands in the terminal's line beside what is being done."""
-        if self._ended:  # nothing is read any more
-            return {}
-        watch, left_s = self._ctx.watch, self._left_s
-        live: dict[str, str] = {}
-        if silence := watch.silence:
-            last = f" (last {watch.last.temp_c:.2f} degC)" if watch.last else ""
-            live["bath"] = f"bath: {silence}{last}"
-        elif watch.last is not None:
-            live["bath"] = f"bath {watch.last.temp_c:.2f} degC, {watch.state.value}"
-        if left_s is not None:
-            settling_s = self._expected.settling_s if self._expected else 0.0
-            live["left"] = time_left(left_s + watch.stable_in_s(settling_s))
-        return live
-
     @property
     def _left_s(self) -> float | None:
         """How long the trials take; None while nobody knows whether they go on."""
@@ -241,10 +283,9 @@ class Engine:
         ending = self._ctx.safing or watch.tripped or watch.silence
         return None if ending else self._attempts.left_s
 
-    def _progress(self) -> dict[str, object]:
+    def _progress(self) -> dict[str, Any]:
         return {
             "done": self._attempts.done,
-            "planned": len(self._ctx.script.planned),
             "left_s": self._left_s,
             "paused": self._requests.paused,
             "settling_s": self._expected.settling_s if self._expected else 0.0,
@@ -277,32 +318,44 @@ class Engine:
         return RunState.FAULTED
 
     def _finish(self, ending: RunState) -> RunState:
-        """To safe first, whatever the disk, the terminal and the watch do."""
+        """To safe first, whatever the disk, the terminal and the watch do; not where the rig stays
+        warm.
+        """
         ctx = self._ctx
         self._reserve.give_back()
         ctx.check_interrupts = lambda: None
-        ctx.long("going to safe", 300.0)
-        ctx.safing = True
+        said: list[str] = [STAYS_WARM]
+        unsafe: Mapping[str, str] = {}
+        self.is_warm = self._more and ending is RunState.FINISHED and not ctx.watch.tripped
+        if self.is_warm:
+            ctx.trips.watch_beyond()
+            ctx.long("beginning the next script", BETWEEN_S)
+        else:
+            ctx.long("going to safe", 300.0)
+            ctx.safing = True
+            with suppress(*FAILURES):
+                ctx.events.state("going to safe")
+            self._show_safing()
+            said, unsafe = self._make_safe()
+        left: list[dict[str, Any]] = []
         with suppress(*FAILURES):
-            ctx.events.state("going to safe")
-        self._show_safing()
-        said: list[str] = []
-        asked = len(current().asked)
-        ctx.trips.end()
-        unsafe = ctx.devices.make_safe(said.append, lambda: len(current().asked) > asked)
-        self.bath_is_safe = "bath" not in unsafe
-        ctx.trips.stop()
+            ctx.show()
+            left = [asdict(one) for one in ctx.status().at_end]
         self._ended = True
         if unsafe:
             ctx.events.warn(not_safe_text(unsafe))
+            ctx.events.notify(NOT_SAFE)
         for text in said:
             self._write_down("safe", text)
         if unsafe and ending is RunState.FINISHED:
             ending = RunState.FAULTED
+            self._write_down("fault", f"could not be made safe at its end: {', '.join(unsafe)}")
         for state in (RunState.SAFING, ending):
             self._kept(ctx.states.to, state)
         self._write_down("end", ending.value)
         self._kept(ctx.store.fact, "retries", dict(self._recovery.counts))
+        session = ctx.store.session
+        self._kept(ctx.store.fact, INSTRUMENTS_FACT, {"session": session, "instruments": left})
         if any(self._trials.frames_looked_at.values()):
             self._kept(self._fact, FRAMES_FACT, dict(self._trials.frames_looked_at))
         self._kept(ctx.store.fact, "ending", ending.value)

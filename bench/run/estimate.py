@@ -264,8 +264,9 @@ def refuse_no_room(rig: LoadedRig, trials: int, folder: Path) -> None:
 def took(run: RunRecord) -> dict[str, float]:
     """The seconds that a run took: settling at first, set-ups, a touch, all; as far as known."""
     found: dict[str, float] = {}
-    if run.events and run.events[-1]["t_s"] is not None:
-        found["total_s"] = float(run.events[-1]["t_s"])
+    times = [float(event["t_s"]) for event in run.events if event["t_s"] is not None]
+    if times and run.events[-1]["t_s"] is not None:
+        found["total_s"] = times[-1] - times[0]  # a rig that was warm has been open for longer
     with suppress(OSError, ValueError):
         events = list(read_events(run.folder))
         spent, first = spent_of(events), spent_of(events, first_settling=True)

@@ -25,8 +25,11 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from bench.config import ConfigError
+from bench.record.state import TRIP
+from bench.results.status import RunStatus
 from instruments.clock import wall_time
 
+PROMPTED, TRIPPED, NOT_SAFE, ENDED = "asked", "tripped", "not safe", "ended"  # to be notified
 EVENT = "run state"  # the kind of a change of state, in the record
 
 
@@ -96,7 +99,6 @@ class RunStates:
 FAILURES = (Exception, SystemExit)
 EVENTS_FILE = "events.jsonl"  # in the run's folder
 ERRORS = ("dropped out", "camera", "fault", "trip", "suspended")  # kinds of events
-LONGEST = 60  # of an error, in a line of the terminal
 TAIL_BYTES = 1 << 16
 
 
@@ -153,8 +155,8 @@ class SafeProgress:
 
 class Events:
     """The stream, from any thread, shown on ``screen`` as one line and written to ``file``.
-    ``live`` gives further parts of the line; ``not_shown`` gets which listener failed. While
-    ``replaying``, events are shown and not written.
+    ``status``: the run as it is; ``not_shown`` gets which listener failed; ``notify`` gets what a
+    person elsewhere has to know. While ``replaying``, events are shown and not written.
     """
 
     def __init__(self, screen: Progress, file: FileIO | None = None) -> None:
@@ -162,15 +164,17 @@ class Events:
         self._files = {"--events": file} if file else {}
         self._lock = threading.RLock()
         self._number = 0
-        self._name = self._text = self._error = ""
+        self.pose = self.doing = self.error = ""
         self.now_s: Callable[[], float | None] = lambda: None
-        self.live: Callable[[], Mapping[str, str]] = dict
+        self.status: Callable[[], RunStatus | None] = lambda: None
         self.not_shown: Callable[[str], object] = lambda _: None
         self.replaying = False
+        self.notify: Callable[[str], None] = lambda _: None
 
     @contextmanager
     def kept_in(self, folder: Path) -> Iterator[None]:
         """Written to `EVENTS_FILE` in ``folder`` too, on from its last number."""
+        self.pose = self.doing = self.error = ""
         try:
             file = FileIO(folder / EVENTS_FILE, "a+")
         except OSError as error:
@@ -190,7 +194,7 @@ class Events:
                     self._files.pop(EVENTS_FILE, None)
 
     def state(self, text: str) -> None:
-        self._text = text
+        self.doing = text
         self._write("doing", text=text, **self._show())
 
     def refresh(self) -> None:
@@ -199,13 +203,15 @@ class Events:
             self._show()
 
     def trial(self, done: int, total: int, name: str) -> None:
-        self._name = name
+        self.pose = name
         self._screen.trial(done, total, name)
         self._write("trial", done=done, total=total, name=name)
 
     def asked(self, kind: str) -> None:
         """The operator is asked for something of this kind; "" once it is done."""
         self._write("asked", kind=kind)
+        if kind and not self.replaying:
+            self.notify(PROMPTED)
 
     def warn(self, text: str) -> None:
         self._screen.warn(text)
@@ -214,18 +220,19 @@ class Events:
     def event(self, kind: str, text: str) -> None:
         """An event that is in the record."""
         if kind in ERRORS:
-            self._error = text
+            self.error = text
         self._write("event", kind=kind, text=text)
+        if kind == TRIP:
+            self.notify(TRIPPED)
 
     def aside(self) -> AbstractContextManager[None]:
         return self._screen.aside()
 
     def _show(self) -> dict[str, str]:
         """The line on the screen; gives back what stands there beside trial and text."""
-        live, error = dict(self.live()), f"last error: {self._error[:LONGEST]}"
-        parts = [self._name, self._text, *live.values(), error if self._error else ""]
-        self._screen.state("; ".join(part for part in parts if part))
-        return {**live, "last error": self._error} if self._error else live
+        status = self.status()
+        self._screen.state(status.line if status else self.doing)
+        return status.parts if status else {}
 
     def _write(self, what: str, **more: Any) -> None:
         if self.replaying and what != "warning":

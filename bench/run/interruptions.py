@@ -36,6 +36,7 @@ from instruments.operators.operator import (
 
 INSTRUMENTS = ("arm", "stage", "bath", "cameras")
 GONE, GARBLED, REFUSES = "gone", "garbled", "refuses"
+HOW = {GONE: "no answer", GARBLED: "no usable answer", REFUSES: "it refuses", "": "at fault"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +120,8 @@ class Recovery:
         ctx, name = self._ctx, diagnosis(fault)[0]
         are = "are" if name == "cameras" else "is"
         self._missing = (fault, policy)
-        ctx.away = name
+        ctx.away, ctx.away_how = name, HOW[diagnosis(fault)[1]]
+        ctx.check_away = f"{policy.check} It goes on by itself when the {name} {are} back."
         started_s, patience_s = ctx.clock.now(), self._patience_s
         if ctx.states.current is RunState.PREPARING:
             patience_s = min(patience_s, PREPARING_S)
@@ -127,8 +129,7 @@ class Recovery:
             ctx.ask(Release())
         with ctx.states.during(RunState.PAUSED):
             ctx.event("dropped out", f"{what}: {fault} ({count})")
-            then = f"{policy.check} It goes on by itself when the {name} {are} back."
-            ctx.events.warn(f"{fault}\nThe run is paused. {then}")
+            ctx.events.warn(f"{fault}\nThe run is paused. {ctx.check_away}")
             while not self._back(name):
                 if ctx.clock.now() - started_s >= patience_s:
                     why = f"the {name} did not come back within {patience_s:g} s"

@@ -9,6 +9,7 @@ nothing. No answer of a detector is in it.
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -18,14 +19,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.results.status import LIVE, RunStatus
 from bench.safety.bath_monitor import BathMonitor
 from bench.safety.interlocks import RULES
 from bench.truth.touching import Ends
 from instruments.camera.frame import FrameSet
-from instruments.clock import stopwatch_s, wall_time
+from instruments.clock import stopwatch_s
 from instruments.operators.mailbox import FOLDER
 
-LIVE = "live.json"
 EVERY_S = 0.1
 WIDE_PX = 480  # of the pictures
 QUALITY = 80
@@ -41,16 +42,17 @@ class Live:
         self._frames = 0
         self._names: tuple[str, ...] = ()
         self._ends_mm: NDArray[np.float64] = np.zeros((0, 3))
-        self._trial = ""
+        self._lock = threading.Lock()
+        self._tip: dict[str, Any] | None = None
+        self.ended = False
 
     @property
     def due(self) -> bool:
         """Whether enough time has passed since the last time that it was written."""
         return stopwatch_s() - self._written_s >= EVERY_S
 
-    def expect(self, trial: str, ends: Ends) -> None:
+    def expect(self, ends: Ends) -> None:
         """Where the teats of this trial end by its script."""
-        self._trial = trial
         self._ends_mm = ends.expected_mm
         self._names = tuple(map(ends.called, range(1, len(ends.expected_mm) + 1)))
 
@@ -64,25 +66,31 @@ class Live:
                     self._replace(f"{name}.jpg", bytes(data))
             self._frames += 1
 
-    def write(self, state: Mapping[str, Any], tip_mm: NDArray[np.float64] | None) -> None:
-        """``state`` with the time, the tip (3,) in the world where it is known, and the teats."""
-        self._written_s = stopwatch_s()
-        whole = {
-            "wall_time": wall_time().isoformat(timespec="milliseconds"),
-            **state,
-            "tip": None if tip_mm is None else self._near(tip_mm),
-            "ends": [
-                {"name": name, "mm": end}
-                for name, end in zip(self._names, self._ends_mm.tolist(), strict=True)
-            ],
-            "pose": self._trial,
-            "frames": self._frames,
-        }
-        with suppress(OSError):
-            self._replace(LIVE, json.dumps(whole, ensure_ascii=False).encode())
+    def tip(self, tip_mm: NDArray[np.float64] | None) -> None:
+        """Where the tip (3,) is in the world, where that is known."""
+        self._tip = None if tip_mm is None else self._near(tip_mm)
+
+    def write(self, status: RunStatus, more: Mapping[str, Any]) -> None:
+        """``status``, with ``more`` for a page that shows it; from any thread."""
+        with self._lock:
+            if self.ended:
+                return
+            self._written_s = stopwatch_s()
+            ends = zip(self._names, self._ends_mm.tolist(), strict=True)
+            whole = {
+                "status": status.as_dict(),
+                **more,
+                "tip": self._tip,
+                "ends": [{"name": name, "mm": end} for name, end in ends],
+                "frames": self._frames,
+            }
+            with suppress(OSError):
+                self._replace(LIVE, json.dumps(whole, ensure_ascii=False).encode())
 
     def end(self) -> None:
         """The run has ended: its record says all."""
+        with self._lock:
+            self.ended = True
         for name in (LIVE, *(f"{camera}.jpg" for camera in CAMERAS)):
             with suppress(OSError):
                 (self._folder / name).unlink(missing_ok=True)
@@ -116,7 +124,6 @@ def bath_state(watch: BathMonitor, expected_s: float) -> dict[str, Any]:
         "band_k": gate.leave_k,
         "state": watch.state.value,
         "why_not_stable": watch.why_not_stable,
-        "silence": watch.silence,
         "stable_in_s": watch.stable_in_s(expected_s),
     }
 

@@ -27,6 +27,7 @@ from bench.results.answers import LEFT_OUT, Answer, one_line
 from bench.results.stated_arm import STATED_FACT, VERIFICATION_FACT, stated_fact
 from bench.rig.arm_files import as_dict
 from bench.rig.loading import LoadedRig
+from bench.run.notify import without_secrets
 from bench.truth.joint import FRAME_FACT
 from detector.protocol import Detector
 from instruments.clock import wall_time
@@ -127,7 +128,7 @@ def write_facts(
         "calibration_sha256": hashlib.sha256(calibration.read_bytes()).hexdigest(),
         "versions": versions(),
         "commit": commit(Path(__file__).resolve().parents[2] / ".git"),
-        "command": shlex.join(["teatbench", *sys.argv[1:]]),
+        "command": shlex.join(["teatbench", *without_secrets(sys.argv[1:])]),
         "wall_started": wall_time().isoformat(timespec="seconds"),
     }
     with store.step():

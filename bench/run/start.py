@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,11 @@ from bench.record.recording import Recording
 from bench.record.schema import GUARDIAN, RULES, SCRIPT
 from bench.record.state import run_lock
 from bench.record.writer import Store
+from bench.results import health
 from bench.results.answers import Examiner
 from bench.results.cameras_agree import UNCHECKED_FACT, spread, unchecked_text, where_seen
 from bench.results.doubts import DOUBTS_FACT, LOOKED_FACT, doubts_of, looked_at
+from bench.results.queue import ENDED, QueueNote
 from bench.results.stated_arm import contradictions, stated_fact
 from bench.rig.devices import Devices
 from bench.rig.guardian_client import GuardianClient, Heartbeat, signs_of
@@ -32,7 +35,7 @@ from bench.rig.opening import in_virtual_time, open_instruments
 from bench.rig.urls import EMULATED
 from bench.run.context import RunContext
 from bench.run.engine import Engine
-from bench.run.estimate import needs, read_durations, refuse_no_room
+from bench.run.estimate import TimeEstimate, needs, read_durations, refuse_no_room
 from bench.run.events import Events, Progress, RunState
 from bench.run.interruptions import Requests
 from bench.run.live import Live
@@ -73,6 +76,7 @@ from detector.protocol import Detector
 from instruments.captures.capture import CaptureFile
 from instruments.clock import VirtualClock, wall_time
 from instruments.errors import InstrumentError
+from instruments.operators.console import Console
 from instruments.operators.operator import time_left
 
 BETWEEN_S = 1.0  # of the bench's time, between two sessions of a run
@@ -85,14 +89,16 @@ INTERRUPTED = "interrupted (Ctrl-C)"
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """``seed`` and ``detectors`` instead of the rig's and the script's; ``typed`` gives typed
-    lines; ``begun`` gets where the run is kept, and how long it takes.
+    """``seed`` and ``detectors`` instead of the rig's and the script's; ``speed`` of emulators that
+    are watched; ``typed`` gives typed lines; ``begun`` gets where the run is kept, and how long it
+    takes.
     """
 
     seed: int | None = None
     detectors: Sequence[str] = ()
     record: Path | None = None
     realtime: bool = False
+    speed: float | None = None
     capture: CaptureFile | None = None
     typed: Callable[[], str | None] = lambda: None
     begun: Callable[[str], None] = lambda _: None
@@ -108,21 +114,68 @@ def run_script(
     """Run ``script`` on ``rig``, shown on ``progress``; the run's folder and how it ended. Raises
     ConfigError, LatchedError, RigInUseError before anything is opened.
     """
+    (ended,) = run_queue(rig, [script], out, progress, how)
+    return ended
+
+
+def run_queue(
+    rig: LoadedRig,
+    scripts: Sequence[LoadedScript],
+    out: Path,
+    progress: Progress,
+    how: RunOptions | None = None,
+) -> list[tuple[Path, RunState]]:
+    """As `run_script`, one after the other. From one that finished to the next the rig stays open
+    and warm; what faults is made safe, and the next one opens the rig anew. A trip, an abort and
+    what could not be made safe end them all.
+    """
     how, events = how or RunOptions(), _stream(progress)
-    refuse_carry(rig, script)
-    under_test = _allowed(rig, script, how.detectors)
+    for script in scripts:
+        refuse_carry(rig, script)
+    under_test = [_allowed(rig, script, how.detectors) for script in scripts]
     how = replace(how, seed=rig.rig.seed if how.seed is None else how.seed)
+    ended: list[tuple[Path, RunState]] = []
     with (
-        introduced(under_test, script.scenes),
         locked(lock_path(rig), str(out.resolve()), events.warn),
+        closing(OpenRig(rig, how, events)) as held,
     ):
-        refuse_no_room(rig, len(script.planned), out)
-        for text in _contradicted(rig, script):
-            events.warn(text)
-        recorder = Recorder(how.record, rig.calibration_path, events.warn) if how.record else None
-        store = _begun(rig, script, out, under_test, how)
-        with locked(run_lock(store.folder), "itself", events.warn, "run"):
-            return _run(rig, script, store, under_test, events, how, recorder)
+        refuse_no_room(rig, sum(len(script.planned) for script in scripts), out)
+        warned = health.warnings(out, rig.rig.name)
+        note = QueueNote.begin(out, rig.rig.name, [one.name for one in scripts])
+        for number, (script, detectors) in enumerate(zip(scripts, under_test, strict=True), 1):
+            held.more = number < len(scripts)
+            for text in _contradicted(rig, script):
+                events.warn(text)
+            recorded = None
+            if how.record:
+                recorded = Recorder(how.record, rig.calibration_path, events.warn)
+            with introduced(detectors, script.scenes):
+                store = _begun(rig, script, out, detectors, how, warm=held.is_warm)
+                note.runs(store.folder)
+                with locked(run_lock(store.folder), "itself", events.warn, "run"):
+                    run = partial(_run, script, store, detectors, held, recorded, warned=warned)
+                    ended.append(_of_a_queue(run, store, events) if len(scripts) > 1 else run())
+            if ended[-1][1] is RunState.ABORTED:
+                held.ends = held.ends or "a run was aborted"
+            if held.ends:
+                note.ends(held.ends)
+                break
+            warned = []
+        note.ends(ENDED)
+    return ended
+
+
+def _of_a_queue(
+    run: Callable[[], tuple[Path, RunState]], store: Store, events: Events
+) -> tuple[Path, RunState]:
+    """A mistake of the bench in one script is not the next one's: its record has it, and the rig is
+    safe.
+    """
+    try:
+        return run()
+    except Exception as error:
+        events.warn(f"{store.folder}: {type(error).__name__}: {error}")
+        return store.folder, RunState.FAULTED
 
 
 def resume_run(
@@ -145,6 +198,7 @@ def resume_run(
         detectors=tuple(asked["detectors"]),
         record=None,
         realtime=bool(asked["realtime"]),
+        speed=asked.get("speed"),
     )
     under_test = _allowed(rig, script, how.detectors)
     here = str(folder.resolve())
@@ -157,8 +211,10 @@ def resume_run(
         left = what_is_left(folder, [trial.id for trial in script.planned])
         refuse_no_room(rig, len(script.planned) - len(left.done), folder)
         recorder = recorder_again(left.run, rig.calibration_path, events.warn)
-        store = open_store(left, rehearsed=in_virtual_time(rig, realtime=how.realtime))
-        return _run(rig, script, store, under_test, events, how, recorder, left)
+        again = in_virtual_time(rig, realtime=how.realtime) and not asked.get("warm")
+        store = open_store(left, rehearsed=again)
+        with closing(OpenRig(rig, how, events)) as held:
+            return _run(script, store, under_test, held, recorder, left)
 
 
 def _contradicted(rig: LoadedRig, script: LoadedScript) -> Iterator[str]:
@@ -188,7 +244,13 @@ def _allowed(rig: LoadedRig, script: LoadedScript, names: Sequence[str]) -> list
 
 
 def _begun(
-    rig: LoadedRig, script: LoadedScript, out: Path, under_test: Sequence[Detector], how: RunOptions
+    rig: LoadedRig,
+    script: LoadedScript,
+    out: Path,
+    under_test: Sequence[Detector],
+    how: RunOptions,
+    *,
+    warm: bool,
 ) -> Store:
     """A new run folder that says what the run is."""
     files = {**rig.arm_files, **rig.answer_files, **script.layout_files, **script.truth_files}
@@ -215,6 +277,8 @@ def _begun(
             "script": str(script.path.resolve()),
             "detectors": list(how.detectors),
             "realtime": how.realtime,
+            "speed": how.speed,
+            "warm": warm,  # the rig as the run before left it
         },
     }
     with undisturbed():  # a run that is there at all says what it is, and how it ended
@@ -228,16 +292,16 @@ def _begun(
 
 
 def _run(
-    rig: LoadedRig,
     script: LoadedScript,
     store: Store,
     under_test: Sequence[Detector],
-    events: Events,
-    how: RunOptions,
+    held: OpenRig,
     recorder: Recorder | None,
     left: ResumePoint | None = None,
+    warned: Sequence[str] = (),
 ) -> tuple[Path, RunState]:
     """From open files to an ended run; closes store and detectors."""
+    rig, how, events = held.rig, held.how, held.events
     try:
         current().check_interrupts()
         expected = needs(rig, script, read_durations(store.folder.parent, rig)).time
@@ -249,28 +313,18 @@ def _run(
         how.begun(
             f"{plural(to_do, 'trial')}, {note} of the bench's time. Run folder: {store.folder}"
         )
-        with (
-            events.kept_in(store.folder),
-            _guarded_instruments(rig, store, how, events, left) as (devices, heartbeat, guardian),
-        ):
-            refuse_other_cameras(rig.calibration.record, devices.cameras.identity)
-            ctx = RunContext(rig, script, devices, store, events, heartbeat, guardian)
-            engine = Engine(
-                ctx,
-                under_test,
-                exact_ends=devices.exact_ends,
-                recorder=recorder,
-                left=left,
-                typed=how.typed,
-                expected=expected,
-            )
-            if guardian:
-                guardian.heats = True
+        with events.kept_in(store.folder):
+            for text in warned:
+                events.warn(f"Bench health: {text}")
             try:
-                return store.folder, engine.run()
+                engine = held.engine_of(
+                    script, store, under_test, recorder=recorder, left=left, expected=expected
+                )
+                with engine.context.devices.practice(store.folder):
+                    return store.folder, engine.run()
             finally:
-                if guardian and engine.bath_is_safe:
-                    guardian.done()
+                if not held.is_warm:
+                    held.close()
     # before the engine had the instruments: nothing was switched on
     except (InstrumentError, KeyboardInterrupt) as error:
         if isinstance(store, RehearsedStore):
@@ -280,6 +334,85 @@ def _run(
         return store.folder, _end(store, RunState.FAULTED, str(error))
     finally:
         store.close()
+
+
+class OpenRig:
+    """The instruments of one run after the other: opened with the first, made safe and closed where
+    one has not finished or none follows. ``more``: another script follows.
+    """
+
+    def __init__(self, rig: LoadedRig, how: RunOptions, events: Events) -> None:
+        self.rig, self.how, self.events = rig, how, events
+        self.more = False
+        self.ends = ""  # why no script may follow
+        self._stack = ExitStack()
+        self._opened: tuple[Devices, Heartbeat, GuardianClient | None] | None = None
+        self._engine: Engine | None = None
+
+    @property
+    def is_warm(self) -> bool:
+        """Whether the last run left all open, heated and watched."""
+        return self._engine is not None and self._engine.is_warm
+
+    def engine_of(
+        self,
+        script: LoadedScript,
+        store: Store,
+        under_test: Sequence[Detector],
+        *,
+        recorder: Recorder | None,
+        left: ResumePoint | None,
+        expected: TimeEstimate,
+    ) -> Engine:
+        """The engine of a run on this rig. Raises what opening it does."""
+        before, self._engine = self._engine, None
+        if self._opened is None:
+            guarded = _guarded_instruments(self.rig, store, self.how, self.events, left)
+            self._opened = self._stack.enter_context(guarded)
+        devices, heartbeat, guardian = self._opened
+        if before and isinstance(devices.operator, Console):
+            devices.operator.asked_in(store.folder)
+        refuse_other_cameras(self.rig.calibration.record, devices.cameras.identity)
+        ctx = RunContext(
+            self.rig,
+            script,
+            devices,
+            store,
+            self.events,
+            heartbeat,
+            guardian,
+            before.context if before else None,
+        )
+        if guardian:
+            guardian.heats = True
+        self._engine = Engine(
+            ctx,
+            under_test,
+            exact_ends=devices.exact_ends,
+            recorder=recorder,
+            left=left,
+            typed=self.how.typed,
+            expected=expected,
+            more=self.more,
+        )
+        return self._engine
+
+    def close(self) -> None:
+        """Make safe what is warm, and close all; nothing where that is done."""
+        engine, opened, self._engine, self._opened = self._engine, self._opened, None, None
+        try:
+            if engine:
+                ctx = engine.context
+                trip = ctx.watch.tripped or (ctx.before and ctx.before.watch.tripped)
+                if engine.is_warm:
+                    engine.let_go()
+                self.ends = self.ends or (f"an interlock tripped: {trip}" if trip else "")
+                unsafe = not engine.bath_is_safe or ctx.devices.active
+                self.ends = self.ends or ("an instrument is not safe" if unsafe else "")
+                if opened and (guardian := opened[2]) and engine.bath_is_safe:
+                    guardian.done()
+        finally:
+            self._stack.close()
 
 
 @contextmanager
@@ -314,6 +447,7 @@ def _guarded_instruments(
             rig,
             seed=how.seed or 0,
             realtime=how.realtime,
+            speed=how.speed,
             capture=how.capture,
             supervised=True,
             screen=events.aside,

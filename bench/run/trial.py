@@ -282,7 +282,7 @@ class TrialRun:
         """From settling to the trial's rows; where anything raises, nothing is stored."""
         ctx, there = self._ctx, shown(trial, self._axes)
         ctx.store.refuse_gone()
-        ctx.live.expect(trial.name, there.ends)
+        ctx.live.expect(there.ends)
         started_s = ctx.clock.now()
         self._truth.before(there)
         self._settle()
@@ -294,7 +294,7 @@ class TrialRun:
         ctx.wait(self._rig.cameras.settle_s)
         while True:
             frames = self._capture_settled(trial.id)
-            captured_s = ctx.clock.now()
+            captured_s = ctx.devices.heard["cameras"] = ctx.clock.now()
             if ctx.store.keeps_pictures:
                 ctx.live.frames(frames)
             bath, bath_state = ctx.watch.last, ctx.watch.state
@@ -427,6 +427,8 @@ class TrialRun:
                 ctx.long("moving the stage", 600.0)
                 place = there.machine(shared(pose, self._axes)[0])
                 stage.move_to(**place, feed_mm_min=there.feed_mm_per_min)
+                at = (f"{axis.partition('_')[0]} {value:.1f}" for axis, value in place.items())
+                ctx.last["stage"] = ", ".join(at)
                 ctx.check()
 
     def _detect(self, frames: FrameSet) -> list[Answer]:

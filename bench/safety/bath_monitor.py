@@ -95,9 +95,13 @@ class BathMonitor:
     def silence(self) -> str:
         """``no answer for 12 s``; empty while the bath answers, or is asked for nothing more."""
         silent_s = self.clock.now() - self._answered_s
-        late = self._running and silent_s > LATE_S
-        how = self._failing or ("no answer" if late else "")
-        return f"{how} for {silent_s:.0f} s" if how else ""
+        return f"{self.failing} for {silent_s:.0f} s" if self.failing else ""
+
+    @property
+    def failing(self) -> str:
+        """``no answer`` or ``no usable reading``; empty as `silence`."""
+        late = self._running and self.clock.now() - self._answered_s > LATE_S
+        return self._failing or ("no answer" if late else "")
 
     @property
     def tripped(self) -> Exception | None:
@@ -110,12 +114,20 @@ class BathMonitor:
         self._answered_s = self._planned_s = self.clock.now()
         self._tick()
 
-    def heating(self) -> None:
-        """The bath has been started: what was read before is no evidence of stability."""
+    def heating(self, *, anew: bool = True) -> None:
+        """The bath has been started: what was read before is no evidence of stability, unless it
+        has been kept at this set point all along (not ``anew``).
+        """
         with self._lock, self._gate_lock:
-            self.gate.restart()
+            if anew:
+                self.gate.restart()
             self._heating_s = self.clock.now()
             self.interlocks.heating(self.gate.set_point_c)
+
+    def unrecorded(self) -> None:
+        """From now on readings are in no record; returns once none is being written."""
+        with self._lock:
+            self.record = lambda _: None
 
     def end(self) -> None:
         """No further readings; doesn't wait for one that is under way, as ``stop`` does."""
@@ -217,7 +229,7 @@ class TripHandler:
         self._heartbeat = heartbeat
         self._guardian_client = guardian_client
         self._latch = latch_path(rig)
-        self._reported = self._held = False
+        self._reported = self._held = self._beyond = False
         self.on_event: Callable[[str, str], None] = lambda _kind, _text: None
         self.seen: Callable[[], None] = lambda: None
         interlocks = self._interlocks = Interlocks(rig.rig.limits, devices.bath.profile)
@@ -261,6 +273,12 @@ class TripHandler:
         self.watch.stop()
         self._heartbeat.rest(WATCH)
 
+    def watch_beyond(self) -> None:
+        """Watch on though the run has ended and its record is closed: the rig stays warm."""
+        self._beyond = True
+        self.watch.unrecorded()
+        self.on_event, self.seen = (lambda _kind, _text: None), (lambda: None)
+
     def heater_off(self) -> None:
         """For a thread that has no time for more: the heater, whatever else goes on."""
         heater_off(self._devices.bath)
@@ -278,8 +296,10 @@ class TripHandler:
         # first, for it takes a byte, and a bath that doesn't answer half a minute
         braked = attempt("stage", stage.brake) if stage and not self._held else None
         heater = attempt("heater", lambda: heater_off(self._devices.bath), "is in standby")
+        self._devices.safed["bath"] = replace(heater, name="bath")
         if stage and braked:
             steps.append(held(stage) if braked.is_safe else braked)
+            self._devices.safed["stage"] = steps[-1]
         self._held = self._held or all(step.is_safe for step in steps)
         steps.append(heater)
         if not self._reported:
@@ -292,11 +312,14 @@ class TripHandler:
         done = "; ".join(said)
         self._warn(f"{trip}\n{done}. The run ends; an open question needs no answer any more.")
         try:
-            if isinstance(trip, InterlockTrip):
+            if isinstance(trip, InterlockTrip) and not self._beyond:
                 self._store.fact(
                     "trip", trip.as_dict() | {"t_s": self._devices.clock.now(), "done": said}
                 )
-            self._store.event(self._devices.clock.now(), "trip", f"{trip} ({done})", wall_time())
+            if not self._beyond:
+                self._store.event(
+                    self._devices.clock.now(), "trip", f"{trip} ({done})", wall_time()
+                )
             self.on_event("trip", f"{trip} ({done})")
         except sqlite3.Error as error:
             self._warn(f"the trip could not be written down: {error}")

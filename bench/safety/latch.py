@@ -96,7 +96,7 @@ def refuse_untested_cut_out(rig: LoadedRig, today: date) -> None:
         why = (
             "missing: nothing is heated before the bath's independent cut-out was tested, because"
             f' the bath may stay hot when the computer dies (its profile says comms_loss = "{loss}"'
-            "). Test it as docs/safety.md says, then write the day:"
+            "). Test it as 'teatbench help safety' says, then write the day:"
             f' cut_out_tested = "{today.isoformat()}"'
         )
     # it may be tomorrow already elsewhere

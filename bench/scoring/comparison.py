@@ -100,7 +100,8 @@ class Discordance:
 @dataclass(frozen=True, slots=True)
 class PairedDifference:
     """Mean over poses of new - old; `low` and `high` are one-sided bounds of confidence (1 +
-    `confidence`) / 2. None where nothing was compared.
+    `confidence`) / 2. None where nothing was compared. ``capped``: of ``rows`` those whose change
+    counts as the limit, which it exceeds.
     """
 
     poses: int
@@ -109,6 +110,8 @@ class PairedDifference:
     high: float | None = None
     p_value: float | None = None
     confidence: float = 0.95
+    capped: int = 0
+    rows: int = 0
 
 
 def discordance(old: npt.ArrayLike, new: npt.ArrayLike) -> Discordance:
@@ -140,8 +143,16 @@ def paired_difference(
     tail = (1.0 + confidence) / 2.0
     low, high = -upper_bound(-differences, limit, tail), upper_bound(differences, limit, tail)
     p_value = sign_flip_p(differences, seed)
+    changes = np.abs(as_values(new, "new errors") - as_values(old, "old errors"))
     return PairedDifference(
-        len(differences), float(differences.mean()), low, high, p_value, confidence
+        len(differences),
+        float(differences.mean()),
+        low,
+        high,
+        p_value,
+        confidence,
+        capped=int((changes > limit).sum()),
+        rows=len(changes),
     )
 
 
@@ -240,6 +251,25 @@ def holm(p_values: Sequence[float]) -> tuple[float, ...]:
 
 
 ALPHA = 0.05
+
+
+def fewest_that_show(questions: int = 1) -> int:
+    """How many poses that all point one way chance doesn't explain: by signs, and by who succeeded,
+    n such have p = 2^(1 - n), as one of ``questions`` asked at once.
+    """
+    return fewest(lambda n: questions * 2.0 ** (1 - n) < ALPHA, 0)
+
+
+def chance_text(n: int, what: str, questions: int = 1) -> str:
+    """Why a difference in ``n`` poses is not taken as real: by their number alone, or perhaps by
+    chance. ``what``: which poses count.
+    """
+    least = fewest_that_show(questions)
+    if n >= least:
+        return "which may be chance"
+    return f"but {plural(n, 'pose')} {what} can show nothing by themselves: {least} can"
+
+
 MARGIN_SHARE = 0.05  # of the error's limit: the margin where none is named
 
 
@@ -291,6 +321,26 @@ class Compared:
     situations: tuple[Row, ...]
     gate: Gate
     confidence: float
+    identical: bool = False
+
+
+def _same(pairs: Sequence[ScenePair], pooled: Row, confidence: float, again: int) -> str:
+    """That all answers are identical, and what that shows of other poses."""
+    chance, n = (1.0 - confidence) / 2.0 ** (1 + again), pooled.poses
+    unseen = Rate(0, n).upper_bound(1.0 - chance) or 0.0
+    most = percent(1.0 - least_rate(n, n, chance) if again else unseen)
+    return (
+        f"identical answers in all {len(pairs)} frame sets: nothing changed in these; of other"
+        f" poses at most {most} have another answer ({plural(n, 'pose')},"
+        f" {exact_percent(1.0 - chance)} confidence)"
+    )
+
+
+def _identical(pair: ScenePair) -> bool:
+    """Whether both gave the same answer, to the last bit."""
+    old, new = pair.old, pair.new
+    same = (old.counts, old.match.pairs) == (new.counts, new.match.pairs)
+    return same and np.array_equal(old.errors_mm, new.errors_mm)
 
 
 def compare(
@@ -332,7 +382,10 @@ def compare(
     )
     several = situations if len(situations) > 1 else ()
     verdict = gate(pairs, pooled, margin, unpaired, several, margin_rate, again)
-    return Compared(pooled, situations, verdict, confidence)
+    identical = not unpaired and all(map(_identical, pairs))
+    if identical and verdict.verdict is Verdict.INCONCLUSIVE:
+        verdict = replace(verdict, reasons=(_same(pairs, pooled, confidence, again),))
+    return Compared(pooled, situations, verdict, confidence, identical)
 
 
 def gate(
@@ -354,7 +407,8 @@ def gate(
     names = ("distance to the teat end", "error along x", "error along y", "error along z")
     for what, change in zip(names, (pooled.radial, *pooled.axes), strict=True):
         if change.mean is not None and change.mean > margin_mm:
-            by = f"grew by {change.mean:.3f} mm, more than the margin of {margin_mm:g} mm"
+            most = " or more" if change.capped else ""
+            by = f"grew by {change.mean:.3f} mm{most}, more than the margin of {margin_mm:g} mm"
             worse.append(f"the mean {what} {by}")
     shown, perhaps = _grown_in(situations, margin_mm)
     worse, left_open = worse + shown, left_open + perhaps
@@ -374,14 +428,17 @@ def gate(
         )
     if left_open:
         return Gate(Verdict.INCONCLUSIVE, tuple(left_open), margin_mm, margin_rate)
+    if high is None:
+        raise AssertionError("left open above")
+    grew = f"grew by at most {high:.3f} mm" if high >= 0 else f"shrank by at least {-high:.3f} mm"
+    lost = f"at most {percent(failing)} of poses are lost anew ({plural(pooled.poses, 'pose')}, "
     bounds = (
-        f"over all poses the mean distance grew by at most {high:.3f} mm (margin {margin_mm:g} mm) "
-        f"and at most {percent(failing)} of poses are lost anew ({plural(pooled.poses, 'pose')}, "
+        f"over all poses the mean distance {grew} (margin {margin_mm:g} mm) and {lost}"
         f"{exact_percent(tail)} confidence each, one-sided)"
     )
     if margin_rate is not None:
         fell = f"the share of right ones fell by at most {percent(margin_rate)}"
-        bounds = f"over all poses the mean distance grew by at most {high:.3f} mm, and {fell}"
+        bounds = f"over all poses the mean distance {grew}, and {fell}"
         return Gate(Verdict.MET, (bounds,), margin_mm, margin_rate)
     return Gate(Verdict.MET, ("no scene lost, no false or missed teat more", bounds), margin_mm)
 
@@ -432,7 +489,8 @@ def _fewer_right(
         if fell > margin and p < ALPHA:
             shown.append(f"{text}, p {f'= {p:.3f}' if p >= 0.0005 else '< 0.001'}")
         elif fell > margin:
-            perhaps.append(f"{text}, which may be chance")
+            differ = won.only_old + won.only_new
+            perhaps.append(f"{text}, {chance_text(differ, 'that differ', len(situations) or 1)}")
         elif row is pooled and (most := most_fallen(won, span, chance)) > margin:
             perhaps.append(
                 f"poses that were not run may hide that the share of right ones fell by"
@@ -477,10 +535,11 @@ def _grown_in(situations: Sequence[Row], margin_mm: float) -> tuple[list[str], l
         if p is not None and p < ALPHA:
             shown.append(f"{grew}, more than the margin of {margin_mm:g} mm (adjusted p = {p:.3f})")
         else:
-            perhaps.append(
-                f"{grew}, which {row.poses} poses don't distinguish from chance: compare on more"
-                " poses of it"
-            )
+            n, asked = row.radial.poses, len(situations)
+            least = fewest_that_show(asked)
+            few = f"{plural(n, 'pose')} of it can show nothing by themselves: {least} can"
+            chance = f"{n} poses don't distinguish from chance: compare on more poses of it"
+            perhaps.append(f"{grew}, {f'but {few}' if n < least else f'which {chance}'}")
     return shown, perhaps
 
 

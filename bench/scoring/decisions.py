@@ -45,7 +45,8 @@ class Verdict(StrEnum):
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decision:
     """One requirement decided; by default not measured. ``margin`` is positive on the good side,
-    ``uncertainty`` one-sided; ``accept`` is an error's acceptance limit.
+    ``uncertainty`` one-sided; ``accept`` is an error's acceptance limit; ``missing``: how many more
+    poses without a failure would show it, None where it is no matter of poses.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Decision:
     verdict: Verdict = Verdict.NOT_MEASURED
     sentence: str
     accept: float | None = None
+    missing: int | None = None
 
 
 def overall(verdicts: Iterable[Verdict]) -> Verdict:
@@ -99,12 +101,14 @@ def decide_rate(
     if low is None or high is None or value is None:
         return nothing
     verdict, reason = Verdict.MET, f"a rate of at least {percent_apart(low, required)} is shown"
+    missing = None
     if high < required:
         verdict = Verdict.NOT_MET
         reason = f"a rate of at most {percent_apart(high, required)} is shown"
     elif low < required:
         verdict = Verdict.INCONCLUSIVE
-        more = _more(test, sure, "would show", share, leaks=leaks)
+        missing = test.more(sure, leaks=leaks)
+        more = _more(missing, "would show", share)
         reason = f"only {percent_apart(low, required)} is shown; {more}"
     fail, succeed = rate.successes - sure.successes, open_to.successes - rate.successes
     turned = [
@@ -122,6 +126,7 @@ def decide_rate(
         verdict=verdict,
         sentence=f"{rate.successes} of {plural(rate.trials, 'pose')} succeeded ({percent(value)}"
         f"{within}): {reason}, with {surely} confidence (one-sided).",
+        missing=missing,
     )
 
 
@@ -168,10 +173,10 @@ def decide_time(
         f" s; {in_time.successes} of {plural(in_time.trials, 'pose')} in time, which shows"
         f" {percent_apart(low, rate or 0.95)}"
     )
-    verdict = Verdict.MET if measured <= limit_s else Verdict.NOT_MET
+    verdict, missing = Verdict.MET if measured <= limit_s else Verdict.NOT_MET, None
     if verdict is Verdict.MET and rate is not None and low < rate:
-        verdict = Verdict.INCONCLUSIVE
-        sentence += f"; {_more(test, in_time, 'would show it for', exact_percent(rate))}"
+        verdict, missing = Verdict.INCONCLUSIVE, test.more(in_time)
+        sentence += f"; {_more(missing, 'would show it for', exact_percent(rate))}"
     return replace(
         nothing,
         n=in_time.trials,
@@ -179,6 +184,7 @@ def decide_time(
         margin=limit_s - measured,
         verdict=verdict,
         sentence=f"{sentence}.",
+        missing=missing,
     )
 
 
@@ -273,7 +279,7 @@ def decide_error(
     )
     if not n:
         return nothing
-    measured, verdict = float(worst.max()), Verdict.INCONCLUSIVE
+    measured, verdict, missing = float(worst.max()), Verdict.INCONCLUSIVE, None
     if measured >= refuse:
         verdict = Verdict.NOT_MET
         reason = f"at or beyond the refusal limit of {refuse:.3f} mm"
@@ -291,6 +297,8 @@ def decide_error(
     else:
         enough = guarded_n(0, rate, sure, leak(measured, limit_mm, u_mm))
         verdict, claim = _claim(n, least, enough, share, counted)
+        if verdict is Verdict.INCONCLUSIVE and enough is not None and counted < least:
+            missing = enough - n
         reason = f"within the acceptance limit of {accepted}{claim}"
     # what so many poses show, whatever was asked for
     level = min(measured, accept) if accept is not None else 0.0
@@ -311,12 +319,12 @@ def decide_error(
         verdict=verdict,
         sentence=f"The largest distance over {plural(n, 'pose')} is {measured:.2f} mm,"
         f" {reason}.{without}",
+        missing=missing,
     )
 
 
-def _more(test: RateTest, rate: Rate, would: str, share: str, *, leaks: bool = False) -> str:
+def _more(more: int | None, would: str, share: str) -> str:
     """How many poses a further look needs, which earlier ones have made dearer."""
-    more = test.more(rate, leaks=leaks)
     if more is None:
         return f"no further look can show {share}, since earlier ones took all that there was"
     return (

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from bench.script.model import CalibrationRequirement, LoadedScript
 
 CALIBRATION_FACT = "calibration record"
-AGAIN = "Calibrate again (docs/calibration.md: teatbench calibrate cameras, thermal, world, merge)"
+AGAIN = "Calibrate again (teatbench calibrate cameras, thermal, world, merge; help calibration)"
 
 
 def refuse_old_calibration(rig: LoadedRig, script: LoadedScript, today: date) -> None:

@@ -13,12 +13,14 @@ import numpy as np
 
 from bench.rig.arm_files import LocationTest, axes_of, swing_text
 from bench.rig.model import Arm
+from bench.scoring.errors import Floats
 from bench.truth.touching import SPARE, TipReader
 from instruments.clock import Clock
 from instruments.errors import TouchAgainError
 from instruments.operators.operator import CheckPoint, Release, Request
 
 BEFORE, AFTER = "before", "after"
+NEAR = 2.0  # in the largest distance of the earlier touches from their mean
 CHECK_FACT = "arm check {}"  # before, after
 
 
@@ -28,13 +30,17 @@ def check_arm(
     arm: Arm,
     clock: Clock,
     check: Callable[[], None],
+    before: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Touch the rig's check point; gives back the fact to store. ``check`` may raise."""
+    """Touch the rig's check point; gives back the fact to store. ``check`` may raise. The touches
+    of a check ``before`` count where the first one shows that nothing has moved since.
+    """
     touches: list[dict[str, Any]] = []
     again, refused = "", 0
     while len(touches) < arm.check_touches:
         check()
-        ask(CheckPoint(len(touches) + 1, arm.check_touches, again))
+        of = 1 if before and not touches else arm.check_touches
+        ask(CheckPoint(len(touches) + 1, of, again))
         try:
             seen, again = tip.read(), ""
         except TouchAgainError as error:
@@ -45,8 +51,17 @@ def check_arm(
         axis = None if seen.axis is None else seen.axis.tolist()
         row = {"t_s": clock.now(), "tip_mm": seen.tip_mm.tolist(), "axis": axis}
         touches.append(row | {"spread_mm": float(seen.spread_mm), "counts": seen.evidence})
+        if of == 1 and before and _stands(before, seen.tip_mm):
+            touches = [*before["touches"], *touches]
+            break
     ask(Release())
     return {"check_point_mm": arm.check_point_mm, "touches": touches}
+
+
+def _stands(before: Mapping[str, Any], tip_mm: Floats) -> bool:
+    """Whether a touch is as near to the mean of the earlier ones as those are apart at most."""
+    earlier = location_of(before, "")
+    return float(np.linalg.norm(tip_mm - earlier.centre_mm)) <= NEAR * earlier.largest_mm
 
 
 def location_of(fact: Mapping[str, Any], where: str) -> LocationTest:

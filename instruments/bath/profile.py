@@ -291,7 +291,11 @@ class Profile(Device):
         at = {row.name: index for index, row in enumerate(self.rows)}
         for name in ("temperature", "set_point", "run"):
             if name not in at:
-                how = " (a controller without one: docs/add-a-bath.md)" if name == "run" else ""
+                how = (
+                    " (a controller without one: 'teatbench help add-a-bath')"
+                    if name == "run"
+                    else ""
+                )
                 yield ("rows",), f"the row '{name}' is missing{how}"
         for name in {"run", "set_point"} & set(at):
             if self.row(name).access != "rw":

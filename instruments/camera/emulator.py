@@ -186,6 +186,7 @@ class EmulatedCameras:
         self._world = world
         self._taken = 0
         self._last: FrameSet | None = None
+        self._pulled: set[str] = set()
         self.faults = CameraFaults()
 
     @property
@@ -198,8 +199,15 @@ class EmulatedCameras:
             for one in [*renderer.cameras, *deep]
         }
 
+    def pull(self, camera: str, out: bool) -> None:
+        """Pull a camera's cable, or put it back: no set is whole without it."""
+        (self._pulled.add if out else self._pulled.discard)(camera)
+
     def capture(self) -> FrameSet:
         """A frame set of the present world. Raises FrameError where a fault keeps a frame back."""
+        for camera in tuple(self._pulled):
+            what = KEPT_BACK[FrameFault.DROPPED]
+            raise FrameError(FrameFault.DROPPED, camera, f"{camera} camera, emulated", what)
         spoiling = self.faults.next()
         clock = self._world.clock
         now_s = clock.now()

@@ -1,7 +1,8 @@
 """Cameras served as MJPEG streams over HTTP (multipart/x-mixed-replace), one path a camera.
 
 One frame set a tick for all readers; ticks that a slow reader misses, or whose frame never came,
-are left out. Each part has its length and time of exposure. ``/`` may show a page.
+are left out. Each part has its length and time of exposure. ``/`` may show a page, whose buttons
+post their ``words``.
 """
 
 from __future__ import annotations
@@ -9,10 +10,11 @@ from __future__ import annotations
 import contextlib
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, Protocol
+from urllib.parse import parse_qs
 
 import cv2
 
@@ -22,6 +24,7 @@ from instruments.clock import Clock, VirtualClock
 
 BOUNDARY = "frame"
 QUALITY = 95
+MOST_BYTES = 200  # of a form
 STALLED_S = 5.0  # a reader that takes nothing for so long is disconnected
 LOOK_S = 0.05
 
@@ -45,7 +48,8 @@ class StreamServer:
         host: str = "127.0.0.1",
         port: int = 0,
         fps: float = 5.0,
-        page: bytes = b"",
+        page: Callable[[], str] | None = None,
+        act: Callable[[str], None] | None = None,
     ) -> None:
         if isinstance(clock, VirtualClock):
             raise ValueError("streams are served in real time, not under virtual time")
@@ -53,6 +57,8 @@ class StreamServer:
         self.period_s = 1.0 / fps
         self.closing = False
         self.page = page
+        self.act = act
+        self.pulled: set[str] = set()  # cameras whose cable is out
         self._source = source
         self._lock = threading.Lock()
         self._tick = -1
@@ -62,6 +68,7 @@ class StreamServer:
         self.urls: Mapping[str, str] = {
             name: f"http://{host}:{self._server.server_address[1]}/{name}.mjpg" for name in KNOWN
         }
+        self.page_url = self.urls[KNOWN[0]].rpartition("/")[0] + "/"
         self._thread = threading.Thread(
             target=self._server.serve_forever, args=(LOOK_S,), name="camera streams", daemon=True
         )
@@ -111,13 +118,14 @@ class _Handler(BaseHTTPRequestHandler):
         camera = self.path.partition("?")[0].strip("/").removesuffix(".mjpg")
         page = self.server.owner.page
         if page and not camera:
+            data = page().encode("utf-8")
             self.send_response(HTTPStatus.OK)
             self.send_header("Content-Type", "text/html; charset=utf-8")
-            self.send_header("Content-Length", str(len(page)))
+            self.send_header("Content-Length", str(len(data)))
             self.end_headers()
-            self.wfile.write(page)
+            self.wfile.write(data)
             return
-        if camera not in KNOWN:
+        if camera not in KNOWN or camera in self.server.owner.pulled:
             there = ", ".join(f"/{name}.mjpg" for name in KNOWN)
             self.send_error(HTTPStatus.NOT_FOUND, f"no such camera; there are {there}")
             return
@@ -128,12 +136,28 @@ class _Handler(BaseHTTPRequestHandler):
         with contextlib.suppress(OSError):  # the reader has gone, or takes nothing
             self._stream(camera, self.server.owner)
 
+    def do_POST(self) -> None:
+        """One button of the page, then the page again. What isn't understood changes nothing."""
+        length, act = self.headers.get("Content-Length", ""), self.server.owner.act
+        host, origin = self.headers.get("Host"), self.headers.get("Origin")
+        from_page = origin in (None, f"http://{host}")  # else another site's
+        if act is None or not from_page or not length.isdecimal() or int(length) > MOST_BYTES:
+            self.send_error(HTTPStatus.FORBIDDEN)
+            return
+        given = parse_qs(self.rfile.read(int(length)).decode("utf-8", "replace"))
+        with contextlib.suppress(ValueError):
+            act(given.get("words", [""])[0])
+        self.send_response(HTTPStatus.SEE_OTHER)
+        self.send_header("Location", "/")
+        self.send_header("Content-Length", "0")
+        self.end_headers()
+
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - the base class's name for it
         """Nothing is printed."""
 
     def _stream(self, camera: str, owner: StreamServer) -> None:
         tick = 0
-        while not owner.closing:
+        while not owner.closing and camera not in owner.pulled:
             tick = max(tick, int(owner.clock.now() / owner.period_s)) + 1
             owner.wait_until(tick * owner.period_s)
             frames = owner.frames(tick) if not owner.closing else None

@@ -12,8 +12,10 @@ import io
 import os
 import select
 import sys
+import textwrap
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
 from typing import TextIO
 
 from instruments.clock import Clock
@@ -111,6 +113,7 @@ def keyboard_of(stream: TextIO, echo: Callable[[str], object]) -> Keyboard:
 
 TURN_S = 0.05  # between two looks at keyboard and interlocks
 REMIND_S = 120.0
+LEAST_COLUMNS = 20  # a pseudo-terminal whose size nobody has set has 0
 GONE = "the terminal gives no more input"
 REQUESTS = (op.OperatorAbort, op.OperatorSkip, op.OperatorRepeat, op.OperatorEnough)
 
@@ -144,6 +147,11 @@ class Console(PromptedOperator):
         self._listening = self._terminal or mailbox is None
         self.watch_pedals(watch)
 
+    def asked_in(self, folder: Path) -> None:
+        """From now on a browser is asked in the folder of another run, where one is asked."""
+        if self._mailbox:
+            self._mailbox = Mailbox(folder)
+
     def watch_pedals(self, watch: Callable[[], Pedal] | None) -> None:
         """From now on a pedal is as good as Enter where a touch is asked for."""
         self._watch = watch if self._terminal or self._mailbox else None
@@ -161,8 +169,8 @@ class Console(PromptedOperator):
                 if line.strip().lower() in op.ABORT:
                     raise op.OperatorAbort("the operator aborted the run")
             progress = f"[{prompt.progress}] " if prompt.progress else ""
-            end = " " if prompt.press else "\n"
-            self._write(f"\n{progress}{prompt.text}{end}".removeprefix("\n" * prompt.press))
+            first = "" if prompt.press else "\n"
+            self._write(self._wrapped(f"{first}{progress}{prompt.text}\n"))
             if self._mailbox:
                 self._mailbox.open(prompt)
             try:
@@ -193,12 +201,12 @@ class Console(PromptedOperator):
                 prompt.keys(pedal=self._watch is not None), check, pedal=prompt.pedal
             )
             if words.strip() == op.EXPLAIN:
-                self._write(f"{prompt.explained()}\n")
+                self._write(self._wrapped(f"{prompt.explained()}\n"))
                 continue
             try:
                 op.understood(words, prompt)
             except op.NotUnderstoodError as error:
-                self._write(f"{error}\n")
+                self._write(self._wrapped(f"{error}\n"))
                 continue
             except op.OperatorSkip as skip:
                 why = "Why? (a few words for the record; Enter alone: don't skip): "
@@ -214,7 +222,7 @@ class Console(PromptedOperator):
 
     def _line(self, question: str, check: Callable[[], None], *, pedal: bool = False) -> str:
         """A line from terminal or browser, or an empty one for a pedal; reminds at intervals."""
-        asked_s = self._clock.now()  # before the question stands there
+        asked_s, question = self._clock.now(), self._wrapped(question)
         self._write(question)
         pressed = self._watch() if pedal and self._watch else None
         remind_s = asked_s + self._remind_s
@@ -228,7 +236,8 @@ class Console(PromptedOperator):
             if self._clock.now() >= remind_s:
                 remind_s += self._remind_s
                 waited = f"Still waiting for you, since {self._clock.now() - asked_s:.0f} s"
-                self._write(f"\n{waited}; nothing is lost by taking longer.\n{question}")
+                patience = self._wrapped(f"{waited}; nothing is lost by taking longer.")
+                self._write(f"\n{patience}\n{question}")
         if not self._terminal:  # no Enter has ended the question's row
             self._write("\n")
         check()  # an answer that came too late is none
@@ -245,6 +254,22 @@ class Console(PromptedOperator):
             self._listening = False
             return None
         return line
+
+    def _wrapped(self, text: str) -> str:
+        """Broken between words where the terminal ends; as it is where ``out`` is none."""
+        columns = 0
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            columns = os.get_terminal_size(self._out.fileno()).columns
+        if columns < LEAST_COLUMNS:
+            return text
+        wrap = textwrap.TextWrapper(
+            columns - 1, break_on_hyphens=False, break_long_words=False, drop_whitespace=True
+        )
+        lines = []
+        for line in text.split("\n"):
+            end = " " * (len(line) - len(line.rstrip()))
+            lines.append(("\n".join(wrap.wrap(line)) + end) if len(line) >= columns else line)
+        return "\n".join(lines)
 
     def _write(self, text: str) -> None:
         try:

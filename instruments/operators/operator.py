@@ -6,7 +6,8 @@ hands, and those of another process.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
@@ -235,7 +236,11 @@ EXPLAINED: Mapping[Kind, str] = {
 
 
 class NotUnderstoodError(ValueError):
-    """The words are no answer to this prompt; the text says what would be."""
+    """The words are no answer to this prompt; the text says what would be. ``wrong`` doesn't."""
+
+    def __init__(self, wrong: str, allowed: str = "") -> None:
+        self.wrong = wrong
+        super().__init__(f"{wrong} {allowed}".rstrip())
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,11 +270,23 @@ class Prompt:
         if self.press:
             return f"{go} (s, r, ? or a as before): "
         if self.hidden_to:
-            go = "Enter when it stands; if teat ends are hidden from a camera, their numbers first"
-            go += f" (1 to {self.hidden_to})"
-        trial = "s REASON = skip this trial, r = repeat it from its set-up, " * self.in_trial
+            ends = f"first the numbers of hidden teat ends (1 to {self.hidden_to})"
+            go = f"Enter when it stands; {ends}"
+        trial = "s REASON = skip the trial, r = repeat it, " * self.in_trial
         enough = "e = enough, go on with what there is, " * self.enough
-        return f"{go} ({trial}{enough}{ABORT_KEY}): "
+        return f"{go}\n({trial}{enough}{ABORT_KEY}): "
+
+    @property
+    def allowed(self) -> str:
+        """What may be answered, in a sentence."""
+        if self.kind == "coordinates":
+            return 'Three or six numbers are wanted: "-110.20 284.20 134.20".'
+        ends = (
+            [f'the hidden ends\' numbers, 1 to {self.hidden_to}: "2 4"'] if self.hidden_to else []
+        )
+        trial = ["s REASON", "r"] if self.in_trial else []
+        keys = ["Enter", *ends, *trial, *(["e"] if self.enough else []), "?"]
+        return f"There are {', '.join(keys)} and a."
 
     def explained(self) -> str:
         """Why it is asked, and what each answer does."""
@@ -292,9 +309,8 @@ def point_in(answer: str) -> tuple[str, ...]:
         if len(cells) not in (3, 6) or not math.isfinite(sum(map(float, cells))):
             raise ValueError
     except ValueError:
-        example = '"-110.20 284.20 134.20"'
-        text = f"Not understood: {answer.strip()!r}. Three numbers are wanted: {example}."
-        raise NotUnderstoodError(text) from None
+        allowed = Prompt("coordinates", "").allowed
+        raise NotUnderstoodError(f"Not understood: {answer.strip()!r}.", allowed) from None
     return cells
 
 
@@ -302,8 +318,8 @@ def understood(answer: str, prompt: Prompt) -> frozenset[int]:
     """The numbers of hidden teat ends in ``answer``. Raises OperatorAbort, OperatorRepeat,
     OperatorEnough, OperatorSkip (the reason may be empty), NotUnderstoodError.
     """
-    words = answer.replace(",", " ").lower().split()
-    first, *more = words or GO
+    words = [word for word in re.split(r"[\s,;+&]+", answer.lower()) if word]
+    first, *more = words or (GO if not answer.strip() else ("",))
     reason = " ".join(answer.split()[1:])
     if first in ABORT and not more:
         raise OperatorAbort("the operator aborted the run")
@@ -319,9 +335,17 @@ def understood(answer: str, prompt: Prompt) -> frozenset[int]:
     if first in GO and not more:
         return frozenset()
     numbers = more if first == "hidden" and more else words
-    if all(word.isdecimal() and 1 <= int(word) <= prompt.hidden_to for word in numbers):
+    numbers = [word for word in numbers if word != "and"]
+    if numbers and all(word.isdecimal() and 1 <= int(word) <= prompt.hidden_to for word in numbers):
         return frozenset(map(int, numbers))
-    raise NotUnderstoodError(f"Not understood: {answer.strip()!r}.")
+    raise NotUnderstoodError(f"Not understood: {answer.strip()!r}.", prompt.allowed)
+
+
+def hidden_text(hidden: Collection[int]) -> str:
+    """``Hidden: teat ends 2 and 4.``"""
+    *others, last = map(str, sorted(hidden))
+    ends = f"teat ends {', '.join(others)} and {last}" if others else f"teat end {last}"
+    return f"Hidden: {ends}."
 
 
 def check_words(words: str, prompt: Prompt) -> None:

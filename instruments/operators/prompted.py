@@ -74,6 +74,8 @@ class PromptedOperator(ABC):
         else:
             words = self._asked(request, check)
             hidden = op.understood(words, op.Prompt("set up", "", hidden_to=request.teats))
+            if hidden:
+                self.say(op.hidden_text(hidden))
         self._stands = attended, hidden
         return hidden
 
@@ -190,7 +192,7 @@ def check_answer(to: op.Kind, answer: str) -> None:
         enough = ', "enough"' if prompt.enough else ""
         go = '"X Y Z"' if to == "coordinates" else '"go"'
         there = f'to a prompt of the kind "{to}" there are {go}{trial}{enough}, "abort"'
-        raise ValueError(f"{str(error).rstrip('.')}; {there}") from error
+        raise ValueError(f"{error.wrong.rstrip('.')}; {there}") from error
 
 
 class ScriptedAnswers(PromptedOperator):
@@ -223,7 +225,7 @@ class ScriptedAnswers(PromptedOperator):
             op.understood(answer, prompt)
         except op.NotUnderstoodError as error:
             what, hint = (
-                f"{error} There are {prompt.hidden_to} teats here",
+                f"{error.wrong} There are {prompt.hidden_to} teats here",
                 f"Correct {self._source}.",
             )
             asked = f"{prompt.kind}: {_words(prompt)}"

@@ -75,6 +75,12 @@ class World:
         with self.lock:
             self._board = board
 
+    def set_room(self, ambient_c: float) -> None:
+        """The room's temperature from now on, for plant and pictures."""
+        with self.lock:
+            self.plant.advance_to(self.clock.now())
+            self.ambient_c = self.plant.ambient_c = ambient_c
+
     def hold(
         self, point_mm: NDArray[np.float64] | None, axis: NDArray[np.float64] | None = None
     ) -> None:

@@ -112,6 +112,44 @@ def bath_sparkline(
     return draw(name, (HALF_INCHES, 1.6), plot)
 
 
+def control_chart(
+    values: ArrayLike,
+    limits: tuple[float, float] | None,
+    broken: Sequence[bool],
+    base: int,
+    dates: tuple[str, str],
+    *,
+    name: str,
+) -> str:
+    """Values (n,) in the order of their runs, with mean and three standard deviations (``limits``)
+    of the first ``base``; a diamond where a rule is ``broken``; ``dates`` of the first and last.
+    """
+    shown = finite("control_chart", "values", values)
+
+    def plot(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        order = np.arange(1, shown.size + 1)
+        if limits:
+            centre, sigma = limits
+            axes.axvspan(0.5, base + 0.5, facecolor=COLOURS["span"], linewidth=0)
+            axes.axhline(centre, color=COLOURS["good"], linewidth=1.0)
+            for side in (-3.0, 3.0):
+                at = centre + side * sigma
+                axes.axhline(at, color=COLOURS["limit"], linewidth=0.9, linestyle="--")
+        axes.plot(order, shown, color=COLOURS["ours"], linewidth=0.9)
+        out = np.array(broken or [False] * shown.size)
+        marks(axes, order[~out], shown[~out])
+        marks(axes, order[out], shown[out], "limit", 6.0, "D")
+        axes.set(xlim=(0.4, shown.size + 0.6), xticks=[1, shown.size])
+        axes.set_xticklabels(dates)
+        first, last = axes.get_xticklabels()
+        first.set_horizontalalignment("left")
+        last.set_horizontalalignment("right")
+        axes.margins(y=0.15)
+
+    return draw(name, (HALF_INCHES, 1.9), plot)
+
+
 def latency_strip(
     times_s: ArrayLike, limits_s: Sequence[float], *, name: str = "latency-strip"
 ) -> str:

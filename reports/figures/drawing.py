@@ -66,7 +66,7 @@ COLOURS = {
 HALF_INCHES, WIDE_INCHES = 4.7, 9.4
 NO_PAIR = "no teat end was paired with a truth"
 Marker = Literal["o", "s", "^", "D", "v", "P", "X"]
-# of several detectors: each has a colour and a mark, as over the frames (reports.frames)
+# each detector has a colour and a mark by its place, as over the frames (reports.frames.places_of)
 _DETECTOR_ROLES = ("ours", "theirs", "accept", "ink")
 _DETECTOR_MARKS: tuple[Marker, ...] = ("X", "s", "^", "D")
 LegendForm = Literal["-", "--", "patch"] | Marker
@@ -203,11 +203,11 @@ def row_names(axes: Axes, names: Sequence[str], most: int = 30) -> None:
     axes.tick_params(axis="y", length=0)
 
 
-def detector_look(place: int, of: int) -> tuple[str, Marker]:
-    """Colour and mark of the detector at `place`, from 0, of so many."""
-    if of < 2:
+def detector_look(who: int) -> tuple[str, Marker]:
+    """Colour and mark of the detector at the place `who`, from 1; of none in particular for 0."""
+    if not who:
         return "ours", "o"
-    each = len(_DETECTOR_MARKS)
+    each, place = len(_DETECTOR_MARKS), who - 1
     return _DETECTOR_ROLES[place % each], _DETECTOR_MARKS[(place + place // each) % each]
 
 

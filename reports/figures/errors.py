@@ -5,6 +5,7 @@ strips of each axis, boxes by teat, and drift. In millimetres and minutes.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib import cbook
@@ -78,6 +79,7 @@ def change_by_situation(
     margin_mm: float,
     *,
     called: tuple[str, str],
+    who: tuple[int, int] | None = None,
     name: str = "change-by-situation",
 ) -> str:
     """Of each situation the poses right (old, new, of) as shares, and beside it the change of the
@@ -85,13 +87,16 @@ def change_by_situation(
     """
     known = finite("change_by_situation", "change_mm", [c for c in change_mm if c is not None])
     inches = (WIDE_INCHES, 1.1 + 0.28 * max(len(situations), 2))
+    sides_look: Any = (_SIDES, _FORMS)
+    if who:
+        sides_look = tuple(zip(*map(detector_look, who), strict=True))
 
     def plot(figure: Figure) -> None:
         poses, distance = figure.subplots(1, 2, sharey=True)
         for y, (old, new, of) in enumerate(right):
             shares = [old / of, new / of] if of else []
             poses.plot(shares, [y] * len(shares), color=COLOURS["grid"], linewidth=3)
-            for share, role, form, size in zip(shares, _SIDES, _FORMS, (6.5, 4.5), strict=False):
+            for share, role, form, size in zip(shares, *sides_look, (6.5, 4.5), strict=False):
                 marks(poses, [share], [y], role, size, form)
         poses.set(xlim=(-0.03, 1.03), xlabel="poses right")
         poses.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
@@ -112,8 +117,8 @@ def change_by_situation(
         for axes in (poses, distance):
             row_names(axes, situations)
         sides: list[LegendEntry] = [
-            (plain(who, 40), role, form)
-            for who, role, form in zip(called, _SIDES, _FORMS, strict=True)
+            (plain(text, 40), role, form)
+            for text, role, form in zip(called, *sides_look, strict=True)
         ]
         legend(figure, [*sides, ("margin", "limit", "--")])
 
@@ -127,11 +132,11 @@ def error_scatter(
     *,
     accept_mm: float | None = None,
     links: Sequence[str] | None = None,
-    place: tuple[int, int] = (0, 1),
+    who: int = 0,
     name: str = "error-scatter",
 ) -> str:
     """Error across (n,) against error along the viewing axis (n,), equal scales, with both limits
-    as circles. `links` open on a click; `place`: the detector's, from 0, of so many.
+    as circles. `links` open on a click; `who`: the detector's place.
     """
     across, along = together("error_scatter", lateral_mm=lateral_mm, depth_mm=depth_mm)
     if not across.size:
@@ -145,7 +150,7 @@ def error_scatter(
         if accept_mm is not None:
             circle(axes, accept_mm, "accept", linewidth=1, linestyle="--")
         drawn = subsample(np.hypot(across, along))
-        role, form = detector_look(*place)
+        role, form = detector_look(who)
         linked(axes, across, along, drawn, links, role=role, marker=form, alpha=0.7)
         legend(figure, limits(limit_mm, accept_mm))
         if len(drawn) < across.size:
@@ -290,7 +295,7 @@ def error_drift(
     limit_mm: float,
     *,
     links: Sequence[str] | None = None,
-    place: tuple[int, int] = (0, 1),
+    who: int = 0,
     name: str = "error-drift",
 ) -> str:
     """Radial errors (n,) over capture times (n,), with their line."""
@@ -300,7 +305,7 @@ def error_drift(
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
-        role, form = detector_look(*place)
+        role, form = detector_look(who)
         drawn = subsample(errors)
         linked(axes, time, errors, drawn, links, role=role, marker=form, size=16, alpha=0.7)
         entries: list[LegendEntry] = [("one teat end", role, form)]

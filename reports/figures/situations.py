@@ -34,6 +34,7 @@ from reports.figures.drawing import (
     row_names,
     subsample,
 )
+from reports.frames import places_of
 
 T = TypeVar("T")
 Counts = tuple[int, int, int]  # found, missed, false
@@ -239,15 +240,15 @@ def _each(
     by_detector: Mapping[str, Sequence[T]], width: float
 ) -> Iterator[tuple[float, T, tuple[str, Marker]]]:
     """Height in the drawing, value, and the detector's colour and mark, detector by detector."""
-    of = len(by_detector)
-    for place, each in enumerate(by_detector.values()):
+    of, places = len(by_detector), places_of(by_detector)
+    for place, (name, each) in enumerate(by_detector.items()):
         for row, one in enumerate(each):
-            yield row + (place - (of - 1) / 2) * (width / of), one, detector_look(place, of)
+            yield row + (place - (of - 1) / 2) * (width / of), one, detector_look(places[name])
 
 
 def _key(detectors: Mapping[str, object]) -> list[LegendEntry]:
-    of = len(detectors)
-    return [(plain(name, 20), *detector_look(k, of)) for k, name in enumerate(detectors)]
+    places = places_of(detectors)
+    return [(plain(name, 20), *detector_look(who)) for name, who in places.items()]
 
 
 def _muted(axes: Axes, x: float, y: float, text: str) -> None:

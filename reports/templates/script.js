@@ -89,13 +89,15 @@
     const part = input.closest(".part");
     const words = input.value.toLowerCase().split(/\s+/).filter(Boolean);
     const rows = all("tbody tr", part);
+    const left = new Map();  // trials, by whether one of their rows is left: each detector has one
     rows.forEach((row) => {
       const text = row.textContent.toLowerCase();
       row.hidden = !words.every((word) => text.includes(word));
       const link = row.querySelector("a[href^='#']");
       const trial = link && byId.get(link.getAttribute("href"));
-      if (trial) trial.hidden = row.hidden;
+      if (trial) left.set(trial, left.get(trial) || !row.hidden);
     });
+    left.forEach((is, trial) => { trial.hidden = !is; });
     part.querySelector(".count").textContent = words.length ? rows.filter((row) => !row.hidden).length + " of " + rows.length : "";
   };
   const clear = () => all(".filter input").forEach((input) => { input.value = ""; sift(input); });

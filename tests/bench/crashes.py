@@ -23,7 +23,7 @@ import psutil
 from bench.record.check import check_run
 from bench.record.reader import read_run
 from bench.record.schema import DATABASE
-from bench.report.wording import guardian_text
+from bench.results.headline import guardian_text
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import load_rig
 from bench.rig.urls import ELSEWHERE

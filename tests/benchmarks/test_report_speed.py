@@ -18,6 +18,7 @@ from bench.cli.main import main
 from bench.config import read_calibration
 from bench.record.reader import RunRecord, read_run
 from bench.report.page import build_page
+from bench.results.status import status_of
 from bench.results.verdicts import judge, stored_rules
 from reports.render import write_report
 from tests.benchmarks.figures import figure, taken_s
@@ -47,9 +48,8 @@ def run(tmp_path_factory: pytest.TempPathFactory, short_script: Path) -> RunReco
 def written(run: RunRecord) -> Path:
     rules = stored_rules(run.folder)
     folder = run.folder / "report"
-    page = build_page(
-        run, rules, judge(run, rules), read_calibration(run.folder / "calibration.toml"), folder
-    )
+    calibration, judged = read_calibration(run.folder / "calibration.toml"), judge(run, rules)
+    page = build_page(run, status_of(run, judged), rules, judged, calibration, folder)
     return write_report(page, folder)
 
 

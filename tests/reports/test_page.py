@@ -7,6 +7,7 @@ import dataclasses
 import math
 import re
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 from hypothesis import given, settings
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 
 from reports.figures.course import found_bars, latency_strip
 from reports.figures.errors import error_histogram, error_scatter
-from reports.frames import Circle, ImageView, Label, Overlay, Polyline, layers
+from reports.frames import KNOWN_PLACES, Circle, ImageView, Label, Overlay, Polyline, layers
 from reports.page import (
     Banner,
     Cell,
@@ -127,10 +128,12 @@ def test_every_text_field_was_tried() -> None:
 @settings(max_examples=25, deadline=None)
 @given(st.text(st.characters(exclude_categories=[]), max_size=40))
 def test_any_text_leaves_the_structure_alone(text: str) -> None:
-    html = render(page_of(text))
+    marks = patch.dict(KNOWN_PLACES, {text: 3, "calm": 3})  # a detector has its mark by its name
+    with marks:
+        html, calm = render(page_of(text)), render(page_of("calm"))
     html.encode("utf-8")
     assert read(html).misplaced == []
-    assert not text.strip() or shape(html) == shape(render(page_of("calm")))
+    assert not text.strip() or shape(html) == shape(calm)
     active = read(html).all("script", "style", "iframe", "object")
     assert [element.tag for element in active] == ["style", "script"]
 

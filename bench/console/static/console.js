@@ -3,14 +3,23 @@
 
 const [token, hint] = location.hash.slice(1).split("#");
 if (token && !token.startsWith("/")) {
-  sessionStorage.setItem("token", token);
+  sessionStorage.setItem("token", token.startsWith("pair-") ? await exchanged(token.slice(5)) : token);
   history.replaceState(null, "", "#/" + (hint || ""));
 }
 const TOKEN = sessionStorage.getItem("token") || "";
+// a code from another page's QR code, good once, for the token
+async function exchanged(code) {
+  const options = { method: "POST", headers: { Authorization: `Bearer ${code}`, "Content-Type": "application/json" }, body: "{}" };
+  const found = await fetch("/api/paired", options).then((answer) => answer.json()).catch(() => ({}));
+  return found.token || "";
+}
 const CLIENT = sessionStorage.getItem("client") || crypto.randomUUID();
 sessionStorage.setItem("client", CLIENT);
 const NAME = /Mobi|Android/.test(navigator.userAgent) ? "a telephone or tablet" : "a computer's browser";
-const RETRY_MS = 1000, EVENTS = 40, TONES = ["#2fbf71", "#e5533d", "#3d8fe5", "#c678dd", "#e5a13d"];
+const RETRY_MS = 1000, EVENTS = 40, TRUTH = "#2fbf71", TONES = ["#3d8fe5", "#e5a13d", "#c678dd", "#8a97a5"];
+// of an answer by its detector's place, as in the report: cross, square, triangle, diamond
+const MARKS = ["✕", "□", "△", "◇"], form = (who) => (who - 1 + Math.floor((who - 1) / 4)) % 4;
+const marked = (who, x, y, r) => [`M${x - r} ${y - r}l${2 * r} ${2 * r}M${x - r} ${y + r}l${2 * r} ${-2 * r}`, `M${x - r} ${y - r}h${2 * r}v${2 * r}h${-2 * r}z`, `M${x} ${y - 1.2 * r}L${x + r} ${y + r}H${x - r}z`, `M${x} ${y - 1.3 * r}L${x + 1.3 * r} ${y}L${x} ${y + 1.3 * r}L${x - 1.3 * r} ${y}z`][form(who)];
 const SHOWN = { left: "left camera", right: "right camera", thermal: "thermal camera" };
 const BAD = ["trip", "fault", "dropped out", "invalid"]; // kinds of events
 const main = document.getElementById("main"), controls = document.getElementById("controls");
@@ -102,6 +111,15 @@ function quickly(promise) {
   });
   return Promise.race([promise, dead]).finally(() => after.abort());
 }
+byId("pair").onclick = async () => {
+  try {
+    const { url, qr, here } = await ask("/pair", {});
+    const place = byId("pairing");
+    const where = here ? "Only this machine reaches this console. For a phone start it with: teatbench console --listen ADDRESS" : "Scan it with a phone in the same network. It works once, for 10 minutes; the phone may then answer, start and end runs.";
+    place.replaceChildren(heading("Pair a phone"), make("img", { src: qr, alt: "QR code of the link below" }), make("p", {}, make("a", { href: url, target: "_blank", rel: "noopener" }, url)), make("p", { className: here ? "warn" : "soft" }, where), make("button", { className: "quiet", onclick: () => place.close() }, "Close"));
+    place.showModal();
+  } catch (error) { problem(error.message); }
+};
 function showStatus(text, lost = false) {
   byId("connection").textContent = text;
   byId("connection").classList.toggle("lost", lost);
@@ -111,7 +129,6 @@ function received(kind, value) {
     Object.assign(run, value, { name: run.name });
     page();
   } else if (kind === "event") {
-    if (value.what === "doing") { run.doing = value.text; doing(); }
     if (["event", "warning"].includes(value.what)) {
       run.events.push(value);
       run.events.splice(0, run.events.length - EVENTS);
@@ -121,8 +138,10 @@ function received(kind, value) {
     if (value.what === "trial") trials();
   } else {
     run[kind] = value;
-    if (kind === "live") live();
-    if (kind === "prompt") { prompted(value); doing(); }
+    if (kind === "live" || kind === "status") live();
+    if (kind === "status") ended();
+    if (kind === "prompt") prompted(value);
+    if (kind === "practice") practice();
     if (kind === "lease") leased();
   }
 }
@@ -130,7 +149,7 @@ function received(kind, value) {
 async function refreshed(tries = 40) {
   const mine = run, found = await ask(at("")).catch(() => null);
   if (run !== mine) return;
-  if (found) { run.run = found.run; ended(); trials(); }
+  if (found) { run.run = found.run; run.status = found.status; live(); ended(); trials(); }
   if (tries && !run.run.report) setTimeout(() => run === mine && refreshed(tries - 1), 1500);
 }
 const at = (path) => `/runs/${encodeURIComponent(run.name)}${path}`;
@@ -143,22 +162,31 @@ function page() {
   // a prompt that was there before the connection was lost keeps what was ticked and typed
   const kept = run.prompt && run.asked === run.prompt.number ? byId("ask") : null;
   if (!kept) run.asked = 0;
-  run.doing = run.events.findLast((one) => one.what === "doing")?.text || "";
   main.replaceChildren(
     card({ id: "tip", hidden: true }),
     kept || card({ id: "ask", hidden: true, "aria-live": "assertive" }),
     card({ id: "problem", className: "bad", hidden: true, role: "alert" }),
-    card({ className: "wide" }, make("p", { id: "doing", className: "big" }), make("p", { id: "step", className: "step" }), make("p", { id: "tripped", className: "big bad" }), make("p", { id: "trial", className: "soft" }), make("progress", { id: "done", max: 1, value: 0, ariaLabel: "trials done" }), make("div", { id: "ending" })),
+    card({ className: "wide" }, make("p", { id: "doing", className: "big" }), make("p", { id: "step", className: "step" }), make("p", { id: "tripped", className: "big bad" }), make("ul", { id: "next", className: "next" }), make("p", { id: "trial", className: "soft" }), make("progress", { id: "done", max: 1, value: 0, ariaLabel: "trials done" }), make("div", { id: "ending" })),
     card({ id: "bath", className: "third" }, heading("Bath"), make("p", { id: "temperature", className: "huge" }, "–"), make("p", { id: "gate", className: "soft" })),
     card({ className: "half" }, heading("Temperature of the bath"), make("div", { id: "curve" }), make("p", { className: "soft" }, "Dashed: set point. Shaded: its band.")),
     card({ className: "half" }, heading("What happened"), make("ol", { id: "log", className: "log", tabIndex: 0, ariaLabel: "what happened" })),
     card({ id: "seen", hidden: true }, heading("Last frames"), make("div", { id: "frames", className: "frames" })),
     card({ id: "result", hidden: true }, heading("Last trial with its truth"), make("div", { id: "scored" })),
+    card({ id: "practice", hidden: true }, heading("Practice"), make("p", { className: "soft" }, "An emulated rig: this happens to it at once, as by a hand. The run is not told."), make("ul", { id: "rig" })),
     card({ id: "health" }, heading("Instruments and interlocks"), make("ul", { id: "instruments", className: "chips" }), make("details", {}, make("summary", { id: "armed" }), make("ul", { id: "interlocks", className: "chips" }))),
   );
-  const under = run.run.ending === "under way";
-  controls.hidden = !under;
-  chart(); events(); prompted(run.prompt); leased(); live(); ended(); trials();
+  controls.hidden = !under();
+  chart(); events(); prompted(run.prompt); leased(); live(); practice(); ended(); trials();
+}
+// an emulated rig in real time: what a hand may do to it
+function practice() {
+  const place = byId("practice"), now = run.practice;
+  if (!place) return;
+  place.hidden = !now;
+  if (!now) return;
+  const row = (one) => make("li", { className: "row" }, make("span", { className: "of" }, words(one.of)), make("b", { className: /^[A-Z]+$/.test(one.is) ? "bad" : "" }, one.is),
+    ...Object.entries(one.words).map(([label, text]) => make("button", { className: "quiet", ariaLabel: text, onclick: () => ask(at("/practice"), { words: text }).catch((error) => problem(error.message)) }, words(label))));
+  byId("rig").replaceChildren(...now.choices.map(row));
 }
 let plot = null;
 const CHART_PX = 215;
@@ -182,17 +210,26 @@ function chart() {
   new ResizeObserver(() => plot.setSize({ width: Math.max(240, place.clientWidth), height: CHART_PX })).observe(place);
 }
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if (run && byId("curve")) { byId("curve").replaceChildren(); chart(); } });
-function doing() {
-  const place = byId("step");
-  if (!place) return;
-  const under = run.run.ending === "under way";
-  place.textContent = !under ? "" : run.prompt ? "waiting for an answer" : run.doing;
+const under = () => run.status.state === "running";
+// how the run stands, as every surface says it; words are made by the bench
+function stands() {
+  const now = run.status, going = under();
+  byId("doing").textContent = words(going ? now.step : now.word) + (now.paused ? ", a pause is asked for" : "");
+  byId("step").textContent = going ? (now.asked ? `waiting for an answer: ${now.asked.kind}` : now.doing) : now.why;
+  byId("tripped").textContent = now.tripped;
+  byId("next").replaceChildren(...now.next.filter((line) => line && !(now.asked && line.startsWith("Answer what"))).map((line) => make("li", { className: now.unsafe.includes(line) ? "big bad" : "" }, line)));
+  const left = now.left_s === null ? "" : `, about ${minutes(now.left_s)} left`;
+  byId("trial").textContent = words(now.trials) + (going && now.pose ? ` (${now.pose})` : "") + (going ? "" : " done") + left;
+  byId("done").max = now.planned || 1;
+  byId("done").value = now.done;
+  byId("pause").textContent = now.paused ? "Go on" : "Pause";
+  byId("health").hidden = !now.instruments.length;
+  byId("instruments").replaceChildren(...now.instruments.map((one) => make("li", { className: one.trouble ? "bad" : "" }, one.text)));
 }
 function live() {
-  const now = run.live, under = run.run.ending === "under way";
-  byId("doing").textContent = now ? words(now.state) + (now.paused ? ", a pause is asked for" : "") : under ? "waiting for the run to say how it is" : words(run.run.state);
-  doing();
-  byId("health").hidden = !now;
+  const now = run.live;
+  stands();
+  byId("armed").parentElement.hidden = !now;
   if (!now) {
     byId("tip").hidden = byId("seen").hidden = true;
     byId("temperature").className = "huge soft";
@@ -200,27 +237,19 @@ function live() {
     byId("gate").textContent = run.curve[1].length ? "last reading of this run; nothing is read now" : "no reading yet";
     return;
   }
-  const left = now.left_s === null ? "" : `, about ${minutes(now.left_s)} left`;
-  const trial = now.pose && now.done < now.planned ? `Trial ${now.done + 1} of ${now.planned} (${now.pose})` : `${now.done} of ${trialsOf(now.planned)} done`;
-  byId("trial").textContent = trial + left;
-  byId("done").max = now.planned || 1;
-  byId("done").value = now.done;
-  byId("pause").textContent = now.paused ? "Go on" : "Pause";
-  const bath = now.bath;
+  const bath = now.bath, said = run.status.instruments.find((one) => one.name === "bath");
   run.band_k = bath.band_k;
   byId("temperature").textContent = number(bath.temp_c, "°C");
   const steady = bath.state === "stable";
-  byId("temperature").className = bath.silence ? "huge bad" : steady ? "huge good" : "huge warn";
-  const why = bath.why_not_stable && !run.doing.includes("waiting for the bath") ? ` ${words(bath.why_not_stable)}.` : "";
-  byId("gate").textContent = bath.silence ? `${bath.silence}; this is its last reading` : now.state === "safing" ? "going to safe" : `${bath.state}${bath.state === "heating" ? " to" : " at"} ${number(bath.set_point_c, "°C", 1)} ± ${number(bath.band_k, "K")}` + (steady ? "" : `; stable in about ${minutes(bath.stable_in_s)}.${why}`);
+  byId("temperature").className = said?.trouble ? "huge bad" : steady ? "huge good" : "huge warn";
+  const why = bath.why_not_stable && !run.status.doing.includes("waiting for the bath") ? ` ${words(bath.why_not_stable)}.` : "";
+  byId("gate").textContent = said?.trouble ? said.text : run.status.step === "going to safe" ? run.status.step : `${bath.state}${bath.state === "heating" ? " to" : " at"} ${number(bath.set_point_c, "°C", 1)} ± ${number(bath.band_k, "K")}` + (steady ? "" : `; stable in about ${minutes(bath.stable_in_s)}.${why}`);
   if (plot && bath.t_s !== null && bath.t_s > (run.curve[0].at(-1) ?? -1)) {
     run.curve[0].push(bath.t_s); run.curve[1].push(bath.temp_c);
     if (run.curve[0].length > 1200) run.curve = run.curve.map((one) => one.filter((_, k) => k % 2 === 0));
     plot.setData(curves());
   }
-  byId("instruments").replaceChildren(...Object.entries(now.instruments).map(([name, health]) => make("li", { className: health === "ok" ? "" : "bad" }, `${name}: ${health}`)));
   byId("interlocks").replaceChildren(...now.interlocks.map((one) => make("li", { className: one.state === "tripped" ? "bad" : "" }, `${one.name}: ${one.state}`)));
-  byId("tripped").textContent = now.tripped || "";
   const count = (state) => now.interlocks.filter((one) => one.state === state).length;
   byId("armed").textContent = `${count("armed")} of ${now.interlocks.length} interlocks armed${count("asleep") ? `, ${count("asleep")} need what this bath doesn't tell` : ""}`;
   tip(now);
@@ -265,7 +294,7 @@ async function trials() {
   const last = found?.trials.at(-1);
   if (!last || last.id === run.lastTrial) return;
   run.lastTrial = last.id;
-  const names = Object.keys(last.scores), tone = (of) => TONES[1 + names.indexOf(of)] || TONES[1];
+  const names = Object.keys(last.scores), who = (of) => last.places[of] || 1, tone = (of) => TONES[(who(of) - 1) % 4];
   const scores = names.map((name) => {
     const one = last.scores[name];
     return make("tr", {}, make("th", { scope: "row" }, name), make("td", {}, `${one.found} of ${one.visible} found`), make("td", {}, `${one.false} false`), make("td", {}, one.max_error_mm === null ? "–" : `at most ${one.max_error_mm.toFixed(2)} mm off`));
@@ -284,14 +313,14 @@ async function trials() {
     (last.px[camera] || []).forEach(([across, y], k) => {
       const x = last.mirrored.includes(camera) ? w - 1 - across : across;
       const mark = last.marks[k];
-      if (mark.of === "truth") view.append(draw("circle", { cx: x, cy: y, r, fill: "none", stroke: TONES[0], "stroke-width": r / 4 }));
-      else view.append(draw("path", { d: `M${x - r} ${y}h${2 * r}M${x} ${y - r}v${2 * r}`, stroke: tone(mark.of), "stroke-width": r / 4 }));
+      if (mark.of === "truth") view.append(draw("circle", { cx: x, cy: y, r, fill: "none", stroke: TRUTH, "stroke-width": r / 4 }));
+      else view.append(draw("path", { d: marked(who(mark.of), x, y, r), fill: "none", stroke: tone(mark.of), "stroke-width": r / 4 }));
     });
     views.push(make("figure", {}, view, make("figcaption", {}, SHOWN[camera])));
   }
   const key = (mark, colour, text) => { const shown = make("b", {}, mark); shown.style.color = colour; return make("span", {}, shown, ` ${text}`); };
   byId("result").hidden = false;
-  byId("scored").replaceChildren(make("p", { className: "big" }, `${last.name} (${last.situation})`), make("div", { className: "scroll" }, make("table", {}, make("tbody", {}, ...scores))), make("div", { className: "frames" }, ...views), make("p", { className: "key" }, key("◯", TONES[0], "truth"), ...names.map((name) => key("✛", tone(name), name))));
+  byId("scored").replaceChildren(make("p", { className: "big" }, `${last.name} (${last.situation})`), make("div", { className: "scroll" }, make("table", {}, make("tbody", {}, ...scores))), make("div", { className: "frames" }, ...views), make("p", { className: "key" }, key("◯", TRUTH, "truth"), ...names.map((name) => key(MARKS[form(who(name))], tone(name), name))));
 }
 // the part of a picture round the teats, 4:3: left, top and width
 function cut(trial, camera, w, h) {
@@ -308,21 +337,15 @@ function events() {
   byId("log").replaceChildren(...lines.map((one) => make("li", { className: one.what === "warning" || BAD.includes(one.kind) ? "bad" : "" }, `${one.wall_time.slice(11, 19)} ${one.kind ? one.kind + ": " : ""}${one.text}`)));
 }
 const resumed = (name) => started(ask(`/runs/${encodeURIComponent(name)}/resume`, {}));
-const verdicts = (known) => Object.entries(known.verdicts).map(([name, verdict]) => make("li", { className: { met: "good", "not met": "bad" }[verdict] || "warn" }, `${name}: ${verdict}`));
-const resumable = (known) => !["under way", "finished"].includes(known.ending);
+const verdicts = (status) => Object.entries(status.verdicts).map(([name, verdict]) => make("li", { className: { met: "good", "not met": "bad" }[verdict] || "warn" }, `${name}: ${verdict}`));
+const resumable = (known) => !["running", "finished"].includes(known.status.state) && known.kind !== "recorded";
 function ended() {
-  const known = run.run, under = known.ending === "under way";
-  controls.hidden = !under;
-  if (under) { byId("ending").replaceChildren(); return; }
-  const trip = run.events.findLast((one) => one.kind === "trip");
-  byId("tripped").textContent = known.ending !== "finished" && trip ? trip.text : "";
+  const known = { ...run.run, status: run.status };
+  controls.hidden = !under();
+  if (under()) { byId("ending").replaceChildren(); return; }
   byId("ending").replaceChildren(
-    make("ul", { className: "chips large" }, ...verdicts(known)),
+    make("ul", { className: "chips large" }, ...verdicts(known.status)),
     make("p", { className: "row" }, known.report ? make("button", { onclick: () => report_of(run.name) }, "Open the report") : null, resumable(known) ? make("button", { className: "quiet", onclick: () => resumed(run.name) }, "Resume this run") : null));
-  byId("trial").textContent = `${known.done} of ${trialsOf(known.planned)} done`;
-  byId("done").max = known.planned || 1;
-  byId("done").value = known.done;
-  if (!run.live) live();
 }
 async function report_of(name) {
   const tab = window.open("", "_blank");
@@ -407,7 +430,7 @@ function sounded() {
   tone.stop(beep.context.currentTime + 0.25);
 }
 const controlled = (given) => ask(at("/control"), { words: given, name: NAME }).catch((error) => problem(error.message));
-byId("pause").onclick = () => controlled(run.live?.paused ? "go on" : "pause");
+byId("pause").onclick = () => controlled(run.status?.paused ? "go on" : "pause");
 byId("abort").onclick = () => { byId("abort").textContent = "Aborting"; controlled("abort").then(() => setTimeout(() => { byId("abort").textContent = "Abort"; }, 4000)); };
 byId("sound").onclick = () => { beep.on = !beep.on; byId("sound").textContent = beep.on ? "Sound on" : "Sound off"; byId("sound").ariaPressed = String(beep.on); sounded(); };
 document.addEventListener("keydown", (event) => {
@@ -422,11 +445,12 @@ async function home() {
   controls.hidden = true;
   main.replaceChildren(make("section", { id: "problem", className: "card bad", hidden: true, role: "alert" }), make("section", { className: "card", id: "new" }, make("h2", {}, "Start a run")), make("section", { className: "card", id: "list" }, make("h2", {}, "Runs")));
   try {
-    const [{ runs }, known] = await Promise.all([ask("/runs"), ask("/choices")]);
+    const [{ runs, queues }, known] = await Promise.all([ask("/runs"), ask("/choices")]);
     showStatus("connected");
-    const now = runs.find((one) => one.ending === "under way");
+    const now = runs.find((one) => one.status.state === "running");
     if (now && hint === "now") { hintUsed(now.name); return; }
     starter(known);
+    if (queues.length) main.insertBefore(queue(queues[0]), byId("list"));
     byId("list").append(...(runs.length ? runs.map(listed) : [make("p", {}, "No runs yet.")]));
   } catch (error) {
     showStatus("no connection to the console", true);
@@ -436,18 +460,18 @@ async function home() {
 function hintUsed(name) { location.hash = `#/${encodeURIComponent(name)}`; }
 function listed(one) {
   const place = make("div", { className: "thumbnails" });
-  if (one.done) shown.observe(Object.assign(place, { run: one.name }));
-  const said_done = `${one.state}; ${one.done} of ${trialsOf(one.planned)}`;
+  if (one.status.done) shown.observe(Object.assign(place, { run: one.name }));
   return make("article", { className: "run" },
     make("div", { className: "about" },
       make("h3", {}, make("a", { href: `#/${encodeURIComponent(one.name)}` }, one.name)),
       make("p", { className: "soft" }, `${one.title}; on ${one.rig || "a recording"}`),
-      make("p", { className: one.ending === "under way" ? "good" : "" }, said_done),
-      make("ul", { className: "chips" }, ...(verdicts(one).length ? verdicts(one) : one.detectors.map((name) => make("li", {}, name))))),
+      make("p", { className: one.status.state === "running" ? "good" : "" }, one.status.headline),
+      ...one.status.unsafe.map((line) => make("p", { className: "bad" }, line)),
+      make("ul", { className: "chips" }, ...verdicts(one.status))),
     place,
     make("p", { className: "row" },
       one.report ? make("button", { className: "quiet", ariaLabel: `Report of ${one.name}`, onclick: () => report_of(one.name) }, "Report") : null,
-      resumable(one) && one.kind !== "recorded" ? make("button", { className: "quiet", ariaLabel: `Resume ${one.name}`, onclick: () => resumed(one.name) }, "Resume") : null));
+      resumable(one) ? make("button", { className: "quiet", ariaLabel: `Resume ${one.name}`, onclick: () => resumed(one.name) }, "Resume") : null));
 }
 // thumbnails are asked for when they come into sight: a folder may have hundreds of runs
 const shown = new IntersectionObserver((entries) => {
@@ -457,6 +481,12 @@ const shown = new IntersectionObserver((entries) => {
     ask(`/runs/${encodeURIComponent(target.run)}/thumbnails`).then(({ thumbnails }) => target.append(...thumbnails.map(([alt, data]) => make("img", { src: `data:image/jpeg;base64,${data}`, alt })))).catch(() => null);
   }
 });
+// the last queue of scripts: what has run, what runs and what follows
+function queue(known) {
+  const row = (one, at) => make("li", {}, make("b", {}, `${at + 1}. ${one.script}`), " ", one.run ? make("a", { href: `#/${encodeURIComponent(one.run)}` }, one.text) : make("span", { className: "soft" }, one.text));
+  return card({ id: "queue" }, heading(known.under_way ? "Queue, running" : "Last queue"), make("p", { className: known.under_way ? "good" : "" }, words(known.headline)), make("ol", { className: "next" }, ...known.scripts.map(row)));
+}
+const SPEEDS = { "in real time": 1, "ten times as fast, to practise": 10, "as fast as they can": 0 };
 function starter(known) {
   const choice = (label, names, first) => {
     const select = make("select", { ariaLabel: label }, ...names.map((name) => make("option", { value: name, selected: name === first }, name)));
@@ -464,18 +494,31 @@ function starter(known) {
   };
   const [rigLabel, rig] = choice("Rig", known.rigs, "emulated-browser"), [scriptLabel, script] = choice("Script", known.scripts, "six-situations");
   const boxes = known.detectors.map((name) => make("input", { type: "checkbox", value: name, checked: name === "fused" }));
-  const realtime = make("input", { type: "checkbox", checked: true });
-  const chosen = () => ({ rig: rig.value, script: script.value, detectors: boxes.filter((box) => box.checked).map((box) => box.value), realtime: realtime.checked && rig.value.startsWith("emulated") });
+  const more = [], queued = make("button", { className: "quiet", id: "then", onclick: () => {
+    const [label, select] = choice("Then", known.scripts, script.value);
+    more.push(select);
+    queued.before(label);
+  } }, "Add a script after it");
+  const scripts = () => [script, ...more].map((one) => one.value);
+  const [speedLabel, speed] = choice("Speed of emulated rigs", Object.keys(SPEEDS), "in real time");
+  const chosen = () => ({ rig: rig.value, scripts: scripts(), detectors: boxes.filter((box) => box.checked).map((box) => box.value), speed: rig.value.startsWith("emulated") ? SPEEDS[speed.value] : 0 });
   const result = make("div", { id: "dry", role: "status" });
   const tried = make("button", { className: "quiet", id: "try", onclick: async () => {
     tried.disabled = true; problem(""); result.replaceChildren("Going through the script on emulators: this takes a while.");
-    try { dried(result, await ask("/dry-run", chosen())); } catch (error) { result.replaceChildren(); problem(error.message); }
+    try {
+      const shown = [];
+      for (const name of scripts()) {
+        const place = make("div"), found = await ask("/dry-run", { ...chosen(), scripts: [name] });
+        dried(place, found);
+        shown.push(...(more.length ? [make("h3", {}, name)] : []), place);
+      }
+      result.replaceChildren(...shown);
+    } catch (error) { result.replaceChildren(); problem(error.message); }
     tried.disabled = false;
   } }, "Dry run");
   const go = make("button", { id: "start", onclick: async () => { go.disabled = true; await started(ask("/start", chosen())); go.disabled = false; } }, "Start");
-  byId("new").append(make("p", { className: "row" }, rigLabel, scriptLabel),
+  byId("new").append(make("p", { className: "row" }, rigLabel, speedLabel), make("p", { className: "row" }, scriptLabel, queued),
     make("fieldset", {}, make("legend", {}, "Detectors"), ...boxes.map((box) => make("label", { className: "choice" }, box, box.value))),
-    make("p", { className: "row" }, make("label", { className: "choice" }, realtime, "emulated rigs in real time")),
     make("p", { className: "row" }, tried, go), result);
 }
 // what a dry run found: each finding under its trial
@@ -499,4 +542,4 @@ function routed() {
   if (name && name !== "now") { run = { name, events: [], curve: [[], []], prompt: null }; main.replaceChildren(make("p", {}, "Looking at the run.")); follow(name); } else { run = null; home(); }
 }
 window.addEventListener("hashchange", routed);
-addEventListener("DOMContentLoaded", routed);
+routed();

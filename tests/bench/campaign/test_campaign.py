@@ -286,7 +286,7 @@ def test_what_the_commands_write_and_refuse(
     table = said(0, "campaign query {} {}", folder, ["SELECT count(*) AS n FROM teats"]).out
     assert table.split()[0] == "n"
     rows = said(0, "campaign query {} {} --json", folder, ["SELECT * FROM scenes LIMIT 1"]).out
-    assert set(json.loads(rows)[0]) >= {"family", "member", "detector", "failure", "max_mm"}
+    assert set(json.loads(rows)["rows"][0]) >= {"family", "member", "detector", "failure", "max_mm"}
     assert "SELEC" in said(2, "campaign query {} SELEC", folder).err
     assert "no campaign is there" in said(2, "campaign query {} SELECT", tmp_path).err
 

@@ -73,7 +73,7 @@ def test_the_gate_and_the_figures(old: Path, tmp_path: Path, said: Said) -> None
     met = said(0, "campaign compare {} {} --gate --margin-rate 0.05", old, same)
     assert "The new one is not worse" in met.out
     out = said(1, "campaign compare {} {} --gate --json --out {}", old, lost, tmp_path / "page")
-    (found,) = json.loads(out.out)
+    (found,) = json.loads(out.out)["comparisons"]
     assert found["gate"]["verdict"] == "worse"
     assert found["gate"]["margin_rate"] == 0.01
     assert (found["scenes"], found["same_frames"]) == (2 * SCENES, 2 * SCENES)

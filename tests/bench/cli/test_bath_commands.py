@@ -78,7 +78,9 @@ def test_learn_says_row_by_row_what_answered_and_writes_nothing(tmp_path: Path, 
     with served(lambda clock: LineEmulator(plant, profile, clock)) as (_, url):
         at = ["--port", url.replace("socket", "tcp"), "--profile", str(mine)]
         out = said(0, "bath learn {}", at).out
-        rows = {one["row"]: one for one in json.loads(said(0, "bath learn {} --json", at).out)}
+        rows = {
+            one["row"]: one for one in json.loads(said(0, "bath learn {} --json", at).out)["rows"]
+        }
     lines = {line.split()[1]: line for line in out.splitlines()}
     right = r"\+ temperature +'in_pv_00': 2\d\.?\d* degC \(got '2\d\.\d\d'\)"
     assert re.match(right, lines["temperature"])

@@ -14,8 +14,9 @@ from pathlib import Path
 import pytest
 from argcomplete.shell_integration import shellcode
 
-from bench.cli.commands import COMMANDS, TASKS
-from bench.cli.main import parser
+from bench.cli.commands import COMMANDS, NEXT, TASKS
+from bench.cli.main import main, parser
+from bench.cli.manual import topics
 from tests.bench.commands import Said
 from tests.conftest import ROOT
 
@@ -33,6 +34,44 @@ def test_the_example_in_a_commands_help_is_taken(name: str, said: Said) -> None:
     (example,) = re.findall(r"^example: teatbench (.+)$", said(0, f"{name} --help").out, re.M)
     assert example.split()[: len(name.split())] == name.split()
     parser().parse_args(shlex.split(example))
+
+
+CAPITALS = {"RIG": "emulated", "RUN": "runs/1", "X": "1", "Y": "1"}
+VALUES = {"port": "COM5", "profile": "julabo-presto", "script": "plane-map", "rig": "emulated"}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_next_two_commands_can_be_given(name: str) -> None:
+    for text in NEXT[name]:
+        filled = re.sub(r"\{(\w+)\}", lambda found: VALUES.get(found[1], "a"), text)
+        words = [CAPITALS.get(word, word) for word in shlex.split(filled)]
+        given = parser().parse_args(words)
+        if given.called == "help" and given.topic:
+            assert given.topic in topics()
+
+
+def test_a_person_is_told_what_comes_next(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert main(["trials", "show", "demo"]) == 0
+    assert "Then" not in capsys.readouterr().out
+    monkeypatch.setattr(type(sys.stdout), "isatty", lambda _: True, raising=False)
+    assert main(["trials", "show", "demo"]) == 0
+    then = capsys.readouterr().out.partition("Then, for instance:\n")[2]
+    assert then == "  teatbench run demo --rig RIG --dry-run\n  teatbench run demo --rig RIG\n"
+    assert main(["trials", "--json"]) == 0
+    assert "Then" not in capsys.readouterr().out
+
+
+def test_a_page_of_the_documentation_is_shown_offline(said: Said) -> None:
+    listed = said(0, "help").out
+    pages = sorted(path.stem for path in (ROOT / "docs").glob("*.md"))
+    assert [line.partition(":")[0] for line in listed.splitlines()[:-1]] == pages
+    assert said(0, "help record").out.startswith("# Record")
+    assert said(0, "help resume").out == said(0, "help runs").out
+    assert 'did you mean "record"' in said(2, "help recor").err
+    firsts = {name.split()[0] for name in COMMANDS}
+    assert firsts - {*topics()} <= {"help"}  # every command has its page
 
 
 @pytest.mark.slow

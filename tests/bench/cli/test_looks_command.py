@@ -44,7 +44,7 @@ def ledger(run: Path) -> dict[str, Any]:
 
 
 def looked(said: Said, *folders: Path, code: int = 0) -> Any:
-    (one,) = json.loads(said(code, "compare {} --together --json", list(folders)).out)
+    (one,) = json.loads(said(code, "compare {} --together --json", list(folders)).out)["together"]
     return one
 
 

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 ONE = SCRIPT.replace("poses = [", "poses = [{ x_mm = 12.0 }]\n#")
-IN_TRIAL = "s REASON = skip this trial, r = repeat it from its set-up, "
+IN_TRIAL = "s REASON = skip the trial, r = repeat it, "
 LAST_WORDS = "? = explain, a = abort the run): "
 
 
@@ -30,7 +30,7 @@ def test_each_question_and_why_a_touch_was_refused_stay_on_the_screen(
     columns: int, tmp_path: Path
 ) -> None:
     """The sentences wrap at 37 and 80 columns, and their last row may be as good as full."""
-    teats = [f"teat {teat} of 4, {5 - teat} of 4 touches left; " for teat in (1, 2, 3, 4)]
+    teats = [f"teat {teat} of 4," for teat in (1, 2, 3, 4)]
     asked = ["on its peg", "Situation ideal", *teats[:2], "Once more", *teats[2:]]
     mistake = 'mistakes = ["wrong teat"]'
     with at_terminal(
@@ -38,18 +38,19 @@ def test_each_question_and_why_a_touch_was_refused_stay_on_the_screen(
     ) as terminal:
         for words in asked:
             terminal.expect(words)
-            terminal.expect(LAST_WORDS)
+            terminal.expect("run): ")
             terminal.type("")
         terminal.code()
-    seen = terminal.screen.text
+    seen = " ".join(terminal.screen.text.split())
     (refused,) = (
         touch["refused"] for touch in run_of(tmp_path).trials[0].touches if touch["refused"]
     )
     assert f"{refused} Touch teat 2, right rear (RR)." in seen
     assert seen.count(f"Enter to go on ({LAST_WORDS}") == 1
     assert seen.count(f"Enter to go on ({IN_TRIAL}{LAST_WORDS}") == 5
-    hidden = "if teat ends are hidden from a camera, their numbers first (1 to 4)"
+    hidden = "first the numbers of hidden teat ends (1 to 4)"
     assert seen.count(f"{hidden} ({IN_TRIAL}{LAST_WORDS}") == 1
+    assert all(f"teat {teat} of 4, {5 - teat} of 4 touches left; " in seen for teat in (1, 2, 3, 4))
     bars = [row for row in terminal.screen.rows if row.startswith("trials ")]
     assert len(bars) == 1, "the bar is there once, at the end"
 

@@ -111,7 +111,7 @@ def test_a_run_by_clicks_and_an_abort(tmp_path: Path) -> None:
         page.locator("h1 a").click()  # all runs
         history = page.locator(".run")
         expect(history.locator(".thumbnails img")).to_have_count(3, timeout=SOON_MS)
-        expect(history).to_contain_text("aborted; 1 of 3 trials")
+        expect(history).to_contain_text("aborted: 1 of 3 trials")
         expect(history.get_by_role("button", name="Resume")).to_be_visible()
         assert not violations(page)
         assert page.title() == "teatbench console"
@@ -138,3 +138,35 @@ def click_done(page: Page, folder: Path, key: str = "") -> None:
         page.locator("#answer-done").click()
     served.eventually(lambda: number(folder) > before)
     expect(page.locator("#answer-done")).to_be_enabled(timeout=SOON_MS)
+
+
+def test_practice_by_clicks_and_a_phone_that_is_paired(tmp_path: Path) -> None:
+    with (
+        served.operated_run(tmp_path) as (_, folder),
+        served.console(tmp_path / "runs", tmp_path) as one,
+        browser_page() as seen,
+    ):
+        page = seen.page
+        page.context.set_offline(False)
+        page.goto(f"{one.address}#{folder.name}")
+        arm = page.locator("#rig li").filter(has_text="Arm cable")
+        arm.get_by_role("button", name="pull arm").click(timeout=SOON_MS)
+        expect(arm).to_contain_text("OUT", timeout=SOON_MS)
+        arm.get_by_role("button", name="put back arm").click()
+        page.get_by_role("button", name="warm the room").click()
+        expect(page.locator("#rig")).to_contain_text("22 °C", timeout=SOON_MS)
+        abort_in_reach(page)
+        assert not violations(page)
+        page.locator("#pair").click()
+        expect(page.locator("#pairing img")).to_be_visible(timeout=SOON_MS)
+        assert not violations(page)
+        link = page.locator("#pairing a").get_attribute("href")
+        assert link
+        assert one.token not in link
+        phone = page.context.browser.new_context().new_page()  # type: ignore[union-attr]
+        phone.goto(link)
+        expect(phone.locator("#list")).to_contain_text(folder.name, timeout=SOON_MS)
+        assert "pair" not in phone.url
+        another = page.context.browser.new_context().new_page()  # type: ignore[union-attr]
+        another.goto(link)
+        expect(another.locator("#problem")).to_contain_text("no token", timeout=SOON_MS)

@@ -15,11 +15,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from starlette.routing import Mount, Route
 
+from bench.console import guard
 from bench.console.app import Console, make_app
+from bench.console.guard import PAIR_S, Pairing
 from bench.console.watching import listed
 from bench.record.state import run_lock
-from bench.run.live import LIVE
+from bench.report.page import write_run_report
+from bench.results.status import LIVE, RUN_JSON
 from bench.run.lock import locked
+from instruments.clock import stopwatch_s
 from instruments.operators import operator as op
 from instruments.operators.mailbox import Mailbox, read_answer
 from tests.bench.small_run import KEPT
@@ -35,7 +39,7 @@ def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
     folder = Path(shutil.copytree(KEPT, here / "runs" / "kept"))
     Mailbox(folder).open(op.Prompt("touch", "Touch it."))
     with locked(run_lock(folder), "a run", print, "run"):
-        yield Console(here / "runs", here, f"http://{HOST}")
+        yield Console(here / "runs", here, f"http://{HOST}", Pairing(TOKEN))
 
 
 def call(console: Console, method: str, path: str, headers: dict[str, str], body: bytes) -> Any:
@@ -61,7 +65,7 @@ def call(console: Console, method: str, path: str, headers: dict[str, str], body
         "http_version": "1.1",
         "headers": [(k.encode(), v.encode()) for k, v in headers.items()],
     }
-    app: Any = make_app(console, TOKEN, [HOST])
+    app: Any = make_app(console, [HOST])
     asyncio.run(app(scope, receive, send))
     text = b"".join(message.get("body", b"") for message in sent[1:])
     return sent[0]["status"], dict(sent[0]["headers"]), text
@@ -178,6 +182,28 @@ def test_one_operator_at_a_time_and_whoever_has_the_token_may_abort(console: Con
     assert (status, said["by"]) == (409, "a browser")
 
 
+def test_a_phone_is_paired_once_and_in_time(
+    console: Console, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def post(path: str, bearer: str) -> tuple[int, Any]:
+        headers = {**GOOD, "content-length": "2", "authorization": f"Bearer {bearer}"}
+        status, _, text = call(console, "POST", path, headers, b"{}")
+        return status, json.loads(text)
+
+    assert post("/api/pair", "wrong")[0] == 401
+    status, made = post("/api/pair", TOKEN)
+    origin, code = made["url"].split("/#pair-")
+    assert (status, origin, made["here"]) == (200, f"http://{HOST}", True)
+    assert made["qr"].startswith("data:image/svg+xml")
+    assert post("/api/lease", code)[0] == 401  # good for nothing else, and still good
+    assert post("/api/paired", code) == (200, {"token": TOKEN})
+    assert post("/api/paired", code)[0] == 401
+    _, late = post("/api/pair", TOKEN)
+    there_s = stopwatch_s() + PAIR_S + 1.0
+    monkeypatch.setattr(guard, "stopwatch_s", lambda: there_s)
+    assert post("/api/paired", late["url"].split("#pair-")[1])[0] == 401
+
+
 @pytest.mark.parametrize("body", [b'{"name": "\\ud800"}', b'{"\\udfff": 1}', b'{"a": ["\\ud83d"]}'])
 def test_a_lone_surrogate_is_no_text(console: Console, body: bytes) -> None:
     length = {"content-length": str(len(body)), "x-client": "one"}
@@ -190,7 +216,7 @@ def test_what_a_killed_bench_left_open_is_neither_shown_nor_answered(tmp_path: P
     Mailbox(folder).open(op.Prompt("touch", "Touch it."))
     for name in (LIVE, "left.jpg"):
         (folder / "console" / name).write_text('{"state": "running"}', encoding="utf-8")
-    console = Console(tmp_path / "runs", tmp_path, f"http://{HOST}")
+    console = Console(tmp_path / "runs", tmp_path, f"http://{HOST}", Pairing(TOKEN))
     at = "/api/runs/killed"
     status, _, text = call(console, "GET", at, {**GOOD, "x-client": "one"}, b"")
     assert (status, json.loads(text)["live"], json.loads(text)["prompt"]) == (200, None, None)
@@ -205,10 +231,15 @@ def test_what_a_killed_bench_left_open_is_neither_shown_nor_answered(tmp_path: P
 def test_a_verdict_of_an_earlier_session_is_not_the_run_s(tmp_path: Path) -> None:
     """The first was ended and has a report; the second finished, and was killed before its own."""
     folder = Path(shutil.copytree(KEPT, tmp_path / "runs" / "twice"))
-    (folder / "report").mkdir()
-    judged = {"judgements": [{"detector": "fused", "verdict": "met"}]}
-    for ending, verdicts in (("finished", {"fused": "met"}), ("faulted", {})):
-        text = json.dumps(judged | {"ending": ending})
-        (folder / "report" / "run.json").write_text(text, encoding="utf-8")
+    write_run_report(folder)
+    right = listed(tmp_path / "runs")[0]["status"]
+    assert right["state"] == "finished"
+    path = folder / RUN_JSON
+    written = json.loads(path.read_text(encoding="utf-8"))
+    written["status"]["verdicts"] = dict.fromkeys(right["verdicts"], "of the report")
+    for digest, verdict in ((written["chain"]["wall_digest"], "of the report"), ("0", None)):
+        written["chain"]["wall_digest"] = digest
+        path.write_text(json.dumps(written), encoding="utf-8")
         (card,) = listed(tmp_path / "runs")
-        assert (card["ending"], card["verdicts"]) == ("finished", verdicts)
+        wanted = dict.fromkeys(right["verdicts"], verdict) if verdict else right["verdicts"]
+        assert card["status"]["verdicts"] == wanted

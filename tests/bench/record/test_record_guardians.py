@@ -16,7 +16,7 @@ from bench.record.check import Weight, check_run
 from bench.record.reader import RunRecord, read_run
 from bench.record.writer import Store
 from bench.report.bath import _care_parts
-from bench.report.wording import guardian_text
+from bench.results.headline import guardian_text
 from bench.run.resume import keep_guardians
 from instruments.clock import wall_time
 from tests.bench.small_run import KEPT

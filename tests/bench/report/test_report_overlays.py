@@ -70,7 +70,7 @@ def test_any_detector_shows_its_stages_by_their_pixels(calibration: Calibration)
         "odd": {"left_px": "nonsense"},
     }
     found = overlays(trial(trace), "left", None, calibration)
-    assert [one.tone for one in found if len(one.shapes) == 1] == ["nomination", "point", "other"]
+    assert {one.tone for one in found if len(one.shapes) == 1} == {"nomination", "point", "other"}
     assert len(found) == 3
     assert shapes(found, "other")[0].title == "d: my stage"
     assert {one.name for one in found} <= set(NAMES.values())

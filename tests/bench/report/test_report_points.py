@@ -21,6 +21,7 @@ from bench.config import read_calibration
 from bench.record.reader import read_run
 from bench.report.page import build_page
 from bench.report.thesis import thesis_chapter
+from bench.results.status import status_of
 from bench.results.verdicts import judge, stored_rules
 from instruments.camera.settings import AUTOMATIC, UNSEEN_SIZE
 from reports.render import render
@@ -184,7 +185,9 @@ def test_hostile_notes_come_out_as_text_and_faults_are_reported(
         skipped=({"trial": HOSTILE, "reason": HOSTILE, "number": 1},),
     )
     rules, calibration = stored_rules(folder), read_calibration(folder / "calibration.toml")
-    html = render(build_page(hostile, rules, judge(hostile, rules), calibration, tmp_path))
+    judged = judge(hostile, rules)
+    status = status_of(hostile, judged)
+    html = render(build_page(hostile, status, rules, judged, calibration, tmp_path))
     document = read(html)
     assert document.misplaced == []
     assert "<img src=x" not in html

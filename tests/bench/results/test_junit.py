@@ -15,6 +15,7 @@ from junitparser import Error, JUnitXml, Skipped
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
 from bench.results.exports import write_exports
+from bench.results.status import status_of
 from bench.results.verdicts import Judgement
 from bench.scoring.decisions import Decision, Verdict
 
@@ -82,7 +83,7 @@ ENDINGS = {
 
 
 def written(run: RunRecord, judgements: tuple[Judgement, ...], folder: Path) -> Path:
-    write_exports(run, judgements, folder)
+    write_exports(run, status_of(run, judgements), judgements, folder)
     return folder / "junit.xml"
 
 

@@ -15,8 +15,8 @@ import pytest
 from bench.config import read_config
 from bench.record.reader import RunRecord, TrialRecord
 from bench.report.page import _latency_parts
-from bench.report.wording import headline
 from bench.results.stated_arm import STATED_FACT
+from bench.results.status import status_of
 from bench.results.verdicts import judge, latency_of, run_verdict
 from bench.scoring.decisions import Decision, Verdict
 from bench.script.model import (
@@ -213,6 +213,6 @@ def test_no_verdict_holds_on_a_damaged_record(tmp_path: Path) -> None:
     assert {d.verdict for d in decided(run).values()} == {OPEN}
     for decision in decided(run).values():
         assert decision.sentence.startswith("The record is NOT as it was written. ")
-    verdict, why, _ = headline(run, judge(run, RULES))
-    assert verdict == "no verdict"
-    assert "run: a row is gone" in why
+    status = status_of(run, judge(run, RULES))
+    assert status.word == "no verdict"
+    assert "run: a row is gone" in status.why

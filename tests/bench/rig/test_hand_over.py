@@ -15,7 +15,7 @@ import psutil
 import pytest
 from filelock import FileLock
 
-from bench.report.wording import guardian_text
+from bench.results.headline import guardian_text
 from bench.rig.guardian import DONE
 from bench.rig.guardian_client import GuardianClient, GuardianTarget, Heartbeat
 from bench.rig.hand_over import HAND_OVER_S, BathLock, bath_name

@@ -227,14 +227,16 @@ class Checker:
             self._trying.go(Step("middle", request.touch - 1, ""))
 
 
-def checked(spoil: Callable[[TryingArm], None]) -> dict[str, Any]:
+def checked(
+    spoil: Callable[[TryingArm], None], before: dict[str, Any] | None = None
+) -> dict[str, Any]:
     settings = Arm(url="emulator:", check_point_mm=(330.0, 0.0, 20.0))
     with emulated() as (arm, trying):
         spoil(trying)
         arm.sign_on()
         arm.confirm_homed()
         tip = TipReader(arm, settings, None)
-        return check_arm(Checker(trying).ask, tip, settings, trying.clock, lambda: None)
+        return check_arm(Checker(trying).ask, tip, settings, trying.clock, lambda: None, before)
 
 
 def test_an_arm_that_was_not_homed_is_found_out() -> None:
@@ -246,5 +248,11 @@ def test_an_arm_that_was_not_homed_is_found_out() -> None:
         trying.go(Step("near", 0, ""))
         trying.emulator.power_cycle()
 
-    assert shift_mm(checked(lambda trying: None)) < 1.0
+    good = checked(lambda trying: None)
+    assert shift_mm(good) < 1.0
     assert shift_mm(checked(off_its_peg)) > 20.0
+    # one touch shows that nothing moved since an earlier check, whose touches count
+    assert len(checked(lambda trying: None, good)["touches"]) == len(good["touches"]) + 1
+    spoilt = checked(off_its_peg, good)
+    assert len(spoilt["touches"]) == len(good["touches"])
+    assert shift_mm(spoilt) > 20.0

@@ -51,7 +51,7 @@ def test_a_new_user_gets_through_a_run(tmp_path: Path) -> None:
         assert "teat 4, left front (LF): x -260.6, y 267.1, length 136.3 mm" in said
         (picture,) = re.findall(r"Picture: (\S+\.png)", said.replace("\r", ""))
         assert Path(picture).read_bytes().startswith(b"\x89PNG")
-        assert "s REASON = skip this trial" in said
+        assert "s REASON = skip the trial" in said
         for teat in (1, 2, 3, 4):
             left = 8 - 2 * (teat - 1)
             at = f"trial 1 of 2, teat {teat} of 4, {left} of 8 touches left; about 4 min left"

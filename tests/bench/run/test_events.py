@@ -10,11 +10,15 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from bench.record.reader import read_run
+from bench.record.state import State
+from bench.results.status import InstrumentStatus, Link, RunStatus, Safe
 from bench.run.events import (
     AWAY,
     EVENTS_FILE,
@@ -192,7 +196,18 @@ def test_the_line_has_trial_state_bath_time_left_and_the_last_error() -> None:
     screen = Shown()
     shown, progress = screen.shown, Events(screen)
     progress.state("preparing")
-    progress.live = lambda: {"bath": "bath 33.02 degC, stable", "left": "about 12 min left"}
+    bath = InstrumentStatus("bath", Link.ANSWERS, Safe.IN_USE, last="33.02 degC, stable")
+
+    def status() -> RunStatus:
+        words: dict[str, Any] = {
+            "doing": progress.doing,
+            "pose": progress.pose,
+            "last_error": progress.error,
+        }
+        now = RunStatus("run", "Short", State.RUNNING, "running", instruments=(bath,), left_s=720.0)
+        return replace(now, **words)
+
+    progress.status = status
     progress.trial(1, 3, "place-2")
     progress.event("state", "no error")
     progress.state("capturing")
@@ -218,11 +233,11 @@ def test_the_line_follows_the_bath_while_one_thing_takes_long(tmp_path: Path) ->
 def test_a_line_that_cannot_be_made_is_no_trouble_of_the_baths() -> None:
     """It is made on the watch's own thread."""
 
-    def fails() -> dict[str, str]:
+    def fails() -> None:
         raise RuntimeError("a bug in the line")
 
     progress = Events(Silent())
-    progress.live = fails
+    progress.status = fails
     progress.refresh()
     with pytest.raises(RuntimeError, match="a bug in the line"):
         progress.state("capturing")

@@ -23,7 +23,7 @@ from typing import Any
 import pytest
 
 from bench.record.reader import RunRecord, read_run
-from bench.report.wording import headline
+from bench.results.status import status_of
 from instruments.bath.driver import Bath
 from instruments.bath.profile import load_profile
 from instruments.clock import RealClock, wall_time
@@ -216,7 +216,7 @@ def test_a_kill_in_any_step_leaves_standby_and_a_record_of_it(
             f"The bench died at {note['wall_noticed']}; the guardian had the bath in standby at"
             f" {note['wall_safe']}"
         )
-        assert sentence in headline(outcome.run, ())[1]
+        assert sentence in status_of(outcome.run).why
 
 
 @pytest.mark.parametrize("steps", [pytest.param(ASKED, id="some"), ALL])

@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 
 from bench.record.reader import read_run
-from bench.report.wording import guardian_text
+from bench.results.headline import guardian_text
 from bench.rig.guardian import DONE
 from instruments.bath.emulator import BathEmulator, RelayEmulator
 from instruments.bath.profile import load_register_profile, load_relay

@@ -58,9 +58,9 @@ def test_one_prompt_asks_for_all_touches_of_a_teat_end() -> None:
         "[trial 3 of 18, teat 2 of 4, 9 of 12 touches left] Touch the end of teat 2, right rear (RR),"
         in said
     )
-    assert "hold it still: 3 touches, lifted in between.\nEnter to go on (s REASON" in said
+    assert "hold it still: 3 touches, lifted in between.\nEnter to go on\n(s REASON" in said
     press = (
-        "] Lift the tip, then touch the same end again. Enter to go on (s, r, ? or a as before): "
+        "] Lift the tip, then touch the same end again.\nEnter to go on (s, r, ? or a as before): "
     )
     for number, left in ((2, 8), (3, 7)):
         assert f"[press {number} of 3, {left} of 12 left{press}" in said
@@ -130,15 +130,19 @@ def test_boards_may_be_enough_but_for_one_that_is_to_be_touched() -> None:
     assert "[position 1] Fix the board." in out.getvalue()
 
 
-def test_hidden_teats_are_reported_by_number() -> None:
-    assert asked("2, 4\n")[0].ask(ASKED).visible == (True, False, True, False)
+@pytest.mark.parametrize("answer", ["2, 4", "2,4", "2 and 4", "hidden 4 2", "2 2 4"])
+def test_hidden_teats_are_reported_by_number_and_confirmed(answer: str) -> None:
+    who, out = asked(f"{answer}\n")
+    assert who.ask(ASKED).visible == (True, False, True, False)
+    assert "Hidden: teat ends 2 and 4.\n" in out.getvalue()
 
 
-@pytest.mark.parametrize("wrong", ["5", "0", "two", "1 x", "-1", "hidden", "a b", "³"])
+@pytest.mark.parametrize("wrong", ["5", ",", "and", "0", "two", "1 x", "-1", "hidden", "a b", "³"])
 def test_nonsense_is_asked_again(wrong: str) -> None:
     who, out = asked(f"{wrong}\n1\n")
     assert who.ask(ASKED).visible == (False, True, True, True)
-    assert f"Not understood: '{wrong}'" in out.getvalue()
+    allowed = 'There are Enter, the hidden ends\' numbers, 1 to 4: "2 4", s REASON, r, ? and a.'
+    assert f"Not understood: '{wrong}'. {allowed}" in out.getvalue()
 
 
 @pytest.mark.parametrize("answer", ["a\n", "abort\n", " Q \n", ""])

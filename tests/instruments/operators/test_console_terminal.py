@@ -24,9 +24,7 @@ import pty
 
 PATIENCE_S = 60.0
 TOUCH = op.Touch(2, 4)
-KEYS = (
-    "(s REASON = skip this trial, r = repeat it from its set-up, ? = explain, a = abort the run): "
-)
+KEYS = "(s REASON = skip the trial, r = repeat it, ? = explain, a = abort the run): "
 
 
 class SteeredClock:
@@ -106,7 +104,7 @@ def desk(*, remind_s: float = 60.0, watch: Callable[[], Pedal] | None = None) ->
 def test_enter_goes_on_and_wrong_keys_do_not() -> None:
     with desk() as here:
         done = here.asked(TOUCH)
-        assert "Touch the end of teat 2 with" in here.expect(f"Enter to go on {KEYS}")
+        assert "Touch the end of teat 2 with" in here.expect(f"Enter to go on\n{KEYS}")
         for wrong in ("x", "2", "go on", "ö", "aa", "\x1b[A"):
             here.type(f"{wrong}\n")
             assert f"Not understood: {wrong!r}." in here.expect(KEYS)
@@ -184,7 +182,7 @@ def test_a_pedal_goes_on_and_the_keyboard_still_works() -> None:
     foot = Foot()
     with desk(watch=foot.watch) as here:
         done = here.asked(TOUCH)
-        here.expect("Enter or a pedal to go on (")
+        here.expect("Enter or a pedal to go on\n(")
         foot.down = True
         assert done.result(PATIENCE_S) == op.DONE
         foot.down = False

@@ -46,7 +46,7 @@ def test_answers_come_in_their_order() -> None:
         who.ask(op.BoardAsked(Pattern(), "Hold it.", 3))
     who.ask(op.Finish())
     assert shown[0] == "On its peg. > go"
-    assert len(shown) == 8
+    assert len(shown) == 9, "each answer, and which ends are hidden"
 
 
 def test_an_answer_waits_for_the_prompt_that_it_is_for() -> None:

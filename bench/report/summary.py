@@ -1,0 +1,75 @@
+"""What a run or a comparison found, as Markdown: for the page that a CI service shows of a job."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from bench.config import ConfigError
+from bench.report import comparison as of_comparison
+from bench.report.page import Written
+from bench.report.wording import limit, measured
+from bench.results.comparison import Comparison
+from reports.page import Table
+from reports.render import SIGNS
+from reports.sanitize import sanitized
+
+MARKS = {str(word): sign for word, sign in SIGNS.items()}
+SPECIAL = re.compile(r"([\\`*_\[\]<>|#])")
+
+
+def append(path: Path, text: str) -> None:
+    """Behind what is there already, as CI services want it. Raises ConfigError."""
+    try:
+        with path.open("a", encoding="utf-8") as file:
+            file.write(f"{text}\n")
+    except OSError as error:
+        why = f"--summary {path}: it can't be written: {error.strerror or error}"
+        raise ConfigError.plain(why) from error
+
+
+def of_run(written: Written) -> str:
+    """Verdict, requirements by detector, why, and what to do next."""
+    _, record, judgements, status = written
+    lines = [f"### {MARKS.get(status.word, '')} {_plain(f'{status.title}: {status.headline}')}", ""]
+    if judgements:
+        rows = [
+            [row[0].name, limit(row[0]), *(f"{MARKS[one.verdict]} {measured(one)}" for one in row)]
+            for row in zip(*(one.decisions for one in judgements), strict=True)
+        ]
+        lines += _table(["requirement", "limit", *(one.detector for one in judgements)], rows)
+    lines += [f"- **{_plain(line)}**" for line in status.unsafe]
+    said = [status.why, *status.next[len(status.unsafe) :], f"Run: {record.folder.name}"]
+    return "\n\n".join(["\n".join(lines), *(_plain(line) for line in said if line)]) + "\n"
+
+
+def of_comparisons(found: Sequence[Comparison]) -> str:
+    """Each comparison with its tables and its verdict."""
+    parts: list[str] = []
+    for one in found:
+        tables = of_comparison.success_table(one), of_comparison.distance_table(one)
+        parts.append(f"### {_plain(of_comparison.worded(one, of_comparison.heading(one)))}")
+        parts += ["\n".join(_of_page(of_comparison.worded(one, table))) for table in tables]
+        reasons = of_comparison.gate_reasons(one)
+        said = [*of_comparison.notes(one), of_comparison.verdict_text(one), *reasons]
+        parts += [_plain(of_comparison.worded(one, line)) for line in said]
+    return "\n\n".join(parts) + "\n"
+
+
+def _of_page(table: Table) -> Iterator[str]:
+    heads = [f"{one.title}, {one.unit}" if one.unit else one.title for one in table.columns]
+    cells = [[one if isinstance(one, str) else one.text for one in row] for row in table.rows]
+    return _table(heads, cells)
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    for row in (heads, ["---"] * len(heads), *rows):
+        cells = (cell if cell == "---" else _plain(cell) for cell in row)
+        yield f"| {' | '.join(cells)} |"
+    yield ""
+
+
+def _plain(text: str) -> str:
+    """Nothing in it is Markdown, or ends its line."""
+    return SPECIAL.sub(r"\\\1", " ".join(sanitized(text).split()))

@@ -1,0 +1,198 @@
+"""What a run's record comes to, in sentences: why, and what to do next. Of `status` alone, which
+every surface shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from bench.record.check import NOT_AS_WRITTEN, shortened
+from bench.record.reader import RunRecord
+from bench.record.state import State
+from bench.results.doubts import AGAIN, DOUBTS_FACT
+from bench.results.verdicts import Judgement, calls_of, run_verdict
+from bench.rig.by_hand import BY_HAND
+from bench.scoring.decisions import Decision, Verdict
+from bench.scoring.rates import plural
+from detector.protocol import Outcome
+
+LONGEST_WORDS = 200
+AFTER_FAULT = (
+    "See the events, remove the cause, check the instruments with 'teatbench check', then go on"
+    " with 'teatbench resume'."
+)
+AFTER_END = "Go on with 'teatbench resume'; what there is is unfinished."
+AFTER_RUN = (
+    "Wait for its end, which writes the report anew; 'teatbench console' shows it meanwhile."
+)
+THEN: Mapping[State, str] = {
+    State.RUNNING: AFTER_RUN,
+    State.FAULTED: AFTER_FAULT,
+    State.TRIPPED: AFTER_FAULT,
+    State.ABORTED: AFTER_END,
+    State.INTERRUPTED: AFTER_END,
+}
+
+
+def stopped_why(run: RunRecord, state: State, trials: str) -> str:
+    """Why nothing is decided by ``run``: it is damaged or has not finished; empty where it may be.
+    ``trials``: how far it came.
+    """
+    if run.damage:
+        return f"{NOT_AS_WRITTEN}, so that nothing is decided by it. {shortened(run.damage)}"
+    if state is State.FINISHED:
+        return ""
+    if state is State.RUNNING:
+        return f"The run goes on: {trials}. Nothing is decided before its end."
+    if state is State.INTERRUPTED:
+        guardian = f" {guardian_text(run.guardian)}" if run.guardian else ""
+        return f"The bench died before the run was over; {trials} are kept.{guardian}"
+    message = [event["text"] for event in run.events if event["kind"] in ("fault", "aborted")]
+    how = "was tripped by an interlock" if state is State.TRIPPED else f"was {state}"
+    reason = message[-1].rstrip(".") if message else "no reason was recorded"
+    return f"The run {how} after {trials}: {reason}."
+
+
+def stopped_next(run: RunRecord, state: State) -> str:
+    """What to do with it then."""
+    if run.damage:
+        then = "Put back the run's folder from a copy; 'teatbench store check' lists all that is"
+        return f"{then} damaged."
+    return THEN[state]
+
+
+def judged(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[str, str]:
+    """Why and what next of a whole and finished run; where several detectors are judged, a line
+    for each. A detector without answers comes first.
+    """
+    if doubts := run.facts.get(DOUBTS_FACT):
+        why = "; ".join(doubts)
+        return f"The calibration can't be, so nothing is charged to any detector: {why}.", AGAIN
+    if len(judgements) > 1:
+        return _each(run, judgements)
+    verdict, why, then = _one(run, judgements)
+    silent = [message for name in run.detectors for message in _silence(run, name)]
+    if not silent:
+        return why, then
+    first = (
+        "First find out why the detector did not answer: its reasons stand with the trials below."
+    )
+    then = then if verdict is Verdict.NOT_MET else "Then run it again."
+    return "\n".join([*silent, why]), f"{first} {then}"
+
+
+def _each(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[str, str]:
+    why: list[str] = []
+    then: dict[str, list[str]] = {}
+    for one in judgements:
+        verdict, _, action = _one(run, (one,))
+        same = {verdict} | ({Verdict.NOT_MEASURED} if verdict is Verdict.INCONCLUSIVE else set())
+        which = "; ".join(map(missing_text, (d for d in one.decisions if d.verdict in same)))
+        why += _silence(run, one.detector)
+        why.append(
+            f"{one.detector}: {verdict}: {'all requirements' if verdict is Verdict.MET else which}."
+        )
+        then.setdefault(action, []).append(one.detector)
+    return "\n".join(why), "\n".join(f"{', '.join(who)}: {what}" for what, who in then.items())
+
+
+def missing_text(decision: Decision) -> str:
+    """``p95 (33 more poses without a failure would show it)``."""
+    if decision.missing is None:
+        return decision.name
+    more = plural(decision.missing, "more pose")
+    return f"{decision.name} ({more} without a failure would show it)"
+
+
+def _silence(run: RunRecord, detector: str) -> Iterator[str]:
+    """How often it gave no answer, with the last reason and the last line that it wrote."""
+    rows = [row for _, row in calls_of(run, detector)]
+    silent = [row for row in rows if row["outcome"] != Outcome.ANSWERED.value]
+    if not silent:
+        return
+    reasons = [row["reason"] for row in silent if row["outcome"] != Outcome.OFF.value]
+    why = next((f": {reason}" for reason in reversed(reasons) if reason), "")
+    written = "\n".join(row["wall_stderr"] or "" for row in silent).splitlines()
+    words = next((line.strip() for line in reversed(written) if line.strip()), "")
+    last = f' Its last words: "{words[:LONGEST_WORDS]}".' if words else ""
+    yield f"{detector} did not answer on {len(silent)} of {len(rows)} frame sets{why}.{last}"
+
+
+def _one(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[Verdict, str, str]:
+    if not judgements and run.skipped:
+        n = len(run.skipped)
+        which = "The one trial was" if n == 1 else f"All {n} trials were"
+        then = "Remove the reasons, which are listed under the deviations, then run the script"
+        return Verdict.NOT_MEASURED, f"{which} left out, so nothing was scored.", f"{then} again."
+    if not judgements:
+        nothing = "The recording has no truth, so nothing was scored."
+        return Verdict.NOT_MEASURED, nothing, "Add truth.csv to the recording, then score it again."
+    verdict = run_verdict(judgements)
+    same = {verdict}
+    if verdict is Verdict.INCONCLUSIVE:
+        same.add(Verdict.NOT_MEASURED)
+    worst = [(j.detector, d) for j in judgements for d in j.decisions if d.verdict in same]
+    why = "\n".join(
+        f"{f'{name}: ' if len(judgements) > 1 else ''}{d.name[0].upper()}{d.name[1:]}: {d.sentence}"
+        for name, d in worst
+    )
+    return verdict, why, _next_action(verdict, [d for _, d in worst], judgements[0].of_bench)
+
+
+def guardian_text(record: Mapping[str, Any]) -> str:
+    """What happened to the bench and when, and whether the guardian reached standby."""
+    when, why = record["wall_noticed"], record["why"]
+    what = {
+        "died": f"The bench died at {when}",
+        "hung": f"The bench hung ({why}); its last sign of life was at {record['wall_last_sign']}",
+        "gave up": f"At {when} the bench gave up: {why}",
+    }[record["cause"]]
+    more = ""
+    if stage := record.get("stage"):
+        more = " The stage stands, by its own report."
+        if not stage["stands"]:
+            more = f" {BY_HAND['stage']}: IT COULD NOT BE STOPPED ({stage['error']})."
+    if not record["standby"] and "handed_over" in record:
+        return (
+            f"{what}; the guardian had not reached the bath in {record['tries']} tries"
+            f" ({record['error']}) when it handed it over to a later session at"
+            f" {record['handed_over']}.{more}"
+        )
+    if not record["standby"]:
+        return (
+            f"{what}. {BY_HAND['bath']}: THE GUARDIAN COULD NOT REACH THE BATH in"
+            f" {record['tries']} tries ({record['error']}).{more}"
+        )
+    more += " The hung bench kept the port and was ended." if record.get("killed") else ""
+    more += f" The pump {record['pump']}." if "pump" in record else ""
+    if "handed_over" in record:
+        more += f" It handed the bath over to a later session at {record['handed_over']}."
+    return (
+        f"{what}; the guardian had the bath in standby at {record['wall_safe']},"
+        f" {record['seconds']:.1f} s after it took notice.{more}"
+    )
+
+
+def _next_action(verdict: Verdict, which: Sequence[Decision], of_bench: frozenset[str]) -> str:
+    if verdict is Verdict.MET:
+        return (
+            "Keep this run folder as the evidence; it names everything that is needed to repeat it."
+        )
+    bench = ", ".join(dict.fromkeys(one.name for one in which if one.name in of_bench))
+    own = [one for one in which if one.name not in of_bench]
+    names = ", ".join(dict.fromkeys(one.name for one in own))
+    if verdict is Verdict.NOT_MET:
+        first = f"Put the bench right before all else: {bench}; what it measured may be wrong."
+        then = (
+            f"The detector has to become better at: {names}. Start with the trials marked below;"
+            " each shows where its points went wrong."
+            if names
+            else "Then run the script again."
+        )
+    else:
+        first = f"Complete what is missing of: {bench}."
+        most = max((one.missing for one in own if one.missing is not None), default=None)
+        many = "Run more poses" if most is None else f"Run {plural(most, 'more pose')}"
+        then = f"{many} to decide: {names}." if names else ""
+    return f"{first} {then}".strip() if bench else then

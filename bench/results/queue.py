@@ -1,0 +1,148 @@
+"""How a queue of scripts stands: one file beside its runs, which names them in their order, and
+the status of each run. Nothing else is kept of a queue.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bench.config import ConfigError
+from bench.files import write_synced
+from bench.record.state import State, holder_in, lives
+from bench.results.status import RunStatus, read_status
+from bench.scoring.rates import plural
+from instruments.clock import wall_time
+
+VERSION = 1
+NAME = "queue-{}"  # its files, beside the runs
+ENDED = "all scripts were run"
+DIED = "the bench died"
+
+
+@dataclass(frozen=True, slots=True)
+class Queued:
+    """One script, with its run and that one's status once it has begun."""
+
+    script: str
+    run: str = ""
+    status: RunStatus | None = None
+
+    @property
+    def text(self) -> str:
+        """``running: trial 3 of 18``; ``not begun``."""
+        return self.status.headline if self.status else "not begun"
+
+
+@dataclass(frozen=True, slots=True)
+class QueueStatus:
+    """A queue on ``rig``. ``ended``: why no script follows any more; "" while it goes on."""
+
+    name: str
+    rig: str
+    started: str
+    scripts: tuple[Queued, ...]
+    ended: str
+
+    @property
+    def under_way(self) -> bool:
+        return not self.ended
+
+    @property
+    def begun(self) -> int:
+        return sum(bool(one.run) for one in self.scripts)
+
+    @property
+    def headline(self) -> str:
+        """``script 2 of 3: plane-map``; ``ended early, 2 of 3 scripts: an interlock tripped …``."""
+        of = plural(len(self.scripts), "script")
+        if self.under_way:
+            now = self.scripts[max(self.begun, 1) - 1]
+            return f"script {max(self.begun, 1)} of {len(self.scripts)}: {now.script}"
+        done = sum(
+            one.status is not None and one.status.state is State.FINISHED for one in self.scripts
+        )
+        if self.ended == ENDED:
+            return f"ended: {done} of {of} finished"
+        return f"ended early, {done} of {of} finished: {self.ended}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """As JSON, with its version."""
+        shown = [
+            {"script": one.script, "run": one.run, "text": one.text}
+            | {"status": one.status.as_dict() if one.status else None}
+            for one in self.scripts
+        ]
+        said = {"headline": self.headline, "under_way": self.under_way, "ended": self.ended}
+        head = {"name": self.name, "rig": self.rig, "started": self.started}
+        return {"schema_version": VERSION, **head, **said, "scripts": shown}
+
+
+@dataclass(slots=True)
+class QueueNote:
+    """The file of a queue that goes on; a run alone has none. It stops no run: it is no record."""
+
+    path: Path | None
+    text: dict[str, Any]
+
+    @classmethod
+    def begin(cls, out: Path, rig: str, scripts: Sequence[str]) -> QueueNote:
+        now = wall_time()
+        stamp = now.strftime("%Y%m%d-%H%M%S")
+        path = out / f"{NAME.format(stamp)}.json" if len(scripts) > 1 else None
+        text: dict[str, Any] = {"version": VERSION, "rig": rig, "scripts": [*scripts], "runs": []}
+        text |= {"started": now.isoformat(timespec="seconds"), "ended": ""}
+        note = cls(path, text | {"host": platform.node(), "pid": os.getpid()})
+        note._write()
+        return note
+
+    def runs(self, folder: Path) -> None:
+        """The next script has its run in ``folder``."""
+        self.text["runs"].append(folder.name)
+        self._write()
+
+    def ends(self, why: str) -> None:
+        """The first reason holds."""
+        self.text["ended"] = self.text["ended"] or why
+        self._write()
+
+    def _write(self) -> None:
+        if self.path:
+            with suppress(OSError):
+                write_synced(self.path, json.dumps(self.text, ensure_ascii=False).encode())
+
+
+def read_queue(path: Path) -> QueueStatus:
+    """Of the file ``path``. Raises ConfigError."""
+    found = holder_in(path)
+    try:
+        runs = [*found["runs"], *[""] * (len(found["scripts"]) - len(found["runs"]))]
+        scripts = tuple(
+            Queued(script, run, _status(path.parent / run) if run else None)
+            for script, run in zip(found["scripts"], runs, strict=True)
+        )
+        ended = found["ended"]
+        if not ended and found["host"] == platform.node() and not lives(found["pid"]):
+            ended = DIED
+        return QueueStatus(path.stem, found["rig"], found["started"], scripts, ended)
+    except (LookupError, TypeError, ValueError) as error:
+        raise ConfigError.plain(f"{path} is no queue of runs: {error!r}") from error
+
+
+def _status(run: Path) -> RunStatus | None:
+    with suppress(ConfigError, OSError):
+        return read_status(run)
+    return None
+
+
+def queues(out: Path, most: int = 3) -> Iterator[QueueStatus]:
+    """The last ones in the folder of runs ``out``, newest first."""
+    for path in sorted(out.glob(NAME.format("*") + ".json"), reverse=True)[:most]:
+        with suppress(ConfigError, OSError):
+            yield read_queue(path)

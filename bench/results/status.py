@@ -1,0 +1,378 @@
+"""How a run stands at one moment: the one object that terminal, console, list of runs, JUnit,
+report, notifications and JSON show. They take no word on it from anywhere else.
+
+A run under way writes it into `console/live.json` in its folder (`RunStatus.as_dict`); a run that
+has ended has it in its record. `read_status` gives either, whoever asks and from which process.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import KW_ONLY, asdict, dataclass, field, replace
+from datetime import datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from bench.record.reader import RunRecord, read_run
+from bench.record.state import NO_ENDING, TRIP, State, holder_of, state_of
+from bench.results.doubts import DOUBTS_FACT
+from bench.results.headline import judged, stopped_next, stopped_why
+from bench.results.verdicts import Judgement, judge, stored_rules
+from bench.rig.by_hand import BY_HAND
+from bench.rig.devices import Evidence
+from bench.safety.bath_monitor import NO_GUARDIAN
+from bench.scoring.rates import plural
+from instruments.clock import wall_time as now
+from instruments.operators.mailbox import FOLDER, read_prompt
+from instruments.operators.operator import time_left
+
+VERSION = 1  # of `RunStatus.as_dict`
+LIVE, RUN_JSON = "live.json", "report/run.json"
+SILENT_S = 5.0  # a bench that has said nothing for longer hangs, or its computer is busy
+STARTING = "starting"
+LONGEST_ERROR = 60  # in a line of the terminal
+LOOK = {"bath": "the bath is in standby", "stage": "the stage stands", "pump": "the pump stands"}
+INSTRUMENTS_FACT = "instruments at the end"
+GOING_TO_SAFE = "going to safe"
+
+
+class Link(StrEnum):
+    """What is known of the way to an instrument."""
+
+    ANSWERS = "answers"
+    SILENT = "silent"  # it is asked, and gives nothing usable
+    AWAY = "away"  # the run is paused until it is back
+    CLOSED = "closed"  # the run has ended
+    UNKNOWN = "not known"  # the bench that had it open has died
+
+
+class Safe(StrEnum):
+    """What an instrument's safe state stands on."""
+
+    IN_USE = "in use"  # it heats, moves or turns by an order of this run
+    AT_REST = "at rest"  # it was given no such order, or was read back at rest since
+    READ_BACK = Evidence.READ_BACK.value
+    SENT = Evidence.SENT.value
+    FAILED = Evidence.FAILED.value
+    UNKNOWN = "not known"
+
+
+@dataclass(frozen=True, slots=True)
+class InstrumentStatus:
+    """One instrument. ``last``: its last value, with unit; ``age_s``: how long ago it last
+    answered, None where it never did; ``how``: in what way it is silent, or why it isn't safe;
+    ``by_hand``: what a person has to do at it, "" where nothing.
+    """
+
+    name: str
+    link: Link
+    safe: Safe
+    _: KW_ONLY
+    last: str = ""
+    age_s: float | None = None
+    how: str = ""
+    by_hand: str = ""
+
+    @property
+    def trouble(self) -> bool:
+        """Whether a person has to see it at once."""
+        return bool(self.by_hand) or self.link in (Link.SILENT, Link.AWAY)
+
+    @property
+    def text(self) -> str:
+        """``bath: no answer for 12 s (last 20.04 degC)``; ``bath 20.04 degC, heating``."""
+        if self.by_hand:
+            return f"{self.by_hand}: {self.how}" if self.how else self.by_hand
+        if self.link is Link.ANSWERS:
+            return f"{self.name} {self.last}" if self.last else f"{self.name}: {self.link}"
+        last = f" (last {self.last})" if self.last else ""
+        if self.link in (Link.SILENT, Link.AWAY):
+            since = "" if self.age_s is None else f" for {self.age_s:.0f} s"
+            return f"{self.name}: {self.how or 'no answer'}{since}{last}"
+        return f"{self.name}: {SAFE_WORDS[self.safe]}{last}"
+
+    def later(self, seconds: float) -> InstrumentStatus:
+        """The same, said so many seconds ago."""
+        return replace(self, age_s=None if self.age_s is None else self.age_s + seconds)
+
+
+SAFE_WORDS: Mapping[Safe, str] = {
+    Safe.IN_USE: "in use",
+    Safe.AT_REST: "at rest",
+    Safe.READ_BACK: "safe, read back",
+    Safe.SENT: "told to stop, not acknowledged",
+    Safe.FAILED: "not safe",
+    Safe.UNKNOWN: "not known since the bench died",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What a person is asked: its kind (`operator.Kind`), and the prompt's words where a browser
+    answers too, with its number.
+    """
+
+    kind: str
+    text: str = ""
+    number: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RunStatus:
+    """A run at ``wall_time``. ``step``: a state of the run (docs/runs.md) or "going to safe", and
+    ``state`` once it has ended; ``doing`` says more. ``verdicts``: by detector, ``state`` where
+    there is none. ``why`` and ``next`` are sentences, most urgent first. ``age_s``: how long ago
+    the run said this of itself.
+    """
+
+    run: str
+    title: str
+    state: State
+    step: str
+    _: KW_ONLY
+    verdicts: Mapping[str, str] = field(default_factory=dict)
+    doing: str = ""
+    pose: str = ""
+    done: int = 0
+    skipped: int = 0
+    planned: int | None = None
+    left_s: float | None = None
+    paused: bool = False
+    asked: Asked | None = None
+    instruments: tuple[InstrumentStatus, ...] = ()
+    tripped: str = ""
+    last_error: str = ""
+    why: str = ""
+    next: tuple[str, ...] = ()
+    damage: tuple[str, ...] = ()
+    wall_time: str = ""
+    age_s: float = 0.0
+
+    @property
+    def under_way(self) -> bool:
+        return self.state is State.RUNNING
+
+    @property
+    def decided(self) -> bool:
+        """Whether its verdicts hold: it is whole, and has finished."""
+        return self.state is State.FINISHED and not self.damage
+
+    @property
+    def unsafe(self) -> tuple[str, ...]:
+        """A line an instrument that a person has to make safe, the action first, heat first."""
+        order = [*BY_HAND]
+        found = [one for one in self.instruments if one.by_hand]
+        found.sort(key=lambda one: order.index(one.name) if one.name in order else len(order))
+        return tuple(one.text for one in found)
+
+    @property
+    def at_end(self) -> tuple[InstrumentStatus, ...]:
+        """The instruments once they are let go."""
+        return tuple(replace(one, link=Link.CLOSED) for one in self.instruments)
+
+    @property
+    def trials(self) -> str:
+        """``trial 3 of 18`` of a run under way, else ``2 of 18 trials``."""
+        of = plural(self.planned, "trial") if self.planned else "? trials"
+        if not self.under_way:
+            return f"{self.done} of {of}"
+        through = self.done + self.skipped
+        if through == self.planned:
+            return f"all {of} done"
+        return f"trial {through + 1} of {self.planned or '?'}"
+
+    @property
+    def word(self) -> str:
+        """Its one word or two, before all else: a verdict, the state, or "no verdict"."""
+        if self.damage:
+            return "no verdict"
+        if not self.decided:
+            return self.state.value
+        words = set(self.verdicts.values())
+        order = ("not met", "inconclusive", "not measured", "met")
+        return next((word for word in order if word in words), "no verdict")
+
+    @property
+    def headline(self) -> str:
+        """``running: trial 3 of 18``; ``not met: 18 of 18 trials``."""
+        return f"{self.word}: {self.trials}"
+
+    @property
+    def parts(self) -> dict[str, str]:
+        """What stands beside what is done: the bath, what else is in trouble, time and error."""
+        there = (one for one in self.instruments if one.trouble or one.name == "bath")
+        shown = {one.name: one.text for one in there}
+        shown |= {} if self.left_s is None else {"left": time_left(self.left_s)}
+        return shown | ({"last error": self.last_error} if self.last_error else {})
+
+    @property
+    def line(self) -> str:
+        """All that a terminal's one line has room for."""
+        doing = self.step if self.step == GOING_TO_SAFE else self.doing or self.step
+        parts = self.parts
+        error = parts.pop("last error", "")
+        parts |= {"error": f"last error: {error[:LONGEST_ERROR]}"} if error else {}
+        return "; ".join(part for part in (self.pose, doing, *parts.values()) if part)
+
+    def later(self) -> RunStatus:
+        """As somebody reads it who has only what was said at ``wall_time``."""
+        said_s = (now() - datetime.fromisoformat(self.wall_time)).total_seconds()
+        age_s = float(max(0, int(said_s)))  # a computer's clock may have been set back
+        instruments = tuple(one.later(age_s) for one in self.instruments)
+        older = replace(self, age_s=age_s, instruments=instruments)
+        if age_s < SILENT_S:
+            return older
+        doing = f"the bench has said nothing for {age_s:.0f} s; last: {self.doing or self.step}"
+        return replace(older, doing=doing, left_s=None)
+
+    def as_dict(self) -> dict[str, Any]:
+        """As JSON, with its version; units in the keys."""
+        shown = asdict(self)
+        for of, one in zip(shown["instruments"], self.instruments, strict=True):
+            of |= {"text": one.text, "trouble": one.trouble}
+        said = {"word": self.word, "headline": self.headline, "trials": self.trials}
+        return {"schema_version": VERSION, **shown, **said, "unsafe": [*self.unsafe]}
+
+
+def state_in(run: RunRecord) -> State:
+    """The one word for how it stood as it was read."""
+    return state_of(run.ending, tripped=run.tripped, held=bool(run.holder))
+
+
+def status_of(run: RunRecord, judgements: Sequence[Judgement] = ()) -> RunStatus:
+    """Of a record as it was read, with what was judged of it."""
+    state = state_in(run)
+    live = _live(run.folder) if run.ending == NO_ENDING else None
+    status = RunStatus(
+        run=run.folder.name,
+        title=str(run.facts.get("title", run.folder.name)),
+        state=state,
+        step=STARTING if state is State.RUNNING else state.value,
+        verdicts=dict.fromkeys(run.detectors, state.value),
+        done=run.done,
+        skipped=len(run.skipped),
+        planned=run.facts.get("planned"),
+        damage=run.damage,
+        wall_time=str(run.facts.get("wall_ended") or run.facts.get("wall_started", "")),
+    )
+    if state is State.RUNNING and live:
+        status = replace(_as_asked(live.later(), run.folder), damage=run.damage)
+    elif state is not State.FINISHED or run.damage:
+        trip = [event["text"] for event in run.events if event["kind"] == TRIP]
+        status = replace(
+            status,
+            instruments=_left(run, state, live),
+            tripped=trip[-1] if trip and run.tripped else "",
+        )
+    else:
+        word = "inconclusive" if run.facts.get(DOUBTS_FACT) else "no verdict"
+        made = {one.detector: one.verdict.value for one in judgements}
+        verdicts = dict.fromkeys(run.detectors, word) | made
+        status = replace(status, verdicts=verdicts, instruments=_left(run, state, live))
+    if run.damage:
+        status = replace(status, verdicts=dict.fromkeys(run.detectors, "no verdict"))
+    if status.decided:
+        why, then = judged(run, judgements)
+        return replace(status, why=why, next=(*status.unsafe, then))
+    why, then = stopped_why(run, state, status.trials), stopped_next(run, state)
+    if state is State.RUNNING and not run.damage:
+        return replace(status, why=why, next=status.next or (then,))
+    look = () if run.damage or run.facts.get("kind") == "recorded" else _look(status)
+    return replace(status, why=why, next=(*status.unsafe, *look, then))
+
+
+def read_status(folder: Path) -> RunStatus:
+    """Of the run in ``folder``, quickly, for whoever watches: verdicts are those of its report,
+    where that is of the record as it is. Raises ConfigError.
+    """
+    run = read_run(folder, whole=False)
+    written = _reported(run) if run.ending == State.FINISHED else None
+    if written is None and run.ending == State.FINISHED and run.done:
+        run = read_run(folder)
+        return status_of(run, judge(run, stored_rules(folder)) if run.trials else ())
+    return replace(status_of(run), **written) if written else status_of(run)
+
+
+def under_way(folder: Path) -> bool:
+    """Whether a bench runs in ``folder``."""
+    return bool(holder_of(folder))
+
+
+def live_status(folder: Path) -> RunStatus | None:
+    """Of a run that is under way, as it said last; None where it has said nothing yet."""
+    live = _live(folder)
+    return _as_asked(live.later(), folder) if live else None
+
+
+def _reported(run: RunRecord) -> dict[str, Any] | None:
+    """What the report says that only the whole record shows, where it is of this very record."""
+    with suppress(OSError, ValueError, LookupError, TypeError, AttributeError):
+        written = json.loads((run.folder / RUN_JSON).read_text(encoding="utf-8"))
+        if run.head is None or written["chain"]["wall_digest"] != run.head.wall_digest:
+            return None
+        said = TypeAdapter(RunStatus).validate_python(written["status"])
+        return {key: getattr(said, key) for key in ("verdicts", "why", "next", "damage")}
+    return None
+
+
+def _live(folder: Path) -> RunStatus | None:
+    """What the run in ``folder`` said last of itself."""
+    with suppress(OSError, ValueError, LookupError, TypeError):
+        found = json.loads((folder / FOLDER / LIVE).read_bytes())
+        return TypeAdapter(RunStatus).validate_python(found["status"])
+    return None
+
+
+def _as_asked(status: RunStatus, folder: Path) -> RunStatus:
+    """With the words of the prompt that waits, where a browser answers it too."""
+    prompt = read_prompt(folder)
+    if not prompt or not prompt["open"] or status.step == GOING_TO_SAFE:
+        return status
+    asked = Asked(prompt["kind"], prompt["text"], prompt["number"])
+    return replace(status, asked=asked)
+
+
+def _left(run: RunRecord, state: State, live: RunStatus | None) -> tuple[InstrumentStatus, ...]:
+    """The instruments as the last session left them."""
+    if state is not State.INTERRUPTED:
+        stored = run.facts.get(INSTRUMENTS_FACT, {})
+        if stored.get("session") != run.sessions:
+            return ()
+        return TypeAdapter(tuple[InstrumentStatus, ...]).validate_python(stored["instruments"])
+    guardian, alone = run.guardian, run.facts.get("guardian") == NO_GUARDIAN
+    known = live.instruments if live else ()
+    if guardian and not known:
+        known = (InstrumentStatus("bath", Link.UNKNOWN, Safe.UNKNOWN),)
+    return tuple(_orphaned(one, guardian, alone=alone) for one in known)
+
+
+def _orphaned(
+    one: InstrumentStatus, guardian: Mapping[str, Any] | None, *, alone: bool
+) -> InstrumentStatus:
+    """An instrument whose bench has died: what the guardian found, if it had to act."""
+    one = replace(one, link=Link.UNKNOWN, how="", by_hand="")
+    if one.safe in (Safe.AT_REST, Safe.READ_BACK) or alone:  # emulators end with their bench
+        return replace(one, safe=Safe.AT_REST if alone else one.safe)
+    if not guardian or one.name not in BY_HAND:
+        return replace(one, safe=Safe.UNKNOWN)
+    if one.name == "stage":
+        found = guardian.get("stage") or {"stands": False, "error": "nobody has asked it"}
+        safe, error = found["stands"], found.get("error", "")
+    else:
+        safe, error = guardian["standby"], guardian.get("error", "")
+    if safe:
+        return replace(one, safe=Safe.READ_BACK)
+    return replace(one, safe=Safe.FAILED, how=str(error), by_hand=BY_HAND[one.name])
+
+
+def _look(status: RunStatus) -> tuple[str, ...]:
+    """What a person has to look at, since nobody knows."""
+    names = [one.name for one in status.instruments if one.safe is Safe.UNKNOWN]
+    names = names if status.instruments else ["bath"]  # an older record says nothing of them
+    at = [LOOK[name] for name in names if name in LOOK]
+    return (f"Look whether {' and '.join(at)}.",) if at else ()

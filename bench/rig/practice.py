@@ -1,0 +1,176 @@
+"""What a person does to an emulated rig by hand, to practise: each cable pulled and put back, the
+room warmer or cooler, the stage jammed and freed.
+
+Beside a run in real time it is left as a line of `practice.jsonl` in the run's folder, which the
+process with the emulators reads, and which stays as a note of what was done when. `teatbench
+emulate` has it on a page.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from bench.rig.emulated_rig import EmulatedRig
+from instruments.camera.cameras import KNOWN
+from instruments.clock import Clock, wall_time
+from instruments.stage.emulator.board import Fault
+
+REQUESTS = "practice.jsonl"
+SHOWN = "practice.json"  # in the run's folder, while the emulators are up
+CAMERA = "{} camera"
+LOOK_S = 0.2  # of real time
+STEP_K = 2.0
+COOLEST_C, WARMEST_C = 0.0, 40.0
+OUT, JAMMED = "OUT", "JAMMED"
+PULL, PUT_BACK = "pull", "put back"
+WARM, COOL, JAM, FREE = "warm the room", "cool the room", "jam the stage", "free the stage"
+
+
+PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><meta http-equiv="refresh" content="5">
+<meta name="viewport" content="width=device-width"><title>Practice</title><style>
+:root {{ color-scheme: light dark }}
+body {{ max-width: 44rem; margin: 1rem auto; padding: 0 1rem;
+  font: 17px/1.5 system-ui, sans-serif }}
+form {{ display: flex; flex-wrap: wrap; gap: .6rem 1rem; align-items: center;
+  border-top: 1px solid #8886; padding: .5rem 0 }}
+span {{ flex: 1 1 7rem }}
+button {{ font: inherit; padding: .5rem; border-radius: .5rem; border: 2px solid; cursor: pointer }}
+.bad b {{ color: light-dark(#b3201f, #ff8f87) }}
+</style></head><body><h1>Practice</h1>
+<p>An emulated rig; its bath is at {bath_c} °C. What you do here happens to the emulators at once,
+as by a hand on a real rig. The bench that runs on them is not told.</p>
+{rows}</body></html>"""
+ROW = '<form method="post" class="{kind}"><span>{of}</span><b>{how}</b>{buttons}</form>'
+BUTTON = '<button name="words" value="{0}" aria-label="{0}">{1}</button>'
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """How the rig stands: ``cables`` True where plugged in; ``jammed`` None without a stage."""
+
+    cables: Mapping[str, bool]
+    room_c: float
+    bath_c: float
+    jammed: bool | None
+
+    def choices(self) -> Iterator[tuple[str, str, Mapping[str, str]]]:
+        """What can be done next: about what, how that stands; label and words of each button."""
+        for name, plugged in self.cables.items():
+            word, how = (PULL, "in") if plugged else (PUT_BACK, OUT)
+            yield f"{name} cable", how, {word: f"{word} {name}"}
+        if self.jammed is not None:
+            yield "stage", *((JAMMED, {"free": FREE}) if self.jammed else ("free", {"jam": JAM}))
+        yield "room", f"{self.room_c:.0f} °C", {"warm": WARM, "cool": COOL}
+
+
+@dataclass(slots=True)
+class Practice:
+    """Acts on ``twin``. ``pull_camera`` gets a camera and whether its cable is out, where others
+    than the emulated rig's own readers have its pictures.
+    """
+
+    twin: EmulatedRig
+    pull_camera: Callable[[str, bool], None] | None = None
+    _out: set[str] = field(default_factory=set)
+    _jammed: bool = False
+
+    @property
+    def shown(self) -> Shown:
+        names = (*self.twin.listeners, *map(CAMERA.format, KNOWN))
+        jammed = self._jammed if self.twin.stage else None
+        world = self.twin.world
+        cables = {name: name not in self._out for name in names}
+        return Shown(cables, world.ambient_c, round(world.plant.bath_c, 1), jammed)
+
+    def do(self, words: str) -> None:
+        """Raises ValueError for words that this rig has no meaning for."""
+        if not any(words in known.values() for _, _, known in self.shown.choices()):
+            raise ValueError(f"not understood, or done already: {words!r}")
+        world = self.twin.world
+        if words in (WARM, COOL):
+            to_c = world.ambient_c + (STEP_K if words == WARM else -STEP_K)
+            world.set_room(min(max(to_c, COOLEST_C), WARMEST_C))
+        elif words in (JAM, FREE):
+            self._jammed = words == JAM
+            self.jam_again()
+        else:
+            name, out = words.removeprefix(PULL).removeprefix(PUT_BACK).strip(), PULL in words
+            (self._out.add if out else self._out.discard)(name)
+            if name in self.twin.listeners:
+                self.twin.listeners[name].pull(out=out)
+            else:
+                pull_camera = self.pull_camera or self.twin.cameras.pull
+                pull_camera(name.removesuffix(CAMERA.format("")), out)
+
+    def jam_again(self) -> None:
+        """A stall is over with the motion that it struck; a jam stays until it is freed."""
+        if stage := self.twin.stage:
+            with self.twin.world.lock:
+                (stage.inject if self._jammed else stage.cure)(Fault.STALL)
+
+
+def page_of(practice: Practice) -> str:
+    """The page of buttons, as the rig stands now."""
+    shown = practice.shown
+    rows = [
+        ROW.format(
+            kind="bad" if how in (OUT, JAMMED) else "",
+            of=of.capitalize(),
+            how=how,
+            buttons="".join(BUTTON.format(words[on], on.capitalize()) for on in words),
+        )
+        for of, how, words in shown.choices()
+    ]
+    return PAGE.format(bath_c=shown.bath_c, rows="\n".join(rows))
+
+
+def leave(folder: Path, words: str) -> None:
+    """Leave ``words`` for the emulators of the run in ``folder``. Raises OSError."""
+    line = {"wall_time": wall_time().isoformat(timespec="milliseconds"), "words": words}
+    with (folder / REQUESTS).open("a", encoding="utf-8") as file:
+        file.write(json.dumps(line) + "\n")
+
+
+@contextmanager
+def following(practice: Practice, clock: Clock, speed: float, folder: Path) -> Iterator[None]:
+    """Do what is left in ``folder``, and show there how the rig stands."""
+    seen, last, over = _left(folder), None, False
+
+    def look() -> None:
+        nonlocal seen, last
+        if over:
+            return
+        left = _left(folder)
+        for line in left[len(seen) :]:
+            with suppress(ValueError, KeyError):
+                practice.do(json.loads(line)["words"])
+        seen = left
+        practice.jam_again()
+        if (now := practice.shown) != last:
+            last = now
+            choices = [dict(zip(("of", "is", "words"), one, strict=True)) for one in now.choices()]
+            part = folder / f"{SHOWN}.part"
+            with suppress(OSError):
+                part.write_text(json.dumps(asdict(now) | {"choices": choices}), encoding="utf-8")
+                part.replace(folder / SHOWN)
+        clock.call_at(clock.now() + LOOK_S * speed, look)
+
+    look()
+    try:
+        yield
+    finally:
+        over = True
+        with suppress(OSError):
+            (folder / SHOWN).unlink(missing_ok=True)
+
+
+def _left(folder: Path) -> list[str]:
+    try:
+        return (folder / REQUESTS).read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return []

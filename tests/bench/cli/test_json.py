@@ -1,0 +1,82 @@
+"""docs/json.md is the schema of what programs read: each object has the keys that stand there."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.record.state import State
+from bench.results.queue import Queued, QueueStatus
+from bench.results.status import InstrumentStatus, Link, RunStatus, Safe
+from tests.bench.commands import Said
+from tests.bench.small_run import KEPT
+from tests.conftest import ROOT
+
+PAGE = (ROOT / "docs" / "json.md").read_text(encoding="utf-8")
+BATH = InstrumentStatus("bath", Link.ANSWERS, Safe.IN_USE)
+STATUS = RunStatus("run", "Short", State.RUNNING, "running", instruments=(BATH,))
+
+
+def table(head: str) -> dict[str, list[str]]:
+    """The rows of the table whose head begins so: first cell, and the words of code in it all."""
+    rows = PAGE[PAGE.index(f"| {head}") :].split("\n\n")[0].splitlines()[2:]
+    cells = [[cell.strip() for cell in row.strip("|").split(" | ")] for row in rows]
+    return {first: re.findall(r"`([^`]+)`", rest) for first, rest in cells}
+
+
+def keys(head: str) -> set[str]:
+    return {key for first in table(head) for key in re.findall(r"`([^`]+)`", first)}
+
+
+def test_a_run_s_status_and_its_instruments_have_the_keys_of_the_page() -> None:
+    shown = json.loads(json.dumps(STATUS.as_dict()))
+    assert shown["schema_version"] == 1
+    assert set(shown) - {"schema_version"} == keys("key | what")
+    assert set(shown["instruments"][0]) == keys("key of an instrument")
+    assert {one.name for one in fields(RunStatus)} <= set(shown)
+
+
+def test_a_queue_has_the_keys_of_the_page() -> None:
+    shown = QueueStatus("queue-1", "rig", "", (Queued("a", "run", STATUS),), "").as_dict()
+    assert set(shown) - {"schema_version"} == keys("key of a queue")
+    assert set(shown["scripts"][0]) == set(table("key of a queue")["`scripts`"])
+
+
+def test_each_word_of_a_status_is_explained() -> None:
+    said = {
+        word
+        for words in (*table("key | what").values(), *table("key of").values())
+        for word in words
+    }
+    assert {state.value for state in State} <= said
+    assert {word.value for word in (*Link, *Safe)} <= said
+
+
+COMMANDS = {
+    "runs": "runs {runs} --json",
+    "compare": "compare {run} {run} --json",
+    "compare --together": "compare {run} --together --json",
+    "trials": "trials --json",
+    "trials show": "trials show six-situations --json",
+    "plan": "plan --trials 93 --json",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_prints_the_keys_of_the_page(command: str, tmp_path: Path, said: Said) -> None:
+    run = Path(shutil.copytree(KEPT, tmp_path / "runs" / "kept"))
+    words = COMMANDS[command].format(runs=run.parent, run=run)
+    found: Any = json.loads(said(0, words).out)
+    assert next(iter(found)) == "schema_version"
+    assert set(found) - {"schema_version"} == set(table("command")[f"`{command}`"]), command
+    for rows, wanted in table("rows of").items():
+        name, of = re.findall(r"`([^`]+)`", rows)
+        if of == command:
+            assert [set(row) for row in found[name]] == [set(wanted)] * len(found[name])

@@ -1,0 +1,168 @@
+"""One word for how a run stands, the same on each surface at the same moment."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.console.watching import listed
+from bench.record.schema import GUARDIAN
+from bench.record.state import State, run_lock, state_of
+from bench.record.writer import Store
+from bench.results.status import (
+    LIVE,
+    InstrumentStatus,
+    Link,
+    RunStatus,
+    Safe,
+    read_status,
+)
+from bench.run.lock import locked
+from instruments.clock import wall_time
+from instruments.operators.mailbox import FOLDER
+from tests.bench.commands import Said
+from tests.bench.small_run import KEPT
+
+# the record's ending, and the events before it
+ENDINGS: dict[State, tuple[str, tuple[str, ...]]] = {
+    State.RUNNING: ("interrupted", ()),
+    State.FAULTED: ("faulted", ("fault",)),
+    State.TRIPPED: ("faulted", ("trip", "fault")),
+    State.ABORTED: ("aborted", ("aborted",)),
+    State.INTERRUPTED: ("interrupted", ()),
+}
+
+
+def stopped(state: State, folder: Path) -> Path:
+    """A run of 18 trials with the results of two."""
+    run = Path(shutil.copytree(KEPT, folder / "runs" / "a-run"))
+    ending, kinds = ENDINGS[state]
+    store = Store(run)
+    for kind in kinds:
+        store.event(None, kind, "bath: no answer for 12 s", wall_time())
+    store.fact("planned", 18)
+    store.fact("ending", ending)
+    store.close()
+    return run
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("state", ENDINGS)
+def test_every_surface_has_the_same_word(state: State, tmp_path: Path, said: Said) -> None:
+    run = stopped(state, tmp_path)
+    with ExitStack() as stack:
+        if state is State.RUNNING:
+            stack.enter_context(locked(run_lock(run), "a run", print, "run"))
+        table = said(0, "runs {}", run.parent).out
+        assert state in table
+        others = set(ENDINGS) - {state}
+        assert not any(other in table for other in others)
+        found = json.loads(said(0, "runs {} --json", run.parent).out)["runs"][0]
+        status, card = read_status(run), listed(run.parent)[0]
+        shown = said(3, "report {} --no-pdf", run).out
+    assert f'verdict-{state}"' in (run.parent / "index.html").read_text(encoding="utf-8")
+    written = json.loads((run / "report" / "run.json").read_text(encoding="utf-8"))
+    junit = (run / "report" / "junit.xml").read_text(encoding="utf-8")
+    page = (run / "report" / "index.html").read_text(encoding="utf-8")
+    assert (found["state"], found["ending"]) == (state, ENDINGS[state][0])
+    assert {one["verdict"] for one in found["results"]} == {state}
+    as_json = json.loads(json.dumps(status.as_dict()))
+    for one in (found["status"], card["status"], written["status"]):
+        assert json.loads(json.dumps(one)) == as_json
+    assert f'<span class="word-text">{state}</span>' in page
+    if state is State.RUNNING:
+        assert "running: trial 3 of 18" in shown
+        assert "trial 3 of 18" in junit
+        for text in (shown, junit, page):
+            assert "The bench died" not in text
+            assert "teatbench resume" not in text
+    else:
+        assert f"Verdict: {state}" in shown
+        assert "2 of 18 trials" in junit
+
+
+def said_by(folder: Path, status: RunStatus) -> None:
+    """What a run's bench has written of itself."""
+    place = folder / FOLDER / LIVE
+    place.parent.mkdir(exist_ok=True)
+    place.write_text(json.dumps({"status": status.as_dict()}), encoding="utf-8")
+
+
+BATH = InstrumentStatus("bath", Link.ANSWERS, Safe.IN_USE, last="33.00 degC, stable", age_s=1.0)
+LIVES = RunStatus("a-run", "Short", State.RUNNING, "running", instruments=(BATH,), left_s=60.0)
+
+
+def test_a_bench_that_hangs_has_its_last_words_with_their_age(tmp_path: Path) -> None:
+    run = stopped(State.RUNNING, tmp_path)
+    then = wall_time() - timedelta(seconds=40)
+    said_by(run, replace(LIVES, wall_time=then.isoformat()))
+    with locked(run_lock(run), "a run", print, "run"):
+        status = read_status(run)
+    assert status.state is State.RUNNING
+    assert status.left_s is None
+    assert status.doing.startswith("the bench has said nothing for 4")
+    (bath,) = status.instruments
+    assert bath.age_s is not None
+    assert bath.age_s >= 40.0
+
+
+GUARDED = {"wall_noticed": "2026-11-26T22:01:30+00:00", "why": "", "cause": "died", "tries": 9}
+GUARDED["wall_last_sign"] = "2026-11-26T22:01:29+00:00"
+SAFED = {"standby": True, "wall_safe": "2026-11-26T22:01:31+00:00", "seconds": 1.0}
+UNREACHED = {"standby": False, "error": "no answer"}
+
+
+@pytest.mark.parametrize(
+    ("guardian", "safe", "then"),
+    [
+        (None, Safe.UNKNOWN, "Look whether the bath is in standby."),
+        (GUARDED | SAFED, Safe.READ_BACK, "Look whether"),
+        (GUARDED | UNREACHED, Safe.FAILED, "SWITCH OFF THE BATH AT ITS MAINS: no answer"),
+    ],
+    ids=["no word of it", "in standby", "not reached"],
+)
+def test_of_a_bench_that_has_died_its_guardian_says_how_the_bath_is(
+    guardian: Mapping[str, Any] | None, safe: Safe, then: str, tmp_path: Path
+) -> None:
+    run = stopped(State.INTERRUPTED, tmp_path)
+    store = Store(run)
+    store.fact("guardian", "beside the bench")
+    of_session = f"{GUARDIAN.format(store.session)}.json"
+    store.close()
+    said_by(run, replace(LIVES, wall_time=wall_time().isoformat()))
+    if guardian:
+        (run / of_session).write_text(json.dumps(guardian), encoding="utf-8")
+    status = read_status(run)
+    (bath,) = status.instruments
+    assert (bath.link, bath.safe) == (Link.UNKNOWN, safe)
+    assert bath.by_hand or "33.00" in bath.text
+    if guardian and guardian["standby"]:
+        assert then not in " ".join(status.next)
+    else:
+        assert status.next[0] == then
+
+
+def test_only_the_last_session_s_trip_counts(tmp_path: Path) -> None:
+    run = stopped(State.TRIPPED, tmp_path)
+    store = Store(run)
+    store.fact("ending", "aborted")
+    store.close()
+    assert read_status(run).state is State.ABORTED
+    store = Store(run)
+    store.fact("ending", "faulted")
+    store.close()
+    assert read_status(run).state is State.FAULTED
+    assert listed(run.parent)[0]["status"]["state"] == State.FAULTED
+
+
+def test_an_ending_counts_though_the_bench_still_packs_and_an_unknown_one_has_a_word() -> None:
+    assert state_of("finished", tripped=False, held=True) is State.FINISHED
+    assert state_of("exploded", tripped=False, held=False) is State.INTERRUPTED

@@ -1,0 +1,244 @@
+"""The table of kills: each instrument killed, hung and returning, in each state of a run. At every
+moment each surface says the same of the run, and nothing that the wire contradicts.
+"""
+
+from __future__ import annotations
+
+import html
+import io
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import pytest
+
+from bench.cli.terminal import Terminal
+from bench.cli.verdict import show_verdict
+from bench.console import watching
+from bench.report.page import write_run_report
+from bench.report.runs import list_runs
+from bench.results.status import (
+    GOING_TO_SAFE,
+    RunStatus,
+    Safe,
+    live_status,
+    read_status,
+)
+from bench.rig.emulated_rig import EmulatedRig
+from bench.rig.model import EmulatedFault
+from bench.run.events import Events
+from bench.run.live import Live
+from bench.run.start import RunOptions
+from bench.safety.bath_monitor import LATE_S, PERIOD_S
+from instruments.listener import Connection, Listener
+from tests.bench.fault_catalogue import STATES, Bringer, known_to
+from tests.bench.killed_runs import start
+from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files
+
+INSTRUMENTS = ("arm", "bath", "stage", "cameras")
+# what hangs each; a killed one's cable is out (the cameras' frames are dropped), and one that
+# returns does so before an interlock or the rig's patience ends the run
+HUNG = {"arm": "silent", "bath": "silence", "stage": "silent", "cameras": "late"}
+BACK_S = {"arm": 12.0, "bath": 3.0, "stage": 12.0, "cameras": 12.0}
+WAYS = ("killed", "hung", "returning")
+HEATS_OR_MOVES = ("bath", "stage")
+SEVERAL = 15  # of the samples one is compared on the surfaces that read the record, too
+LIMITS = "\n[limits]\naway_s = 40.0\n"
+# until a poll has had its answer: what is asked for when the instrument goes is its last word
+AFTER_S = 0.5
+SEND = Connection.send
+
+
+@dataclass
+class Watch(Bringer):
+    """Brings the kill about, and holds each thing that is published against the wire."""
+
+    instrument: str
+    way: str
+    at: str
+    samples: list[RunStatus] = field(default_factory=list)
+    line: str = ""
+    dead_s: float = float("inf")
+    sent_s: dict[str, float] = field(default_factory=dict)
+    rig: EmulatedRig | None = None
+
+    def __post_init__(self) -> None:
+        name = "dropped" if self.cable == "cameras" else HUNG[self.instrument]
+        back_s = BACK_S[self.instrument] if self.way == "returning" else None
+        fault = {"instrument": self.instrument, "name": name, "for_s": back_s}
+        super().__init__(self.at, EmulatedFault.model_validate(fault))
+
+    def state(self, text: str) -> None:
+        self.line = text
+
+    def bring(self) -> None:
+        if self.twin is None:
+            return
+        self.rig, self.dead_s = self.twin, self.twin._clock.now()
+        if self.cable in self.twin._listeners:
+            self.twin._listeners[self.cable].close()
+            self.twin = None
+        else:
+            super().bring()
+
+    @property
+    def cable(self) -> str:
+        """Whose comes out."""
+        return self.instrument if self.way == "killed" else ""
+
+    def sent(self, connection: Connection, data: bytes) -> None:
+        """An emulator sends something."""
+        SEND(connection, data)
+        rig = self.rig or self.twin
+        for name, listener in rig._listeners.items() if rig else ():
+            if isinstance(listener, Listener) and connection in listener._connections:
+                self.sent_s[name] = connection._clock.now()
+
+    @property
+    def now_s(self) -> float:
+        assert self.rig
+        return self.rig._clock.now()
+
+    @property
+    def dead(self) -> bool:
+        back_s = BACK_S[self.instrument] if self.way == "returning" else float("inf")
+        return self.dead_s + AFTER_S <= self.now_s < self.dead_s + back_s
+
+    def published(self, folder: Path, status: RunStatus) -> None:
+        """A moment of the run."""
+        self.samples.append(status)
+        if self.rig is None:
+            return
+        self.against_the_wire(status)
+        shown = live_status(folder)
+        assert shown is not None
+        assert watching.status(folder)["instruments"] == shown.as_dict()["instruments"]
+        if len(self.samples) % SEVERAL == 0:
+            assert same(read_status(folder)) == same(status)
+
+    def against_the_wire(self, status: RunStatus) -> None:
+        assert self.rig
+        by_name = {one.name: one for one in status.instruments}
+        one, since_s = by_name[self.instrument], self.now_s - self.dead_s
+        for name, sent_s in self.sent_s.items():
+            age_s = by_name[name].age_s
+            assert age_s is None or age_s >= self.now_s - sent_s - AFTER_S, (name, age_s)
+        if self.dead and self.instrument not in self.sent_s:
+            assert one.age_s is None or one.age_s >= since_s - AFTER_S - PERIOD_S, one
+        if self.dead and self.instrument == "bath" and since_s > LATE_S + 2 * PERIOD_S:
+            assert one.trouble, one
+            assert status.left_s is None
+            assert "heating" not in status.line
+        plant, stage = self.rig.world.plant, self.rig.stage
+        assert stage is not None
+        bath_rests = by_name["bath"].safe in (Safe.READ_BACK, Safe.AT_REST)
+        assert not (bath_rests and plant.running), by_name["bath"]
+        if by_name["stage"].safe in (Safe.READ_BACK, Safe.AT_REST):
+            assert not stage.velocity().any(), by_name["stage"]
+        if status.tripped:
+            assert (status.step, status.asked, status.left_s) == (GOING_TO_SAFE, None, None)
+
+
+def same(status: RunStatus) -> dict[str, Any]:
+    """What two readers of one moment have to agree on."""
+    kept = status.as_dict()
+    for key in ("wall_time", "age_s", "why", "headline"):
+        kept.pop(key)
+    for one in kept["instruments"]:
+        one.pop("age_s"), one.pop("text")
+    kept["asked"] = kept["asked"] and kept["asked"]["kind"]
+    return kept
+
+
+def killed(folder: Path, instrument: str, way: str, at: str) -> tuple[Watch, Path]:
+    """A run of two trials in which that happens to the instrument in the state ``at``."""
+    script = SCRIPT.replace("window_s = 2.0", "window_s = 20.0").replace(", {}]", "]")
+    more = f"prompt_s = 2.0\n{LIMITS}"
+    files(folder, stage=STAGE, check_point=CHECK_POINT, emulation=more, script=script)
+    watch, write = Watch(instrument, way, at), Live.write
+
+    def published(live: Live, status: RunStatus, more: Mapping[str, Any]) -> None:
+        write(live, status, more)
+        if not live.ended:
+            watch.published(live._folder.parent, status)
+
+    def sent(connection: Connection, data: bytes) -> None:
+        watch.sent(connection, data)
+
+    with (
+        known_to(watch),
+        patch.object(Live, "due", True),
+        patch.object(Live, "write", published),
+        patch.object(Connection, "send", sent),
+    ):
+        progress = Events(watch)
+        with patch.object(
+            progress, "event", lambda kind, text: watched(progress, watch, kind, text)
+        ):
+            run, _ = start(folder, progress=progress, how=RunOptions(typed=watch.typed))
+    return watch, run
+
+
+def watched(progress: Events, watch: Watch, kind: str, text: str) -> None:
+    Events.event(progress, kind, text)
+    watch.event(kind, text)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("at", STATES)
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("instrument", INSTRUMENTS)
+def test_all_surfaces_say_the_same_and_what_the_wire_says(
+    instrument: str, way: str, at: str, tmp_path: Path
+) -> None:
+    watch, run = killed(tmp_path, instrument, way, at)
+    assert watch.rig is not None, f"it never came into {at}"
+    assert any(watch.dead_s <= watch.now_s for _ in watch.samples)
+    status = read_status(run)
+    of_bath, of_stage = (one for one in status.instruments if one.name in HEATS_OR_MOVES)
+    if way == "returning" and at != "safing":  # where it is too late
+        assert status.state == "finished", status.why
+        assert not status.unsafe
+    assert bool(of_bath.by_hand) >= watch.rig.world.plant.running, of_bath
+    assert watch.rig.stage
+    assert bool(of_stage.by_hand) >= bool(watch.rig.stage.velocity().any()), of_stage
+    compare_the_surfaces(run, status, watch)
+
+
+def compare_the_surfaces(run: Path, status: RunStatus, watch: Watch) -> None:
+    """Of a run that has ended."""
+    written = write_run_report(run)
+    status = written.status
+    out = io.StringIO()
+    code = show_verdict(Terminal(out), written)
+    said = " ".join(out.getvalue().split())
+    report = run / "report"
+    page = " ".join(html.unescape((report / "index.html").read_text(encoding="utf-8")).split())
+    junit = html.unescape((report / "junit.xml").read_text(encoding="utf-8"))
+    (listed,) = list_runs(run.parent).runs
+    (card,) = watching.listed(run.parent)
+    in_json = json.loads((report / "run.json").read_text(encoding="utf-8"))
+    for shown in (read_status(run).as_dict(), card["status"], listed.status, in_json["status"]):
+        assert json.loads(json.dumps(shown)) == json.loads(json.dumps(status.as_dict()))
+    assert watching.snapshot(run)["live"] is None
+    assert f">{status.word}<" in page
+    if status.decided:
+        assert "<error" not in junit
+    else:
+        assert code == 3
+        assert f"Verdict: {status.word}" in said
+        assert junit.count("<error") == len(status.verdicts)
+        assert {one.verdict for one in listed.results} == {status.word}
+        assert status.why.split("\n")[0] in " ".join(junit.split())
+    warned = "\n".join(watch.warned)
+    for line in status.unsafe:
+        words = " ".join(line.split())
+        for where in (said, page, " ".join(junit.split()), " ".join(listed.note.split())):
+            assert words in where, (words, where[:2000])
+        assert words.split(":")[0] in warned
+    assert ("NOT SAFE" in warned) == bool(status.unsafe)
+    assert bool(status.unsafe) == bool(re.search("NOT SAFE", said))

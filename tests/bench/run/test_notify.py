@@ -1,0 +1,159 @@
+"""Word to a phone: to a server of our own by apprise, seldom, and never in a run's way."""
+
+from __future__ import annotations
+
+import json
+import queue
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.cli.main import main
+from bench.record.reader import read_run
+from bench.record.state import State
+from bench.results.status import Asked, InstrumentStatus, Link, RunStatus, Safe
+from bench.run.events import ENDED, NOT_SAFE, PROMPTED, TRIPPED
+from bench.run.notify import Notifier, notifying, text_of, without_secrets
+from tests.bench.campaign.small_campaign import write_small_rig
+from tests.bench.small_run import SCRIPT
+
+NOWHERE = "json://user:secret@127.0.0.1:1"
+SOON_S = 60.0
+BATH = InstrumentStatus(
+    "bath", Link.SILENT, Safe.FAILED, how="no answer", by_hand="SWITCH OFF THE BATH AT ITS MAINS"
+)
+STATUS = RunStatus(
+    "20261122-short",
+    "Short",
+    State.RUNNING,
+    "running",
+    planned=3,
+    verdicts={"fused": "met"},
+    asked=Asked("touch", "Touch teat LF"),
+    tripped="interlock level",
+    instruments=(BATH,),
+    why="Because.",
+    next=("Do this.",),
+)
+
+
+@contextmanager
+def phone() -> Iterator[tuple[str, queue.Queue[dict[str, Any]]]]:
+    """An address, and what comes there."""
+    came: queue.Queue[dict[str, Any]] = queue.Queue()
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            came.put(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
+            self.send_response(200)
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Handler) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.02,))
+        thread.start()
+        try:
+            yield f"json://127.0.0.1:{server.server_port}", came
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def pool() -> None:
+    """apprise keeps a thread for its look-ups: it is there before a test counts threads."""
+    with phone() as (url, _):
+        notifier = Notifier([url], pytest.fail)
+        notifier.word(ENDED, lambda: ("", "."))
+        notifier.close()
+
+
+@pytest.mark.parametrize(
+    ("kind", "status", "title", "lines"),
+    [
+        (PROMPTED, STATUS, "Short: asked", ["Touch teat LF", "running: trial 1 of 3"]),
+        (PROMPTED, replace(STATUS, asked=None), None, []),
+        (PROMPTED, None, None, []),
+        (TRIPPED, STATUS, "Short: tripped", ["interlock level", f"{BATH.by_hand}: no answer"]),
+        (NOT_SAFE, STATUS, "Short: not safe", [f"{BATH.by_hand}: no answer"]),
+        (
+            ENDED,
+            replace(STATUS, state=State.FINISHED, done=3),
+            "Short: ended",
+            ["met: 3 of 3 trials", "fused: met", "Because.", "Do this."],
+        ),
+    ],
+)
+def test_each_kind_says_the_runs_status(
+    kind: str, status: RunStatus | None, title: str | None, lines: list[str]
+) -> None:
+    found = text_of(kind, status)
+    assert found == (None if title is None else (title, "\n".join(lines)))
+
+
+def test_one_of_a_kind_at_a_time_and_a_dead_address_is_said_once() -> None:
+    warned: list[str] = []
+    with phone() as (url, came):
+        notifier = Notifier([NOWHERE, url], warned.append, every_s=0.5)
+        notifier.word(PROMPTED, lambda: ("asked", "first"))
+        assert came.get(timeout=SOON_S)["message"] == "first"
+        for text in ("second", "third"):  # one takes the other's place
+            notifier.word(PROMPTED, lambda text=text: ("asked", text))  # type: ignore[misc]
+        notifier.word(TRIPPED, lambda: ("tripped", "at once"))
+        assert [came.get(timeout=SOON_S)["message"] for _ in range(2)] == ["at once", "third"]
+        notifier.word(PROMPTED, lambda: None)  # answered meanwhile
+        notifier.word(NOT_SAFE, lambda: 1 / 0)  # type: ignore[return-value,arg-type]
+        notifier.word(ENDED, lambda: ("ended", "last"))
+        notifier.close()
+        assert came.get(timeout=SOON_S)["message"] == "last"
+        assert came.empty()
+    (said,) = warned
+    assert "no word can be sent to json://" in said
+    assert "secret" not in said
+
+
+def test_nothing_is_loaded_without_an_address_and_a_wrong_one_is_refused() -> None:
+    with notifying([], pytest.fail) as word:
+        word(ENDED, pytest.fail)
+    assert main(["run", "--notify", "nonsense://x"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("given", "kept"),
+    [
+        (["run", "--notify", "ntfy://a/b", "x"], ["run", "--notify", "…", "x"]),
+        (["run", "--notify=ntfy://a/b"], ["run", "--notify=…"]),
+        (["run", "--noti", "ntfy://a/b"], ["run", "--noti", "…"]),
+        (["run", "--no-open", "x"], ["run", "--no-open", "x"]),
+    ],
+)
+def test_a_record_has_no_secret(given: list[str], kept: list[str]) -> None:
+    assert without_secrets(given) == kept
+
+
+@pytest.mark.slow
+def test_a_run_says_how_it_ended_whatever_an_address_does(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a.toml").write_text(SCRIPT.replace("fused", "thesis"), encoding="utf-8")
+    rig, out = write_small_rig(tmp_path), tmp_path / "runs"
+    with phone() as (url, came):
+        monkeypatch.setenv("TEATBENCH_PHONE", url)
+        table = f'\n[notify]\nurls = ["$TEATBENCH_PHONE", "{NOWHERE}"]\n'
+        rig.write_text(rig.read_text(encoding="utf-8") + table, encoding="utf-8")
+        assert main(["run", str(tmp_path / "a.toml"), "--rig", str(rig), "--out", str(out)]) == 4
+        (ended,) = came.queue
+    assert ended["title"] == "Short: ended"
+    assert ended["message"].startswith("inconclusive: 2 of 2 trials\nthesis: inconclusive\n")
+    assert "no word can be sent to" in "".join(capsys.readouterr())
+    (folder,) = out.glob("*/run.sqlite")
+    assert read_run(folder.parent).ending == "finished"
+    assert url not in (folder.parent / "rig.toml").read_text(encoding="utf-8")

@@ -1,0 +1,187 @@
+"""A queue of scripts on one rig: open and warm from one that finished to the next, and safe at the
+end, whatever ends it.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import re
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.cli.main import main
+from bench.record.reader import RunRecord, read_run
+from bench.results.queue import DIED, ENDED, QueueStatus, queues, read_queue
+from bench.results.status import Safe, status_of
+from bench.rig.emulated_rig import EmulatedRig
+from bench.run.engine import STAYS_WARM, Engine
+from bench.safety.bath_monitor import WATCHING
+from instruments.clock import stopwatch_s
+from tests.bench.campaign.small_campaign import write_small_rig
+from tests.bench.operated_runs import ONE
+from tests.bench.small_run import SCRIPT
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def scripts(tmp_path: Path) -> list[str]:
+    """Three scripts; the last one heats to another temperature."""
+    text = SCRIPT.replace("fused", "thesis")
+    write_small_rig(tmp_path)
+    paths = [tmp_path / f"{name}.toml" for name in ("a", "b", "c")]
+    for path in paths:
+        warmer = text.replace("set_point_c = 33.0", "set_point_c = 33.5")
+        path.write_text(warmer if path.stem == "c" else text, encoding="utf-8")
+    return [str(path) for path in paths]
+
+
+def run(scripts: list[str], *more: str) -> tuple[int, QueueStatus, list[RunRecord]]:
+    """The exit code of `run`, its queue, and the runs."""
+    here = Path(scripts[0]).parent
+    out = here / "runs"
+    code = main(["run", *scripts, "--rig", str(here / "rig.toml"), "--out", str(out), *more])
+    (queue,) = queues(out)
+    return code, queue, [read_run(out / one.run) for one in queue.scripts if one.run]
+
+
+def stood_up(monkeypatch: pytest.MonkeyPatch) -> list[EmulatedRig]:
+    """The emulated rigs, once they are opened."""
+    rigs: list[EmulatedRig] = []
+    stand_up = EmulatedRig.__init__
+
+    def instead(self: EmulatedRig, *given: Any, **more: Any) -> None:
+        rigs.append(self)
+        stand_up(self, *given, **more)
+
+    monkeypatch.setattr(EmulatedRig, "__init__", instead)
+    return rigs
+
+
+def kinds(run: RunRecord, kind: str) -> list[str]:
+    return [event["text"] for event in run.events if event["kind"] == kind]
+
+
+def bath_safe(run: RunRecord) -> Safe:
+    (bath,) = (one for one in status_of(run).instruments if one.name == "bath")
+    return bath.safe
+
+
+def test_the_rig_stays_open_and_warm_and_is_safe_at_the_end(
+    scripts: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    opened = stood_up(monkeypatch)
+    code, queue, (first, second, third) = run(scripts)
+    assert code == 4  # small pictures show nothing
+    assert len(opened) == 1
+    assert queue.headline == "ended: 3 of 3 scripts finished"
+    assert kinds(first, "safe") == kinds(second, "safe") == [STAYS_WARM]
+    assert "bath is safe" in kinds(third, "safe")
+    assert [bath_safe(one) for one in (first, second, third)] == [
+        Safe.IN_USE,
+        Safe.IN_USE,
+        Safe.READ_BACK,
+    ]
+    assert "settling" in kinds(first, "run state")
+    assert "settling" not in kinds(second, "run state")  # the bath was stable, and stayed so
+    assert "settling" in kinds(third, "run state")  # at another set point
+    assert second.facts["asked"]["warm"]
+    readings = [one.bath[:, 0] for one in (first, second, third)]
+    for before, after in pairwise(readings):  # watched without a gap
+        assert 0.0 <= after[0] - before[-1] <= 1.5
+    said = capsys.readouterr().out
+    page = Path(scripts[0]).parent / "runs" / f"{queue.name}.html"
+    assert f"Page: {page}" in said
+    assert "Queue of 3 scripts" in page.read_text(encoding="utf-8")
+    assert json.loads(json.dumps(queue.as_dict()))["scripts"][0]["status"]["state"] == "finished"
+
+
+def fails(error: BaseException) -> Callable[[Engine], None]:
+    """An engine whose second run ends so, amid its work."""
+    work, count = Engine._work, list[int]()
+
+    def instead(self: Engine) -> None:
+        count.append(1)
+        if len(count) == 2:
+            self._take_over()
+            raise error
+        work(self)
+
+    return instead
+
+
+def test_a_mistake_in_one_script_ends_only_that_one(
+    scripts: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Engine, "_work", fails(RuntimeError("a mistake")))
+    code, queue, (first, second, third) = run(scripts)
+    assert code == 3
+    assert queue.ended == ENDED
+    assert [one.ending for one in (first, second, third)] == ["finished", "faulted", "finished"]
+    assert "bath is safe" in kinds(second, "safe")
+    assert bath_safe(second) is bath_safe(third) is Safe.READ_BACK
+    assert not third.facts["asked"]["warm"]  # it opened the rig anew
+
+
+def test_an_abort_ends_all(scripts: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Engine, "_work", fails(KeyboardInterrupt()))
+    code, queue, (_, second) = run(scripts)
+    assert code == 3
+    assert queue.headline == "ended early, 1 of 3 scripts finished: a run was aborted"
+    assert queue.scripts[2].text == "not begun"
+    assert "bath is safe" in kinds(second, "safe")
+
+
+@pytest.mark.parametrize("amid", [False, True], ids=["between two scripts", "amid the second"])
+def test_a_trip_ends_all(scripts: list[str], monkeypatch: pytest.MonkeyPatch, amid: bool) -> None:
+    take_over = Engine._take_over
+
+    def broken(self: Engine) -> None:
+        if before := self.context.before:
+            if amid:
+                take_over(self)
+            twin_of[0].bath.fault("sensor break")
+            self.context.clock.sleep(60.0)
+        if not (before and amid):
+            take_over(self)
+        self.context.watch.check()
+
+    twin_of = stood_up(monkeypatch)
+    monkeypatch.setattr(Engine, "_take_over", broken)
+    code, queue, runs = run(scripts)
+    assert code == 3
+    assert queue.ended.startswith("an interlock tripped: ")
+    assert [status_of(one).state for one in runs] == ["finished", "tripped"]
+    assert [len(twin_of), twin_of[0].world.plant.running] == [1, False]
+    assert bath_safe(runs[1]) is Safe.READ_BACK
+
+
+def test_a_queue_whose_bench_died_says_so(tmp_path: Path) -> None:
+    text = {"rig": "r", "scripts": ["a", "b"], "runs": ["gone"], "started": "2026-11-22T05:06:07"}
+    path = tmp_path / "queue-1.json"
+    path.write_text(json.dumps(text | {"ended": "", "host": platform.node(), "pid": 2**22 + 5}))
+    queue = read_queue(path)
+    assert queue.ended == DIED
+    assert [one.text for one in queue.scripts] == ["not begun", "not begun"]
+
+
+def test_in_real_time_one_guardian_stays_to_the_end(tmp_path: Path) -> None:
+    rig = write_small_rig(tmp_path)
+    warm = "\n[emulation]\nbath_start_c = 33.0\n"
+    text = re.sub(r"\n\[stage\].*?(?=\n\[)", "", rig.read_text(encoding="utf-8"), flags=re.DOTALL)
+    rig.write_text(text + warm, encoding="utf-8")
+    path = tmp_path / "a.toml"
+    path.write_text(ONE, encoding="utf-8")
+    began_s = stopwatch_s()
+    code, queue, (first, second) = run([str(path)] * 2, "--realtime")
+    assert stopwatch_s() - began_s > 2.0
+    assert (code, queue.ended) == (0, ENDED)
+    assert [one.facts["guardian"] for one in (first, second)] == [WATCHING] * 2
+    assert kinds(first, "safe") == [STAYS_WARM]
+    assert bath_safe(second) is Safe.READ_BACK
+    assert not [*(tmp_path / "runs").glob("*/guardian-*")]  # it had nothing to do, and has ended
