@@ -111,7 +111,7 @@ def test_a_run_by_clicks_and_an_abort(tmp_path: Path) -> None:
         page.locator("h1 a").click()  # all runs
         history = page.locator(".run")
         expect(history.locator(".thumbnails img")).to_have_count(3, timeout=SOON_MS)
-        expect(history).to_contain_text("aborted; 1 of 3 trials")
+        expect(history).to_contain_text("aborted: 1 of 3 trials")
         expect(history.get_by_role("button", name="Resume")).to_be_visible()
         assert not violations(page)
         assert page.title() == "teatbench console"
