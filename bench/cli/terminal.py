@@ -6,9 +6,10 @@ markup.
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TextIO
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType
@@ -83,6 +84,34 @@ def working(what: str, pace: str = "") -> Iterator[Working]:
         yield Working(bar, what, pace)
 
 
+@contextmanager
+def no_echo() -> Iterator[None]:
+    """What is typed isn't shown meanwhile: an Enter would move the cursor away from the bar, and
+    leave one that nothing clears. Windows shows only what is read.
+    """
+    if sys.platform == "win32" or sys.stdin is None or not sys.stdin.isatty():
+        yield
+        return
+    import termios
+
+    at = sys.stdin.fileno()
+    try:
+        before = termios.tcgetattr(at)
+        if os.tcgetpgrp(at) != os.getpgrp():  # in the background it is another's terminal
+            raise OSError
+    except (termios.error, OSError):
+        yield
+        return
+    quiet = [*before]
+    quiet[3] &= ~termios.ECHO
+    termios.tcsetattr(at, termios.TCSANOW, quiet)
+    try:
+        yield
+    finally:
+        with suppress(termios.error, OSError):  # the terminal may have gone
+            termios.tcsetattr(at, termios.TCSANOW, before)
+
+
 class TerminalProgress:
     """A context with a bar on ``console``, or a line a trial without a terminal. Each stretch
     between two questions has a new display: rich's would clear what was written since.
@@ -95,6 +124,7 @@ class TerminalProgress:
         self._doing = ""  # trial, what is done, bath, time left, last error
         self._live: Live | None = None
         self._asking = False  # the cursor stands behind a question
+        self._echo = ExitStack()
 
     def state(self, text: str) -> None:
         self._doing = text
@@ -143,6 +173,7 @@ class TerminalProgress:
 
     def _start(self) -> None:
         if self._console.is_terminal:
+            self._echo.enter_context(no_echo())
             self._live = Live(console=self._console, get_renderable=self._shown)
             self._live.start()
 
@@ -151,6 +182,7 @@ class TerminalProgress:
         if live is not None:
             live.transient = not leave
             live.stop()
+        self._echo.close()
 
     def _shown(self) -> RenderableType:
         return Group(self._bar.get_renderable(), Text(self._doing))

@@ -384,7 +384,10 @@ def compare(
     verdict = gate(pairs, pooled, margin, unpaired, several, margin_rate, again)
     identical = not unpaired and all(map(_identical, pairs))
     if identical and verdict.verdict is Verdict.INCONCLUSIVE:
-        verdict = replace(verdict, reasons=(_same(pairs, pooled, confidence, again),))
+        same = _same(pairs, pooled, confidence, again)
+        # a margin of the rate says itself what scenes that were not run may hide
+        reasons = (same,) if margin_rate is None else (same, *verdict.reasons)
+        verdict = replace(verdict, reasons=reasons)
     return Compared(pooled, situations, verdict, confidence, identical)
 
 

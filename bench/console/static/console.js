@@ -166,7 +166,7 @@ function page() {
     card({ id: "tip", hidden: true }),
     kept || card({ id: "ask", hidden: true, "aria-live": "assertive" }),
     card({ id: "problem", className: "bad", hidden: true, role: "alert" }),
-    card({ className: "wide" }, make("p", { id: "doing", className: "big" }), make("p", { id: "step", className: "step" }), make("p", { id: "tripped", className: "big bad" }), make("ul", { id: "next", className: "next" }), make("p", { id: "trial", className: "soft" }), make("progress", { id: "done", max: 1, value: 0, ariaLabel: "trials done" }), make("div", { id: "ending" })),
+    card({ className: "wide" }, make("p", { id: "doing", className: "big" }), make("ul", { id: "unsafe", className: "next" }), make("p", { id: "tripped", className: "big bad" }), make("p", { id: "step", className: "step" }), make("ul", { id: "next", className: "next" }), make("p", { id: "trial", className: "soft" }), make("progress", { id: "done", max: 1, value: 0, ariaLabel: "trials done" }), make("div", { id: "ending" })),
     card({ id: "bath", className: "third" }, heading("Bath"), make("p", { id: "temperature", className: "huge" }, "–"), make("p", { id: "gate", className: "soft" })),
     card({ className: "half" }, heading("Temperature of the bath"), make("div", { id: "curve" }), make("p", { className: "soft" }, "Dashed: set point. Shaded: its band.")),
     card({ className: "half" }, heading("What happened"), make("ol", { id: "log", className: "log", tabIndex: 0, ariaLabel: "what happened" })),
@@ -216,8 +216,10 @@ function stands() {
   const now = run.status, going = under();
   byId("doing").textContent = words(going ? now.step : now.word) + (now.paused ? ", a pause is asked for" : "");
   byId("step").textContent = going ? (now.asked ? `waiting for an answer: ${now.asked.kind}` : now.doing) : now.why;
-  byId("tripped").textContent = now.tripped;
-  byId("next").replaceChildren(...now.next.filter((line) => line && !(now.asked && line.startsWith("Answer what"))).map((line) => make("li", { className: now.unsafe.includes(line) ? "big bad" : "" }, line)));
+  byId("tripped").textContent = going ? now.tripped : ""; // else it is why
+  byId("unsafe").replaceChildren(...now.unsafe.map((line) => make("li", { className: "big bad" }, line)));
+  const then = now.next.filter((line) => line && !now.unsafe.includes(line) && !(now.asked && line.startsWith("Answer what")));
+  byId("next").replaceChildren(...then.map((line) => make("li", {}, line)));
   const left = now.left_s === null ? "" : `, about ${minutes(now.left_s)} left`;
   byId("trial").textContent = words(now.trials) + (going && now.pose ? ` (${now.pose})` : "") + (going ? "" : " done") + left;
   byId("done").max = now.planned || 1;

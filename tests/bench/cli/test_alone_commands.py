@@ -55,6 +55,7 @@ def stage() -> Iterator[Served]:
 @pytest.mark.slow
 def test_status_says_everything_with_units(stage: Served, said: Said) -> None:
     text = json.loads(said(0, "stage status {} --json", stage.at).out)
+    assert text.pop("schema_version") == 1
     known = {"dialect": "grblHAL", "version": "1.1f", "state": "Alarm", "homed": False}
     assert text | known == text
     assert text["pins"] == "none active"

@@ -93,3 +93,14 @@ def test_a_terminal_has_a_bar_that_counts_and_a_pipe_has_none(
     assert "rendering the scenes" in shown
     assert "1/1" in shown
     assert "reading the runs" in said(0, "runs {}", tmp_path).err
+
+
+@pytest.mark.slow
+def test_an_enter_beside_the_bar_leaves_no_second_one(tmp_path: Path) -> None:
+    """It would move the cursor, and the next bar would be drawn a row below."""
+    with at_terminal(files(tmp_path), 100) as terminal:
+        for words in ("Run folder", "capturing", "taking the truth", "place-2", "place-3"):
+            terminal.expect(words)
+            terminal.type("")
+        terminal.code()
+    assert len([row for row in terminal.screen.rows if row.startswith("trials ")]) == 1
