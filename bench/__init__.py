@@ -1,3 +1,92 @@
-"""The roof of teatbench: the only package that knows instruments, detectors and reports."""
+"""The roof of teatbench: the only package that knows instruments, detectors and reports; and what
+it promises to Python programs (docs/api.md). A name is loaded when it is first used.
+"""
 
-__version__ = "0.2.0"
+from importlib import import_module
+
+from bench.version import __version__
+
+TYPE_CHECKING = False  # `typing` takes 20 ms to import; checkers know the name
+if TYPE_CHECKING:
+    from typing import Any
+
+    from bench.api.campaigns import CampaignResult, run_campaign
+    from bench.api.rigs import OpenRig, open_rig
+    from bench.api.runs import (
+        BathRow,
+        DetectionRow,
+        EventRow,
+        FoundRow,
+        Reported,
+        TouchRow,
+        TrialRow,
+        TruthOfTeat,
+        load_script,
+        read_rows,
+        read_run,
+        read_table,
+        resume_run,
+        run_script,
+        score_recording,
+        write_report,
+    )
+    from bench.api.shots import (
+        Shot,
+        detect,
+        draw,
+        families,
+        load_rig,
+        member,
+        open_detector,
+        score,
+    )
+    from bench.config import ConfigError
+    from bench.record.reader import RunRecord
+    from bench.record.recording import Recording, RecordingError, RecordingWriter, TruthRow
+    from bench.results.answers import Answer
+    from bench.rig.leaving import NotSafeError
+    from bench.rig.opening import BringUpError
+    from bench.safety.interlocks import InterlockTrip
+    from bench.scoring.scene import SceneScore
+
+_PROMISED = {
+    "bench.api.campaigns": ("CampaignResult", "run_campaign"),
+    "bench.api.rigs": ("OpenRig", "open_rig"),
+    "bench.api.runs": (
+        *("BathRow", "DetectionRow", "EventRow", "FoundRow", "Reported", "TouchRow", "TrialRow"),
+        *("TruthOfTeat", "load_script", "read_rows", "read_run", "read_table", "resume_run"),
+        *("run_script", "score_recording", "write_report"),
+    ),
+    "bench.api.shots": (
+        *("Shot", "detect", "draw", "families", "load_rig", "member", "open_detector", "score"),
+    ),
+    "bench.config": ("ConfigError",),
+    "bench.record.reader": ("RunRecord",),
+    "bench.record.recording": ("Recording", "RecordingError", "RecordingWriter", "TruthRow"),
+    "bench.results.answers": ("Answer",),
+    "bench.rig.leaving": ("NotSafeError",),
+    "bench.rig.opening": ("BringUpError",),
+    "bench.safety.interlocks": ("InterlockTrip",),
+    "bench.scoring.scene": ("SceneScore",),
+}
+_PLACES = {name: module for module, names in _PROMISED.items() for name in names}
+
+__all__ = [
+    "Answer", "BathRow", "BringUpError", "CampaignResult", "ConfigError", "DetectionRow",
+    "EventRow", "FoundRow", "InterlockTrip", "NotSafeError", "OpenRig", "Recording",
+    "RecordingError", "RecordingWriter", "Reported", "RunRecord", "SceneScore", "Shot", "TouchRow",
+    "TrialRow", "TruthOfTeat", "TruthRow", "__version__", "detect", "draw", "families", "load_rig",
+    "load_script", "member", "open_detector", "open_rig", "read_rows", "read_run", "read_table",
+    "resume_run", "run_campaign", "run_script", "score", "score_recording", "write_report",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> "Any":
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = globals()[name] = getattr(import_module(_PLACES[name]), name)
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -30,7 +30,7 @@ from instruments.world.scene import Renderer
 from instruments.world.setups import Situation
 from instruments.world.situations import member as member_of
 
-LIMIT_MM = 5.0  # of the error of each teat; thesis, section 1.4.3
+LIMIT_MM = 5.0  # of the error of each teat end; thesis, section 1.4.3
 ASIDE = "set aside"  # no failure of the detector: the bench could not do the scene
 WRONG = ("false", "missed", "error")  # failures of an answer, the gravest first
 DIGEST_BYTES = 8  # of SHA-256: a million scenes have the same one with a chance of 3e-8

@@ -14,10 +14,9 @@ from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import Field, field_validator, model_validator
 
-import bench
 import detector
 import instruments.world
-from bench import __version__
+from bench.version import __version__
 from bench.campaign.chunk import LIMIT_MM, Bench, Scene
 from bench.campaign.perturbations import Applied
 from bench.campaign.quantities import FAMILY, varied
@@ -50,7 +49,7 @@ LIBRARIES = ("numpy", "opencv-python-headless", "scipy")
 MAKES_ROWS = (
     *(Path(detector.__file__).parent, Path(instruments.world.__file__).parent),
     *(
-        Path(bench.__file__).parent / name
+        Path(__file__).parents[1] / name
         for name in (
             *("campaign/chunk.py", "campaign/perturbations.py", "campaign/quantities.py"),
             *("rig/scenes.py", "results/answers.py", "scoring/scene.py"),

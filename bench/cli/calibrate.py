@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from bench import __version__
+from bench.version import __version__
 from bench.calibrate import exchange
 from bench.calibrate.cameras import (
     LEAST_LOOKED_AT,

@@ -13,7 +13,7 @@ from functools import cache
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-from bench import __version__
+from bench.version import __version__
 from bench.cli.arguments import CODES, EXIT_CODES, call, complain
 from bench.cli.commands import COMMANDS, FUNCTIONS, GROUPS, MODULES, ONCE, TASKS
 from bench.safety.signals import installed

@@ -12,7 +12,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench import __version__
+from bench.version import __version__
 from bench.cli.arguments import CODES, complain, print_values, refuse_existing
 from bench.cli.terminal import working
 from bench.config import ConfigError, did_you_mean

@@ -22,7 +22,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, ClassVar
 
-from bench import __version__
+from bench.version import __version__
 from bench.config import ConfigError
 from bench.files import Picture, make_folder, sync_folder, write_pictures, write_synced
 from bench.record.chain import Spans, add_link

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench import __version__
+from bench.version import __version__
 from bench.config import ConfigError, read_calibration, read_text
 from bench.files import sha256_of, write_synced
 from bench.record.schema import SCRIPT

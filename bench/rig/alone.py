@@ -16,7 +16,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from bench.config import ConfigError, read_text
-from bench.rig.devices import Cameras
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.frame_capture import FrameChecks
 from bench.rig.loading import LoadedRig, find_rig, load_rig
@@ -32,9 +31,8 @@ from instruments.camera.genicam import load_aravis
 from instruments.camera.quality import edge_blur_px, level_dn, saturated_share
 from instruments.captures.capture import CaptureFile
 from instruments.clock import Clock, RealClock, VirtualClock
+from instruments.drivers.protocols import Cameras, Stage
 from instruments.errors import DeviceError, InstrumentError
-from instruments.microscribe.driver import MicroScribe
-from instruments.stage.driver import Stage
 from instruments.stage.settings import check_within, declared
 
 Seen = TypeVar("Seen")
@@ -298,9 +296,9 @@ def check_rig(
 
 def _arm(arm: Any) -> Iterator[tuple[str, str]]:
     arm.sign_on()
-    if isinstance(arm, MicroScribe):  # others say where their points come from, in the record
-        yield "counts", " ".join(str(count) for count in arm.poll().counts)
-    else:
+    if seen := arm.glance():
+        yield "counts", " ".join(map(str, seen.counts)) or "none"
+    else:  # where its points come from
         yield from ((key, str(value)) for key, value in arm.record().items())
     for warning in arm.warnings:
         yield "warning", warning

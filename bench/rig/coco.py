@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench import __version__
+from bench.version import __version__
 from bench.config import ConfigError
 from bench.files import write_synced
 from bench.record.recording import FILES

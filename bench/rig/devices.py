@@ -5,31 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.rig.by_hand import BY_HAND
-from instruments.bath.driver import Bath
 from instruments.bath.sequence import cause_of, heater_off, pump_off, run_pump_on
-from instruments.camera.frame import FrameSet
 from instruments.clock import Clock
-from instruments.microscribe.driver import MicroScribe
+from instruments.drivers.protocols import Arm, Bath, Cameras, Stage
 from instruments.operators.operator import Operator
-from instruments.points import PointArm
-from instruments.stage.driver import Stage
-
-AnyArm = MicroScribe | PointArm
-
-
-class Cameras(Protocol):
-    """Whatever gives frame sets: real cameras, a recording, the scene."""
-
-    @property
-    def identity(self) -> Mapping[str, str]: ...
-    def capture(self) -> FrameSet: ...
-    def close(self) -> None: ...
 
 
 class Evidence(StrEnum):
@@ -81,7 +65,7 @@ class Devices:
     """All that is open. ``exact_ends``, world mm (n, 3), is there on an emulated rig only."""
 
     clock: Clock
-    arm: AnyArm
+    arm: Arm
     bath: Bath
     stage: Stage | None
     cameras: Cameras

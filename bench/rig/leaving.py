@@ -23,12 +23,11 @@ from bench.rig.by_hand import not_safe_text
 from bench.rig.devices import Devices
 from bench.rig.guardian_client import GuardianClient, GuardianTarget, Heartbeat, StageTarget
 from bench.rig.loading import LoadedRig
-from instruments.bath.driver import Bath
 from instruments.bath.profile import PUMP
 from instruments.bath.reading import BathReading
 from instruments.clock import wall_time
+from instruments.drivers.protocols import Bath, Stage
 from instruments.errors import InstrumentError, LinkError
-from instruments.stage.driver import Stage
 
 FED_TIMES = 5  # in the time after which a controller's own watchdog stops it
 LEFT = ".left-running.jsonl"  # beside the rig file

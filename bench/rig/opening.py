@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from bench.record.recording import Recording, RecordingCameras
-from bench.rig.devices import AnyArm, Cameras, Devices
+from bench.rig.devices import Devices
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.leaving import Leaving, Opened, to_stderr
 from bench.rig.loading import LoadedRig
@@ -29,6 +29,7 @@ from instruments.camera.genicam import DeviceTime, GenicamCamera
 from instruments.camera.opencv import OpenCvCamera
 from instruments.captures.capture import CaptureFile
 from instruments.clock import Clock, RealClock, VirtualClock
+from instruments.drivers.protocols import Arm, Cameras
 from instruments.errors import DeviceError, InstrumentError
 from instruments.link import Link, Tap
 from instruments.microscribe.driver import MicroScribe
@@ -138,17 +139,16 @@ def _together(
     answerer: PromptedOperator | None,
     names: Sequence[str],
 ) -> Devices:
-    has_pedals = isinstance(opened.get("arm"), MicroScribe)
-    if isinstance(answerer, Console) and twin is None and has_pedals:
-        answerer.watch_pedals(lambda: pedal_watch(opened["arm"], clock))
-    hands: Any = twin.operator if twin and "operator" in names else opened.get("operator")
     arm: Any
     bath: Any
     cameras: Any
     arm, bath, stage, cameras = (opened.get(n) for n in ("arm", "bath", "stage", "cameras"))
+    if isinstance(answerer, Console) and twin is None and arm and arm.pedals:
+        answerer.watch_pedals(lambda: pedal_watch(arm, clock))
+    hands: Any = twin.operator if twin and "operator" in names else opened.get("operator")
     if answerer:
         answerer.hands = hands
-    if isinstance(arm, PointArm):
+    if arm:
         arm.asked_of(answerer or hands)
     exact_ends = twin.world.ends_mm if twin else None
     return Devices(clock, arm, bath, stage, cameras, answerer or hands, exact_ends)
@@ -166,7 +166,7 @@ def rig_of(profile: Profile | None = None, **tables: Any) -> LoadedRig:
     return LoadedRig(Path(), "", rig, cast(Profile, profile), Path(), None)
 
 
-def pedal_watch(arm: MicroScribe, clock: Clock) -> Callable[[float], bool]:
+def pedal_watch(arm: Arm, clock: Clock) -> Callable[[float], bool]:
     """Waits some seconds for a pedal; True once one was pressed since the first call. A pedal that
     is down at first must come up. Raises as polling.
     """
@@ -175,7 +175,7 @@ def pedal_watch(arm: MicroScribe, clock: Clock) -> Callable[[float], bool]:
     def pressed(seconds: float) -> bool:
         end_s = clock.now() + seconds
         while True:
-            if any(event.pressed for event in debouncer.feed(clock.now(), arm.poll().buttons)):
+            if any(event.pressed for event in debouncer.feed(clock.now(), arm.buttons())):
                 return True
             if clock.now() >= end_s:
                 return False
@@ -268,7 +268,7 @@ def _openers(
     def link(name: str, baud: int) -> Link:
         return Link(urls[name], clock, who=name, baud=baud, tap=tap(name))
 
-    def arm() -> AnyArm:
+    def arm() -> Arm:
         if points := points_url(urls["arm"]):
             return PointArm(points, rig.path.parent, clock, r.arm.accuracy_mm, r.arm.resolution_mm)
         return MicroScribe(link("arm", r.arm.baud), clock, answer_s=r.arm.answer_s)

@@ -22,7 +22,6 @@ from bench.safety.bath_monitor import TripHandler
 from bench.script.model import LoadedScript
 from bench.truth.touching import TipReader
 from instruments.clock import VirtualClock, stopwatch_s, wall_time
-from instruments.microscribe.driver import MicroScribe, Sample
 from instruments.operators.operator import KIND_OF, Answer, BoardTouch, Release, Request, Touch
 
 LOOK_S = 1.0
@@ -140,11 +139,8 @@ class RunContext:
         arm = self.devices.arm
         if not self._touching or isinstance(self.clock, VirtualClock) or not arm.homed:
             return None
-        if not isinstance(arm, MicroScribe):
-            return None  # a point is there once it is touched
-        packet = arm.poll()
-        seen = arm.position([Sample(self.clock.now(), packet.counts, packet.buttons)])
-        return self.tip.in_world(seen).tip_mm
+        seen = arm.glance()  # none where a point is there once it is touched
+        return self.tip.in_world(seen).tip_mm if seen else None
 
     def long(self, what: str, at_most_s: float, *, silent: bool = False) -> None:
         """Allow ``what`` ``at_most_s`` before the guardian takes the bench for hung; ``silent``:

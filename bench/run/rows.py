@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from bench import __version__
+from bench.version import __version__
 from bench.files import Picture
 from bench.record.schema import Row
 from bench.record.writer import Store

@@ -55,9 +55,9 @@ from bench.truth.uncertainty import How
 from detector.protocol import Detector, Served
 from instruments.camera.frame import FrameSet
 from instruments.clock import wall_time
+from instruments.drivers.protocols import Stage
 from instruments.errors import DeviceError, LimitError
 from instruments.operators.operator import Arrangement, NextTrial, OperatorRepeat, OperatorSkip
-from instruments.stage.driver import Stage
 from instruments.world.phantom import PlatePose
 
 REGISTRATION_FILE = "stage-registration.toml"  # in the run's folder, where it was made at its start
