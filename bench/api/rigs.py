@@ -250,10 +250,13 @@ class OpenRig:
         """``shot`` with the truth of its ends, as `touch` or `truth` gave it."""
         return replace(shot, truth=tuple(truth))
 
-    def safe(self) -> None:
-        """Heater off, stage at a stand, arm's session ended; as leaving the rig does."""
+    def safe(self, *, keep_arm: bool = False) -> None:
+        """Heater off, stage at a stand, arm's session ended; as leaving the rig does. ``keep_arm``:
+        its session goes on, so that it stays homed. Raises DeviceError.
+        """
         said: list[str] = []
-        unsafe = self.devices.make_safe(said.append, only=self._open)
+        wanted = [name for name in self._open if name != "arm" or not keep_arm]
+        unsafe = self.devices.make_safe(said.append, only=wanted)
         if unsafe:
             raise DeviceError("rig", "; ".join(said), asked="safe", hint=" ".join(unsafe.values()))
 

@@ -55,14 +55,19 @@ def rig_renderer(rig: LoadedRig, seed: int) -> Renderer:
 def warm(found: Situation) -> SceneState:
     """A situation with its bath settled, at temperatures that vary as between days."""
     rng = np.random.Generator(np.random.PCG64([found.seed, *found.name.encode(), *b"warmth"]))
-    constants = PlantConstants()
     water_c, ambient_c = float(rng.uniform(32.5, 33.5)), float(rng.uniform(17.0, 24.0))
     ambient_c = ambient_c if found.room_c is None else found.room_c
-    share = constants.teat_in_w_per_k / (constants.teat_in_w_per_k + constants.teat_out_w_per_k)
     noise = rng.normal(0.0, 0.15, len(found.phantom.teats))
-    teats_c = tuple((ambient_c + share * (water_c - ambient_c) + noise).tolist())
+    teats_c = tuple((teat_temp_c(water_c, ambient_c) + noise).tolist())
     time_s = float(rng.uniform(0.0, 3600.0))
     return found.state(teats_c, water_c - 0.02, ambient_c, time_s=time_s)
+
+
+def teat_temp_c(water_c: float, ambient_c: float) -> float:
+    """Of a teat that has settled between its water and the room."""
+    constants = PlantConstants()
+    share = constants.teat_in_w_per_k / (constants.teat_in_w_per_k + constants.teat_out_w_per_k)
+    return ambient_c + share * (water_c - ambient_c)
 
 
 def write_sheet(
