@@ -27,6 +27,7 @@ from detector.protocol import Detector, Outcome
 GATE_MM = 25.0  # a missed or false teat is as bad as an error so large
 MOST_KEPT = 4096
 PATIENCE_S = 600.0
+NEIGHBOURS = 24
 GREEN, RED = (60, 180, 60), (40, 40, 230)  # truth, answer
 WIDTH_PX = 640  # of each picture
 
@@ -54,9 +55,11 @@ class SceneFailedError(AssertionError):
         self.limit_mm, self.rig = limit_mm, rig
 
     def neighbourhood(self) -> tuple[int, int]:
-        """How many of the scenes one step away fail too, and of how many."""
-        looks = []
-        for one in self.scene.neighbours():
+        """How many of the scenes one step away fail too, and of how many: `NEIGHBOURS` at most,
+        evenly of all.
+        """
+        looks, near = [], self.scene.neighbours()
+        for one in near[:: -(-len(near) // NEIGHBOURS) or 1]:
             try:
                 looks.append(look(self.detector, one, self.limit_mm, rig=self.rig))
             except ValueError:  # too near a camera
