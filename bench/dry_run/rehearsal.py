@@ -27,7 +27,6 @@ from bench.record.schema import SCRIPT as SCRIPT_FILE
 from bench.record.schema import Row
 from bench.record.writer import Store
 from bench.results.answers import Examiner
-from bench.rig.devices import Cameras as OpenCameras
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import LoadedRig
@@ -54,6 +53,7 @@ from detector.geometry import Motion
 from detector.protocol import Detector, Outcome
 from instruments.camera.frame import FrameSet
 from instruments.clock import VirtualClock
+from instruments.drivers.protocols import Cameras as OpenCameras
 from instruments.errors import DeviceError
 from instruments.microscribe.unit import shipped_unit
 from instruments.operators.operator import (

@@ -190,8 +190,8 @@ class BathMonitor:
 
 
 class SafeAtOnce:
-    """Stage held and heater off, from any thread: whether both are, and the steps. Called again until
-    they are.
+    """Stage held and heater off, from any thread, again until both are; whether they are, and the
+    steps.
     """
 
     def __init__(self, devices: Devices) -> None:
