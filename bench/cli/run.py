@@ -71,7 +71,7 @@ def _run(given: argparse.Namespace, rig: LoadedRig, script: LoadedScript) -> int
             seed=given.seed,
             detectors=given.detector or (),
             record=given.record,
-            realtime=given.realtime or (given.console and bool(rig.rig.emulated)),
+            realtime=given.realtime or (given.console and rig.rig.simulated),
             capture=given.capture,
             progress=progress,
             begun=shown.say,

@@ -175,7 +175,7 @@ def rehearse(
         with (
             closing(PicturelessStore.create(run, files)) as store,
             events.kept_in(run),
-            _emulated(twin_rig, clock, used_seed, by_hand=not rig.rig.emulated) as twin,
+            _emulated(twin_rig, clock, used_seed, by_hand=not rig.rig.simulated) as twin,
         ):
             store.fact("detectors", [])
             cameras = StandInCameras(twin, twin_rig, events, script.planned, detectors, course)
@@ -250,14 +250,14 @@ def twin_of(rig: LoadedRig, script: LoadedScript, stage: StageSettings | None) -
     """``rig`` with an emulator at each address; ``stage`` is what its controller reports."""
     r = rig.rig
     checks = r.cameras.checks
-    if not r.emulated:  # emulated cameras can't show how sharp the real ones are
+    if "cameras" not in r.emulated:  # emulated cameras can't show how sharp the real ones are
         checks = checks.model_copy(update={"focus_px": FocusTable()})
     kept = r.cameras.model_dump(include={"settle_s", "max_skew_s", "retries", "retry_s"})
     tables: dict[str, object] = {
         "cameras": Cameras(url=EMULATED).model_copy(update={**kept, "checks": checks}),
         "operator": r.operator.model_copy(update={"url": EMULATED}),
     }
-    if r.emulated:
+    if r.simulated:
         return replace(rig, rig=r.model_copy(update=tables))
     pump_url = EMULATED if r.bath.pump_url else ""
     tables |= {

@@ -258,7 +258,7 @@ class TripHandler:
             also=self._also,
             moving=Liveness(rig.profile),
         )
-        room_c = rig.rig.emulation.ambient_c if rig.rig.emulated else rig.rig.bath.room_c
+        room_c = rig.rig.emulation.ambient_c if rig.rig.bath_emulated else rig.rig.bath.room_c
         accuracy = rig.rig.bath.model_dump(include={"accuracy_k", "external_accuracy_k"})
         facts = {
             "interlocks asleep": interlocks.inactive,

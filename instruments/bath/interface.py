@@ -11,7 +11,8 @@ from instruments.bath.reading import BathReading
 
 class Bath(Protocol):
     """A water bath. ``before_heating`` is called before anything that may heat; what it raises
-    keeps that from being sent. ``heats``: by a call of ours, and no standby was read back since.
+    keeps that from being sent; ``on_reading`` gets each reading. ``heats``: by a call of ours, and
+    no standby was read back since.
     """
 
     who: str
@@ -22,6 +23,7 @@ class Bath(Protocol):
     watched: bool
     watchdog_s: float | None
     before_heating: Callable[[], None]
+    on_reading: Callable[[BathReading], None]
 
     @property
     def profile(self) -> Profile: ...

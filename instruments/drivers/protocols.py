@@ -25,12 +25,15 @@ __all__ = ["Arm", "Bath", "Cameras", "Stage"]
 
 
 class Arm(Protocol):
-    """A measuring arm. ``touches``: it goes to a point by itself; ``pedals``: it has some, and so
-    poll `buttons`. `asked_of` names whom it may ask.
+    """A measuring arm. ``touches``: it goes to a point by itself; ``moves``: by a call of ours, and
+    no stand was read back since; ``pedals``: it has some, which `buttons` shows. `asked_of` names
+    whom it may ask.
     """
 
     who: str
 
+    @property
+    def moves(self) -> bool: ...
     @property
     def touches(self) -> bool: ...
     @property
