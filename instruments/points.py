@@ -110,6 +110,7 @@ class PointArm:
     less than ``resolution_mm``, is refused.
     """
 
+    moves: ClassVar[bool] = False
     touches: ClassVar[bool] = False
     pedals: ClassVar[bool] = False
     safe_state: ClassVar[str] = "its software's own; the bench only reads points"

@@ -96,7 +96,7 @@ def run_campaign(
     say: Say = lambda _: None,
 ) -> CampaignResult:
     """Run a campaign in the folder ``out``, or go on with it, and write its page: `teatbench
-    campaign run`. ``plan``: a file, or its keys, such as ``{"families": ("ideal",), "scenes": 50}``.
+    campaign run`. ``plan``: a file, or its keys (``{"families": ("ideal",), "scenes": 50}``).
     ``workers``: processes. Raises ConfigError, PoolError.
     """
     from bench.campaign.numbers import family_rates, scenes_aside

@@ -186,7 +186,7 @@ class OpenRig:
         self.check()
 
     def set_up(self, situation: Situation) -> tuple[bool, ...]:
-        """Have the operator set this up; which teat ends all cameras see. Raises as `Operator.ask`."""
+        """Have the operator set this up; which teat ends all cameras see. Raises as an operator."""
         asked = Arrangement(situation.name, situation.phantom, (), situation.about, scene=situation)
         self._visible = self.operator.ask(asked, self.check).visible
         self._stands = asked

@@ -16,6 +16,7 @@ from bench.api.shots import AnyRig, load_rig
 from bench.config import ConfigError
 from bench.record.reader import RunRecord, opened
 from bench.record.schema import tables_of
+from bench.results.verdicts import Judgement, run_verdict
 from bench.rig.leaving import to_stderr
 from bench.run.events import Progress
 from bench.script.model import LoadedScript, find_script
@@ -45,13 +46,11 @@ class Reported:
     folder: Path
     page: Path
     record: RunRecord
-    judgements: tuple[Any, ...]
+    judgements: tuple[Judgement, ...]
 
     @property
     def verdict(self) -> str:
-        """``met``, ``not met``, ``inconclusive`` or ``not measured``: the worst of its detectors."""
-        from bench.results.verdicts import run_verdict
-
+        """``met``, ``not met``, ``inconclusive`` or ``not measured``, of its worst detector."""
         return run_verdict(self.judgements).value
 
 

@@ -72,8 +72,8 @@ def draw(
     perturbations: Sequence[Perturbation] = (),
 ) -> Shot:
     """Draw a scene with the emulated cameras of ``rig``, with exact truth. ``scene`` is a family,
-    of which member ``number`` is drawn, a situation, or a state. ``seed``: of the cameras' noise and
-    fixed patterns. Raises ValueError for an unknown name or a thing too near a camera.
+    of which member ``number`` is drawn, a situation, or a state. ``seed``: of the cameras' noise
+    and fixed patterns. Raises ValueError for an unknown name or a thing too near a camera.
     """
     found = load_rig(rig)
     found, renderer = _cameras(found.path, found.text, seed)

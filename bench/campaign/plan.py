@@ -16,7 +16,6 @@ from pydantic import Field, field_validator, model_validator
 
 import detector
 import instruments.world
-from bench.version import __version__
 from bench.campaign.chunk import LIMIT_MM, Bench, Scene
 from bench.campaign.perturbations import Applied
 from bench.campaign.quantities import FAMILY, varied
@@ -36,6 +35,7 @@ from bench.scoring.rates import Rate
 from bench.scoring.sequential import confidence_sequence
 from bench.script.detectors import EXEC, FILE, introduced, make_detectors
 from bench.toml import toml_text
+from bench.version import __version__
 from detector.calibration import Calibration
 from detector.outline import fast
 from detector.protocol import Detector

@@ -13,10 +13,10 @@ from functools import cache
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-from bench.version import __version__
 from bench.cli.arguments import CODES, EXIT_CODES, call, complain
 from bench.cli.commands import COMMANDS, FUNCTIONS, GROUPS, MODULES, ONCE, TASKS
 from bench.safety.signals import installed
+from bench.version import __version__
 from reports.sanitize import sanitizing
 
 if TYPE_CHECKING:

@@ -12,14 +12,15 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.version import __version__
 from bench.cli.arguments import CODES, complain, print_values, refuse_existing
 from bench.cli.terminal import working
 from bench.config import ConfigError, did_you_mean
 from bench.rig.loading import NO_RIGS, RIGS, TO_COPY, LoadedRig, find_rig, load_rig, shipped
+from bench.version import __version__
 from instruments.clock import Clock, RealClock, wall_time
 
 if TYPE_CHECKING:
+    from bench.campaign.run import Status
     from bench.campaign.sensitivity import Measured
     from instruments.captures.replay import Replay
 
@@ -255,11 +256,12 @@ def _shown(frames: Iterator[str], out: Path, total: int) -> int:
 
 
 def sensitivity(given: argparse.Namespace) -> int:
+    from bench.api.campaigns import finish
     from bench.campaign.plan import with_whole_paths
     from bench.campaign.quantities import chosen
     from bench.campaign.run import locked
     from bench.campaign.sensitivity import Study, measured, opened
-    from bench.cli.campaign import finish
+    from bench.cli.campaign import working_on
     from bench.report.sensitivity import check_curves, no_answers, write_figure, write_numbers
     from bench.script.detectors import make_detectors
 
@@ -280,7 +282,10 @@ def sensitivity(given: argparse.Namespace) -> int:
     results: dict[str, list[Measured]] = {}
     with locked(folder):
         campaign = opened(with_whole_paths(plan, Path()), folder)
-        if finish(campaign, "sensitivity", given.workers, None) is None:
+        done: list[Status] = []
+        with working_on("sensitivity") as how:
+            done.append(finish(campaign, workers=given.workers, **how))
+        if not done:
             return CODES.fault
         for quantity in quantities:
             points = results[quantity.name] = []

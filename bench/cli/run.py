@@ -13,14 +13,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import bench
 from bench.cli.arguments import CODES
 from bench.cli.store import undamaged
 from bench.cli.terminal import Terminal, TerminalProgress, working
 from bench.config import ConfigError
-from bench.record.reader import read_run
 from bench.rig.loading import LoadedRig, find_rig, load_rig
 from bench.rig.urls import PEOPLE
-from bench.run.events import Events, SafeProgress, event_lines
+from bench.run.events import Events, event_lines
 from bench.script.model import LoadedScript, find_script, load_script
 from bench.script.pixel_offsets import is_offset_script, load_offsets, outcomes
 from instruments.operators.console import keyboard_of
@@ -59,28 +59,26 @@ def run(given: argparse.Namespace) -> int:
 
 def _run(given: argparse.Namespace, rig: LoadedRig, script: LoadedScript) -> int:
     from bench.run import estimate
-    from bench.run.start import RunOptions, run_script
 
     console = Terminal()
     with event_lines(given.events) as lines, TerminalProgress(console) as shown:
         progress = Events(shown, lines)
-        how = RunOptions(
+        found = bench.run_script(
+            script,
+            rig,
+            out=given.out,
             typed=typed_lines(rig.rig.operator.url),
             seed=given.seed,
-            detectors=given.detector,
+            detectors=given.detector or (),
             record=given.record,
-            realtime=given.realtime or (given.console and bool(rig.rig.emulated)),
+            realtime=given.realtime or (given.console and rig.rig.simulated),
             capture=given.capture,
+            progress=progress,
             begun=shown.say,
         )
-        folder, _ = run_script(rig, script, given.out, progress, how)
-        progress.state("writing the report")
-        from bench.cli.verdict import open_report, show_verdict
-        from bench.report.page import write_run_report  # late: loads for half a second
+    from bench.cli.verdict import open_report, show_verdict
 
-        written = write_run_report(folder)
-    code = show_verdict(console, *written)
-    record = read_run(folder)
+    code, record, folder = show_verdict(console, found), found.record, found.folder
     spent = estimate.took(record)
     # the next estimate is better by what this run took; one that stopped shows nothing
     if record.ending == "finished" and "total_s" in spent:
@@ -89,36 +87,35 @@ def _run(given: argparse.Namespace, rig: LoadedRig, script: LoadedScript) -> int
         estimate.write_durations(folder, rig, expected, spent, figures)
         print(estimate.estimate_text(expected, spent))
     if given.open:
-        open_report(written[0])
+        open_report(found.page)
     return code
 
 
 def resume(given: argparse.Namespace) -> int:
     from bench.run.resume import files_of
-    from bench.run.start import RunOptions, resume_run
 
     console = Terminal()
     with undamaged([given.run], given) as damage:
-        record = read_run(given.run)
+        record = bench.read_run(given.run)
         if record.ending == "finished" and not _is_reported(given.run):
             from bench.cli.verdict import show_verdict
-            from bench.report.page import write_run_report
 
             print(f"{given.run}: every trial is done, the bench died before it wrote the report")
-            return show_verdict(console, *write_run_report(given.run, damage=damage))
+            return show_verdict(console, bench.write_report(given.run, damage=damage))
         operator = files_of(record)[0].rig.operator.url
         with event_lines(given.events) as lines, TerminalProgress(console) as shown:
             progress = Events(shown, lines)
-            typed = typed_lines(operator)
-            resume_run(
-                given.run, progress, RunOptions(capture=given.capture, typed=typed, begun=shown.say)
+            found = bench.resume_run(
+                given.run,
+                capture=given.capture,
+                progress=progress,
+                typed=typed_lines(operator),
+                begun=shown.say,
+                damage=damage,
             )
-            progress.state("writing the report")
-            from bench.cli.verdict import show_verdict
-            from bench.report.page import write_run_report
+        from bench.cli.verdict import show_verdict
 
-            written = write_run_report(given.run, damage=damage)
-        return show_verdict(console, *written)
+        return show_verdict(console, found)
 
 
 def _is_reported(folder: Path) -> bool:
@@ -148,19 +145,15 @@ def typed_lines(operator_url: str) -> Callable[[], str | None]:
 
 def score(given: argparse.Namespace) -> int:
     from bench.cli.verdict import show_verdict
-    from bench.report.page import write_run_report
     from bench.report.tables import score_table
     from bench.results.cameras_agree import UNCHECKED_FACT
-    from bench.run.start import score_recording
 
     console = Terminal()
     with TerminalProgress(console) as shown:
-        progress = SafeProgress(shown)
-        folder = score_recording(given.recording, given.out, progress, given.detector or ["thesis"])
-        progress.state("writing the report")
-        written = write_run_report(folder)
-    code = show_verdict(console, *written)
-    run = read_run(folder)
+        found = bench.score_recording(
+            given.recording, given.detector or ["thesis"], out=given.out, progress=shown
+        )
+    code, run = show_verdict(console, found), found.record
     if text := run.facts.get(UNCHECKED_FACT):
         print(f"Cameras {text}.")
     print(f"\n{score_table(run)}")
@@ -183,7 +176,7 @@ def _offsets_reported(folder: Path) -> int:
 
 def report(given: argparse.Namespace) -> int:
     from bench.cli.verdict import show_verdict
-    from bench.report.page import PDF, REPORT, write_run_report
+    from bench.report.page import PDF, REPORT
     from bench.report.pixel_offsets import is_offset_run
     from reports.pdf import find_browser, print_pdf
     from reports.render import WHOLE
@@ -209,10 +202,10 @@ def report(given: argparse.Namespace) -> int:
                 with working("comparing the runs"):
                     chapters = (baseline_section(given.baseline, given.run, damage),)
             with working("writing the report"):
-                written = write_run_report(
-                    given.run, chapters, damage, single_file=given.single_file
+                found = bench.write_report(
+                    given.run, chapters=chapters, damage=damage, single_file=given.single_file
                 )
-            code = show_verdict(Terminal(), *written)
+            code = show_verdict(Terminal(), found)
     if browser:
         folder = given.run / REPORT
         try:

@@ -15,13 +15,14 @@ from pathlib import Path
 from rich.table import Table
 from rich.text import Text
 
+from bench.api.runs import Reported
 from bench.cli.arguments import CODES, code_of
 from bench.cli.terminal import Terminal
 from bench.record.reader import RunRecord
 from bench.record.state import State
 from bench.report.wording import STOPPED, headline, limit, measured
 from bench.results.exports import trial_text
-from bench.results.verdicts import Judgement, run_verdict
+from bench.results.verdicts import Judgement
 from bench.run.events import FAILURES
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.rates import plural
@@ -35,10 +36,9 @@ COLOURS: dict[str, str] = {  # the others are yellow
 }
 
 
-def show_verdict(
-    console: Terminal, report: Path, record: RunRecord, judgements: Sequence[Judgement]
-) -> int:
+def show_verdict(console: Terminal, found: Reported) -> int:
     """Show what a run found; gives back its exit code, whether or not it can be shown."""
+    report, record, judgements = found.page, found.record, found.judgements
     with suppress(*FAILURES):
         verdict, why, then = headline(record, judgements)
         decided = record.ending == "finished" and not record.damage and bool(judgements)
@@ -59,7 +59,7 @@ def show_verdict(
             console.print(f"Next: {then}", markup=False)
         console.print(f"Report: {report.resolve().as_uri()}", markup=False, soft_wrap=True)
     finished = record.ending == "finished"
-    return code_of(run_verdict(judgements).value) if finished else CODES.fault
+    return code_of(found.verdict) if finished else CODES.fault
 
 
 def _bench(record: RunRecord, judgement: Judgement) -> Text:

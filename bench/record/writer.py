@@ -22,7 +22,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, ClassVar
 
-from bench.version import __version__
 from bench.config import ConfigError
 from bench.files import Picture, make_folder, sync_folder, write_pictures, write_synced
 from bench.record.chain import Spans, add_link
@@ -36,6 +35,7 @@ from bench.record.schema import (
     make_tables,
     version_of,
 )
+from bench.version import __version__
 from instruments.clock import wall_time as time_of_day
 
 Tables = Sequence[tuple[str, Sequence[Row]]]

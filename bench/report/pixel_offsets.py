@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.version import __version__
 from bench.config import ConfigError, read_calibration, read_text
 from bench.files import sha256_of, write_synced
 from bench.record.schema import SCRIPT
@@ -28,6 +27,7 @@ from bench.script.pixel_offsets import (
     load_offsets,
     outcomes,
 )
+from bench.version import __version__
 from instruments.clock import wall_time
 from reports.figures.errors import error_histogram
 from reports.page import (

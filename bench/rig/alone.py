@@ -23,7 +23,7 @@ from bench.rig.model import Cameras as CamerasTable
 from bench.rig.model import OneCamera, camera_url
 from bench.rig.model import Stage as StageTable
 from bench.rig.opening import ALL, conversion_of, open_camera, open_instruments, rig_of
-from bench.rig.urls import ELSEWHERE, EMULATED
+from bench.rig.urls import ELSEWHERE, is_emulated
 from instruments.bath.profile import PUMP
 from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import Conversion, FrameError, FrameSet, Grey
@@ -183,7 +183,7 @@ def stage_of_rig(name: str) -> StageTable:
     """The stage of a rig. Raises ConfigError where it has none, or an emulated one."""
     rig = load_rig(find_rig(name))
     stage = rig.rig.stage
-    if stage and stage.url != EMULATED:
+    if stage and not is_emulated(stage.url):
         return stage
     emulated = "its stage is emulated; 'teatbench emulate' serves one at a port, for --port"
     why = emulated if stage else "this rig has no stage; the operator moves its phantom"
@@ -270,11 +270,11 @@ def check_rig(
     with ExitStack() as stack:
         clock: Clock
         twin = None
-        if rig.rig.emulated:
-            clock = VirtualClock()
-            twin = stack.enter_context(EmulatedRig(rig, clock, rig.rig.seed))
-        else:
+        clock = VirtualClock()
+        if not rig.rig.simulated:
             clock = stack.enter_context(closing(RealClock()))
+        if rig.rig.emulated:
+            twin = stack.enter_context(EmulatedRig(rig, clock, rig.rig.seed))
         for name in names:
             if unfilled := rig.unfilled(name):
                 yield name, True, unfilled

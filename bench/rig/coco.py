@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.version import __version__
 from bench.config import ConfigError
 from bench.files import write_synced
 from bench.record.recording import FILES
+from bench.version import __version__
 from instruments.world.labels import Labeller, Labels
 from instruments.world.scene import Renderer
 from instruments.world.state import SceneState

@@ -112,7 +112,7 @@ class Devices:
         """
         steps: dict[str, Callable[[], object]] = {
             "bath": lambda: heater_off(self.bath),
-            "stage": lambda: self.stage and self.stage.safe(),
+            "stage": self.stage.safe if self.stage else lambda: None,
             "arm": lambda: self.arm.safe(),
             "pump": lambda: run_pump_on(self.bath, self.clock.sleep, cut_short),
             "pump alone": lambda: pump_off(self.bath),

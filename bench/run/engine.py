@@ -32,6 +32,7 @@ from bench.truth.arm_check import AFTER, BEFORE, CHECK_FACT, check_arm, check_te
 from detector.protocol import Detector
 from instruments.bath.sequence import start_bath
 from instruments.clock import wall_time
+from instruments.drivers.protocols import Stage
 from instruments.errors import InstrumentError
 from instruments.operators.operator import (
     Finish,
@@ -41,7 +42,6 @@ from instruments.operators.operator import (
     OperatorSkip,
     time_left,
 )
-from instruments.stage.driver import Stage
 
 RECORD_FAULTS = (sqlite3.Error, OSError)
 REQUESTS = (KeyboardInterrupt, OperatorAbort, OperatorSkip, OperatorRepeat)

@@ -30,7 +30,7 @@ from bench.rig.guardian_client import GuardianClient, Heartbeat, signs_of
 from bench.rig.leaving import target_of
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import in_virtual_time, open_instruments
-from bench.rig.urls import EMULATED
+from bench.rig.urls import is_emulated
 from bench.run.context import RunContext
 from bench.run.engine import Engine
 from bench.run.estimate import needs, read_durations, refuse_no_room
@@ -77,6 +77,7 @@ from instruments.clock import VirtualClock, wall_time
 from instruments.errors import InstrumentError
 from instruments.operators.operator import time_left
 
+EMULATED_FACT = "emulated"  # of a run: which of its instruments are, where others are real
 BETWEEN_S = 1.0  # of the bench's time, between two sessions of a run
 # touches of one end scatter by less, and no bench sets a pose up again this well by chance
 SAME_POSE_MM = 1.5
@@ -200,8 +201,10 @@ def _begun(
     today = wall_time().date()
     recorded = rig.rig.cameras.recorded
     kind = "emulated" if rig.rig.all_emulated else "recorded" if recorded else "real"
+    kind = "mixed" if rig.rig.emulated and kind != "emulated" else kind
     facts = {
         "kind": kind,
+        **({EMULATED_FACT: list(rig.rig.emulated)} if kind == "mixed" else {}),
         "title": table.title,
         "about": table.about,
         "seed": how.seed,
@@ -307,9 +310,10 @@ def _guarded_instruments(
             return client
 
         bath, guardian = rig.rig.bath, None
-        if bath.url != EMULATED:
+        if not is_emulated(bath.url):
             stage = rig.rig.stage
-            guardian = guardian_of(bath.url, bath.pump_url, stage.url if stage else "")
+            real = stage and not is_emulated(stage.url)
+            guardian = guardian_of(bath.url, bath.pump_url, stage.url if stage and real else "")
         if left:
             keep_guardians(store)
         opened = open_instruments(
@@ -323,7 +327,7 @@ def _guarded_instruments(
             folder=store.folder,
         )
         devices = stack.enter_context(opened)
-        if bath.url == EMULATED and not isinstance(devices.clock, VirtualClock):
+        if is_emulated(bath.url) and not isinstance(devices.clock, VirtualClock):
             of_stage = devices.stage.url if devices.stage else ""
             guardian = guardian_of(devices.bath.url, devices.bath.pump_url, of_stage)
         stack.enter_context(signs_of(heartbeat, devices.clock))

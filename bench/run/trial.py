@@ -348,7 +348,7 @@ class TrialRun:
         ones; what can't be told is a fact of the run.
         """
         ctx, emulation = self._ctx, self._rig.emulation
-        room_c = emulation.ambient_c if self._rig.emulated else self._rig.bath.room_c
+        room_c = emulation.ambient_c if "cameras" in self._rig.emulated else self._rig.bath.room_c
         shown = [k for k, row in enumerate(rows) if row.visible]
         ends_mm = np.array([rows[k].xyz_mm for k in shown]).reshape(-1, 3)
         axes = trial.phantom.moved(trial.pose).axes[shown]

@@ -190,8 +190,8 @@ class BathMonitor:
 
 
 class SafeAtOnce:
-    """Stage held and heater off, from any thread: whether both are, and the steps. Called again until
-    they are.
+    """Stage held and heater off, from any thread, again until both are; whether they are, and the
+    steps.
     """
 
     def __init__(self, devices: Devices) -> None:
@@ -258,7 +258,7 @@ class TripHandler:
             also=self._also,
             moving=Liveness(rig.profile),
         )
-        room_c = rig.rig.emulation.ambient_c if rig.rig.emulated else rig.rig.bath.room_c
+        room_c = rig.rig.emulation.ambient_c if rig.rig.bath_emulated else rig.rig.bath.room_c
         accuracy = rig.rig.bath.model_dump(include={"accuracy_k", "external_accuracy_k"})
         facts = {
             "interlocks asleep": interlocks.inactive,

@@ -7,13 +7,12 @@ may be called at any time, twice, and after a fault; `close` twice.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from instruments.bath.profile import Profile
-from instruments.bath.reading import BathReading
+from instruments.bath.interface import Bath
 from instruments.camera.frame import FrameSet
 from instruments.microscribe.configuration import Identity
 from instruments.microscribe.driver import Reading
@@ -22,15 +21,19 @@ from instruments.stage.protocol import Status
 from instruments.stage.settings import AxisLimits, StageIdentity, StageSettings
 
 Floats = NDArray[np.float64]
+__all__ = ["Arm", "Bath", "Cameras", "Stage"]
 
 
 class Arm(Protocol):
-    """A measuring arm. ``touches``: it goes to a point by itself; ``pedals``: it has some, and so
-    poll `buttons`. `asked_of` names whom it may ask.
+    """A measuring arm. ``touches``: it goes to a point by itself; ``moves``: by a call of ours, and
+    no stand was read back since; ``pedals``: it has some, which `buttons` shows. `asked_of` names
+    whom it may ask.
     """
 
     who: str
 
+    @property
+    def moves(self) -> bool: ...
     @property
     def touches(self) -> bool: ...
     @property
@@ -61,42 +64,6 @@ class Arm(Protocol):
     def buttons(self) -> int: ...
     def touch(self, point_mm: Floats, axis: Floats) -> None: ...
     def safe(self) -> None: ...
-    def close(self) -> None: ...
-
-
-class Bath(Protocol):
-    """A water bath. ``before_heating`` is called before anything that may heat; what it raises
-    keeps that from being sent. ``heats``: by a call of ours, and no standby was read back since.
-    """
-
-    who: str
-    url: str
-    pump_url: str
-    heats: bool
-    pump_on: bool
-    watched: bool
-    watchdog_s: float | None
-    before_heating: Callable[[], None]
-
-    @property
-    def profile(self) -> Profile: ...
-    @property
-    def safe_state(self) -> str: ...
-    @property
-    def identity(self) -> Mapping[str, str]: ...
-    @property
-    def pump(self) -> Literal["none", "with run", "own"]: ...
-
-    def read(self) -> BathReading: ...
-    def get(self, name: str) -> float: ...
-    def set(self, name: str, value: float | str) -> None: ...
-    def set_point(self, set_point_c: float) -> None: ...
-    def acknowledge(self) -> None: ...
-    def check_start(self, set_point_c: float) -> None: ...
-    def start(self, set_point_c: float) -> None: ...
-    def standby(self) -> None: ...
-    def safe(self) -> None: ...
-    def release_watchdog(self, found_s: float | None = None) -> None: ...
     def close(self) -> None: ...
 
 

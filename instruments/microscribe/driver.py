@@ -122,6 +122,7 @@ class MicroScribe:
     ``answer_s``: time for an answer; three have to be missing before the arm counts as lost.
     """
 
+    moves: ClassVar[bool] = False
     touches: ClassVar[bool] = False
     pedals: ClassVar[bool] = True
     safe_state: ClassVar[str] = "session ended; it has no motor"
