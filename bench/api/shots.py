@@ -21,6 +21,7 @@ from bench.script.detectors import make_detectors
 from detector.calibration import Calibration
 from detector.protocol import Detection, Detector
 from instruments.camera.frame import FrameSet
+from instruments.world.labels import Labeller, Labels
 from instruments.world.scene import Renderer
 from instruments.world.setups import Situation
 from instruments.world.situations import SITUATIONS, situation
@@ -88,6 +89,22 @@ def draw(
     chance = (seed, number, *name.encode())
     drawn = draw_state(renderer, name, state, [seed, number], perturbations, chance)
     return Shot(drawn.frames, calibration, drawn.truth, drawn.state)
+
+
+def labels(shot: Shot, *, rig: AnyRig = "emulated") -> tuple[Labels, Labels, Labels]:
+    """Which teat each pixel of a drawn shot shows, and where ends and bases are: of the left, the
+    right and the thermal picture, as the cameras of ``rig`` drew it. Raises ValueError without a
+    scene.
+    """
+    if shot.state is None:
+        raise ValueError("this shot was not drawn, so that nobody knows what its pixels show")
+    found = load_rig(rig)
+    return _labeller(found.path, found.text).of(shot.state)
+
+
+@lru_cache(maxsize=1)
+def _labeller(path: Path, text: str) -> Labeller:
+    return Labeller(_cameras(path, text, 1)[1])
 
 
 @contextmanager

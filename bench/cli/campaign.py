@@ -6,7 +6,6 @@ import argparse
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, astuple
 from typing import TYPE_CHECKING, Any
 
 from bench.cli.arguments import CODES, complain
@@ -122,72 +121,10 @@ def query(given: argparse.Namespace) -> None:
     print(plain_table(names, texts))
 
 
-def search(given: argparse.Namespace) -> int:
-    from bench.campaign.failures import SEARCH, Searching
-    from bench.cli.terminal import working
-
-    searching = Searching(_plan(given), given.out, given.members)
-    try:
-        with working("search", pace="scenes") as shown:
-            found = searching.run(given.rate_scenes, shown)
-    except KeyboardInterrupt:
-        return complain(
-            f"interrupted; {given.out / SEARCH} has the members that were done", CODES.fault
-        )
-    if given.json:
-        rates = [{"family": family, **asdict(rate)} for family, rate in found.rates.items()]
-        hits = [asdict(one) for one in found.hits]
-        failures = [asdict(one) for one in found.failures]
-        print(json.dumps({"hits": hits, "failures": failures, "rates": rates}, ensure_ascii=False))
-        return CODES.met
-    counts = ["scenes", "failures", "distinct"]
-    rows = [[one.family, *map(str, astuple(one)[1:])] for one in found.hits]
-    print("Hits of the search (no rate):")
-    print(plain_table(["family", "member", *counts], rows))
-    rows = [
-        [str(one.number), f"{one.family} {one.member}", one.failure, f"{one.grade_mm:.1f}"]
-        for one in found.failures
-    ]
-    if rows:
-        print(plain_table(["failure", "member", "kind", "grade (mm)"], rows))
-    for family, rate in found.rates.items():
-        print(
-            f"Rate of {family}, from {rate.scenes} weighted scenes: {rate.value:.2%} (95 %"
-            f" interval, two-sided: {rate.low:.2%} to {rate.high:.2%})"
-        )
-    print(f"Written: {given.out / SEARCH}")
-    return CODES.met
-
-
-def herd(given: argparse.Namespace) -> None:
-    from bench.campaign.herd import run_herd, score
-    from bench.cli.terminal import working
-
-    with working("herd", pace="visits") as shown:
-        found = run_herd(given.out, given.cows, given.visits, given.seed, given.workers, shown)
-    one = score(found, given.cows, given.visits)
-    if given.json:
-        print(json.dumps({k: v if v == v else None for k, v in asdict(one).items()}))
-        return
-    print(f"{one.visits} visits with a history; {one.unseen} unseen ends, {one.found} found.")
-    rows = [
-        ["own history", f"{one.median_mm:.1f}", f"{one.within_5_mm:.1%}"],
-        ["the last visit", f"{one.last_median_mm:.1f}", f"{one.last_within_5_mm:.1%}"],
-        ["another cow's history", "", f"{one.swapped_within_5_mm:.1%}"],
-    ]
-    print(plain_table(["by", "median (mm)", "within 5 mm"], rows))
-    print(
-        f"{one.predicted} predicted, {one.inside:.1%} of them within their 95 % region"
-        f" ({one.median_volume_ml:.1f} ml in the median); a teat invented at {one.invented_visits}"
-        " visits."
-    )
-    print(f"Written: {given.out}")
-
-
 def keep(given: argparse.Namespace) -> None:
-    from bench.campaign.failures import keep as kept
+    from bench.testing.found import keep as kept
 
-    frame = kept(given.folder, given.number, given.into, given.name)
+    frame = kept(given.folder, given.into, given.name)
     print(f"{frame} in {given.into}")
 
 

@@ -45,7 +45,7 @@ BAUDS = (9600, 14400, 19200, 28800, 38400, 57600, 115200)
 # of detector.calibration.cameras, which is heavy to import
 MODELS = ("k1", "k1 k2", "k1 k2 p1 p2", "k1 k2 p1 p2 k3")
 CAMERAS = ("left", "right", "thermal")
-LANGUAGES = ("python", "javascript", "cpp", "onnx")
+LANGUAGES = ("python", "javascript", "cpp")
 
 SECONDS = number("a number of seconds above 0", above=0.0)
 ABOVE_0 = number("a number above 0", above=0.0)
@@ -428,7 +428,6 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             "the recording; one that is there is added to",
             default=Path("recordings/situations"),
         ),
-        option("--coco FILE", "a new file for masks and key points of these frames (JSON)", Path),
     ),
     "scene boards": (
         "draw a calibration board all over the view, for 'teatbench calibrate'",
@@ -450,25 +449,6 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             "--out DIR",
             "the folder to write to; one that is there is added to",
             default=Path("recordings/boards"),
-        ),
-    ),
-    "scene sensitivity": (
-        (
-            "draw how errors grow with noise, range, tilt and so on, beside the physical limit"
-            " (docs/scene.md)"
-        ),
-        "scene sensitivity --detector fused --out sensitivity",
-        DETECTORS,
-        option("--quantity NAME", ALL, many=True),
-        CAMERAS_OF,
-        option("--seeds N", "scenes at each value", whole(1), 6),
-        option("--first N", "the first scene's seed", whole(0), 0),
-        SCENE_SEED,
-        WORKERS,
-        option(
-            "--out DIR",
-            "the folder to write to; goes on where it stopped, else files there are replaced",
-            default=Path("sensitivity"),
         ),
     ),
     "campaign run": (
@@ -507,45 +487,12 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option("number N", "the chunk's number, from 0", whole(0), nargs="?"),
         option("--out DIR", "the campaign's folder (default: the plan's, where that is one)"),
     ),
-    "campaign search": (
-        "search for scenes on which a detector fails, around members of the families",
-        "campaign search --family low_contrast --scenes 100 --rate-scenes 200 --out searches/low",
-        *PLAN_OR_FAMILIES,
-        option(
-            "--scenes N", "scenes tried around each member (default: 100)", whole(1, 10_000_000)
-        ),
-        option(
-            "--members N", "members of each family that are searched around", whole(1, 10_000), 1
-        ),
-        option("--rate-scenes N", "weighted scenes for each family's rate", whole(0, 1_000_000), 0),
-        DETECTORS,
-        FIRST_MEMBER,
-        option("--seed N", "seed of noise, fixed patterns and the search (default: 1)", whole(0)),
-        CAMERAS_OF,
-        CALIBRATION,
-        LARGEST,
-        option("--out DIR", "the search's folder, a new one", required=True),
-        JSON,
-    ),
-    "campaign herd": (
-        "simulate cows that come several times, and score what fused makes of their history",
-        "campaign herd --cows 40 --visits 20 --seed 2 --out herds/first",
-        option("--cows N", "how many", whole(2, 10_000), 40),
-        option(
-            "--visits N", "of each cow; the first three only make her history", whole(4, 1000), 20
-        ),
-        option("--seed N", "of cows, visits and noise", whole(0), 1),
-        WORKERS,
-        option("--out DIR", "the herd's folder, a new one", Path, required=True),
-        JSON,
-    ),
     "campaign keep": (
-        "add a failure that a search found to a recording, to score later versions on",
-        "campaign keep searches/low 1 --into recordings/kept --name grey-on-grey",
-        option("folder DIR", "the search's folder"),
-        option("number N", "the failure's number", whole(1)),
-        option("--into DIR", "the recording; one that is there is added to", required=True),
-        option("--name NAME", "name of the frame (default: family, member and number)", str),
+        "add the scene that a test found to a recording, to score later versions on",
+        "campaign keep found/test_mine --into recordings/kept --name grey-on-grey",
+        option("folder DIR", "the folder that the failing test wrote", Path),
+        option("--into DIR", "the recording; one that is there is added to", Path, required=True),
+        option("--name NAME", "name of the frame (default: the folder's)", str),
     ),
     "campaign show": (
         "draw scenes of a campaign again, with truth and answers, as a page",
@@ -945,11 +892,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "detectors new": (
         "write a program that answers, and its file, to make your own detector from",
         "detectors new python --name mine",
-        option(
-            "language LANGUAGE",
-            "python, javascript, cpp, or onnx: a learned one, with its training",
-            choices=LANGUAGES,
-        ),
+        option("language LANGUAGE", "python, javascript or cpp", choices=LANGUAGES),
         option("--name NAME", "what it is called", default="my_detector"),
         option(
             "--out DIR",
@@ -990,6 +933,11 @@ FUNCTIONS = {
 ONCE = {"control": ("tell",)}  # names of earlier releases, which work for one more
 # words that went, and what to use
 REMOVED = {
+    "campaign search": "hypothesis draws and simplifies scenes in a test of yours: docs/testing.md",
+    "campaign herd": "it is an example that you can change: docs/examples/herd.py",
+    "scene sensitivity": "it is an example that you can change: docs/examples/sensitivity.py",
+    "--coco": "it is an example that you can change: docs/examples/coco.py",
+    "detectors new onnx": "a learned detector is an example: docs/examples/learned_detector.py",
     "completion": "bash and zsh take 'eval \"$(register-python-argcomplete teatbench)\"'",
     "--single-file": "send report.pdf, or the folder 'report' as a zip file",
     "thesis-test-2": "no script puts picked points off; 'calibrate cameras' gives the uncertainty",

@@ -58,14 +58,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if odd := next((word for word in words if not _is_text(word)), None):
                 shown = ascii(odd)
                 return complain(f"{shown} isn't UTF-8: name it otherwise", CODES.wrong_use)
-            if gone := next(
-                (
-                    word
-                    for at, word in enumerate(words)
-                    if word in REMOVED and (at == 0 or "-" in word)
-                ),
-                None,
-            ):
+            starts = (" ".join(words[:count]) for count in (1, 2, 3))
+            asked = (*starts, *(word for word in words if "-" in word))
+            if gone := next((one for one in asked if one in REMOVED), None):
                 return complain(f"'{gone}' went: {REMOVED[gone]}", CODES.wrong_use)
             return _run(top.parse_args(arguments))
     except Exception as error:

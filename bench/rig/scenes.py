@@ -16,7 +16,6 @@ import numpy as np
 from bench.config import ConfigError, read_text, toml_of
 from bench.files import write_synced
 from bench.record.recording import RecordingError, RecordingWriter, TruthRow
-from bench.rig.coco import CocoFile
 from bench.rig.loading import LoadedRig, drawn
 from bench.rig.model import make_renderer
 from detector.calibration import Calibration, dump_calibration
@@ -103,16 +102,14 @@ def record(
     folder: Path,
     seed: int,
     perturbations: Sequence[Perturbation] = (),
-    coco: Path | None = None,
 ) -> Iterator[str]:
-    """Add a frame for each family and seed to a recording; yields their names. ``coco``: the file
-    for masks and key points. Raises ConfigError, RecordingError.
+    """Add a frame for each family and seed to a recording; yields their names. Raises ConfigError,
+    RecordingError.
     """
     families = chosen(names)
     renderer, stated = rig_renderer(rig, seed), rig.calibration
     for one in perturbations:
         stated = one.stated(stated)
-    labels = CocoFile(coco, renderer) if coco else None
     text = read_text(rig.calibration_path)
     if stated is not rig.calibration:
         text = dump_calibration(stated, "perturbed: not what the cameras are")
@@ -126,13 +123,9 @@ def record(
                 shot = draw(renderer, name, state, [seed, member], perturbations, chance)
                 writer.add(frame, shot.frames)
                 writer.add_truth(frame, shot.truth)
-                if labels:
-                    labels.add(frame, name, member, shot.state)
                 yield frame
     except OSError as error:
         raise ConfigError.plain(f"{folder}: can't be written: {error}") from error
-    if labels:
-        labels.write()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
