@@ -101,7 +101,9 @@ def thermal_over(
     assert from_left is not None
     v, u = np.mgrid[:rows, :columns] * float(SMALLER) + (SMALLER - 1) / 2
     lens = calibration.left if camera == "left" else calibration.right
-    points = plane_mm(calibration) * homogeneous(lens.normalize(np.column_stack([u.ravel(), v.ravel()])))
+    points = plane_mm(calibration) * homogeneous(
+        lens.normalize(np.column_stack([u.ravel(), v.ravel()]))
+    )
     if camera == "right":
         points = calibration.right_from_left.inverse().apply(points)
     px = thermal.lens.project(from_left.apply(points))

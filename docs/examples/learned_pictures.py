@@ -1,4 +1,4 @@
-"""What the networks of `learned_detector.py` learn from: the optical pictures of simulated scenes."""
+"""What the networks of `learned_detector.py` learn from: optical pictures of simulated scenes."""
 
 from collections.abc import Sequence
 from typing import Any

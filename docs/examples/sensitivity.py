@@ -76,7 +76,9 @@ def measured(
         perturbed = [Applied(quantity.perturbation, value)] if quantity.perturbation else []
         shots = [
             bench.draw(
-                quantity.scene(bench.member("ideal", number), value), rig=rig, perturbations=perturbed
+                quantity.scene(bench.member("ideal", number), value),
+                rig=rig,
+                perturbations=perturbed,
             )
             for number in range(scenes)
         ]
@@ -89,7 +91,10 @@ def measured(
             row |= {"found": len(mm), "false": sum(score.counts.false for score in scores)}
             row |= {"median_mm": "", "p95_mm": ""}
             if len(mm):
-                row |= {"median_mm": np.median(mm).round(4), "p95_mm": np.quantile(mm, 0.95).round(4)}
+                row |= {
+                    "median_mm": np.median(mm).round(4),
+                    "p95_mm": np.quantile(mm, 0.95).round(4),
+                }
             rows.append(row)
     return rows
 

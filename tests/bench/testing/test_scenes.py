@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,16 +41,20 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 @pytest.mark.slow
 @given(st.data(), st.booleans())
-def test_what_is_drawn_can_stand_and_its_repr_is_itself(data: st.DataObject, published: bool) -> None:
+def test_what_is_drawn_can_stand_and_its_repr_is_itself(
+    data: st.DataObject, published: bool
+) -> None:
     scene = data.draw(scenes(published=published))
     assert not scene.faults()
-    assert eval(repr(scene), {"__builtins__": {}}, NAMES) == scene  # noqa: S307
+    assert eval(repr(scene), {"__builtins__": {}}, NAMES) == scene
     assert (scene.differences() == 0) == (scene == Scene())
     if published:
         assert len(scene.teats) == 4
         assert (scene.pose, scene.perturbations) == (Pose(), ())
         steps = (one.STEPS["lean_deg"].published for one in scene.teats)
-        assert all(low <= one.lean_deg <= high for one, (low, high) in zip(scene.teats, steps, strict=True))
+        assert all(
+            low <= one.lean_deg <= high for one, (low, high) in zip(scene.teats, steps, strict=True)
+        )
     near = scene.neighbours()
     assert scene not in near
     assert len(set(near)) == len(near)
@@ -80,14 +83,14 @@ def test_a_scene_shrinks_to_the_plainest_that_has_what_is_wanted(name: str) -> N
 
 def test_parts_have_strategies_of_their_own() -> None:
     own = settings(database=None, max_examples=300)
-    parts = {
-        "layouts": layouts(2, 2),
-        "poses": poses().filter(lambda one: one.turn_deg > 0),
-        "objects": objects(*KINDS).filter(lambda one: one.kind == "rod"),
-        "perturbations": perturbations("jpeg"),
-    }
+    parts = scenes(
+        layouts=layouts(2, 2),
+        poses=poses().filter(lambda one: one.turn_deg > 0),
+        objects=objects(*KINDS).filter(lambda one: one.kind == "rod"),
+        perturbations=perturbations("jpeg"),
+    )
     whole = find(
-        scenes(**parts),
+        parts,
         lambda s: bool(s.objects and s.perturbations and s.pose != Pose()),
         settings=own,
     )
@@ -156,7 +159,7 @@ def test_the_search_climbs_the_error(rig: str, monkeypatch: pytest.MonkeyPatch) 
     assert 0.0 < value < 50.0
 
 
-def shrunk(detector: str, limit_mm: float, number: int, **range_: bool) -> Scene:
+def shrunk(detector: str, limit_mm: float, number: int, *, published: bool = False) -> Scene:
     """What a test of ``detector`` finds with this seed."""
 
     @seed(number)
@@ -167,7 +170,7 @@ def shrunk(detector: str, limit_mm: float, number: int, **range_: bool) -> Scene
         report_multiple_bugs=False,
         suppress_health_check=list(HealthCheck),
     )
-    @given(scenes(**range_))
+    @given(scenes(published=published))
     def passes(scene: Scene) -> None:
         check(detector, scene, limit_mm)
 
