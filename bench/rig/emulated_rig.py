@@ -103,11 +103,11 @@ class EmulatedRig:
             tremor_mm=emulation.hand_tremor_mm,
         )
         plant, r, relay = self.world.plant, rig.rig, rig.relay
-        self.bath: BathEmulator | LineEmulator | None = None
+        self._bath: BathEmulator | LineEmulator | None = None
         if isinstance(known := rig.profile, LineProfile):
-            self.bath = LineEmulator(plant, known, clock)
+            self._bath = LineEmulator(plant, known, clock)
         elif isinstance(known, RegisterProfile):
-            self.bath = BathEmulator(plant, known, clock, framing=self._framing(known))
+            self._bath = BathEmulator(plant, known, clock, framing=self._framing(known))
         # on a port of its own; without one, and with a controller that turns none, the pump stands
         framing = self._framing(relay) if relay else None
         self.pump = RelayEmulator(plant, relay, clock, framing=framing) if relay else None
@@ -130,7 +130,7 @@ class EmulatedRig:
         r = rig.rig
         served: dict[str, tuple[Device, int | None]] = {"arm": (self.arm, r.arm.baud)}
         heated: tuple[tuple[str, Heated | None, Profile | RelayProfile | None], ...]
-        heated = ("bath", self.bath, rig.profile), ("pump", self.pump, rig.relay)
+        heated = ("bath", self._bath, rig.profile), ("pump", self.pump, rig.relay)
         for name, device, of in heated:
             if device and of:
                 served[name] = device, None if self._on_tcp(device) else of.baud
@@ -185,10 +185,17 @@ class EmulatedRig:
         return device.framing not in serial
 
     @property
+    def bath(self) -> BathEmulator | LineEmulator:
+        """The bench's own emulator of the bath. Raises ValueError where a plug-in has its own."""
+        if self._bath is None:
+            raise ValueError("the bath is a plug-in's")
+        return self._bath
+
+    @property
     def urls(self) -> dict[str, str]:
         """What a driver opens, by instrument; a pseudo-terminal's changes after a hang-up."""
         urls = {name: listener.url for name, listener in self._listeners.items()}
-        for name, device in (("bath", self.bath), ("pump", self.pump)):
+        for name, device in (("bath", self._bath), ("pump", self.pump)):
             if device and name in urls:
                 scheme = "rtu+tcp://" if device.framing == "rtu" else "tcp://"
                 urls[name] = urls[name].replace("socket://", scheme)
@@ -296,7 +303,7 @@ class EmulatedRig:
             usual = {StageFault.LOST_STEP: LOST_MM, StageFault.LATE_OK: LATE_S}.get(kind, 0.0)
             how = {key: usual if amount is None else amount}
             return lambda: stage.inject(kind, **how), lambda: stage.cure(kind)
-        device = self.bath if fault.instrument == "bath" else self.pump
+        device = self._bath if fault.instrument == "bath" else self.pump
         if device is None or fault.instrument == "stage":
             raise ValueError(f"this rig has no {fault.instrument} that could fail")
         device.check_fault(name)

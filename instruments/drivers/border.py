@@ -95,6 +95,9 @@ class Border(Generic[Made]):
             yield
         except (InstrumentError, KeyboardInterrupt):
             raise
+        except OSError as error:  # TimeoutError and ConnectionError among them
+            said = f"{type(error).__name__}: {error}"
+            raise LinkError(self.who, said, asked=what, hint=f"{self.plugged}.") from error
         except BaseException as error:  # another's code: not every library's errors are Exceptions
             try:
                 said = f"{type(error).__name__}: {error}"
