@@ -24,7 +24,7 @@ from bench.cli.arguments import (
 TASKS = {
     "run trials": ("run", "resume", "control", "console", "report", "runs", "trials", "plan"),
     "test a detector": ("score", "detectors", "detect", "compare", "scene", "campaign"),
-    "set up a rig": ("init", "check", "rigs", "calibrate", "emulate"),
+    "set up a rig": ("init", "check", "rigs", "calibrate", "emulate", "plugin"),
     "use one instrument alone": ("arm", "bath", "stage", "camera"),
     "keep and exchange what was recorded": ("store", "recording", "replay-wire"),
     "this program": ("completion",),
@@ -46,6 +46,7 @@ BAUDS = (9600, 14400, 19200, 28800, 38400, 57600, 115200)
 # of detector.calibration.cameras, which is heavy to import
 MODELS = ("k1", "k1 k2", "k1 k2 p1 p2", "k1 k2 p1 p2 k3")
 CAMERAS = ("left", "right", "thermal")
+KINDS = ("arm", "bath", "camera", "stage")  # of drivers
 SHELLS = ("bash", "zsh", "fish", "powershell")
 LANGUAGES = ("python", "javascript", "cpp", "onnx")
 
@@ -974,6 +975,18 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             nargs="?",
         ),
     ),
+    "plugin": (
+        "list the drivers of other packages (docs/drivers.md)",
+        "plugin",
+    ),
+    "plugin check": (
+        "run the conformance suite on a driver, on its emulator where its package has one",
+        "plugin check tank",
+        option("name NAME", "the driver, or plugin:NAME?key=value for a device"),
+        option("--kind", "of which kind, where several have this name", choices=KINDS),
+        flag("--works", "a real device may be made to heat or to move"),
+        flag("--json", "print JSON instead of a line a check"),
+    ),
     "completion": (
         "print a script that makes your shell complete commands, options and names at Tab",
         "completion bash",
@@ -1004,5 +1017,6 @@ FUNCTIONS = {
     "detectors try": "try_out",
     "completion": "shell_code",
     "trials": "listed",
+    "plugin": "listed",
 }
 ONCE = {"control": ("tell",)}  # names of earlier releases, which work for one more

@@ -1,16 +1,16 @@
-"""What every driver keeps to: open, identify, read, lose the link, come back, make safe twice, close
-twice, an abort. The bench's own drivers pass it on their emulators, and `teatbench plugin check` runs
-it on a driver of another package.
+"""What every driver keeps to: open, identify, read, lose the link, come back, make safe twice,
+close twice, an abort. The bench's own drivers pass it on their emulators, and `teatbench plugin
+check` runs it on a driver of another package.
 
-A `Subject` is an instrument with what a check needs to do to it. `CHECKS` are functions of one; they
-raise AssertionError, and NotCheckedError where the subject can't be put into that state.
+A `Subject` is an instrument with what a check needs to do to it. `CHECKS` are functions of one;
+they raise AssertionError, and NotCheckedError where the subject can't be put into that state.
 """
 
 from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -265,10 +265,3 @@ def conform(make: Callable[[], Subject], checks: tuple[Check, ...] = CHECKS) -> 
             for leave in (subject.safe, subject.close, subject.end):
                 with suppress(InstrumentError, AttributeError):  # not opened, or lost
                     leave()
-
-
-def counted(findings: Mapping[str, Finding] | list[Finding]) -> dict[Outcome, int]:
-    """How many passed, failed and were not checked."""
-    each = list(findings.values()) if isinstance(findings, Mapping) else findings
-    names: tuple[Outcome, ...] = ("passed", "failed", "not checked")
-    return {name: sum(one.outcome == name for one in each) for name in names}

@@ -95,9 +95,9 @@ class OfPlugin(Subject):
     def is_safe(self) -> bool:
         """By its own word; its emulator knows better."""
         if self.kind == "bath":
-            return self.driver.read().running is False
+            return bool(self.driver.read().running is False)
         if self.kind == "stage":
-            return self.driver.status().name != "Run"
+            return bool(self.driver.status().name != "Run")
         return True
 
 

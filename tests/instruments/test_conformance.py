@@ -132,7 +132,7 @@ class Cameras(Subject):
     """In real time, for streams have no other. Cameras have nothing to make safe."""
 
     def __init__(self) -> None:
-        self.clock = RealClock()
+        self.clock: RealClock = RealClock()
         self.emulator = EmulatedCameras(GalleryWorld(clock=self.clock))
         self.silent = False
         self.emulator.capture()  # draws the gallery before anybody waits for it
@@ -153,7 +153,7 @@ class Cameras(Subject):
         self.driver = CameraSet(openers, {})
 
     def identify(self) -> str:
-        return self.driver.identity["left"]
+        return str(self.driver.identity["left"])
 
     def read(self) -> object:
         while True:  # frames that were on their way, then the end of the stream
