@@ -105,6 +105,15 @@ class Border(Generic[Made]):
                 said = type(error).__name__
             raise DeviceError(self.who, said, asked=what, hint=f"{self.plugged}.") from error
 
+    @contextmanager
+    def opening(self) -> Iterator[None]:
+        """Close it where what is asked of it first fails."""
+        try:
+            yield
+        except BaseException:
+            self.forget()
+            raise
+
     def _within(self, what: str, work: Callable[[], T], limit_s: float) -> T:
         with self._translated(what):
             if isinstance(self._clock, VirtualClock) or getattr(self._owner, "is_us", False):
