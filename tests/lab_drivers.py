@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import re
 import sys
 import tomllib
@@ -109,9 +110,10 @@ def _install(folder: Path, name: str, module: str, code: str, points: str) -> No
 
 @contextmanager
 def importable(folder: Path) -> Iterator[Path]:
-    """Both packages, in this process."""
+    """Both packages, in this process and in those that it starts."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(installed(folder)))
+        patch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), str(folder)]))  # of the guardian
         importlib.invalidate_caches()
         try:
             yield folder

@@ -167,14 +167,9 @@ class EmulatedRig:
         self.world.stage_velocity = lambda: (0.0, 0.0, 0.0)
 
     def follow_bath(self, reading: BathReading) -> None:
-        """Have the emulated water follow a bath that isn't emulated."""
-        plant = self.world.plant
+        """Have the emulated water be as warm as that of a bath which isn't emulated."""
         with self.world.lock:
-            plant.pump = "on"
-            if reading.running and reading.set_point_c is not None:
-                plant.run(reading.set_point_c)
-            else:
-                plant.standby()
+            self.world.plant.be_at(reading.temp_c)
 
     def _framing(self, profile: RegisterProfile | RelayProfile) -> Framing | None:
         return "rtu" if self._pty and "rtu" in profile.transports else None

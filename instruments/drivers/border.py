@@ -52,7 +52,7 @@ class Border(Generic[Made]):
         """Held while one of several calls must not be parted from the next."""
         return self._lock
 
-    def call(self, what: str, work: Callable[[Made], T], limit_s: float = CALL_S) -> T:
+    def call(self, what: str, work: Callable[[Made], T], limit_s: float | None = None) -> T:
         """``work`` on the plug-in. Raises InstrumentError alone."""
         with self._lock:
             made = self.open()
@@ -71,7 +71,7 @@ class Border(Generic[Made]):
                 self.opened += 1
             return self._made
 
-    def aside(self, what: str, work: Callable[[Made], T], limit_s: float = CALL_S) -> T:
+    def aside(self, what: str, work: Callable[[Made], T], limit_s: float | None = None) -> T:
         """``work`` at once, beside a call that is under way. Raises InstrumentError alone."""
         made = self._made or self.open()
         return self._within(what, lambda: work(made), limit_s)
@@ -114,7 +114,8 @@ class Border(Generic[Made]):
             self.forget()
             raise
 
-    def _within(self, what: str, work: Callable[[], T], limit_s: float) -> T:
+    def _within(self, what: str, work: Callable[[], T], limit_s: float | None) -> T:
+        limit_s = CALL_S if limit_s is None else limit_s
         with self._translated(what):
             if isinstance(self._clock, VirtualClock) or getattr(self._owner, "is_us", False):
                 return work()
