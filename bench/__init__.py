@@ -2,14 +2,11 @@
 it promises to Python programs (docs/api.md). A name is loaded when it is first used.
 """
 
-from importlib import import_module
-
 from bench.version import __version__
+from textfiles.lazy import lazily
 
 TYPE_CHECKING = False  # `typing` takes 20 ms to import; checkers know the name
 if TYPE_CHECKING:
-    from typing import Any
-
     from bench.api.campaigns import CampaignResult, run_campaign
     from bench.api.rigs import OpenRig, open_rig
     from bench.api.runs import (
@@ -69,9 +66,8 @@ _PROMISED = {
     "bench.rig.opening": ("BringUpError",),
     "bench.safety.interlocks": ("InterlockTrip",),
     "bench.scoring.scene": ("SceneScore",),
+    "bench.version": ("__version__",),
 }
-_PLACES = {name: module for module, names in _PROMISED.items() for name in names}
-
 __all__ = [
     "Answer", "BathRow", "BringUpError", "CampaignResult", "ConfigError", "DetectionRow",
     "EventRow", "FoundRow", "InterlockTrip", "NotSafeError", "OpenRig", "Recording",
@@ -80,14 +76,4 @@ __all__ = [
     "load_script", "member", "open_detector", "open_rig", "read_rows", "read_run", "read_table",
     "resume_run", "run_campaign", "run_script", "score", "score_recording", "write_report",
 ]  # fmt: skip
-
-
-def __getattr__(name: str) -> "Any":
-    if name not in _PLACES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = globals()[name] = getattr(import_module(_PLACES[name]), name)
-    return found
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__ = lazily(__name__, _PROMISED)

@@ -24,7 +24,7 @@ from bench.cli.arguments import (
 TASKS = {
     "run trials": ("run", "resume", "control", "console", "report", "runs", "trials", "plan"),
     "test a detector": ("score", "detectors", "detect", "compare", "scene", "campaign"),
-    "set up a rig": ("init", "check", "rigs", "calibrate", "emulate"),
+    "set up a rig": ("init", "check", "rigs", "calibrate", "emulate", "plugin"),
     "use one instrument alone": ("arm", "bath", "stage", "camera"),
     "keep and exchange what was recorded": ("store", "recording", "replay-wire"),
 }
@@ -45,7 +45,13 @@ BAUDS = (9600, 14400, 19200, 28800, 38400, 57600, 115200)
 # of detector.calibration.cameras, which is heavy to import
 MODELS = ("k1", "k1 k2", "k1 k2 p1 p2", "k1 k2 p1 p2 k3")
 CAMERAS = ("left", "right", "thermal")
+<<<<<<< HEAD
 LANGUAGES = ("python", "javascript", "cpp")
+=======
+KINDS = ("arm", "bath", "camera", "stage")  # of drivers
+SHELLS = ("bash", "zsh", "fish", "powershell")
+LANGUAGES = ("python", "javascript", "cpp", "onnx")
+>>>>>>> api
 
 SECONDS = number("a number of seconds above 0", above=0.0)
 ABOVE_0 = number("a number above 0", above=0.0)
@@ -911,6 +917,32 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             nargs="?",
         ),
     ),
+<<<<<<< HEAD
+=======
+    "plugin": (
+        "list the drivers of other packages (docs/drivers.md)",
+        "plugin",
+    ),
+    "plugin check": (
+        "run the conformance suite on a driver, on its emulator where its package has one",
+        "plugin check tank",
+        option("name NAME", "the driver, or plugin:NAME?key=value for a device"),
+        option("--kind", "of which kind, where several have this name", choices=KINDS),
+        flag("--works", "a real device may be made to heat or to move"),
+        flag("--json", "print JSON instead of a line a check"),
+    ),
+    "completion": (
+        "print a script that makes your shell complete commands, options and names at Tab",
+        "completion bash",
+        option(
+            "shell SHELL",
+            "bash or zsh: put 'source <(teatbench completion bash)' (or zsh) into ~/.bashrc or"
+            " ~/.zshrc; fish: write the output to ~/.config/fish/completions/teatbench.fish;"
+            " powershell: append it to $PROFILE. It works in the next shell.",
+            choices=SHELLS,
+        ),
+    ),
+>>>>>>> api
 }
 # where a command's or a group's functions are, unless in the module of the same name
 MODULES = {
@@ -929,6 +961,7 @@ FUNCTIONS = {
     "detectors": "listed",
     "detectors try": "try_out",
     "trials": "listed",
+    "plugin": "listed",
 }
 ONCE = {"control": ("tell",)}  # names of earlier releases, which work for one more
 # words that went, and what to use

@@ -41,6 +41,9 @@ def show_verdict(console: Terminal, found: Reported) -> int:
     report, record, judgements = found.page, found.record, found.judgements
     with suppress(*FAILURES):
         verdict, why, then = headline(record, judgements)
+        if emulated := record.facts.get("emulated"):
+            said = f"SOME INSTRUMENTS EMULATED: {', '.join(emulated)}."
+            console.print(Text(f"{said} The figures are no measurement.", "bold yellow"))
         decided = record.ending == "finished" and not record.damage and bool(judgements)
         if decided:
             console.print(_bench(record, judgements[0]))

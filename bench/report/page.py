@@ -5,9 +5,10 @@ bench, run, calibration, checksums, faults, command.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -95,6 +96,12 @@ def write_run_report(
     return path, run, judgements
 
 
+def _emulated(facts: Mapping[str, Any]) -> str:
+    """Which instruments were emulated, where others were real."""
+    names = facts.get("emulated", ())
+    return f" Emulated, and so no measurement: {', '.join(names)}." if names else ""
+
+
 def build_page(
     run: RunRecord,
     rules: Rules,
@@ -117,7 +124,7 @@ def build_page(
         verdict=verdict,
         tested=(
             f"{facts['title']}: teat detector {', '.join(run.detectors)} "
-            f"on {len(run.counted)} frame sets of {poses} poses{left_out}."
+            f"on {len(run.counted)} frame sets of {poses} poses{left_out}.{_emulated(facts)}"
         ),
         sentence=why,
         confidence=_confidence(run, rules, poses),

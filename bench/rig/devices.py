@@ -97,6 +97,8 @@ class Devices:
             found.append("pump alone")
         if self.stage and self.stage.moves:
             found.append("stage")
+        if self.arm and self.arm.moves:
+            found.append("arm")
         return tuple(found)
 
     def make_safe(
@@ -121,7 +123,8 @@ class Devices:
         for name, step in steps.items():
             if name not in only or (name == "stage" and self.stage is None):
                 continue
-            found = attempt(name.split()[0], step)
+            robot = name == "arm" and self.arm.touches  # which has a motor
+            found = attempt("robot" if robot else name.split()[0], step)
             if not found.is_safe and found.name in BY_HAND:
                 unsafe[found.name] = f"{BY_HAND[found.name]}: {found.detail}"
             for text in found.texts[name.startswith("pump") and found.is_safe :]:

@@ -108,15 +108,15 @@ class EmulatedRig:
             tremor_mm=emulation.hand_tremor_mm,
         )
         plant, r, relay = self.world.plant, rig.rig, rig.relay
-        self.bath: BathEmulator | LineEmulator | None = None
+        self._bath: BathEmulator | LineEmulator | None = None
         if isinstance(known := rig.profile, LineProfile):
             try:
-                self.bath = LineEmulator(plant, known, clock)
+                self._bath = LineEmulator(plant, known, clock)
             except ValueError as error:
                 said = (("bath", "profile"), str(error), False)
                 raise located(rig.path, rig.text, [said]) from error
         elif isinstance(known, RegisterProfile):
-            self.bath = BathEmulator(plant, known, clock, framing=self._framing(known))
+            self._bath = BathEmulator(plant, known, clock, framing=self._framing(known))
         # on a port of its own; without one, and with a controller that turns none, the pump stands
         framing = self._framing(relay) if relay else None
         self.pump = RelayEmulator(plant, relay, clock, framing=framing) if relay else None
@@ -139,7 +139,7 @@ class EmulatedRig:
         r = rig.rig
         served: dict[str, tuple[Device, int | None]] = {"arm": (self.arm, r.arm.baud)}
         heated: tuple[tuple[str, Heated | None, Profile | RelayProfile | None], ...]
-        heated = ("bath", self.bath, rig.profile), ("pump", self.pump, rig.relay)
+        heated = ("bath", self._bath, rig.profile), ("pump", self.pump, rig.relay)
         for name, device, of in heated:
             if device and of:
                 served[name] = device, None if self._on_tcp(device) else of.baud
@@ -176,14 +176,9 @@ class EmulatedRig:
         self.world.stage_velocity = lambda: (0.0, 0.0, 0.0)
 
     def follow_bath(self, reading: BathReading) -> None:
-        """Have the emulated water follow a bath that isn't emulated."""
-        plant = self.world.plant
+        """Have the emulated water be as warm as that of a bath which isn't emulated."""
         with self.world.lock:
-            plant.pump = "on"
-            if reading.running and reading.set_point_c is not None:
-                plant.run(reading.set_point_c)
-            else:
-                plant.standby()
+            self.world.plant.be_at(reading.temp_c)
 
     def _framing(self, profile: RegisterProfile | RelayProfile) -> Framing | None:
         return "rtu" if self._pty and "rtu" in profile.transports else None
@@ -194,10 +189,17 @@ class EmulatedRig:
         return device.framing not in serial
 
     @property
+    def bath(self) -> BathEmulator | LineEmulator:
+        """The bench's own emulator of the bath. Raises ValueError where a plug-in has its own."""
+        if self._bath is None:
+            raise ValueError("the bath is a plug-in's")
+        return self._bath
+
+    @property
     def urls(self) -> dict[str, str]:
         """What a driver opens, by instrument; a pseudo-terminal's changes after a hang-up."""
         urls = {name: listener.url for name, listener in self._listeners.items()}
-        for name, device in (("bath", self.bath), ("pump", self.pump)):
+        for name, device in (("bath", self._bath), ("pump", self.pump)):
             if device and name in urls:
                 scheme = "rtu+tcp://" if device.framing == "rtu" else "tcp://"
                 urls[name] = urls[name].replace("socket://", scheme)
@@ -305,7 +307,7 @@ class EmulatedRig:
             usual = {StageFault.LOST_STEP: LOST_MM, StageFault.LATE_OK: LATE_S}.get(kind, 0.0)
             how = {key: usual if amount is None else amount}
             return lambda: stage.inject(kind, **how), lambda: stage.cure(kind)
-        device = self.bath if fault.instrument == "bath" else self.pump
+        device = self._bath if fault.instrument == "bath" else self.pump
         if device is None or fault.instrument == "stage":
             raise ValueError(f"this rig has no {fault.instrument} that could fail")
         device.check_fault(name)

@@ -161,7 +161,8 @@ def load_rig(path: Path) -> LoadedRig:
         profile = _of_plugin(plug, refuse)
     else:
         profile = _loaded(lambda: load_profile(place(rig.bath.profile)))
-    if rig.operator.url == EMULATED and not {"arm", "cameras"} & set(rig.emulated):
+    hands = rig.operator.url == EMULATED and not {"arm", "cameras"} & set(rig.emulated)
+    if hands and not plugin_url(rig.arm.url):  # which may touch by itself
         message = (
             "emulated hands can't touch a real phantom: a person has to, or the arm or the cameras"
             " are emulated too"

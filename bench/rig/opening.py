@@ -22,7 +22,7 @@ from bench.record.recording import Recording, RecordingCameras
 from bench.rig.devices import Devices
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.leaving import Leaving, Opened, to_stderr
-from bench.rig.loading import LoadedRig
+from bench.rig.loading import LoadedRig, find_rig, load_rig
 from bench.rig.model import Emulation, OneCamera, Operator, Rig, ThermalTable
 from bench.rig.model import Stage as StageTable
 from bench.rig.scripted_answers import load_answers
@@ -55,6 +55,7 @@ from instruments.operators.remote import RemoteOperator
 from instruments.points import PointArm, points_url
 from instruments.stage.driver import Stage as OwnStage
 from instruments.stage.zaber import Motor
+from instruments.world.world import World
 from reports.sanitize import sanitized
 
 ALL = ("arm", "bath", "stage", "operator", "cameras")
@@ -187,6 +188,13 @@ def _follow(rig: Rig, twin: EmulatedRig, bath: Bath | None, stage: Stage | None)
             return last
 
         twin.follow_stage(rig, place)
+
+
+@contextmanager
+def emulated_world(clock: Clock) -> Iterator[World]:
+    """The world of the shipped emulated rig, for an emulator of another package."""
+    with EmulatedRig(load_rig(find_rig(None)), clock, 1) as twin:
+        yield twin.world
 
 
 def in_virtual_time(rig: LoadedRig, *, realtime: bool) -> bool:

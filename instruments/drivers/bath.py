@@ -75,7 +75,8 @@ class PluggedBath:
         self._alarm = ""
         self._times_made_safe = 0
         if identify:
-            self._identify()
+            with self._border.opening():
+                self._identify()
 
     @property
     def identity(self) -> Mapping[str, str]:

@@ -52,7 +52,7 @@ class Border(Generic[Made]):
         """Held while one of several calls must not be parted from the next."""
         return self._lock
 
-    def call(self, what: str, work: Callable[[Made], T], limit_s: float = CALL_S) -> T:
+    def call(self, what: str, work: Callable[[Made], T], limit_s: float | None = None) -> T:
         """``work`` on the plug-in. Raises InstrumentError alone."""
         with self._lock:
             made = self.open()
@@ -71,7 +71,7 @@ class Border(Generic[Made]):
                 self.opened += 1
             return self._made
 
-    def aside(self, what: str, work: Callable[[Made], T], limit_s: float = CALL_S) -> T:
+    def aside(self, what: str, work: Callable[[Made], T], limit_s: float | None = None) -> T:
         """``work`` at once, beside a call that is under way. Raises InstrumentError alone."""
         made = self._made or self.open()
         return self._within(what, lambda: work(made), limit_s)
@@ -95,6 +95,9 @@ class Border(Generic[Made]):
             yield
         except (InstrumentError, KeyboardInterrupt):
             raise
+        except OSError as error:  # TimeoutError and ConnectionError among them
+            said = f"{type(error).__name__}: {error}"
+            raise LinkError(self.who, said, asked=what, hint=f"{self.plugged}.") from error
         except BaseException as error:  # another's code: not every library's errors are Exceptions
             try:
                 said = f"{type(error).__name__}: {error}"
@@ -102,7 +105,17 @@ class Border(Generic[Made]):
                 said = type(error).__name__
             raise DeviceError(self.who, said, asked=what, hint=f"{self.plugged}.") from error
 
-    def _within(self, what: str, work: Callable[[], T], limit_s: float) -> T:
+    @contextmanager
+    def opening(self) -> Iterator[None]:
+        """Close it where what is asked of it first fails."""
+        try:
+            yield
+        except BaseException:
+            self.forget()
+            raise
+
+    def _within(self, what: str, work: Callable[[], T], limit_s: float | None) -> T:
+        limit_s = CALL_S if limit_s is None else limit_s
         with self._translated(what):
             if isinstance(self._clock, VirtualClock) or getattr(self._owner, "is_us", False):
                 return work()

@@ -14,6 +14,8 @@ from instruments.drivers.border import Border
 from instruments.drivers.entry_points import Plugged
 from instruments.errors import DeviceError, InstrumentError, LimitError
 
+CAPTURE_S = 30.0  # a long exposure, and a slow link
+
 
 class PluggedCamera:
     """As `instruments.camera.cameras.Camera`; whatever it raises but a lost link costs a frame."""
@@ -21,7 +23,8 @@ class PluggedCamera:
     def __init__(self, plugged: Plugged, name: str, clock: Clock) -> None:
         self.who, self._name = f"{name} camera {plugged.name}", name
         self._border: Border[Camera] = Border(plugged, self.who, clock)
-        who = self._border.call("identity", lambda camera: str(camera.identity))
+        with self._border.opening():
+            who = self._border.call("identity", lambda camera: str(camera.identity))
         self.identity = f"{who} ({plugged})"
 
     def prepare(self) -> None:
@@ -33,7 +36,9 @@ class PluggedCamera:
     def take(self) -> RawFrame:
         """The frame. Raises FrameError for none, LinkError where it is gone."""
         try:
-            return checked(self._border, self._border.call("take", lambda camera: camera.take()))
+            return checked(
+                self._border, self._border.call("take", lambda camera: camera.take(), CAPTURE_S)
+            )
         except DeviceError as error:  # an exception of its own: the next frame may come
             raise FrameError(FrameFault.DROPPED, self._name, self.who, str(error)) from error
 
@@ -48,19 +53,19 @@ class PluggedGroup:
     def __init__(self, plugged: Plugged, clock: Clock) -> None:
         self.who = f"cameras {plugged.name}"
         self._border: Border[CameraGroup] = Border(plugged, self.who, clock)
-        given = self._border.call("parts", lambda group: tuple(group.parts))
-        wrong = [part for part in given if part not in CAN_GIVE]
-        if wrong or not given:
-            what = f"its parts are {given}; a group gives some of {', '.join(CAN_GIVE)}"
-            raise LimitError(self.who, what, hint=f"{plugged}.")
+        with self._border.opening():
+            given = self._border.call("parts", lambda group: tuple(group.parts))
+            if not given or not set(given) <= set(CAN_GIVE):
+                what = f"its parts are {given}; a group gives some of {', '.join(CAN_GIVE)}"
+                raise LimitError(self.who, what, hint=f"{plugged}.")
+            who = self._border.call("identity", lambda group: str(group.identity))
         self.parts: tuple[str, ...] = given
-        who = self._border.call("identity", lambda group: str(group.identity))
         self.identity = f"{who} ({plugged})"
 
     def capture(self) -> Mapping[str, RawFrame]:
         """A frame of each part. Raises FrameError for one that is missing, LinkError."""
         try:
-            given = dict(self._border.call("capture", lambda group: group.capture()))
+            given = dict(self._border.call("capture", lambda group: group.capture(), CAPTURE_S))
         except DeviceError as error:
             raise FrameError(FrameFault.DROPPED, self.parts[0], self.who, str(error)) from error
         for part in self.parts:
