@@ -45,13 +45,8 @@ BAUDS = (9600, 14400, 19200, 28800, 38400, 57600, 115200)
 # of detector.calibration.cameras, which is heavy to import
 MODELS = ("k1", "k1 k2", "k1 k2 p1 p2", "k1 k2 p1 p2 k3")
 CAMERAS = ("left", "right", "thermal")
-<<<<<<< HEAD
-LANGUAGES = ("python", "javascript", "cpp")
-=======
 KINDS = ("arm", "bath", "camera", "stage")  # of drivers
-SHELLS = ("bash", "zsh", "fish", "powershell")
-LANGUAGES = ("python", "javascript", "cpp", "onnx")
->>>>>>> api
+LANGUAGES = ("python", "javascript", "cpp")
 
 SECONDS = number("a number of seconds above 0", above=0.0)
 ABOVE_0 = number("a number above 0", above=0.0)
@@ -917,8 +912,6 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             nargs="?",
         ),
     ),
-<<<<<<< HEAD
-=======
     "plugin": (
         "list the drivers of other packages (docs/drivers.md)",
         "plugin",
@@ -931,18 +924,6 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         flag("--works", "a real device may be made to heat or to move"),
         flag("--json", "print JSON instead of a line a check"),
     ),
-    "completion": (
-        "print a script that makes your shell complete commands, options and names at Tab",
-        "completion bash",
-        option(
-            "shell SHELL",
-            "bash or zsh: put 'source <(teatbench completion bash)' (or zsh) into ~/.bashrc or"
-            " ~/.zshrc; fish: write the output to ~/.config/fish/completions/teatbench.fish;"
-            " powershell: append it to $PROFILE. It works in the next shell.",
-            choices=SHELLS,
-        ),
-    ),
->>>>>>> api
 }
 # where a command's or a group's functions are, unless in the module of the same name
 MODULES = {
