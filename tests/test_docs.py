@@ -76,7 +76,6 @@ STAND_INS = {
     r"record --situation overlapping": "record --rig my-rig.toml --situation overlapping",
     r"--seeds 3 --out \S+": "--seeds 1 --out recordings/few",
     r"sheet --out": "sheet --rig my-rig.toml --situation ideal --out",
-    r"--seeds 12": "--seeds 1 --quantity pixel-noise --rig my-rig.toml",
     r"--seeds (5|6|8|200)": "--seeds 1",
     r"--scenes 400": "--scenes 1 --workers 1 --rig my-rig.toml",
     r"thermal PICTURES": "thermal heated-pictures",

@@ -108,9 +108,9 @@ def thermal_over(
         points = calibration.right_from_left.inverse().apply(points)
     px = thermal.lens.project(from_left.apply(points))
     scale = thermal.sensor_size[0] / thermal.image_size[0]
-    px = ((px + 0.5) * scale - 0.5).astype(np.float32).reshape(rows, columns, 2)
+    at: Any = ((px + 0.5) * scale - 0.5).astype(np.float32).reshape(rows, columns, 2)
     how: Any = {"interpolation": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_REPLICATE}
-    return cv2.remap(kelvin.astype(np.float32), px[..., 0], px[..., 1], **how)
+    return cv2.remap(kelvin.astype(np.float32), at[..., 0], at[..., 1], **how)
 
 
 def plane_mm(calibration: Calibration) -> float:
@@ -131,9 +131,9 @@ def matched(calibration: Calibration, left: list[Any], right: list[Any]) -> list
     pairs = list(itertools.product(range(len(left)), range(len(right))))
     if not pairs:
         return []
-    cameras = calibration.left, calibration.right, calibration.right_from_left
+    cameras = calibration.left, calibration.right
     given = np.array([left[i] for i, _ in pairs]), np.array([right[j] for _, j in pairs])
-    points, _ = triangulate(*given, *cameras)
+    points, _ = triangulate(*given, *cameras, calibration.right_from_left)
     off_px = 2.0 * np.abs(calibration.right.project(points) - given[1])[:, 1]
     depth = points[:, 2] / plane_mm(calibration)
     ends_mm, taken = calibration.world_from_right.apply(points), set[Any]()

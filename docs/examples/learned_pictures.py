@@ -53,7 +53,8 @@ class Pictures:
 
     def crops(self, size: int = 48) -> Any:
         """Parts of pictures for `place`, with where the end is in them."""
-        crops, ends = [], []
+        crops: list[Any] = []
+        ends: list[Any] = []
         while len(crops) < size:
             grey, _, _, known = self.seen[self._rng.integers(len(self.seen))]
             if len(known):

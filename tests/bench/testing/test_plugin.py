@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 
 import bench
 from tests.bench.campaign.small_campaign import write_small_rig
+from tests.conftest import ROOT
 from tests.undrawn import bare
 
 pytest_plugins = ("pytester",)
@@ -160,3 +162,19 @@ def test_an_unknown_requirement_rig_or_detector_is_wrong_use(pytester: pytest.Py
         result = run(pytester, plain.format(fixture), *words)
         assert result.ret != 0
         result.stdout.fnmatch_lines(f"*no {fixture}*")
+
+
+@pytest.mark.slow
+def test_the_page_word_by_word(pytester: pytest.Pytester) -> None:
+    """Its first program finds a scene; its second one runs on the emulated rig."""
+    page = (ROOT / "docs" / "testing.md").read_text(encoding="utf-8")
+    programs = re.findall(r"Save this as `(\w+)\.py`:\n\n```python\n(.*?)```", page, re.DOTALL)
+    pytester.makepyfile(**dict(programs))
+    with bare():
+        first = pytester.runpytest_inprocess(*PLUGIN, "test_detector.py")
+        second = pytester.runpytest_inprocess(*PLUGIN, "test_rig.py", "--detector", "fused")
+    first.assert_outcomes(failed=1)
+    first.stdout.fnmatch_lines(["*simplest scene*", "thesis *in Scene(*"])
+    assert (pytester.path / "found" / "test_every_end_within_20_mm" / "scene.png").exists()
+    second.assert_outcomes(passed=2)
+    second.stdout.fnmatch_lines("*Report: *")
