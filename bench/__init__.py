@@ -56,7 +56,8 @@ _PROMISED = {
         *("run_script", "score_recording", "write_report"),
     ),
     "bench.api.shots": (
-        *("Shot", "detect", "draw", "families", "labels", "load_rig", "member", "open_detector", "score"),
+        *("Shot", "detect", "draw", "families", "labels", "load_rig", "member", "open_detector"),
+        "score",
     ),
     "bench.config": ("ConfigError",),
     "bench.record.reader": ("RunRecord",),
@@ -72,8 +73,8 @@ __all__ = [
     "Answer", "BathRow", "BringUpError", "CampaignResult", "ConfigError", "DetectionRow",
     "EventRow", "FoundRow", "InterlockTrip", "NotSafeError", "OpenRig", "Recording",
     "RecordingError", "RecordingWriter", "Reported", "RunRecord", "SceneScore", "Shot", "TouchRow",
-    "TrialRow", "TruthOfTeat", "TruthRow", "__version__", "detect", "draw", "families", "labels", "load_rig",
-    "load_script", "member", "open_detector", "open_rig", "read_rows", "read_run", "read_table",
+    "TrialRow", "TruthOfTeat", "TruthRow", "__version__", "detect", "draw", "families", "labels",
+    "load_rig", "load_script", "member", "open_detector", "open_rig", "read_rows", "read_run", "read_table",
     "resume_run", "run_campaign", "run_script", "score", "score_recording", "write_report",
 ]  # fmt: skip
 __getattr__ = lazily(__name__, _PROMISED)

@@ -51,7 +51,7 @@ def member(name: str, seed: int) -> tuple[Situation, Mapping[str, Parameter]]:
     if seed < 0:
         raise ValueError(f"a situation's seed must be 0 or more, is {seed}")
     for attempt in range(ATTEMPTS):
-        found, parameters = drawn(name, seed, attempt)
+        found, parameters = _drawn(name, seed, attempt)
         if found:
             return found, parameters
     raise RuntimeError(
@@ -60,7 +60,7 @@ def member(name: str, seed: int) -> tuple[Situation, Mapping[str, Parameter]]:
     )
 
 
-def drawn(name: str, seed: int, attempt: int) -> tuple[Situation | None, Mapping[str, Parameter]]:
+def _drawn(name: str, seed: int, attempt: int) -> tuple[Situation | None, Mapping[str, Parameter]]:
     """One attempt at a member, None where it doesn't fit, and its parameters by name."""
     draw, (about, family) = Draw(name, seed, attempt), SITUATIONS[name]
     found = family(draw)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,15 @@ from tests.conftest import ROOT
 from tests.undrawn import bare
 
 pytest_plugins = ("pytester",)
-PLUGIN = ("-p", "bench.testing.plugin", "-p", "no:cacheprovider", "-p", "no:xdist")
+# where the project was installed since the plug-in came, pytest has it already
+THERE = bool(entry_points(group="pytest11", name="teatbench"))
+PLUGIN = (
+    "-p",
+    "no:cacheprovider",
+    "-p",
+    "no:xdist",
+    *(() if THERE else ("-p", "bench.testing.plugin")),
+)
 SCENE = """
 import bench
 from bench.testing import Scene, Teat, check
@@ -41,8 +50,8 @@ def test_it_imports_nothing_before_it_is_asked(pytester: pytest.Pytester) -> Non
             assert not {"numpy", "hypothesis", "bench.api"} & set(sys.modules)
     """
     pytester.makepyfile(program)
-    options = ("-p", "no:hypothesispytest", "-p", "no:cacheprovider")
-    pytester.runpytest_subprocess("-p", "bench.testing.plugin", *options).assert_outcomes(passed=1)
+    result = pytester.runpytest_subprocess(*PLUGIN, "-p", "no:hypothesispytest")
+    result.assert_outcomes(passed=1)
 
 
 @pytest.mark.slow
