@@ -24,7 +24,7 @@ from tests.conftest import ROOT
 
 PAGE = ROOT / "docs" / "api.md"
 KEPT = Path(__file__).parent / "data" / "promised.json"
-MODULES = ("bench", "detector", "instruments", "bench.testing.conformance")
+MODULES = ("bench", "detector", "instruments", "bench.testing", "bench.testing.conformance")
 ROWS = ("TrialRow", "TouchRow", "TruthOfTeat", "DetectionRow", "FoundRow", "BathRow", "EventRow")
 TYPES = {"TEXT": "str", "REAL": "float", "INTEGER": "int"}
 

@@ -1,9 +1,10 @@
-"""For tests of detectors and drivers (docs/testing.md). Strategies need hypothesis: they are loaded
-when they are first named.
+"""For tests of detectors and drivers (docs/testing.md, docs/drivers.md). Strategies need
+hypothesis: a name is loaded when it is first used.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from textfiles.lazy import lazily
 
 if TYPE_CHECKING:
     from bench.campaign.perturbations import Applied
@@ -21,10 +22,4 @@ __all__ = [
     "Applied", "Look", "Object", "Pose", "Scene", "SceneFailedError", "Teat", "check", "layouts",
     "look", "objects", "perturbations", "poses", "scenes",
 ]  # fmt: skip
-
-
-def __getattr__(name: str) -> Any:
-    for module, names in _PLACES.items():
-        if name in names:
-            return getattr(import_module(module), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = lazily(__name__, _PLACES)
