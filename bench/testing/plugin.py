@@ -28,10 +28,17 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("teatbench", "a bench, or its emulators")
     group.addoption("--rig", default="emulated", help="a rig by name or file (emulated)")
     group.addoption("--detector", default="fused", help="a detector by name or file (fused)")
-    group.addoption("--rules", type=Path, help="requirements of recorded trials, a .toml file")
-    group.addoption("--runs", type=Path, default=Path("runs"), help="where trials are kept (runs)")
     group.addoption(
-        "--found", type=Path, default=Path("found"), help="where found scenes are written (found)"
+        "--trial-rules", type=Path, help="requirements of recorded trials, a .toml file"
+    )
+    group.addoption(
+        "--trial-runs", type=Path, default=Path("runs"), help="where trials are kept (runs)"
+    )
+    group.addoption(
+        "--found-scenes",
+        type=Path,
+        default=Path("found"),
+        help="where found scenes are written (found)",
     )
 
 
@@ -74,7 +81,11 @@ def _trials(config: pytest.Config) -> TrialsOfTests:
         given = config.option
         try:
             config.stash[_TRIALS] = TrialsOfTests(
-                given.rig, given.detector, given.runs, given.rules, config.stash[_REQUIRED]
+                given.rig,
+                given.detector,
+                given.trial_runs,
+                given.trial_rules,
+                config.stash[_REQUIRED],
             )
         except ConfigError as error:
             raise pytest.UsageError(str(error)) from error
@@ -201,7 +212,7 @@ def pytest_runtest_makereport(
         failing, of = error.neighbourhood()
         text = f"{error}\n{failing} of {of} scenes one step away fail too.\n\n{error.lines()}"
         try:
-            folder = write_found(error, item.config.option.found / folder_name(item.name))
+            folder = write_found(error, item.config.option.found_scenes / folder_name(item.name))
             text += f"\nPicture: {folder / 'scene.png'}"
             text += f"\nKeep it: teatbench campaign keep {folder} --into recordings/kept"
         except OSError as fault:
