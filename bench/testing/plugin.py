@@ -122,7 +122,7 @@ def _opened(request: pytest.FixtureRequest) -> Iterator[Callable[[], OpenRig]]:
             kept.clear()
             return opened()
 
-        yield anew if loaded.rig.all_emulated else opened
+        yield anew if loaded.rig.simulated else opened
 
 
 @pytest.fixture

@@ -10,7 +10,10 @@ from pathlib import Path
 import pytest
 
 import bench
+from bench.rig.loading import load_rig
+from bench.run.lock import lock_path, locked
 from tests.bench.campaign.small_campaign import write_small_rig
+from tests.bench.small_recording import write_recording
 from tests.conftest import ROOT
 from tests.undrawn import bare
 
@@ -76,6 +79,32 @@ def test_a_rig_is_open_homed_and_safe_after_each_test(pytester: pytest.Pytester)
     result = run(pytester, program)
     result.assert_outcomes(passed=1, failed=1)
     result.stdout.fnmatch_lines("*amid heating*")
+
+
+@pytest.mark.slow
+def test_a_real_rig_is_opened_and_homed_once_and_alone(pytester: pytest.Pytester) -> None:
+    """Its cameras are no emulators: they play a recording."""
+    path = Path(write_small_rig(pytester.path))
+    write_recording(pytester.path / "played")
+    text = path.read_text(encoding="utf-8")
+    old = '[cameras]\nurl = "emulator:"'
+    assert old in text
+    path.write_text(text.replace(old, '[cameras]\nurl = "recording:played"'), encoding="utf-8")
+    program = """
+        import pytest
+        kept = []
+
+        @pytest.mark.parametrize("number", (0, 1))
+        def test_it(rig, number):
+            kept.append(rig)
+            assert kept[0] is rig and rig.arm.homed and rig.stage.homed
+            rig.heat(33.0, wait=False)
+    """
+    run(pytester, program, "--rig", str(path)).assert_outcomes(passed=2)
+    with locked(lock_path(load_rig(path)), "another run", lambda _: None):
+        result = run(pytester, program, "--rig", str(path))
+    assert result.ret == 3
+    result.stdout.fnmatch_lines("*run one at a time*")
 
 
 @pytest.mark.slow
@@ -156,6 +185,7 @@ def test_named(record_trial):
     assert 'name="requirement" value="no false teat"' in Path("j.xml").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_an_unknown_requirement_rig_or_detector_is_wrong_use(pytester: pytest.Pytester) -> None:
     program = """
         import pytest
