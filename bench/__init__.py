@@ -75,6 +75,7 @@ __all__ = [
     "RecordingError", "RecordingWriter", "Reported", "RunRecord", "SceneScore", "Shot", "TouchRow",
     "TrialRow", "TruthOfTeat", "TruthRow", "__version__", "detect", "draw", "families", "labels",
     "load_rig", "load_script", "member", "open_detector", "open_rig", "read_rows", "read_run",
-    "read_table", "resume_run", "run_campaign", "run_script", "score", "score_recording", "write_report",
+    "read_table", "resume_run", "run_campaign", "run_script", "score", "score_recording",
+    "write_report",
 ]  # fmt: skip
 __getattr__ = lazily(__name__, _PROMISED)
