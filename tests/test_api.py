@@ -8,10 +8,13 @@ import dataclasses
 import importlib
 import inspect
 import json
+import os
 import re
+import shlex
 import sqlite3
 import subprocess
 import sys
+import zipfile
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -113,23 +116,107 @@ def test_rows_are_the_tables_columns_with_their_types(name: str) -> None:
     assert {field.name: field.type for field in dataclasses.fields(row)} == by_column
 
 
+class Installed:
+    """The wheel in a folder of its own, and what is run with it alone, in an empty folder."""
+
+    def __init__(self, site: Path, here: Path) -> None:
+        self.site, self.here = site, here
+
+    def pip(self, *what: str) -> None:
+        """As a person types it, but with what this machine has."""
+        quiet = ("install", "-q", "--no-deps", "--no-index", "--no-build-isolation")
+        self(sys.executable, "-m", "pip", *quiet, "--target", str(self.site), *what)
+
+    def __call__(self, *words: str, code: int = 0) -> str:
+        path = os.pathsep.join([str(self.site / "bin"), os.environ["PATH"]])
+        done = subprocess.run(
+            words,
+            cwd=self.here,
+            env={**os.environ, "PYTHONPATH": str(self.site), "PATH": path},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=240,
+        )
+        assert done.returncode == code, done.stdout + done.stderr
+        return done.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("dist")
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    [found] = folder.iterdir()
+    return found
+
+
+@pytest.fixture
+def installed(wheel: Path, tmp_path: Path) -> Installed:
+    (tmp_path / "empty").mkdir()
+    found = Installed(tmp_path / "site", tmp_path / "empty")
+    found.pip(str(wheel))
+    return found
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+
+
 @pytest.mark.slow
-def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    text = PAGE.read_text(encoding="utf-8")
-    [script] = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
-    Path("my-script.toml").write_text(script, encoding="utf-8")
-    code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-    names: dict[str, Any] = {}
-    for block in code:
-        exec(compile(block, str(PAGE), "exec"), names)
-    assert names["score"].success
-    assert names["found"].verdict == "met"
-    assert len(names["touches"]) >= len(names["run"].trials)
-    assert names["result"].rates[0].scenes == 4
-    assert {line for block in code for line in block.splitlines() if "import" in line} == {
-        "import bench"
-    }
+def test_the_page_runs_from_the_wheel_in_an_empty_folder(installed: Installed) -> None:
+    [script] = blocks(PAGE, "toml")
+    code = blocks(PAGE, "python")
+    (installed.here / "my-script.toml").write_text(script, encoding="utf-8")
+    seen = """
+import json
+print(json.dumps([bench.__file__, score.success, found.verdict, result.rates[0].scenes]))
+"""
+    said = installed(sys.executable, "-c", "\n".join([*code, seen])).splitlines()
+    place, *rest = json.loads(said[-1])
+    assert Path(place).is_relative_to(installed.site)
+    assert rest == [True, "met", 4]
+    imports = {line for block in code for line in block.splitlines() if "import" in line}
+    assert imports == {"import bench"}
+
+
+@pytest.mark.slow
+def test_a_driver_of_each_kind_from_an_empty_folder(installed: Installed) -> None:
+    page = ROOT / "docs" / "drivers.md"
+    project, rig = blocks(page, "toml")
+    files = {"pyproject.toml": project, "lab.toml": rig}
+    files["lab_drivers.py"] = "\n\n".join(blocks(page, "python"))
+    for name, text in files.items():
+        (installed.here / name).write_text(text, encoding="utf-8")
+    for line in "".join(blocks(page, "sh")).splitlines():
+        words = shlex.split(line)
+        if words[:2] == ["pip", "install"]:
+            installed.pip(*words[2:])
+            continue
+        words[0] = sys.executable if words[0] == "python3" else words[0]
+        said = installed(*words)
+        if "check" in words:
+            assert not re.search("failed|not checked|FAULT", said), said
+        elif words == ["teatbench", "plugin"]:
+            assert said.count("with an emulator") == 4
+
+
+@pytest.mark.slow
+def test_the_wheel_has_types_pages_and_licences(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    for package in ("bench", "detector", "instruments", "reports", "textfiles"):
+        assert f"{package}/py.typed" in names
+    pages = {f"bench/docs/{path.name}" for path in (ROOT / "docs").glob("*.md")}
+    assert pages <= {*names}
+    assert any(name.endswith("licenses/bench/console/static/uPlot.LICENSE.txt") for name in names)
+    kept = subprocess.run(
+        ["git", "ls-files", "bench", "detector", "instruments", "reports", "textfiles"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.split()
+    assert {*kept} <= {*names}
 
 
 if __name__ == "__main__":

@@ -30,6 +30,7 @@ from instruments.errors import (
 )
 from instruments.listener import Listener
 from instruments.world.world import World
+from tests.bench.commands import Said
 from tests.bench.operated_runs import write_calibration
 from tests.lab_drivers import importable
 
@@ -185,3 +186,12 @@ def test_keys_are_text_and_come_back() -> None:
     assert plugin_url("emulator://host:1") is None
     with pytest.raises(LimitError, match="Did you mean 'tank'"):
         load("bath", PluginUrl("tnk"))
+
+
+def test_an_unknown_driver_is_wrong_use_and_those_that_are_there_are_listed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    said = Said(capsys)
+    assert "none is installed" in said(2, "plugin check nothing").err
+    listed = said(0, "plugin").out
+    assert "bath tank: lab-drivers 1.0 (lab_drivers:Tank), with an emulator" in listed
