@@ -137,14 +137,11 @@ def write_report(
     *,
     chapters: tuple[Any, ...] = (),
     damage: tuple[str, ...] = (),
-    single_file: bool = False,
 ) -> Reported:
     """Write the report of a run again: `teatbench report`. Raises ConfigError."""
     from bench.report.page import write_run_report
 
-    page, record, judgements = write_run_report(
-        Path(folder), chapters, damage, single_file=single_file
-    )
+    page, record, judgements = write_run_report(Path(folder), chapters, damage)
     return Reported(Path(folder), page, record, judgements)
 
 
