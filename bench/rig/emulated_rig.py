@@ -113,8 +113,9 @@ class EmulatedRig:
             try:
                 self._bath = LineEmulator(plant, known, clock)
             except ValueError as error:
-                said = (("bath", "profile"), str(error), False)
-                raise located(rig.path, rig.text, [said]) from error
+                if "bath" in r.emulated or not r.emulated:
+                    said = (("bath", "profile"), str(error), False)
+                    raise located(rig.path, rig.text, [said]) from error
         elif isinstance(known, RegisterProfile):
             self._bath = BathEmulator(plant, known, clock, framing=self._framing(known))
         # on a port of its own; without one, and with a controller that turns none, the pump stands

@@ -61,7 +61,13 @@ class Acquirer:
 
     def __init__(self) -> None:
         self.asked: list[str] = []
-        names: tuple[str, ...] = ("DeviceVendorName", "DeviceModelName", "PixelFormat", "ExposureTime", "Gain")
+        names: tuple[str, ...] = (
+            "DeviceVendorName",
+            "DeviceModelName",
+            "PixelFormat",
+            "ExposureTime",
+            "Gain",
+        )
         names += ("ExposureAuto", "TriggerSelector", "TriggerMode", "TriggerSource")
         nodes = SimpleNamespace(**{name: SimpleNamespace(value=name) for name in names})
         nodes.TriggerSoftware = SimpleNamespace(execute=lambda: self.asked.append("exposed"))
@@ -172,7 +178,14 @@ class Pipeline:
 
 def test_a_group_of_a_realsense(driver: Drivers) -> None:
     device, devices = Pipeline(), [Pipeline()]
-    names: tuple[str, ...] = ("infrared", "depth", "y8", "z16", "emitter_enabled", "enable_auto_exposure")
+    names: tuple[str, ...] = (
+        "infrared",
+        "depth",
+        "y8",
+        "z16",
+        "emitter_enabled",
+        "enable_auto_exposure",
+    )
     names += ("exposure", "name", "firmware_version")
     words = SimpleNamespace(serial_number="serial", **{name: name for name in names})
     config = SimpleNamespace(enable_device=lambda _: None, enable_stream=lambda *_: None)

@@ -103,12 +103,8 @@ def test_all_services_run_that_script_in_the_image_of_the_locked_versions() -> N
         assert "TEATBENCH_IMAGE" in image
     for lines in (steps, GITLAB["score"]["script"], re.findall(r"sh '(.*)'", jenkins)):
         assert lines[-1].startswith("bash score.sh ")
-    assert (
-        re.search(r"junit testResults: '(.*?)'", jenkins)[1]
-        == (  # type: ignore[index]
-            GITLAB["score"]["artifacts"]["reports"]["junit"]
-        )
-    )
+    [junit] = re.findall(r"junit testResults: '(.*?)'", jenkins)
+    assert junit == GITLAB["score"]["artifacts"]["reports"]["junit"]
     docker = (ROOT / "Dockerfile").read_text(encoding="utf-8")
     installing = re.findall(r"bin/pip install --no-cache-dir (.*?)(?: \\)?$", docker, re.MULTILINE)
     assert installing == [

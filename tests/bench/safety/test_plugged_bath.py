@@ -22,7 +22,7 @@ from instruments.listener import Listener
 from instruments.world.plant import Plant
 from tests.bench.commands import Said
 from tests.bench.operated_runs import write_calibration
-from tests.bench.real_rig import SCRIPT
+from tests.bench.real_rig import script_of
 from tests.bench.safety.guards import standby_after
 from tests.lab_drivers import importable
 
@@ -111,7 +111,7 @@ def test_the_guardian_opens_it_by_itself(mode: str, lab: Lab) -> None:
 
 def test_a_rig_that_is_emulated_in_part_is_marked(lab: Lab, said: Said) -> None:
     script = lab.folder / "short.toml"
-    script.write_text(SCRIPT.format(window_s=2.0, repeats=1), encoding="utf-8")
+    script.write_text(script_of(), encoding="utf-8")
     out = lab.folder / "runs"
     shown = said(0, "run {} --rig {} --out {}", script, lab.rig(), out).out
     (folder,) = out.iterdir()
