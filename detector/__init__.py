@@ -1,3 +1,19 @@
 """Pixels to millimetres: calibration, geometry, teat detectors. numpy, OpenCV and scipy only, and
-numba where it is installed.
+numba where it is installed. For detectors of other packages: what they take and give.
 """
+
+from textfiles.lazy import lazily
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from detector.calibration import Calibration
+    from detector.protocol import Context, Detection, Detector, Frames, Stage, Teat
+
+_PROMISED = {
+    "detector.calibration": ("Calibration",),
+    "detector.protocol": ("Context", "Detection", "Detector", "Frames", "Stage", "Teat"),
+}
+__all__ = [
+    "Calibration", "Context", "Detection", "Detector", "Frames", "Stage", "Teat",
+]  # fmt: skip
+__getattr__ = lazily(__name__, _PROMISED)

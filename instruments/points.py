@@ -111,6 +111,8 @@ class PointArm:
     """
 
     moves: ClassVar[bool] = False
+    touches: ClassVar[bool] = False
+    pedals: ClassVar[bool] = False
     safe_state: ClassVar[str] = "its software's own; the bench only reads points"
     homing: ClassVar[str] = (
         "Reference the measuring arm as its maker says, and have its software ready for points."
@@ -192,6 +194,18 @@ class PointArm:
         self._open = self._ready = False
 
     close = safe
+
+    def glance(self) -> Reading | None:
+        """None: a point is there once it is touched."""
+        return None
+
+    def buttons(self) -> int:
+        """No pedals are known of it."""
+        return 0
+
+    def touch(self, point_mm: Floats, axis: Floats) -> None:
+        """Raises LimitError: it is moved by hand."""
+        raise LimitError(self.who, f"it has no motor to go to {point_mm} along {axis}")
 
     def read(self, n: int = 1, max_spread_mm: float = 0.0) -> Reading:  # noqa: ARG002 - one point
         """The point touched last. Raises TouchAgainError for none, several or an unusable one;

@@ -4,15 +4,12 @@ says how either is made again.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
 
-from bench.campaign.quantities import QUANTITIES
-from bench.report.sensitivity import PAGE, POINTS, numbers_page
 from bench.report.tables import ALL
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said
@@ -31,10 +28,6 @@ from tests.doc_figures import (
     standing,
 )
 from tests.undrawn import undrawn
-
-SENSITIVITY = "../sensitivity/"
-HERD = ROOT / "docs" / "figures" / "herd.json"
-SHARES = ("within_5_mm", "last_within_5_mm", "swapped_within_5_mm")
 
 
 def page(path: str) -> str:
@@ -105,77 +98,6 @@ def test_the_readmes_command_shows_the_readmes_figures(
     assert middle == pytest.approx(float(claim["p50"]), abs=0.05)
     assert most == pytest.approx(float(claim["most"]), abs=0.05)
     assert [theirs[1].split()[0], theirs[2]] == [claim["theirs"], claim["false"]]
-
-
-def test_sentences_on_the_herd() -> None:
-    """As `teatbench campaign herd --json` of these cows, visits and seed printed it."""
-    herd = json.loads(HERD.read_text(encoding="utf-8"))
-    left = herd["unseen"] - herd["found"]
-    shares = [f"{100 * herd[key]:.0f} %" for key in SHARES]
-    text = page("docs/campaigns.md")
-    for words in (
-        (
-            f"{herd['cows']} cows x {herd['visits_each']} visits (seed {herd['seed']}, looked at with"
-            f" four versions) {herd['unseen']} ends were unseen, of which `fused` saw {herd['found']} after all. It"
-            f" predicted {herd['predicted']} of the other {left}:"
-        ),
-        (
-            f"{herd['median_mm']:.1f} mm off in the median, where the last visit alone is"
-            f" {herd['last_median_mm']:.1f} mm off; {shares[0]} of the {left} within 5 mm (the last"
-            f" visit: {shares[1]}; another cow's history: {shares[2]})."
-        ),
-        (
-            f"{100 * herd['inside']:.1f} % were within their 95 % region, of"
-            f" {herd['median_volume_ml']:.1f} ml in the median."
-        ),
-        f"predicted at {herd['invented_visits']} of {herd['visits']} visits",
-    ):
-        assert words in text
-
-
-def test_sensitivity_as_measured_is_that_of_its_points() -> None:
-    """Where it isn't, `teatbench scene sensitivity` with the command of docs/scene.md writes
-    both.
-    """
-    text = (ROOT / "docs" / "sensitivity" / PAGE).read_text(encoding="utf-8")
-    assert text == numbers_page(
-        list(QUANTITIES.values()), read(SENSITIVITY + POINTS), text.split("\n\n")[1]
-    )
-
-
-def test_sentences_on_sensitivity() -> None:
-    rows, note = read(SENSITIVITY + POINTS), page("docs/scene.md")
-
-    def of(detector: str, quantity: str = "", *, key: str = "median_mm") -> list[tuple[float, ...]]:
-        """Value, found, visible, and what is asked for where it was measured."""
-        return [
-            (*(float(row[name]) for name in ("value", "found", "visible")), float(row[key]))
-            for row in rows
-            if row["detector"] == detector and quantity in ("", row["quantity"]) and row[key]
-        ]
-
-    medians = [one[3] for one in of("thesis")]
-    assert (round(min(medians)), round(max(medians))) == (11, 18)
-    assert "`thesis` is 11 to 18 mm off in the median" in note
-    assert not of("thesis", "arm-gap")  # it finds none
-    assert [one[0] for one in of("thesis", "range")] == [1.0, 1.15]
-    assert "flat until noise passes some four grey levels" in note
-    noise = {one[0]: one[3] for one in of("fused", "pixel-noise")}
-    flat, risen = ([by for at, by in noise.items() if (at > 4) is over] for over in (False, True))
-    assert max(flat) < 1.2 * noise[0.4] < min(risen)
-    assert "It loses no end by lean, range, contrast, overlap or noise of the pictures" in note
-    lost = {
-        (row["quantity"], float(row["value"])): int(row["found"]) / int(row["visible"])
-        for row in rows
-        if row["detector"] == "fused" and row["found"] != row["visible"]
-    }
-    assert {quantity for quantity, _ in lost} == {"calibration", "arm-gap", "netd"}
-    assert "a few before an arm, and some where the calibration is wrong by 0.4 px and more" in note
-    assert [value for quantity, value in lost if quantity == "calibration"] == [0.4, 0.5]
-    assert min(share for (quantity, _), share in lost.items() if quantity == "arm-gap") > 0.8
-    assert min(value for quantity, value in lost if quantity == "netd") > 2.0
-    away = zip(of("fused", "range"), of("fused", "range", key="disparity_mm"), strict=True)
-    assert all(one[3] < 1.5 * other[3] for one, other in away)
 
 
 @pytest.mark.slow

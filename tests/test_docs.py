@@ -31,6 +31,7 @@ from bench.toml import toml_text
 from detector import registry
 from detector.geometry import Motion
 from instruments.bath.profile import SHIPPED, load_profile
+from instruments.drivers.entry_points import EMULATORS, GROUPS
 from tests.bench import operated_runs, small_run
 from tests.bench.calibrate.arm_terminal import at_terminal
 from tests.bench.calibrate.board_pictures import (
@@ -76,7 +77,6 @@ STAND_INS = {
     r"record --situation overlapping": "record --rig my-rig.toml --situation overlapping",
     r"--seeds 3 --out \S+": "--seeds 1 --out recordings/few",
     r"sheet --out": "sheet --rig my-rig.toml --situation ideal --out",
-    r"--seeds 12": "--seeds 1 --quantity pixel-noise --rig my-rig.toml",
     r"--seeds (5|6|8|200)": "--seeds 1",
     r"--scenes 400": "--scenes 1 --workers 1 --rig my-rig.toml",
     r"thermal PICTURES": "thermal heated-pictures",
@@ -272,7 +272,9 @@ def models_of(text: str, folder: Path) -> object:
 
 
 def entry_point_of(text: str, folder: Path) -> object:
-    return tomllib.loads(text)["project"]["entry-points"][registry.GROUP]
+    groups = tomllib.loads(text)["project"]["entry-points"]
+    known = {registry.GROUP, *GROUPS.values(), *EMULATORS.values()}
+    return {*groups} <= known
 
 
 LOADED: dict[str, Callable[[str, Path], object]] = {  # by a key that only such a file has

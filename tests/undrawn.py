@@ -10,7 +10,7 @@ from typing import Any
 from unittest.mock import patch
 
 NO_FIGURE = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"/>'
-DRAWN_IN = ("course", "drawing", "errors", "plane", "sensitivity", "situations")
+DRAWN_IN = ("course", "drawing", "errors", "plane", "precision", "situations")
 
 
 @contextmanager

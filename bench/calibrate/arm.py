@@ -34,18 +34,18 @@ from bench.rig.arm_files import (
     swing_text,
     world_from_arm,
 )
-from bench.rig.devices import AnyArm
-from bench.rig.model import Arm, Baud
+from bench.rig.model import Arm as ArmTable
+from bench.rig.model import Baud
 from bench.rig.opening import open_instruments, pedal_watch, rig_of
 from bench.rig.urls import EMULATED, arm_url
 from bench.script.model import ArmRequirement, find_script, load_script
 from instruments.captures.capture import CaptureFile
 from instruments.clock import Clock, RealClock, wall_time
+from instruments.drivers.protocols import Arm
 from instruments.errors import TouchAgainError
-from instruments.microscribe.driver import MicroScribe, Reading
+from instruments.microscribe.driver import Reading
 from instruments.operators.console import Console
 from instruments.operators.operator import Task
-from instruments.points import PointArm
 
 Floats = NDArray[np.float64]
 
@@ -74,7 +74,7 @@ DIRECTIONS = (
 class ArmSession:
     """A signed-on arm and the person beside it. Questions raise OperatorAbort."""
 
-    arm: AnyArm
+    arm: Arm
     clock: Clock
     console: Console
     trying: TryingArm | None
@@ -82,8 +82,7 @@ class ArmSession:
     def confirm_homing(self, *, homed: bool) -> None:
         """Confirm homing, where it isn't known by asking. Raises OperatorAbort."""
         if not homed:
-            points = isinstance(self.arm, PointArm)
-            self.console.ask(Task(self.arm.homing if points else HOMED))
+            self.console.ask(Task(HOMED if self.arm.pedals else self.arm.homing))
         self.arm.confirm_homed()
 
     def ask(self, text: str) -> None:
@@ -118,14 +117,13 @@ def open_arm(
         if port == EMULATED:
             trying = stack.enter_context(TryingArm(clock, length_mm=length_mm or 300.0))
         url = trying.url if trying else port
-        rig = rig_of(arm=Arm.model_construct(url=url, baud=baud, answer_s=answer_s))
+        rig = rig_of(arm=ArmTable.model_construct(url=url, baud=baud, answer_s=answer_s))
         with open_instruments(rig, ("arm",), clock, capture=capture) as devices:
             arm = devices.arm
             arm.sign_on()
-            watch = partial(pedal_watch, arm, clock) if isinstance(arm, MicroScribe) else None
+            watch = partial(pedal_watch, arm, clock) if arm.pedals else None
             console = Console(sys.stdin, sys.stdout, clock, watch=watch)
-            if isinstance(arm, PointArm):
-                arm.asked_of(console)
+            arm.asked_of(console)
             yield ArmSession(arm, clock, console, trying)
 
 

@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from bench.campaign.perturbations import Applied
-from bench.campaign.quantities import AT, varied
 from bench.record.recording import FIELDS, TruthRow
 from bench.results.answers import Answer, examine, score_answer
 from bench.rig.scenes import Drawn, draw, warm
@@ -30,7 +29,7 @@ from instruments.world.scene import Renderer
 from instruments.world.setups import Situation
 from instruments.world.situations import member as member_of
 
-LIMIT_MM = 5.0  # of the error of each teat; thesis, section 1.4.3
+LIMIT_MM = 5.0  # of the error of each teat end; thesis, section 1.4.3
 ASIDE = "set aside"  # no failure of the detector: the bench could not do the scene
 WRONG = ("false", "missed", "error")  # failures of an answer, the gravest first
 DIGEST_BYTES = 8  # of SHA-256: a million scenes have the same one with a chance of 3e-8
@@ -43,7 +42,7 @@ SHARES = 255  # a parameter's share of its range is kept in so many steps
 
 @dataclass(frozen=True, slots=True, order=True)
 class Scene:
-    """A member of a family, or of a quantity at a value (`quantities`)."""
+    """A member of a family."""
 
     family: str
     member: int
@@ -142,20 +141,10 @@ class Rows:
         return Rows(*(getattr(self, name) + getattr(other, name) for name in names))
 
 
-def run_scene(bench: Bench, scene: Scene, found: Situation | None = None) -> Rows:
-    """The rows of one scene, ``found`` its situation where it isn't the member's. Raises
-    ValueError.
-    """
+def run_scene(bench: Bench, scene: Scene) -> Rows:
+    """The rows of one scene. Raises ValueError."""
     started_s, used_before_s = stopwatch_s(), processor_s()
-    parameters: Mapping[str, Parameter] = {}
-    if at := varied(scene.family):
-        renderer = at.renderer(bench.renderer, bench.seed)
-        stated = at.quantity.stated(at.value, scene.member, bench.calibration)
-        exact = bench.exact and stated is bench.calibration
-        bench = replace(bench, renderer=renderer, calibration=stated, exact=exact)
-        found = at.quantity.set_up(at.value, scene.member, renderer)
-    if found is None:
-        found, parameters = member_of(scene.family, scene.member)
+    found, parameters = member_of(scene.family, scene.member)
     drawn, stated = draw_scene(bench, scene, found)
     digest, shares = digest_of_frames(drawn.frames), [_share(one) for one in parameters.values()]
     rows: list[SceneRow] = []
@@ -181,9 +170,8 @@ def draw_scene(bench: Bench, scene: Scene, found: Situation) -> tuple[Drawn, Cal
     stated = bench.calibration
     for perturbation in bench.perturbations:
         stated = perturbation.stated(stated)
-    noise = scene.family.partition(AT)[0]  # the same at all values of a quantity
     own = [bench.seed, scene.member]
-    drawn = draw(bench.renderer, noise, warm(found), own, bench.perturbations, seeds)
+    drawn = draw(bench.renderer, scene.family, warm(found), own, bench.perturbations, seeds)
     if bench.exact and stated is bench.calibration:
         stated = replace(stated, covariance=EXACT)
     return drawn, stated

@@ -14,13 +14,10 @@ from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import Field, field_validator, model_validator
 
-import bench
 import detector
 import instruments.world
-from bench import __version__
 from bench.campaign.chunk import LIMIT_MM, Bench, Scene
 from bench.campaign.perturbations import Applied
-from bench.campaign.quantities import FAMILY, varied
 from bench.config import (
     ConfigError,
     Positive,
@@ -37,6 +34,7 @@ from bench.scoring.rates import Rate
 from bench.scoring.sequential import confidence_sequence
 from bench.script.detectors import EXEC, FILE, introduced, make_detectors
 from bench.toml import toml_text
+from bench.version import __version__
 from detector.calibration import Calibration
 from detector.outline import fast
 from detector.protocol import Detector
@@ -50,9 +48,9 @@ LIBRARIES = ("numpy", "opencv-python-headless", "scipy")
 MAKES_ROWS = (
     *(Path(detector.__file__).parent, Path(instruments.world.__file__).parent),
     *(
-        Path(bench.__file__).parent / name
+        Path(__file__).parents[1] / name
         for name in (
-            *("campaign/chunk.py", "campaign/perturbations.py", "campaign/quantities.py"),
+            *("campaign/chunk.py", "campaign/perturbations.py"),
             *("rig/scenes.py", "results/answers.py", "scoring/scene.py"),
             *("scoring/matching.py", "scoring/errors.py"),
         )
@@ -132,10 +130,10 @@ class Plan(Section):
         start = self.first + part * self.chunk_scenes
         return Chunk(self.families[family], part, range(start, start + self.scenes_of(part)))
 
-    def asked_of(self, members: int | None = None) -> dict[str, range]:
-        """Family -> members; a quantity at a value (`quantities`) is of the family ``ideal``."""
-        these = range(self.first, self.first + (members or self.most_scenes))
-        return {FAMILY if varied(family) else family: these for family in self.families}
+    def asked_of(self) -> dict[str, range]:
+        """Family -> members."""
+        these = range(self.first, self.first + self.most_scenes)
+        return dict.fromkeys(self.families, these)
 
     def scenes_of(self, part: int) -> int:
         """Scenes of chunk ``part`` of a family: the last may have fewer."""
@@ -209,7 +207,7 @@ def with_whole_paths(plan: SomePlan, folder: Path) -> SomePlan:
     return plan.model_copy(update=changed)
 
 
-def open_plan(plan: Plan, members: int | None = None) -> tuple[Job, dict[str, str]]:
+def open_plan(plan: Plan) -> tuple[Job, dict[str, str]]:
     """The plan's job, and the identity of the rows that it makes, for so many ``members`` of a
     family. Raises ConfigError, also for scenes that a detector was trained on.
     """
@@ -219,7 +217,7 @@ def open_plan(plan: Plan, members: int | None = None) -> tuple[Job, dict[str, st
     true = rig.calibration
     stated = read_calibration(Path(plan.calibration)) if plan.calibration else true
     detectors = make_detectors(plan.detectors)
-    with introduced(detectors, plan.asked_of(members)):
+    with introduced(detectors, plan.asked_of()):
         devices = {one.name: getattr(one, "device", "") for one in detectors}
     sensors = {
         name: getattr(rig.rig.emulation, name).model_copy(

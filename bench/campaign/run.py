@@ -37,10 +37,6 @@ def plan_of(folder: Path) -> Plan:
     return read_plan(folder / PLAN)
 
 
-class OtherCampaignError(ConfigError):
-    """The folder's rows were made by something else."""
-
-
 class Executor(Protocol):
     """Works on chunks, in whatever order; asks for one when there is room."""
 
@@ -100,7 +96,7 @@ class Campaign:
                     " of its own by --out"
                 )
             if lines := differences(kept, kept.made_by, plan, self.made_by):
-                raise OtherCampaignError.plain(
+                raise ConfigError.plain(
                     f"{folder} holds a campaign of another kind, whose rows don't go with these:\n"
                     f"{lines}\nName another --out, or go back to what made it."
                 )

@@ -24,8 +24,8 @@ from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import FrameError, Grey
 from instruments.camera.quality import edge_blur_px
 from instruments.clock import Clock
+from instruments.drivers.protocols import Stage
 from instruments.errors import LimitError
-from instruments.stage.driver import Stage
 
 Pictures = Mapping[str, Grey]
 

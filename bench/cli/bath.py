@@ -13,6 +13,7 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -190,7 +191,7 @@ def open_bath(
     with open_instruments(
         rig, ("bath",), capture=capture, identify=identify, leave_running=leave_running
     ) as devices:
-        yield devices.bath, devices.clock
+        yield cast(Bath, devices.bath), devices.clock  # a profile's rows are spoken by no other
 
 
 def seconds_to_stable(gate: StabilityGate, rate_k_per_s: float | None) -> float | None:

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from bench import __version__
 from bench.calibrate import exchange
 from bench.calibrate.cameras import (
     LEAST_LOOKED_AT,
@@ -61,6 +60,7 @@ from bench.rig.loading import LoadedRig, find_board, find_rig, load_rig
 from bench.rig.opening import open_instruments
 from bench.script.calibration_age import refuse_other_cameras
 from bench.truth.touching import TipReader
+from bench.version import __version__
 from detector.calibration import (
     DEFAULT_PLANE_DEPTH_MM,
     Calibration,

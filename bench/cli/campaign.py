@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
-from dataclasses import asdict, astuple
-from pathlib import Path
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from bench.cli.arguments import CODES, complain, json_of
 from bench.config import ConfigError
 
 if TYPE_CHECKING:
-    from bench.campaign.dask_cluster import DaskPool
+    from bench.api.campaigns import CampaignResult
     from bench.campaign.plan import Plan
-    from bench.campaign.run import Campaign, Executor, Status
+    from bench.campaign.run import Status
 
 # flag -> key of a plan, in its order
 SAME = ("first", "seed", "rig", "calibration", "limit_mm", "chunk_scenes")
@@ -24,42 +22,32 @@ FLAGS |= {"detector": "detectors", **{name: name for name in SAME}}
 
 
 def run(given: argparse.Namespace) -> int:
-    from bench.campaign.run import Campaign, locked
-    from bench.report.campaign import write_campaign_page
-    from bench.results.answers import close_detectors
+    from bench import run_campaign
 
-    campaign = Campaign(_plan(given), given.out)
-    with locked(given.out):
-        status = finish(campaign, "campaign", given.workers, given.dask)
-        if status is None:
-            return CODES.fault
-        job = campaign.job
-        detectors = job.make_detectors()
-        try:
-            bench = job.bench(job.renderer(), detectors)
-            page = write_campaign_page(given.out, campaign.plan, campaign.made_by, bench)
-        finally:
-            close_detectors(detectors)
-        return _print_status(given, campaign, status, page)
+    plan, found = _plan(given), None
+    with working_on("campaign") as how:
+        found = run_campaign(plan, given.out, workers=given.workers, dask=given.dask, **how)
+    return _print_result(given, found) if found else CODES.fault
 
 
-def finish(campaign: Campaign, what: str, workers: int | None, dask: str | None) -> Status | None:
-    """Do what is left of a campaign; None where it was stopped, which is said."""
+@contextmanager
+def working_on(what: str) -> Iterator[dict[str, Any]]:
+    """Arguments of `run_campaign` that show on a bar how far it is. What stops it is told."""
     from bench.campaign.pool import PoolError
     from bench.cli.terminal import working
 
-    campaign.begin()
+    def progress(status: Status) -> tuple[int, int, str]:
+        failed = ", ".join(f"{name} {count}" for name, count in sorted(status.failures.items()))
+        aside = f"; set aside {status.aside}" if status.aside else ""
+        return status.done, status.planned, f"failures: {failed or 'none yet'}{aside}"
+
     try:
-        with (
-            working(what, pace="scenes") as shown,
-            executor(campaign, workers, dask, shown.say) as made,
-        ):
-            return campaign.run(made, lambda status: shown(*progress(status)), shown.say)
+        with working(what, pace="scenes") as shown:
+            yield {"progress": lambda status: shown(*progress(status)), "say": shown.say}
     except KeyboardInterrupt:
         complain("interrupted; give the same command again to go on where it stopped", CODES.fault)
     except PoolError as error:
         complain(f"{error} The same command goes on where it stopped.", CODES.fault)
-    return None
 
 
 def show(given: argparse.Namespace) -> None:
@@ -87,12 +75,12 @@ def compare(given: argparse.Namespace) -> int:
 
 
 def chunk(given: argparse.Namespace) -> int:
+    from bench.api.campaigns import executor, plan_of
     from bench.campaign.chunk import ASIDE, Scene
-    from bench.campaign.plan import read_plan
     from bench.campaign.pool import PoolError
     from bench.campaign.run import Campaign
 
-    plan = read_plan(given.plan)
+    plan = plan_of(given.plan)
     if given.number is None:
         print(plan.chunk_count)
         return CODES.met
@@ -132,72 +120,10 @@ def query(given: argparse.Namespace) -> None:
     print(plain_table(names, texts))
 
 
-def search(given: argparse.Namespace) -> int:
-    from bench.campaign.failures import SEARCH, Searching
-    from bench.cli.terminal import working
-
-    searching = Searching(_plan(given), given.out, given.members)
-    try:
-        with working("search", pace="scenes") as shown:
-            found = searching.run(given.rate_scenes, shown)
-    except KeyboardInterrupt:
-        return complain(
-            f"interrupted; {given.out / SEARCH} has the members that were done", CODES.fault
-        )
-    if given.json:
-        rates = [{"family": family, **asdict(rate)} for family, rate in found.rates.items()]
-        hits = [asdict(one) for one in found.hits]
-        failures = [asdict(one) for one in found.failures]
-        print(json_of({"hits": hits, "failures": failures, "rates": rates}))
-        return CODES.met
-    counts = ["scenes", "failures", "distinct"]
-    rows = [[one.family, *map(str, astuple(one)[1:])] for one in found.hits]
-    print("Hits of the search (no rate):")
-    print(plain_table(["family", "member", *counts], rows))
-    rows = [
-        [str(one.number), f"{one.family} {one.member}", one.failure, f"{one.grade_mm:.1f}"]
-        for one in found.failures
-    ]
-    if rows:
-        print(plain_table(["failure", "member", "kind", "grade (mm)"], rows))
-    for family, rate in found.rates.items():
-        print(
-            f"Rate of {family}, from {rate.scenes} weighted scenes: {rate.value:.2%} (95 %"
-            f" interval, two-sided: {rate.low:.2%} to {rate.high:.2%})"
-        )
-    print(f"Written: {given.out / SEARCH}")
-    return CODES.met
-
-
-def herd(given: argparse.Namespace) -> None:
-    from bench.campaign.herd import run_herd, score
-    from bench.cli.terminal import working
-
-    with working("herd", pace="visits") as shown:
-        found = run_herd(given.out, given.cows, given.visits, given.seed, given.workers, shown)
-    one = score(found, given.cows, given.visits)
-    if given.json:
-        print(json_of({k: v if v == v else None for k, v in asdict(one).items()}))
-        return
-    print(f"{one.visits} visits with a history; {one.unseen} unseen ends, {one.found} found.")
-    rows = [
-        ["own history", f"{one.median_mm:.1f}", f"{one.within_5_mm:.1%}"],
-        ["the last visit", f"{one.last_median_mm:.1f}", f"{one.last_within_5_mm:.1%}"],
-        ["another cow's history", "", f"{one.swapped_within_5_mm:.1%}"],
-    ]
-    print(plain_table(["by", "median (mm)", "within 5 mm"], rows))
-    print(
-        f"{one.predicted} predicted, {one.inside:.1%} of them within their 95 % region"
-        f" ({one.median_volume_ml:.1f} ml in the median); a teat invented at {one.invented_visits}"
-        " visits."
-    )
-    print(f"Written: {given.out}")
-
-
 def keep(given: argparse.Namespace) -> None:
-    from bench.campaign.failures import keep as kept
+    from bench.testing.found import keep as kept
 
-    frame = kept(given.folder, given.number, given.into, given.name)
+    frame = kept(given.folder, given.into, given.name)
     print(f"{frame} in {given.into}")
 
 
@@ -213,9 +139,7 @@ def plain_table(names: list[str], rows: list[list[str]]) -> str:
 
 def _plan(given: argparse.Namespace) -> Plan:
     """Of the file, or of the flags. Raises ConfigError."""
-    from pydantic import ValidationError
-
-    from bench.campaign.plan import Plan, read_plan, with_whole_paths
+    from bench.api.campaigns import plan_of
 
     flags = {
         key: value
@@ -230,56 +154,20 @@ def _plan(given: argparse.Namespace) -> Plan:
                 f"{', '.join(flags)}: both a plan and flags say what is asked for; put it into"
                 f" {given.plan}, or leave that out"
             )
-        return read_plan(given.plan)
-    try:
-        return with_whole_paths(Plan.model_validate(flags), Path())
-    except ValidationError as error:
-        why = "; ".join(str(one["msg"]).removeprefix("Value error, ") for one in error.errors())
-        raise ConfigError.plain(why) from error
-
-
-@contextmanager
-def executor(
-    campaign: Campaign, workers: int | None, dask: str | None, say: Callable[[str], None]
-) -> Iterator[Executor]:
-    """Processes of this machine, all its processors for None, or a cluster. Raises ConfigError."""
-    from bench.campaign.pool import LocalPool, usable_processors
-
-    pool: LocalPool | DaskPool
-    if dask is None:
-        pool = LocalPool(campaign.job, workers or usable_processors(), say=say)
-    else:
-        try:
-            from bench.campaign.dask_cluster import DaskPool
-        except ImportError as error:
-            raise ConfigError.plain(
-                f"--dask needs another package: pip install 'teatbench[campaign]' ({error})"
-            ) from error
-        pool = DaskPool(campaign.job, dask, say=say)
-    with closing(pool):
-        yield pool
+        return plan_of(given.plan)
+    return plan_of(flags)
 
 
 def _say(text: str) -> None:
     complain(text, CODES.met)
 
 
-def progress(status: Status) -> tuple[int, int, str]:
-    """Scenes done, planned, and failures so far, for a bar."""
-    failed = ", ".join(f"{name} {count}" for name, count in sorted(status.failures.items()))
-    aside = f"; set aside {status.aside}" if status.aside else ""
-    return status.done, status.planned, f"failures: {failed or 'none yet'}{aside}"
-
-
-def _print_status(given: argparse.Namespace, campaign: Campaign, status: Status, page: Path) -> int:
-    from bench.campaign.numbers import family_rates, scenes_aside
+def _print_result(given: argparse.Namespace, result: CampaignResult) -> int:
     from bench.scoring.rates import percent
 
-    with campaign.shards.connect() as db:
-        rates, aside = family_rates(db), scenes_aside(db)
-    of = campaign.plan.interval
-    spans = [(rate, of(rate.failures, rate.scenes) or (None, None)) for rate in rates]
-    digest = campaign.shards.digest()
+    campaign, status = result.campaign, result.status
+    digest, aside, page = result.digest, result.aside, result.page
+    spans = list(zip(result.rates, (of or (None, None) for of in result.intervals), strict=True))
     if given.json:
         keys = (
             *("family", "detector", "scenes", "failures", "visible", "found", "false_teats"),

@@ -25,7 +25,7 @@ from bench.cli.arguments import (
 TASKS = {
     "run trials": ("run", "resume", "control", "console", "report", "runs", "trials", "plan"),
     "test a detector": ("score", "detectors", "detect", "compare", "scene", "campaign"),
-    "set up a rig": ("init", "check", "rigs", "calibrate", "emulate"),
+    "set up a rig": ("init", "check", "rigs", "calibrate", "emulate", "plugin"),
     "use one instrument alone": ("arm", "bath", "stage", "camera"),
     "keep and exchange what was recorded": ("store", "recording", "replay-wire"),
     "this program": ("help",),
@@ -47,7 +47,8 @@ BAUDS = (9600, 14400, 19200, 28800, 38400, 57600, 115200)
 # of detector.calibration.cameras, which is heavy to import
 MODELS = ("k1", "k1 k2", "k1 k2 p1 p2", "k1 k2 p1 p2 k3")
 CAMERAS = ("left", "right", "thermal")
-LANGUAGES = ("python", "javascript", "cpp", "onnx")
+KINDS = ("arm", "bath", "camera", "stage")  # of drivers
+LANGUAGES = ("python", "javascript", "cpp")
 
 SECONDS = number("a number of seconds above 0", above=0.0)
 ABOVE_0 = number("a number above 0", above=0.0)
@@ -454,7 +455,6 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             "the recording; one that is there is added to",
             default=Path("recordings/situations"),
         ),
-        option("--coco FILE", "a new file for masks and key points of these frames (JSON)", Path),
     ),
     "scene boards": (
         "draw a calibration board all over the view, for 'teatbench calibrate'",
@@ -476,25 +476,6 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             "--out DIR",
             "the folder to write to; one that is there is added to",
             default=Path("recordings/boards"),
-        ),
-    ),
-    "scene sensitivity": (
-        (
-            "draw how errors grow with noise, range, tilt and so on, beside the physical limit"
-            " (help scene)"
-        ),
-        "scene sensitivity --detector fused --out sensitivity",
-        DETECTORS,
-        option("--quantity NAME", ALL, many=True),
-        CAMERAS_OF,
-        option("--seeds N", "scenes at each value", whole(1), 6),
-        option("--first N", "the first scene's seed", whole(0), 0),
-        SCENE_SEED,
-        WORKERS,
-        option(
-            "--out DIR",
-            "the folder to write to; goes on where it stopped, else files there are replaced",
-            default=Path("sensitivity"),
         ),
     ),
     "campaign run": (
@@ -533,45 +514,12 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option("number N", "the chunk's number, from 0", whole(0), nargs="?"),
         option("--out DIR", "the campaign's folder (default: the plan's, where that is one)"),
     ),
-    "campaign search": (
-        "search for scenes on which a detector fails, around members of the families",
-        "campaign search --family low_contrast --scenes 100 --rate-scenes 200 --out searches/low",
-        *PLAN_OR_FAMILIES,
-        option(
-            "--scenes N", "scenes tried around each member (default: 100)", whole(1, 10_000_000)
-        ),
-        option(
-            "--members N", "members of each family that are searched around", whole(1, 10_000), 1
-        ),
-        option("--rate-scenes N", "weighted scenes for each family's rate", whole(0, 1_000_000), 0),
-        DETECTORS,
-        FIRST_MEMBER,
-        option("--seed N", "seed of noise, fixed patterns and the search (default: 1)", whole(0)),
-        CAMERAS_OF,
-        CALIBRATION,
-        LARGEST,
-        option("--out DIR", "the search's folder, a new one", required=True),
-        JSON,
-    ),
-    "campaign herd": (
-        "simulate cows that come several times, and score what fused makes of their history",
-        "campaign herd --cows 40 --visits 20 --seed 2 --out herds/first",
-        option("--cows N", "how many", whole(2, 10_000), 40),
-        option(
-            "--visits N", "of each cow; the first three only make her history", whole(4, 1000), 20
-        ),
-        option("--seed N", "of cows, visits and noise", whole(0), 1),
-        WORKERS,
-        option("--out DIR", "the herd's folder, a new one", Path, required=True),
-        JSON,
-    ),
     "campaign keep": (
-        "add a failure that a search found to a recording, to score later versions on",
-        "campaign keep searches/low 1 --into recordings/kept --name grey-on-grey",
-        option("folder DIR", "the search's folder"),
-        option("number N", "the failure's number", whole(1)),
-        option("--into DIR", "the recording; one that is there is added to", required=True),
-        option("--name NAME", "name of the frame (default: family, member and number)", str),
+        "add the scene that a test found to a recording, to score later versions on",
+        "campaign keep found/test_mine --into recordings/kept --name grey-on-grey",
+        option("folder DIR", "the folder that the failing test wrote", Path),
+        option("--into DIR", "the recording; one that is there is added to", Path, required=True),
+        option("--name NAME", "name of the frame (default: the folder's)", str),
     ),
     "campaign show": (
         "draw scenes of a campaign again, with truth and answers, as a page",
@@ -978,11 +926,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "detectors new": (
         "write a program that answers, and its file, to make your own detector from",
         "detectors new python --name mine",
-        option(
-            "language LANGUAGE",
-            "python, javascript, cpp, or onnx: a learned one, with its training",
-            choices=LANGUAGES,
-        ),
+        option("language LANGUAGE", "python, javascript or cpp", choices=LANGUAGES),
         option("--name NAME", "what it is called", default="my_detector"),
         option(
             "--out DIR",
@@ -1006,6 +950,18 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "help record",
         option("topic TOPIC", "a page, or a command that a page explains", nargs="?"),
     ),
+    "plugin": (
+        "list the drivers of other packages (docs/drivers.md)",
+        "plugin",
+    ),
+    "plugin check": (
+        "run the conformance suite on a driver, on its emulator where its package has one",
+        "plugin check tank",
+        option("name NAME", "the driver, or plugin:NAME?key=value for a device"),
+        option("--kind", "of which kind, where several have this name", choices=KINDS),
+        flag("--works", "a real device may be made to heat or to move"),
+        flag("--json", "print JSON instead of a line a check"),
+    ),
 }
 # where a command's or a group's functions are, unless in the module of the same name
 MODULES = {
@@ -1026,6 +982,7 @@ FUNCTIONS = {
     "detectors": "listed",
     "detectors try": "try_out",
     "trials": "listed",
+    "plugin": "listed",
 }
 ONCE = {"control": ("tell",)}  # names of earlier releases, which work for one more
 
@@ -1056,22 +1013,18 @@ NEXT: Mapping[str, tuple[str, str]] = {
         "calibrate cameras {out} --board {board} --out cameras.toml",
         "help calibration",
     ),
-    "scene sensitivity": ("help scene", "campaign run --family ideal --out campaigns/ideal"),
     "campaign run": ('campaign query {out} "SELECT * FROM scenes"', "campaign compare {out} OTHER"),
     "campaign chunk": ("campaign chunk {plan}", "help campaigns"),
-    "campaign search": (
-        "campaign show {out} SCENE",
-        "campaign keep {out} 1 --into recordings/kept",
-    ),
-    "campaign herd": ("help campaigns", "help detectors"),
     "campaign keep": ("score {into} --detector fused", "detect {into} --detector fused"),
-    "campaign show": ("campaign keep {folder} 1 --into recordings/kept", "help campaigns"),
+    "campaign show": ("campaign compare {folder} OTHER", "help campaigns"),
     "campaign compare": ("help campaigns", "help scoring"),
     "campaign query": ("campaign show {folder} SCENE", "help campaigns"),
     "init": ("check {out}", "help lab"),
     "check": ("run six-situations --rig {rig} --dry-run", "console"),
     "rigs": ("check emulated", "init"),
     "emulate": ("check RIG", "run six-situations --rig RIG"),
+    "plugin": ("plugin check NAME", "help drivers"),
+    "plugin check": ("plugin", "help drivers"),
     "arm read": ("arm home --port {port}", "arm verify --port {port} --out verification.toml"),
     "arm watch": ("arm read --port {port}", "arm home --port {port}"),
     "arm home": ("arm read --port {port}", "arm frame --port {port} --out frame.toml"),
@@ -1127,6 +1080,11 @@ NEXT: Mapping[str, tuple[str, str]] = {
 }
 # words that went, and what to use
 REMOVED = {
+    "campaign search": "hypothesis draws and simplifies scenes in a test of yours: docs/testing.md",
+    "campaign herd": "it is an example that you can change: docs/examples/herd.py",
+    "scene sensitivity": "it is an example that you can change: docs/examples/sensitivity.py",
+    "--coco": "it is an example that you can change: docs/examples/coco.py",
+    "detectors new onnx": "a learned detector is an example: docs/examples/learned_detector.py",
     "completion": "bash and zsh take 'eval \"$(register-python-argcomplete teatbench)\"'",
     "--single-file": "send report.pdf, or the folder 'report' as a zip file",
     "thesis-test-2": "no script puts picked points off; 'calibrate cameras' gives the uncertainty",

@@ -13,7 +13,6 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,7 +33,6 @@ SKELETONS = {
     "python": {"detector.py": ".py"},
     "javascript": {"detector.js": ".js"},
     "cpp": {"detector.cpp": ".cpp"},
-    "onnx": {f"learned{part}": part for part in (".py", "_train.py", ".find.onnx", ".place.onnx")},
 }
 COMPILED = "c++ -O2 -std=c++17 -o {name} {name}.cpp"
 FLUSH = (
@@ -95,7 +93,6 @@ def new(given: argparse.Namespace) -> None:
         "python": [_python(), program.name],
         "javascript": ["node", program.name],
         "cpp": [f"./{name}"],
-        "onnx": [_python("onnxruntime"), program.name, f"{name}.find.onnx", f"{name}.place.onnx"],
     }[given.language]
     table = {
         "about": f"{name}, a skeleton: {given.language}",
@@ -112,8 +109,6 @@ def new(given: argparse.Namespace) -> None:
     write_synced(file, toml_text(table, heading).encode("utf-8"))
     word = name if given.out == DECLARED else file
     print(*(f"written: {path}" for path in (*files, file)), sep="\n")
-    if given.language == "onnx":
-        print(f"it needs: {command[0]} -m pip install onnxruntime numpy opencv-python-headless")
     if given.language == "cpp":
         print(f"compile: cd {given.out} && {COMPILED.format(name=name)}")
     elif given.language == "javascript" and not shutil.which("node"):
@@ -121,10 +116,8 @@ def new(given: argparse.Namespace) -> None:
     print(f"try it:  teatbench detectors try {word}")
 
 
-def _python(library: str = "") -> str:
-    """A Python by a name that holds elsewhere; this very one where ``library`` is in it."""
-    if library and find_spec(library):
-        return sys.executable
+def _python() -> str:
+    """A Python by a name that holds elsewhere."""
     names = ("python", "py") if os.name == "nt" else ("python3", "python")
     return next((name for name in names if shutil.which(name)), sys.executable)
 

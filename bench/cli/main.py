@@ -15,7 +15,6 @@ from functools import cache
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-from bench import __version__
 from bench.cli.arguments import CODES, EXIT_CODES, call, complain
 from bench.cli.commands import (
     COMMANDS,
@@ -28,6 +27,7 @@ from bench.cli.commands import (
     TASKS,
 )
 from bench.safety.signals import installed
+from bench.version import __version__
 from reports.sanitize import sanitizing
 
 if TYPE_CHECKING:
@@ -72,9 +72,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if odd := next((word for word in words if not _is_text(word)), None):
                 shown = ascii(odd)
                 return complain(f"{shown} isn't UTF-8: name it otherwise", CODES.wrong_use)
-            # a command comes first; options and names with a hyphen stand anywhere
-            for word in REMOVED.keys() & {*words[:1], *(word for word in words if "-" in word)}:
-                return complain(f"'{word}' went: {REMOVED[word]}", CODES.wrong_use)
+            starts = (" ".join(words[:count]) for count in (1, 2, 3))
+            asked = (*starts, *(word for word in words if "-" in word))
+            if gone := next((one for one in asked if one in REMOVED), None):
+                return complain(f"'{gone}' went: {REMOVED[gone]}", CODES.wrong_use)
             return _run(top.parse_args(arguments))
     except Exception as error:
         return _unforeseen(error)

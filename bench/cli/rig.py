@@ -1,5 +1,5 @@
 """The rig without a run: `check` and `emulate`; `rigs`; `replay-wire`, the far end of a capture;
-`scene sheet|record|boards|sensitivity` and `detect`, scenes and frames.
+`scene sheet|record|boards` and `detect`, scenes and frames.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench import __version__
 from bench.cli.arguments import CODES, complain, json_of, print_values, refuse_existing
 from bench.cli.terminal import working
 from bench.config import ConfigError, did_you_mean
@@ -19,7 +18,6 @@ from bench.rig.loading import NO_RIGS, RIGS, TO_COPY, LoadedRig, find_rig, load_
 from instruments.clock import Clock, RealClock, wall_time
 
 if TYPE_CHECKING:
-    from bench.campaign.sensitivity import Measured
     from instruments.captures.replay import Replay
 
 
@@ -250,19 +248,8 @@ def record(given: argparse.Namespace) -> int:
     from bench.rig.scenes import chosen
     from bench.rig.scenes import record as recorded
 
-    if given.coco:
-        refuse_existing(given.coco, replace=True, option="--coco", makes_folder=True)
-        if given.coco.exists():
-            raise ConfigError.plain(f"--coco {given.coco} is there already. Name another file.")
-        if any(one.name == "out-of-step" for one in given.perturb):
-            raise ConfigError.plain(
-                "--coco: masks are of the scene as drawn, and out-of-step moves the right picture"
-                " after that. Leave one of the two out."
-            )
     rig = load_rig(find_rig(given.rig))
-    frames = recorded(
-        rig, given.situation, _members(given), given.out, given.seed, given.perturb, given.coco
-    )
+    frames = recorded(rig, given.situation, _members(given), given.out, given.seed, given.perturb)
     return _shown(frames, given.out, len(chosen(given.situation)) * given.seeds)
 
 
@@ -275,55 +262,4 @@ def _shown(frames: Iterator[str], out: Path, total: int) -> int:
             written += 1
             report(written, total)
     print(f"{written} frames in {out}")
-    return CODES.met
-
-
-def sensitivity(given: argparse.Namespace) -> int:
-    from bench.campaign.plan import with_whole_paths
-    from bench.campaign.quantities import chosen
-    from bench.campaign.run import locked
-    from bench.campaign.sensitivity import Study, measured, opened
-    from bench.cli.campaign import finish
-    from bench.report.sensitivity import check_curves, no_answers, write_figure, write_numbers
-    from bench.script.detectors import make_detectors
-
-    quantities = chosen(given.quantity)
-    path = load_rig(find_rig(given.rig)).path
-    wanted = tuple(given.detector or ("fused", "thesis"))
-    detectors = make_detectors(wanted)
-    check_curves([detector.name for detector in detectors])
-    plan = Study(
-        families=Study.names(quantities),
-        scenes=given.seeds,
-        first=given.first,
-        seed=given.seed,
-        detectors=wanted,
-        rig=str(path),
-    )
-    folder = given.out / "campaign"
-    results: dict[str, list[Measured]] = {}
-    with locked(folder):
-        campaign = opened(with_whole_paths(plan, Path()), folder)
-        if finish(campaign, "sensitivity", given.workers, None) is None:
-            return CODES.fault
-        for quantity in quantities:
-            points = results[quantity.name] = []
-            for point in measured(campaign, quantity):
-                points.append(point)
-                found = ", ".join(
-                    f"{name} {len(tally.distances_mm)}{no_answers(tally.failures)}"
-                    for name, tally in point.tallies.items()
-                )
-                print(
-                    f"{quantity.name} {point.value:g}: found of {point.visible} visible: {found}",
-                    flush=True,
-                )
-            print(write_figure(given.out, quantity, points), flush=True)
-    asked = ", ".join(f"{detector.name} (version {detector.version})" for detector in detectors)
-    made = (
-        f"teatbench {__version__}; {asked}; cameras of `{path.name}`; members {given.first} to"
-        f" {given.first + given.seeds - 1} of `ideal` at each value, noise and cameras of seed"
-        f" {given.seed}."
-    )
-    write_numbers(given.out, quantities, results, made)
     return CODES.met

@@ -13,21 +13,20 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import bench
 from bench.cli.arguments import CODES
 from bench.cli.store import undamaged
 from bench.cli.terminal import Terminal, TerminalProgress, working
 from bench.config import ConfigError
-from bench.record.reader import read_run
 from bench.rig.loading import LoadedRig, find_rig, load_rig
 from bench.rig.urls import PEOPLE
-from bench.run.events import ENDED, PROMPTED, Events, SafeProgress, event_lines
+from bench.run.events import ENDED, PROMPTED, Events, event_lines
 from bench.run.resume import ASKED
 from bench.script.model import LoadedScript, find_script, load_script
 from instruments.operators.console import keyboard_of
 
 if TYPE_CHECKING:
-    from bench.report.page import Written
-    from bench.results.status import RunStatus
+    from bench.results.status import Reported, RunStatus
     from reports.page import Section
 
 WORST = (CODES.met, CODES.inconclusive, CODES.not_met, CODES.fault)  # of several runs
@@ -42,7 +41,7 @@ def run(given: argparse.Namespace) -> int:
     paths = [find_script(name) for name in given.script or [None]]
     if len(paths) > 1 and given.record:
         raise ConfigError.plain("--record is of one script. Give one, or leave --record out.")
-    if given.speed and not rig.rig.emulated:
+    if given.speed and not rig.rig.simulated:
         raise ConfigError.plain("--speed is for an emulated rig: no real instrument is hurried.")
     scripts = [load_script(path, rig.rig.limits.set_point_c) for path in paths]
     if given.dry_run:
@@ -61,8 +60,6 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _run(given: argparse.Namespace, rig: LoadedRig, scripts: Sequence[LoadedScript]) -> int:
-    from bench.run.start import RunOptions, run_queue
-
     console = Terminal()
     with (
         ExitStack() as stack,
@@ -71,31 +68,29 @@ def _run(given: argparse.Namespace, rig: LoadedRig, scripts: Sequence[LoadedScri
     ):
         progress = Events(shown, lines)
         word = stack.enter_context(_words(given, rig, progress))
-        how = RunOptions(
+        reports = bench.run_queue(
+            scripts,
+            rig,
+            out=given.out,
             typed=typed_lines(rig.rig.operator.url),
             seed=given.seed,
-            detectors=given.detector,
+            detectors=given.detector or (),
             record=given.record,
-            realtime=bool(given.realtime or given.speed)
-            or (given.console and bool(rig.rig.emulated)),
+            realtime=given.realtime or (given.console and rig.rig.simulated),
             speed=given.speed,
             capture=given.capture,
+            progress=progress,
             begun=shown.say,
         )
-        ended = run_queue(rig, scripts, given.out, progress, how)
-        progress.state("writing the report")
-        from bench.report.page import write_run_report  # late: loads for half a second
-
-        reports = [write_run_report(folder) for folder, _ in ended]
         word([one.status for one in reports])
     return _shown(given, console, rig, scripts, reports)
 
 
-def _summarize(given: argparse.Namespace, written: Written) -> None:
+def _summarize(given: argparse.Namespace, found: Reported) -> None:
     if given.summary:
         from bench.report import summary
 
-        summary.append(given.summary, summary.of_run(written))
+        summary.append(given.summary, summary.of_run(found))
 
 
 @contextmanager
@@ -126,27 +121,27 @@ def _shown(
     console: Terminal,
     rig: LoadedRig,
     scripts: Sequence[LoadedScript],
-    reports: Sequence[Written],
+    reports: Sequence[Reported],
 ) -> int:
     """Verdicts and times of the runs; the worst exit code."""
     from bench.cli.verdict import open_report, show_verdict
     from bench.run import estimate
 
     codes = []
-    for script, written in zip(scripts, reports, strict=False):
-        codes.append(show_verdict(console, written))
-        _summarize(given, written)
-        record = written.run
+    for script, found in zip(scripts, reports, strict=False):
+        codes.append(show_verdict(console, found))
+        _summarize(given, found)
+        record = found.record
         spent = estimate.took(record)
         # the next estimate is better by what this run took; one that stopped shows nothing, and one
         # on a warm rig did not heat
-        if written.status.state == "finished" and "total_s" in spent:
+        if found.status.state == "finished" and "total_s" in spent:
             expected = estimate.needs(rig, script, estimate.read_durations(given.out, rig)).time
             if not record.facts[ASKED].get("warm"):
                 figures = estimate.figures(record, rig, script, spent)
                 estimate.write_durations(record.folder, rig, expected, spent, figures)
             print(estimate.estimate_text(expected, spent))
-    page = reports[-1].path
+    page = reports[-1].page
     if len(scripts) > 1:
         from bench.report.runs import write_queue_page
         from bench.results.queue import queues
@@ -162,17 +157,15 @@ def _shown(
 
 def resume(given: argparse.Namespace) -> int:
     from bench.run.resume import files_of
-    from bench.run.start import RunOptions, resume_run
 
     console = Terminal()
     with undamaged([given.run], given) as damage:
-        record = read_run(given.run)
+        record = bench.read_run(given.run)
         if record.ending == "finished" and not _is_reported(given.run):
             from bench.cli.verdict import show_verdict
-            from bench.report.page import write_run_report
 
             print(f"{given.run}: every trial is done, the bench died before it wrote the report")
-            return show_verdict(console, write_run_report(given.run, damage=damage))
+            return show_verdict(console, bench.write_report(given.run, damage=damage))
         rig = files_of(record)[0]
         with (
             ExitStack() as stack,
@@ -181,18 +174,19 @@ def resume(given: argparse.Namespace) -> int:
         ):
             progress = Events(shown, lines)
             word = stack.enter_context(_words(given, rig, progress))
-            typed = typed_lines(rig.rig.operator.url)
-            resume_run(
-                given.run, progress, RunOptions(capture=given.capture, typed=typed, begun=shown.say)
+            found = bench.resume_run(
+                given.run,
+                capture=given.capture,
+                progress=progress,
+                typed=typed_lines(rig.rig.operator.url),
+                begun=shown.say,
+                damage=damage,
             )
-            progress.state("writing the report")
-            from bench.cli.verdict import show_verdict
-            from bench.report.page import write_run_report
+            word([found.status])
+        from bench.cli.verdict import show_verdict
 
-            written = write_run_report(given.run, damage=damage)
-            word([written.status])
-        _summarize(given, written)
-        return show_verdict(console, written)
+        _summarize(given, found)
+        return show_verdict(console, found)
 
 
 def _is_reported(folder: Path) -> bool:
@@ -222,20 +216,16 @@ def typed_lines(operator_url: str) -> Callable[[], str | None]:
 
 def score(given: argparse.Namespace) -> int:
     from bench.cli.verdict import show_verdict
-    from bench.report.page import write_run_report
     from bench.report.tables import score_table
     from bench.results.cameras_agree import UNCHECKED_FACT
-    from bench.run.start import score_recording
 
     console = Terminal()
     with TerminalProgress(console) as shown:
-        progress = SafeProgress(shown)
-        folder = score_recording(given.recording, given.out, progress, given.detector or ["thesis"])
-        progress.state("writing the report")
-        written = write_run_report(folder)
-    code = show_verdict(console, written)
-    _summarize(given, written)
-    run = read_run(folder)
+        found = bench.score_recording(
+            given.recording, given.detector or ["thesis"], out=given.out, progress=shown
+        )
+    code, run = show_verdict(console, found), found.record
+    _summarize(given, found)
     if text := run.facts.get(UNCHECKED_FACT):
         print(f"Cameras {text}.")
     print(f"\n{score_table(run)}")
@@ -244,7 +234,7 @@ def score(given: argparse.Namespace) -> int:
 
 def report(given: argparse.Namespace) -> int:
     from bench.cli.verdict import open_report, show_verdict
-    from bench.report.page import PDF, REPORT, write_run_report
+    from bench.report.page import PDF, REPORT
     from reports.pdf import find_browser, print_pdf
     from reports.render import WHOLE
     from reports.trust import PageError
@@ -266,9 +256,9 @@ def report(given: argparse.Namespace) -> int:
             with working("comparing the runs"):
                 chapters = (baseline_section(given.baseline, given.run, damage),)
         with working("writing the report"):
-            written = write_run_report(given.run, chapters, damage)
-        code = show_verdict(Terminal(), written)
-        _summarize(given, written)
+            found = bench.write_report(given.run, chapters=chapters, damage=damage)
+        code = show_verdict(Terminal(), found)
+        _summarize(given, found)
     if given.open:
         open_report(given.run / REPORT / "index.html")
     if browser:

@@ -18,9 +18,9 @@ from rich.text import Text
 from bench.cli.arguments import CODES, code_of
 from bench.cli.terminal import Terminal
 from bench.record.reader import RunRecord
-from bench.report.page import Written
 from bench.report.wording import limit, measured
-from bench.results.verdicts import Judgement, run_verdict
+from bench.results.status import Reported
+from bench.results.verdicts import Judgement
 from bench.run.events import FAILURES
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.rates import plural
@@ -35,10 +35,13 @@ COLOURS: dict[str, str] = {  # the others are yellow
 }
 
 
-def show_verdict(console: Terminal, written: Written) -> int:
+def show_verdict(console: Terminal, found: Reported) -> int:
     """Show what a run found; gives back its exit code, whether or not it can be shown."""
-    report, record, judgements, status = written
+    report, record, judgements, status = found.page, found.record, found.judgements, found.status
     with suppress(*FAILURES):
+        if emulated := record.facts.get("emulated"):
+            said = f"SOME INSTRUMENTS EMULATED: {', '.join(emulated)}."
+            console.print(Text(f"{said} The figures are no measurement.", "bold yellow"))
         decided = status.decided and bool(judgements)
         if decided:
             console.print(_bench(record, judgements[0]))
@@ -61,7 +64,7 @@ def show_verdict(console: Terminal, written: Written) -> int:
             console.print(f"Next: {then}", markup=False)
         console.print(f"Report: {report.resolve().as_uri()}", markup=False, soft_wrap=True)
     finished = status.state == "finished"
-    return code_of(run_verdict(judgements).value) if finished else CODES.fault
+    return code_of(found.verdict) if finished else CODES.fault
 
 
 def _bench(record: RunRecord, judgement: Judgement) -> Text:

@@ -27,7 +27,6 @@ from bench.record.schema import SCRIPT as SCRIPT_FILE
 from bench.record.schema import Row
 from bench.record.writer import Store
 from bench.results.answers import Examiner
-from bench.rig.devices import Cameras as OpenCameras
 from bench.rig.emulated_rig import EmulatedRig, has_emulator
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import LoadedRig
@@ -55,6 +54,7 @@ from detector.protocol import Detector, Outcome
 from instruments.bath.profile import load_profile
 from instruments.camera.frame import FrameSet
 from instruments.clock import VirtualClock
+from instruments.drivers.protocols import Cameras as OpenCameras
 from instruments.errors import DeviceError
 from instruments.microscribe.unit import shipped_unit
 from instruments.operators.operator import (
@@ -177,7 +177,7 @@ def rehearse(
         with (
             closing(PicturelessStore.create(run, files)) as store,
             events.kept_in(run),
-            _emulated(twin_rig, clock, used_seed, by_hand=not rig.rig.emulated) as twin,
+            _emulated(twin_rig, clock, used_seed, by_hand=not rig.rig.simulated) as twin,
         ):
             store.fact("detectors", [])
             cameras = StandInCameras(twin, twin_rig, events, script.planned, detectors, course)
@@ -252,14 +252,14 @@ def twin_of(rig: LoadedRig, script: LoadedScript, stage: StageSettings | None) -
     """``rig`` with an emulator at each address; ``stage`` is what its controller reports."""
     r = rig.rig
     checks = r.cameras.checks
-    if not r.emulated:  # emulated cameras can't show how sharp the real ones are
+    if "cameras" not in r.emulated:  # emulated cameras can't show how sharp the real ones are
         checks = checks.model_copy(update={"focus_px": FocusTable()})
     kept = r.cameras.model_dump(include={"settle_s", "max_skew_s", "retries", "retry_s"})
     tables: dict[str, object] = {
         "cameras": Cameras(url=EMULATED).model_copy(update={**kept, "checks": checks}),
         "operator": r.operator.model_copy(update={"url": EMULATED}),
     }
-    if r.emulated:
+    if r.simulated:
         return replace(rig, rig=r.model_copy(update=tables))
     pump_url = EMULATED if r.bath.pump_url else ""
     tables |= {

@@ -22,7 +22,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, ClassVar
 
-from bench import __version__
 from bench.files import Picture, make_folder, sync_folder, write_pictures, write_synced
 from bench.record.chain import Spans, add_link
 from bench.record.reader import TrialRecord, check_version, database_in
@@ -33,6 +32,7 @@ from bench.record.schema import (
     Row,
     make_tables,
 )
+from bench.version import __version__
 from instruments.clock import wall_time as time_of_day
 
 Tables = Sequence[tuple[str, Sequence[Row]]]

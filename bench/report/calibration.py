@@ -31,7 +31,7 @@ from detector.calibration.cameras import SIDES, Calibrated, Coverage
 from detector.calibration.diagnosis import Finding, Remeasured
 from detector.geometry import Array
 from reports.figures.errors import per_axis_errors
-from reports.figures.sensitivity import precision_by_distance, residual_field
+from reports.figures.precision import precision_by_distance, residual_field
 from reports.page import (
     Banner,
     Cell,

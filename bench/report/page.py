@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -38,7 +38,7 @@ from bench.report.truth import arm_parts, cameras_parts, deviation_parts, truth_
 from bench.report.wording import id_of, key_values, table
 from bench.results.cameras_agree import UNCHECKED_FACT
 from bench.results.exports import write_exports
-from bench.results.status import RunStatus, status_of
+from bench.results.status import Reported, RunStatus, status_of
 from bench.results.verdicts import (
     LATENCY_RULE,
     Judgement,
@@ -81,20 +81,9 @@ from reports.render import write_report
 REPORT, PDF = "report", "report.pdf"
 
 
-class Written(NamedTuple):
-    """A report that was written: its page, the record that it is of, what was judged, and how the
-    run stood.
-    """
-
-    path: Path
-    run: RunRecord
-    judgements: tuple[Judgement, ...]
-    status: RunStatus
-
-
 def write_run_report(
     folder: Path, chapters: tuple[Section, ...] = (), damage: tuple[str, ...] = ()
-) -> Written:
+) -> Reported:
     """Write a run's report and exports, with ``chapters`` after the results. Raises ConfigError."""
     run = read_run(folder, damage)
     rules = stored_rules(folder)
@@ -106,7 +95,13 @@ def write_run_report(
     (folder / REPORT / PDF).unlink(missing_ok=True)
     path = write_report(page, folder / REPORT)
     write_exports(run, status, judgements, folder / REPORT)
-    return Written(path, run, judgements, status)
+    return Reported(folder, path, run, judgements, status)
+
+
+def _emulated(facts: Mapping[str, Any]) -> str:
+    """Which instruments were emulated, where others were real."""
+    names = facts.get("emulated", ())
+    return f" Emulated, and so no measurement: {', '.join(names)}." if names else ""
 
 
 def build_page(
@@ -128,7 +123,7 @@ def build_page(
         verdict=cast(Verdict, status.word),
         tested=(
             f"{facts['title']}: teat detector {', '.join(run.detectors)} "
-            f"on {len(run.counted)} frame sets of {poses} poses{left_out}."
+            f"on {len(run.counted)} frame sets of {poses} poses{left_out}.{_emulated(facts)}"
         ),
         sentence=status.why,
         confidence=_confidence(run, rules, poses),

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from bench.config import ConfigError
 from bench.report import comparison as of_comparison
-from bench.report.page import Written
 from bench.report.wording import limit, measured
 from bench.results.comparison import Comparison
+from bench.results.status import Reported
 from reports.page import Table
 from reports.render import SIGNS
 from reports.sanitize import sanitized
@@ -29,9 +29,9 @@ def append(path: Path, text: str) -> None:
         raise ConfigError.plain(why) from error
 
 
-def of_run(written: Written) -> str:
+def of_run(found: Reported) -> str:
     """Verdict, requirements by detector, why, and what to do next."""
-    _, record, judgements, status = written
+    record, judgements, status = found.record, found.judgements, found.status
     lines = [f"### {MARKS.get(status.word, '')} {_plain(f'{status.title}: {status.headline}')}", ""]
     if judgements:
         rows = [

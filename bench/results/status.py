@@ -22,7 +22,7 @@ from bench.record.reader import RunRecord, read_run
 from bench.record.state import NO_ENDING, TRIP, State, holder_of, state_of
 from bench.results.doubts import DOUBTS_FACT
 from bench.results.headline import judged, stopped_next, stopped_why
-from bench.results.verdicts import Judgement, judge, stored_rules
+from bench.results.verdicts import Judgement, judge, run_verdict, stored_rules
 from bench.rig.by_hand import BY_HAND
 from bench.rig.devices import Evidence
 from bench.safety.bath_monitor import NO_GUARDIAN
@@ -237,6 +237,22 @@ class RunStatus:
             of |= {"text": one.text, "trouble": one.trouble}
         said = {"word": self.word, "headline": self.headline, "trials": self.trials}
         return {"schema_version": VERSION, **shown, **said, "unsafe": [*self.unsafe]}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reported:
+    """A run with its report: ``page`` is report/index.html, ``judgements`` one a detector."""
+
+    folder: Path
+    page: Path
+    record: RunRecord
+    judgements: tuple[Judgement, ...]
+    status: RunStatus
+
+    @property
+    def verdict(self) -> str:
+        """``met``, ``not met``, ``inconclusive`` or ``not measured``, of its worst detector."""
+        return run_verdict(self.judgements).value
 
 
 def state_in(run: RunRecord) -> State:

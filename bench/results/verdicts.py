@@ -187,7 +187,7 @@ def _missing(
     )
     for test in tests.values():
         yield from gaps_of(test, rule.least_touches)
-    needed = rule.dated_required and facts.get("kind") != "emulated"
+    needed = rule.dated_required and not _emulated(facts)
     if dated:
         yield from (f"in the dated verification, {gap}" for gap in dated.gaps(limits))
         if needed and not dated.lengths and rule.length_limit_mm is None:
@@ -199,12 +199,17 @@ def _missing(
         )
 
 
+def _emulated(facts: Mapping[str, Any]) -> bool:
+    """Whether the arm was."""
+    return facts.get("kind") == "emulated" or "arm" in facts.get("emulated", ())
+
+
 def _in_order(
     tests: Mapping[str, LocationTest], dated: Verification | None, facts: Mapping[str, Any]
 ) -> str:
     read = " and ".join(f"{test.largest_mm:.2f} mm {when}" for when, test in tests.items())
     said = f"verified on {dated.made:%Y-%m-%d}" if dated else "no dated verification is named"
-    if not dated and facts.get("kind") == "emulated":
+    if not dated and _emulated(facts):
         said += " (an emulated arm needs none)"
     if checks := arm_checks(facts):
         u_mm, ratio = facts[STATED_FACT]["u_mm"], max(check.ratio for check in checks)

@@ -16,7 +16,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from bench.config import ConfigError, read_text
-from bench.rig.devices import Cameras
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.frame_capture import FrameChecks
 from bench.rig.loading import LoadedRig, find_rig, load_rig
@@ -24,7 +23,7 @@ from bench.rig.model import Cameras as CamerasTable
 from bench.rig.model import OneCamera, camera_url
 from bench.rig.model import Stage as StageTable
 from bench.rig.opening import ALL, conversion_of, open_camera, open_instruments, rig_of
-from bench.rig.urls import ELSEWHERE, EMULATED
+from bench.rig.urls import ELSEWHERE, is_emulated
 from instruments.bath.profile import PUMP
 from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import Conversion, FrameError, FrameSet, Grey
@@ -32,9 +31,8 @@ from instruments.camera.genicam import load_aravis
 from instruments.camera.quality import edge_blur_px, level_dn, saturated_share
 from instruments.captures.capture import CaptureFile
 from instruments.clock import Clock, RealClock, VirtualClock
+from instruments.drivers.protocols import Cameras, Stage
 from instruments.errors import DeviceError, InstrumentError
-from instruments.microscribe.driver import MicroScribe
-from instruments.stage.driver import Stage
 from instruments.stage.settings import check_within, declared
 
 Seen = TypeVar("Seen")
@@ -185,7 +183,7 @@ def stage_of_rig(name: str) -> StageTable:
     """The stage of a rig. Raises ConfigError where it has none, or an emulated one."""
     rig = load_rig(find_rig(name))
     stage = rig.rig.stage
-    if stage and stage.url != EMULATED:
+    if stage and not is_emulated(stage.url):
         return stage
     emulated = "its stage is emulated; 'teatbench emulate' serves one at a port, for --port"
     why = emulated if stage else "this rig has no stage; the operator moves its phantom"
@@ -272,11 +270,11 @@ def check_rig(
     with ExitStack() as stack:
         clock: Clock
         twin = None
-        if rig.rig.emulated:
-            clock = VirtualClock()
-            twin = stack.enter_context(EmulatedRig(rig, clock, rig.rig.seed))
-        else:
+        clock = VirtualClock()
+        if not rig.rig.simulated:
             clock = stack.enter_context(closing(RealClock()))
+        if rig.rig.emulated:
+            twin = stack.enter_context(EmulatedRig(rig, clock, rig.rig.seed))
         for name in names:
             if unfilled := rig.unfilled(name):
                 yield name, True, unfilled
@@ -298,9 +296,9 @@ def check_rig(
 
 def _arm(arm: Any) -> Iterator[tuple[str, str]]:
     arm.sign_on()
-    if isinstance(arm, MicroScribe):  # others say where their points come from, in the record
-        yield "counts", " ".join(str(count) for count in arm.poll().counts)
-    else:
+    if seen := arm.glance():
+        yield "counts", " ".join(map(str, seen.counts)) or "none"
+    else:  # where its points come from
         yield from ((key, str(value)) for key, value in arm.record().items())
     for warning in arm.warnings:
         yield "warning", warning

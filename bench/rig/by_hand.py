@@ -9,6 +9,7 @@ BY_HAND = {
     "bath": "SWITCH OFF THE BATH AT ITS MAINS",
     "stage": "CUT THE POWER OF THE STAGE",
     "pump": "SWITCH OFF THE PUMP AT ITS MAINS",
+    "robot": "PRESS THE ROBOT'S EMERGENCY STOP",
 }
 
 

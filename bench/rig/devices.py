@@ -7,31 +7,15 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.rig.by_hand import BY_HAND
-from instruments.bath.driver import Bath
 from instruments.bath.sequence import cause_of, heater_off, pump_off, run_pump_on
-from instruments.camera.frame import FrameSet
 from instruments.clock import Clock
-from instruments.microscribe.driver import MicroScribe
+from instruments.drivers.protocols import Arm, Bath, Cameras, Stage
 from instruments.operators.operator import Operator
-from instruments.points import PointArm
-from instruments.stage.driver import Stage
-
-AnyArm = MicroScribe | PointArm
-
-
-class Cameras(Protocol):
-    """Whatever gives frame sets: real cameras, a recording, the scene."""
-
-    @property
-    def identity(self) -> Mapping[str, str]: ...
-    def capture(self) -> FrameSet: ...
-    def close(self) -> None: ...
 
 
 class Evidence(StrEnum):
@@ -86,7 +70,7 @@ class Devices:
     """
 
     clock: Clock
-    arm: AnyArm
+    arm: Arm
     bath: Bath
     stage: Stage | None
     cameras: Cameras
@@ -121,6 +105,8 @@ class Devices:
             found.append("pump alone")
         if self.stage and self.stage.moves:
             found.append("stage")
+        if self.arm and self.arm.moves:
+            found.append("arm")
         return tuple(found)
 
     def make_safe(
@@ -136,7 +122,7 @@ class Devices:
         """
         steps: dict[str, Callable[[], object]] = {
             "bath": lambda: heater_off(self.bath),
-            "stage": lambda: self.stage and self.stage.safe(),
+            "stage": self.stage.safe if self.stage else lambda: None,
             "arm": lambda: self.arm.safe(),
             "pump": lambda: run_pump_on(self.bath, self.clock.sleep, cut_short),
             "pump alone": lambda: pump_off(self.bath),
@@ -145,7 +131,8 @@ class Devices:
         for name, step in steps.items():
             if name not in only or (name == "stage" and self.stage is None):
                 continue
-            found = attempt(name.split()[0], step)
+            robot = name == "arm" and self.arm.touches  # which has a motor
+            found = attempt("robot" if robot else name.split()[0], step)
             self.safed[found.name] = found
             if not found.is_safe and found.name in BY_HAND:
                 unsafe[found.name] = f"{BY_HAND[found.name]}: {found.detail}"

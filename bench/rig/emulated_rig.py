@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,13 +10,15 @@ from numpy.typing import NDArray
 
 from bench.config import located, toml_of
 from bench.rig.loading import LoadedRig
-from bench.rig.model import EmulatedFault, EmulatedStage, Stage, make_renderer
+from bench.rig.model import EmulatedFault, EmulatedStage, Rig, Stage, make_renderer
 from detector.geometry import Motion
 from instruments.bath.emulator import BathEmulator, Framing, RelayEmulator
 from instruments.bath.line_emulator import LineEmulator, dialect_of
 from instruments.bath.profile import LineProfile, Profile, RegisterProfile, RelayProfile
+from instruments.bath.reading import BathReading
 from instruments.camera.emulator import EmulatedCameras
 from instruments.clock import Clock
+from instruments.drivers.entry_points import Kind, load, plugin_url
 from instruments.listener import Device, Listener
 from instruments.microscribe.emulator import ArmEmulator, Hand
 from instruments.microscribe.faults import FOREVER
@@ -109,19 +111,21 @@ class EmulatedRig:
             tremor_mm=emulation.hand_tremor_mm,
         )
         plant, r, relay = self.world.plant, rig.rig, rig.relay
-        self.bath: BathEmulator | LineEmulator
+        self._bath: BathEmulator | LineEmulator | None = None
         if isinstance(known := rig.profile, LineProfile):
             try:
-                self.bath = LineEmulator(plant, known, clock)
+                self._bath = LineEmulator(plant, known, clock)
             except ValueError as error:
-                said = (("bath", "profile"), str(error), False)
-                raise located(rig.path, rig.text, [said]) from error
+                if "bath" in r.emulated or not r.emulated:
+                    said = (("bath", "profile"), str(error), False)
+                    raise located(rig.path, rig.text, [said]) from error
         elif isinstance(known, RegisterProfile):
-            self.bath = BathEmulator(plant, known, clock, framing=self._framing(known))
+            self._bath = BathEmulator(plant, known, clock, framing=self._framing(known))
         # on a port of its own; without one, and with a controller that turns none, the pump stands
         framing = self._framing(relay) if relay else None
         self.pump = RelayEmulator(plant, relay, clock, framing=framing) if relay else None
         self.stage = self._stage(r.stage, emulation.stage) if r.stage else None
+        self._plugged = self._plugged_emulators(r)
         try:
             for at, fault in enumerate(emulation.faults):
                 try:
@@ -129,18 +133,56 @@ class EmulatedRig:
                 except ValueError as error:
                     key = ("emulation", "faults", at, "name")
                     raise located(rig.path, rig.text, [(key, str(error), False)]) from error
-            # the rate of each serial port; a network has none
-            self._listen("arm", self.arm, r.arm.baud)
-            devices: tuple[tuple[str, Heated | None, Profile | RelayProfile | None], ...]
-            devices = ("bath", self.bath, rig.profile), ("pump", self.pump, relay)
-            for name, device, of in devices:
-                if device and of:
-                    self._listen(name, device, None if self._on_tcp(device) else of.baud)
-            if self.stage and r.stage:
-                self._listen("stage", self.stage, r.stage.baud)
+            self._serve(rig)
         except BaseException:
             self.close()
             raise
+
+    def _serve(self, rig: LoadedRig) -> None:
+        """Listen for each instrument, at the rate of its serial port; a network has none."""
+        r = rig.rig
+        served: dict[str, tuple[Device, int | None]] = {"arm": (self.arm, r.arm.baud)}
+        heated: tuple[tuple[str, Heated | None, Profile | RelayProfile | None], ...]
+        heated = ("bath", self._bath, rig.profile), ("pump", self.pump, rig.relay)
+        for name, device, of in heated:
+            if device and of:
+                served[name] = device, None if self._on_tcp(device) else of.baud
+        if self.stage and r.stage:
+            served["stage"] = self.stage, r.stage.baud
+        served |= {name: (device, None) for name, device in self._plugged.items()}
+        for name, (one, baud) in served.items():
+            self._listen(name, one, baud)
+
+    def _plugged_emulators(self, rig: Rig) -> dict[str, Device]:
+        """Of other packages, by instrument. Raises LimitError, ValueError."""
+        found: dict[str, Device] = {}
+        urls = {"arm": rig.arm.url, "bath": rig.bath.url, "cameras": rig.cameras.url}
+        urls |= {"stage": rig.stage.url} if rig.stage else {}
+        for name, url in urls.items():
+            plug = plugin_url(url)
+            if plug is None or not plug.emulated:
+                continue
+            kind: Kind = "camera" if name == "cameras" else name  # type: ignore[assignment]
+            made = load(kind, plug, emulator=True).make(self.world, self._clock)
+            if wrong := [
+                one for one in ("connect", "receive", "disconnect") if not hasattr(made, one)
+            ]:
+                raise ValueError(f"the emulator {plug.name} has no {', '.join(wrong)}")
+            found[name] = made
+            if name == "stage" and hasattr(made, "position_mm"):
+                self.follow_stage(rig, made.position_mm)
+        return found
+
+    def follow_stage(self, rig: Rig, position_mm: Callable[[], Sequence[float]]) -> None:
+        """Have the phantom stand where a stage that isn't emulated says it is."""
+        assert rig.stage  # noqa: S101 - there is one
+        self.world.stage_pose = self._mounted(rig.stage, rig.emulation.stage, position_mm)
+        self.world.stage_velocity = lambda: (0.0, 0.0, 0.0)
+
+    def follow_bath(self, reading: BathReading) -> None:
+        """Have the emulated water be as warm as that of a bath which isn't emulated."""
+        with self.world.lock:
+            self.world.plant.be_at(reading.temp_c)
 
     def _framing(self, profile: RegisterProfile | RelayProfile) -> Framing | None:
         return "rtu" if self._pty and "rtu" in profile.transports else None
@@ -151,10 +193,17 @@ class EmulatedRig:
         return device.framing not in serial
 
     @property
+    def bath(self) -> BathEmulator | LineEmulator:
+        """The bench's own emulator of the bath. Raises ValueError where a plug-in has its own."""
+        if self._bath is None:
+            raise ValueError("the bath is a plug-in's")
+        return self._bath
+
+    @property
     def urls(self) -> dict[str, str]:
         """What a driver opens, by instrument; a pseudo-terminal's changes after a hang-up."""
         urls = {name: listener.url for name, listener in self._listeners.items()}
-        for name, device in (("bath", self.bath), ("pump", self.pump)):
+        for name, device in (("bath", self._bath), ("pump", self.pump)):
             if device and name in urls:
                 scheme = "rtu+tcp://" if device.framing == "rtu" else "tcp://"
                 urls[name] = urls[name].replace("socket://", scheme)
@@ -191,14 +240,8 @@ class EmulatedRig:
             play_mm=play_mm,
             high_mm=errors.high_mm and errors.high_mm[:axes],
         )
-        reference = (*said.reference_mm, said.reference_z_mm, said.reference_a_deg)
-        mounting = Mounting(
-            said.axes, reference, errors.scale_errors, errors.squareness_rad, errors.yaw_rad
-        )
-
-        def pose() -> PlatePose:
-            with self.world.lock:
-                return mounting.pose(stage.position_mm().tolist())
+        mounting = self._mounting(said, errors)
+        pose = self._mounted(said, errors, lambda: stage.position_mm().tolist())
 
         def velocity() -> tuple[float, float, float]:
             with self.world.lock:
@@ -208,6 +251,24 @@ class EmulatedRig:
 
         self.world.stage_pose, self.world.stage_velocity = pose, velocity
         return stage
+
+    @staticmethod
+    def _mounting(said: Stage, errors: EmulatedStage) -> Mounting:
+        reference = (*said.reference_mm, said.reference_z_mm, said.reference_a_deg)
+        return Mounting(
+            said.axes, reference, errors.scale_errors, errors.squareness_rad, errors.yaw_rad
+        )
+
+    def _mounted(
+        self, said: Stage, errors: EmulatedStage, position_mm: Callable[[], Sequence[float]]
+    ) -> Callable[[], PlatePose]:
+        mounting = self._mounting(said, errors)
+
+        def pose() -> PlatePose:
+            with self.world.lock:
+                return mounting.pose(list(position_mm()))
+
+        return pose
 
     def _listen(self, name: str, device: Device, serial_baud: int | None) -> None:
         how: dict[str, Any] = {"lock": self.world.lock, "name": name}
@@ -257,7 +318,7 @@ class EmulatedRig:
             usual = {StageFault.LOST_STEP: LOST_MM, StageFault.LATE_OK: LATE_S}.get(kind, 0.0)
             how = {key: usual if amount is None else amount}
             return lambda: stage.inject(kind, **how), lambda: stage.cure(kind)
-        device = self.bath if fault.instrument == "bath" else self.pump
+        device = self._bath if fault.instrument == "bath" else self.pump
         if device is None or fault.instrument == "stage":
             raise ValueError(f"this rig has no {fault.instrument} that could fail")
         device.check_fault(name)

@@ -14,13 +14,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.rig.devices import Cameras
 from bench.rig.model import Cameras as CamerasTable
 from bench.rig.model import Checks
 from detector.calibration import Calibration
 from detector.geometry import Array
 from instruments.camera.frame import FrameError, FrameFault, FrameSet, Grey
 from instruments.camera.quality import edge_blur_px, level_dn, missing_rows, saturated_share, spread
+from instruments.drivers.protocols import Cameras
 from instruments.errors import DeviceError
 
 NEAREST_MM, FARTHEST_MM = 300.0, 8000.0

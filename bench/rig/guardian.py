@@ -35,10 +35,13 @@ from typing import Any, Literal
 from bench.rig.guardian_stage import StageStop, add_arguments
 from bench.rig.hand_over import BathLock, write_note
 from instruments.bath.driver import Bath, PumpAt
+from instruments.bath.interface import Bath as AnyBath
 from instruments.bath.profile import PUMP, load_profile, load_relay
 from instruments.bath.sequence import OFF, ON, OVERRUN_S, cause_of
 from instruments.clock import RealClock, stopwatch_s, wall_time
 from instruments.device_file import DeviceFileError
+from instruments.drivers.bath import PluggedBath
+from instruments.drivers.entry_points import load, plugin_url
 from instruments.errors import InstrumentError, LinkError
 
 READY, ALIVE, HUNG, DONE, TAKE_OVER = "ready", "alive", "hung: ", "done", "take over"
@@ -205,7 +208,9 @@ def _end_hung(bench: int, record: Record) -> None:
     record.add(killed=_kill(bench))
 
 
-def _bath_of(given: argparse.Namespace, clock: RealClock) -> Bath:
+def _bath_of(given: argparse.Namespace, clock: RealClock) -> AnyBath:
+    if plug := plugin_url(given.url):
+        return PluggedBath(load("bath", plug), clock, identify=False)
     pump = PumpAt(given.pump_url, load_relay(given.pump_profile)) if given.pump_url else None
     return Bath(
         given.url,
@@ -259,7 +264,7 @@ def _raise_priority() -> dict[str, Any]:
     return got
 
 
-def _make_safe(bath: Bath, clock: RealClock, record: Record, *, bench: int | None) -> bool:
+def _make_safe(bath: AnyBath, clock: RealClock, record: Record, *, bench: int | None) -> bool:
     """Standby, tried for GIVE_UP_S. ``bench`` hangs and may hold the port."""
     start_s, tries = stopwatch_s(), 0
     while stopwatch_s() - start_s < GIVE_UP_S:
@@ -282,7 +287,7 @@ def _make_safe(bath: Bath, clock: RealClock, record: Record, *, bench: int | Non
     return False
 
 
-def _run_pump_on(bath: Bath, clock: RealClock, record: Record, overrun_s: float) -> None:
+def _run_pump_on(bath: AnyBath, clock: RealClock, record: Record, overrun_s: float) -> None:
     """Let the pump carry off the heater's heat, then stop it, unless the bath is started again."""
     try:
         bath.set(PUMP, ON)

@@ -31,6 +31,8 @@ class StageStop:
     """
 
     def __init__(self, given: argparse.Namespace, clock: RealClock) -> None:
+        from instruments.drivers.entry_points import load, plugin_url
+        from instruments.drivers.stage import PluggedStage
         from instruments.link import Link
         from instruments.stage.driver import Stage
         from instruments.stage.zaber import Motor
@@ -40,7 +42,14 @@ class StageStop:
             device, axis, microsteps = words.split()
             motors.append(Motor(int(device), int(axis), float(microsteps)))
 
+        plug = plugin_url(given.stage_url)
+        plugged = load("stage", plug) if plug else None
+
         def stop() -> None:
+            if plugged:
+                with closing(PluggedStage(plugged, clock, given.stage_axes)) as stage:
+                    stage.safe()
+                return
             with closing(Link(given.stage_url, clock, who="stage", baud=given.stage_baud)) as link:
                 axes, dialect = given.stage_axes, given.stage_dialect
                 Stage(link, clock, axes, dialect=dialect, motors=motors).safe()

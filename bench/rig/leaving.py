@@ -12,7 +12,7 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 from functools import partial
@@ -23,14 +23,14 @@ from bench.rig.by_hand import not_safe_text
 from bench.rig.devices import Devices
 from bench.rig.guardian_client import GuardianClient, GuardianTarget, Heartbeat, StageTarget
 from bench.rig.loading import LoadedRig
-from instruments.bath.driver import Bath
 from instruments.bath.profile import PUMP
 from instruments.bath.reading import BathReading
 from instruments.clock import wall_time
+from instruments.drivers.protocols import Bath, Stage
 from instruments.errors import InstrumentError, LinkError
-from instruments.stage.driver import Stage
 
 FED_TIMES = 5  # in the time after which a controller's own watchdog stops it
+OF = {"pump": "bath"}  # what cannot be made safe without the other
 LEFT = ".left-running.jsonl"  # beside the rig file
 
 
@@ -58,9 +58,9 @@ def target_of(rig: LoadedRig, *, bath: str = "", pump: str = "", stage: str = ""
 
 
 class Leaving:
-    """Watches the ``devices`` of ``rig`` from their opening to their closing. ``guards``: they
-    outlive this process, and have guardians; ``leave_running``: they are left as they are, which is
-    noted.
+    """Watches the ``devices`` of ``rig`` from their opening to their closing. ``guards``: which of
+    bath and stage outlive this process, and have guardians; ``leave_running``: they are left as
+    they are, which is noted.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class Leaving:
         rig: LoadedRig,
         devices: Devices,
         *,
-        guards: bool,
+        guards: Collection[str],
         leave_running: bool,
         warn: Callable[[str], None],
     ) -> None:
@@ -105,18 +105,19 @@ class Leaving:
         if not unsafe:
             return None
         what = not_safe_text(unsafe)
+        real = {OF.get(name, name) for name in unsafe} & {*self._guards}
         if self._guardians:
             what += "\nThe guardian goes on trying."
-        if not self._guards:
+        if not real:
             what = f"{', '.join(unsafe)} of the emulated rig: {' '.join(said)}."
         self._warn(what)
-        return NotSafeError("rig", what) if self._guards else None
+        return NotSafeError("rig", what) if real else None
 
     def _guard(self, name: str, bath: Bath | None, stage: Stage | None) -> None:
         """Before anything is sent that heats or moves. Raises LinkError without a guardian."""
         if bath:
             self._feed(bath)
-        if not self._guards or self._leave_running:
+        if name not in self._guards or self._leave_running:
             return
         guardian = self._guardians.get(name)
         if guardian is None:

@@ -29,6 +29,10 @@ from detector.calibration import Calibration
 from detector.calibration.boards import DICTIONARIES, Board, BoardKind
 from instruments.bath.profile import Profile, RelayProfile, load_profile, load_relay
 from instruments.device_file import DeviceFileError
+from instruments.drivers.bath import profile_of
+from instruments.drivers.entry_points import PluginUrl, plugin_url
+from instruments.drivers.entry_points import load as load_driver
+from instruments.errors import LimitError
 from instruments.microscribe.unit import ArmIdentity, load_unit
 from instruments.world.boards import Pattern
 
@@ -153,16 +157,17 @@ def load_rig(path: Path) -> LoadedRig:
     def place(name: str) -> Path | str:
         return folder / name if name.endswith(".toml") else name
 
-    profile = _loaded(lambda: load_profile(place(rig.bath.profile)))
-    # a person may rehearse
-    real = set(rig.urls) - set(rig.emulated)
-    real -= set() if rig.operator.url == EMULATED else {"operator"}
-    if rig.emulated and real:
+    if plug := plugin_url(rig.bath.url):
+        profile = _of_plugin(plug, refuse)
+    else:
+        profile = _loaded(lambda: load_profile(place(rig.bath.profile)))
+    hands = rig.operator.url == EMULATED and not {"arm", "cameras"} & set(rig.emulated)
+    if hands and not plugin_url(rig.arm.url):  # which may touch by itself
         message = (
-            "emulated and real instruments don't mix: they would not share one world (real here:"
-            f" {', '.join(sorted(real))})"
+            "emulated hands can't touch a real phantom: a person has to, or the arm or the cameras"
+            " are emulated too"
         )
-        raise refuse(message, *((name, "url") for name in rig.emulated))
+        raise refuse(message, ("operator", "url"))
     emulated_stage = rig.stage if rig.stage and rig.stage.url == EMULATED else None
     if emulated_stage and (wrong := rig.emulation.stage.fault(emulated_stage)):
         raise refuse(wrong, ("stage", "axes"))
@@ -189,6 +194,14 @@ def load_rig(path: Path) -> LoadedRig:
     if rig.emulated:
         _ = loaded.calibration  # the emulated cameras are made from it
     return loaded
+
+
+def _of_plugin(plug: PluginUrl, refuse: Callable[..., ConfigError]) -> Profile:
+    """What a plug-in's class says of its bath. Raises ConfigError."""
+    try:
+        return profile_of(load_driver("bath", plug))
+    except LimitError as error:
+        raise refuse(str(error), ("bath", "url")) from error
 
 
 def _relay_fault(rig: Rig, profile: Profile) -> str | None:

@@ -32,10 +32,12 @@ from bench.rig.urls import (
     bath_url,
     beside,
     beside_if_named,
+    is_emulated,
     is_loopback,
     operator_url,
+    plugged,
     relay_url,
-    serial_url,
+    stage_url,
 )
 from instruments.bath.connection import parse_line
 from instruments.bath.profile import profile_names, relay_names
@@ -43,6 +45,7 @@ from instruments.camera import emulator as camera_faults
 from instruments.camera.frame import Channel, Conversion, Flip, Radiometry, Ranging, Turn
 from instruments.camera.radiometric import PROFILES, RadiometricProfile
 from instruments.camera.settings import Settings, Trigger, Value
+from instruments.drivers.entry_points import plugin_url
 from instruments.microscribe import faults as arm_faults
 from instruments.operators.emulated import Mistake
 from instruments.points import points_url
@@ -132,7 +135,7 @@ def _day_or_none(text: str) -> str:
 
 class Bath(Section):
     url: Annotated[str, AfterValidator(bath_url)]
-    profile: Annotated[str, _profile(profile_names, needed=True)]
+    profile: Annotated[str, _profile(profile_names, needed=False)] = ""
     allow_inferred: bool = False
     pump_url: Annotated[str, AfterValidator(relay_url)] = ""
     pump_profile: Annotated[str, _profile(relay_names, needed=False)] = ""
@@ -142,12 +145,23 @@ class Bath(Section):
     cut_out_tested: Annotated[str, AfterValidator(_day_or_none)] = ""
     unit_confirmed: Annotated[str, AfterValidator(_day_or_none)] = ""
 
+    @model_validator(mode="after")
+    def _known(self) -> Bath:
+        plugged = plugin_url(self.url) is not None
+        if plugged == bool(self.profile):
+            raise ValueError(
+                "a plug-in says itself what its bath is: leave profile out"
+                if plugged
+                else f"profile is missing: which controller it is ({', '.join(profile_names())})"
+            )
+        return self
+
 
 EMULATED_MICROSTEPS = {"X": 250.0, "Y": 250.0, "Z": 250.0, "A": 100.0}  # per mm, per degree
 
 
 class Stage(Section):
-    url: Annotated[str, AfterValidator(serial_url)]
+    url: Annotated[str, AfterValidator(stage_url)]
     baud: Literal[9600, 19200, 38400, 57600, 115200, 250000] = 115200
     dialect: Literal["grbl", "marlin", "zaber"] = "grbl"
     axes: Literal["XY", "XYZ", "XYA", "XYZA"] = "XY"
@@ -204,6 +218,8 @@ GENICAM_ONLY = ("features", "trigger", "trigger_source", "ptp")
 def _all_url(url: str) -> str:
     if url in ("", "emulator:") or re.match(r"(opencv|recording):\S+", url):
         return url
+    if plugged(url, "camera"):
+        return url
     raise ValueError(
         'not a camera; allowed: "emulator:", "opencv:LEFT,RIGHT,THERMAL" (device numbers, files or'
         ' streams), "recording:FOLDER", or a table for each camera: [cameras.left],'
@@ -214,6 +230,8 @@ def _all_url(url: str) -> str:
 def camera_url(url: str) -> str:
     """``url`` where it is one camera's. Raises ValueError that says what is allowed."""
     if re.match(r"(opencv|files):\S", url) or re.match(r"genicam:", url):
+        return url
+    if plugged(url, "camera"):
         return url
     raise ValueError(
         'not a camera; allowed: "opencv:0" (a device number, a file, "http://…" or "rtsp://…"'
@@ -427,6 +445,8 @@ class Cameras(Section):
     @model_validator(mode="after")
     def _one_way(self) -> Cameras:
         tables = [*self.tables]
+        if plugin_url(self.url):  # one device may give some of them
+            return self
         if self.url and tables:
             raise ValueError(
                 "either url for all cameras or a table for each, not both (here: url and"
@@ -752,15 +772,21 @@ class Rig(Section):
     @property
     def emulated(self) -> tuple[str, ...]:
         """Names of the instruments that are emulated in this process."""
-        return tuple(name for name, url in self.urls.items() if url == EMULATED)
+        return tuple(name for name, url in self.urls.items() if is_emulated(url))
+
+    @property
+    def simulated(self) -> bool:
+        """Whether all instruments are emulated in this process; a person may rehearse on them."""
+        real = set(self.urls) - set(self.emulated)
+        return bool(self.emulated) and real <= {"operator"}
 
     @property
     def bath_emulated(self) -> bool:
         """Whether the bath is an emulator's, of this process or of a `teatbench emulate` on this
         machine: operator and bath are then at the loopback or a pty.
         """
-        if self.bath.url == EMULATED:
-            return True
+        if is_emulated(self.bath.url) or plugin_url(self.bath.url):
+            return is_emulated(self.bath.url)
         line, hands = parse_line(self.bath.url), urlsplit(self.operator.url)
         there = bool(re.match(r"/dev/(pts/|ttys)\d", line.device)) or is_loopback(line.host)
         return there and hands.scheme == "emulator" and is_loopback(hands.hostname or "")
@@ -768,4 +794,4 @@ class Rig(Section):
     @property
     def all_emulated(self) -> bool:
         """Whether no instrument is real: their emulators are of this process, or of another."""
-        return bool(self.emulated) or self.operator.url.startswith(ELSEWHERE)
+        return self.simulated or self.operator.url.startswith(ELSEWHERE)

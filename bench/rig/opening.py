@@ -6,23 +6,32 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
+from contextlib import (
+    AbstractContextManager,
+    ExitStack,
+    closing,
+    contextmanager,
+    nullcontext,
+    suppress,
+)
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
 from bench.record.recording import Recording, RecordingCameras
-from bench.rig.devices import AnyArm, Cameras, Devices
+from bench.rig.devices import Devices
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.leaving import Leaving, Opened, to_stderr
-from bench.rig.loading import LoadedRig
+from bench.rig.loading import LoadedRig, find_rig, load_rig
 from bench.rig.model import Emulation, OneCamera, Operator, Rig, ThermalTable
+from bench.rig.model import Stage as StageTable
 from bench.rig.practice import Practice, following
 from bench.rig.scripted_answers import load_answers
 from bench.rig.urls import BROWSER, CONSOLE, ELSEWHERE, EMULATED, PEOPLE, SCRIPT
 from detector.calibration import Calibration
-from instruments.bath.driver import Bath, PumpAt
+from instruments.bath.driver import Bath as OwnBath
+from instruments.bath.driver import PumpAt
 from instruments.bath.profile import Profile
 from instruments.camera.cameras import KNOWN, Camera, CameraSet
 from instruments.camera.files import FileCamera
@@ -31,6 +40,12 @@ from instruments.camera.genicam import DeviceTime, GenicamCamera
 from instruments.camera.opencv import OpenCvCamera
 from instruments.captures.capture import CaptureFile
 from instruments.clock import Clock, PacedClock, RealClock, VirtualClock
+from instruments.drivers.arm import PluggedArm
+from instruments.drivers.bath import PluggedBath
+from instruments.drivers.camera import PluggedCamera, PluggedGroup
+from instruments.drivers.entry_points import Kind, Plugged, load, plugin_url
+from instruments.drivers.protocols import Arm, Bath, Cameras, Stage
+from instruments.drivers.stage import PluggedStage
 from instruments.errors import DeviceError, InstrumentError
 from instruments.link import Link, Tap
 from instruments.microscribe.driver import MicroScribe
@@ -40,8 +55,9 @@ from instruments.operators.mailbox import Mailbox
 from instruments.operators.prompted import PromptedOperator
 from instruments.operators.remote import RemoteOperator
 from instruments.points import PointArm, points_url
-from instruments.stage.driver import Stage
+from instruments.stage.driver import Stage as OwnStage
 from instruments.stage.zaber import Motor
+from instruments.world.world import World
 from reports.sanitize import sanitized
 
 ALL = ("arm", "bath", "stage", "operator", "cameras")
@@ -105,8 +121,7 @@ def open_instruments(
     """The instruments ``names`` of ``rig``, closed at the end; others are None. Without ``clock``
     time is virtual where all is emulated and no person takes part. ``twin``: emulators already up;
     ``screen`` is entered around a question; ``folder``: of a run with a browser; ``speed`` of
-    emulators in real time. Raises
-    BringUpError, or a single instrument's fault, and ConfigError.
+    emulators in real time. Raises BringUpError, or a single instrument's fault, and ConfigError.
 
     What was made to heat or to move is made safe at the end (NotSafeError where it could not be,
     which ``warn`` gets too), and by a guardian where the process dies. ``leave_running``: it goes
@@ -114,18 +129,20 @@ def open_instruments(
     """
     if twin is None:
         rig.refuse_unfilled(*names)
-    emulated = twin is not None or any(rig.rig.urls.get(name) == EMULATED for name in names)
+    emulated = set(names) & set(rig.rig.emulated)
+    real = (set(names) & set(rig.rig.urls)) - emulated - ({"operator"} if emulated else set())
 
     def leaving(devices: Devices) -> Leaving:
         # emulators of this process die with it
-        guards = not emulated and not isinstance(devices.clock, VirtualClock)
+        virtual = twin is not None or isinstance(devices.clock, VirtualClock)
+        guards = set() if virtual else {"bath", "stage"} & real
         return Leaving(rig, devices, guards=guards, leave_running=leave_running, warn=warn)
 
     def clock_in(stack: ExitStack) -> Clock:
         person = "operator" in names and rig.rig.operator.url in PEOPLE
-        if emulated and not realtime and not person:
+        if (emulated or twin) and not real and not realtime and not person:
             return VirtualClock()
-        if speed is not None and rig.rig.emulated:  # nothing real is hurried
+        if speed is not None and rig.rig.simulated:  # nothing real is hurried
             return PacedClock(speed, start_s)
         return stack.enter_context(closing(RealClock(start_s)))
 
@@ -139,9 +156,9 @@ def open_instruments(
             if emulated and world is None:
                 world = stack.enter_context(EmulatedRig(rig, time, seeded))
             heard: dict[str, float] = {}
-            openers = _openers(rig, time, world, capture, heard, identify=identify)
+            openers = _Openers(rig, time, world, capture, heard, identify=identify).all()
             found = _opened(stack, names, openers)
-            together = _together(found, time, world, answerer, names, heard)
+            together = _together(rig, found, time, world, answerer, names, heard)
             if world and type(time) is not VirtualClock:
                 practice = partial(following, Practice(world), time, speed or 1.0)
                 together = replace(together, practice=practice)
@@ -168,6 +185,7 @@ def _opened(
 
 
 def _together(
+    rig: LoadedRig,
     opened: Mapping[str, Any],
     clock: Clock,
     twin: EmulatedRig | None,
@@ -175,25 +193,49 @@ def _together(
     names: Sequence[str],
     heard: dict[str, float],
 ) -> Devices:
-    has_pedals = isinstance(opened.get("arm"), MicroScribe)
-    if isinstance(answerer, Console) and twin is None and has_pedals:
-        answerer.watch_pedals(lambda: pedal_watch(opened["arm"], clock))
-    hands: Any = twin.operator if twin and "operator" in names else opened.get("operator")
     arm: Any
     bath: Any
     cameras: Any
     arm, bath, stage, cameras = (opened.get(n) for n in ("arm", "bath", "stage", "cameras"))
+    if isinstance(answerer, Console) and twin is None and arm and arm.pedals:
+        answerer.watch_pedals(lambda: pedal_watch(arm, clock))
+    hands: Any = twin.operator if twin and "operator" in names else opened.get("operator")
     if answerer:
         answerer.hands = hands
-    if isinstance(arm, PointArm):
+    if arm:
         arm.asked_of(answerer or hands)
-    exact_ends = twin.world.ends_mm if twin else None
+    if twin:
+        _follow(rig.rig, twin, bath, stage)
+    exact = twin and {"arm", "cameras"} <= set(rig.rig.emulated)
+    exact_ends = twin.world.ends_mm if twin and exact else None
     return Devices(clock, arm, bath, stage, cameras, answerer or hands, exact_ends, heard)
+
+
+def _follow(rig: Rig, twin: EmulatedRig, bath: Bath | None, stage: Stage | None) -> None:
+    """Have the emulated world follow what isn't emulated."""
+    if bath and "bath" not in rig.emulated:
+        bath.on_reading = twin.follow_bath
+    if stage and "stage" not in rig.emulated:
+        last = [0.0] * 4
+
+        def place() -> list[float]:
+            with suppress(InstrumentError):  # not connected yet, or lost: as it was
+                last[: len(stage.axes)] = stage.position().tolist()
+            return last
+
+        twin.follow_stage(rig, place)
+
+
+@contextmanager
+def emulated_world(clock: Clock) -> Iterator[World]:
+    """The world of the shipped emulated rig, for an emulator of another package."""
+    with EmulatedRig(load_rig(find_rig(None)), clock, 1) as twin:
+        yield twin.world
 
 
 def in_virtual_time(rig: LoadedRig, *, realtime: bool) -> bool:
     """Whether a run need not wait: all is emulated, and no person takes part."""
-    return bool(rig.rig.emulated) and not realtime and rig.rig.operator.url not in PEOPLE
+    return rig.rig.simulated and not realtime and rig.rig.operator.url not in PEOPLE
 
 
 def rig_of(profile: Profile | None = None, **tables: Any) -> LoadedRig:
@@ -203,7 +245,7 @@ def rig_of(profile: Profile | None = None, **tables: Any) -> LoadedRig:
     return LoadedRig(Path(), "", rig, cast(Profile, profile), Path(), None)
 
 
-def pedal_watch(arm: MicroScribe, clock: Clock) -> Callable[[float], bool]:
+def pedal_watch(arm: Arm, clock: Clock) -> Callable[[float], bool]:
     """Waits some seconds for a pedal; True once one was pressed since the first call. A pedal that
     is down at first must come up. Raises as polling.
     """
@@ -212,7 +254,7 @@ def pedal_watch(arm: MicroScribe, clock: Clock) -> Callable[[float], bool]:
     def pressed(seconds: float) -> bool:
         end_s = clock.now() + seconds
         while True:
-            if any(event.pressed for event in debouncer.feed(clock.now(), arm.poll().buttons)):
+            if any(event.pressed for event in debouncer.feed(clock.now(), arm.buttons())):
                 return True
             if clock.now() >= end_s:
                 return False
@@ -238,6 +280,8 @@ def open_camera(
     kind, _, rest = table.url.partition(":")
     if kind == "genicam":
         return GenicamCamera(name, rest, clock, table.settings, in_step=in_step)
+    if plug := plugin_url(table.url):
+        return PluggedCamera(load("camera", plug), name, clock)
     if kind == "files":
         return FileCamera(name, folder / rest, clock)
     beside = folder / rest
@@ -245,9 +289,14 @@ def open_camera(
     return OpenCvCamera(name, int(rest) if rest.isdecimal() else source, clock, table.settings)
 
 
-def _open_cameras(rig: LoadedRig, clock: Clock) -> Cameras:
-    """Paths are taken from the rig file's folder. Raises InstrumentError, RecordingError."""
+def _open_cameras(rig: LoadedRig, clock: Clock, emulator: str = "") -> Cameras:
+    """Paths are taken from the rig file's folder; ``emulator``: where that of a plug-in is. Raises
+    InstrumentError, RecordingError.
+    """
     folder, tables = rig.path.parent, rig.rig.cameras.tables
+    group = None
+    if plug := plugin_url(rig.rig.cameras.url):
+        group = partial(PluggedGroup, _at(load("camera", plug), emulator), clock)
     kind, _, rest = rig.rig.cameras.url.partition(":")
     if kind == "recording":
         return RecordingCameras(Recording(folder / rest))
@@ -262,7 +311,12 @@ def _open_cameras(rig: LoadedRig, clock: Clock) -> Cameras:
     at = folder, clock, DeviceTime()
     openers = {name: partial(open_camera, name, t, *at) for name, t in tables.items()}
     made = rig.made_calibration
-    return CameraSet(openers, {name: conversion_of(t, made) for name, t in tables.items()})
+    conversions = {name: conversion_of(t, made) for name, t in tables.items()}
+    return CameraSet(openers, conversions, group)
+
+
+def _at(plugged: Plugged, emulator: str) -> Plugged:
+    return plugged.with_keys(url=emulator) if emulator else plugged
 
 
 def _answerer(
@@ -288,56 +342,88 @@ def _answerer(
     return load_answers(rig.path.parent / url.removeprefix(SCRIPT), show)
 
 
-def _openers(
-    rig: LoadedRig,
-    clock: Clock,
-    twin: EmulatedRig | None,
-    capture: CaptureFile | None,
-    heard: dict[str, float],
-    *,
-    identify: bool,
-) -> dict[str, Callable[[], Any]]:
-    r = rig.rig
-    urls = twin.urls if twin else r.urls
+class _Openers:
+    """What opens each instrument of ``rig``, by the rig file or on the emulators of ``twin``."""
 
-    def tap(name: str) -> Tap:
-        return Heard(name, clock, heard, capture.tap(name, clock) if capture else Tap())
+    def __init__(
+        self,
+        rig: LoadedRig,
+        clock: Clock,
+        twin: EmulatedRig | None,
+        capture: CaptureFile | None,
+        heard: dict[str, float],
+        *,
+        identify: bool,
+    ) -> None:
+        self._rig, self._clock, self._twin = rig, clock, twin
+        self._capture, self._heard, self._identify = capture, heard, identify
+        self._ports = twin.urls if twin else {}  # of emulators
+        # a port of an emulator for what is emulated, else what the rig file says
+        emulated = (*rig.rig.emulated, *(["pump"] if "bath" in rig.rig.emulated else []))
+        ours = {name: url for name, url in self._ports.items() if name in emulated}
+        self._urls = rig.rig.urls | ours
 
-    def link(name: str, baud: int) -> Link:
-        return Link(urls[name], clock, who=name, baud=baud, tap=tap(name))
+    def all(self) -> dict[str, Callable[[], Any]]:
+        """By instrument, of those that the rig has."""
+        r = self._rig.rig
+        found: dict[str, Callable[[], Any]] = {"arm": self._arm, "bath": self._bath}
+        found["cameras"] = self._cameras
+        if r.stage:
+            found["stage"] = partial(self._stage, r.stage)
+        if r.operator.url.startswith(ELSEWHERE):
+            port = r.operator.url.replace(ELSEWHERE, "socket://")
+            found["operator"] = lambda: RemoteOperator(port, self._clock)
+        return found
 
-    def arm() -> AnyArm:
-        if points := points_url(urls["arm"]):
-            return PointArm(points, rig.path.parent, clock, r.arm.accuracy_mm, r.arm.resolution_mm)
-        return MicroScribe(link("arm", r.arm.baud), clock, answer_s=r.arm.answer_s)
+    def _driver(self, kind: Kind, url: str) -> Plugged | None:
+        """The plug-in of ``url``, with its emulator's port; None where it names none."""
+        plug = plugin_url(url)
+        port = self._ports[kind] if plug and plug.emulated else ""
+        return _at(load(kind, plug), port) if plug else None
 
-    def bath() -> Bath:
-        pump_url = urls.get("pump", r.bath.pump_url)
+    def _tap(self, name: str) -> Tap:
+        then = self._capture.tap(name, self._clock) if self._capture else Tap()
+        return Heard(name, self._clock, self._heard, then)
+
+    def _link(self, name: str, baud: int) -> Link:
+        return Link(self._urls[name], self._clock, who=name, baud=baud, tap=self._tap(name))
+
+    def _arm(self) -> Arm:
+        table, clock = self._rig.rig.arm, self._clock
+        if plugged := self._driver("arm", table.url):
+            return PluggedArm(plugged, clock)
+        if points := points_url(self._urls["arm"]):
+            folder = self._rig.path.parent
+            return PointArm(points, folder, clock, table.accuracy_mm, table.resolution_mm)
+        return MicroScribe(self._link("arm", table.baud), clock, answer_s=table.answer_s)
+
+    def _bath(self) -> Bath:
+        r, relay = self._rig.rig, self._rig.relay
+        if plugged := self._driver("bath", r.bath.url):
+            return PluggedBath(plugged, self._clock, identify=self._identify)
         elsewhere = r.operator.url.startswith(ELSEWHERE) and r.bath_emulated
-        emulated = elsewhere or (twin is not None and "bath" in twin.urls)
-        return Bath(
-            urls["bath"],
-            rig.profile,
-            clock,
+        emulated = elsewhere or "bath" in r.emulated
+        pump_url = self._urls.get("pump", r.bath.pump_url)
+        return OwnBath(
+            self._urls["bath"],
+            self._rig.profile,
+            self._clock,
             allow_inferred=r.bath.allow_inferred,
             # an emulated controller has no display, and is in degC unless a fault changes it
             unit_confirmed=bool(r.bath.unit_confirmed or emulated),
-            identify=identify,
-            tap=tap("bath"),
-            pump=PumpAt(pump_url, rig.relay, tap("pump")) if rig.relay else None,
+            identify=self._identify,
+            tap=self._tap("bath"),
+            pump=PumpAt(pump_url, relay, self._tap("pump")) if relay else None,
         )
 
-    openers: dict[str, Callable[[], Any]] = {
-        "arm": arm,
-        "bath": bath,
-        "cameras": lambda: twin.cameras if twin else _open_cameras(rig, clock),
-    }
-    if stage := r.stage:
-        motors = [Motor(*motor) for motor in stage.motors]
-        openers["stage"] = lambda: Stage(
-            link("stage", stage.baud), clock, stage.axes, dialect=stage.dialect, motors=motors
-        )
-    if r.operator.url.startswith(ELSEWHERE):
-        port = r.operator.url.replace(ELSEWHERE, "socket://")
-        openers["operator"] = lambda: RemoteOperator(port, clock)
-    return openers
+    def _stage(self, table: StageTable) -> Stage:
+        if plugged := self._driver("stage", table.url):
+            return PluggedStage(plugged, self._clock, table.axes)
+        motors = [Motor(*motor) for motor in table.motors]
+        link = self._link("stage", table.baud)
+        return OwnStage(link, self._clock, table.axes, dialect=table.dialect, motors=motors)
+
+    def _cameras(self) -> Cameras:
+        if self._twin and self._rig.rig.cameras.url == EMULATED:
+            return self._twin.cameras
+        return _open_cameras(self._rig, self._clock, self._ports.get("cameras", ""))

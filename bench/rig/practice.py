@@ -17,7 +17,7 @@ from pathlib import Path
 from bench.rig.emulated_rig import EmulatedRig
 from instruments.camera.cameras import KNOWN
 from instruments.clock import Clock, wall_time
-from instruments.stage.emulator.board import Fault
+from instruments.stage.emulator.board import StageFault
 
 REQUESTS = "practice.jsonl"
 SHOWN = "practice.json"  # in the run's folder, while the emulators are up
@@ -111,7 +111,7 @@ class Practice:
         """A stall is over with the motion that it struck; a jam stays until it is freed."""
         if stage := self.twin.stage:
             with self.twin.world.lock:
-                (stage.inject if self._jammed else stage.cure)(Fault.STALL)
+                (stage.inject if self._jammed else stage.cure)(StageFault.STALL)
 
 
 def page_of(practice: Practice) -> str:

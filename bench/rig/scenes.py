@@ -16,7 +16,6 @@ import numpy as np
 from bench.config import ConfigError, read_text, toml_of
 from bench.files import write_synced
 from bench.record.recording import RecordingError, RecordingWriter, TruthRow
-from bench.rig.coco import CocoFile
 from bench.rig.loading import LoadedRig, drawn
 from bench.rig.model import make_renderer
 from detector.calibration import Calibration, dump_calibration
@@ -55,14 +54,19 @@ def rig_renderer(rig: LoadedRig, seed: int) -> Renderer:
 def warm(found: Situation) -> SceneState:
     """A situation with its bath settled, at temperatures that vary as between days."""
     rng = np.random.Generator(np.random.PCG64([found.seed, *found.name.encode(), *b"warmth"]))
-    constants = PlantConstants()
     water_c, ambient_c = float(rng.uniform(32.5, 33.5)), float(rng.uniform(17.0, 24.0))
     ambient_c = ambient_c if found.room_c is None else found.room_c
-    share = constants.teat_in_w_per_k / (constants.teat_in_w_per_k + constants.teat_out_w_per_k)
     noise = rng.normal(0.0, 0.15, len(found.phantom.teats))
-    teats_c = tuple((ambient_c + share * (water_c - ambient_c) + noise).tolist())
+    teats_c = tuple((teat_temp_c(water_c, ambient_c) + noise).tolist())
     time_s = float(rng.uniform(0.0, 3600.0))
     return found.state(teats_c, water_c - 0.02, ambient_c, time_s=time_s)
+
+
+def teat_temp_c(water_c: float, ambient_c: float) -> float:
+    """Of a teat that has settled between its water and the room."""
+    constants = PlantConstants()
+    share = constants.teat_in_w_per_k / (constants.teat_in_w_per_k + constants.teat_out_w_per_k)
+    return ambient_c + share * (water_c - ambient_c)
 
 
 def write_sheet(
@@ -98,16 +102,14 @@ def record(
     folder: Path,
     seed: int,
     perturbations: Sequence[Perturbation] = (),
-    coco: Path | None = None,
 ) -> Iterator[str]:
-    """Add a frame for each family and seed to a recording; yields their names. ``coco``: the file
-    for masks and key points. Raises ConfigError, RecordingError.
+    """Add a frame for each family and seed to a recording; yields their names. Raises ConfigError,
+    RecordingError.
     """
     families = chosen(names)
     renderer, stated = rig_renderer(rig, seed), rig.calibration
     for one in perturbations:
         stated = one.stated(stated)
-    labels = CocoFile(coco, renderer) if coco else None
     text = read_text(rig.calibration_path)
     if stated is not rig.calibration:
         text = dump_calibration(stated, "perturbed: not what the cameras are")
@@ -121,13 +123,9 @@ def record(
                 shot = draw(renderer, name, state, [seed, member], perturbations, chance)
                 writer.add(frame, shot.frames)
                 writer.add_truth(frame, shot.truth)
-                if labels:
-                    labels.add(frame, name, member, shot.state)
                 yield frame
     except OSError as error:
         raise ConfigError.plain(f"{folder}: can't be written: {error}") from error
-    if labels:
-        labels.write()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,6 +11,7 @@ from pydantic import ValidationInfo
 
 from bench.config import did_you_mean, is_there
 from instruments.bath.connection import ALLOWED, LineError, parse_line
+from instruments.drivers.entry_points import EMULATORS, GROUPS, Kind, available, plugin_url
 from instruments.points import ALLOWED as ALLOWED_POINTS
 from instruments.points import points_url
 from instruments.port_settings import PortSettings, with_lines
@@ -20,12 +21,37 @@ PEOPLE = (CONSOLE, BROWSER)  # a person answers, in real time
 ELSEWHERE = "emulator://"  # the operator of another process, which emulates the whole rig
 
 
+def is_emulated(url: str) -> bool:
+    """Whether ``url`` is of an emulator in this process: the bench's own, or a plug-in's."""
+    found = None if url == EMULATED else plugin_url(url)
+    return url == EMULATED or (found is not None and found.emulated)
+
+
 def is_loopback(host: str) -> bool:
     """Whether ``host`` is this machine, as an address that no other one can have."""
     try:
         return host == "localhost" or ip_address(host).is_loopback
     except ValueError:
         return False
+
+
+def plugged(url: str, kind: Kind) -> bool:
+    """Whether ``url`` names a plug-in. Raises ValueError for one that isn't installed."""
+    found = plugin_url(url)
+    if found is None:
+        return False
+    group = (EMULATORS if found.emulated else GROUPS)[kind]
+    if found.name not in (there := available(group)):
+        near, known = did_you_mean(found.name, there), ", ".join(there) or "none"
+        raise ValueError(
+            f"no plug-in {found.name!r} is installed{near} (entry points of {group}: {known})"
+        )
+    return True
+
+
+def stage_url(url: str) -> str:
+    """``url`` where it is a serial link or a plug-in. Raises ValueError."""
+    return url if plugged(url, "stage") else serial_url(url)
 
 
 def serial_url(url: str) -> str:
@@ -43,7 +69,7 @@ def serial_url(url: str) -> str:
 
 def arm_url(url: str) -> str:
     """``url`` where it is a serial link or points of another arm. Raises ValueError."""
-    if points_url(url):
+    if points_url(url) or plugged(url, "arm"):
         return url
     try:
         return serial_url(url)
@@ -53,6 +79,8 @@ def arm_url(url: str) -> str:
 
 def bath_url(url: str) -> str:
     """``url`` where it is a bath's. Raises ValueError that says what is allowed."""
+    if plugged(url, "bath"):
+        return url
     try:
         if url != EMULATED:
             parse_line(url)
@@ -62,6 +90,8 @@ def bath_url(url: str) -> str:
 
 
 def relay_url(url: str) -> str:
+    if url.startswith("plugin:"):
+        raise ValueError("a relay is no plug-in: a bath's plug-in has its pump in it")
     return url and bath_url(url)
 
 

@@ -36,7 +36,6 @@ from bench.safety.stability import StabilityGate
 from bench.script.model import LoadedScript
 from bench.truth.touching import TipReader
 from instruments.clock import VirtualClock, stopwatch_s, wall_time
-from instruments.microscribe.driver import MicroScribe, Sample
 from instruments.operators.operator import KIND_OF, Answer, BoardTouch, Release, Request, Touch
 
 LOOK_S = 1.0
@@ -206,7 +205,9 @@ class RunContext:
 
     def _instrument(self, name: str) -> InstrumentStatus:
         devices, now_s = self.devices, self.clock.now()
-        heard_s, found = devices.heard.get(name), devices.safed.get(name)
+        # an arm that moves by itself is made safe, and by hand too, as what it is
+        acts = "robot" if name == "arm" and devices.arm.touches else name
+        heard_s, found = devices.heard.get(name), devices.safed.get(acts)
         link, how, last, by_hand = Link.ANSWERS, "", self.last.get(name, ""), ""
         if name == self.away:
             link, how = Link.AWAY, self.away_how
@@ -217,13 +218,13 @@ class RunContext:
                 link, how = (Link.AWAY if name == self.away else Link.SILENT), failing
             elif link is Link.ANSWERS and last:
                 last += f", {self.watch.state.value}"
-        if found and not found.is_safe and name in BY_HAND:
-            how, by_hand = found.detail or found.evidence.value, BY_HAND[name]
+        if found and not found.is_safe and acts in BY_HAND:
+            how, by_hand = found.detail or found.evidence.value, BY_HAND[acts]
         safe = Safe.IN_USE if name in devices.active else Safe.AT_REST
         if found and (safe is Safe.AT_REST or not found.is_safe):
             safe = Safe(found.evidence.value)
         age_s = None if heard_s is None else max(0.0, now_s - heard_s)
-        if name == "arm" and found and not found.is_safe:
+        if acts == "arm" and found and not found.is_safe:
             safe = Safe.AT_REST  # nothing in it heats or moves
         return InstrumentStatus(name, link, safe, last=last, age_s=age_s, how=how, by_hand=by_hand)
 
@@ -234,11 +235,8 @@ class RunContext:
         arm = self.devices.arm
         if not self._touching or type(self.clock) is VirtualClock or not arm.homed:
             return None
-        if not isinstance(arm, MicroScribe):
-            return None  # a point is there once it is touched
-        packet = arm.poll()
-        seen = arm.position([Sample(self.clock.now(), packet.counts, packet.buttons)])
-        return self.tip.in_world(seen).tip_mm
+        seen = arm.glance()  # none where a point is there once it is touched
+        return self.tip.in_world(seen).tip_mm if seen else None
 
     def long(self, what: str, at_most_s: float, *, silent: bool = False) -> None:
         """Allow ``what`` ``at_most_s`` before the guardian takes the bench for hung; ``silent``:

@@ -36,6 +36,7 @@ from bench.truth.arm_check import AFTER, BEFORE, CHECK_FACT, check_arm, check_te
 from detector.protocol import Detector
 from instruments.bath.sequence import start_bath
 from instruments.clock import wall_time
+from instruments.drivers.protocols import Stage
 from instruments.errors import InstrumentError
 from instruments.operators.operator import (
     Finish,
@@ -44,7 +45,6 @@ from instruments.operators.operator import (
     OperatorRepeat,
     OperatorSkip,
 )
-from instruments.stage.driver import Stage
 
 RECORD_FAULTS = (sqlite3.Error, OSError)
 BETWEEN_S = 120.0  # between two scripts of a queue, before the guardian takes the bench for hung

@@ -146,7 +146,7 @@ def settling_of(rig: LoadedRig, script: LoadedScript) -> float:
     """How long the emulated bath takes until the gate opens; at most what the script allows."""
     emulation, bath, gate = rig.rig.emulation, script.script.bath, gate_of(script)
     room_c = start_c = max(0.0, rig.rig.bath.room_c)
-    if rig.rig.emulated:
+    if "bath" in rig.rig.emulated:
         room_c, start_c = emulation.ambient_c, emulation.bath_start_c
     plant = Plant(rig.rig.seed, ambient_c=room_c, start_c=start_c)
     plant.pump = "on"
@@ -219,7 +219,7 @@ def needs(
     rig: LoadedRig, script: LoadedScript, measured: Mapping[str, float] | None = None
 ) -> Forecast:
     """From what was ``measured`` on the rig, else from what is assumed (emulated parts: none)."""
-    measured, emulated = measured or {}, bool(rig.rig.emulated)
+    measured, emulated = measured or {}, rig.rig.simulated
     figures = {**ASSUMED, **measured}
     if emulated:
         figures |= {"homing": 0.0, "capture": 0.0}

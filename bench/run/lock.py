@@ -54,7 +54,7 @@ class RigInUseError(LimitError):
 
 def lock_path(rig: LoadedRig) -> Path | None:
     """Where the rig's lock is; None for an emulated rig."""
-    return None if rig.rig.emulated else rig.path.with_name(rig.path.stem + ENDING)
+    return None if rig.rig.simulated else rig.path.with_name(rig.path.stem + ENDING)
 
 
 @contextmanager

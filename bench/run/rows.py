@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from bench import __version__
 from bench.files import Picture
 from bench.record.schema import Row
 from bench.record.writer import Store
@@ -29,6 +28,7 @@ from bench.rig.arm_files import as_dict
 from bench.rig.loading import LoadedRig
 from bench.run.notify import without_secrets
 from bench.truth.joint import FRAME_FACT
+from bench.version import __version__
 from detector.protocol import Detector
 from instruments.clock import wall_time
 

@@ -5,24 +5,25 @@ folder and one report.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.config import ConfigError, read_calibration, read_config, read_text
+from bench.config import ConfigError, parse_config, read_calibration, read_text
 from bench.record.reader import read_run
-from bench.record.recording import Recording
-from bench.record.schema import GUARDIAN, RULES, SCRIPT
+from bench.record.recording import Recording, TruthRow
+from bench.record.schema import GUARDIAN, RULES, SCRIPT, Row
 from bench.record.state import run_lock
 from bench.record.writer import Store
 from bench.results import health
-from bench.results.answers import Examiner
+from bench.results.answers import Answer, Examiner
 from bench.results.cameras_agree import UNCHECKED_FACT, spread, unchecked_text, where_seen
 from bench.results.doubts import DOUBTS_FACT, LOOKED_FACT, doubts_of, looked_at
 from bench.results.queue import ENDED, QueueNote
@@ -32,7 +33,7 @@ from bench.rig.guardian_client import GuardianClient, Heartbeat, signs_of
 from bench.rig.leaving import target_of
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import in_virtual_time, open_instruments
-from bench.rig.urls import EMULATED
+from bench.rig.urls import is_emulated
 from bench.run.context import RunContext
 from bench.run.engine import Engine
 from bench.run.estimate import TimeEstimate, needs, read_durations, refuse_no_room
@@ -73,12 +74,14 @@ from bench.script.model import (
 from bench.script.planned_trials import pose_set
 from bench.truth.touching import truth_row
 from detector.protocol import Detector
+from instruments.camera.frame import FrameSet
 from instruments.captures.capture import CaptureFile
 from instruments.clock import VirtualClock, wall_time
 from instruments.errors import InstrumentError
 from instruments.operators.console import Console
 from instruments.operators.operator import time_left
 
+EMULATED_FACT = "emulated"  # of a run: which of its instruments are, where others are real
 BETWEEN_S = 1.0  # of the bench's time, between two sessions of a run
 # touches of one end scatter by less, and no bench sets a pose up again this well by chance
 SAME_POSE_MM = 1.5
@@ -260,8 +263,10 @@ def _begun(
     today = wall_time().date()
     recorded = rig.rig.cameras.recorded
     kind = "emulated" if rig.rig.all_emulated else "recorded" if recorded else "real"
+    kind = "mixed" if rig.rig.emulated and kind != "emulated" else kind
     facts = {
         "kind": kind,
+        **({EMULATED_FACT: list(rig.rig.emulated)} if kind == "mixed" else {}),
         "title": table.title,
         "about": table.about,
         "seed": how.seed,
@@ -438,9 +443,10 @@ def _guarded_instruments(
             return client
 
         bath, guardian = rig.rig.bath, None
-        if bath.url != EMULATED:
+        if not is_emulated(bath.url):
             stage = rig.rig.stage
-            guardian = guardian_of(bath.url, bath.pump_url, stage.url if stage else "")
+            real = stage and not is_emulated(stage.url)
+            guardian = guardian_of(bath.url, bath.pump_url, stage.url if stage and real else "")
         if left:
             keep_guardians(store)
         opened = open_instruments(
@@ -455,7 +461,7 @@ def _guarded_instruments(
             folder=store.folder,
         )
         devices = stack.enter_context(opened)
-        if bath.url == EMULATED and not isinstance(devices.clock, VirtualClock):
+        if is_emulated(bath.url) and not isinstance(devices.clock, VirtualClock):
             of_stage = devices.stage.url if devices.stage else ""
             guardian = guardian_of(devices.bath.url, devices.bath.pump_url, of_stage)
         stack.enter_context(signs_of(heartbeat, devices.clock))
@@ -477,53 +483,117 @@ def _scored(
     doubts = doubts_of(recording, calibration)
     truth = {} if doubts else recording.truth  # nothing is charged where none can be found
     examiner = Examiner(calibration)
-    rules, files = read_config(RECORDING_RULES, Rules), {RULES: read_text(RECORDING_RULES)}
-    planned, poses = len(recording.frames), _pose_names(recording)
+    rules, planned, poses = RECORDING_RULES, len(recording.frames), _pose_names(recording)
     seen = {
         frame: where_seen(recording.load(frame), calibration, truth.get(frame, ()))
         for frame in spread(dict.fromkeys(poses.values()))
     }
     unchecked = unchecked_text(seen, recording.truth)
+    text = read_text(rules)
     if not unchecked:  # what can't be checked in a recording keeps no detector from its verdict
-        files = {RULES: f"{files[RULES]}\n{read_text(CAMERAS_RULE)}"}
-    store = _new_store(out, f"score-{path.name}", files, recording.calibration_path)
+        text = f"{text}\n{read_text(CAMERAS_RULE)}"
     facts: dict[str, Any] = {"kind": "recorded", "title": f"Recording {path.name}"}
-    facts |= {"about": str(path), **({DOUBTS_FACT: doubts} if doubts else {})}
+    facts |= {"about": str(path), "planned": planned, **({DOUBTS_FACT: doubts} if doubts else {})}
     facts |= {UNCHECKED_FACT: unchecked} if unchecked else {}
     facts[LOOKED_FACT] = looked_at(recording)
-    try:
-        write_facts(store, {**facts, "planned": planned}, under_test, recording.calibration_path)
+    with ScoredFrames(
+        out, f"score-{path.name}", rules, text, recording.calibration_path, facts, under_test
+    ) as run:
         for number, frame in enumerate(recording.frames, 1):
             progress.trial(number - 1, planned, frame)
             frames = recording.load(frame)
             answers = [examiner.ask(one, frames) for one in under_test if not doubts]
             known, scored = recording.truth.get(frame, ()), truth.get(frame, ())
-            trial = f"{number:03d}-{frame}"
-            head = {
-                **dict.fromkeys(NOT_KNOWN),
-                "id": trial,
-                "number": number,
-                "name": poses[frame],
-                "situation": known[0].situation if known else "unknown",
-                "repeat": 1,  # each is a pose of its own
-                "wall_time": wall_time().isoformat(timespec="milliseconds"),
-            }
             ends = seen.get(frame, {})
-            rows = [truth_row(trial, row, seen=ends.get(row.teat)) for row in known]
-            write_trial(store, rules, head, frames, answers, scored, rows)
+            rows = [truth_row("", row, seen=ends.get(row.teat)) for row in known]
+            situation = known[0].situation if known else "unknown"
+            run.add(frame, poses[frame], situation, frames, answers, scored, rows)
         progress.trial(planned, planned, "")
-        _end(store, RunState.FINISHED)
-    except KeyboardInterrupt:
-        _end(store, RunState.ABORTED, INTERRUPTED)
-    except BaseException:  # a frame that can't be read: half a run is of no use
+    return run.folder
+
+
+class ScoredFrames:
+    """A run of frames without a script, each a trial as it comes, held against the rules in
+    ``text``. Leaving it ends the run; an error leaves none.
+    """
+
+    def __init__(
+        self,
+        out: Path,
+        name: str,
+        rules: Path,
+        text: str,
+        calibration: Path,
+        facts: Mapping[str, Any],
+        under_test: Sequence[Detector],
+    ) -> None:
+        self._rules, self._count = parse_config(rules, text, Rules), 0
+        self._store = _new_store(out, name, {RULES: text}, calibration)
         try:
-            store.close()
+            write_facts(self._store, dict(facts), under_test, calibration)
+        except BaseException:
+            self._drop()
+            raise
+
+    @property
+    def folder(self) -> Path:
+        return self._store.folder
+
+    def __enter__(self) -> Self:
+        return self
+
+    def fact(self, name: str, value: Any) -> None:
+        """What else there is to say of the run."""
+        self._store.fact(name, value)
+
+    def add(
+        self,
+        frame: str,
+        pose: str,
+        situation: str,
+        frames: FrameSet,
+        answers: Sequence[Answer],
+        truth: Sequence[TruthRow],
+        rows: Sequence[Row],
+    ) -> None:
+        """Score ``answers`` against ``truth`` and write the trial; ``rows``: the truth as kept."""
+        self._count += 1
+        trial = f"{self._count:03d}-{frame}"
+        head = {
+            **dict.fromkeys(NOT_KNOWN),
+            "id": trial,
+            "number": self._count,
+            "name": pose,
+            "situation": situation,
+            "repeat": 1,  # each is a pose of its own
+            "wall_time": wall_time().isoformat(timespec="milliseconds"),
+        }
+        kept = [{**row, "trial": trial} for row in rows]
+        write_trial(self._store, self._rules, head, frames, answers, truth, kept)
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> bool:
+        if error is not None and not isinstance(error, KeyboardInterrupt):
+            self._drop()  # a frame that can't be read: half a run is of no use
+            return False
+        try:
+            if error is None:
+                _end(self._store, RunState.FINISHED)
+            else:
+                _end(self._store, RunState.ABORTED, INTERRUPTED)
         finally:
-            shutil.rmtree(store.folder, ignore_errors=True)
-        raise
-    finally:
-        store.close()
-    return store.folder
+            self._store.close()
+        return error is not None
+
+    def _drop(self) -> None:
+        try:
+            self._store.close()
+        finally:
+            shutil.rmtree(self._store.folder, ignore_errors=True)
 
 
 def members_of(recording: Recording) -> dict[str, list[int]]:

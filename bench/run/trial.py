@@ -55,9 +55,9 @@ from bench.truth.uncertainty import How
 from detector.protocol import Detector, Served
 from instruments.camera.frame import FrameSet
 from instruments.clock import wall_time
+from instruments.drivers.protocols import Stage
 from instruments.errors import DeviceError, LimitError
 from instruments.operators.operator import Arrangement, NextTrial, OperatorRepeat, OperatorSkip
-from instruments.stage.driver import Stage
 from instruments.world.phantom import PlatePose
 
 REGISTRATION_FILE = "stage-registration.toml"  # in the run's folder, where it was made at its start
@@ -348,7 +348,7 @@ class TrialRun:
         ones; what can't be told is a fact of the run.
         """
         ctx, emulation = self._ctx, self._rig.emulation
-        room_c = emulation.ambient_c if self._rig.emulated else self._rig.bath.room_c
+        room_c = emulation.ambient_c if "cameras" in self._rig.emulated else self._rig.bath.room_c
         shown = [k for k, row in enumerate(rows) if row.visible]
         ends_mm = np.array([rows[k].xyz_mm for k in shown]).reshape(-1, 3)
         axes = trial.phantom.moved(trial.pose).axes[shown]

@@ -31,8 +31,8 @@ from bench.safety.stability import StabilityGate, State
 from instruments.bath.reading import BathReading
 from instruments.bath.sequence import heater_off, pump_on, pump_text
 from instruments.clock import Clock, wall_time
+from instruments.drivers.protocols import Stage
 from instruments.errors import InstrumentError, LinkError
-from instruments.stage.driver import Stage
 from instruments.stage.protocol import Status
 
 PERIOD_S = 1.0
@@ -201,6 +201,28 @@ class BathMonitor:
             self._trip = error
 
 
+class SafeAtOnce:
+    """Stage held and heater off, from any thread, again until both are; whether they are, and the
+    steps.
+    """
+
+    def __init__(self, devices: Devices) -> None:
+        self._devices, self._held = devices, False
+
+    def __call__(self) -> tuple[bool, list[Safing]]:
+        stage, steps = self._devices.stage, list[Safing]()
+        # first, for it takes a byte, and a bath that doesn't answer half a minute
+        braked = attempt("stage", stage.brake) if stage and not self._held else None
+        heater = attempt("heater", lambda: heater_off(self._devices.bath), "is in standby")
+        self._devices.safed["bath"] = replace(heater, name="bath")
+        if stage and braked:
+            steps.append(held(stage) if braked.is_safe else braked)
+            self._devices.safed["stage"] = steps[-1]
+        self._held = self._held or all(step.is_safe for step in steps)
+        steps.append(heater)
+        return heater.is_safe and self._held, steps
+
+
 WATCH = "the watch"
 WATCHING = "beside the bench"
 NO_GUARDIAN = "none: under virtual time the emulated bath ends with the bench"
@@ -229,7 +251,8 @@ class TripHandler:
         self._heartbeat = heartbeat
         self._guardian_client = guardian_client
         self._latch = latch_path(rig)
-        self._reported = self._held = self._beyond = False
+        self._reported = self._beyond = False
+        self._at_once = SafeAtOnce(devices)
         self.on_event: Callable[[str, str], None] = lambda _kind, _text: None
         self.seen: Callable[[], None] = lambda: None
         interlocks = self._interlocks = Interlocks(rig.rig.limits, devices.bath.profile)
@@ -249,7 +272,7 @@ class TripHandler:
             also=self._also,
             moving=Liveness(rig.profile),
         )
-        room_c = rig.rig.emulation.ambient_c if rig.rig.emulated else rig.rig.bath.room_c
+        room_c = rig.rig.emulation.ambient_c if rig.rig.bath_emulated else rig.rig.bath.room_c
         accuracy = rig.rig.bath.model_dump(include={"accuracy_k", "external_accuracy_k"})
         facts = {
             "interlocks asleep": interlocks.inactive,
@@ -292,20 +315,11 @@ class TripHandler:
 
     def _act(self, trip: Exception) -> bool:
         """Go to safe; True when heater and stage are. Called again until they are."""
-        stage, steps = self._devices.stage, list[Safing]()
-        # first, for it takes a byte, and a bath that doesn't answer half a minute
-        braked = attempt("stage", stage.brake) if stage and not self._held else None
-        heater = attempt("heater", lambda: heater_off(self._devices.bath), "is in standby")
-        self._devices.safed["bath"] = replace(heater, name="bath")
-        if stage and braked:
-            steps.append(held(stage) if braked.is_safe else braked)
-            self._devices.safed["stage"] = steps[-1]
-        self._held = self._held or all(step.is_safe for step in steps)
-        steps.append(heater)
+        safe, steps = self._at_once()
         if not self._reported:
             self._reported = True
             self._report(trip, [text for step in steps for text in step.texts])
-        return heater.is_safe and self._held
+        return safe
 
     def _report(self, trip: Exception, said: list[str]) -> None:
         """To the operator first; the record and the latch may fail without the others."""

@@ -52,7 +52,7 @@ class Latch:
 
 def latch_path(rig: LoadedRig) -> Path | None:
     """Where the rig's latch is; None for an emulated rig."""
-    return None if rig.rig.emulated else rig.path.with_name(rig.path.stem + ENDING)
+    return None if rig.rig.simulated else rig.path.with_name(rig.path.stem + ENDING)
 
 
 def set_latch(path: Path, trip: Exception, run: str) -> None:

@@ -14,8 +14,8 @@ from bench.rig.model import Stage as StageSettings
 from bench.truth.registration import Registration, StageAccuracy, Station
 from bench.truth.touching import Ends, Toucher
 from bench.truth.uncertainty import Triple, triple
+from instruments.drivers.protocols import Stage
 from instruments.errors import DeviceError
-from instruments.stage.driver import Stage
 from instruments.world.phantom import Phantom, PlatePose
 
 

@@ -78,7 +78,10 @@ class Ends:
 
 class ReadableArm(Protocol):
     @property
+    def touches(self) -> bool: ...
+    @property
     def identity(self) -> Identity: ...
+    def touch(self, point_mm: Floats, axis: Floats) -> None: ...
     def read(self, n: int = 8, max_spread_mm: float = 1.0) -> Reading: ...
 
 
@@ -102,6 +105,19 @@ class TipReader:
             )
             hint = "Make the frame anew with this arm: 'teatbench arm frame'"
             raise LimitError("arm", what, hint=hint)
+
+    def goes(self, point_mm: Floats, axis: Floats) -> bool:
+        """Have an arm that touches by itself go to the end at ``point_mm`` (3,) in the world, along
+        its ``axis``; False of one that is moved by hand. Raises as the arm.
+        """
+        if not self._arm.touches:
+            return False
+        tip_mm = point_mm + self._settings.tip_radius_mm * axis
+        if self._frame is not None:
+            arm_from_world = self._frame.world_from_arm.inverse()
+            tip_mm, axis = arm_from_world.apply(tip_mm), np.asarray(arm_from_world.R @ axis)
+        self._arm.touch(tip_mm, axis)
+        return True
 
     def read(self) -> Reading:
         settings = self._settings
@@ -175,7 +191,8 @@ class Toucher:
                 )
             self._check()
             number = self.readings - missing + 1
-            self._ask(Touch(teat, len(ends.expected_mm), number, self.readings, again))
+            if not self.tip.goes(ends.expected_mm[teat - 1], ends.axes[teat - 1]):
+                self._ask(Touch(teat, len(ends.expected_mm), number, self.readings, again))
             try:
                 seen = self.tip.read()
             except TouchAgainError as error:

@@ -97,6 +97,7 @@ class Bath:
             self._relay = RegisterAccess(pump.url, pump.profile, clock, shared=beside, **given)
         self._identity: Mapping[str, str] = {}
         self.before_heating: Callable[[], None] = lambda: None
+        self.on_reading: Callable[[BathReading], None] = lambda _: None
         self.heats = False  # by a call of ours, and no standby was read back since
         self.pump_on = False  # the same of a pump with its own switch
         self.watched = True  # whether its own watchdog is set, where it has one
@@ -126,7 +127,9 @@ class Bath:
         """One poll. Raises DeviceError for no temperature and for a controller that has stopped by
         itself, ProtocolError for a temperature that can't be one.
         """
-        return self._retried(self._read)
+        reading = self._retried(self._read)
+        self.on_reading(reading)
+        return reading
 
     def get(self, name: str) -> float:
         """The value of any row; for one in degC only after a poll that makes sense."""

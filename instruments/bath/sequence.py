@@ -17,7 +17,7 @@ from instruments.bath.reading import BathReading
 from instruments.errors import DeviceError, InstrumentError, LimitError
 
 if TYPE_CHECKING:
-    from instruments.bath.driver import Bath
+    from instruments.bath.interface import Bath
 
 ON, OFF = "on", "off"  # labels of the row of a pump that is switched by itself
 FLOW_S = 10.0

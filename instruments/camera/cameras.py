@@ -4,16 +4,17 @@ converted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from instruments.camera.closing import close_within
 from instruments.camera.frame import Conversion, FrameSet, RawFrame
-from instruments.errors import InstrumentError, ProtocolError
+from instruments.errors import InstrumentError, LimitError, ProtocolError
 
 REQUIRED = ("left", "right")
 KNOWN = (*REQUIRED, "thermal")  # those whose pictures are for people too
 DEPTH = "depth"
+CAN_GIVE = (*KNOWN, DEPTH)
 
 
 class Camera(Protocol):
@@ -30,26 +31,42 @@ class Camera(Protocol):
     def close(self) -> None: ...
 
 
+class CameraGroup(Protocol):
+    """One device with several pictures at one time: ``parts`` of left, right, thermal, depth.
+    `capture` exposes them all; it raises as `Camera` does.
+    """
+
+    identity: str
+    parts: tuple[str, ...]
+
+    def capture(self) -> Mapping[str, RawFrame]: ...
+    def close(self) -> None: ...
+
+
 class CameraSet:
-    """The cameras of a rig. Where one opener fails, the cameras that are open are closed again."""
+    """The cameras of a rig. Where one opener fails, the cameras that are open are closed again.
+    ``group``: opens one device that gives several of them.
+    """
 
     def __init__(
-        self, openers: Mapping[str, Callable[[], Camera]], conversions: Mapping[str, Conversion]
+        self,
+        openers: Mapping[str, Callable[[], Camera]],
+        conversions: Mapping[str, Conversion],
+        group: Callable[[], CameraGroup] | None = None,
     ) -> None:
-        wrong = [name for name in openers if name not in (*KNOWN, DEPTH)]
-        missing = [name for name in REQUIRED if name not in openers]
-        if wrong or missing:
-            got = ", ".join(openers) or "none"
-            raise ValueError(f"a rig has cameras left, right, perhaps thermal and depth, got {got}")
-        self._openers = dict(openers)
-        self._conversions = {name: conversions.get(name, Conversion()) for name in openers}
+        self._openers, self._open_group = dict(openers), group
+        self._given = dict(conversions)
         self._cameras: dict[str, Camera] = {}
+        self._group: CameraGroup | None = None
+        if not group:
+            self._check(tuple(openers))
         self._open()
 
     @property
     def identity(self) -> Mapping[str, str]:
         """Who each camera is."""
-        return {name: camera.identity for name, camera in self._cameras.items()}
+        group = dict.fromkeys(self._group.parts, self._group.identity) if self._group else {}
+        return group | {name: camera.identity for name, camera in self._cameras.items()}
 
     def reopen(self) -> None:
         """Close all cameras and open them again with their settings. Raises as their openers."""
@@ -62,11 +79,12 @@ class CameraSet:
             camera.prepare()
         for camera in self._cameras.values():
             camera.begin()
-        raw = {name: camera.take() for name, camera in self._cameras.items()}
+        raw = dict(self._group.capture()) if self._group else {}
+        raw |= {name: camera.take() for name, camera in self._cameras.items()}
         images: dict[str, Any] = {}
         try:
             for name, frame in raw.items():
-                conversion = self._conversions[name]
+                conversion = self._given.get(name) or Conversion()
                 if name == "thermal" and conversion.radiometry is not None:
                     images["thermal_ck"] = conversion.temperatures(frame)
                 elif name == DEPTH:
@@ -85,12 +103,28 @@ class CameraSet:
     def close(self) -> None:
         """Let all cameras go, side by side, in 2 s at most; may be called again."""
         cameras, self._cameras = self._cameras, {}
-        close_within([camera.close for camera in cameras.values()])
+        group, self._group = self._group, None
+        closers = [camera.close for camera in cameras.values()]
+        close_within([*closers, group.close] if group else closers)
+
+    @staticmethod
+    def _check(names: Sequence[str]) -> None:
+        wrong = [name for name in names if name not in CAN_GIVE]
+        missing = [name for name in REQUIRED if name not in names]
+        if wrong or missing or len(set(names)) < len(names):
+            got = ", ".join(names) or "none"
+            raise ValueError(f"a rig has cameras left, right, perhaps thermal and depth, got {got}")
 
     def _open(self) -> None:
         try:
+            if self._open_group:
+                self._group = self._open_group()
+                self._check((*self._group.parts, *self._openers))
             for name, opener in self._openers.items():
                 self._cameras[name] = opener()
-        except InstrumentError:
+        except (InstrumentError, ValueError) as error:
             self.close()
+            if isinstance(error, ValueError):
+                hint = "Name the other cameras in the rig file."
+                raise LimitError("cameras", str(error), hint=hint) from error
             raise

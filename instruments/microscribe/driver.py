@@ -123,6 +123,8 @@ class MicroScribe:
     """
 
     moves: ClassVar[bool] = False
+    touches: ClassVar[bool] = False
+    pedals: ClassVar[bool] = True
     safe_state: ClassVar[str] = "session ended; it has no motor"
     homing: ClassVar[str] = (
         "Put the arm's stylus on its peg, switch the arm on, and leave the stylus there."
@@ -502,6 +504,26 @@ class MicroScribe:
             raise NotHomedError(self.who, what, asked=asked, hint=hint)
 
     # Packets and positions
+
+    def glance(self) -> Reading | None:
+        """One packet as a reading, to show; its tip is not-a-number before homing. Raises as
+        ``poll``.
+        """
+        packet = self.poll()
+        if self._not_homed is not None:
+            return Reading(np.full(3, np.nan), 0.0, None, 1, packet.counts)
+        return self.position([Sample(self._clock.now(), packet.counts, packet.buttons)])
+
+    def buttons(self) -> int:
+        """The pedals that are down now, as bits. Raises as ``poll``."""
+        return self.poll().buttons
+
+    def asked_of(self, operator: object) -> None:
+        """It asks nobody."""
+
+    def touch(self, point_mm: npt.NDArray[np.float64], axis: npt.NDArray[np.float64]) -> None:
+        """Raises LimitError: it is moved by hand."""
+        raise LimitError(self.who, f"it has no motor to go to {point_mm} along {axis}")
 
     def poll(self) -> Packet:
         """One packet of six counts, asked for again when damaged. Raises NoSessionError, LimitError

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -32,15 +32,10 @@ class Parameter:
 
 
 class Draw:
-    """Chance in the ways that families use. ``point`` gives parameters in shares of
-    their ranges.
-    """
+    """Chance in the ways that families use."""
 
-    def __init__(
-        self, name: str, seed: int, attempt: int, point: Mapping[str, float] | None = None
-    ) -> None:
+    def __init__(self, name: str, seed: int, attempt: int) -> None:
         self._rng = np.random.Generator(np.random.PCG64([seed, attempt, *name.encode()]))
-        self._point = point or {}
         self.parameters: dict[str, Parameter] = {}
 
     def between(self, name: str, low: float, high: float) -> float:
@@ -49,8 +44,6 @@ class Draw:
         while key in self.parameters:
             again += 1
             key = f"{name}_{again}"
-        if key in self._point:
-            value = low + self._point[key] * (high - low)
         self.parameters[key] = Parameter(low, high, value)
         return value
 

@@ -166,6 +166,15 @@ class Plant:
         self.running = False
         self.output = 0.0
 
+    def be_at(self, temp_c: float) -> None:
+        """Have all water be at ``temp_c``, and the teats as they would be long after."""
+        k = self.constants
+        self.bath_c = self.heater_c = self._sensor_c = self.pv_c = temp_c
+        for hose in (self._supply, self._return):
+            hose.extend([temp_c] * len(hose))
+        share = k.teat_in_w_per_k / (k.teat_in_w_per_k + k.teat_out_w_per_k)
+        self._teats = [self.ambient_c + share * (temp_c - self.ambient_c)] * TEATS
+
     def acknowledge(self) -> None:
         """Clear alarm and cut-out; both return with the next step if their cause remains."""
         self.alarm = ""

@@ -110,10 +110,9 @@ def collisions(situation: Situation) -> Iterator[str]:
     for board in situation.boards:
         u, v = np.meshgrid(np.linspace(0.0, 1.0, 9), np.linspace(0.0, 1.0, 25))
         points = board.placed(np.column_stack([u.ravel(), v.ravel()]) * board.pattern.size_mm)
-        for hull in (*solid, *(hull for thing in situation.objects for hull in thing.hulls)):
-            if _apart(points, hull).min() < GAP_MM:
-                yield f"{board.name} stands within something else"
-                break
+        every = (*solid, *(hull for thing in situation.objects for hull in thing.hulls))
+        if every and _apart(points, every).min() < GAP_MM:
+            yield f"{board.name} stands within something else"
 
 
 def hidden_ways(situation: Situation) -> Bools:
@@ -142,21 +141,29 @@ ALONG = np.linspace(0.0, 1.0, 33)
 
 def _least_gap(ones: Sequence[Hull], others: Sequence[Hull]) -> float:
     """The least gap between these and those, taken as round; negative: overlap."""
-    a, b, start, end = (
-        np.array([getattr(one, name) for one in ones])
-        for name in ("a_mm", "b_mm", "radius_a_mm", "radius_b_mm")
-    )
+    if not ones or not others:
+        return np.inf
+    a, b, start, end = _columns(ones)
     points = (a[:, None] + ALONG[:, None] * (b - a)[:, None]).reshape(-1, 3)
     radii = (start[:, None] + ALONG * (end - start)[:, None]).ravel()
-    return min((float((_apart(points, one) - radii).min()) for one in others), default=np.inf)
+    return float((_apart(points, others) - radii[:, None]).min())
 
 
-def _apart(points: Floats, hull: Hull) -> Floats:
-    """Gaps (n,) between points (n, 3) and a solid taken as round."""
-    a, span = np.asarray(hull.a_mm), np.subtract(hull.b_mm, hull.a_mm)
-    along = np.clip((points - a) @ span / max(float(span @ span), 1e-9), 0.0, 1.0)
-    away = np.linalg.norm(points - a - along[:, None] * span, axis=1)
-    return np.asarray(away - hull.radius_a_mm - along * (hull.radius_b_mm - hull.radius_a_mm))
+def _apart(points: Floats, hulls: Sequence[Hull]) -> Floats:
+    """Gaps (n, m) between points (n, 3) and solids taken as round."""
+    a, b, start, end = _columns(hulls)
+    span, off = b - a, points[:, None] - a
+    square = np.maximum(np.sum(span * span, axis=1), 1e-9)
+    along = np.clip(np.sum(off * span, axis=2) / square, 0.0, 1.0)
+    off -= along[..., None] * span
+    return np.asarray(np.sqrt(np.sum(off * off, axis=2)) - start - along * (end - start))
+
+
+def _columns(hulls: Sequence[Hull]) -> tuple[Floats, Floats, Floats, Floats]:
+    """Both ends (n, 3) and radii (n,) of solids."""
+    a, b = np.array([(one.a_mm, one.b_mm) for one in hulls]).transpose(1, 0, 2)
+    start, end = np.array([(one.radius_a_mm, one.radius_b_mm) for one in hulls]).T
+    return a, b, start, end
 
 
 def apart(phantom: Phantom, eyes_mm: Sequence[tuple[float, float, float]]) -> float:

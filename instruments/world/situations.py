@@ -41,58 +41,33 @@ CLOSE = ("overlapping", "anywhere")  # families with a rule of their own for it
 
 def situation(name: str, seed: int) -> Situation:
     """Member ``seed`` of the family. Raises ValueError for an unknown name or negative seed."""
-    return _found(name, seed)[1]
-
-
-def member(name: str, seed: int) -> tuple[Situation, Mapping[str, Parameter]]:
-    """As `situation`, with its parameters by name."""
-    return _found(name, seed)[1:]
+    return member(name, seed)[0]
 
 
 @lru_cache(maxsize=1024)
-def _found(name: str, seed: int) -> tuple[int, Situation, Mapping[str, Parameter]]:
-    """The first attempt at a member that succeeds, and what it gives."""
+def member(name: str, seed: int) -> tuple[Situation, Mapping[str, Parameter]]:
+    """As `situation`, with its parameters by name: the first attempt that succeeds."""
     check_known("situation", name, SITUATIONS)
     if seed < 0:
         raise ValueError(f"a situation's seed must be 0 or more, is {seed}")
     for attempt in range(ATTEMPTS):
-        found, parameters = drawn(name, seed, attempt)
+        found, parameters = _drawn(name, seed, attempt)
         if found:
-            return attempt, found, parameters
+            return found, parameters
     raise RuntimeError(
         f"nothing that can be set up was found for {name} {seed} in {ATTEMPTS} draws: the family's"
         " limits contradict each other"
     )
 
 
-def drawn(
-    name: str, seed: int, attempt: int, point: Mapping[str, float] | None = None
-) -> tuple[Situation | None, Mapping[str, Parameter]]:
-    """One attempt at a member, None where it doesn't fit, and its parameters by name; those in
-    ``point`` in shares of their ranges.
-    """
-    draw, (about, family) = Draw(name, seed, attempt, point), SITUATIONS[name]
+def _drawn(name: str, seed: int, attempt: int) -> tuple[Situation | None, Mapping[str, Parameter]]:
+    """One attempt at a member, None where it doesn't fit, and its parameters by name."""
+    draw, (about, family) = Draw(name, seed, attempt), SITUATIONS[name]
     found = family(draw)
     if found is None or (name not in CLOSE and apart(found.phantom, EYES_MM) < CLEAR_MM):
         return None, draw.parameters
     found = replace(found, name=name, seed=seed, about=about)
     return None if faults(found) else found, draw.parameters
-
-
-class Around:
-    """A member, its parameters by name, and the situation at any point of them."""
-
-    def __init__(self, name: str, seed: int) -> None:
-        self.name, self.seed = name, seed
-        self._attempt, _, self.parameters = _found(name, seed)
-
-    def at(self, point: Mapping[str, float]) -> tuple[Situation | None, Mapping[str, Parameter]]:
-        """As `drawn`. Raises ValueError for a parameter or share that can't be."""
-        if unknown := set(point) - set(self.parameters):
-            raise ValueError(f"{self.name} {self.seed} has no parameter {min(unknown)!r}")
-        if wrong := [name for name, share in point.items() if not 0.0 <= share <= 1.0]:
-            raise ValueError(f"{min(wrong)}: a share of a range is from 0 to 1")
-        return drawn(self.name, self.seed, self._attempt, point)
 
 
 def _upright(draw: Draw, lean_deg: Range = (0.0, 2.0)) -> Situation:

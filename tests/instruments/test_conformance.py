@@ -5,12 +5,13 @@ come back, make safe twice, close twice, Ctrl-C.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable
 from functools import partial
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import pytest
 
+from bench.testing.conformance import CHECKS, Check, Subject, Wired, abort_in, conform
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_register_profile
@@ -20,9 +21,6 @@ from instruments.camera.frame import FrameError, FrameFault, FrameSet
 from instruments.camera.opencv import OpenCvCamera
 from instruments.camera.stream import StreamServer
 from instruments.clock import RealClock, VirtualClock
-from instruments.errors import LinkError
-from instruments.link import Link
-from instruments.listener import Connection, Device, Listener
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.protocol import State
@@ -31,80 +29,9 @@ from instruments.stage.emulator import CLASSIC, MARLIN, ZABER, Dialect, StageEmu
 from instruments.stage.zaber import Motor
 from instruments.world.plant import Plant
 from tests.instruments.camera.small_world import GalleryWorld
-from tests.instruments.interrupts import interrupts
 from tests.instruments.microscribe.rigs import Hand
 
 pytestmark = pytest.mark.slow
-
-
-class Cable:
-    """Hands bytes on to a device, ``late_s`` late."""
-
-    def __init__(self, device: Device) -> None:
-        self.device = device
-        self.late_s = 0.0
-
-    def connect(self, connection: Connection) -> None:
-        self.device.connect(connection)
-
-    def receive(self, connection: Connection, data: bytes) -> None:
-        if self.late_s:
-            connection.after(self.late_s, lambda: self.device.receive(connection, data))
-        else:
-            self.device.receive(connection, data)
-
-    def disconnect(self, connection: Connection) -> None:
-        self.device.disconnect(connection)
-
-
-class Wired:
-    """An instrument on loopback, under virtual time: its driver, not opened yet, and its emulator
-    on a link that can be cut. ``read`` is something that it measures, the same while nothing
-    happens; ``work`` has it do what ``safe`` ends; ``is_safe`` asks the emulator.
-    """
-
-    driver: Any
-
-    def __init__(self, clock: VirtualClock, device: Device, name: str, late_s: float) -> None:
-        self.clock = clock
-        self.late_s = late_s
-        self.cable = Cable(device)
-        self.listen = partial(Listener, self.cable, clock, lock=threading.RLock(), name=name)
-        self.listener = self.listen()
-
-    def link(self, who: str) -> Link:
-        return Link(self.listener.url, self.clock, who=who)
-
-    def safe(self) -> None:
-        self.driver.safe()
-
-    def close(self) -> None:
-        self.driver.close()
-
-    def cut(self) -> None:
-        self.listener.close()
-
-    def mend(self) -> None:
-        self.listener = self.listen(port=self.listener.port)
-
-    def read(self) -> object:
-        raise NotImplementedError
-
-    def read_interrupted(self) -> None:
-        """Read, with Ctrl-C while the answer is waited for."""
-
-        def interrupt() -> None:
-            raise KeyboardInterrupt
-
-        self.cable.late_s = self.late_s
-        self.clock.call_at(self.clock.now() + self.late_s / 2, interrupt)
-        try:
-            self.read()
-        finally:
-            self.cable.late_s = 0.0
-
-    def end(self) -> None:
-        self.listener.close()
 
 
 class Arm(Wired):
@@ -201,11 +128,11 @@ class ZaberTable(Table):
     firmware, spoken, place_mm = ZABER, "zaber", 200.0
 
 
-class Cameras:
+class Cameras(Subject):
     """In real time, for streams have no other. Cameras have nothing to make safe."""
 
     def __init__(self) -> None:
-        self.clock = RealClock()
+        self.clock: RealClock = RealClock()
         self.emulator = EmulatedCameras(GalleryWorld(clock=self.clock))
         self.silent = False
         self.emulator.capture()  # draws the gallery before anybody waits for it
@@ -226,7 +153,7 @@ class Cameras:
         self.driver = CameraSet(openers, {})
 
     def identify(self) -> str:
-        return self.driver.identity["left"]
+        return str(self.driver.identity["left"])
 
     def read(self) -> object:
         while True:  # frames that were on their way, then the end of the stream
@@ -251,14 +178,10 @@ class Cameras:
     def is_safe(self) -> bool:
         return True
 
-    def close(self) -> None:
-        self.driver.close()
-
     def read_interrupted(self) -> None:
         self.silent = True
         try:
-            with interrupts() as interrupt_in:
-                interrupt_in(0.2)
+            with abort_in(self.clock, 0.2):
                 self.read()
         finally:
             self.silent = False
@@ -269,70 +192,13 @@ class Cameras:
         self.clock.close()
 
 
-Instrument = Arm | WaterBath | Table | Cameras
-
-
-@pytest.fixture(
-    params=[Arm, WaterBath, Table, MarlinTable, ZaberTable, Cameras],
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+@pytest.mark.parametrize(
+    "kind",
+    [Arm, WaterBath, Table, MarlinTable, ZaberTable, Cameras],
     ids=["arm", "bath", "stage", "Marlin", "Zaber", "cameras"],
 )
-def instrument(request: pytest.FixtureRequest) -> Iterator[Instrument]:
-    made: Instrument = request.param()
-    try:
-        made.open()
-        yield made
-        made.close()
-    finally:
-        made.end()
+def test_our_drivers_conform(kind: Callable[[], Subject], check: Check) -> None:
+    [found] = conform(kind, (check,))
+    assert found.outcome == "passed", found.why
     assert [t.name for t in threading.enumerate() if t.name.endswith("emulator")] == []
-
-
-def test_it_says_who_it_is_and_measures(instrument: Instrument) -> None:
-    assert instrument.identify()
-    assert instrument.read() == instrument.read()
-
-
-def test_a_lost_link_is_an_error_and_it_comes_back(instrument: Instrument) -> None:
-    who, seen = instrument.identify(), instrument.read()
-    instrument.cut()
-    with pytest.raises(LinkError) as lost:
-        instrument.read()
-    assert " at " in lost.value.who
-    with pytest.raises(LinkError):
-        instrument.recover()
-    instrument.mend()
-    instrument.recover()
-    assert instrument.read() == seen
-    assert instrument.identify() == who
-
-
-def test_making_safe_twice_leaves_it_safe_and_usable(instrument: Instrument) -> None:
-    instrument.identify()
-    instrument.work()
-    instrument.safe()
-    assert instrument.is_safe()
-    instrument.safe()
-    assert instrument.is_safe()
-    assert instrument.identify()
-    assert instrument.read() is not None
-
-
-def test_closing_twice_is_no_error_and_it_can_be_opened_again(instrument: Instrument) -> None:
-    who = instrument.identify()
-    instrument.close()
-    instrument.close()
-    instrument.open()
-    assert instrument.identify() == who
-
-
-def test_ctrl_c_in_a_question_leaves_it_able_to_be_safe_and_to_answer(
-    instrument: Instrument,
-) -> None:
-    who, seen = instrument.identify(), instrument.read()
-    with pytest.raises(KeyboardInterrupt):
-        instrument.read_interrupted()
-    instrument.safe()
-    assert instrument.is_safe()
-    instrument.recover()
-    assert instrument.identify() == who
-    assert instrument.read() == seen

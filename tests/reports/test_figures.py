@@ -25,7 +25,6 @@ from reports.figures.errors import (
     teat_boxes,
 )
 from reports.figures.plane import ErrorGroup, TeatPlaces, error_map, error_maps, error_regions
-from reports.figures.sensitivity import Bound, Curve, sensitivity
 from reports.figures.situations import error_spreads, failure_map, rate_intervals
 from reports.trust import svg_facts
 
@@ -84,14 +83,6 @@ def _axes(n: int) -> str:
     return per_axis_errors(names, errors, 5.0)
 
 
-X = np.array([0.1, 1.0, 10.0])
-BOUND = Bound(X, [0.01, 0.02, 0.05], [0.2] * 3, 0.03, X, [1.0, 1.0, 0.9])
-
-
-def _curve(name: str, n: int = 3) -> Curve:
-    return Curve(name, X[:n], [0.2, 0.3, 0.9][:n], [0.5, 0.8, 4.0][:n], X[:n], [1.0, 1.0, 0.25][:n])
-
-
 DRAWINGS: dict[str, Draw] = {
     "bath": _bath,
     "scatter": _scatter,
@@ -112,7 +103,6 @@ DRAWINGS: dict[str, Draw] = {
         5.0,
     ),
     "axes": _axes,
-    "sensitivity": lambda n: sensitivity([_curve("fused", min(n, 3))], BOUND, "NETD (K)"),
     "rates": lambda n: rate_intervals(
         [f"family {k}" for k in range(n)], {"a": [(0.0, 0.0, 0.1)] * n, "b": [(0.5, 0.4, 0.6)] * n}
     ),
@@ -261,12 +251,6 @@ REFUSED: dict[str, Callable[[], str]] = {
     "slope_intervals: tilt holds 1 of 3 values that are not finite": lambda: slope_intervals(
         [replace(_slope("tilt", False), value=NAN)]
     ),
-    "not above 0 mm has no place": lambda: sensitivity(
-        [replace(_curve("a"), median_mm=[0.0, 0.1, 0.2])], BOUND, "x"
-    ),
-    "not finite": lambda: sensitivity(
-        [_curve("a")], replace(BOUND, median_mm=[0.1, NAN, 0.2]), "x"
-    ),
 }
 
 
@@ -274,17 +258,6 @@ REFUSED: dict[str, Callable[[], str]] = {
 def test_bad_arrays_are_explained(said: str, draw: Callable[[], str]) -> None:
     with pytest.raises(ValueError, match=said):
         draw()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("logarithmic", [True, False])
-def test_sensitivity_names_its_curves_and_bounds(logarithmic: bool) -> None:
-    curves = [_curve("fused"), _curve("thesis")]
-    svg = sensitivity(curves, BOUND, "NETD (K)", logarithmic=logarithmic)
-    said = ("fused", "thesis", "NETD (K)", "limit by noise", "disparity to 0.03 px")
-    assert {*said, "found of visible"} <= set(texts_of(svg))
-    without = replace(BOUND, share_x=(), share=())
-    assert sensitivity(curves, without, "NETD (K)", logarithmic=logarithmic) != svg
 
 
 def test_long_and_unprintable_labels_are_made_to_fit() -> None:

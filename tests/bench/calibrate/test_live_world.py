@@ -35,7 +35,7 @@ class Lab:
     ) -> None:
         self.wrong = dict(wrong or {})  # at that touch (from 1) another of the board's points
         self.moves_at, self.hidden_looks = moves_at, hidden_looks
-        self.touches, self.looks = 0, 0
+        self.touched, self.looks = 0, 0
         self.again: list[str] = []
         self.boards: list[BoardAsked] = []
         self.text: list[str] = []
@@ -52,9 +52,9 @@ class Lab:
         if isinstance(request, BoardAsked):
             self.boards.append(request)
         elif isinstance(request, BoardTouch):
-            self.touches += 1
+            self.touched += 1
             self.again += [request.again] if request.again else []
-            at = self.wrong.get(self.touches, request.corner)
+            at = self.wrong.get(self.touched, request.corner)
             self._tip = WORLD_FROM_BOARD.apply(BOARD.points_mm[at]) + RADIUS_MM * NORMAL
         return DONE
 
@@ -62,8 +62,13 @@ class Lab:
     def identity(self) -> Identity:
         raise AssertionError("nobody asks here who the arm is")
 
+    touches = False
+
+    def touch(self, point_mm: Array, axis: Array) -> None:
+        raise AssertionError("it is moved by hand")
+
     def read(self, n: int = 8, max_spread_mm: float = 1.0) -> Reading:
-        if self.touches == self.moves_at:
+        if self.touched == self.moves_at:
             raise ArmMovesError("arm", f"the tip moved by more than {max_spread_mm} mm")
         return Reading(tip_mm=self._tip, axis=NORMAL, spread_mm=0.05, n=n, counts=(0, 0, 0, 0, 0))
 
@@ -83,7 +88,7 @@ def test_nine_points_at_each_of_two_positions_the_ball_allowed_for(tmp_path: Pat
     lab = Lab()
     np.testing.assert_allclose(lab.points(tmp_path), expected(), atol=1e-9)
     assert [(asked.number, asked.fixed) for asked in lab.boards] == [(1, True), (2, True)]
-    assert lab.touches == 18
+    assert lab.touched == 18
     table = (tmp_path / "points.csv").read_text(encoding="utf-8")
     assert table.startswith("left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm\n")
 
@@ -92,7 +97,7 @@ def test_nine_points_at_each_of_two_positions_the_ball_allowed_for(tmp_path: Pat
 def test_another_point_and_an_arm_that_moved_are_asked_for_again(tmp_path: Path) -> None:
     lab = Lab(wrong={5: 3}, moves_at=8)
     np.testing.assert_allclose(lab.points(tmp_path), expected(), atol=1e-9)
-    assert lab.touches == 20
+    assert lab.touched == 20
     assert "where the print has" in lab.again[0]
     assert "another point, or the board has moved. Once more." in lab.again[0]
     assert lab.again[1].endswith("Touch it once more.")

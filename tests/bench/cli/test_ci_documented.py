@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -94,17 +95,26 @@ def test_the_script_tells_a_worse_detector_from_one_that_few_poses_cannot_judge(
     assert sh("bash score.sh no-such-branch", tmp_path).returncode not in (0, 1, 4)
 
 
-def test_both_services_run_that_script_on_the_locked_versions() -> None:
-    steps = [step["run"] for step in GITHUB["jobs"]["score"]["steps"] if "run" in step]
-    for lines in ("\n".join(steps).splitlines(), GITLAB["score"]["script"]):
+def test_all_services_run_that_script_in_the_image_of_the_locked_versions() -> None:
+    job = GITHUB["jobs"]["score"]
+    steps = [step["run"] for step in job["steps"] if "run" in step]
+    jenkins = (CI / "Jenkinsfile").read_text(encoding="utf-8")
+    for image in (job["container"]["image"], GITLAB["score"]["image"], jenkins):
+        assert "TEATBENCH_IMAGE" in image
+    for lines in (steps, GITLAB["score"]["script"], re.findall(r"sh '(.*)'", jenkins)):
         assert lines[-1].startswith("bash score.sh ")
-        installing = [
-            line.partition(" pip install ")[2] for line in lines if " pip install " in line
-        ]
-        assert installing == [
-            "--require-hashes -r bench/locks/run.txt",
-            "--no-deps --no-build-isolation ./bench",
-        ]
+    [junit] = re.findall(r"junit testResults: '(.*?)'", jenkins)
+    assert junit == GITLAB["score"]["artifacts"]["reports"]["junit"]
+    docker = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+    installing = re.findall(r"bin/pip install --no-cache-dir (.*?)(?: \\)?$", docker, re.MULTILINE)
+    assert installing == [
+        "--require-hashes -r /src/locks/run.txt",
+        "--no-deps --no-build-isolation /src",
+    ]
+    left_out = (ROOT / ".dockerignore").read_text(encoding="utf-8").split()
+    assert not {"bench", "docs", "locks", "README.md", "pyproject.toml"} & {*left_out}
+    packages = re.findall(r"--no-install-recommends (.*?) \\", docker)
+    assert packages == ["python3 python3-venv git ca-certificates"]
 
 
 def test_the_projects_own_ci_checks_before_it_tests_and_says_what_it_left_out() -> None:

@@ -366,7 +366,7 @@ def done(world: World, off: Off, seed: int, *, arm_rule: str = ARM_RULE) -> Done
         with _world(errors, off, frame):
             run, state = run_script(rig, script, folder / "runs", _Silent())
             assert state == "finished", state
-            path, *_ = write_run_report(run)
+            path = write_run_report(run).page
         first = sorted(path.parent.glob("trials/*.html"))[:1]
         pages = [one.read_text(encoding="utf-8") for one in (path, *first)]
         return Done("\n".join(pages), read_run(run))

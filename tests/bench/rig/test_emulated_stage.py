@@ -18,8 +18,8 @@ from bench.rig.loading import LoadedRig, load_rig
 from bench.rig.model import Stage as StageTable
 from bench.rig.opening import open_instruments
 from instruments.clock import VirtualClock
+from instruments.drivers.protocols import Stage
 from instruments.errors import DeviceError, LinkError, ProtocolError
-from instruments.stage.driver import Stage
 from instruments.world.phantom import PlatePose
 from tests.bench.test_config import rig_with as emulated_rig
 

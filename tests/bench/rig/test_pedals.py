@@ -12,7 +12,6 @@ import pytest
 from bench.rig.opening import pedal_watch
 from instruments.clock import VirtualClock
 from instruments.microscribe.driver import MicroScribe
-from instruments.microscribe.protocol import Packet
 
 
 @dataclass
@@ -22,9 +21,8 @@ class Foot:
     clock: VirtualClock
     down_s: list[tuple[float, float]]
 
-    def poll(self) -> Packet:
-        down = any(start <= self.clock.now() < end for start, end in self.down_s)
-        return Packet(3, int(down), (0,) * 6)
+    def buttons(self) -> int:
+        return int(any(start <= self.clock.now() < end for start, end in self.down_s))
 
 
 def answered_after(down_s: list[tuple[float, float]], turn_s: float = 0.2) -> float | None:

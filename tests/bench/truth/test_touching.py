@@ -4,6 +4,8 @@ touch is refused, and what must not be refused.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 import scipy
@@ -20,7 +22,16 @@ from bench.truth.touching import (
     outliers,
     reading_u_mm,
 )
-from tests.bench.truth.touches import ENDS_MM, UP, Hand, arm_settings, layout, table_5_1, toucher
+from tests.bench.truth.touches import (
+    ENDS_MM,
+    UP,
+    Floats,
+    Hand,
+    arm_settings,
+    layout,
+    table_5_1,
+    toucher,
+)
 
 ENDS = Ends(ENDS_MM, UP)
 
@@ -154,3 +165,24 @@ def test_near_teats_are_told_apart_and_a_place_between_is_left_to_the_operator()
     near = np.array([[-95.0, 232.0, 136.0], [-117.0, 232.0, 134.0]])
     assert mistaken(near[0] + [3.0, 0.0, 0.0], 1, Ends(near, UP[:2]), {}) is None
     assert mistaken(near[1] + [3.0, 0.0, 0.0], 1, Ends(near, UP[:2]), {}) is not None
+
+
+@dataclass
+class Robot(Hand):
+    """An arm that goes to the end by itself, ``off_mm`` beside where it is expected."""
+
+    touches = True
+    off_mm: float = 0.3
+
+    def touch(self, point_mm: Floats, axis: Floats) -> None:
+        assert float(np.linalg.norm(axis)) == pytest.approx(1.0)
+        self._at = point_mm + np.array([self.off_mm, 0.0, 0.0])
+
+
+def test_an_arm_that_touches_by_itself_is_told_where_and_nobody_is_asked() -> None:
+    robot = Robot(ENDS_MM)
+    points, rows = toucher(robot, readings=2).touch_all(table_5_1())
+    assert robot.asked == []
+    assert len(rows) == 2 * len(ENDS_MM)
+    places = np.array([point.point_mm for point in points])
+    assert places == pytest.approx(np.add(ENDS_MM, [0.3, 0.0, 0.0]))

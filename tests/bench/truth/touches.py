@@ -87,6 +87,11 @@ class Hand:
     def identity(self) -> Identity:
         raise NotImplementedError("these tests never ask who the arm is")
 
+    touches = False
+
+    def touch(self, point_mm: Floats, axis: Floats) -> None:
+        raise AssertionError("it is moved by hand")
+
     def read(self, n: int = 8, max_spread_mm: float = 1.0) -> Reading:
         if self._at is None:
             raise ArmMovesError(

@@ -13,7 +13,7 @@ from instruments.world.objects import SceneObject, make_object
 from instruments.world.optics import CameraModel
 from instruments.world.phantom import Phantom, Teat
 from instruments.world.setups import Situation, faults, hidden_ways
-from instruments.world.situations import SITUATIONS, Around, situation
+from instruments.world.situations import SITUATIONS, situation
 from instruments.world.solids import Solids
 from instruments.world.state import SceneState
 from tests.instruments.world.scenes import renderer
@@ -51,7 +51,6 @@ def test_members_are_values_of_name_and_seed_that_can_be_set_up_drawn_and_seen(n
     found = members(name)
     assert [(one.name, one.seed) for one in found] == [(name, seed) for seed in SEEDS]
     assert len({one.phantom for one in found}) == len(SEEDS)
-    assert Around(name, 7).at({})[0] == found[7]
     for one in found:
         assert faults(one) == ()
         state(one)  # checks that nothing is below the table or behind the board
@@ -281,27 +280,3 @@ def test_unknown_names_and_seeds_are_refused() -> None:
         situation("overlaping", 0)
     with pytest.raises(ValueError, match="0 or more"):
         situation("ideal", -1)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
-def test_any_point_of_a_members_parameters_can_be_asked_for(name: str) -> None:
-    around, member = Around(name, 3), situation(name, 3)
-    own = {
-        key: (one.value - one.low) / (one.high - one.low) for key, one in around.parameters.items()
-    }
-    here, parameters = around.at(own)
-    assert here is not None
-    assert np.allclose(here.phantom.ends_mm, member.phantom.ends_mm, atol=1e-6)
-    assert list(parameters) == list(around.parameters)
-    lit = around.at({"room_light": 1.0})[1]["room_light"]
-    assert (lit.value, lit.high) == (0.6, 0.6)
-
-
-def test_a_parameter_that_a_member_has_not_and_a_share_beyond_are_refused() -> None:
-    with pytest.raises(ValueError, match="ideal 0 has no parameter 'arm_y_mm'"):
-        Around("ideal", 0).at({"arm_y_mm": 0.5})
-    with pytest.raises(ValueError, match="room_light: a share of a range is from 0 to 1"):
-        Around("ideal", 0).at({"room_light": 1.5})
-    behind = Around("hot_body_at_ends", 0).parameters["arm_y_mm"]  # of the furthest end
-    assert (behind.low, behind.high) == (110.0, 300.0)

@@ -1,0 +1,1 @@
+"""What `bench` promises to Python programs; the commands are written on it."""

@@ -1,0 +1,312 @@
+"""An open rig: heat, move, set up, capture and touch as a run does, with its interlocks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from bench.api.shots import AnyRig, Shot, load_rig
+from bench.config import ConfigError
+from bench.record.recording import TruthRow
+from bench.rig.devices import Devices
+from bench.rig.frame_capture import FrameChecks, FrameTaker
+from bench.rig.leaving import to_stderr
+from bench.rig.loading import LoadedRig
+from bench.rig.opening import ALL, open_instruments
+from bench.safety.bath_monitor import BathMonitor, SafeAtOnce
+from bench.safety.interlocks import Interlocks
+from bench.safety.liveness import Liveness
+from bench.safety.stability import StabilityGate, State
+from bench.truth.stage_registration import ends_of
+from bench.truth.touching import Ends, TipReader, Toucher
+from detector.calibration import Calibration
+from instruments.bath.reading import BathReading
+from instruments.bath.sequence import pump_on, start_bath
+from instruments.captures.capture import CaptureFile
+from instruments.clock import Clock
+from instruments.drivers.protocols import Arm, Bath, Cameras, Stage
+from instruments.errors import DeviceError, LimitError
+from instruments.operators.operator import Arrangement, Homing, Operator
+from instruments.world.phantom import PlatePose
+from instruments.world.setups import Situation
+
+LOOK_S = 1.0
+Opened = TypeVar("Opened")
+
+
+class OpenRig:
+    """The instruments of a rig, opened by `open_rig`. What isn't opened raises LimitError."""
+
+    def __init__(self, loaded: LoadedRig, devices: Devices, warn: Callable[[str], None]) -> None:
+        self.loaded, self.devices, self._warn = loaded, devices, warn
+        self._stands: Arrangement | None = None
+        self._visible: tuple[bool, ...] = ()
+        self._pose = PlatePose()
+        self._watch: BathMonitor | None = None
+        self._taker: FrameTaker | None = None
+
+    @property
+    def clock(self) -> Clock:
+        """The bench's clock: virtual where all is emulated and no person takes part."""
+        return self.devices.clock
+
+    @property
+    def arm(self) -> Arm:
+        """The measuring arm."""
+        return self._there("arm", self.devices.arm)
+
+    @property
+    def bath(self) -> Bath:
+        """The water bath. `heat` watches its interlocks; the driver's own ``start`` doesn't."""
+        return self._there("bath", self.devices.bath)
+
+    @property
+    def stage(self) -> Stage:
+        """The motion stage, in machine coordinates."""
+        return self._there("stage", self.devices.stage)
+
+    @property
+    def cameras(self) -> Cameras:
+        """The cameras as one; `capture` also checks what they give."""
+        return self._there("cameras", self.devices.cameras)
+
+    @property
+    def operator(self) -> Operator:
+        """Who places the phantom and touches its ends."""
+        return self._there("operator", self.devices.operator)
+
+    @property
+    def calibration(self) -> Calibration:
+        """The rig's calibration. Raises ConfigError where none has been made."""
+        return self.loaded.calibration
+
+    @property
+    def emulated(self) -> tuple[str, ...]:
+        """Names of the instruments that are emulated."""
+        return self.loaded.rig.emulated
+
+    def heat(self, set_point_c: float, *, wait: bool = True, timeout_s: float = 7200.0) -> None:
+        """Start the bath, watched by the rig's interlocks from here on, and wait until it is
+        stable. Raises LimitError outside of the rig's set points, InterlockTrip, DeviceError after
+        ``timeout_s``.
+        """
+        low_c, high_c = self.loaded.rig.limits.set_point_c
+        if not low_c <= set_point_c <= high_c:
+            what = f"{set_point_c:g} degC is outside what the rig allows ({low_c:g} to {high_c:g})"
+            raise LimitError("bath", what, hint="See set_point_c under [limits] in the rig file.")
+        if self._watch:
+            self._watch.stop()
+        bath, interlocks = self.bath, Interlocks(self.loaded.rig.limits, self.bath.profile)
+        at_once = SafeAtOnce(self.devices)
+
+        def act(trip: Exception) -> bool:
+            safe, steps = at_once()
+            said = [text for step in steps for text in step.texts]
+            self._warn(f"{trip}\n{'; '.join(said)}.")
+            return safe
+
+        self._watch = BathMonitor(
+            bath.read,
+            self.clock,
+            StabilityGate(set_point_c),
+            interlocks,
+            lambda _: None,
+            act,
+            pump_on=lambda reading: pump_on(bath, reading),
+            moving=Liveness(self.loaded.profile),
+        )
+        self._watch.start()
+        start_bath(bath, set_point_c, self.wait)
+        self._watch.heating()
+        if wait:
+            self.wait_until_stable(timeout_s)
+
+    def wait_until_stable(self, timeout_s: float = 7200.0) -> None:
+        """Wait for the stability gate after `heat`. Raises as that does."""
+        if self._watch is None:
+            raise LimitError("bath", "it was not heated by this program", hint="Call heat().")
+        end_s = self.clock.now() + timeout_s
+        while self._watch.state is not State.STABLE:
+            if self.clock.now() > end_s:
+                why = f"not stable within {timeout_s:g} s: {self._watch.why_not_stable}"
+                raise DeviceError("bath", why, hint="Check level, lid and pump.")
+            self.wait(LOOK_S)
+
+    @property
+    def reading(self) -> BathReading | None:
+        """The bath's last reading since `heat`; None before the first."""
+        return self._watch.last if self._watch else None
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass on the bench's clock. Raises InterlockTrip."""
+        end_s = self.clock.now() + seconds
+        self.check()
+        while (left_s := end_s - self.clock.now()) > 0.0:
+            self.clock.sleep(min(LOOK_S, left_s))
+            self.check()
+
+    def check(self) -> None:
+        """Raise InterlockTrip where an interlock has tripped since `heat`."""
+        if self._watch:
+            self._watch.check()
+
+    def home(self) -> None:
+        """Sign on to the arm and have it homed; home the stage. Of what is open, and not homed."""
+        arm, stage = self.devices.arm, self.devices.stage
+        if arm and not arm.homed:
+            arm.sign_on()
+            self.tip.refuse_other_arm()
+            self.operator.ask(Homing(arm.homing), self.check)
+            arm.confirm_homed()
+        if stage and not stage.homed:
+            stage.connect()
+            stage.home()
+        self.check()
+
+    def move(
+        self, x_mm: float = 0.0, y_mm: float = 0.0, *, z_mm: float = 0.0, yaw_deg: float = 0.0
+    ) -> None:
+        """Move the phantom's plate by the stage, from its reference place. Raises LimitError for
+        what the stage has no axis for, and as the stage's ``move_to``.
+        """
+        table, stage = self.loaded.rig.stage, self.stage
+        if table is None:
+            raise LimitError("stage", "this rig has no stage", asked="move")
+        pose = PlatePose(x_mm, y_mm, z_mm, float(np.radians(yaw_deg)))
+        for axis, amount in (("Z", z_mm), ("A", yaw_deg)):
+            if amount and axis not in table.axes:
+                raise LimitError("stage", f"it has no axis {axis}", asked="move")
+        self.check()
+        stage.move_to(**table.machine(pose), feed_mm_min=table.feed_mm_per_min)
+        self._pose = pose
+        self.check()
+
+    def set_up(self, situation: Situation) -> tuple[bool, ...]:
+        """Have the operator set this up; which teat ends all cameras see. Raises as an operator."""
+        asked = Arrangement(situation.name, situation.phantom, (), situation.about, scene=situation)
+        self._visible = self.operator.ask(asked, self.check).visible
+        self._stands = asked
+        return self._visible
+
+    def capture(self) -> Shot:
+        """A frame set of all cameras, checked as a run's, taken again where it has a fault. Raises
+        DeviceError after the last try.
+        """
+        if self._taker is None:
+            table = self.loaded.rig.cameras
+            # nothing warm need be seen: the bath may be cold
+            checks = FrameChecks(table.checks, table.max_skew_s, self.calibration, flat=False)
+            given = (self.cameras, table, self.calibration, self.wait)
+            self._taker = FrameTaker(*given, lambda _, text: self._warn(text), checks=checks)
+        self.check()
+        return Shot(self._taker.take(), self.calibration)
+
+    @property
+    def tip(self) -> TipReader:
+        """Reads the arm's tip in the world."""
+        return TipReader(self.arm, self.loaded.rig.arm, self.loaded.frame)
+
+    def touch(self, teat: int | None = None) -> tuple[TruthRow, ...]:
+        """Have the operator touch the end of ``teat`` (from 1), or of all that `set_up` has asked
+        for: world mm, with standard uncertainty. Raises NoTruthError, and as arm and operator.
+        """
+        if self._stands is None:
+            raise LimitError("arm", "nothing was set up that could be touched", hint="set_up()")
+        stands = self._stands
+        toucher = Toucher(
+            lambda request: self.operator.ask(request, self.check),
+            self.tip,
+            self.loaded.rig.arm,
+            self.clock,
+            self.check,
+        )
+        ends: Ends = ends_of(stands.phantom.moved(self._pose))
+        if teat is None:
+            points, _ = toucher.touch_all(ends)
+            teats: Sequence[int] = range(1, len(points) + 1)
+        else:
+            points, teats = [toucher.touch_one(teat, ends)[0]], [teat]
+        return tuple(
+            TruthRow(stands.situation, str(i), p.point_mm, self._visible[i - 1], p.uncertainty.u_mm)
+            for i, p in zip(teats, points, strict=True)
+        )
+
+    def truth(self) -> tuple[TruthRow, ...]:
+        """The exact teat ends, of an emulated rig alone. Raises LimitError of a real one."""
+        if self.devices.exact_ends is None or self._stands is None:
+            what = "nobody knows the exact ends of a real phantom, or of none"
+            raise LimitError("rig", what, hint="Call set_up() and touch().")
+        name, places = self._stands.situation, self.devices.exact_ends().tolist()
+        return tuple(
+            TruthRow(name, str(i), (x, y, z), seen, 0.0)
+            for i, ((x, y, z), seen) in enumerate(zip(places, self._visible, strict=True), 1)
+        )
+
+    def with_truth(self, shot: Shot, truth: Sequence[TruthRow]) -> Shot:
+        """``shot`` with the truth of its ends, as `touch` or `truth` gave it."""
+        return replace(shot, truth=tuple(truth))
+
+    def safe(self, *, keep_arm: bool = False) -> None:
+        """Heater off, stage at a stand, arm's session ended; as leaving the rig does. ``keep_arm``:
+        its session goes on, so that it stays homed. Raises DeviceError.
+        """
+        said: list[str] = []
+        wanted = [name for name in self._open if name != "arm" or not keep_arm]
+        unsafe = self.devices.make_safe(said.append, only=wanted)
+        if unsafe:
+            raise DeviceError("rig", "; ".join(said), asked="safe", hint=" ".join(unsafe.values()))
+
+    @property
+    def _open(self) -> tuple[str, ...]:
+        names = ("bath", "stage", "arm")
+        there = tuple(name for name in names if getattr(self.devices, name))
+        return (*there, "pump") if "bath" in there else there
+
+    def end_watch(self) -> None:
+        """No further readings of the bath."""
+        if self._watch:
+            self._watch.end()
+
+    def _there(self, name: str, device: Opened | None) -> Opened:
+        if device is None:
+            what = f"this rig has no {name}, or it was not opened"
+            raise LimitError("rig", what, hint=f'Name it: open_rig(…, instruments=("{name}",)).')
+        return device
+
+
+@contextmanager
+def open_rig(
+    rig: AnyRig = "emulated",
+    instruments: Sequence[str] = ALL,
+    *,
+    seed: int | None = None,
+    realtime: bool = False,
+    leave_running: bool = False,
+    capture: CaptureFile | None = None,
+    warn: Callable[[str], None] = to_stderr,
+) -> Iterator[OpenRig]:
+    """Open a rig's ``instruments`` (of arm, bath, stage, operator, cameras). What was made to heat
+    or to move is made safe at the end, however that comes, and by a guardian where the process
+    dies. ``leave_running``: it goes on. Raises ConfigError, BringUpError, NotSafeError.
+    """
+    loaded = load_rig(rig)
+    if unknown := [name for name in instruments if name not in ALL]:
+        raise ConfigError.plain(f"no instrument {unknown[0]!r} (there are: {', '.join(ALL)})")
+    with open_instruments(
+        loaded,
+        tuple(instruments),
+        seed=seed,
+        realtime=realtime,
+        leave_running=leave_running,
+        capture=capture,
+        warn=warn,
+    ) as devices:
+        opened = OpenRig(loaded, devices, warn)
+        try:
+            yield opened
+        finally:
+            opened.end_watch()

@@ -1,0 +1,332 @@
+"""A script run on a rig, a recording scored, and what their folders hold: as typed rows, or as
+tables of pandas.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sqlite3
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, TypeVar, cast
+
+from bench.api.shots import AnyRig, load_rig
+from bench.config import ConfigError
+from bench.record.reader import RunRecord, opened
+from bench.record.schema import tables_of
+from bench.results.status import Reported
+from bench.rig.leaving import to_stderr
+from bench.run.events import Progress
+from bench.script.model import LoadedScript, find_script
+from bench.script.model import load_script as load_script_file
+from instruments.captures.capture import CaptureFile
+
+OUT = Path("runs")
+
+
+class Quiet:
+    """Shows what a person has to see at once, and nothing else."""
+
+    def state(self, text: str) -> None: ...
+    def trial(self, done: int, total: int, name: str) -> None: ...
+
+    def warn(self, text: str) -> None:
+        to_stderr(text)
+
+    def aside(self) -> AbstractContextManager[None]:
+        return nullcontext()
+
+
+def load_script(script: str | Path | None = None, rig: AnyRig | None = None) -> LoadedScript:
+    """A shipped script by name, or any by its file; the six situations for None. Held against the
+    set points of ``rig``, where given. Raises ConfigError with all faults.
+    """
+    limits_c = load_rig(rig).rig.limits.set_point_c if rig is not None else None
+    return load_script_file(find_script(str(script) if script else None), limits_c)
+
+
+def run_script(
+    script: str | Path | LoadedScript | None = None,
+    rig: AnyRig = "emulated",
+    *,
+    out: Path | str = OUT,
+    detectors: Sequence[str] = (),
+    seed: int | None = None,
+    record: Path | None = None,
+    realtime: bool = False,
+    speed: float | None = None,
+    capture: CaptureFile | None = None,
+    progress: Progress | None = None,
+    typed: Callable[[], str | None] = lambda: None,
+    begun: Callable[[str], None] = lambda _: None,
+) -> Reported:
+    """Run a trial script on a rig, and write its report: `teatbench run`. ``record``: also a
+    recording there; ``speed`` of emulators that are watched, 1 for real time; ``typed``: lines of a
+    person; ``begun`` gets where the run is kept and how long it takes. A fault ends the run, which
+    is then reported. Raises ConfigError, LatchedError, RigInUseError before anything is opened.
+    """
+    (found,) = run_queue(
+        [script],
+        rig,
+        out=out,
+        detectors=detectors,
+        seed=seed,
+        record=record,
+        realtime=realtime,
+        speed=speed,
+        capture=capture,
+        progress=progress,
+        typed=typed,
+        begun=begun,
+    )
+    return found
+
+
+def run_queue(
+    scripts: Sequence[str | Path | LoadedScript | None],
+    rig: AnyRig = "emulated",
+    *,
+    out: Path | str = OUT,
+    detectors: Sequence[str] = (),
+    seed: int | None = None,
+    record: Path | None = None,
+    realtime: bool = False,
+    speed: float | None = None,
+    capture: CaptureFile | None = None,
+    progress: Progress | None = None,
+    typed: Callable[[], str | None] = lambda: None,
+    begun: Callable[[str], None] = lambda _: None,
+) -> tuple[Reported, ...]:
+    """As `run_script`, one script after the other on a rig that stays open and warm. Fewer come
+    back where a trip, an abort or what could not be made safe ended them.
+    """
+    from bench.run.start import RunOptions
+    from bench.run.start import run_queue as started
+
+    loaded, shown = load_rig(rig), progress or Quiet()
+    found = [one if isinstance(one, LoadedScript) else load_script(one, loaded) for one in scripts]
+    how = RunOptions(
+        seed, tuple(detectors), record, realtime or speed is not None, speed, capture, typed, begun
+    )
+    ended = started(loaded, found, Path(out), shown, how)
+    shown.state("writing the report")
+    return tuple(write_report(folder) for folder, _ in ended)
+
+
+def resume_run(
+    folder: Path | str,
+    *,
+    capture: CaptureFile | None = None,
+    progress: Progress | None = None,
+    typed: Callable[[], str | None] = lambda: None,
+    begun: Callable[[str], None] = lambda _: None,
+    damage: tuple[str, ...] = (),
+) -> Reported:
+    """Go on with a run that stopped, at its first trial without a result: `teatbench resume`."""
+    from bench.run.start import RunOptions
+    from bench.run.start import resume_run as resumed
+
+    shown = progress or Quiet()
+    how = RunOptions(capture=capture, typed=typed, begun=begun)
+    resumed(Path(folder), shown, how)
+    shown.state("writing the report")
+    return write_report(folder, damage=damage)
+
+
+def score_recording(
+    recording: Path | str,
+    detectors: Sequence[str] = ("fused",),
+    *,
+    out: Path | str = OUT,
+    progress: Progress | None = None,
+) -> Reported:
+    """Score detectors on recorded frames, into a run folder with a report: `teatbench score`.
+    Raises ConfigError, RecordingError.
+    """
+    from bench.run.events import SafeProgress
+    from bench.run.start import score_recording as scored
+
+    shown = SafeProgress(progress or Quiet())
+    folder = scored(Path(recording), Path(out), shown, tuple(detectors))
+    shown.state("writing the report")
+    return write_report(folder)
+
+
+def write_report(
+    folder: Path | str,
+    *,
+    chapters: tuple[Any, ...] = (),
+    damage: tuple[str, ...] = (),
+) -> Reported:
+    """Write the report of a run again: `teatbench report`. Raises ConfigError."""
+    from bench.report.page import write_run_report
+
+    return write_run_report(Path(folder), chapters, damage)
+
+
+def read_run(folder: Path | str) -> RunRecord:
+    """What a run's folder holds: trials with frames, touches, truth, answers and scores; the bath;
+    events; facts. Raises ConfigError.
+    """
+    from bench.record.reader import read_run as read
+
+    return read(Path(folder))
+
+
+@dataclass(frozen=True, slots=True)
+class TrialRow:
+    """One trial that has its result; times are the bench's clock."""
+
+    table: ClassVar[str] = "trials"
+    id: str
+    session: int
+    number: int
+    name: str
+    situation: str
+    repeat: int
+    started_s: float | None
+    ended_s: float | None
+    captured_s: float | None
+    bath_c: float | None
+    bath_state: str | None
+    note: str | None
+    stage_mm: str | None
+    wall_time: str
+
+
+@dataclass(frozen=True, slots=True)
+class TouchRow:
+    """One touch of a teat end by the arm, world mm; ``refused``: why it isn't used."""
+
+    table: ClassVar[str] = "touches"
+    trial: str
+    teat: str
+    touch: int
+    t_s: float
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    spread_mm: float
+    packets: int
+    counts: str
+    refused: str | None
+    wall_time: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class TruthOfTeat:
+    """The truth of one teat end, world mm, with its standard uncertainty; texts are JSON."""
+
+    table: ClassVar[str] = "truth"
+    trial: str
+    teat: str
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    u_mm: float | None
+    visible: int
+    exact_mm: str | None
+    how: str | None
+    budget: str | None
+    covariance_mm2: str | None
+    cameras: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class DetectionRow:
+    """One answer of a detector; ``wall_…`` is real time."""
+
+    table: ClassVar[str] = "detections"
+    trial: str
+    detector: str
+    hidden: int
+    reason: str | None
+    outcome: str
+    cold: int
+    trace: str
+    wall_seconds: float
+    wall_start_up_s: float | None
+    wall_stderr: str | None
+    wall_cpu_s: float | None
+    wall_load: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class FoundRow:
+    """One teat end that a detector found, world mm; texts are JSON."""
+
+    table: ClassVar[str] = "found"
+    trial: str
+    detector: str
+    number: int
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    covariance_mm2: str | None
+    left_px: str | None
+    right_px: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class BathRow:
+    """One reading of the bath, degC."""
+
+    table: ClassVar[str] = "bath"
+    session: int
+    t_s: float
+    temp_c: float
+    external_c: float | None
+    power_percent: float | None
+    state: str
+    wall_time: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class EventRow:
+    """Something that happened."""
+
+    table: ClassVar[str] = "events"
+    number: int
+    session: int
+    t_s: float | None
+    kind: str
+    text: str
+    wall_time: str
+
+
+class TableRow(Protocol):
+    """A class of rows: `TrialRow`, `TouchRow`, `TruthOfTeat`, `DetectionRow`, `FoundRow`,
+    `BathRow`, `EventRow`.
+    """
+
+    table: ClassVar[str]
+
+
+SomeRow = TypeVar("SomeRow", bound=TableRow)
+
+
+def read_rows(folder: Path | str, kind: type[SomeRow]) -> tuple[SomeRow, ...]:
+    """All rows of one kind, in the order in which they were written. Raises ConfigError."""
+    names = ", ".join(field.name for field in fields(cast(Any, kind)))
+    with opened(Path(folder)) as db:
+        found = db.execute(f"SELECT {names} FROM {kind.table} ORDER BY rowid")  # noqa: S608 - our own names
+        return tuple(kind(*row) for row in found)
+
+
+def read_table(folder: Path | str, table: str) -> Any:
+    """One table of a run as a DataFrame of pandas, docs/record.md has them. Raises ConfigError for
+    an unknown one, and without pandas.
+    """
+    try:
+        pandas = importlib.import_module("pandas")
+    except ImportError as error:
+        raise ConfigError.plain(f"a table needs pandas: pip install pandas ({error})") from error
+    with opened(Path(folder)) as db:
+        if table not in (known := tables_of(db)):
+            raise ConfigError.plain(f"no table {table!r} (there are: {', '.join(known)})")
+        found: sqlite3.Cursor = db.execute(f"SELECT * FROM {table} ORDER BY rowid")  # noqa: S608 - a table's own name
+        columns: Sequence[str] = [one[0] for one in found.description]
+        rows: Iterator[Any] = iter(found)
+        return pandas.DataFrame(list(map(tuple, rows)), columns=columns)

@@ -1,0 +1,148 @@
+"""One frame set with what belongs to it: drawn, asked about, scored."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from bench.campaign.chunk import LIMIT_MM
+from bench.record.recording import TruthRow
+from bench.results.answers import TIMEOUT_S, Answer, close_detectors, examine, score_answer
+from bench.rig.loading import LoadedRig, find_rig
+from bench.rig.loading import load_rig as load_rig_file
+from bench.rig.scenes import Perturbation, rig_renderer, warm
+from bench.rig.scenes import draw as draw_state
+from bench.scoring.scene import SceneScore
+from bench.script.detectors import make_detectors
+from detector.calibration import Calibration
+from detector.protocol import Detection, Detector
+from instruments.camera.frame import FrameSet
+from instruments.world.labels import Labeller, Labels
+from instruments.world.scene import Renderer
+from instruments.world.setups import Situation
+from instruments.world.situations import SITUATIONS, situation
+from instruments.world.state import SceneState
+
+Scene = str | Situation | SceneState
+AnyRig = str | Path | LoadedRig
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """A frame set, the calibration of its cameras, and the truth of its teat ends where it is
+    known. ``state``: the scene that was drawn.
+    """
+
+    frames: FrameSet
+    calibration: Calibration
+    truth: tuple[TruthRow, ...] = ()
+    state: SceneState | None = None
+
+
+def load_rig(rig: AnyRig = "emulated") -> LoadedRig:
+    """A shipped rig by name, or any by its file. Raises ConfigError with all faults."""
+    return rig if isinstance(rig, LoadedRig) else load_rig_file(find_rig(str(rig)))
+
+
+def families() -> tuple[str, ...]:
+    """The names of all situation families."""
+    return tuple(SITUATIONS)
+
+
+def member(family: str, number: int) -> Situation:
+    """Member ``number`` (from 0) of a situation family. Raises ValueError for an unknown name."""
+    return situation(family, number)
+
+
+@lru_cache(maxsize=4)
+def _cameras(path: Path, text: str, seed: int) -> tuple[LoadedRig, Renderer]:  # noqa: ARG001
+    rig = load_rig_file(path)
+    return rig, rig_renderer(rig, seed)
+
+
+def draw(
+    scene: Scene,
+    number: int = 0,
+    *,
+    rig: AnyRig = "emulated",
+    seed: int = 1,
+    perturbations: Sequence[Perturbation] = (),
+) -> Shot:
+    """Draw a scene with the emulated cameras of ``rig``, with exact truth. ``scene`` is a family,
+    of which member ``number`` is drawn, a situation, or a state. ``seed``: of the cameras' noise
+    and fixed patterns. Raises ValueError for an unknown name or a thing too near a camera.
+    """
+    found = load_rig(rig)
+    found, renderer = _cameras(found.path, found.text, seed)
+    name = scene if isinstance(scene, str) else getattr(scene, "name", "scene")
+    if isinstance(scene, str):
+        scene = situation(scene, number)
+    state = warm(scene) if isinstance(scene, Situation) else scene
+    number = scene.seed if isinstance(scene, Situation) else number
+    calibration = found.calibration
+    for one in perturbations:
+        calibration = one.stated(calibration)
+    chance = (seed, number, *name.encode())
+    drawn = draw_state(renderer, name, state, [seed, number], perturbations, chance)
+    return Shot(drawn.frames, calibration, drawn.truth, drawn.state)
+
+
+def labels(shot: Shot, *, rig: AnyRig = "emulated") -> tuple[Labels, Labels, Labels]:
+    """Which teat each pixel of a drawn shot shows, and where ends and bases are: of the left, the
+    right and the thermal picture, as the cameras of ``rig`` drew it. Raises ValueError without a
+    scene.
+    """
+    if shot.state is None:
+        raise ValueError("this shot was not drawn, so that nobody knows what its pixels show")
+    found = load_rig(rig)
+    return _labeller(found.path, found.text).of(shot.state)
+
+
+@lru_cache(maxsize=1)
+def _labeller(path: Path, text: str) -> Labeller:
+    return Labeller(_cameras(path, text, 1)[1])
+
+
+@contextmanager
+def open_detector(detector: str | Detector) -> Iterator[Detector]:
+    """A detector by name, file or ``exec:COMMAND``, its process ended in the end. Raises
+    ConfigError.
+    """
+    if not isinstance(detector, str):
+        yield detector
+        return
+    made = make_detectors([detector], gives_up=False)
+    try:
+        yield made[0]
+    finally:
+        close_detectors(made)
+
+
+def detect(detector: str | Detector, shot: Shot, *, timeout_s: float = TIMEOUT_S) -> Answer:
+    """Ask a detector about a shot, and check its answer. A failure of the detector is an answer
+    with an ``outcome``, never an exception. Raises ConfigError for a detector that isn't there.
+    """
+    with open_detector(detector) as asked:
+        return examine(asked, shot.frames, shot.calibration, timeout_s=timeout_s)
+
+
+def score(
+    answer: Answer | Detection,
+    truth: Shot | Sequence[TruthRow],
+    *,
+    limit_mm: float = LIMIT_MM,
+    time_limit_s: float = math.inf,
+) -> SceneScore:
+    """Score an answer: ``counts``, ``errors_mm`` (k, 3) found - truth, ``success``. Raises
+    ValueError without truth.
+    """
+    rows = truth.truth if isinstance(truth, Shot) else truth
+    if isinstance(truth, Shot) and not rows and truth.state is None:
+        raise ValueError("this shot has no truth: touch its teat ends, or draw the scene")
+    if isinstance(answer, Detection):
+        answer = Answer("detector", answer, 0.0)
+    return score_answer(answer, rows, limit_mm=limit_mm, time_limit_s=time_limit_s)

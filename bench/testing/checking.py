@@ -1,0 +1,187 @@
+"""Asks a detector about a scene, and says in a sentence where it fails."""
+
+from __future__ import annotations
+
+import atexit
+import importlib
+import sys
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.api.shots import Shot, load_rig, open_detector, score
+from bench.campaign.chunk import LIMIT_MM
+from bench.results.answers import Answer, examine
+from bench.rig.scenes import rig_renderer
+from bench.scoring.scene import SceneScore
+from bench.testing.scene import Scene
+from detector.protocol import Detector, Outcome
+
+GATE_MM = 25.0  # a missed or false teat is as bad as an error so large
+MOST_KEPT = 4096
+PATIENCE_S = 600.0
+NEIGHBOURS = 24
+GREEN, RED = (60, 180, 60), (40, 40, 230)  # truth, answer
+WIDTH_PX = 640  # of each picture
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What a detector made of a scene. ``grade_mm``: the largest error, or stated deviation; of a
+    failure above the limit, `GATE_MM` a lost or invented teat. ``fault``: a clause, empty for a
+    success.
+    """
+
+    score: SceneScore
+    grade_mm: float
+    fault: str
+
+
+class SceneFailedError(AssertionError):
+    """A detector failed on a scene, which hypothesis makes simpler."""
+
+    def __init__(
+        self, detector: str | Detector, scene: Scene, look: Look, limit_mm: float, rig: str
+    ) -> None:
+        super().__init__(f"{name_of(detector)} {look.fault} in {scene!r}")
+        self.detector, self.scene, self.look = detector, scene, look
+        self.limit_mm, self.rig = limit_mm, rig
+
+    def neighbourhood(self) -> tuple[int, int]:
+        """How many of the scenes one step away fail too, and of how many: `NEIGHBOURS` at most,
+        evenly of all.
+        """
+        looks, near = [], self.scene.neighbours()
+        for one in near[:: -(-len(near) // NEIGHBOURS) or 1]:
+            try:
+                looks.append(look(self.detector, one, self.limit_mm, rig=self.rig))
+            except ValueError:  # too near a camera
+                continue
+        return sum(bool(one.fault) for one in looks), len(looks)
+
+    def picture(self) -> NDArray[np.uint8]:
+        """Left, right and thermal picture beside each other (BGR); green circles are the true ends,
+        red crosses the answers.
+        """
+        shot = self.scene.draw(self.rig)
+        return marked(shot, asked(self.detector, shot), self.rig)
+
+    def lines(self) -> str:
+        """A test of this scene alone, to be pasted."""
+        rig = f", rig={self.rig!r}" if self.rig != "emulated" else ""
+        words = ("Scene", "Teat", "Pose", "Object", "Applied")
+        names = sorted({"check", *(name for name in words if f"{name}(" in repr(self.scene))})
+        return (
+            f"from bench.testing import {', '.join(names)}\n\n\ndef test_simplest_scene():\n"
+            f"    check({name_of(self.detector)!r}, {self.scene!r},"
+            f" limit_mm={self.limit_mm:g}{rig})\n"
+        )
+
+
+def check(
+    detector: str | Detector,
+    scene: Scene,
+    limit_mm: float = LIMIT_MM,
+    *,
+    rig: str | Path = "emulated",
+) -> SceneScore:
+    """Draw a scene, ask ``detector`` (a name, a file, ``exec:COMMAND``, or one in Python) and score
+    its answer. In a test of hypothesis the error is also what its search maximises. Raises
+    SceneFailedError, and ValueError for a scene that can't be drawn.
+    """
+    found = look(detector, scene, limit_mm, rig=str(rig))
+    hypothesis = sys.modules.get("hypothesis")
+    if hypothesis and hypothesis.currently_in_test_context():
+        errors = importlib.import_module("hypothesis.errors")
+        with suppress(errors.InvalidArgument):  # a second scene in one example
+            hypothesis.target(found.grade_mm, label=f"{name_of(detector)}, mm")
+    if found.fault:
+        raise SceneFailedError(detector, scene, found, limit_mm, str(rig))
+    return found.score
+
+
+def look(
+    detector: str | Detector, scene: Scene, limit_mm: float = LIMIT_MM, *, rig: str = "emulated"
+) -> Look:
+    """As `check`, without raising for a failure of the detector."""
+    asked_one: Any = detector
+    return _look(asked_one, scene, limit_mm, rig)
+
+
+@lru_cache(maxsize=MOST_KEPT)
+def _look(detector: Any, scene: Scene, limit_mm: float, rig: str) -> Look:
+    shot = scene.draw(rig)
+    answer = asked(detector, shot)
+    result = score(answer, shot, limit_mm=limit_mm)
+    worst = max(result.radial_mm, default=0.0)
+    if not result.success:
+        lost = result.counts.missed + result.counts.false or int(not result.radial_mm)
+        grade = limit_mm + GATE_MM * lost + max(0.0, worst - limit_mm)
+        return Look(result, grade, _fault(answer, result, worst, limit_mm))
+    spread = [one.covariance_mm2 for one in answer.detection.teats]
+    sd = max((float(np.sqrt(np.trace(one))) for one in spread if one is not None), default=0.0)
+    return Look(result, min(limit_mm, max(worst, sd)), "")
+
+
+def _fault(answer: Answer, result: SceneScore, worst_mm: float, limit_mm: float) -> str:
+    if answer.outcome is not Outcome.ANSWERED:
+        return f"gave no answer ({answer.detection.reason})"
+    counts = result.counts
+    parts = [f"misses {counts.missed} of {counts.visible} visible ends"] if counts.missed else []
+    parts += [f"finds {counts.false} where no teat end is"] if counts.false else []
+    if worst_mm > limit_mm:
+        parts.append(f"is {worst_mm:.1f} mm off (limit {limit_mm:g} mm)")
+    return " and ".join(parts)
+
+
+def asked(detector: str | Detector, shot: Shot) -> Answer:
+    """The answer of a detector whose process goes on to live."""
+    one = _named(detector) if isinstance(detector, str) else detector
+    return examine(one, shot.frames, shot.calibration, timeout_s=PATIENCE_S)
+
+
+def name_of(detector: str | Detector) -> str:
+    """As it is called in sentences."""
+    return detector if isinstance(detector, str) else detector.name
+
+
+@cache
+def _named(name: str) -> Detector:
+    return _open.enter_context(open_detector(name))
+
+
+_open = ExitStack()
+atexit.register(_open.close)
+
+
+def marked(shot: Shot, answer: Answer, rig: str) -> NDArray[np.uint8]:
+    """A shot's pictures with truth and answers, beside each other, (h, w, 3)."""
+    renderer = rig_renderer(load_rig(rig), 1)
+    frames = shot.frames
+    true = np.array([row.xyz_mm for row in shot.truth]).reshape(-1, 3)
+    found = np.array([one.world_mm for one in answer.detection.teats]).reshape(-1, 3)
+    parts = []
+    for camera, grey in zip(renderer.cameras, (frames.left, frames.right), strict=False):
+        picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+        for u, v in _places(camera.project(true)):
+            cv2.circle(picture, (u, v), 14, GREEN, 2, cv2.LINE_AA)
+        for u, v in _places(camera.project(found)):
+            cv2.drawMarker(picture, (u, v), RED, cv2.MARKER_TILTED_CROSS, 22, 2, cv2.LINE_AA)
+        parts.append(picture)
+    if frames.thermal is not None:
+        parts.append(cv2.cvtColor(np.asarray(frames.thermal), cv2.COLOR_GRAY2BGR))
+    high = round(WIDTH_PX * parts[0].shape[0] / parts[0].shape[1])
+    sized = [cv2.resize(one, (WIDTH_PX, high), interpolation=cv2.INTER_AREA) for one in parts]
+    return np.asarray(np.concatenate(sized, axis=1), dtype=np.uint8)
+
+
+def _places(px: NDArray[np.float64]) -> Sequence[tuple[int, int]]:
+    whole = np.clip(np.nan_to_num(px), -1e4, 1e4).round().astype(int).tolist()
+    return [(u, v) for u, v in whole]

@@ -1,0 +1,120 @@
+"""Scenes that tests found: written beside each other, and kept as cases of a recording."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from dataclasses import MISSING, fields
+from pathlib import Path
+from typing import Any
+
+import cv2
+from pydantic import TypeAdapter, ValidationError
+
+from bench.api.shots import load_rig
+from bench.campaign.chunk import digest_of_frames
+from bench.config import ConfigError, read_text, toml_of, writing
+from bench.files import write_synced
+from bench.record.recording import RecordingError, RecordingWriter
+from bench.testing.checking import SceneFailedError, name_of
+from bench.testing.scene import Scene
+from bench.toml import toml_text
+from detector.calibration import dump_calibration
+
+SCENE, PICTURE, TEST = "scene.toml", "scene.png", "test_scene.py"
+HEADING = (
+    "The simplest scene on which a test failed; 'teatbench campaign keep' adds it to a recording."
+)
+
+
+def write_found(error: SceneFailedError, folder: Path) -> Path:
+    """Write the scene, its picture and a test of it alone into ``folder``. Raises OSError."""
+    failing, of = error.neighbourhood()
+    table = {
+        "detector": name_of(error.detector),
+        "fault": error.look.fault,
+        "limit_mm": error.limit_mm,
+        "rig": error.rig,
+        "frames": digest_of_frames(error.scene.draw(error.rig).frames),
+        "neighbours": of,
+        "neighbours_failing": failing,
+        "scene": _given(error.scene),
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    _, png = cv2.imencode(".png", error.picture())
+    for name, data in (
+        (SCENE, toml_text(table, HEADING).encode()),
+        (PICTURE, png.tobytes()),
+        (TEST, error.lines().encode()),
+    ):
+        write_synced(folder / name, data)
+    return folder
+
+
+def folder_name(test: str) -> str:
+    """A folder's name for a test's."""
+    return re.sub(r"[^A-Za-z0-9_.-]+", "-", test).strip("-.") or "scene"
+
+
+def read_scene(path: Path) -> tuple[Scene, dict[str, Any]]:
+    """A scene of `write_found`, and what else its file says. Raises ConfigError."""
+    table = toml_of(path)
+    try:
+        return TypeAdapter(Scene).validate_python(table.pop("scene")), table
+    except (KeyError, ValidationError) as error:
+        raise ConfigError.plain(f"{path}: is no scene that a test found: {error}") from error
+
+
+def keep(folder: Path, recording: Path, name: str | None = None) -> str:
+    """Add a found scene to a recording; gives back the frame's name. Raises ConfigError."""
+    path = folder if folder.is_file() else folder / SCENE
+    if not path.exists():
+        raise ConfigError.plain(
+            f"{folder}: no scene is there; name a folder that a failing test has written ({SCENE})"
+        )
+    scene, facts = read_scene(path)
+    rig = load_rig(str(facts.get("rig", "emulated")))
+    frame = name or path.resolve().parent.name
+    try:
+        shot = scene.draw(rig)
+    except ValueError as error:
+        raise ConfigError.plain(f"{path}: {error}") from error
+    if digest_of_frames(shot.frames) != facts.get("frames"):
+        raise ConfigError.plain(
+            f"{path}: this version of the program draws the scene differently: run its test again"
+        )
+    stated = read_text(rig.calibration_path)
+    if shot.calibration is not rig.calibration:
+        stated = dump_calibration(shot.calibration, "perturbed: not what the cameras are")
+    there = recording / "calibration.toml"
+    if there.exists() and read_text(there) != stated:
+        raise ConfigError.plain(
+            f"{recording} has another calibration than {path}: name another --into"
+        )
+    new = not recording.exists()
+    try:
+        with writing(recording):
+            writer = RecordingWriter(recording)
+            writer.add(frame, shot.frames)
+            writer.add_calibration(stated)
+            writer.add_truth(frame, shot.truth)
+    except RecordingError as error:
+        if new:
+            shutil.rmtree(recording)
+        raise ConfigError.plain(f"{error}; give another --name") from error
+    return frame
+
+
+def _given(part: Any) -> dict[str, Any]:
+    """What differs from the plainest, of a scene and its parts."""
+    found: dict[str, Any] = {}
+    for one in fields(part):
+        value = getattr(part, one.name)
+        if one.default is not MISSING and value == one.default:
+            continue
+        if isinstance(value, tuple):
+            value = [_given(item) for item in value]
+        elif hasattr(value, "STEPS"):
+            value = _given(value)
+        found[one.name] = value
+    return found

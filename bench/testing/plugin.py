@@ -1,0 +1,244 @@
+"""The plug-in for pytest: an open rig and a detector as fixtures, trials that count, and the
+simplest scene that breaks a detector as a picture (docs/testing.md). Every session of a Python that
+has teatbench loads it, so that nothing is imported before it is asked for.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from bench.api.rigs import OpenRig
+    from bench.api.shots import Shot
+    from bench.scoring.scene import SceneScore
+    from bench.testing.trials import TrialsOfTests
+    from detector.protocol import Detector
+    from instruments.drivers.protocols import Arm, Bath, Cameras, Stage
+
+MARK, PROFILE = "requirement", "teatbench scenes"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("teatbench", "a bench, or its emulators")
+    group.addoption("--rig", default="emulated", help="a rig by name or file (emulated)")
+    group.addoption("--detector", default="fused", help="a detector by name or file (fused)")
+    group.addoption(
+        "--trial-rules", type=Path, help="requirements of recorded trials, a .toml file"
+    )
+    group.addoption(
+        "--trial-runs", type=Path, default=Path("runs"), help="where trials are kept (runs)"
+    )
+    group.addoption(
+        "--found-scenes",
+        type=Path,
+        default=Path("found"),
+        help="where found scenes are written (found)",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    line = f'{MARK}("NAME"): decided by the trials that the test records'
+    config.addinivalue_line("markers", line)
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Hypothesis gives up no example for its time, and looks for one fault at a time."""
+    if "bench.testing.strategies" in sys.modules:
+        from hypothesis import settings
+
+        if settings.get_current_profile_name() == "default":
+            settings.register_profile(
+                PROFILE, settings.default, deadline=None, report_multiple_bugs=False
+            )
+            settings.load_profile(PROFILE)
+    required: dict[str, list[str]] = {}
+    for item in items:
+        for mark in item.iter_markers(MARK):
+            for name in mark.args:
+                required.setdefault(name, []).append(item.name)
+                item.user_properties.append((MARK, name))
+    config.stash[_REQUIRED] = required
+    if required:
+        _trials(config)
+
+
+_REQUIRED = pytest.StashKey[Mapping[str, Sequence[str]]]()
+_TRIALS = pytest.StashKey["TrialsOfTests"]()
+
+
+def _trials(config: pytest.Config) -> TrialsOfTests:
+    """Of the session. Raises UsageError."""
+    if _TRIALS not in config.stash:
+        from bench.config import ConfigError
+        from bench.testing.trials import TrialsOfTests
+
+        given = config.option
+        try:
+            config.stash[_TRIALS] = TrialsOfTests(
+                given.rig,
+                given.detector,
+                given.trial_runs,
+                given.trial_rules,
+                config.stash[_REQUIRED],
+            )
+        except ConfigError as error:
+            raise pytest.UsageError(str(error)) from error
+    return config.stash[_TRIALS]
+
+
+@pytest.fixture(scope="session")
+def _opened(request: pytest.FixtureRequest) -> Iterator[Callable[[], OpenRig]]:
+    """Opens the rig: a real one once a session, and alone."""
+    from bench.api.rigs import open_rig
+    from bench.api.shots import load_rig
+    from bench.config import ConfigError
+    from bench.run.lock import RigInUseError, lock_path, locked
+
+    try:
+        loaded = load_rig(request.config.option.rig)
+    except ConfigError as error:
+        raise pytest.UsageError(str(error)) from error
+    with ExitStack() as stack:
+        kept: list[OpenRig] = []
+
+        def opened() -> OpenRig:
+            if not kept:
+                try:
+                    stack.enter_context(locked(lock_path(loaded), "pytest", lambda _: None))
+                except RigInUseError as error:
+                    pytest.exit(f"{error}: tests of a real rig run one at a time (no -n)", 3)
+                kept.append(stack.enter_context(open_rig(loaded)))
+                kept[0].home()
+            return kept[0]
+
+        def anew() -> OpenRig:
+            stack.close()
+            kept.clear()
+            return opened()
+
+        yield anew if loaded.rig.simulated else opened
+
+
+@pytest.fixture
+def rig(request: pytest.FixtureRequest, _opened: Callable[[], OpenRig]) -> Iterator[OpenRig]:
+    """The rig of ``--rig``, open and homed: the emulated one anew for each test, a real one once a
+    session. After each test it is safe; where it isn't, no further test begins.
+    """
+    one = _opened()
+    try:
+        yield one
+    finally:
+        try:
+            one.end_watch()
+            one.safe(keep_arm=True)
+        except Exception as error:
+            request.session.shouldfail = f"NOT SAFE: {error}"
+            raise
+
+
+@pytest.fixture
+def bath(rig: OpenRig) -> Bath:
+    """The rig's bath."""
+    return rig.bath
+
+
+@pytest.fixture
+def arm(rig: OpenRig) -> Arm:
+    """The rig's arm, homed."""
+    return rig.arm
+
+
+@pytest.fixture
+def stage(rig: OpenRig) -> Stage:
+    """The rig's stage, homed."""
+    return rig.stage
+
+
+@pytest.fixture
+def cameras(rig: OpenRig) -> Cameras:
+    """The rig's cameras."""
+    return rig.cameras
+
+
+@pytest.fixture(scope="session")
+def detector(request: pytest.FixtureRequest) -> Iterator[Detector]:
+    """The detector of ``--detector``; its process lives as long as the session."""
+    from bench.api.shots import open_detector
+    from bench.config import ConfigError
+
+    with ExitStack() as stack:
+        try:
+            one = stack.enter_context(open_detector(request.config.option.detector))
+        except ConfigError as error:
+            raise pytest.UsageError(str(error)) from error
+        yield one
+
+
+@pytest.fixture
+def record_trial(request: pytest.FixtureRequest) -> Callable[..., SceneScore]:
+    """``record_trial(shot, name="")``: a trial of the session's run, with ``--detector``'s answer;
+    gives back its score.
+    """
+    trials, done = _trials(request.config), [0]
+
+    def record(shot: Shot, name: str = "") -> SceneScore:
+        done[0] += 1
+        from bench.testing.found import folder_name
+
+        number = f"-{done[0]}" if done[0] > 1 and not name else ""
+        called = folder_name(name or f"{request.node.name}{number}")
+        return trials.add(called, shot)
+
+    return record
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[Any]
+) -> Generator[None, Any, Any]:
+    """Write the scene that a test failed on, and say where."""
+    report = yield
+    checking = sys.modules.get("bench.testing.checking")
+    if checking and call.excinfo and isinstance(call.excinfo.value, checking.SceneFailedError):
+        from bench.testing.found import folder_name, write_found
+
+        error = call.excinfo.value
+        failing, of = error.neighbourhood()
+        text = f"{error}\n{failing} of {of} scenes one step away fail too.\n\n{error.lines()}"
+        try:
+            folder = write_found(error, item.config.option.found_scenes / folder_name(item.name))
+            text += f"\nPicture: {folder / 'scene.png'}"
+            text += f"\nKeep it: teatbench campaign keep {folder} --into recordings/kept"
+        except OSError as fault:
+            text += f"\nNot written: {fault}"
+        report.sections.append(("simplest scene", text))
+    return report
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """The run of recorded trials ends with its report; a requirement that is not met fails the
+    session.
+    """
+    if _TRIALS in session.config.stash:
+        reported = session.config.stash[_TRIALS].end()
+        if reported:
+            session.config.stash[_TEXT] = f"{reported.verdict}. Report: {reported.page}"
+            if reported.verdict == "not met" and session.exitstatus == pytest.ExitCode.OK:
+                session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+_TEXT = pytest.StashKey[str]()
+
+
+def pytest_terminal_summary(
+    terminalreporter: pytest.TerminalReporter, config: pytest.Config
+) -> None:
+    if text := config.stash.get(_TEXT, ""):
+        terminalreporter.section("requirements")
+        terminalreporter.write_line(text)

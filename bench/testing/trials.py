@@ -1,0 +1,91 @@
+"""Trials that tests do, as a run with a record and a report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from bench.api.runs import write_report
+from bench.api.shots import Shot, load_rig, open_detector
+from bench.config import ConfigError, did_you_mean, parse_config, read_config, read_text
+from bench.results.answers import Examiner, score_answer
+from bench.results.status import Reported
+from bench.run.start import ScoredFrames
+from bench.scoring.scene import SceneScore
+from bench.script.model import RECORDING_RULES, Rules
+from bench.toml import toml_text
+from bench.truth.touching import truth_row
+
+ABOUT = "Trials that tests did. "
+
+
+class TrialsOfTests:
+    """Begins a run with the first trial. ``required``: names of the requirements that are decided,
+    all of the ``rules`` without one. Raises ConfigError for one that the rules don't have.
+    """
+
+    def __init__(
+        self,
+        rig: str,
+        detector: str,
+        out: Path,
+        rules: Path | None,
+        required: Mapping[str, Sequence[str]],
+    ) -> None:
+        path = rules or RECORDING_RULES
+        known = [one.name for one in read_config(path, Rules).requirements]
+        for name in required:
+            if name not in known:
+                raise ConfigError.plain(
+                    f"no requirement {name!r}{did_you_mean(name, known)} ({path} has:"
+                    f" {', '.join(known)})"
+                )
+        self._rig, self._rules, self._required = load_rig(rig), path, required
+        self._out, self._name = out, detector
+        self._open = ExitStack()
+        self._run: ScoredFrames | None = None
+
+    def add(self, name: str, shot: Shot, situation: str = "test") -> SceneScore:
+        """Ask the detector about a shot and write the trial. Raises ValueError without truth."""
+        if not shot.truth:
+            raise ValueError("a trial needs the truth of its shot: rig.with_truth(shot, rows)")
+        run = self._begun()
+        answer = self._examiner.ask(self._detector, shot.frames)
+        rows = [truth_row("", row) for row in shot.truth]
+        run.add(name, name, situation, shot.frames, [answer], shot.truth, rows)
+        limits = {"limit_mm": self._limits.visible_within_mm}
+        return score_answer(answer, shot.truth, **limits, time_limit_s=self._limits.time_limit_s)
+
+    def end(self) -> Reported | None:
+        """Close the run, and write its report; None where no test has a trial."""
+        run = self._run
+        self._open.close()
+        return write_report(run.folder) if run else None
+
+    def _begun(self) -> ScoredFrames:
+        if self._run is not None:
+            return self._run
+        self._detector = self._open.enter_context(open_detector(self._name))
+        text = self._decided()
+        self._limits = parse_config(self._rules, text, Rules)
+        self._examiner = Examiner(self._rig.calibration, self._rig.rig.limits.detection_timeout_s)
+        by = [f"{name}: {', '.join(tests)}." for name, tests in self._required.items()]
+        facts = {
+            "kind": "emulated" if self._rig.rig.all_emulated else "real",
+            "title": "Tests",
+            "about": " ".join([ABOUT.strip(), *by]),
+            "rig": self._rig.rig.name,
+        }
+        path = self._rig.calibration_path
+        made = ScoredFrames(self._out, "tests", self._rules, text, path, facts, [self._detector])
+        self._run = made
+        return self._open.enter_context(made)
+
+    def _decided(self) -> str:
+        """The rules with what is required alone."""
+        if not self._required:
+            return read_text(self._rules)
+        table = read_config(self._rules, Rules).model_dump(mode="json", exclude_none=True)
+        table["requirements"] = [r for r in table["requirements"] if r["name"] in self._required]
+        return toml_text(table)

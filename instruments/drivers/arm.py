@@ -1,0 +1,184 @@
+"""A measuring arm of another package as the bench's own: several points make a reading, unless it
+moved meanwhile.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+
+import numpy as np
+from numpy.typing import NDArray
+
+from instruments.clock import Clock
+from instruments.drivers.border import Border
+from instruments.drivers.entry_points import Plugged
+from instruments.drivers.plugin import ArmDriver, ArmPoint
+from instruments.errors import DeviceError, InstrumentError, LimitError, TouchAgainError
+from instruments.microscribe.configuration import Identity
+from instruments.microscribe.driver import Reading
+
+INTERVAL_S, STOP_S, TOUCH_S = 0.05, 5.0, 60.0
+FARTHEST_MM = 20_000.0  # no arm reaches as far: the unit is wrong
+Floats = NDArray[np.float64]
+
+
+class PluggedArm:
+    """As `instruments.microscribe.driver.MicroScribe`. ``moves``: by a call of ours, and no stand
+    was read back since.
+    """
+
+    pedals = False
+    warnings: tuple[str, ...] = ()
+
+    def __init__(self, plugged: Plugged, clock: Clock) -> None:
+        self.who = f"arm {plugged.name}"
+        self.moves = False
+        self._clock = clock
+        self._border: Border[ArmDriver] = Border(plugged, self.who, clock)
+        self._identity: Identity | None = None
+        self._homed_at = 0
+
+    @property
+    def touches(self) -> bool:
+        """Whether it goes to a point by itself, as its class says."""
+        return bool(getattr(self._border.plugged.maker, "touches", False))
+
+    @property
+    def safe_state(self) -> str:
+        return "at a stand, as it reads back itself" if self.touches else "it has no motor"
+
+    @property
+    def homing(self) -> str:
+        said = str(getattr(self._border.plugged.maker, "homing", ""))
+        return said or "Reference the measuring arm as its maker says."
+
+    homing_again = homing
+
+    @property
+    def identity(self) -> Identity:
+        """Who answered ``sign_on``. Raises LimitError before."""
+        if self._identity is None:
+            raise LimitError(self.who, "not signed on yet", hint="Call sign_on().")
+        return self._identity
+
+    @property
+    def homed(self) -> bool:
+        return bool(self._homed_at) and self._homed_at == self._border.opened
+
+    @property
+    def live(self) -> bool:
+        return self._identity is not None
+
+    def asked_of(self, operator: object) -> None:
+        """It asks nobody."""
+
+    def record(self) -> dict[str, object]:
+        """What it says of itself."""
+        return {"plug-in": str(self._border.plugged), **self._texts()}
+
+    def sign_on(self) -> Identity:
+        """Open it and ask who it is; homing has to be confirmed then."""
+        self._homed_at = 0
+        texts = self._texts()
+        name = self._border.plugged.name
+        serial = texts.get("serial_number", "not stated")
+        self._identity = Identity(name, "", texts.get("model", ""), serial, "", "", "")
+        return self._identity
+
+    def recover(self, timeout_s: float = 30.0) -> Identity:  # noqa: ARG002 - each call has a limit
+        """Open it again. Raises as `sign_on`, DeviceError for another arm."""
+        before = self._identity
+        self._border.forget()
+        now = self.sign_on()
+        if before and before.serial_number != now.serial_number:
+            what = f"arm {before.serial_number} was lost, and arm {now.serial_number} answers"
+            raise DeviceError(self.who, what, hint="Plug the first arm in again.")
+        return now
+
+    def confirm_homed(self) -> None:
+        """A person says that it is referenced."""
+        _ = self.identity
+        self._homed_at = self._border.opened
+
+    home = confirm_homed
+
+    def read(self, n: int = 8, max_spread_mm: float = 1.0) -> Reading:
+        """The median of ``n`` points. Raises TouchAgainError where it moved meanwhile, LimitError
+        before homing.
+        """
+        if not self.homed:
+            raise LimitError(self.who, "no position before homing", hint="Call confirm_homed().")
+        points = []
+        for _ in range(max(1, n)):
+            points.append(self._point())
+            self._clock.sleep(INTERVAL_S)
+        tips = np.array([point.tip_mm for point in points], dtype=np.float64)
+        middle = np.median(tips, axis=0)
+        spread_mm = float(np.linalg.norm(tips - middle, axis=1).max())
+        if spread_mm > max_spread_mm:
+            what = f"it moved: its points spread by {spread_mm:.2f} mm, limit {max_spread_mm:g} mm"
+            raise TouchAgainError(self.who, what, hint="Hold it still.")
+        axes = [point.axis for point in points if point.axis is not None]
+        axis = None
+        if len(axes) == len(points):
+            axis = np.median(np.array(axes, dtype=np.float64), axis=0)
+            axis = axis / np.linalg.norm(axis)
+        written = " ".join(f"{value:.4f}" for value in middle)
+        return Reading(middle, spread_mm, axis, len(points), written=written)
+
+    def glance(self) -> Reading | None:
+        """Where its tip is now, to show."""
+        point = self._point()
+        return Reading(np.asarray(point.tip_mm), 0.0, point.axis, 1)
+
+    def buttons(self) -> int:
+        """No pedals are known of it."""
+        return 0
+
+    def touch(self, point_mm: Floats, axis: Floats) -> None:
+        """Go to ``point_mm`` (3,) in its frame, the stylus along ``axis`` (3,), and wait."""
+        if not self.touches:
+            raise LimitError(self.who, f"it has no motor to go to {point_mm}")
+        if not self.homed:
+            raise LimitError(self.who, "no way before homing", hint="Call confirm_homed().")
+        self.moves = True
+        self._border.call("touch", lambda arm: arm.touch(point_mm, axis), TOUCH_S)
+        self._until_still(TOUCH_S)
+        self.moves = False
+
+    def safe(self) -> None:
+        """At a stand, as read back. Raises DeviceError where it goes on."""
+        if not self.touches:
+            return
+        self._border.aside("stop", lambda arm: arm.stop())
+        self._until_still(STOP_S, aside=True)
+        self.moves = False
+
+    def close(self) -> None:
+        """Close it; once more is no error."""
+        with suppress(InstrumentError):
+            self._border.close()
+
+    def _texts(self) -> Mapping[str, str]:
+        given = self._border.call("identity", lambda arm: dict(arm.identity))
+        return self._border.texts(given)
+
+    def _until_still(self, limit_s: float, *, aside: bool = False) -> None:
+        end_s = self._clock.now() + limit_s
+        while self._point(aside=aside).moving:
+            if self._clock.now() > end_s:
+                raise DeviceError(self.who, "it does not stand", seen="moving", hint="STOP IT.")
+            self._clock.sleep(INTERVAL_S)
+
+    def _point(self, *, aside: bool = False) -> ArmPoint:
+        ask = self._border.aside if aside else self._border.call
+        given: object = ask("read", lambda arm: arm.read())
+        if not isinstance(given, ArmPoint):
+            raise self._border.broken("its reading is no ArmPoint", given)
+        tip = np.asarray(given.tip_mm)
+        if tip.shape != (3,) or tip.dtype.kind not in "iuf" or not np.isfinite(tip).all():
+            raise self._border.broken("its tip is no three numbers", given)
+        if np.abs(tip).max() > FARTHEST_MM:
+            raise self._border.broken("its tip is farther than any arm reaches (mm?)", given)
+        return given

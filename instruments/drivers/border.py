@@ -1,0 +1,156 @@
+"""Calls of another package's code: whatever it raises, and what never comes back, becomes an
+InstrumentError. In virtual time nothing can hang by itself, so it is called directly.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from instruments.clock import Clock, VirtualClock
+from instruments.drivers.entry_points import Plugged
+from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
+
+CALL_S, OPEN_S, CLOSE_S = 10.0, 10.0, 2.0
+T = TypeVar("T")
+Made = TypeVar("Made")
+
+
+@dataclass(slots=True, eq=False)
+class _Job(Generic[T]):
+    """One call on a thread of its own, and what came of it."""
+
+    work: Callable[[], T]
+    found: T | None = None
+    error: BaseException | None = None
+
+    def run(self) -> None:
+        try:
+            self.found = self.work()
+        except BaseException as error:
+            self.error = error
+
+
+class Border(Generic[Made]):
+    """The plug-in ``plugged`` as ``who``, opened when it is first needed and again after a lost
+    link. `calling` gives it, for one thread at a time.
+    """
+
+    def __init__(self, plugged: Plugged, who: str, clock: Clock) -> None:
+        self.who, self.plugged = who, plugged
+        self._clock = clock
+        self._made: Made | None = None
+        self._lock = threading.RLock()
+        self._owner = threading.local()
+        self.opened = 0
+
+    @property
+    def locked(self) -> threading.RLock:
+        """Held while one of several calls must not be parted from the next."""
+        return self._lock
+
+    def call(self, what: str, work: Callable[[Made], T], limit_s: float | None = None) -> T:
+        """``work`` on the plug-in. Raises InstrumentError alone."""
+        with self._lock:
+            made = self.open()
+            try:
+                return self._within(what, lambda: work(made), limit_s)
+            except LinkError:
+                self.forget()
+                raise
+
+    def open(self) -> Made:
+        """The plug-in, opened where it is not. Raises InstrumentError."""
+        with self._lock:
+            if self._made is None:
+                make: Callable[[], Made] = lambda: self.plugged.make(self._clock)  # noqa: E731
+                self._made = self._within("open", make, OPEN_S)
+                self.opened += 1
+            return self._made
+
+    def aside(self, what: str, work: Callable[[Made], T], limit_s: float | None = None) -> T:
+        """``work`` at once, beside a call that is under way. Raises InstrumentError alone."""
+        made = self._made or self.open()
+        return self._within(what, lambda: work(made), limit_s)
+
+    def forget(self) -> None:
+        """Close the plug-in, and open another one when it is next needed."""
+        made, self._made = self._made, None
+        if made is not None:
+            with suppress(InstrumentError):  # it is gone, or hangs
+                self._within("close", lambda: made.close(), CLOSE_S)  # type: ignore[attr-defined]
+
+    def close(self) -> None:
+        """Close it, in 2 s at most; once more is no error."""
+        made, self._made = self._made, None
+        if made is not None:
+            self._within("close", lambda: made.close(), CLOSE_S)  # type: ignore[attr-defined]
+
+    @contextmanager
+    def _translated(self, what: str) -> Iterator[None]:
+        try:
+            yield
+        except (InstrumentError, KeyboardInterrupt):
+            raise
+        except OSError as error:  # TimeoutError and ConnectionError among them
+            said = f"{type(error).__name__}: {error}"
+            raise LinkError(self.who, said, asked=what, hint=f"{self.plugged}.") from error
+        except BaseException as error:  # another's code: not every library's errors are Exceptions
+            try:
+                said = f"{type(error).__name__}: {error}"
+            except Exception:  # its own words fail
+                said = type(error).__name__
+            raise DeviceError(self.who, said, asked=what, hint=f"{self.plugged}.") from error
+
+    @contextmanager
+    def opening(self) -> Iterator[None]:
+        """Close it where what is asked of it first fails."""
+        try:
+            yield
+        except BaseException:
+            self.forget()
+            raise
+
+    def _within(self, what: str, work: Callable[[], T], limit_s: float | None) -> T:
+        limit_s = CALL_S if limit_s is None else limit_s
+        with self._translated(what):
+            if isinstance(self._clock, VirtualClock) or getattr(self._owner, "is_us", False):
+                return work()
+            job: _Job[T] = _Job(work)
+            thread = threading.Thread(target=self._run, args=(job,), daemon=True)
+            thread.name = f"{self.who}: {what}"
+            thread.start()
+            thread.join(limit_s)
+            if thread.is_alive():
+                hint = f"{self.plugged} hangs. Look at the device, its power and its cable."
+                raise LinkError(self.who, "no answer", asked=what, seconds=limit_s, hint=hint)
+            if job.error is not None:
+                raise job.error
+            return job.found  # type: ignore[return-value]
+
+    def _run(self, job: _Job[Any]) -> None:
+        self._owner.is_us = True
+        job.run()
+
+    def broken(self, what: str, seen: object) -> ProtocolError:
+        """What to raise where it gives what no device can show."""
+        return ProtocolError(self.who, what, seen=str(seen)[:200], hint=f"{self.plugged}.")
+
+    def texts(self, given: object) -> dict[str, str]:
+        """Its identity as text. Raises ProtocolError."""
+        if not isinstance(given, Mapping) or not given:
+            raise self.broken("its identity is no mapping with something in it", given)
+        return {str(key): str(value) for key, value in given.items()}
+
+    def number(self, value: object, what: str) -> float:
+        """A finite number. Raises ProtocolError."""
+        try:
+            found = float(value)  # type: ignore[arg-type]
+        except (TypeError, ValueError):
+            raise self.broken(f"its {what} is no number", value) from None
+        if not abs(found) < float("inf"):
+            raise self.broken(f"its {what} is no number", value)
+        return found

@@ -1,0 +1,88 @@
+"""A camera, or several pictures of one device, of another package as the bench's own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+
+import numpy as np
+
+from instruments.camera.cameras import CAN_GIVE, Camera, CameraGroup
+from instruments.camera.frame import FrameError, FrameFault, RawFrame
+from instruments.clock import Clock
+from instruments.drivers.border import Border
+from instruments.drivers.entry_points import Plugged
+from instruments.errors import DeviceError, InstrumentError, LimitError
+
+CAPTURE_S = 30.0  # a long exposure, and a slow link
+
+
+class PluggedCamera:
+    """As `instruments.camera.cameras.Camera`; whatever it raises but a lost link costs a frame."""
+
+    def __init__(self, plugged: Plugged, name: str, clock: Clock) -> None:
+        self.who, self._name = f"{name} camera {plugged.name}", name
+        self._border: Border[Camera] = Border(plugged, self.who, clock)
+        with self._border.opening():
+            who = self._border.call("identity", lambda camera: str(camera.identity))
+        self.identity = f"{who} ({plugged})"
+
+    def prepare(self) -> None:
+        self._border.call("prepare", lambda camera: camera.prepare())
+
+    def begin(self) -> None:
+        self._border.call("begin", lambda camera: camera.begin())
+
+    def take(self) -> RawFrame:
+        """The frame. Raises FrameError for none, LinkError where it is gone."""
+        try:
+            return checked(
+                self._border, self._border.call("take", lambda camera: camera.take(), CAPTURE_S)
+            )
+        except DeviceError as error:  # an exception of its own: the next frame may come
+            raise FrameError(FrameFault.DROPPED, self._name, self.who, str(error)) from error
+
+    def close(self) -> None:
+        with suppress(InstrumentError):
+            self._border.close()
+
+
+class PluggedGroup:
+    """As `instruments.camera.cameras.CameraGroup`."""
+
+    def __init__(self, plugged: Plugged, clock: Clock) -> None:
+        self.who = f"cameras {plugged.name}"
+        self._border: Border[CameraGroup] = Border(plugged, self.who, clock)
+        with self._border.opening():
+            given = self._border.call("parts", lambda group: tuple(group.parts))
+            if not given or not set(given) <= set(CAN_GIVE):
+                what = f"its parts are {given}; a group gives some of {', '.join(CAN_GIVE)}"
+                raise LimitError(self.who, what, hint=f"{plugged}.")
+            who = self._border.call("identity", lambda group: str(group.identity))
+        self.parts: tuple[str, ...] = given
+        self.identity = f"{who} ({plugged})"
+
+    def capture(self) -> Mapping[str, RawFrame]:
+        """A frame of each part. Raises FrameError for one that is missing, LinkError."""
+        try:
+            given = dict(self._border.call("capture", lambda group: group.capture(), CAPTURE_S))
+        except DeviceError as error:
+            raise FrameError(FrameFault.DROPPED, self.parts[0], self.who, str(error)) from error
+        for part in self.parts:
+            if part not in given:
+                raise FrameError(FrameFault.DROPPED, part, self.who, "it gave no frame")
+        return {part: checked(self._border, given[part]) for part in self.parts}
+
+    def close(self) -> None:
+        with suppress(InstrumentError):
+            self._border.close()
+
+
+def checked(border: Border[Camera] | Border[CameraGroup], frame: object) -> RawFrame:
+    """A frame that can be one. Raises ProtocolError."""
+    if not isinstance(frame, RawFrame) or not isinstance(frame.pixels, np.ndarray):
+        raise border.broken("its frame is no RawFrame", type(frame).__name__)
+    if frame.pixels.ndim not in (2, 3) or not frame.pixels.size:
+        raise border.broken("its frame is no picture", frame.pixels.shape)
+    border.number(frame.exposed_s, "exposed_s")
+    return frame

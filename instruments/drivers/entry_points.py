@@ -1,0 +1,102 @@
+"""Drivers and emulators of other packages by entry point: ``plugin:NAME?key=value`` in a rig file.
+
+The groups are ``teatbench.arms``, ``.baths``, ``.cameras`` and ``.stages``. An emulator has the
+name of its driver, in the group ``teatbench.emulators.baths`` and so on: it is called with the
+world and the clock, and gives a device (`instruments.listener.Device`) that the bench serves on a
+port of this machine. The driver gets the port as its key ``url``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Literal
+from urllib.parse import parse_qsl, urlencode
+
+from instruments.errors import LimitError
+
+PLUGIN, EMULATOR = "plugin:", "emulator:"
+Kind = Literal["arm", "bath", "camera", "stage"]
+KINDS: tuple[Kind, ...] = ("arm", "bath", "camera", "stage")
+GROUPS: Mapping[Kind, str] = {kind: f"teatbench.{kind}s" for kind in KINDS}
+EMULATORS: Mapping[Kind, str] = {kind: f"teatbench.emulators.{kind}s" for kind in KINDS}
+
+
+@dataclass(frozen=True, slots=True)
+class PluginUrl:
+    """``plugin:NAME?key=value&…``, or ``emulator:NAME?…`` for its emulator."""
+
+    name: str
+    keys: Mapping[str, str] = field(default_factory=dict)
+    emulated: bool = False
+
+
+def plugin_url(url: str) -> PluginUrl | None:
+    """``url`` where it names a plug-in, else None. Raises ValueError without a name."""
+    place = next((one for one in (PLUGIN, EMULATOR) if url.startswith(one)), None)
+    if place is None or url == EMULATOR or url.startswith("emulator://"):
+        return None
+    name, _, query = url.removeprefix(place).partition("?")
+    if not name:
+        raise ValueError('which plug-in? write "plugin:NAME" or "plugin:NAME?key=value"')
+    return PluginUrl(name, dict(parse_qsl(query, keep_blank_values=True)), place == EMULATOR)
+
+
+@dataclass(frozen=True, slots=True)
+class Plugged:
+    """A driver of another package: what makes it, and who wrote it."""
+
+    name: str
+    source: str
+    maker: Any
+    keys: Mapping[str, str] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return f"the plug-in {self.name} of {self.source}"
+
+    @property
+    def url(self) -> str:
+        """What another process opens it by."""
+        return f"{PLUGIN}{self.name}" + (f"?{urlencode(self.keys)}" if self.keys else "")
+
+    def make(self, *given: Any) -> Any:
+        """Open it with the clock, or an emulator's world and clock. Raises whatever it raises."""
+        return self.maker(*given, **self.keys)
+
+    def with_keys(self, **keys: str) -> Plugged:
+        """The same with further keys."""
+        return Plugged(self.name, self.source, self.maker, {**self.keys, **keys})
+
+
+def available(group: str) -> dict[str, str]:
+    """Name -> the package that it is of; nothing is loaded."""
+    return {plug.name: _source(plug) for plug in entry_points(group=group)}
+
+
+def load(kind: Kind, url: PluginUrl, *, emulator: bool = False) -> Plugged:
+    """The driver, or the emulator, that ``url`` names; not opened. Raises LimitError."""
+    group = (EMULATORS if emulator else GROUPS)[kind]
+    plugs = {plug.name: plug for plug in entry_points(group=group)}
+    if url.name not in plugs:
+        near = get_close_matches(url.name, plugs, n=1)
+        hint = f"Did you mean {near[0]!r}?" if near else f"Installed: {', '.join(plugs) or 'none'}."
+        what = f"no {'emulator' if emulator else 'driver'} {url.name!r} is installed ({group})"
+        raise LimitError(kind, what, hint=hint)
+    plug = plugs[url.name]
+    try:
+        maker = plug.load()
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # another's code
+        said = " ".join(f"{type(error).__name__}: {error}".split())
+        raise LimitError(kind, f"{_source(plug)} can't be loaded: {said}") from error
+    if not callable(maker):
+        raise LimitError(kind, f"{_source(plug)} gives a {type(maker).__name__}, no class")
+    return Plugged(url.name, _source(plug), maker, url.keys)
+
+
+def _source(plug: EntryPoint) -> str:
+    package = f"{plug.dist.name} {plug.dist.version}" if plug.dist else "an unknown package"
+    return f"{package} ({plug.value})"

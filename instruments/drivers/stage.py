@@ -1,0 +1,295 @@
+"""A stage of another package as the bench's own: travel is checked before, the place read back
+behind every move, and a stop that doesn't stop it is an error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from instruments.clock import Clock
+from instruments.drivers.border import Border
+from instruments.drivers.entry_points import Plugged
+from instruments.drivers.plugin import StageDriver, StageState
+from instruments.errors import DeviceError, InstrumentError, LimitError
+from instruments.stage.protocol import AXES, Status
+from instruments.stage.settings import (
+    DECLARABLE,
+    AxisLimits,
+    StageIdentity,
+    StageSettings,
+    Target,
+    check_within,
+    declared,
+)
+
+POLL_S = 0.2
+STOP_S, HOMING_S, SLACK_S = 10.0, 300.0, 10.0
+TOLERANCE_MM = 0.02
+
+
+class _Move(NamedTuple):
+    target: Target
+    deadline_s: float
+    jog: bool
+
+
+class PluggedStage:
+    """As `instruments.stage.driver.Stage`."""
+
+    safe_state = "at a stand, as it reads back itself"
+
+    def __init__(self, plugged: Plugged, clock: Clock, axes: str) -> None:
+        self.url, self.who, self.axes = plugged.url, f"stage {plugged.name}", axes
+        self.before_moving: Callable[[], None] = lambda: None
+        self.moves = False
+        self._clock = clock
+        self._border: Border[StageDriver] = Border(plugged, self.who, clock)
+        self._known: tuple[StageIdentity, StageSettings] | None = None
+        self._homed_at = 0  # of the opening
+        self._move: _Move | None = None
+
+    def connect(self) -> StageIdentity:
+        """Ask who it is and how far it goes. Raises LimitError for other axes than the rig's."""
+        border = self._border
+        given = border.call("identity", lambda stage: dict(stage.identity))
+        who = border.texts(given)
+        axes = border.call("axes", lambda stage: stage.axes)
+        if axes not in DECLARABLE or not set(self.axes) <= set(axes):
+            what = f"it has the axes {axes}, the rig file declares {self.axes}"
+            raise LimitError(self.who, what, hint="Correct axes under [stage].")
+        limits = border.call("limits", lambda stage: dict(stage.limits))
+        feed = border.number(border.call("feed", lambda stage: stage.feed_mm_min), "feed")
+        spans = [limits.get(axis, (0.0, 0.0)) for axis in self._letters]
+        try:
+            lows, highs = zip(*((float(low), float(high)) for low, high in spans), strict=True)
+        except (TypeError, ValueError) as error:
+            raise border.broken("its limits are no pairs of numbers by axis", limits) from error
+        feeds = tuple(feed for _ in self._letters)
+        identity = StageIdentity(
+            self._border.plugged.name,
+            ", ".join(f"{key} {value}" for key, value in who.items()),
+            self._border.plugged.source,
+            "",
+        )
+        settings = StageSettings(
+            travel_mm=tuple(np.subtract(highs, lows).tolist()),
+            rate_mm_min=feeds,
+            accel_mm_s2=tuple(math.inf for _ in self._letters),
+            steps_per_mm=tuple(1000.0 for _ in self._letters),
+            soft_limits=True,
+            hard_limits=True,
+            homing=True,
+            homing_seek_mm_min=feed,
+            homing_feed_mm_min=feed,
+            pull_off_mm=0.0,
+            low_mm=lows,
+        )
+        self._known = identity, settings
+        return identity
+
+    @property
+    def identity(self) -> StageIdentity:
+        """Who answered ``connect``. Raises LimitError before."""
+        return self._met[0]
+
+    @property
+    def settings(self) -> StageSettings:
+        """Its travel and feed as ``connect`` read them. Raises LimitError before."""
+        return self._met[1]
+
+    @property
+    def _met(self) -> tuple[StageIdentity, StageSettings]:
+        if self._known is None:
+            raise LimitError(self.who, "not connected yet", hint="Call connect().")
+        return self._known
+
+    @property
+    def limits(self) -> dict[str, AxisLimits]:
+        return {axis: of for axis, of in self.settings.limits.items() if axis in self.axes}
+
+    @property
+    def homed(self) -> bool:
+        """Whether it was homed, without a broken link or a fault since."""
+        return bool(self._homed_at) and self._homed_at == self._border.opened
+
+    def status(self) -> Status:
+        """Its own report, now. Raises DeviceError for a fault."""
+        state = self._state()
+        name = "Run" if state.moving else "Idle" if state.homed else "Alarm"
+        places = self._places(state)
+        return Status(name, None, tuple(places.values()), None, None, {})
+
+    def position(self) -> NDArray[np.float64]:
+        """(3,) mm or (4,) with degrees of A; not-a-number for an axis that it hasn't."""
+        return np.array(list(self._places(self._state()).values()), dtype=np.float64)
+
+    def home(self) -> None:
+        """Home all axes and wait. Raises DeviceError where it isn't homed then."""
+        _ = self.settings
+        self._move, self._homed_at = None, 0
+        self._begin_moving()
+        self._border.call("home", lambda stage: stage.home(), HOMING_S)
+        state = self._until_still(self._clock.now() + HOMING_S, "homing takes too long")
+        if not state.homed:
+            raise DeviceError(self.who, "it is not homed after homing", hint="See its controller.")
+        self._homed_at, self.moves = self._border.opened, False
+
+    def move_to(
+        self,
+        x_mm: float,
+        y_mm: float,
+        *,
+        z_mm: float | None = None,
+        a_deg: float | None = None,
+        feed_mm_min: float | None = None,
+    ) -> None:
+        """Move and wait until it stands at the target, as read back. Raises LimitError before
+        homing and outside the travel, DeviceError when it ends elsewhere.
+        """
+        self.begin_move(x_mm, y_mm, z_mm=z_mm, a_deg=a_deg, feed_mm_min=feed_mm_min)
+        self.finish_move()
+
+    def begin_move(
+        self,
+        x_mm: float,
+        y_mm: float,
+        *,
+        z_mm: float | None = None,
+        a_deg: float | None = None,
+        feed_mm_min: float | None = None,
+    ) -> None:
+        """Start what ``finish_move`` waits for. Raises as ``move_to``."""
+        wanted = {"X": x_mm, "Y": y_mm, "Z": z_mm, "A": a_deg}
+        self._go(declared(wanted, self.axes, who=self.who), feed_mm_min, jog=False)
+
+    def jog(
+        self,
+        *,
+        x_mm: float = 0.0,
+        y_mm: float = 0.0,
+        z_mm: float = 0.0,
+        a_deg: float = 0.0,
+        feed_mm_min: float | None = None,
+    ) -> None:
+        """Start a relative move. Raises as ``move_to``."""
+        wanted = {"X": x_mm or None, "Y": y_mm or None, "Z": z_mm or None, "A": a_deg or None}
+        way = declared(wanted, self.axes, who=self.who)
+        if not way:
+            raise LimitError(self.who, "a jog without a distance", hint="Give a way along an axis.")
+        here = self._places(self._state())
+        self._go({axis: here[axis] + by for axis, by in way.items()}, feed_mm_min, jog=True)
+
+    def cancel_jog(self) -> None:
+        """End a jog early and wait for a stand. Nothing without a jog."""
+        if self._move and self._move.jog:
+            self.stop()
+
+    def finish_move(self) -> None:
+        """Wait for a move or jog. Raises DeviceError when too slow, or it ends elsewhere."""
+        move = self._move
+        if move is None:
+            raise LimitError(self.who, "no move is under way", hint="Call begin_move().")
+        state = self._until_still(move.deadline_s, "the move takes too long")
+        self._move, self.moves = None, False
+        here = self._places(state)
+        for axis, wanted in move.target.items():
+            if not abs(here[axis] - wanted) <= TOLERANCE_MM:
+                what = f"the stage is not at its target, {axis} = {wanted:.3f}"
+                raise DeviceError(self.who, what, seen=f"{axis} = {here[axis]:.3f}")
+
+    def brake(self) -> None:
+        """Stop without waiting, from any thread."""
+        self._border.aside("stop", lambda stage: stage.stop())
+
+    def stands(self) -> Status | None:
+        """Its report once it stands, from any thread. Raises DeviceError if it doesn't."""
+        self._until_still(self._clock.now() + STOP_S, "the stage does not stop", aside=True)
+        return Status("Idle", None, (), None, None, {})
+
+    def stop(self) -> None:
+        """Bring it to a stand from any state, and read that back. Raises InstrumentError where it
+        goes on, or doesn't answer.
+        """
+        try:
+            self.brake()
+            self.stands()
+        except InstrumentError:
+            self._border.forget()  # another link may be heard
+            self.brake()
+            self.stands()
+        self._move, self.moves = None, False
+
+    safe = stop
+
+    def reconnect(self) -> StageIdentity:
+        """Open it again; it has to be homed then."""
+        self._move, self._homed_at = None, 0
+        self._border.forget()
+        return self.connect()
+
+    def recover(self) -> None:
+        """As `reconnect`, of a stage that stands."""
+        self.reconnect()
+        self.stands()
+        self.moves = False
+
+    def close(self) -> None:
+        """Close it, without stopping it; once more is no error."""
+        with suppress(InstrumentError):
+            self._border.close()
+
+    @property
+    def _letters(self) -> str:
+        return AXES if "A" in self.axes else AXES[:3]
+
+    def _go(self, target: Target, feed_mm_min: float | None, *, jog: bool) -> None:
+        asked = ", ".join(f"{axis} {value:g}" for axis, value in target.items())
+        if not self.homed:
+            raise LimitError(self.who, "no move before homing", asked=asked, hint="Call home().")
+        check_within(target, self.settings, asked, who=self.who)
+        state = self._state()
+        if state.moving or self._move:
+            what, hint = "a move is still under way", "Call finish_move(), or stop()."
+            raise LimitError(self.who, what, asked=asked, hint=hint)
+        here, feed = self._places(state), feed_mm_min or min(self.settings.rate_mm_min)
+        feed = min(feed, *self.settings.rate_mm_min)
+        way = math.hypot(*(value - here[axis] for axis, value in target.items()))
+        allowed_s = SLACK_S + 2 * 60 * way / feed
+        self._begin_moving()
+        self._border.call("move", lambda stage: stage.move(dict(target), feed), allowed_s)
+        self._move = _Move(target, self._clock.now() + allowed_s, jog)
+
+    def _begin_moving(self) -> None:
+        self.before_moving()
+        self.moves = True
+
+    def _until_still(self, deadline_s: float, late: str, *, aside: bool = False) -> StageState:
+        while (state := self._state(aside=aside)).moving:
+            if self._clock.now() > deadline_s:
+                raise DeviceError(self.who, late, seen="moving", hint="Cut its power.")
+            self._clock.sleep(POLL_S)
+        return state
+
+    def _places(self, state: StageState) -> Target:
+        return {axis: float(state.place.get(axis, 0.0)) for axis in self._letters}
+
+    def _state(self, *, aside: bool = False) -> StageState:
+        ask, border = self._border.aside if aside else self._border.call, self._border
+        given: object = ask("read", lambda stage: stage.read())
+        if not isinstance(given, StageState) or not isinstance(given.moving, bool):
+            raise border.broken("its state is no StageState", given)
+        for axis in self.axes:
+            border.number(given.place.get(axis), f"place of axis {axis}")
+        if given.fault:
+            self._homed_at = 0
+            if not aside:
+                raise DeviceError(self.who, str(given.fault), hint="Cure it, then recover().")
+        if not given.homed:
+            self._homed_at = 0
+        return given

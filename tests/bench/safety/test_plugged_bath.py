@@ -1,0 +1,128 @@
+"""A bath of another package stays on in no case: its driver dies, lies, raises or hangs in the
+process that heats, and the guardian opens it in its own, by URL and clock alone. And a rig that is
+emulated in part: what it shows is marked.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+import bench
+from instruments.clock import RealClock
+from instruments.listener import Listener
+from instruments.world.plant import Plant
+from tests.bench.commands import Said
+from tests.bench.operated_runs import write_calibration
+from tests.bench.real_rig import script_of
+from tests.bench.safety.guards import standby_after
+from tests.lab_drivers import importable
+
+pytestmark = pytest.mark.slow
+
+RIG = """
+name = "lab"
+calibration = "calibration.toml"
+[operator]
+url = "emulator:"
+[arm]
+url = "emulator:"
+packets = 2
+touches = 1
+[bath]
+url = "plugin:kettle?url={url}&mode={mode}"
+cut_out_tested = "2024-03-01"
+[cameras]
+url = "emulator:"
+settle_s = 0.1
+[limits]
+away_s = 5.0
+"""
+
+HEATS = """
+import os, sys
+os.environ["BROKEN_IN"] = str(os.getpid())
+import bench
+with bench.open_rig(sys.argv[1], ("bath",)) as rig:
+    rig.bath.start(30.0)
+    print("heats", flush=True)
+    if not sys.argv[2]:
+        os.kill(os.getpid(), 9)
+"""
+
+
+@dataclass
+class Lab:
+    """``plant`` is what the kettle of ``folder``'s packages heats, at ``url``."""
+
+    plant: Plant
+    url: str
+    folder: Path
+
+    def rig(self, mode: str = "") -> Path:
+        path = self.folder / "lab.toml"
+        path.write_text(RIG.format(url=self.url, mode=mode), encoding="utf-8")
+        return path
+
+
+class World:
+    def __init__(self) -> None:
+        self.plant = Plant(1, start_c=33.0)
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Iterator[Lab]:
+    from instruments.drivers.entry_points import PluginUrl, load
+
+    world, lock = World(), threading.RLock()
+    write_calibration(tmp_path)
+    with importable(tmp_path / "site"), closing(RealClock()) as clock:
+        emulator = load("bath", PluginUrl("kettle"), emulator=True).make(world, clock)
+        listener = Listener(emulator, clock, lock=lock, name="kettle")
+        try:
+            yield Lab(world.plant, listener.url, tmp_path)
+        finally:
+            listener.close()
+
+
+@pytest.mark.parametrize("mode", ["", "stays on", "standby raises"])
+def test_the_guardian_opens_it_by_itself(mode: str, lab: Lab) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-c", HEATS, str(lab.rig(mode)), mode],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert ended.stdout == "heats\n", ended.stderr
+    standby_after(lab.plant)
+    if mode:  # the process itself has said so
+        assert "SWITCH OFF THE BATH AT ITS MAINS" in ended.stderr
+        assert "NotSafeError" in ended.stderr
+
+
+def test_a_rig_that_is_emulated_in_part_is_marked(lab: Lab, said: Said) -> None:
+    script = lab.folder / "short.toml"
+    script.write_text(script_of(), encoding="utf-8")
+    out = lab.folder / "runs"
+    shown = said(0, "run {} --rig {} --out {}", script, lab.rig(), out).out
+    (folder,) = out.iterdir()
+    run = bench.read_run(folder)
+    assert run.ending == "finished"
+    assert run.facts["kind"] == "mixed"
+    assert run.facts["emulated"] == ["arm", "operator", "cameras"]
+    assert "SOME INSTRUMENTS EMULATED: arm, operator, cameras" in shown
+    page = (folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert "SOME INSTRUMENTS EMULATED" in page
+    assert "Emulated, and so no measurement: arm, operator, cameras." in page
+    assert json.loads((folder / "report" / "run.json").read_text(encoding="utf-8"))
+    assert run.facts["identities"]["bath"]["serial_number"] == "TankEmulator 1"
+    assert not lab.plant.running

@@ -1,0 +1,219 @@
+"""The plug-in for pytest: each test is a session of its own, in this process."""
+
+from __future__ import annotations
+
+import json
+import re
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+
+import bench
+from bench.rig.loading import load_rig
+from bench.run.lock import lock_path, locked
+from tests.bench.campaign.small_campaign import write_small_rig
+from tests.bench.small_recording import write_recording
+from tests.conftest import ROOT
+from tests.undrawn import bare
+
+pytest_plugins = ("pytester",)
+# where the project was installed since the plug-in came, pytest has it already
+THERE = bool(entry_points(group="pytest11", name="teatbench"))
+PLUGIN = (
+    "-p",
+    "no:cacheprovider",
+    "-p",
+    "no:xdist",
+    *(() if THERE else ("-p", "bench.testing.plugin")),
+)
+SCENE = """
+import bench
+from bench.testing import Scene, Teat, check
+FOUR = Scene((Teat(),) * 4)
+"""
+
+
+@pytest.fixture
+def rig(pytester: pytest.Pytester) -> str:
+    return str(write_small_rig(pytester.path))
+
+
+def run(pytester: pytest.Pytester, program: str, *words: str) -> pytest.RunResult:
+    pytester.makepyfile(program)
+    with bare():
+        return pytester.runpytest_inprocess(*PLUGIN, *words)
+
+
+def test_it_imports_nothing_before_it_is_asked(pytester: pytest.Pytester) -> None:
+    program = """
+        import sys
+        def test_it():
+            import bench.testing.plugin
+            assert not {"numpy", "hypothesis", "bench.api"} & set(sys.modules)
+    """
+    pytester.makepyfile(program)
+    result = pytester.runpytest_subprocess(*PLUGIN, "-p", "no:hypothesispytest")
+    result.assert_outcomes(passed=1)
+
+
+@pytest.mark.slow
+def test_a_rig_is_open_homed_and_safe_after_each_test(pytester: pytest.Pytester) -> None:
+    program = """
+        import pytest
+        kept = []
+
+        def test_heats(rig, bath, arm, stage, cameras):
+            assert arm.homed and stage.homed and rig.emulated
+            kept.append((rig, bath))
+            rig.heat(33.0, wait=False)
+            assert rig.devices.active == ("bath", "pump")
+            raise RuntimeError("amid heating")
+
+        def test_after(rig):
+            before, bath = kept[0]
+            assert before.devices.active == ()
+            assert rig is not before
+            assert rig.capture().frames.left.ndim == 2
+    """
+    result = run(pytester, program)
+    result.assert_outcomes(passed=1, failed=1)
+    result.stdout.fnmatch_lines("*amid heating*")
+
+
+@pytest.mark.slow
+def test_a_real_rig_is_opened_and_homed_once_and_alone(pytester: pytest.Pytester) -> None:
+    """Its cameras are no emulators: they play a recording."""
+    path = Path(write_small_rig(pytester.path))
+    write_recording(pytester.path / "played")
+    text = path.read_text(encoding="utf-8")
+    old = '[cameras]\nurl = "emulator:"'
+    assert old in text
+    path.write_text(text.replace(old, '[cameras]\nurl = "recording:played"'), encoding="utf-8")
+    program = """
+        import pytest
+        kept = []
+
+        @pytest.mark.parametrize("number", (0, 1))
+        def test_it(rig, number):
+            kept.append(rig)
+            assert kept[0] is rig and rig.arm.homed and rig.stage.homed
+            rig.heat(33.0, wait=False)
+    """
+    run(pytester, program, "--rig", str(path)).assert_outcomes(passed=2)
+    with locked(lock_path(load_rig(path)), "another run", lambda _: None):
+        result = run(pytester, program, "--rig", str(path))
+    assert result.ret == 3
+    result.stdout.fnmatch_lines("*run one at a time*")
+
+
+@pytest.mark.slow
+def test_what_is_not_safe_ends_the_session(pytester: pytest.Pytester) -> None:
+    program = """
+        def test_one(rig, monkeypatch):
+            rig.heat(33.0, wait=False)
+            def stuck(**_):
+                raise OSError("its relay sticks")
+            rig.safe = stuck
+
+        def test_two():
+            pass
+    """
+    result = run(pytester, program)
+    result.assert_outcomes(passed=1, errors=1)
+    result.stdout.fnmatch_lines("*NOT SAFE: its relay sticks*")
+
+
+@pytest.mark.slow
+def test_the_simplest_scene_is_shown_and_written(pytester: pytest.Pytester, rig: str) -> None:
+    program = f"""
+        from hypothesis import given, settings
+        from bench.testing import Scene, Teat, check, layouts, scenes
+
+        @settings(max_examples=20, database=None)
+        @given(scenes(layouts=layouts(4, 4), published=True))
+        def test_mine(scene):
+            check("thesis", scene, rig={rig!r})
+    """
+    result = run(pytester, program)
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(
+        [
+            "*simplest scene*",
+            "thesis *in Scene(*",
+            "*of * scenes one step away fail too.",
+            "*Keep it:*",
+        ]
+    )
+    assert {path.name for path in (pytester.path / "found" / "test_mine").iterdir()} == {
+        *("scene.toml", "scene.png", "test_scene.py")
+    }
+
+
+@pytest.mark.slow
+def test_trials_of_tests_are_a_run_with_a_verdict(pytester: pytest.Pytester, rig: str) -> None:
+    program = f"""{SCENE}
+import pytest
+
+@pytest.mark.requirement("no false teat")
+def test_four(record_trial, detector):
+    assert detector.name == "thesis"
+    for number in (0, 1):
+        shot = Scene(FOUR.teats, noise=number).draw({rig!r})
+        assert record_trial(shot).counts.visible == 4
+
+@pytest.mark.requirement("error below 5 mm")
+def test_named(record_trial):
+    score = record_trial(FOUR.draw({rig!r}), "plain")
+    assert not score.success
+    with pytest.raises(ValueError, match="needs the truth"):
+        record_trial(bench.api.shots.Shot(None, None))
+"""
+    result = run(pytester, program, "--rig", rig, "--detector", "thesis", "--junit-xml", "j.xml")
+    result.assert_outcomes(passed=2)
+    result.stdout.fnmatch_lines(["*requirements*", "*Report: *index.html"])
+    (folder,) = (pytester.path / "runs").iterdir()
+    record = bench.read_run(folder)
+    assert [one.head["name"] for one in record.trials] == ["test_four", "test_four-2", "plain"]
+    assert record.facts["kind"] == "emulated"
+    assert "no false teat: test_four." in record.facts["about"]
+    found = json.loads((folder / "report" / "run.json").read_text(encoding="utf-8"))
+    text = json.dumps(found)
+    assert "no false teat" in text
+    assert "error below 5 mm" in text
+    assert "reliability" not in text
+    assert 'name="requirement" value="no false teat"' in Path("j.xml").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_an_unknown_requirement_rig_or_detector_is_wrong_use(pytester: pytest.Pytester) -> None:
+    program = """
+        import pytest
+        @pytest.mark.requirement("no false teats")
+        def test_it(record_trial):
+            pass
+    """
+    result = run(pytester, program)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines("*did you mean*no false teat*")
+    plain = "def test_it({}):\n    pass\n"
+    for fixture, words in (("rig", ("--rig", "nowhere")), ("detector", ("--detector", "fusd"))):
+        result = run(pytester, plain.format(fixture), *words)
+        assert result.ret != 0
+        result.stdout.fnmatch_lines(f"*no {fixture}*")
+
+
+@pytest.mark.slow
+def test_the_page_word_by_word(pytester: pytest.Pytester) -> None:
+    """Its first program finds a scene; its second one runs on the emulated rig."""
+    page = (ROOT / "docs" / "testing.md").read_text(encoding="utf-8")
+    programs = re.findall(r"Save this as `(\w+)\.py`:\n\n```python\n(.*?)```", page, re.DOTALL)
+    pytester.makepyfile(**dict(programs))
+    with bare():
+        first = pytester.runpytest_inprocess(*PLUGIN, "test_detector.py")
+        second = pytester.runpytest_inprocess(*PLUGIN, "test_rig.py", "--detector", "fused")
+    first.assert_outcomes(failed=1)
+    first.stdout.fnmatch_lines(["*simplest scene*", "thesis *in Scene(*"])
+    assert (pytester.path / "found" / "test_every_end_within_20_mm" / "scene.png").exists()
+    second.assert_outcomes(passed=2)
+    second.stdout.fnmatch_lines("*Report: *")

@@ -1,0 +1,194 @@
+"""Scenes for hypothesis: what is drawn can stand, shrinks to the plainest, and can be pasted back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, Phase, find, given, seed, settings
+from hypothesis import strategies as st
+
+from bench.record.recording import Recording
+from bench.testing import (
+    Applied,
+    Object,
+    Pose,
+    Scene,
+    SceneFailedError,
+    Teat,
+    check,
+    layouts,
+    objects,
+    perturbations,
+    poses,
+    scenes,
+)
+from bench.testing.found import SCENE, read_scene, write_found
+from tests.bench.campaign.small_campaign import write_small_rig
+from tests.bench.commands import Said
+
+NAMES = {"Applied": Applied, "Object": Object, "Pose": Pose, "Scene": Scene, "Teat": Teat}
+FOUR = Scene((Teat(),) * 4)
+KINDS = ("leg", "rod")
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Cameras so small that a scene is drawn in no time."""
+    return str(write_small_rig(tmp_path_factory.mktemp("rig")))
+
+
+@pytest.mark.slow
+@given(st.data(), st.booleans())
+def test_what_is_drawn_can_stand_and_its_repr_is_itself(
+    data: st.DataObject, published: bool
+) -> None:
+    scene = data.draw(scenes(published=published))
+    assert not scene.faults()
+    assert eval(repr(scene), {"__builtins__": {}}, NAMES) == scene
+    assert (scene.differences() == 0) == (scene == Scene())
+    if published:
+        assert len(scene.teats) == 4
+        assert (scene.pose, scene.perturbations) == (Pose(), ())
+        steps = (one.STEPS["lean_deg"].published for one in scene.teats)
+        assert all(
+            low <= one.lean_deg <= high for one, (low, high) in zip(scene.teats, steps, strict=True)
+        )
+    near = scene.neighbours()
+    assert scene not in near
+    assert len(set(near)) == len(near)
+
+
+WANTED = {
+    "a thing": (lambda s: bool(s.objects), Scene(objects=(Object("cold_teat"),))),
+    "two teats": (lambda s: len(s.teats) > 1, Scene((Teat(), Teat()))),
+    "a lean": (lambda s: abs(s.teats[0].lean_deg) > 3, Scene((Teat(lean_deg=4),))),
+    "a dark room": (lambda s: s.light_percent < -25, Scene(light_percent=-30)),
+    "a perturbation": (
+        lambda s: any(one.name == "noise" for one in s.perturbations),
+        Scene(perturbations=(Applied("noise", 1.0),)),
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", WANTED)
+def test_a_scene_shrinks_to_the_plainest_that_has_what_is_wanted(name: str) -> None:
+    wanted, simplest = WANTED[name]
+    found = find(scenes(), wanted, settings=settings(max_examples=2000, database=None))
+    assert found == simplest
+    assert found.differences() == 1
+
+
+def test_parts_have_strategies_of_their_own() -> None:
+    own = settings(database=None, max_examples=300)
+    parts = scenes(
+        layouts=layouts(2, 2),
+        poses=poses().filter(lambda one: one.turn_deg > 0),
+        objects=objects(*KINDS).filter(lambda one: one.kind == "rod"),
+        perturbations=perturbations("jpeg"),
+    )
+    whole = find(
+        parts,
+        lambda s: bool(s.objects and s.perturbations and s.pose != Pose()),
+        settings=own,
+    )
+    assert whole.teats == (Teat(), Teat())
+    assert whole.pose == Pose(turn_deg=5)
+    assert whole.objects == (Object("rod"),)
+    assert whole.perturbations == (Applied("jpeg", 90.0),)
+
+
+def test_what_cannot_be_is_refused_in_words(rig: str) -> None:
+    assert Scene(()).faults() == ("a scene has 1 to 4 teats, this one 0",)
+    (fault,) = Scene(objects=(Object("rodd"),)).faults()
+    assert "did you mean 'rod'?" in fault
+    assert Scene((Teat(right_mm=300),)).faults()
+    with pytest.raises(ValueError, match="rodd"):
+        check("fused", Scene(objects=(Object("rodd"),)), rig=rig)
+
+
+@pytest.mark.slow
+def test_a_failing_scene_is_said_shown_written_and_kept(
+    rig: str, tmp_path: Path, said: Said
+) -> None:
+    scene = replace(FOUR, perturbations=(Applied("noise", 3.0),))
+    assert check("fused", FOUR, rig=rig).success
+    with pytest.raises(SceneFailedError, match=r"^thesis .* in Scene\(") as raised:
+        check("thesis", scene, rig=rig)
+    error = raised.value
+    failing, of = error.neighbourhood()
+    assert 0 < failing <= of <= 24
+    lines = error.lines()
+    assert "from bench.testing import Applied, Scene, Teat, check" in lines
+    compile(lines, "pasted", "exec")
+    folder = write_found(error, tmp_path / "found")
+    assert error.picture().shape[2] == 3
+    assert (folder / "scene.png").stat().st_size > 10_000
+    again, facts = read_scene(folder / SCENE)
+    assert again == scene
+    assert facts["neighbours"] == of
+    kept = tmp_path / "kept"
+    wrote = said(0, "campaign keep {} --into {} --name noisy", folder, kept)
+    assert wrote.out == f"noisy in {kept}\n"
+    recording = Recording(kept)
+    assert recording.frames == ("noisy",)
+    assert len(recording.truth["noisy"]) == 4
+    twice = said(2, "campaign keep {} --into {} --name noisy", folder, kept)
+    assert "there is such a frame already; give another --name" in twice.err
+    (kept / "calibration.toml").write_text("another", encoding="utf-8")
+    assert "has another calibration" in said(2, "campaign keep {} --into {}", folder, kept).err
+    nothing = said(2, "campaign keep {} --into {}", kept, kept)
+    assert "no scene is there" in nothing.err
+
+
+@pytest.mark.slow
+def test_the_search_climbs_the_error(rig: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: dict[str, float] = {}
+    monkeypatch.setattr("hypothesis.target", lambda value, label: seen.update({label: value}))
+
+    @settings(max_examples=1, database=None, deadline=None, phases=[Phase.generate])
+    @given(st.just(FOUR))
+    def once(scene: Scene) -> None:
+        check("fused", scene, 50.0, rig=rig)
+
+    once()
+    ((label, value),) = seen.items()
+    assert label == "fused, mm"
+    assert 0.0 < value < 50.0
+
+
+def shrunk(detector: str, limit_mm: float, number: int, *, published: bool = False) -> Scene:
+    """What a test of ``detector`` finds with this seed."""
+
+    @seed(number)
+    @settings(
+        max_examples=100,
+        database=None,
+        deadline=None,
+        report_multiple_bugs=False,
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(scenes(published=published))
+    def passes(scene: Scene) -> None:
+        check(detector, scene, limit_mm)
+
+    with pytest.raises(SceneFailedError) as raised:
+        passes()
+    scene: Scene = raised.value.scene
+    return scene
+
+
+@pytest.mark.slow
+def test_the_plainest_scene_of_all_breaks_the_thesis_detector() -> None:
+    assert shrunk("thesis", 5.0, 1) == Scene()
+
+
+@pytest.mark.weekly
+@pytest.mark.timeout(3600)
+def test_what_breaks_the_thesis_detector_differs_in_at_most_three_things() -> None:
+    """20 mm: at 5 mm the plainest scene does."""
+    found = [shrunk("thesis", 20.0, number, published=True) for number in range(10)]
+    assert sum(one.differences(FOUR) <= 3 for one in found) >= 9
+    assert all(one != FOUR for one in found)

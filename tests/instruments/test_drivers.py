@@ -1,0 +1,197 @@
+"""Drivers of other packages: the page's pass the suite, those that break a promise don't, and none
+gives anything but an InstrumentError.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from bench.rig.emulated_rig import EmulatedRig
+from bench.rig.loading import find_rig, load_rig
+from bench.testing.conformance import conform
+from bench.testing.plugins import OnEmulator, subject_of
+from instruments.clock import RealClock, VirtualClock
+from instruments.drivers import border
+from instruments.drivers.bath import PluggedBath
+from instruments.drivers.entry_points import Kind, PluginUrl, load, plugin_url
+from instruments.errors import (
+    DeviceError,
+    InstrumentError,
+    LimitError,
+    LinkError,
+    ProtocolError,
+)
+from instruments.listener import Listener
+from instruments.world.world import World
+from tests.bench.commands import Said
+from tests.bench.operated_runs import write_calibration
+from tests.lab_drivers import importable
+
+pytestmark = pytest.mark.slow
+KINDS: dict[str, Kind] = {"tank": "bath", "slide": "stage", "probe": "arm", "eyes": "camera"}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _packages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    with importable(tmp_path_factory.mktemp("packages") / "site"):
+        yield
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[World, VirtualClock]]:
+    folder, clock = tmp_path_factory.mktemp("world"), VirtualClock()
+    rig = replace(load_rig(find_rig(None)), calibration_path=write_calibration(folder))
+    with EmulatedRig(rig, clock, 1) as twin:
+        yield twin.world, clock
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_the_pages_drivers_conform(name: str, world: tuple[World, VirtualClock]) -> None:
+    there, clock = world
+    found = conform(lambda: subject_of(KINDS[name], PluginUrl(name), clock, there, works=False))
+    assert [one for one in found if one.outcome != "passed"] == []
+
+
+BROKEN = {
+    "empty identity": {"says who it is"},
+    "own exceptions": {"lost link"},
+    "stays on": {"safe twice"},
+    "standby raises": {"safe twice", "abort"},
+    "reads at random": {"says who it is", "lost link", "abort"},
+    "another set point": {"safe twice"},
+}
+
+
+@pytest.mark.parametrize("mode", BROKEN)
+def test_a_broken_promise_is_found(mode: str, world: tuple[World, VirtualClock]) -> None:
+    there, clock = world
+    driver = load("bath", PluginUrl("kettle", {"mode": mode}))
+    emulator = load("bath", PluginUrl("kettle"), emulator=True)
+
+    def made() -> OnEmulator:
+        there.plant.standby()
+        return OnEmulator("bath", driver, clock, emulator.make(there, clock))
+
+    failed = [one.check for one in conform(made) if one.outcome == "failed"]
+    wrong = BROKEN[mode] if mode != "empty identity" else {""}  # which nothing can be asked of
+    assert failed
+    assert all(any(check.startswith(name) for check in failed) for name in wrong), failed
+
+
+def test_a_device_that_nothing_can_be_done_to_is_not_checked() -> None:
+    with closing(RealClock()) as clock:
+        url = PluginUrl("tank", {"url": "socket://127.0.0.1:9"})
+        found = list(conform(lambda: subject_of("bath", url, clock, None, works=False)))
+    assert {one.outcome for one in found} == {"failed"}  # nobody is there
+    assert all("can't be opened" in one.why or "127.0.0.1:9" in one.why for one in found)
+
+
+@pytest.fixture
+def kettle(world: tuple[World, VirtualClock], monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
+    """Makes a bath with a ``mode`` in real time, and what it has become of at its end."""
+    monkeypatch.setattr(border, "CALL_S", 0.5)
+    there, clock = world[0], RealClock()
+    there.plant.standby()
+    emulator = load("bath", PluginUrl("kettle"), emulator=True).make(there, world[1])
+    listener = Listener(emulator, clock, lock=threading.RLock(), name="kettle")
+
+    def made(mode: str) -> PluggedBath:
+        keys = {"url": listener.url, "mode": mode}
+        return PluggedBath(load("bath", PluginUrl("kettle", keys)), clock)
+
+    hangs = sys.modules["kettle"].OVER
+    hangs.clear()
+    yield made
+    hangs.set()
+    listener.close()
+    clock.close()
+
+
+@pytest.mark.parametrize(
+    ("mode", "kind", "says"),
+    [
+        ("says what it likes", ProtocolError, "no BathState"),
+        ("no number", ProtocolError, "no number"),
+        ("exits", DeviceError, "SystemExit: bye"),
+        ("hangs in read", LinkError, "hangs"),
+    ],
+)
+def test_whatever_it_does_is_an_error_of_an_instrument(
+    mode: str, kind: type[InstrumentError], says: str, kettle: object
+) -> None:
+    bath = kettle(mode)  # type: ignore[operator]
+    with pytest.raises(kind, match=says) as caught:
+        bath.read()
+    assert "kettle 1.0 (kettle:Kettle)" in str(caught.value)
+    bath.close()
+    bath.close()
+
+
+@pytest.mark.parametrize("mode", ["stays on", "standby raises", "standby hangs"])
+def test_what_is_not_safe_is_not_called_safe(
+    mode: str, kettle: object, world: tuple[World, VirtualClock]
+) -> None:
+    bath = kettle(mode)  # type: ignore[operator]
+    bath.start(30.0)
+    with pytest.raises(InstrumentError):
+        bath.safe()
+    assert bath.heats, "its guardian has to go on"
+    assert world[0].plant.running
+    bath.close()
+
+
+def test_a_bath_that_hangs_is_made_safe_beside_the_call(
+    kettle: object, world: tuple[World, VirtualClock], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bath = kettle("")  # type: ignore[operator]
+    bath.start(30.0)
+    monkeypatch.setattr(
+        bath._border.open(), "ask", lambda *_: sys.modules["kettle"].OVER.wait(60.0)
+    )
+    with pytest.raises(LinkError):
+        bath.read()
+    bath.safe()
+    assert not world[0].plant.running
+    assert not bath.heats
+    bath.close()
+
+
+@pytest.mark.parametrize(
+    ("url", "says"),
+    [
+        ("plugin:", "which plug-in"),
+        ("plugin:tnak", "did you mean"),
+        ("emulator:nothing?a=b", "no plug-in 'nothing'"),
+    ],
+)
+def test_a_wrong_url_says_what_there_is(url: str, says: str, tmp_path: Path) -> None:
+    from bench.rig.urls import bath_url
+
+    with pytest.raises(ValueError, match=says):
+        bath_url(url)
+
+
+def test_keys_are_text_and_come_back() -> None:
+    url = plugin_url("plugin:tank?url=socket%3A%2F%2Fhost%3A1&mode=a b")
+    assert url == PluginUrl("tank", {"url": "socket://host:1", "mode": "a b"})
+    assert plugin_url(load("bath", url).url) == url
+    assert plugin_url("emulator:") is None
+    assert plugin_url("emulator://host:1") is None
+    with pytest.raises(LimitError, match="Did you mean 'tank'"):
+        load("bath", PluginUrl("tnk"))
+
+
+def test_an_unknown_driver_is_wrong_use_and_those_that_are_there_are_listed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    said = Said(capsys)
+    assert "none is installed" in said(2, "plugin check nothing").err
+    listed = said(0, "plugin").out
+    assert "bath tank: lab-drivers 1.0 (lab_drivers:Tank), with an emulator" in listed

@@ -1,0 +1,122 @@
+"""The package of docs/drivers.md, and one whose bath breaks its promises, installed into a folder."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+import sys
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT
+
+PAGE = ROOT / "docs" / "drivers.md"
+
+# in the process that BROKEN_IN names it does what ``mode`` says; in another it works
+KETTLE = """
+import os
+import threading
+
+from instruments import BathState
+from lab_drivers import Tank, TankEmulator
+
+OVER = threading.Event()  # ends what hangs
+
+
+class Kettle(Tank):
+    def __init__(self, clock, url, mode=""):
+        self.mode = mode if os.environ.get("BROKEN_IN", str(os.getpid())) == str(os.getpid()) else ""
+        super().__init__(clock, url)
+        if self.mode == "empty identity":
+            self.identity = {}
+
+    def ask(self, *words):
+        try:
+            return super().ask(*words)
+        except Exception as error:
+            if self.mode == "own exceptions":
+                raise KeyError("gone") from error
+            raise
+
+    def read(self):
+        state = super().read()
+        match self.mode:
+            case "says what it likes":
+                return (state.temp_c, True)
+            case "no number":
+                return BathState(float("nan"), state.running, state.set_point_c)
+            case "exits":
+                raise SystemExit("bye")
+            case "hangs in read":
+                OVER.wait(60.0)
+            case "reads at random":
+                self.n = getattr(self, "n", 0) + 1
+                return BathState(20.0 + 2.0 * self.n, state.running, state.set_point_c)
+        return state
+
+    def start(self, set_point_c):
+        super().start(set_point_c - 1.0 if self.mode == "another set point" else set_point_c)
+
+    def standby(self):
+        if self.mode == "stays on":
+            return
+        if self.mode == "standby raises":
+            raise RuntimeError("no licence")
+        if self.mode == "standby hangs":
+            OVER.wait(60.0)
+        super().standby()
+"""
+POINTS = """
+[teatbench.baths]
+kettle = kettle:Kettle
+[teatbench.emulators.baths]
+kettle = kettle:TankEmulator
+"""
+
+
+def blocks(language: str) -> list[str]:
+    """The page's code, in order."""
+    text = PAGE.read_text(encoding="utf-8")
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
+def installed(folder: Path) -> Path:
+    """Both packages as pip installs them; their folder belongs on the path."""
+    project = tomllib.loads(blocks("toml")[0])["project"]
+    groups = (
+        f"[{group}]\n" + "\n".join(f"{name} = {place}" for name, place in points.items())
+        for group, points in project["entry-points"].items()
+    )
+    _install(
+        folder, project["name"], "lab_drivers", "\n\n".join(blocks("python")), "\n".join(groups)
+    )
+    _install(folder, "kettle", "kettle", KETTLE, POINTS)
+    return folder
+
+
+def _install(folder: Path, name: str, module: str, code: str, points: str) -> None:
+    info = folder / f"{module}-1.0.dist-info"
+    info.mkdir(parents=True)
+    (folder / f"{module}.py").write_text(code, encoding="utf-8")
+    metadata = f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n"
+    (info / "METADATA").write_text(metadata, encoding="utf-8")
+    (info / "entry_points.txt").write_text(points, encoding="utf-8")
+
+
+@contextmanager
+def importable(folder: Path) -> Iterator[Path]:
+    """Both packages, in this process and in those that it starts."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(installed(folder)))
+        patch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), str(folder)]))  # of the guardian
+        importlib.invalidate_caches()
+        try:
+            yield folder
+        finally:
+            for name in ("lab_drivers", "kettle"):
+                sys.modules.pop(name, None)

@@ -1,0 +1,222 @@
+"""What is promised to Python programs: names and signatures as they were, the page as it runs, and
+all of it by one import.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import inspect
+import json
+import os
+import re
+import shlex
+import sqlite3
+import subprocess
+import sys
+import zipfile
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import bench
+from bench.record.schema import make_tables
+from tests.conftest import ROOT
+
+PAGE = ROOT / "docs" / "api.md"
+KEPT = Path(__file__).parent / "data" / "promised.json"
+MODULES = ("bench", "detector", "instruments", "bench.testing", "bench.testing.conformance")
+ROWS = ("TrialRow", "TouchRow", "TruthOfTeat", "DetectionRow", "FoundRow", "BathRow", "EventRow")
+TYPES = {"TEXT": "str", "REAL": "float", "INTEGER": "int"}
+
+
+def on_page() -> dict[str, set[str]]:
+    """The names in the page's table, by the module that has them."""
+    text = PAGE.read_text(encoding="utf-8").split("## What is promised")[1]
+    found: dict[str, set[str]] = {}
+    for module, names in re.findall(r"^\| `([\w.]+)`[^|]*\| (.*) \|$", text, re.MULTILINE):
+        found.setdefault(module, set()).update(re.findall(r"`(\w+)`", names))
+    return found
+
+
+def shape(thing: Any) -> Any:
+    """Parameters of a function, fields and public methods of a class."""
+    if inspect.isfunction(thing):
+        return parameters(thing)
+    if not inspect.isclass(thing):
+        return type(thing).__name__
+    found: dict[str, Any] = {}
+    if dataclasses.is_dataclass(thing):
+        found["fields"] = [field.name for field in dataclasses.fields(thing)]
+    for name, member in vars(thing).items():
+        if name.startswith("_"):
+            continue
+        if inspect.isfunction(member):
+            found[name] = parameters(member)
+        elif isinstance(member, property):
+            found[name] = "property"
+    return found
+
+
+def parameters(function: Any) -> list[str]:
+    """``name``, ``name=`` with a default, ``*name`` by keyword alone."""
+    return [
+        "*" * (one.kind is one.KEYWORD_ONLY) + one.name + "=" * (one.default is not one.empty)
+        for one in inspect.signature(function).parameters.values()
+    ]
+
+
+def promised() -> dict[str, Any]:
+    return {
+        module: {
+            name: shape(getattr(importlib.import_module(module), name)) for name in sorted(names)
+        }
+        for module, names in on_page().items()
+    }
+
+
+def test_names_and_signatures_are_as_they_were() -> None:
+    """``python -m tests.test_api`` writes them down anew, for a change that is meant."""
+    assert promised() == json.loads(KEPT.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_what_a_package_exports_is_what_the_page_promises(module: str) -> None:
+    there = importlib.import_module(module)
+    if hasattr(there, "__all__"):
+        assert {*there.__all__} - {"__version__"} == on_page()[module]
+    for name in on_page()[module]:
+        assert getattr(there, name).__doc__, f"{module}.{name} says nothing of itself"
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        _ = there.nothing
+
+
+def test_an_import_loads_nothing_heavy() -> None:
+    heavy = {"numpy", "cv2", "pydantic", "typing", "pytest", "hypothesis"}
+    code = f"import bench, sys; print(sorted({heavy} & {{*sys.modules}}))"
+    said = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    assert said.stdout == "[]\n"
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_rows_are_the_tables_columns_with_their_types(name: str) -> None:
+    row = getattr(bench, name)
+    with closing(sqlite3.connect(":memory:")) as db:
+        make_tables(db)
+        columns = db.execute(f"PRAGMA table_info({row.table})").fetchall()
+    by_column = {
+        column: TYPES[kind] + ("" if needed or key else " | None")
+        for _, column, kind, needed, _, key in columns
+    }
+    assert {field.name: field.type for field in dataclasses.fields(row)} == by_column
+
+
+class Installed:
+    """The wheel in a folder of its own, and what is run with it alone, in an empty folder."""
+
+    def __init__(self, site: Path, here: Path) -> None:
+        self.site, self.here = site, here
+
+    def pip(self, *what: str) -> None:
+        """As a person types it, but with what this machine has."""
+        quiet = ("install", "-q", "--no-deps", "--no-index", "--no-build-isolation")
+        self(sys.executable, "-m", "pip", *quiet, "--target", str(self.site), *what)
+
+    def __call__(self, *words: str, code: int = 0) -> str:
+        path = os.pathsep.join([str(self.site / "bin"), os.environ["PATH"]])
+        done = subprocess.run(
+            words,
+            cwd=self.here,
+            env={**os.environ, "PYTHONPATH": str(self.site), "PATH": path},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=240,
+        )
+        assert done.returncode == code, done.stdout + done.stderr
+        return done.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("dist")
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    [found] = folder.iterdir()
+    return found
+
+
+@pytest.fixture
+def installed(wheel: Path, tmp_path: Path) -> Installed:
+    (tmp_path / "empty").mkdir()
+    found = Installed(tmp_path / "site", tmp_path / "empty")
+    found.pip(str(wheel))
+    return found
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+
+
+@pytest.mark.slow
+def test_the_page_runs_from_the_wheel_in_an_empty_folder(installed: Installed) -> None:
+    [script] = blocks(PAGE, "toml")
+    code = blocks(PAGE, "python")
+    (installed.here / "my-script.toml").write_text(script, encoding="utf-8")
+    seen = """
+import json
+print(json.dumps([bench.__file__, score.success, found.verdict, result.rates[0].scenes]))
+"""
+    said = installed(sys.executable, "-c", "\n".join([*code, seen])).splitlines()
+    place, *rest = json.loads(said[-1])
+    assert Path(place).is_relative_to(installed.site)
+    assert rest == [True, "met", 4]
+    imports = {line for block in code for line in block.splitlines() if "import" in line}
+    assert imports == {"import bench"}
+
+
+@pytest.mark.slow
+def test_a_driver_of_each_kind_from_an_empty_folder(installed: Installed) -> None:
+    page = ROOT / "docs" / "drivers.md"
+    project, rig = blocks(page, "toml")
+    files = {"pyproject.toml": project, "lab.toml": rig}
+    files["lab_drivers.py"] = "\n\n".join(blocks(page, "python"))
+    for name, text in files.items():
+        (installed.here / name).write_text(text, encoding="utf-8")
+    for line in "".join(blocks(page, "sh")).splitlines():
+        words = shlex.split(line)
+        if words[:2] == ["pip", "install"]:
+            installed.pip(*words[2:])
+            continue
+        words[0] = sys.executable if words[0] == "python3" else words[0]
+        said = installed(*words)
+        if "check" in words:
+            assert not re.search("failed|not checked|FAULT", said), said
+        elif words == ["teatbench", "plugin"]:
+            assert said.count("with an emulator") == 4
+
+
+@pytest.mark.slow
+def test_the_wheel_has_types_pages_and_licences(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    for package in ("bench", "detector", "instruments", "reports", "textfiles"):
+        assert f"{package}/py.typed" in names
+    pages = {f"bench/docs/{path.name}" for path in (ROOT / "docs").glob("*.md")}
+    assert pages <= {*names}
+    assert any(name.endswith("licenses/bench/console/static/uPlot.LICENSE.txt") for name in names)
+    kept = subprocess.run(
+        ["git", "ls-files", "bench", "detector", "instruments", "reports", "textfiles"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.split()
+    assert {*kept} <= {*names}
+
+
+if __name__ == "__main__":
+    KEPT.write_text(json.dumps(promised(), indent=1) + "\n", encoding="utf-8")

@@ -1,0 +1,181 @@
+"""The examples in docs/examples that draw scenes: each run as it stands, on small cameras."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import json
+import shlex
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+import yaml
+from pycocotools.coco import COCO
+from scipy.ndimage import binary_dilation
+
+import bench
+from bench.cli.main import parser
+from tests.bench.campaign.small_campaign import write_small_rig
+from tests.bench.small_recording import write_recording
+from tests.conftest import ROOT
+
+EXAMPLES = ROOT / "docs" / "examples"
+MOST_LINES = 150
+
+
+@pytest.fixture(autouse=True)
+def found(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Examples import each other by name, as a program beside them does."""
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    before = set(sys.modules)
+    yield
+    for name in set(sys.modules) - before:
+        if (EXAMPLES / f"{name}.py").exists():
+            del sys.modules[name]
+
+
+def example(name: str) -> ModuleType:
+    return importlib.import_module(name)
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return str(write_small_rig(tmp_path_factory.mktemp("rig")))
+
+
+def test_every_example_is_short() -> None:
+    lengths = {
+        path.name: len(path.read_text(encoding="utf-8").splitlines())
+        for path in EXAMPLES.iterdir()
+        if path.suffix in (".py", ".ipynb", ".yml")
+    }
+    assert {name: count for name, count in lengths.items() if count > MOST_LINES} == {}
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools'
+def test_masks_and_key_points_are_those_of_the_pictures(rig: str, tmp_path: Path) -> None:
+    """Read by pycocotools. The apex is on the outline, and teats are unlike what is about them."""
+    coco = example("coco").main("missing_or_hidden", 1, 2, tmp_path / "seen", rig)
+    assert len(bench.Recording(tmp_path / "seen").frames) == 2
+    labels = COCO(str(coco))
+    assert labels.dataset["info"]["trained_on"] == {"missing_or_hidden": [[1, 2]]}
+    flags = set()
+    for image in labels.loadImgs(labels.getImgIds()):
+        shot = bench.draw("missing_or_hidden", image["member"], rig=rig)
+        picture = np.asarray(getattr(shot.frames, image["camera"]), dtype=float)
+        assert picture.shape == (image["height"], image["width"])
+        found = labels.loadAnns(labels.getAnnIds(imgIds=[image["id"]]))
+        masks = np.array([labels.annToMask(one) for one in found]).astype(bool)
+        assert masks.sum(axis=0).max() == 1
+        for one, mask in zip(found, masks, strict=True):
+            assert one["area"] == mask.sum()
+            x, y, w, h = one["bbox"]
+            assert mask[y : y + h, x : x + w].sum() == mask.sum()
+            assert mask[y].any()
+            assert mask[:, x + w - 1].any()
+            column, row, seen = one["keypoints"][:3]
+            flags.add(seen)
+            if seen == 2:
+                near = mask[max(round(row) - 2, 0) : round(row) + 3, round(column) - 2 :][:, :5]
+                assert near.any()
+                assert not near.all()
+        every = masks.any(axis=0)
+        if image["camera"] == "thermal":  # hot is black, and the picture is mirrored
+            around = binary_dilation(every, iterations=9) & ~binary_dilation(every, iterations=3)
+            assert picture[every].mean() < picture[around].mean() - 30.0
+    assert flags == {1, 2}
+
+
+@pytest.mark.slow
+def test_a_cows_history_beats_her_last_visit(rig: str, tmp_path: Path) -> None:
+    said = example("herd").main(2, 8, tmp_path / "herd.csv", rig=rig)
+    with (tmp_path / "herd.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    own, last = (
+        np.array([float(row[key]) for row in rows if row[key]]) for key in ("error_mm", "last_mm")
+    )
+    assert said.startswith(f"{len(rows)} unseen ends, {len(own)} predicted: {np.median(own):.1f}")
+    assert len(own) >= 5
+    assert np.median(own) < np.median(last)
+
+
+@pytest.mark.slow
+def test_errors_grow_with_noise(rig: str, tmp_path: Path) -> None:
+    study = example("sensitivity")
+    study.QUANTITIES["noise"] = study.QUANTITIES["noise"]._replace(values=(0, 16))
+    plain, noisy = study.main("noise", ["fused"], 1, tmp_path, rig)
+    assert 3 <= plain["found"] <= plain["visible"] == 4
+    assert not noisy["found"] or noisy["median_mm"] > plain["median_mm"]
+    assert (tmp_path / "noise.svg").read_text(encoding="utf-8").rstrip().endswith("</svg>")
+    with (tmp_path / "noise.csv").open(encoding="utf-8") as file:
+        assert [row["value"] for row in csv.DictReader(file)] == ["0", "16"]
+    for name, quantity in study.QUANTITIES.items():
+        changed = quantity.scene(bench.member("ideal", 0), quantity.values[-1])
+        assert (changed != bench.member("ideal", 0)) == (not quantity.perturbation), name
+
+
+@pytest.mark.slow
+def test_the_learned_detector_finds_ends_that_it_was_not_trained_on() -> None:
+    learned = example("learned_detector").Learned()
+    assert learned.trained_on["ideal"] == ((0, 19),)
+    errors: list[float] = []
+    with bench.open_detector(learned) as opened:
+        for family in ("ideal", "non_vertical"):
+            shot = bench.draw(family, 7000)
+            score = bench.score(bench.detect(opened, shot), shot, limit_mm=10.0)
+            assert score.counts.false == 0
+            errors += list(score.radial_mm)
+    assert sum(one < 10.0 for one in errors) >= 7
+
+
+@pytest.mark.weekly
+def test_its_training_makes_networks_that_answer(tmp_path: Path) -> None:
+    """It needs jax and onnx, which nothing else does."""
+    training, learned = example("learned_training"), example("learned_detector")
+    training.main(["ideal"], 1, tmp_path, 2)
+    one = learned.Learned(tmp_path)
+    assert one.trained_on == {"ideal": ((0, 0),)}
+    shot = bench.draw("ideal", 1)
+    assert bench.detect(one, shot).outcome.value == "answered"
+
+
+@pytest.mark.slow
+def test_the_notebook_plots_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(mpl.rcParams, "backend", "agg")
+    bench.score_recording(write_recording(tmp_path / "recorded"), ["thesis"])
+    book = json.loads((EXAMPLES / "run.ipynb").read_text(encoding="utf-8"))
+    names: dict[str, Any] = {}
+    for cell in book["cells"]:
+        assert not cell.get("outputs")
+        if cell["cell_type"] == "code":
+            exec("".join(cell["source"]), names)
+    assert names["axes"][0].get_lines()
+    names["plt"].close("all")
+
+
+def test_the_nightly_jobs_commands_are_commands() -> None:
+    """Its lines of teatbench and pytest are read as they would be there."""
+    job = yaml.safe_load((EXAMPLES / "nightly.yml").read_text(encoding="utf-8"))
+    lines = [
+        line
+        for step in job["jobs"]["scenes"]["steps"]
+        for line in step.get("run", "").splitlines()
+        if line.startswith(("teatbench", "pytest"))
+    ]
+    assert len(lines) == 3
+    for line in lines:
+        program, *words = shlex.split(line)
+        if program == "teatbench":
+            assert parser().parse_args(words).command
+        else:
+            options = {word for word in words if word.startswith("--")}
+            text = (ROOT / "bench" / "testing" / "plugin.py").read_text(encoding="utf-8")
+            assert all(f'"{one}"' in text for one in options - {"--hypothesis-seed"})
