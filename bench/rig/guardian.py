@@ -40,8 +40,6 @@ from instruments.bath.profile import PUMP, load_profile, load_relay
 from instruments.bath.sequence import OFF, ON, OVERRUN_S, cause_of
 from instruments.clock import RealClock, stopwatch_s, wall_time
 from instruments.device_file import DeviceFileError
-from instruments.drivers.bath import PluggedBath
-from instruments.drivers.entry_points import load, plugin_url
 from instruments.errors import InstrumentError, LinkError
 
 READY, ALIVE, HUNG, DONE, TAKE_OVER = "ready", "alive", "hung: ", "done", "take over"
@@ -209,8 +207,12 @@ def _end_hung(bench: int, record: Record) -> None:
 
 
 def _bath_of(given: argparse.Namespace, clock: RealClock) -> AnyBath:
-    if plug := plugin_url(given.url):
-        return PluggedBath(load("bath", plug), clock, identify=False)
+    if given.url.startswith("plugin:"):  # loads numpy: not for a bath that has a profile
+        from instruments.drivers.bath import PluggedBath
+        from instruments.drivers.entry_points import load, plugin_url
+
+        if plug := plugin_url(given.url):
+            return PluggedBath(load("bath", plug), clock, identify=False)
     pump = PumpAt(given.pump_url, load_relay(given.pump_profile)) if given.pump_url else None
     return Bath(
         given.url,

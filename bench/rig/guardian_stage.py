@@ -6,11 +6,15 @@ import argparse
 import threading
 from collections.abc import Callable
 from contextlib import closing
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from instruments.bath.sequence import cause_of
 from instruments.clock import RealClock, stopwatch_s
 from instruments.errors import LinkError
+
+if TYPE_CHECKING:
+    from instruments.drivers.protocols import Stage as AnyStage
 
 STAGE_S = 60.0  # between the first try and the last: then its move has ended by itself
 PAUSE_S = 1.0
@@ -31,8 +35,6 @@ class StageStop:
     """
 
     def __init__(self, given: argparse.Namespace, clock: RealClock) -> None:
-        from instruments.drivers.entry_points import load, plugin_url
-        from instruments.drivers.stage import PluggedStage
         from instruments.link import Link
         from instruments.stage.driver import Stage
         from instruments.stage.zaber import Motor
@@ -42,12 +44,19 @@ class StageStop:
             device, axis, microsteps = words.split()
             motors.append(Motor(int(device), int(axis), float(microsteps)))
 
-        plug = plugin_url(given.stage_url)
-        plugged = load("stage", plug) if plug else None
+        opened: Callable[[], AnyStage] | None = None
+        if given.stage_url.startswith("plugin:"):
+            from instruments.drivers.entry_points import load, plugin_url
+            from instruments.drivers.stage import PluggedStage
+
+            plug = plugin_url(given.stage_url)
+            assert plug  # noqa: S101 - it begins so
+            plugged = load("stage", plug)
+            opened = partial(PluggedStage, plugged, clock, given.stage_axes)
 
         def stop() -> None:
-            if plugged:
-                with closing(PluggedStage(plugged, clock, given.stage_axes)) as stage:
+            if opened:
+                with closing(opened()) as stage:
                     stage.safe()
                 return
             with closing(Link(given.stage_url, clock, who="stage", baud=given.stage_baud)) as link:

@@ -185,4 +185,4 @@ def test_an_arm_that_touches_by_itself_is_told_where_and_nobody_is_asked() -> No
     assert robot.asked == []
     assert len(rows) == 2 * len(ENDS_MM)
     places = np.array([point.point_mm for point in points])
-    assert places == pytest.approx(np.add(ENDS_MM, [0.3, 0.0, 0.0]))
+    assert places == pytest.approx(ENDS_MM + np.array([0.3, 0.0, 0.0]))
