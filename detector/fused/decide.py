@@ -104,7 +104,7 @@ def objections(
         for i in _of_another(ends_mm, merit[kept], gap_mm):
             if doubtful[i] or evidence.shaped[kept[i]]:
                 reasons[kept[i]] = _FAR
-    for i in [i for i in kept if reasons[i] is None][p.teats :]:  # the best come first
+    for i in [i for i in kept if reasons[i] is None][p.prior.udder :]:  # the best come first
         reasons[i] = "it is one more than an udder has teats, and the worst"
     return reasons
 
@@ -175,7 +175,7 @@ def settled(evidence: Evidence, reasons: list[str | None], p: Parameters) -> boo
     accepted = [i for i, reason in enumerate(reasons) if reason is None]
     end, side = evidence.end[accepted, :2], evidence.both[accepted, :2]
     whole = (end > p.whole_end_both) & (side > _CLEAR_SIDES)
-    return bool(len(accepted) >= p.teats and whole.all())
+    return bool(len(accepted) >= p.prior.udder and whole.all())
 
 
 def doubts(
@@ -249,9 +249,9 @@ def _alone(teats: Array, evidence: Evidence, p: Parameters) -> list[str | None]:
     ]
     # a funnel's end is narrower than its barrel, a bottle's wider
     barrel_mm = teats[:, RADIUS] + _BARREL_MM * teats[:, TAPER]
-    sized = (barrel_mm > p.least_radius_mm) & (barrel_mm < p.greatest_radius_mm)
+    sized = (barrel_mm > p.prior.radii_mm[0]) & (barrel_mm < p.prior.radii_mm[1])
     sized &= teats[:, RADIUS] > _NARROWEST_MM
-    within = (teats[:, CZ] > p.nearest_mm) & (teats[:, CZ] < p.farthest_mm)
+    within = (teats[:, CZ] > 0) & (teats[:, CZ] < 2500)
     least = np.where(evidence.misfit_px < _CLOSE_THEN_PX, _LEAST_END_CLOSE, _LEAST_END_THEN)
     one_sees = one_sees_a_side(evidence) & (evidence.end[:, :2].min(axis=1) < least)
     led_to = evidence.followed & (evidence.side.min(axis=1) > WHOLE_SIDE)
@@ -264,7 +264,7 @@ def _alone(teats: Array, evidence: Evidence, p: Parameters) -> list[str | None]:
         (_too_little(evidence), "part of its end is seen, and something else is doubtful too"),
         (evidence.misfit_px > p.greatest_misfit_px, OUTLINE),
         (~sized, _SIZE),
-        (np.abs(teats[:, [LEAN_X, LEAN_Z]]).max(axis=1) > p.greatest_lean, _LEANS),
+        (np.abs(teats[:, [LEAN_X, LEAN_Z]]).max(axis=1) > 0.85, _LEANS),
         (~within, "it is outside of the working volume"),
         (np.isnan(evidence.warmth.sum(axis=1)), "the thermal picture doesn't reach it"),
         (_elsewhere(evidence, p), ELSEWHERE),

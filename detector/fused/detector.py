@@ -26,6 +26,7 @@ from detector.fused.depth_search import (
     best_starts,
     depths_mm,
     hypotheses,
+    of_teats,
     sweep_bars,
     sweep_ends,
 )
@@ -48,6 +49,7 @@ from detector.fused.sharpness import Sharpness, blur_covariances, sharpness, too
 from detector.fused.thermal import (
     ROOM_PX,
     Nominations,
+    Sought,
     bars,
     levels,
     nominate,
@@ -57,10 +59,17 @@ from detector.fused.thermal import (
 from detector.fused.witness import Agreement, agreement, calibration_covariances, disagreement
 from detector.geometry import Array, Camera
 from detector.history import predicted
-from detector.outline import fast, pictures
+from detector.outline import pictures
 from detector.outline.fine import Fitted, fine
 from detector.outline.fit import View, upright
 from detector.outline.model import COUNT, Rows, apexes, axes
+from detector.outline.prior import (
+    OutOfDomainError,
+    Prior,
+    depths_seen_mm,
+    right_from_teats,
+    world_from_teats,
+)
 from detector.outline.views import optical_views, thermal_view
 from detector.protocol import Context, Detection, Frames, Stage, Teat
 
@@ -86,13 +95,13 @@ class FusedDetector:
         " shape is further from half an ellipsoid than the parameters say"
     )
 
-    def __post_init__(self) -> None:
-        fast.chosen()  # loads them now, not in the first frame's time
-
-    @property
-    def computed_by(self) -> str:
-        """The kernels that run: "numpy", or numba and its version. Answers are equal."""
-        return fast.chosen().by
+    def refuses(self, calibration: Calibration) -> str | None:
+        """Why teats can't be found with this rig, whatever its pictures show; None where they can."""
+        try:
+            depths_seen_mm(calibration, self.settings.prior)
+        except OutOfDomainError as why:
+            return str(why)
+        return None
 
     @property
     def parameters(self) -> Mapping[str, Any]:
@@ -104,7 +113,7 @@ class FusedDetector:
         trace: list[Stage] = []
         try:
             return _detect(frames, calibration, self.settings, trace)
-        except pictures.UnusableError as why:
+        except (pictures.UnusableError, OutOfDomainError) as why:
             return Detection((), 0, str(why), tuple(trace))
 
     def detect_with(self, frames: Frames, calibration: Calibration, context: Context) -> Detection:
@@ -116,7 +125,7 @@ class FusedDetector:
         if not expected:
             return answer
         world = np.array([teat.world_mm for teat in expected.values()])
-        ends = calibration.world_from_right.inverse().apply(world)
+        ends = world_from_teats(calibration).inverse().apply(world)
         starts = upright(ends, calibration, _BESIDE_PX, self.settings.prior).reshape(-1, COUNT)
         with suppress(pictures.UnusableError):
             again = _detect(frames, calibration, self.settings, [], starts)
@@ -149,6 +158,8 @@ class _Thermal:
     lens: Camera
     px_a_sensor_px: float
     levels: Array  # (2,)
+    depths_mm: tuple[float, float]
+    sought: Sought
 
 
 def _detect(
@@ -161,12 +172,13 @@ def _detect(
     """``more`` teats (m, 8): where fits begin beside what the pictures suggest."""
     left = pictures.optical(frames.left, calibration.left.image_size, "left")
     right = pictures.optical(frames.right, calibration.right.image_size, "right")
-    thermal = _thermal(frames, calibration)
-    teats, maps, ends = _start(thermal, left, right, calibration, p, trace)
-    judged = _fit(teats if more is None else np.concatenate([more, teats]), maps, thermal, ends, p)
+    thermal = _thermal(frames, calibration, p.prior)
+    teats, views, ends = _start(thermal, left, right, calibration, p, trace, more)
+    judged = _fit(teats, views, thermal, ends, p)
     # every fitted teat with evidence and objection, empty if accepted
     shown = {"teats": judged.fitted.teats}
     shown |= {name: getattr(judged.evidence, name) for name in (*Evidence.__slots__, "merit")}
+    shown["right_from_teats"] = right_from_teats(calibration).R
     shown["reasons"] = np.array([reason or "" for reason in judged.reasons], dtype=np.str_)
     cameras = agreement(judged.fitted, judged.reasons, calibration, p, thermal.px_a_sensor_px)
     shown["cameras_px"] = np.array([cameras.rows_px, *cameras.thermal_px])
@@ -174,7 +186,7 @@ def _detect(
     if wrong := disagreement(cameras, judged.fitted, calibration):
         raise pictures.UnusableError(wrong)
     fitted = judged.fitted.take(judged.accepted)
-    edges = sharpness(fitted, (maps[0].view, maps[1].view))
+    edges = sharpness(fitted, views[:2])
     if wrong := too_blurred(edges):
         raise pictures.UnusableError(wrong)
     hidden = _unexplained(fitted.teats, thermal, ends)
@@ -185,7 +197,7 @@ def _detect(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidates(Rows):
-    """Fitted teats, end covariances (m, 3, 3) in the right camera's frame, and evidence."""
+    """Fitted teats, end covariances (m, 3, 3) in their frame, and evidence."""
 
     fitted: Fitted
     covariances: Array
@@ -219,15 +231,13 @@ def _unexplained(teats: Array, thermal: _Thermal, ends: Nominations) -> int:
         view.camera.project(view.camera_from_teats.apply(points))
         for points in (tips + 60.0 * axes(teats), tips)
     )
-    return unexplained(view.field, thermal.levels, ends, feet_px, tips_px)
+    return unexplained(view.field, thermal.levels, ends, feet_px, tips_px, thermal.sought)
 
 
 def _fit(
-    teats: Array, maps: tuple[Map, ...], thermal: _Thermal, ends: Nominations, p: Parameters
+    teats: Array, views: tuple[View, ...], thermal: _Thermal, ends: Nominations, p: Parameters
 ) -> _Judged:
     """Fit and judge; again without what a neighbour may have bridged or hidden."""
-    views = tuple(each.view for each in maps)
-
     def weighed(fitted: Fitted) -> _Candidates:
         return _weigh(fitted, views, thermal, p)
 
@@ -296,13 +306,15 @@ def _weigh(
     return _Candidates(fitted, covariances, weigh(fitted, covariances, warmth, views))
 
 
-def _thermal(frames: Frames, calibration: Calibration) -> _Thermal:
-    """Raises UnusableError."""
+def _thermal(frames: Frames, calibration: Calibration, prior: Prior) -> _Thermal:
+    """Raises UnusableError, OutOfDomainError."""
+    depths_mm = depths_seen_mm(calibration, prior)
     view, camera = thermal_view(frames, calibration), calibration.thermal
     if camera.lens is None:
         raise ValueError("a thermal view without a lens")
     size = camera.image_size[0] / camera.sensor_size[0]
-    return _Thermal(view, camera.lens, size, levels(view.field))
+    sought = Sought.of(view.camera, view.camera_from_teats, depths_mm, prior)
+    return _Thermal(view, camera.lens, size, levels(view.field), depths_mm, sought)
 
 
 def _start(
@@ -312,11 +324,12 @@ def _start(
     calibration: Calibration,
     p: Parameters,
     trace: list[Stage],
-) -> tuple[Array, tuple[Map, ...], Nominations]:
+    more: Array | None,
+) -> tuple[Array, tuple[View, ...], Nominations]:
     warm = thermal.view.field
     gx, gy = strengths(warm, border=ROOM_PX)
-    ends = nominate(gx, gy, p.most_nominations)
-    upright = bars(warm, gx, gy, thermal.levels, ends, p.most_bars)
+    ends = nominate(gx, gy, p.most_nominations, thermal.sought)
+    upright = bars(warm, gx, gy, thermal.levels, ends, p.most_bars, thermal.sought)
     shown = {
         f"{what}_{name.removeprefix('centre_')}": getattr(found, name)
         for what, found in (("end", ends), ("bar", upright))
@@ -325,21 +338,25 @@ def _start(
     trace.append(Stage("thermal", {"warmth": warm, **shown}))
     if len(ends) + len(upright) == 0:
         raise pictures.UnusableError("the thermal picture shows nothing like a teat")
-    depth_mm = depths_mm(calibration, p)
-    right_from_thermal = thermal.view.camera_from_teats.inverse()
+    depth_mm, down = depths_mm(calibration, thermal.depths_mm), thermal.sought.down
+    from_thermal = thermal.view.camera_from_teats.inverse()
     of_ends, of_bars = (
-        hypotheses(n, thermal.lens, thermal.px_a_sensor_px, right_from_thermal, depth_mm)
+        hypotheses(n, thermal.lens, thermal.px_a_sensor_px, from_thermal, depth_mm, down)
         for n in (ends, upright)
     )
     above = of_bars - [0, _ROOM_ABOVE_MM, 0, 0, 0, 0, 0, 0]
-    views = optical_views(left, right, calibration, np.concatenate([of_ends, above, of_bars]))
+    guesses = np.concatenate([teats[of_teats(teats, p)] for teats in (of_ends, above, of_bars)])
+    views = optical_views(left, right, calibration, guesses)
     maps = tuple(Map.of(view, _OPTICAL_BLUR_PX) for view in views)
     coarse = Map.of(thermal.view, _THERMAL_BLUR_PX)
     by_end = sweep_ends(of_ends, ends.score, maps, p)
     by_sides = sweep_bars(of_bars, upright.score, maps, coarse, p)
     teats = best_starts(by_end, by_sides, maps, p)
+    teats = teats if more is None else np.concatenate([more, teats])
     trace.append(Stage("starts", {"teats": teats}))
-    return teats, (*maps, coarse), ends
+    # noise is that of what is near them
+    near = optical_views(left, right, calibration, teats) if len(teats) else views
+    return teats, (*near, thermal.view), ends
 
 
 def _answers(
@@ -355,16 +372,18 @@ def _answers(
         return ()
     accepted = judged.candidates.take(judged.accepted)
     fitted, own = unaliased(accepted.fitted, p)
-    teats, ends = fitted.teats, apexes(fitted.teats)
+    teats, turned = fitted.teats, right_from_teats(calibration)
+    ends, down = turned.apply(apexes(teats)), axes(teats) @ turned.R.T
     world = calibration.world_from_right.apply(ends)
     own = own + end_covariances(fitted, p) + unlike_covariances(teats, accepted.evidence, p)
+    own = turned.R @ own @ turned.R.T
     own = widened(own, ends[:, 2], accepted.evidence, calibration)
     own += calibration_covariances(cameras, ends, calibration, p)
     px_a_mm = calibration.right.fc[0] / ends[:, 2]
-    own = own + blur_covariances(edges, teats, px_a_mm, calibration.baseline_mm)
+    own = own + blur_covariances(edges, down, ends, px_a_mm, calibration.baseline_mm)
     covariances = world_covariances(own, ends, calibration)
     left_px, right_px = calibration.project(world)
-    thermal_px = thermal.lens.project(thermal.view.camera_from_teats.apply(ends))
+    thermal_px = thermal.lens.project(thermal.view.camera_from_teats.apply(apexes(teats)))
     return tuple(
         Teat(*each) for each in zip(world, covariances, left_px, right_px, thermal_px, strict=True)
     )

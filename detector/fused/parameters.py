@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
-from detector.outline.fit import Prior
+from detector.outline.prior import Prior
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,13 +16,7 @@ class Parameters:
     from 400 on measure (but for one false teat: docs/detectors.md).
     """
 
-    nearest_mm: float = 850.0  # working volume, along the right camera's axis
-    farthest_mm: float = 1900.0
-    least_radius_mm: float = 7.5  # teats are 8 to 14 mm in radius
-    greatest_radius_mm: float = 15.0
-    greatest_lean: float = 0.5  # slope, some 27 degrees: teats lean by less than 20 either way
     prior: Prior = dataclasses.field(default_factory=Prior)
-    teats: int = 4  # of an udder: no more are given
     most_nominations: int = 20
     most_bars: int = 8
     starts_per_nomination: int = 4

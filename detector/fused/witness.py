@@ -24,6 +24,7 @@ from detector.geometry import Array, Camera, Motion
 from detector.outline.fine import Fitted
 from detector.outline.model import apexes
 from detector.outline.offsets import row_offsets, thermal_offsets
+from detector.outline.prior import right_from_teats
 
 # beyond these no calibration of a rig that is fit for use is off
 _ROWS_PX = 0.4
@@ -93,7 +94,8 @@ def disagreement(found: Agreement, fitted: Fitted, calibration: Calibration) -> 
     limit = few * np.array([_ROWS_PX, *_THERMAL_PX])
     if (off <= limit).all():
         return None
-    limit = np.maximum(limit, _SDS * _stated_px(apexes(fitted.teats), calibration))
+    ends_mm = right_from_teats(calibration).apply(apexes(fitted.teats))
+    limit = np.maximum(limit, _SDS * _stated_px(ends_mm, calibration))
     if (off <= limit).all():
         return None
     worst = int(np.argmax(off / limit))
