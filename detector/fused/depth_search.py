@@ -151,9 +151,7 @@ def best_starts(ends: Starts, sides: Starts, maps: tuple[Map, ...], p: Parameter
     depth_mm = right.camera_from_teats.apply(moved[:, :3])[:, 2:]
     aside_mm = _GRID_PX[shift] * depth_mm / np.array(right.camera.fc)
     moved[:, :3] += aside_mm @ right.camera_from_teats.R[:2]
-    moved[:, RADIUS] = np.clip(
-        moved[:, RADIUS] * np.array(_SWELLS)[swell], *p.prior.radii_mm
-    )
+    moved[:, RADIUS] = np.clip(moved[:, RADIUS] * np.array(_SWELLS)[swell], *p.prior.radii_mm)
     return moved
 
 

@@ -238,6 +238,7 @@ def _fit(
     teats: Array, views: tuple[View, ...], thermal: _Thermal, ends: Nominations, p: Parameters
 ) -> _Judged:
     """Fit and judge; again without what a neighbour may have bridged or hidden."""
+
     def weighed(fitted: Fitted) -> _Candidates:
         return _weigh(fitted, views, thermal, p)
 

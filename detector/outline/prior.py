@@ -110,7 +110,9 @@ def depths_seen_mm(calibration: Calibration, prior: Prior) -> tuple[float, float
         )
     sensor = lens.fc[0] * calibration.thermal.sensor_size[0] / calibration.thermal.image_size[0]
     focals = min(calibration.left.fc[0], calibration.right.fc[0]), sensor
-    for name, focal, least in zip(("optical", "thermal"), focals, prior.least_radius_px, strict=True):
+    for name, focal, least in zip(
+        ("optical", "thermal"), focals, prior.least_radius_px, strict=True
+    ):
         if focal * prior.radius_mm / near < least:
             raise OutOfDomainError(
                 f"a teat is {2 * focal * prior.radius_mm / near:.1f} pixels wide in the {name}"
