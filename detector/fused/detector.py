@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 from detector.calibration import Calibration
 from detector.fused.covariances import (
     end_covariances,
+    stated,
     unaliased,
-    unlike_covariances,
-    widened,
     world_covariances,
 )
-from detector.fused.decide import doubts, maybe_hidden, objections, settled, shapes
+from detector.fused.decide import Decision, Fits, decide
 from detector.fused.depth_search import (
     Map,
     best_starts,
@@ -31,6 +30,8 @@ from detector.fused.depth_search import (
     sweep_ends,
 )
 from detector.fused.evidence import Evidence, warmth_across, weigh
+from detector.fused.learned import learned
+from detector.fused.left_out import left_out, outside
 from detector.fused.parameters import Parameters
 from detector.fused.refine import (
     FAR_MM,
@@ -45,6 +46,7 @@ from detector.fused.refine import (
     slide_to_round,
     slide_to_stop,
 )
+from detector.fused.refits import doubts, shapes
 from detector.fused.sharpness import Sharpness, blur_covariances, sharpness, too_blurred
 from detector.fused.thermal import (
     ROOM_PX,
@@ -76,6 +78,10 @@ from detector.protocol import Context, Detection, Frames, Stage, Teat
 _SAME_MM, _CHI2_99 = 15.0, 11.345  # two answers on one end; 99 % of three degrees of freedom
 _BESIDE_PX = np.array([-1.0, 0.0, 1.0])  # disparities about an expected end
 _OPTICAL_BLUR_PX, _THERMAL_BLUR_PX = 1.5, 0.8  # as much as a start may be off
+# log odds above what is accepted: beyond doubt; below, of what a nearer teat may hide, and of what
+# is told of
+_SURE, _MAYBE_HIDDEN, _MAYBE_END = 3.0, 6.0, 4.0
+LEARNED = learned()
 _ROOM_ABOVE_MM = 110.0  # how far above a bar's visible part its end may be
 
 
@@ -177,22 +183,47 @@ def _detect(
     judged = _fit(teats, views, thermal, ends, p)
     # every fitted teat with evidence and objection, empty if accepted
     shown = {"teats": judged.fitted.teats}
-    shown |= {name: getattr(judged.evidence, name) for name in (*Evidence.__slots__, "merit")}
+    shown |= {name: getattr(judged.evidence, name) for name in Evidence.__slots__}
     shown["right_from_teats"] = right_from_teats(calibration).R
-    shown["reasons"] = np.array([reason or "" for reason in judged.reasons], dtype=np.str_)
-    cameras = agreement(judged.fitted, judged.reasons, calibration, p, thermal.px_a_sensor_px)
+    decision = judged.decision
+    shown["odds"] = decision.odds
+    shown["reasons"] = np.array([reason or "" for reason in decision.reasons], dtype=np.str_)
+    which = decision.accepted or np.flatnonzero(decision.by_witness).tolist()
+    cameras = agreement(judged.fitted.take(which), calibration, p, thermal.px_a_sensor_px)
     shown["cameras_px"] = np.array([cameras.rows_px, *cameras.thermal_px])
     trace.append(Stage("decisions", shown))
     if wrong := disagreement(cameras, judged.fitted, calibration):
         raise pictures.UnusableError(wrong)
-    fitted = judged.fitted.take(judged.accepted)
+    fitted = judged.fitted.take(decision.accepted)
     edges = sharpness(fitted, views[:2])
     if wrong := too_blurred(edges):
         raise pictures.UnusableError(wrong)
-    hidden = _unexplained(fitted.teats, thermal, ends)
-    answers = _answers(judged, cameras, edges, thermal, calibration, p)
-    reason = None if answers else "nothing warm has the outline of a teat in both optical pictures"
-    return Detection(answers, hidden, reason, tuple(trace))
+    unexplained_px = _unexplained(fitted.teats, thermal, ends)
+    answers = _answers(judged, cameras, edges, thermal, calibration, p, trace)
+    said = _said(judged, unexplained_px, thermal, calibration, p)
+    if not answers:
+        said = ["nothing warm has the outline of a teat in both optical pictures", *said]
+    reason = "; ".join(said) or None
+    return Detection(answers, len(unexplained_px), reason, tuple(trace))
+
+
+def _said(
+    judged: _Judged,
+    unexplained_px: Array,
+    thermal: _Thermal,
+    calibration: Calibration,
+    p: Parameters,
+) -> list[str]:
+    """What isn't given, and what of the given lies outside of what teats are."""
+    decision, teats = judged.decision, judged.fitted.teats
+    accepted = decision.accepted
+    given = Fits.made(teats[accepted], judged.evidence.take(accepted), p.prior)
+    size = thermal.px_a_sensor_px
+    thermal_px = thermal.lens.project(thermal.view.camera_from_teats.apply(apexes(teats)))
+    warm_px = (unexplained_px + 0.5) * size - 0.5
+    doubtful = decision.odds > LEARNED.least - _MAYBE_END
+    more = left_out(teats, decision, doubtful, thermal_px, warm_px, size, calibration)
+    return [*outside(given), *more]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,10 +237,10 @@ class _Candidates(Rows):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Judged:
-    """Candidates, and the objection to each."""
+    """Candidates, and what was decided of each."""
 
     candidates: _Candidates
-    reasons: list[str | None]
+    decision: Decision
 
     @property
     def fitted(self) -> Fitted:
@@ -219,13 +250,9 @@ class _Judged:
     def evidence(self) -> Evidence:
         return self.candidates.evidence
 
-    @property
-    def accepted(self) -> list[int]:
-        return [i for i, reason in enumerate(self.reasons) if reason is None]
 
-
-def _unexplained(teats: Array, thermal: _Thermal, ends: Nominations) -> int:
-    """How many of the ends that the thermal picture shows belong to none of teats (m, 8)."""
+def _unexplained(teats: Array, thermal: _Thermal, ends: Nominations) -> Array:
+    """The ends (k, 2) sensor px that the thermal picture shows, and that are of none of teats (m, 8)."""
     tips, view = apexes(teats), thermal.view
     feet_px, tips_px = (
         view.camera.project(view.camera_from_teats.apply(points))
@@ -243,10 +270,10 @@ def _fit(
         return _weigh(fitted, views, thermal, p)
 
     def judge(candidates: _Candidates) -> _Judged:
-        return _judge(candidates, thermal, p)
+        return _judge(candidates, p)
 
     judged = _from_starts(teats, views, thermal, ends, p)
-    bridging, shifted = doubts(judged.fitted.teats, judged.evidence, judged.reasons, p)
+    bridging, shifted = doubts(judged.fitted.teats, judged.evidence, judged.decision, p)
     if bridging or shifted:
         more, doubtful = judged.candidates, judged.fitted.teats[shifted]
         if bridging:
@@ -257,15 +284,15 @@ def _fit(
             more += weighed(refine_slid(np.concatenate(slid), views, p))
         judged = judge(more)
         # farther only where none is near, as an arm may show what looks like an end too
-        same = on_one_bar(judged.fitted.teats)[np.ix_(shifted, judged.accepted)].any(axis=1)
-        far = slide_to_round(doubtful[~same], views, FAR_MM)
+        same = on_one_bar(judged.fitted.teats)[np.ix_(shifted, judged.decision.accepted)]
+        far = slide_to_round(doubtful[~same.any(axis=1)], views, FAR_MM)
         if len(far):
             judged = judge(judged.candidates + weighed(refine_slid(far, views, p)))
-    unlike = shapes(judged.fitted.teats, judged.evidence, judged.reasons, p)
+    unlike = shapes(judged.fitted.teats, judged.evidence, judged.decision, p)
     if unlike:
         judged = judge(weighed(shaped_again(judged.fitted, unlike, p, views)))
-    again = [i for i, reason in enumerate(judged.reasons) if maybe_hidden(reason)]
-    hidden = hidden_points(judged.fitted, judged.accepted, again)
+    again = np.flatnonzero(judged.decision.odds > LEARNED.least - _MAYBE_HIDDEN).tolist()
+    hidden = hidden_points(judged.fitted, judged.decision.accepted, again)
     if not hidden.any():
         return judged
     clear, behind = (np.flatnonzero(hidden.any(axis=1) == some) for some in (False, True))
@@ -283,28 +310,35 @@ def _from_starts(
     except pictures.UnusableError:
         if len(rest) == 0:
             raise
-        return _judge(_weigh(refine(rest, views, p), views, thermal, p), thermal, p)
-    judged = _judge(_weigh(fitted, views, thermal, p), thermal, p)
+        return _judge(_weigh(refine(rest, views, p), views, thermal, p), p)
+    judged = _judge(_weigh(fitted, views, thermal, p), p)
     if len(rest) == 0 or (
-        settled(judged.evidence, judged.reasons, p)
-        and _unexplained(judged.fitted.teats[judged.accepted], thermal, ends) == 0
+        _settled(judged, p)
+        and len(_unexplained(judged.fitted.teats[judged.decision.accepted], thermal, ends)) == 0
     ):
         return judged
-    return _judge(_weigh(refine(rest, views, p, judged.fitted), views, thermal, p), thermal, p)
+    return _judge(_weigh(refine(rest, views, p, judged.fitted), views, thermal, p), p)
 
 
-def _judge(candidates: _Candidates, thermal: _Thermal, p: Parameters) -> _Judged:
-    level = float(thermal.levels[0])
-    return _Judged(candidates, objections(candidates.fitted.teats, candidates.evidence, level, p))
+def _settled(judged: _Judged, p: Parameters) -> bool:
+    """Whether an udder of teats is accepted, all of them beyond doubt."""
+    accepted = judged.decision.accepted
+    beyond = judged.decision.odds[accepted] > LEARNED.least + _SURE
+    return bool(len(accepted) == p.prior.udder and beyond.all())
+
+
+def _judge(candidates: _Candidates, p: Parameters) -> _Judged:
+    teats, evidence = candidates.fitted.teats, candidates.evidence
+    return _Judged(candidates, decide(teats, evidence, LEARNED, p.prior))
 
 
 def _weigh(
     fitted: Fitted, views: tuple[View, ...], thermal: _Thermal, p: Parameters
 ) -> _Candidates:
-    covariances = end_covariances(fitted, p, to_decide=True)
+    covariances = end_covariances(fitted, p)
     motion, size = thermal.view.camera_from_teats, thermal.px_a_sensor_px
     warmth = warmth_across(fitted.teats, thermal.view.field, thermal.lens, motion, size)
-    return _Candidates(fitted, covariances, weigh(fitted, covariances, warmth, views))
+    return _Candidates(fitted, covariances, weigh(fitted, covariances, warmth, views, p.prior))
 
 
 def _thermal(frames: Frames, calibration: Calibration, prior: Prior) -> _Thermal:
@@ -367,18 +401,22 @@ def _answers(
     thermal: _Thermal,
     calibration: Calibration,
     p: Parameters,
+    trace: list[Stage],
 ) -> tuple[Teat, ...]:
     """Accepted ends with covariances, the calibration's included, and their pixels."""
-    if not judged.accepted:
+    rows = judged.decision.accepted
+    if not rows:
         return ()
-    accepted = judged.candidates.take(judged.accepted)
+    accepted = judged.candidates.take(rows)
     fitted, own = unaliased(accepted.fitted, p)
     teats, turned = fitted.teats, right_from_teats(calibration)
     ends, down = turned.apply(apexes(teats)), axes(teats) @ turned.R.T
     world = calibration.world_from_right.apply(ends)
-    own = own + end_covariances(fitted, p) + unlike_covariances(teats, accepted.evidence, p)
+    fits = Fits.made(teats, accepted.evidence, p.prior)
+    own = own + end_covariances(fitted, p)
+    trace.append(Stage("answers", {"rows": np.array(rows), "teats": teats, "own": own}))
+    own = stated(own, fits, LEARNED, calibration)
     own = turned.R @ own @ turned.R.T
-    own = widened(own, ends[:, 2], accepted.evidence, calibration)
     own += calibration_covariances(cameras, ends, calibration, p)
     px_a_mm = calibration.right.fc[0] / ends[:, 2]
     own = own + blur_covariances(edges, down, ends, px_a_mm, calibration.baseline_mm)

@@ -163,13 +163,13 @@ def unexplained(
     feet_px: Array,
     tips_px: Array,
     sought: Sought,
-) -> int:
-    """How many clear ends lie on no bar from ``tips_px`` (k, 2) to ``feet_px`` (k, 2)."""
+) -> Array:
+    """Which clear ends (k, 2) lie on no bar from ``tips_px`` (k, 2) to ``feet_px`` (k, 2)."""
     feet_px, tips_px = sought.turned(feet_px), sought.turned(tips_px)
     way = tips_px - feet_px
     bars_seen = list(zip(0.5 * (tips_px + feet_px), (way[:, 0] / way[:, 1]).tolist(), strict=True))
     low, high = between
-    count = 0
+    found = []
     for i in np.flatnonzero(ends.score > _SURE_END):
         lean, (way_px, _) = ends.lean[i], bar_ways(ends.lean[i], sought.down)
         place = ends.centre_px[i] + 8.0 * way_px
@@ -182,8 +182,8 @@ def unexplained(
             for other, slope in bars_seen
         ):
             bars_seen.append((middle, lean))
-            count += 1
-    return count
+            found.append(ends.centre_px[i])
+    return np.array(found).reshape(-1, 2)
 
 
 def _beside(a: Array, lean_a: Array | float, b: Array, lean_b: float) -> Array:
