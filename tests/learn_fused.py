@@ -89,7 +89,7 @@ def scenes(frames: Path) -> Iterator[tuple[str, Calibration, Any]]:
                 path,
                 left=shot.frames.left,
                 right=shot.frames.right,
-                t=shot.frames.thermal_ck,
+                t=np.asarray(shot.frames.thermal_ck),
                 ends=np.array([row.xyz_mm for row in shot.truth]),
                 vis=np.array([row.visible for row in shot.truth]),
             )

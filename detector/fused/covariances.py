@@ -199,7 +199,7 @@ def _one_sided(f: Fits) -> Array:
 
 
 def _beyond(f: Fits) -> Array:
-    return np.maximum(f.thermal[:, [SIDE_A, SIDE_B]].max(axis=1), 0.0)
+    return np.asarray(np.maximum(f.thermal[:, [SIDE_A, SIDE_B]].max(axis=1), 0.0))
 
 
 # standard deviations, a unit of the factor

@@ -1,7 +1,7 @@
-"""Which fitted teats are teats: the log odds of each, and the best set of them that doesn't overlap.
+"""Which fitted teats are teats: the log odds of each, and the best set that doesn't overlap.
 
 The log odds of a fit are linear in what the pictures show of it (`MEASURES`). Weights are learned
-(`bench.developer.learn`) and read from a file; none is set by hand. The reason of a rejected fit is
+(`python -m tests.learn_fused`) and read from a file; none is set by hand. The reason of a rejected fit is
 that of the measure which lowers its odds the most.
 """
 
@@ -69,7 +69,7 @@ class Fits(NamedTuple):
     @property
     def too_steep(self) -> Array:
         """How far the slope (m,) is beyond that of a teat."""
-        return np.maximum(self.lean - np.tan(np.radians(self.prior.most_lean_deg)), 0.0)
+        return np.asarray(np.maximum(self.lean - np.tan(np.radians(self.prior.most_lean_deg)), 0.0))
 
 
 class Measure(NamedTuple):

@@ -102,7 +102,7 @@ class FusedDetector:
     )
 
     def refuses(self, calibration: Calibration) -> str | None:
-        """Why teats can't be found with this rig, whatever its pictures show; None where they can."""
+        """Why teats can't be found with this rig, whatever its pictures show, or None."""
         try:
             depths_seen_mm(calibration, self.settings.prior)
         except OutOfDomainError as why:
@@ -252,7 +252,7 @@ class _Judged:
 
 
 def _unexplained(teats: Array, thermal: _Thermal, ends: Nominations) -> Array:
-    """The ends (k, 2) sensor px that the thermal picture shows, and that are of none of teats (m, 8)."""
+    """The ends (k, 2) sensor px of the thermal picture that are of none of teats (m, 8)."""
     tips, view = apexes(teats), thermal.view
     feet_px, tips_px = (
         view.camera.project(view.camera_from_teats.apply(points))

@@ -1,5 +1,5 @@
-"""What was learned from simulated scenes: the weights of a decision and of a variance, from the file
-that `teatbench-learn` writes, with its seed, sizes and figures.
+"""What was learned from simulated scenes: the weights of a decision and of a variance, from the
+file that `python -m tests.learn_fused` writes, with its seed, sizes and figures.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ def shapes(teats: Array, evidence: Evidence, decision: Decision, p: Parameters) 
     tried = unlike & (evidence.end.min(axis=1) > _SHAPED_END)
     same, kept = on_one_bar(teats), list[int]()
     sound = [i for i in decision.accepted if not unlike[i]]
-    inside = pass_through(teats, teats[sound]).any(axis=1)
+    inside = np.asarray(pass_through(teats, teats[sound]).any(axis=1))
     for i in np.argsort(-decision.odds, kind="stable").tolist():
         if tried[i] and not same[i, kept + sound].any() and not inside[i]:
             kept.append(i)

@@ -43,7 +43,9 @@ class Sought:
     half_widths_px: tuple[float, ...]
 
     @classmethod
-    def of(cls, camera: Camera, camera_from_teats: Motion, depths_mm: Array, prior: Prior) -> Self:
+    def of(
+        cls, camera: Camera, camera_from_teats: Motion, depths_mm: tuple[float, float], prior: Prior
+    ) -> Self:
         """By a camera of the sensor's pixels, teats ``depths_mm`` (2,) from it."""
         middle = float(np.sqrt(depths_mm[0] * depths_mm[1])) * np.array([0.0, 0.0, 1.0])
         way = camera_from_teats.R @ np.array([0.0, 1.0, 0.0])

@@ -51,7 +51,7 @@ class Agreement:
 
 
 def agreement(some: Fitted, calibration: Calibration, p: Parameters, size: float) -> Agreement:
-    """Pooled over ``some`` fits: the accepted ones, else those that only a witness speaks against."""
+    """Pooled over ``some`` fits: the accepted ones, else what only a witness speaks against."""
     lens, pose = _thermal_camera(calibration)
     thermal_mm = abs(float((pose.R.T @ pose.T)[0]))
     optical = calibration.right.fc[0] * calibration.baseline_mm

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from detector.calibration import Calibration
 from detector.geometry import Array, Camera, Motion
@@ -122,6 +123,6 @@ def depths_seen_mm(calibration: Calibration, prior: Prior) -> tuple[float, float
     return near, far
 
 
-def _inside(camera: Camera, points_mm: Array) -> Array:
+def _inside(camera: Camera, points_mm: Array) -> NDArray[np.bool_]:
     pixels = camera.project(points_mm)
     return np.asarray(((pixels >= 0) & (pixels <= np.array(camera.image_size) - 1)).all(axis=1))

@@ -285,8 +285,8 @@ def _hose(draw: Draw) -> SceneObject:
 
 
 def outward(draw: Draw) -> Situation:
-    """Teats that point away from the udder's middle, as of a full udder or an old cow's: by 20 to 40
-    degrees (our choice).
+    """Teats that point away from the udder's middle, as a full udder's do: by 20 to 40 degrees (our
+    choice).
     """
     foot_mm = footing(draw, (18.0, 32.0), (55.0, 80.0), (22.0, 40.0))
     teats = []
@@ -344,7 +344,7 @@ def rods(draw: Draw) -> Situation | None:
     """
     phantom = udder(draw, lean_deg=(0.0, 6.0))
     phantom = Phantom(phantom.teats[: draw.count(1, len(phantom.teats))])
-    things = []
+    things = list[SceneObject]()
     for end, teat in zip(phantom.ends_mm.tolist(), phantom.teats, strict=True):
         if things and draw.chance(0.5):
             continue
