@@ -42,7 +42,7 @@ from detector.outline.prior import Prior, world_from_teats
 from instruments.world.situations import SITUATIONS, member
 
 Array = NDArray[np.float64]
-SEED, FIRST, MEMBERS, RIGS, ON_A_RIG = 1, 200, 60, 40, 6
+SEED, FIRST, MEMBERS, RIGS, ON_A_RIG = 1, 200, 30, 20, 6
 EXACT = ParameterCovariance((), np.zeros((0, 0)))
 RIDGE, NEAR_MM, NOT_SURE_MM, LESS = 1e-3, 4.0, (2.5, 6.0), 0.3
 AGAIN, WITHIN, LEAST, FREEDOM = 2, 0.2, 0.0, 6.0
@@ -123,7 +123,7 @@ def shown_of(family: str, calibration: Calibration, data: Any) -> Shown | None:
     )  # fmt: skip
 
 
-def learned_odds(some: Sequence[Shown]) -> tuple[Array, float]:
+def learned_odds(some: Sequence[Shown], start: Array | None = None) -> tuple[Array, float]:
     """Weights (k,) and bias. Fits that lie within a likelier right one are neither given nor looked
     at, and count for less; which these are hangs on the weights, so this is done again.
     """
@@ -131,7 +131,7 @@ def learned_odds(some: Sequence[Shown]) -> tuple[Array, float]:
     off = [np.linalg.norm(one.places_mm[:, None] - one.ends_mm, axis=2).min(axis=1) for one in some]
     far = np.concatenate(off)
     usual = np.where((far > NOT_SURE_MM[0]) & (far < NOT_SURE_MM[1]), LESS, 1.0)
-    weights, bias = _odds(seen, far < NEAR_MM, usual)
+    weights, bias = _odds(seen, far < NEAR_MM, usual, start)
     for _ in range(AGAIN):
         within = []
         for one, mm in zip(some, off, strict=True):
@@ -139,23 +139,27 @@ def learned_odds(some: Sequence[Shown]) -> tuple[Array, float]:
             likelier = one.through & (odds[None] > odds[:, None]) & (mm < NEAR_MM)[None]
             within.append(likelier.any(axis=1))
         trust = np.where(np.concatenate(within), WITHIN * usual, usual)
-        weights, bias = _odds(seen, far < NEAR_MM, trust)
+        weights, bias = _odds(seen, far < NEAR_MM, trust, np.r_[weights, bias])
     return weights, bias
 
 
-def _odds(seen: Array, label: NDArray[np.bool_], trust: Array) -> tuple[Array, float]:
-    """By Newton's method on the ridge-penalised log likelihood."""
+def _odds(
+    seen: Array, label: NDArray[np.bool_], trust: Array, start: Array | None
+) -> tuple[Array, float]:
+    """By Newton's method on the ridge-penalised log likelihood, from ``start`` (k + 1,) on."""
     middle, spread = seen.mean(axis=0), seen.std(axis=0) + 1e-9
     z = np.column_stack([(seen - middle) / spread, np.ones(len(seen))])
     ridge = RIDGE * trust.sum() * np.r_[np.ones(seen.shape[1]), 0.0]
     weights = np.zeros(z.shape[1])
+    if start is not None:
+        weights = np.r_[start[:-1] * spread, start[-1] + start[:-1] @ middle]
     for _ in range(50):
         share = 1.0 / (1.0 + np.exp(-z @ weights))
         slope = z.T @ (trust * (share - label)) + ridge * weights
         bend = (z * (trust * share * (1 - share))[:, None]).T @ z + np.diag(ridge + 1e-9)
         step = np.linalg.solve(bend, slope)
         weights -= step
-        if np.abs(step).max() < 1e-8:
+        if np.abs(step).max() < 1e-4:
             break
     plain = weights[:-1] / spread
     return plain, float(weights[-1] - plain @ middle)
@@ -218,7 +222,7 @@ def main() -> None:
     spread = dict(zip(TERMS, np.round(factors[1:], 5).tolist(), strict=True))
     left_out = {}
     for name in SITUATIONS:
-        others = learned_odds([one for one in some if one.family != name])
+        others = learned_odds([one for one in some if one.family != name], np.r_[weights, bias])
         left_out[name] = judged([one for one in some if one.family == name], *others)
     table = {
         "made": {

@@ -218,7 +218,7 @@ def open_plan(plan: Plan, members: int | None = None) -> tuple[Job, dict[str, st
     true = rig.calibration
     stated = read_calibration(Path(plan.calibration)) if plan.calibration else true
     detectors = make_detectors(plan.detectors)
-    with introduced(detectors, plan.asked_of(members)):
+    with introduced(detectors, plan.asked_of(members), stated):
         devices = {one.name: getattr(one, "device", "") for one in detectors}
     sensors = {
         name: getattr(rig.rig.emulation, name).model_copy(

@@ -1,8 +1,8 @@
 """Which fitted teats are teats: the log odds of each, and the best set that doesn't overlap.
 
 The log odds of a fit are linear in what the pictures show of it (`MEASURES`). Weights are learned
-(`python -m tests.learn_fused`) and read from a file; none is set by hand. The reason of a rejected fit is
-that of the measure which lowers its odds the most.
+(`python -m tests.learn_fused`) and read from a file; none is set by hand. The reason of a rejected
+fit is that of the measure which lowers its odds the most.
 """
 
 from __future__ import annotations

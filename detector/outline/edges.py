@@ -144,9 +144,10 @@ def find_edges(
 ) -> None:
     """The likeliest edge of each line (views, m, n, s): m outlines of n neighbouring lines, noise
     (views,): into rows ``which`` (m,), from column ``first`` on, of five arrays (., k):
-    ``offset_px`` outward (NaN: none); its standard deviation; ``clarity``: gain over a straight line, in residual
-    variances (a chi-square); ``limb_px``: by how much brightness that falls towards the limb moved
-    the edges hereabouts; ``unlike_px``: how much farther out a line's own would put its edge.
+    ``offset_px`` outward (NaN: none); its standard deviation; ``clarity``: gain over a straight
+    line, in residual variances (a chi-square); ``limb_px``: by how much brightness that falls
+    towards the limb moved the edges hereabouts; ``unlike_px``: how much farther out a line's own
+    would put its edge.
 
     A line without a clear edge is joined with its neighbours' residuals, and its edge counts less
     for what they share.
