@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.fused.evidence import Evidence
+from detector.fused.evidence import WHOLE_END, Evidence
 from detector.fused.learned import Learned
 from detector.geometry import Array
-from detector.outline.model import END, HEIGHT, LEAN_X, LEAN_Z, RADIUS, SIDE_A, SIDE_B, TAPER, axes
+from detector.outline.model import END, HEIGHT, LEAN_X, LEAN_Z, RADIUS, SIDE_A, SIDE_B, axes
 from detector.outline.prior import Prior
 
 OUTLINE = "its outline isn't that of a teat"
@@ -53,6 +53,14 @@ class Fits(NamedTuple):
         beside = np.nan_to_num(of.beside, nan=float(known.min(initial=np.inf)))
         lines = np.sort(of.warmth, axis=1)
         return cls(teats, of, lines, beside, np.nan_to_num(of.thermal_px), prior)
+
+    @property
+    def usual(self) -> float:
+        """How warm fits are that show a whole end in both optical pictures, or the warmest."""
+        whole = self.of.end[:, :2].min(axis=1) > WHOLE_END
+        middle = self.lines[:, 1]
+        known = middle[whole & np.isfinite(middle)]
+        return float(np.median(known)) if len(known) else float(np.nanmax(middle, initial=-np.inf))
 
     @property
     def lean(self) -> Array:
@@ -137,11 +145,11 @@ MEASURES: dict[str, Measure] = {
     "warmer than the cooler side, K": Measure(
         -2, 8, COLD, lambda f: f.lines[:, 1] - f.beside.min(axis=1)
     ),
-    "coolest line, to the warmest teat, K": Measure(
-        -6, 0, COLD, lambda f: f.lines[:, 0] - f.lines[:, 1].max(initial=-np.inf)
+    "coolest line, to the usual teat, K": Measure(
+        -6, 0, COLD, lambda f: f.lines[:, 0] - f.usual
     ),
-    "middle line, to the warmest teat, K": Measure(
-        -6, 0, COLD, lambda f: f.lines[:, 1] - f.lines[:, 1].max(initial=-np.inf)
+    "middle line, to the usual teat, K": Measure(
+        -6, 0, COLD, lambda f: f.lines[:, 1] - f.usual
     ),
     "lines unlike in warmth, K": Measure(0, 3, COLD, lambda f: np.ptp(f.of.warmth, axis=1)),
     "radius outside of the range, mm": Measure(0, 5, SIZE, lambda f: f.off_size),
@@ -149,7 +157,6 @@ MEASURES: dict[str, Measure] = {
         0, 5, SIZE, lambda f: np.abs(f.teats[:, RADIUS] - f.prior.radius_mm)
     ),
     "lean beyond the range": Measure(0, 0.5, LEANS, lambda f: f.too_steep),
-    "taper": Measure(0, 0.15, OUTLINE, lambda f: np.abs(f.teats[:, TAPER])),
     "ln of the end's height": Measure(
         0, 0.5, OUTLINE, lambda f: np.abs(np.log(f.teats[:, HEIGHT]))
     ),

@@ -18,6 +18,7 @@ from detector.outline.offsets import row_offsets
 from detector.outline.prior import Prior
 
 _CLOSE_PX, _MOST_SD_PX = 0.6, 1.2
+WHOLE_END = 0.9
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
 _ACROSS = (-1.7, -0.6, 0.0, 0.6, 1.7)  # of the radius: two lines beside it
 # an end with both sides: how many of its points are next to a side, and the share of them that is
