@@ -29,20 +29,13 @@ SHIPPED = {
     "thesis": ("thesis.detector", "ThesisDetector"),
     "fused": ("fused.detector", "FusedDetector"),
     "thesis-published-homography": ("thesis.detector", "published_homography"),
-    "thesis-no-refinement": ("thesis.detector", "no_refinement"),
-    "thesis-published-homography-no-refinement": (
-        "thesis.detector",
-        "published_homography_no_refinement",
-    ),
     "depth": ("depth", "DepthDetector"),
 }
 _ABOUT = """\
 the published algorithm, stage by stage: thermal edges, one homography, dark line in a\
  41 x 41 region
 the bench's own: thermal nominates, optics localise, stereo decides
-the same with the homographies that the thesis printed, not the calibration's at the teats' plane
-the same without the optical step: the ends stay where the homography puts them
-the same with the printed homographies and without the optical step
+the thesis's with the homographies that it printed, not the calibration's at the teats' plane
 a plain baseline on a depth camera's picture alone: what stands up narrow before something\
  farther
 """

@@ -64,26 +64,20 @@ View = tuple[int, int, int, int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a file stands, the trials in it, and its images' data where it stands alone."""
+    """Where a file stands, and the trials in it."""
 
     trials: tuple[TrialPart, ...]
     base: str = ""  # from this file to the report's folder
-    embedded: Mapping[str, str] | None = None
     file: str = "index.html"
     apart: Mapping[str, str] = field(default_factory=dict)  # files of chapters, by the ids in them
 
-    @property
-    def files(self) -> bool:
-        """Whether pictures, and the trials that aren't in it, have files beside it."""
-        return self.embedded is None
-
     def picture(self, src: str) -> str:
         """What an image's `src` says."""
-        return self.base + address(src, "image") if self.embedded is None else self.embedded[src]
+        return self.base + address(src, "image")
 
     def original(self, image: ImageView) -> str:
-        """What a click on an image opens; nothing where the file travels alone."""
-        return self.base + address(image.original or image.src, "image") if self.files else ""
+        """What a click on an image opens."""
+        return self.picture(image.original or image.src)
 
 
 class Press:
@@ -107,7 +101,7 @@ class Press:
         rows = (row for table in tables for row in table.rows)
         listed = {trial.id for trial in place.trials} | {_trial_of(row) for row in rows}
         lost = [trial.id for trial in self._page.trials if trial.id not in listed]
-        if lost and place.files and not place.apart:
+        if lost and not place.apart:
             raise PageError(
                 f"page {self._page.title!r}: no searchable table begins a row with a link to"
                 f" {lost[:5]}; list every trial"
@@ -266,9 +260,7 @@ def _link(href: str, place: Place, away: set[str]) -> str:
     if file != place.file:
         return f"{place.base}{file}{href}"
     if href.startswith("#") and href[1:] in away:
-        return f"{place.base}{TRIALS}/{href[1:]}.html" if place.files else ""
-    if not place.files and not href.startswith("#"):
-        return ""  # the file beside which it stood stayed at home
+        return f"{place.base}{TRIALS}/{href[1:]}.html"
     return address(href, "link")
 
 

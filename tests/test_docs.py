@@ -191,7 +191,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert main([*scoring, "--detector", "fused", "--detector", "thesis"]) in (0, 1, 4)
     (run,) = (folder / "scored").iterdir()
     run.rename(folder / "runs" / "scored")
-    shutil.copytree(ROOT / "tests/bench/record/kept/schema-4", folder / "runs" / "kept")
+    shutil.copytree(ROOT / "tests/bench/record/kept/schema-5", folder / "runs" / "kept")
     (folder / "my-board.toml").write_text(BOARD_TOML, encoding="utf-8")
     (folder / "my-heated.toml").write_text(HEATED_TOML, encoding="utf-8")
     write_pairs(folder / "pictures", 12)

@@ -22,7 +22,7 @@ from distributed import TimeoutError as DaskTimeoutError
 
 from bench.campaign.chunk import Rows, set_aside
 from bench.campaign.plan import Chunk, Job, of_program
-from bench.campaign.pool import AHEAD, REMEMBERED, LocalPool, PoolError, Say, Whole, silence_limit_s
+from bench.campaign.pool import AHEAD, REMEMBERED, LocalPool, PoolError, Say, silence_limit_s
 from instruments.clock import stopwatch_s
 
 LOST = 2  # of a chunk's workers, until it is halved
@@ -89,7 +89,7 @@ class DaskPool:
         self._client: Client | None = None
         self._given: dict[Future[Done], Chunk] = {}
         self._again: deque[Chunk] = deque()
-        self._open: dict[str, Whole] = {}
+        self._open: dict[str, tuple[Chunk, list[Rows]]] = {}  # and its pieces that are done
         self._lost: Counter[Chunk] = Counter()
         self._chunk_s: deque[float] = deque(maxlen=REMEMBERED)
         self._renewed = 0
@@ -134,7 +134,7 @@ class DaskPool:
                 part = self._again.popleft()
             elif chunk := next(chunks, None):
                 part = chunk
-                self._open[chunk.name] = Whole(chunk)
+                self._open[chunk.name] = chunk, []
             else:
                 return
             name = f"teatbench-{uuid.uuid4().hex}-{part.name}"
@@ -193,11 +193,12 @@ class DaskPool:
         for text in found.said:
             self._say(text)
         self._chunk_s.append(found.rows.seconds / len(part.members) * self._job.plan.chunk_scenes)
-        whole = self._open[part.name]
-        whole.done.append(found.rows)
-        if rows := whole.rows:
+        chunk, done = self._open[part.name]
+        done.append(found.rows)
+        there = {row.member for rows in done for row in rows.scenes}
+        if len(there) == len(chunk.members):
             del self._open[part.name]
-            yield whole.chunk, rows
+            yield chunk, sum(sorted(done, key=lambda rows: rows.scenes[0].member), Rows())
 
     def _worker_lost(self, part: Chunk) -> Done | None:
         """Workers went with this chunk, or with another that they had: halve it in the end."""

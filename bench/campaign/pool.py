@@ -1,6 +1,6 @@
-"""Processes of this machine that work on chunks. One that ends or is silent for too long is
-replaced, and its chunk continues at that scene. A scene at which two processes ended is tried alone
-in a new process; where that ends too, the scene is set aside.
+"""Processes of this machine that work on scenes. One that ends or is silent too long is replaced,
+and its scene is tried again. A scene at which two processes ended is tried alone in a new process;
+where that ends too, the scene is set aside.
 
 The standard library's pools can't do this: one lost process breaks a `ProcessPoolExecutor`, and
 `multiprocessing.Pool` waits without end for the work of a killed one.
@@ -19,7 +19,6 @@ import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
 from typing import IO, Any, cast
 
 from bench.campaign.chunk import Rows, Scene, set_aside
@@ -27,9 +26,8 @@ from bench.campaign.plan import Chunk, Job, Plan
 from bench.campaign.worker import ONE_THREAD
 from instruments.clock import stopwatch_s
 
-AHEAD = 2  # chunks in flight a worker, so that none waits for its next
-LEAST_SCENES = 2  # in one piece of the last chunks
-DEATHS = 2  # on one scene, until it is tried alone
+AHEAD = 2  # scenes given to a process, so that it never waits for the next
+DEATHS = 3  # of processes at one scene, the last of them alone
 START_DEATHS = 3  # of workers one after the other that never began, where none ever did
 MORE_START_DEATHS = 30  # where one did: a machine that is short of memory for a while
 USUAL_TIMES = 10  # a worker may take so many usual chunk times without a word
@@ -47,41 +45,9 @@ class PoolError(Exception):
 
 def silence_limit_s(plan: Plan, chunk_s: Sequence[float]) -> float:
     """The plan's ``chunk_limit_s``; where that is 0, ten times what a chunk took."""
-    if plan.chunk_limit_s:
-        return plan.chunk_limit_s
-    if not chunk_s:
-        return FIRST_LIMIT_S
+    if plan.chunk_limit_s or not chunk_s:
+        return plan.chunk_limit_s or FIRST_LIMIT_S
     return max(LEAST_LIMIT_S, USUAL_TIMES * statistics.median(chunk_s))
-
-
-@dataclass(slots=True, eq=False)
-class Whole:
-    """A chunk, and the rows of those of its scenes that are done, in pieces."""
-
-    chunk: Chunk
-    done: list[Rows] = field(default_factory=list)
-
-    @property
-    def rows(self) -> Rows | None:
-        """Of all its scenes, in their order; None while one is missing."""
-        scenes = {(row.family, row.member) for piece in self.done for row in piece.scenes}
-        if len(scenes) < len(self.chunk.members):
-            return None
-        return sum(sorted(self.done, key=lambda rows: rows.scenes[0].member), Rows())
-
-
-@dataclass(slots=True, eq=False)
-class _Part:
-    """What is left of a chunk, or of a piece of it; ``alone``: its next scene is tried alone."""
-
-    whole: Whole
-    left: range
-    alone: bool = False
-
-    @property
-    def scene(self) -> Scene:
-        """The one that is next."""
-        return Scene(self.whole.chunk.family, self.left[0])
 
 
 class _Worker:
@@ -91,37 +57,27 @@ class _Worker:
         self, job: Job, number: int, messages: queue.SimpleQueue[tuple[_Worker, Any]]
     ) -> None:
         self.number = number
-        self.parts: deque[_Part] = deque()
+        self.scenes: deque[Scene] = deque()  # that it was given
         self.ready, self.killed = False, ""
         self.last_message_s = stopwatch_s()
         self._messages = messages
-        self._process = subprocess.Popen(
+        self.process = subprocess.Popen(
             [sys.executable, "-m", "bench.campaign.worker"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             env={**os.environ, **ONE_THREAD},
         )
-        self._requests = cast(IO[bytes], self._process.stdin)
+        self._requests = cast(IO[bytes], self.process.stdin)
         self._thread = threading.Thread(target=self._listen, daemon=True)
         self._thread.start()
         self.ask(job)
 
-    @property
-    def pid(self) -> int:
-        return self._process.pid
-
-    @property
-    def busy_alone(self) -> bool:
-        """It works on a scene that is tried alone."""
-        return any(part.alone for part in self.parts)
-
-    def give(self, part: _Part) -> None:
-        if not self.parts:
+    def give(self, scene: Scene) -> None:
+        if not self.scenes:
             self.last_message_s = stopwatch_s()
-        self.parts.append(part)
-        # a few bytes however large the chunk is: a stopped one's pipe doesn't fill up
-        self.ask(replace(part.whole.chunk, members=part.left[:1] if part.alone else part.left))
+        self.scenes.append(scene)
+        self.ask(scene)  # a few bytes: a stopped one's pipe doesn't fill up
 
     def ask(self, value: object) -> None:
         with suppress(OSError):  # its end is a message of its own
@@ -130,17 +86,17 @@ class _Worker:
 
     def kill(self, why: str) -> None:
         self.killed = self.killed or why
-        self._process.kill()
+        self.process.kill()
 
     def end(self) -> str:
         """Wait for its end; gives back how it ended."""
         with suppress(OSError):
             self._requests.close()
         try:
-            code = self._process.wait(CLOSING_S)
+            code = self.process.wait(CLOSING_S)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            code = self._process.wait()
+            self.process.kill()
+            code = self.process.wait()
         self._thread.join()
         if self.killed:
             return self.killed
@@ -150,7 +106,7 @@ class _Worker:
         return f"ended with code {code}"
 
     def _listen(self) -> None:
-        with cast(IO[bytes], self._process.stdout) as source:
+        with cast(IO[bytes], self.process.stdout) as source:
             while True:
                 try:
                     value = pickle.load(source)  # noqa: S301 - of a process that we started
@@ -170,9 +126,8 @@ class LocalPool:
         self._job, self._count = job, workers
         self._messages: queue.SimpleQueue[tuple[_Worker, Any]] = queue.SimpleQueue()
         self._workers: list[_Worker] = []
-        self._again: deque[_Part] = deque()
-        self._waiting: deque[_Part] = deque()  # a chunk a worker, so that the end is seen before
-        self._ending = False  # no more chunks come
+        self._scenes: deque[Scene] = deque()  # given to no process yet
+        self._open: dict[Chunk, dict[Scene, Rows]] = {}
         self._deaths: Counter[Scene] = Counter()
         self._chunk_s: deque[float] = deque(maxlen=REMEMBERED)  # by each scene
         self._starts_failed = self._started = 0
@@ -181,7 +136,7 @@ class LocalPool:
     def close(self) -> None:
         """End the processes; once more is no error."""
         for worker in self._workers:
-            if worker.parts:
+            if worker.scenes:
                 worker.kill("no longer needed")
             else:
                 worker.ask(None)
@@ -192,95 +147,73 @@ class LocalPool:
     @property
     def pids(self) -> list[int]:
         """The processes, for who watches them."""
-        return [worker.pid for worker in self._workers]
+        return [worker.process.pid for worker in self._workers]
 
     def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:
         """The rows of each chunk, as they are done. Raises PoolError where no worker starts."""
-        self._ending = False
         while True:
             self._fill(chunks)
-            if not any(worker.parts for worker in self._workers) and not self._again:
+            if not self._open:
                 return
-            try:
-                worker, value = self._messages.get(timeout=LOOK_S)
-            except queue.Empty:
-                self._kill_silent()
-                continue
-            if value is None:
-                part = self._replace(worker)
-            elif isinstance(value, Rows):
-                part = self._take(worker, value)
-            else:
-                worker.ready = self._began = True
-                self._starts_failed, part = 0, None
-                worker.last_message_s = stopwatch_s()
-            if part and (rows := part.whole.rows):
-                yield part.whole.chunk, rows
+            with suppress(queue.Empty):
+                self._take(*self._messages.get(timeout=LOOK_S))
+            for chunk in [one for one, rows in self._open.items() if len(rows) == len(one.members)]:
+                done = self._open.pop(chunk)
+                yield chunk, sum((done[scene] for scene in chunk.scenes), Rows())
             self._kill_silent()
 
     def _fill(self, chunks: Iterator[Chunk]) -> None:
+        """Give each process its next scenes; what is tried alone goes to a new process."""
         for load in range(AHEAD):
-            if load and self._ending:
-                return
             for place in range(self._count):
-                worker = self._workers[place] if place < len(self._workers) else None
-                if worker and (len(worker.parts) > load or worker.busy_alone):
+                if not self._scenes and (chunk := next(chunks, None)):
+                    self._open[chunk] = {}
+                    self._scenes.extend(chunk.scenes)
+                new = place >= len(self._workers)
+                if not new and not self._has_room(self._workers[place], load):
                     continue
-                part = self._next(chunks, new=worker is None)
-                if part is not None:
-                    (worker or self._start()).give(part)
+                fitting = (scene for scene in self._scenes if new or not self._alone(scene))
+                scene = next(fitting, None)
+                if scene is None:
+                    continue
+                self._scenes.remove(scene)
+                if new:
+                    self._started += 1
+                    self._workers.append(_Worker(self._job, self._started, self._messages))
+                self._workers[-1 if new else place].give(scene)
 
-    def _next(self, chunks: Iterator[Chunk], *, new: bool) -> _Part | None:
-        """What to do next; a part that is tried alone needs a ``new`` process."""
-        fitting = (part for part in self._again if new or not part.alone)
-        # those first: a place is left for each
-        if part := max(fitting, key=lambda one: one.alone, default=None):
-            self._again.remove(part)
-            return part
-        while not self._ending and len(self._waiting) <= self._count:
-            if (chunk := next(chunks, None)) is None:
-                self._ending = True
-            else:
-                self._waiting.append(_Part(Whole(chunk), chunk.members))
-        if not self._waiting:
-            return None
-        part = self._waiting.popleft()
-        if self._ending and self._count > 1:
-            # smaller and smaller pieces, so that all workers end together
-            left = len(part.left) + sum(len(one.left) for one in self._waiting)
-            piece = max(-(-left // (2 * self._count)), LEAST_SCENES)
-            if piece < len(part.left):
-                self._waiting.appendleft(_Part(part.whole, part.left[piece:]))
-                part.left = part.left[:piece]
-        return part
+    def _has_room(self, worker: _Worker, load: int) -> bool:
+        return len(worker.scenes) <= load and not any(map(self._alone, worker.scenes))
 
-    def _start(self) -> _Worker:
-        self._started += 1
-        worker = _Worker(self._job, self._started, self._messages)
-        self._workers.append(worker)
-        return worker
+    def _alone(self, scene: Scene) -> bool:
+        return self._deaths[scene] == DEATHS - 1
 
-    def _take(self, worker: _Worker, rows: Rows) -> _Part:
+    def _take(self, worker: _Worker, value: object) -> None:
+        """Its message: it is ready, has the rows of a scene, or has ended."""
+        if value is None:
+            self._replace(worker)
+            return
         now_s = stopwatch_s()
-        self._chunk_s.append((now_s - worker.last_message_s) * self._job.plan.chunk_scenes)
+        if isinstance(value, Rows):
+            self._store(worker.scenes.popleft(), value)
+            self._chunk_s.append((now_s - worker.last_message_s) * self._job.plan.chunk_scenes)
+        else:
+            worker.ready = self._began = True
+            self._starts_failed = 0
         worker.last_message_s = now_s
-        part = worker.parts[0]
-        part.left = part.left[1:]
-        part.whole.done.append(rows)
-        if part.alone and part.left:
-            self._again.appendleft(part)
-        if part.alone or not part.left:
-            worker.parts.popleft()
-        part.alone = False
-        return part
 
-    def _replace(self, worker: _Worker) -> _Part | None:
-        """Put the work of one that ended back; gives back a part of which nothing is left."""
+    def _store(self, scene: Scene, rows: Rows) -> None:
+        (chunk,) = (
+            one for one in self._open if one.family == scene.family and scene.member in one.members
+        )
+        self._open[chunk][scene] = rows
+
+    def _replace(self, worker: _Worker) -> None:
+        """Put the work of one that ended back, or set its scene aside."""
         self._workers.remove(worker)
         how = worker.end()
-        parts, worker.parts = worker.parts, deque()
+        self._scenes.extendleft(reversed(worker.scenes))
         if not worker.ready:
-            self._again.extendleft(reversed(parts))
             self._starts_failed += 1
             self.say(f"worker {worker.number} {how} before it was ready")
             if self._starts_failed >= (MORE_START_DEATHS if self._began else START_DEATHS):
@@ -289,27 +222,18 @@ class LocalPool:
                     " ready. Is there memory for them? 'python -m bench.campaign.worker' shows an"
                     " error of the installation."
                 )
-            return None
-        if not parts:
-            return None
-        current = parts.popleft()
-        self._again.extendleft(reversed(parts))
-        scene = current.scene
-        self._deaths[scene] += 1
-        text = f"worker {worker.number} {how} at scene {scene.name}"
-        if not current.alone:
-            current.alone = self._deaths[scene] >= DEATHS
-            apart = " alone, in a new process" if current.alone else ""
-            self.say(f"{text}; the scene is tried again{apart}")
-            self._again.appendleft(current)
-            return None
-        self.say(f"{text}, alone: the scene is set aside")
-        why = f"its process {how}, {self._deaths[scene]} times, at last with this scene alone"
-        current.left, current.alone = current.left[1:], False
-        current.whole.done.append(set_aside(scene, self._job.detector_names, why))
-        if current.left:
-            self._again.appendleft(current)
-        return current
+        elif worker.scenes:
+            scene = worker.scenes[0]
+            self._deaths[scene] += 1
+            text = f"worker {worker.number} {how} at scene {scene.name}"
+            if self._deaths[scene] < DEATHS:
+                apart = " alone, in a new process" if self._alone(scene) else ""
+                self.say(f"{text}; the scene is tried again{apart}")
+                return
+            self.say(f"{text}, alone: the scene is set aside")
+            why = f"its process {how}, {DEATHS} times, at last with this scene alone"
+            self._scenes.remove(scene)
+            self._store(scene, set_aside(scene, self._job.detector_names, why))
 
     def _kill_silent(self) -> None:
         if not self._messages.empty():  # came while rows were written; taken first
@@ -318,7 +242,7 @@ class LocalPool:
         usual_s = silence_limit_s(self._job.plan, self._chunk_s)
         for worker in self._workers:
             limit_s = usual_s if worker.ready else START_LIMIT_S
-            if worker.parts and not worker.killed and now_s - worker.last_message_s > limit_s:
+            if worker.scenes and not worker.killed and now_s - worker.last_message_s > limit_s:
                 worker.kill(f"gave no sign of life for {limit_s:.0f} s and was killed")
 
 

@@ -1,7 +1,7 @@
-"""``python -m bench.campaign.worker``: a process that works on chunks for `pool`.
+"""``python -m bench.campaign.worker``: a process that works on scenes for `pool`.
 
-Its standard input brings a `Job`, then chunks, its standard output takes `Rows` scene by
-scene, all pickled. It ends when its input does, in the middle of whatever it does: a client that
+Its standard input brings a `Job`, then scenes, its standard output takes the `Rows` of each, all
+pickled. It ends when its input does, in the middle of whatever it does: a client that
 died leaves no worker behind.
 """
 
@@ -54,14 +54,13 @@ def main() -> None:
     job: Job = requests.get()
     renderer = job.renderer()
     _answer(answers, "ready")
-    while (chunk := requests.get()) is not None:
-        detectors = job.make_detectors()
-        try:
-            bench = job.bench(renderer, detectors)
-            for scene in chunk.scenes:
-                _answer(answers, attempt(bench, scene))
-        finally:
-            close_detectors(detectors)
+    detectors = job.make_detectors()
+    try:
+        bench = job.bench(renderer, detectors)
+        while (scene := requests.get()) is not None:
+            _answer(answers, attempt(bench, scene))
+    finally:
+        close_detectors(detectors)
 
 
 def _read(source: IO[bytes], requests: queue.SimpleQueue[Any]) -> None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from bench import __version__
 from bench.cli.arguments import CODES, EXIT_CODES, call, complain
-from bench.cli.commands import COMMANDS, FUNCTIONS, GROUPS, MODULES, ONCE, TASKS
+from bench.cli.commands import COMMANDS, FUNCTIONS, GROUPS, MODULES, ONCE, REMOVED, TASKS
 from bench.safety.signals import installed
 from reports.sanitize import sanitizing
 
@@ -51,13 +51,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with installed():
             top = parser()
             if "_ARGCOMPLETE" in os.environ:
-                from bench.cli.completion import complete
+                import argcomplete
 
-                complete(top)
+                argcomplete.autocomplete(top, always_complete_options=False)
             words = sys.argv[1:] if arguments is None else arguments
             if odd := next((word for word in words if not _is_text(word)), None):
                 shown = ascii(odd)
                 return complain(f"{shown} isn't UTF-8: name it otherwise", CODES.wrong_use)
+            if gone := next(
+                (
+                    word
+                    for at, word in enumerate(words)
+                    if word in REMOVED and (at == 0 or "-" in word)
+                ),
+                None,
+            ):
+                return complain(f"'{gone}' went: {REMOVED[gone]}", CODES.wrong_use)
             return _run(top.parse_args(arguments))
     except Exception as error:
         return _unforeseen(error)

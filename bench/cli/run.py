@@ -13,7 +13,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.cli.arguments import CODES
 from bench.cli.store import undamaged
 from bench.cli.terminal import Terminal, TerminalProgress, working
 from bench.config import ConfigError
@@ -22,7 +21,6 @@ from bench.rig.loading import LoadedRig, find_rig, load_rig
 from bench.rig.urls import PEOPLE
 from bench.run.events import Events, SafeProgress, event_lines
 from bench.script.model import LoadedScript, find_script, load_script
-from bench.script.pixel_offsets import is_offset_script, load_offsets, outcomes
 from instruments.operators.console import keyboard_of
 
 if TYPE_CHECKING:
@@ -36,14 +34,6 @@ def run(given: argparse.Namespace) -> int:
         )
     rig = load_rig(find_rig(given.rig))
     path = find_script(given.script)
-    if is_offset_script(path):  # no instrument takes part
-        if given.dry_run:
-            outcomes(load_offsets(path), rig.calibration)
-            print("nothing wrong. This script opens no instrument.")
-            return CODES.met
-        from bench.report.pixel_offsets import run_offsets
-
-        return _offsets_reported(run_offsets(rig, path, given.out))
     script = load_script(path, rig.rig.limits.set_point_c)
     if given.dry_run:
         from bench.cli.dry_run import look_ahead
@@ -167,24 +157,9 @@ def score(given: argparse.Namespace) -> int:
     return code
 
 
-def _offsets_reported(folder: Path) -> int:
-    from bench.report.pixel_offsets import offset_text, report_offsets
-
-    page, loaded, found, verdict = report_offsets(folder)
-    for one in found:
-        figures = (
-            f"up to {one.worst_mm:.2f} mm in the worst of {len(one.errors_mm)} directions, median"
-            f" {one.median_mm:.2f} mm"
-        )
-        print(f"teat {one.offset.teat}, {offset_text(one.offset)}: {figures}")
-    print(f"Verdict: {verdict} (limit {loaded.script.limit_mm:g} mm)\nReport: {page}")
-    return CODES.met if verdict == "met" else CODES.not_met
-
-
 def report(given: argparse.Namespace) -> int:
     from bench.cli.verdict import show_verdict
     from bench.report.page import PDF, REPORT, write_run_report
-    from bench.report.pixel_offsets import is_offset_run
     from reports.pdf import find_browser, print_pdf
     from reports.render import WHOLE
     from reports.trust import PageError
@@ -198,21 +173,16 @@ def report(given: argparse.Namespace) -> int:
             "no Chromium, Chrome or Edge was found to print a PDF with. Install one, or print"
             " index.html by hand."
         )
-    if is_offset_run(given.run):
-        code = _offsets_reported(given.run)
-    else:
-        with undamaged([given.run, *filter(None, [given.baseline])], given) as damage:
-            chapters: tuple[Section, ...] = ()
-            if given.baseline:
-                from bench.report.comparison import baseline_section
+    with undamaged([given.run, *filter(None, [given.baseline])], given) as damage:
+        chapters: tuple[Section, ...] = ()
+        if given.baseline:
+            from bench.report.comparison import baseline_section
 
-                with working("comparing the runs"):
-                    chapters = (baseline_section(given.baseline, given.run, damage),)
-            with working("writing the report"):
-                written = write_run_report(
-                    given.run, chapters, damage, single_file=given.single_file
-                )
-            code = show_verdict(Terminal(), *written)
+            with working("comparing the runs"):
+                chapters = (baseline_section(given.baseline, given.run, damage),)
+        with working("writing the report"):
+            written = write_run_report(given.run, chapters, damage)
+        code = show_verdict(Terminal(), *written)
     if browser:
         folder = given.run / REPORT
         try:

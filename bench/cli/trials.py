@@ -7,25 +7,20 @@ from __future__ import annotations
 import argparse
 import json
 from dataclasses import asdict
-from pathlib import Path
 
 from bench.cli.arguments import CODES, print_values
 from bench.config import ConfigError
 from bench.rig.loading import find_rig, load_rig, shipped
 from bench.scoring.rates import plural
 from bench.script.model import TRIALS, find_script, load_script
-from bench.script.pixel_offsets import is_offset_script, load_offsets
 
 WIDEST = 500  # of a table in a file, in characters
 RATES = (0.95, 0.99, 0.999)
 
 
 def listed(given: argparse.Namespace) -> None:
-    rows = {}
-    for name in shipped(TRIALS):
-        path = TRIALS / f"{name}.toml"
-        loaded = load_offsets(path) if is_offset_script(path) else load_script(path)
-        rows[name] = loaded.script.about
+    names = shipped(TRIALS)
+    rows = {name: load_script(TRIALS / f"{name}.toml").script.about for name in names}
     if given.json:
         print(json.dumps(rows, ensure_ascii=False))
     else:
@@ -34,8 +29,6 @@ def listed(given: argparse.Namespace) -> None:
 
 def show(given: argparse.Namespace) -> int:
     path = find_script(given.script)
-    if is_offset_script(path):
-        return _show_offsets(path, as_json=given.json)
     from bench.run.estimate import ASSUMED, UNITS, assumed_text, estimate
     from bench.script.planned_trials import POSE_KEYS, chosen, pose_set
 
@@ -103,24 +96,6 @@ def show(given: argparse.Namespace) -> int:
         f"About {time.total_s / 3600:.1f} h with a person at the arm: {spent}.", highlight=False
     )
     console.print(assumed_text(), highlight=False)
-    return CODES.met
-
-
-def _show_offsets(path: Path, *, as_json: bool) -> int:
-    script = load_offsets(path).script
-    if as_json:
-        print(script.model_dump_json())
-        return CODES.met
-    print(f"{script.title}: {script.about}")
-    for offset in script.offsets:
-        print(
-            f"teat {offset.teat}: {offset.left_px:g} px in the left picture, {offset.right_px:g} px"
-            " in the right one"
-        )
-    print(
-        f"{script.directions} directions a picture. No trials: it needs a calibration and no"
-        " instruments, and is over at once."
-    )
     return CODES.met
 
 

@@ -23,7 +23,6 @@ from instruments.clock import Clock, wall_time
 
 LOGS = ".console"  # in the folder of runs
 BEGIN_S, POLL_S = 60.0, 0.2
-NOT_RUNNABLE = ("thesis-test-2",)  # pixel offsets: no instrument takes part
 BEGUN = re.compile(r"Run folder: (.+)$", re.MULTILINE)
 TAIL = 4000  # characters of the output of a run that didn't begin
 
@@ -58,7 +57,7 @@ class Choices:
 def choices(folder: Path) -> Choices:
     """What ships, and the rig files and scripts in ``folder``."""
     rigs = {name: name for name in shipped(RIGS) if name not in NO_RIGS}
-    scripts = {name: name for name in shipped(TRIALS) if name not in NOT_RUNNABLE}
+    scripts = {name: name for name in shipped(TRIALS)}
     for path in sorted(folder.glob("*.toml")):
         if _has(path, "arm") and _has(path, "bath"):
             rigs[path.name] = str(path.resolve())

@@ -28,7 +28,7 @@ from bench.record.schema import Row
 from bench.record.writer import Store
 from bench.results.answers import Examiner
 from bench.rig.devices import Cameras as OpenCameras
-from bench.rig.emulated_rig import EmulatedRig
+from bench.rig.emulated_rig import EmulatedRig, has_emulator
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import LoadedRig
 from bench.rig.model import (
@@ -52,6 +52,7 @@ from bench.script.model import LoadedScript
 from bench.script.planned_trials import PlannedTrial, shared
 from detector.geometry import Motion
 from detector.protocol import Detector, Outcome
+from instruments.bath.profile import load_profile
 from instruments.camera.frame import FrameSet
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError
@@ -71,6 +72,7 @@ from instruments.world.phantom import spoken_name
 
 MOST_SETS = 12  # rendered; a second or so each on a busy machine
 DARK, LIGHT = 60, 180  # of a picture that passes for one
+STAND_IN_BATH = "julabo-ascii"  # for a lab's own lines, which no emulator speaks
 ROOM_MM = 10.0  # beyond the furthest place, where a stage's travel is unknown
 # for pictures that are all alike: nothing is compared, and no edge is measured
 LENIENT = Checks(
@@ -270,7 +272,8 @@ def twin_of(rig: LoadedRig, script: LoadedScript, stage: StageSettings | None) -
     if made_with := rig.frame or script.registration:
         names = replace(unit.names, serial_number=made_with.serial_number)
         unit = replace(unit, names=names)
-    return replace(rig, rig=r.model_copy(update=tables), arm_unit=unit)
+    profile = rig.profile if has_emulator(rig.profile) else load_profile(STAND_IN_BATH)
+    return replace(rig, rig=r.model_copy(update=tables), arm_unit=unit, profile=profile)
 
 
 def _world(rig: LoadedRig, script: LoadedScript, stage: StageSettings | None) -> Emulation:

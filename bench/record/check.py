@@ -19,14 +19,13 @@ from typing import Any
 from bench.config import ConfigError
 from bench.files import sha256_of
 from bench.record.chain import COLUMNS, Head, fact_fingerprint, fingerprint, linked
-from bench.record.reader import as_written, known_version
+from bench.record.reader import opened
 from bench.record.schema import DATABASE, GUARDIAN_FACT, GUARDIAN_FILES, LATER_WORD, tables_of
 from instruments.errors import InstrumentError
 
 NOT_AS_WRITTEN = "The record is NOT as it was written"
 PRINTED = Path("report") / "run.json"
 COUNTED = ("trials", "frames", "events", "bath")
-CHAINED_SINCE = 3  # schema; what was written before has no chain
 SHOWN = 5  # damages of a run, in one message
 
 
@@ -69,9 +68,7 @@ class Checked:
 
 def check_run(folder: Path, digest: str | None = None) -> Checked:
     """Check all; ``digest`` is one that a report names. Raises ConfigError where it is no run."""
-    with as_written(folder) as db:
-        db.execute("BEGIN")  # all of one moment: the run may be under way
-        version = known_version(db, folder)
+    with opened(folder) as db:
         findings: list[Finding] = []  # what was found before something fails is kept
         links: list[tuple[Any, ...]] = []
         counts = dict.fromkeys((*COUNTED, "files"), 0)
@@ -83,11 +80,11 @@ def check_run(folder: Path, digest: str | None = None) -> Checked:
                 findings.append(_damage(f"{row}: what it refers to in {parent} is not there"))
             for finding in chain(_frames(db, folder), _guardians(db, folder)):
                 findings.append(finding)
-            for finding in _provenance(db, folder, version, digest, links):
+            for finding in _provenance(db, folder, digest, links):
                 findings.append(finding)
             counts |= {
                 name: int(db.execute(f"SELECT count(*) FROM {name}").fetchone()[0])  # noqa: S608
-                for name in (*COUNTED, *(("files",) if version >= CHAINED_SINCE else ()))
+                for name in (*COUNTED, "files")
             }
         except (sqlite3.Error, ValueError, TypeError, RecursionError) as error:
             findings.append(_damage(f"{DATABASE} can't be read to its end: {error}"))
@@ -133,21 +130,9 @@ def shortened(damage: Sequence[str]) -> str:
 
 
 def _provenance(
-    db: sqlite3.Connection,
-    folder: Path,
-    version: int,
-    digest: str | None,
-    links: list[tuple[Any, ...]],
+    db: sqlite3.Connection, folder: Path, digest: str | None, links: list[tuple[Any, ...]]
 ) -> Iterator[Finding]:
     """What the chain and the copied files say; ``links`` gets the chain's."""
-    if version < CHAINED_SINCE and "chain" in tables_of(db):
-        there = f"{DATABASE} says that it has schema {version}, which has no chain, and it has one"
-        yield _damage(there)
-        return
-    if version < CHAINED_SINCE:
-        unseen = "it has no chain, so that later edits can't be noticed"
-        yield _note(f"the run is of an older bench (schema {version}): {unseen}")
-        return
     links += db.execute(f"SELECT {COLUMNS} FROM chain ORDER BY number")  # noqa: S608
     yield from _chain(db, links)
     for name, sha256 in db.execute("SELECT name, sha256 FROM files"):

@@ -1,5 +1,5 @@
-"""A run folder read back, of any state and of any bench: a killed run, and one of an older bench,
-whose tables are brought to today's in memory. The disk stays as it is; scores are as stored.
+"""A run folder read back, of any state: a killed run too. The disk stays as it is; scores are as
+stored.
 """
 
 from __future__ import annotations
@@ -20,13 +20,11 @@ from bench.record.chain import Head, head_of
 from bench.record.schema import (
     DATABASE,
     GUARDIAN,
-    GUARDIAN_BEFORE,
     GUARDIAN_FACT,
     GUARDIAN_FILES,
     OF_A_TRIAL,
     SCHEMA_VERSION,
     Row,
-    migrate,
     version_of,
 )
 from bench.record.state import NO_ENDING, TRIP, State, holder_of, state_of
@@ -42,15 +40,9 @@ HEADS = (
 def opened(folder: Path) -> Iterator[sqlite3.Connection]:
     """The database with today's tables, all reads from one moment. Raises ConfigError."""
     with as_written(folder) as db:
-        version = known_version(db, folder)
-        if version == SCHEMA_VERSION:
-            db.execute("BEGIN")
-            yield db
-            return
-        with closing(sqlite3.connect(":memory:", isolation_level=None)) as copy:
-            db.backup(copy)
-            migrate(copy)
-            yield copy
+        check_version(db, folder)
+        db.execute("BEGIN")
+        yield db
 
 
 @contextmanager
@@ -75,18 +67,18 @@ def database_in(folder: Path) -> Path:
     return folder / DATABASE
 
 
-def known_version(db: sqlite3.Connection, folder: Path) -> int:
-    """The version of the tables. Raises ConfigError where this bench doesn't know them."""
+def check_version(db: sqlite3.Connection, folder: Path) -> None:
+    """Raises ConfigError for tables of another schema than this bench's."""
     version = version_of(db)
-    if 1 <= version <= SCHEMA_VERSION:
-        return version
-    why = (
-        "A newer bench wrote it: update this one, or use that one."
-        if version > SCHEMA_VERSION
-        else "No bench has finished making it: there is nothing in it to read."
-    )
+    if version == SCHEMA_VERSION:
+        return
+    why = "An older bench wrote it: use that one."
+    if version > SCHEMA_VERSION:
+        why = "A newer bench wrote it: update this one, or use that one."
+    if not version:
+        why = "No bench has finished making it: there is nothing in it to read."
     raise ConfigError.plain(
-        f"{folder / DATABASE} has schema {version}; this bench reads 1 to {SCHEMA_VERSION}. {why}"
+        f"{folder / DATABASE} has schema {version}; this bench has {SCHEMA_VERSION}. {why}"
     )
 
 
@@ -222,7 +214,7 @@ class RunRecord:
 
 
 def read_run(folder: Path, damage: tuple[str, ...] = ()) -> RunRecord:
-    """The run in ``folder``, of this bench or an older one. Raises ConfigError."""
+    """The run in ``folder``, whatever its state. Raises ConfigError."""
     try:
         with opened(folder) as db:
             record = _read(folder, db, damage)
@@ -244,7 +236,7 @@ def _read(folder: Path, db: sqlite3.Connection, damage: tuple[str, ...]) -> RunR
     bath = list(db.execute(query))
     columns = [[np.nan if row[k] is None else row[k] for k in range(4)] for row in bath]
     table = np.array(columns, dtype=np.float64).reshape(-1, 4)
-    begun = dict(db.execute("SELECT number, wall_time FROM sessions"))
+    sessions = [number for (number,) in db.execute("SELECT number FROM sessions")]
     return RunRecord(
         folder=folder,
         facts=facts,
@@ -255,8 +247,8 @@ def _read(folder: Path, db: sqlite3.Connection, damage: tuple[str, ...]) -> RunR
         bath=table[:, :3],
         bath_states=tuple(row["state"] for row in bath),
         external_c=table[:, 3],
-        sessions=max(begun, default=1),
-        guardians=_guardians(folder, begun, facts),
+        sessions=max(sessions, default=1),
+        guardians=_guardians(folder, sessions, facts),
         head=head_of(db),
         damage=damage,
         holder=holder,
@@ -278,19 +270,13 @@ def guardian_files(folder: Path) -> dict[str, Mapping[str, Any]]:
 
 
 def _guardians(
-    folder: Path, begun: Mapping[int, str], facts: Mapping[str, Any]
+    folder: Path, sessions: Iterable[int], facts: Mapping[str, Any]
 ) -> dict[int, Mapping[str, Any]]:
-    """What they wrote, by session; ``begun``: when each began."""
+    """What they wrote, by session."""
     files = guardian_files(folder)
-
-    def wrote(name: str) -> Mapping[str, Any] | None:
-        return files.get(name) or facts.get(GUARDIAN_FACT.format(name))
-
-    records = {number: wrote(f"{GUARDIAN.format(number)}.json") for number in begun}
-    if before := wrote(GUARDIAN_BEFORE):
-        noticed = str(before.get("wall_noticed", ""))
-        records[max((number for number in begun if begun[number] <= noticed), default=1)] = before
-    return {number: record for number, record in sorted(records.items()) if record}
+    names = {number: f"{GUARDIAN.format(number)}.json" for number in sorted(sessions)}
+    records = {n: files.get(of) or facts.get(GUARDIAN_FACT.format(of)) for n, of in names.items()}
+    return {number: record for number, record in records.items() if record}
 
 
 def _trials(db: sqlite3.Connection) -> Iterator[TrialRecord]:

@@ -1,4 +1,4 @@
-"""What a run's database holds, and how the tables of older benches become today's.
+"""What a run's database holds.
 
 Columns that begin with ``wall`` hold real time; all others repeat with the seed. ``t_s`` and all
 ``…_s`` are seconds of the bench's monotonic clock, which starts anew with each session: a run that
@@ -16,7 +16,6 @@ Row = Mapping[str, Any]
 SCHEMA_VERSION = 5
 DATABASE, SCRIPT, RULES = "run.sqlite", "script.toml", "rules.toml"
 GUARDIAN = "guardian-{}"  # .json of a session: its guardian had to act; .log: what that one said
-GUARDIAN_BEFORE = "guardian.json"  # of an older bench, for all sessions of a run
 GUARDIAN_FILES, GUARDIAN_FACT = "guardian*.json", "wall {}"  # by name, once a session follows
 
 OF_A_TRIAL = ("frames", "touches", "truth", "detections", "found", "scores")
@@ -60,56 +59,6 @@ CREATE TABLE chain (number INTEGER PRIMARY KEY, covers TEXT NOT NULL, digest TEX
   wall_digest TEXT NOT NULL);
 """
 
-TO_2 = """
-ALTER TABLE trials ADD COLUMN stage_mm TEXT;
-ALTER TABLE trials ADD COLUMN invalid TEXT;
-CREATE TABLE skipped (trial TEXT PRIMARY KEY, number INTEGER NOT NULL, name TEXT NOT NULL, situation TEXT NOT NULL, repeat INTEGER NOT NULL,
-  t_s REAL NOT NULL, reason TEXT NOT NULL);
-ALTER TABLE touches ADD COLUMN refused TEXT;
-ALTER TABLE truth ADD COLUMN how TEXT;
-ALTER TABLE truth ADD COLUMN budget TEXT;
-ALTER TABLE truth ADD COLUMN covariance_mm2 TEXT;
-CREATE TABLE checks (number INTEGER NOT NULL, teat TEXT NOT NULL, after_trial TEXT NOT NULL REFERENCES trials, t_s REAL NOT NULL,
-  x_mm REAL NOT NULL, y_mm REAL NOT NULL, z_mm REAL NOT NULL, carried_x_mm REAL NOT NULL, carried_y_mm REAL NOT NULL,
-  carried_z_mm REAL NOT NULL, off_mm REAL NOT NULL, limit_mm REAL NOT NULL, held INTEGER NOT NULL, PRIMARY KEY (number, teat));
-ALTER TABLE detections ADD COLUMN outcome TEXT NOT NULL DEFAULT 'answered';
-ALTER TABLE detections ADD COLUMN cold INTEGER NOT NULL DEFAULT 0;
-ALTER TABLE detections ADD COLUMN wall_start_up_s REAL;
-ALTER TABLE detections ADD COLUMN wall_stderr TEXT;
-"""
-
-TO_3 = """
-CREATE TABLE sessions (number INTEGER PRIMARY KEY, bench TEXT NOT NULL, wall_time TEXT NOT NULL);
-INSERT INTO sessions VALUES (1, 'an older bench', coalesce((SELECT wall_time FROM events ORDER BY number LIMIT 1), ''));
-CREATE TABLE files (name TEXT PRIMARY KEY, sha256 TEXT NOT NULL);
-ALTER TABLE facts ADD COLUMN wall_time TEXT;
-ALTER TABLE events ADD COLUMN session INTEGER NOT NULL DEFAULT 1;
-ALTER TABLE bath ADD COLUMN session INTEGER NOT NULL DEFAULT 1;
-ALTER TABLE bath ADD COLUMN wall_time TEXT;
-ALTER TABLE trials ADD COLUMN session INTEGER NOT NULL DEFAULT 1;
-CREATE TABLE invalidated (trial TEXT PRIMARY KEY REFERENCES trials, reason TEXT NOT NULL, wall_time TEXT);
-INSERT INTO invalidated SELECT id, invalid, NULL FROM trials WHERE invalid IS NOT NULL;
-ALTER TABLE trials DROP COLUMN invalid;
-ALTER TABLE skipped ADD COLUMN session INTEGER NOT NULL DEFAULT 1;
-ALTER TABLE skipped ADD COLUMN wall_time TEXT;
-ALTER TABLE frames ADD COLUMN wall_time TEXT;
-ALTER TABLE touches ADD COLUMN wall_time TEXT;
-ALTER TABLE checks ADD COLUMN wall_time TEXT;
-CREATE TABLE chain (number INTEGER PRIMARY KEY, covers TEXT NOT NULL, digest TEXT NOT NULL, wall_covers TEXT NOT NULL,
-  wall_digest TEXT NOT NULL);
-"""
-
-TO_4 = """
-ALTER TABLE detections ADD COLUMN wall_cpu_s REAL;
-ALTER TABLE detections ADD COLUMN wall_load REAL;
-"""
-
-TO_5 = """
-ALTER TABLE truth ADD COLUMN cameras TEXT;
-"""
-
-STEPS = {2: TO_2, 3: TO_3, 4: TO_4, 5: TO_5}  # the version that a step leads to
-
 
 def version_of(db: sqlite3.Connection) -> int:
     """The schema that ``db`` was written with; 0 for none."""
@@ -127,9 +76,3 @@ def tables_of(db: sqlite3.Connection) -> tuple[str, ...]:
 def make_tables(db: sqlite3.Connection) -> None:
     """Today's tables in an empty database, all or none."""
     db.executescript(f"BEGIN; {SCHEMA} PRAGMA user_version = {SCHEMA_VERSION}; COMMIT;")
-
-
-def migrate(db: sqlite3.Connection) -> None:
-    """Bring older tables to today's schema, version by version, each whole or not at all."""
-    for version in range(version_of(db) + 1, SCHEMA_VERSION + 1):
-        db.executescript(f"BEGIN; {STEPS[version]} PRAGMA user_version = {version}; COMMIT;")

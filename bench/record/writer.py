@@ -23,18 +23,15 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from bench import __version__
-from bench.config import ConfigError
 from bench.files import Picture, make_folder, sync_folder, write_pictures, write_synced
 from bench.record.chain import Spans, add_link
-from bench.record.reader import TrialRecord, database_in
+from bench.record.reader import TrialRecord, check_version, database_in
 from bench.record.schema import (
     DATABASE,
     LATER_WORD,
     OF_A_TRIAL,
-    SCHEMA_VERSION,
     Row,
     make_tables,
-    version_of,
 )
 from instruments.clock import wall_time as time_of_day
 
@@ -69,15 +66,7 @@ class Store:
         path = database_in(folder)
         self._db = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
         try:
-            if (version := version_of(self._db)) != SCHEMA_VERSION:
-                age = (
-                    "an older bench: it can be read and reported, but not gone on with"
-                    if version < SCHEMA_VERSION
-                    else "a newer bench: update this one"
-                )
-                has = f"{folder / DATABASE} has schema {version}"
-                why = f"{has}, this bench writes {SCHEMA_VERSION}. It is of {age}."
-                raise ConfigError.plain(why)
+            check_version(self._db, folder)
             self._place = _place(folder)
             for pragma in PRAGMAS:
                 self._db.execute(f"PRAGMA {pragma}")

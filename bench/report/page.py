@@ -59,7 +59,6 @@ from instruments.world.situations import spoken
 from reports.figures.course import found_bars, latency_strip
 from reports.figures.errors import error_histogram, error_scatter, per_axis_errors
 from reports.figures.situations import error_strips, outcome_bars
-from reports.mail import write_single_file
 from reports.page import (
     Banner,
     Cell,
@@ -75,18 +74,14 @@ from reports.page import (
 )
 from reports.render import write_report
 
-REPORT, SINGLE_FILE, PDF = "report", "single-file.html", "report.pdf"
+REPORT, PDF = "report", "report.pdf"
 
 
 def write_run_report(
-    folder: Path,
-    chapters: tuple[Section, ...] = (),
-    damage: tuple[str, ...] = (),
-    *,
-    single_file: bool = False,
+    folder: Path, chapters: tuple[Section, ...] = (), damage: tuple[str, ...] = ()
 ) -> tuple[Path, RunRecord, tuple[Judgement, ...]]:
-    """Write a run's report and exports, with ``chapters`` after the results and, if wanted, the
-    file for mail; gives back the page's path. Raises ConfigError.
+    """Write a run's report and exports, with ``chapters`` after the results; gives back the page's
+    path. Raises ConfigError.
     """
     run = read_run(folder, damage)
     rules = stored_rules(folder)
@@ -94,12 +89,9 @@ def write_run_report(
     calibration = read_calibration(folder / "calibration.toml", doubtful=True)
     page = build_page(run, rules, judgements, calibration, folder / REPORT, chapters)
     # by another reading of the run: it may not stand beside this one
-    for written_before in (SINGLE_FILE, PDF):
-        (folder / REPORT / written_before).unlink(missing_ok=True)
+    (folder / REPORT / PDF).unlink(missing_ok=True)
     path = write_report(page, folder / REPORT)
     write_exports(run, judgements, folder / REPORT)
-    if single_file:
-        write_single_file(page, folder / REPORT, folder / REPORT / SINGLE_FILE)
     return path, run, judgements
 
 

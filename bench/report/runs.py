@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 
 import cv2
@@ -15,7 +14,7 @@ import numpy as np
 from bench.config import ConfigError, read_calibration
 from bench.record.check import NOT_AS_WRITTEN, checked_first, shortened
 from bench.record.reader import RunRecord, database_in, read_run
-from bench.record.schema import DATABASE, SCRIPT
+from bench.record.schema import DATABASE
 from bench.record.state import State
 from bench.report.page import REPORT
 from bench.report.trials import frames_of, round_teats, worst_trials
@@ -23,7 +22,6 @@ from bench.report.wording import STOPPED
 from bench.results.exports import trial_text, trials_of
 from bench.results.verdicts import judge, scored, stored_rules
 from bench.scoring.rates import plural
-from bench.script.pixel_offsets import is_offset_script
 from reports.page import Verdict
 from reports.runs import PAGE, Result, Run, Runs, write_runs
 
@@ -57,9 +55,6 @@ def list_runs(folder: Path) -> Runs:
 def _why(folder: Path, error: Exception) -> str:
     if (folder / DATABASE).is_file():
         return str(error)
-    with suppress(ConfigError, OSError):
-        if is_offset_script(folder / SCRIPT):
-            return f"A calculation of pixel offsets, without trials: see {REPORT}/{PAGE} in it."
     return f"There is no {DATABASE} in it."
 
 

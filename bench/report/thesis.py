@@ -8,7 +8,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from operator import attrgetter
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,7 +72,7 @@ def thesis_chapter(run: RunRecord, rules: Rules, calibration: Calibration) -> tu
             d: np.concatenate([scored(run, d, name).errors_mm for name in same_ends])
             for d in run.detectors
         }
-        rows += rows_of_test(figures, 1, errors)
+        rows += _first_test(figures, errors)
     rows += _plane(run, figures) if "plane" in kinds else ()
     rows += [*_asked(run, figures), *_rig(run, figures, calibration)]
     pictured = tuple(_pictured(run, known, calibration)) if known else ()
@@ -191,25 +190,21 @@ def _with_ends_of_table_5_1(rules: Rules) -> list[str]:
     return [s for s in dict.fromkeys(trial.situation for trial in trials) if s not in others]
 
 
-def rows_of_test(
-    figures: Thesis, which: Literal[1, 2], ours: Mapping[str, Floats]
-) -> Iterator[Row]:
-    """Test 1 (known ends) or 2 (ends put off on purpose) beside our errors (n, 3), by name."""
-    test = figures.test_1 if which == 1 else figures.test_2
-    average = SIGNED_MEAN if which == 1 else "components.mean_abs_mm"
-    printed = {average: f"{test.average_mm:g} mm"}
-    printed["components.max_abs_mm"] = f"{test.largest_mm:g} mm"
-    theirs = summarise(errors_of_test_mm(figures, which))
+def _first_test(figures: Thesis, ours: Mapping[str, Floats]) -> Iterator[Row]:
+    """Test 1 (known ends) beside our errors (n, 3), by detector."""
+    test = figures.test_1
+    printed = {SIGNED_MEAN: test.average_mm, "components.max_abs_mm": test.largest_mm}
+    theirs = summarise(errors_of_test_mm(figures, 1))
     stats = {name: summarise(errors) for name, errors in ours.items()}
     same = (
         "In this run the same ends (table 5.1's) were found by a detector, in scenes that have"
         " them; n counts ends. "
     )
     for key, what in STATISTICS.items():
-        sentence = _each({name: _figure(one, key) for name, one in stats.items()}) if stats else ""
-        wrong = f"{same if which == 1 and ours else ''}{test.wrong}" if key == SIGNED_MEAN else ""
-        row = (printed.get(key, ""), _figure(theirs, key), sentence, wrong)
-        yield f"test {which}: {what}", test.section, *row
+        said = f"{printed[key]:g} mm" if key in printed else ""
+        sentence = _each({name: _figure(one, key) for name, one in stats.items()})
+        wrong = f"{same}{test.wrong}" if key == SIGNED_MEAN else ""
+        yield f"test 1: {what}", test.section, said, _figure(theirs, key), sentence, wrong
 
 
 def _figure(of: ErrorSummary, key: str) -> str:
@@ -218,23 +213,6 @@ def _figure(of: ErrorSummary, key: str) -> str:
         return NOT_MEASURED
     text = f"{value:+.2f}" if key == SIGNED_MEAN else number(value)
     return f"{text} mm (n = {of.n})"
-
-
-def components_table(figures: Thesis) -> Table:
-    """Both tests by teat: errors against table 5.1 from the tables, and as printed in 5.4."""
-    first, second = errors_of_test_mm(figures, 1), errors_of_test_mm(figures, 2)
-    rows: list[tuple[object, ...]] = []
-    for plain, off, printed in zip(first, second, figures.test_2.errors_mm, strict=True):
-        pairs = zip("xyz", off.tolist(), printed, strict=True)
-        wrong = ", ".join(axis for axis, mm, text in pairs if round(abs(mm), 1) != text)
-        far = (np.linalg.norm(plain), np.linalg.norm(off))
-        rows.append((len(rows) + 1, plain, far[0], off, far[1], printed, wrong or "nothing"))
-    heads = (
-        ">teat | >5.2 less 5.1: x, y, z [mm] ~+.1f | >distance [mm] ~.2f"
-        " | >5.3 less 5.1: x, y, z [mm] ~+.1f | >distance [mm] ~.2f"
-        " | >table 5.4: x, y, z [mm, amounts as printed] ~g | differs from its tables in"
-    )
-    return table("Tables 5.1 to 5.4, teat by teat", heads, rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

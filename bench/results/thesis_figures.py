@@ -13,7 +13,7 @@ import numpy as np
 from bench.scoring.errors import Floats
 
 FIGURES = Path(__file__).parent / "thesis_figures.toml"
-Kind = Literal["situations", "plane", "offsets"]  # of a report, where a figure is shown
+Kind = Literal["situations", "plane"]  # of a report, where a figure is shown
 # tables of the file by name, their arrays as tuples
 Thesis = SimpleNamespace
 Situation = SimpleNamespace

@@ -13,7 +13,7 @@ from bench.rig.loading import LoadedRig
 from bench.rig.model import EmulatedFault, EmulatedStage, Stage, make_renderer
 from detector.geometry import Motion
 from instruments.bath.emulator import BathEmulator, Framing, RelayEmulator
-from instruments.bath.line_emulator import LineEmulator
+from instruments.bath.line_emulator import LineEmulator, dialect_of
 from instruments.bath.profile import LineProfile, Profile, RegisterProfile, RelayProfile
 from instruments.camera.emulator import EmulatedCameras
 from instruments.clock import Clock
@@ -32,6 +32,11 @@ from instruments.world.world import World
 AS_A_PTY = "?parity=N&bytesize=8&handshake=none"  # a pseudo-terminal has no other frames
 
 Heated = BathEmulator | LineEmulator | RelayEmulator
+
+
+def has_emulator(profile: Profile) -> bool:
+    """Whether an emulated bath answers by this profile: a lab's own lines have none."""
+    return not isinstance(profile, LineProfile) or dialect_of(profile) is not None
 
 
 class PlacedHand:
@@ -103,7 +108,11 @@ class EmulatedRig:
         plant, r, relay = self.world.plant, rig.rig, rig.relay
         self.bath: BathEmulator | LineEmulator
         if isinstance(known := rig.profile, LineProfile):
-            self.bath = LineEmulator(plant, known, clock)
+            try:
+                self.bath = LineEmulator(plant, known, clock)
+            except ValueError as error:
+                said = (("bath", "profile"), str(error), False)
+                raise located(rig.path, rig.text, [said]) from error
         elif isinstance(known, RegisterProfile):
             self.bath = BathEmulator(plant, known, clock, framing=self._framing(known))
         # on a port of its own; without one, and with a controller that turns none, the pump stands

@@ -30,7 +30,7 @@ from collections.abc import Iterator, Sequence
 from datetime import datetime, timedelta
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from bench.rig.guardian_stage import StageStop, add_arguments
 from bench.rig.hand_over import BathLock, write_note
@@ -44,6 +44,7 @@ from instruments.errors import InstrumentError, LinkError
 READY, ALIVE, HUNG, DONE, TAKE_OVER = "ready", "alive", "hung: ", "done", "take over"
 ACTS = "acts"  # to the bench, which may live after all
 HANG_S = 10.0  # without a word from the bench
+STOPPED_S = 2.0  # without one from a bench that the system has stopped (SIGSTOP, Ctrl-Z)
 LOOK_S = 0.25  # between looks at whether the bench is being ended
 WANTED_S = 0.1  # between looks at whether another guardian waits for the bath
 PAUSE_S = 1.0  # between attempts, but for the first few
@@ -96,11 +97,12 @@ class HeartbeatReader:
             except queue.Empty:
                 if dying:
                     return "died", "the system is ending it", stopwatch_s()
-                if dying := _is_dying(self._bench):  # its last word may be in the pipe
+                state = _state_of(self._bench)
+                if dying := state == "dying":  # its last word may be in the pipe
                     continue
-                if stopwatch_s() - last_s < HANG_S:
-                    continue
-                return "hung", f"no sign of life for {HANG_S:g} s", last_s
+                if why := _hang(stopwatch_s() - last_s, stopped=state == "stopped"):
+                    return "hung", why, last_s
+                continue
             if line == DONE:
                 return None
             if line.startswith(HUNG):
@@ -215,17 +217,31 @@ def _bath_of(given: argparse.Namespace, clock: RealClock) -> Bath:
     )
 
 
-def _is_dying(process: int) -> bool:
-    """Whether the system is ending ``process``, or has: seconds before its pipe closes on a busy
-    Linux, which a forked process may hold open for good. False where there is no /proc.
+def _hang(silent_s: float, *, stopped: bool) -> str:
+    """Why a bench that is silent for so long hangs; "" when it need not. A busy machine makes a
+    sound one late, but stops none.
+    """
+    if stopped and silent_s >= STOPPED_S:
+        return "its process is stopped"
+    return f"no sign of life for {HANG_S:g} s" if silent_s >= HANG_S else ""
+
+
+def _state_of(process: int) -> Literal["dying", "stopped", "alive"]:
+    """What the system does with ``process``; ``alive`` where there is no /proc.
+
+    The system is ending it, or has, seconds before its pipe closes on a busy Linux, and a forked
+    process may hold that pipe open for good.
     """
     try:
         status = Path(f"/proc/{process}/status").read_text(encoding="ascii", errors="replace")
     except OSError:
-        return Path("/proc/self/status").exists()
+        return "dying" if Path("/proc/self/status").exists() else "alive"
     text = dict(line.split(":", 1) for line in status.splitlines())
     killed = 1 << (signal.SIGKILL - 1)
-    return "VmRSS" not in text or bool((int(text["SigPnd"], 16) | int(text["ShdPnd"], 16)) & killed)
+    pending = int(text["SigPnd"], 16) | int(text["ShdPnd"], 16)
+    if "VmRSS" not in text or pending & killed:
+        return "dying"
+    return "stopped" if text["State"].split()[0] == "T" else "alive"
 
 
 def _raise_priority() -> dict[str, Any]:

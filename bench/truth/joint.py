@@ -1,5 +1,4 @@
-"""A run's truth as one covariance over all its ends, derived from the record; also from one that an
-older bench wrote.
+"""A run's truth as one covariance over all its ends, derived from the record.
 
 What ends share: the arm's error, the table frame's three touches, the stage's registration (turn
 and axes), the touch that a carried end rests on, the stage's place at it, and a ball tip at one

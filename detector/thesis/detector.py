@@ -1,14 +1,13 @@
-"""The thesis's detector: its stages in published order, and variants with one thing changed.
+"""The thesis's detector: its stages in published order.
 
 What would have stopped the original gives no teats and a reason. The world is reached by the
-calibration's rigid motion. Variants: homographies (section 3.2.2) or the calibration's; with or
-without optical refinement (4.2, 4.3).
+calibration's rigid motion. One switch: the calibration's homographies, or those of section 3.2.2.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any
 
@@ -20,7 +19,7 @@ from detector.calibration import thesis_rig as printed
 from detector.geometry import Array, triangulate
 from detector.protocol import Detection, Frames, Stage, Teat
 from detector.thesis import lines
-from detector.thesis.optical import Refined, keep, nominate, refine
+from detector.thesis.optical import Refined, nominate, refine
 from detector.thesis.parameters import Parameters
 from detector.thesis.thermal import (
     Grey,
@@ -153,9 +152,8 @@ def _locate(
     maps = _homographies(calibration, p)
     nominated = nominate(maps.left, thermal_px), nominate(maps.right, thermal_px)
     trace.append(Stage("nominations", {"left_px": nominated[0], "right_px": nominated[1]}))
-    look = refine if p.refinement else keep
     refined = {
-        side: [look(picture, px, p) for px in ends]
+        side: [refine(picture, px, p) for px in ends]
         for (side, picture), ends in zip((("left", left), ("right", right)), nominated, strict=True)
     }
     seen = {
@@ -199,11 +197,7 @@ def _inside(points_px: Array, picture: Grey) -> NDArray[np.bool_]:
         return np.asarray(np.all((points_px >= -0.5) & (points_px < beyond), axis=1))
 
 
-# the printed homographies (right at 1168 mm, some 6 px off at the teats); without the optical
-# pictures; both
-_PUBLISHED, _PLAIN = Parameters(homographies="published"), "thesis-published-homography"
-published_homography = partial(ThesisDetector, _PUBLISHED, _PLAIN)
-no_refinement = partial(ThesisDetector, Parameters(refinement=False), "thesis-no-refinement")
-published_homography_no_refinement = partial(
-    ThesisDetector, replace(_PUBLISHED, refinement=False), f"{_PLAIN}-no-refinement"
+# the printed homographies are right at 1168 mm, some 6 px off at the teats
+published_homography = partial(
+    ThesisDetector, Parameters(homographies="published"), "thesis-published-homography"
 )

@@ -53,21 +53,14 @@ def nominate(homography: Array, teats_px: Array) -> Array:
 def refine(picture: Grey, nomination_px: Array, p: Parameters) -> Refined:
     """Look for the end around a nomination (2,), which stays where there is none."""
     region = cut_region(picture, nomination_px, p.region_reach_px)
-    if region is None:
-        return keep(picture, nomination_px, p)
+    if region is None:  # beyond the picture
+        blank = np.zeros((2 * p.region_reach_px + 1,) * 2, dtype=np.uint8)
+        return Refined(nomination_px, False, blank, blank.astype(np.bool_))
     bright = binary_dilation(grey_dilation(region, p) > p.binary_level * 255, p)
     end = locate_end(~bright, p) if np.count_nonzero(bright) >= p.least_bright_px else None
     if end is None:
         return Refined(nomination_px, False, region, bright)
     return Refined(nomination_px - p.region_reach_px + end + _REGION_SLIP_PX, True, region, bright)
-
-
-def keep(picture: Grey, nomination_px: Array, p: Parameters) -> Refined:
-    """The end as nominated; nothing is looked for in the region (zeros beyond the picture)."""
-    region = cut_region(picture, nomination_px, p.region_reach_px)
-    blank = np.zeros((2 * p.region_reach_px + 1,) * 2, dtype=np.uint8)
-    cut = blank if region is None else region
-    return Refined(nomination_px, False, cut, blank.astype(np.bool_))
 
 
 def cut_region(picture: Grey, centre_px: Array, reach_px: int) -> Grey | None:

@@ -57,7 +57,6 @@ class Parameters:
     homographies: Literal["calibration", "published"] = "calibration"
 
     # Optical refinement: section 4.2, 4.3, appendix A.4
-    refinement: bool = True  # without it the ends stay where the homography puts them
     region_reach_px: int = 20
     grey_dilation_size: tuple[int, int] = (9, 10)  # rows, columns; figure 4.12 has the corners off
     binary_level: float = 0.3

@@ -32,78 +32,33 @@ from instruments.camera.stream import StreamServer
 from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.operators.remote import OperatorPort
+from tests.bench import operated_runs
 from tests.bench.marked_bench import MARK, marked_bench
 from tests.bench.operated_runs import write_calibration
-from tests.bench.real_rig import RealRig
+from tests.bench.real_rig import CHECK, RELAY, RIG, STAGE, RealRig
 from tests.bench.safety.guards import within
 
-SCRIPT = """
-title = "Short"
-detectors = ["thesis"]
-
-[bath]
-set_point_c = 33.0
-window_s = 2.0
-slope_k_per_min = 10.0
-teat_slope_k_per_min = 10.0
-
-[[requirements]]
-kind = "bath_in_band"
-name = "bath"
-band_k = 0.5
-
-[[trials]]
-name = "place"
-situation = "ideal"
-layout = "table-5-1"
-set_up = "Teats as in table 5.1."
-poses = [{ x_mm = 12.0, y_mm = -8.0 }, { x_mm = -15.0, z_mm = 6.0 }]
-"""
-
-RIG = """
-name = "a rig that outlives its bench"
-calibration = "calibration.toml"
-
-[operator]
-url = "{operator}"
-
-[arm]
-url = "{arm}"
-touches = 1
-packets = 2
-answer_s = 60.0
-check_point_mm = [-190.0, 120.0, 15.0]
-check_touches = 2
-
-[bath]
-url = "{bath}"
-profile = "{profile}"
-cut_out_tested = "2024-03-01"
-{pump_part}
-
-[stage]
-url = "{stage}"
-feed_mm_per_min = 5000.0
-
+SCRIPT = operated_runs.SCRIPT.replace(", yaw_deg = 4.0 }, {}]", " }]")
+STREAMS = """
 [cameras]
 settle_s = 0.6
 max_skew_s = 5.0
 
 [cameras.left]
-url = "{left}"
+url = "opencv:{left}"
 
 [cameras.right]
-url = "{right}"
+url = "opencv:{right}"
 
 [cameras.thermal]
-url = "{thermal}"
+url = "opencv:{thermal}"
 
 [cameras.checks]
 frozen = false
-
-[limits]
-bath_silence_s = 30.0
-{emulation}
+"""
+HERE = """
+[cameras]
+url = "emulator:"
 """
 
 EMULATION = """
@@ -123,8 +78,6 @@ hand_error_mm = 0.0
 121 = 1000.0
 122 = 1000.0
 """
-HERE = dict.fromkeys(("operator", "arm", "bath", "stage", "left", "right", "thermal"), "emulator:")
-PUMP = 'pump_url = "{}"\npump_profile = "modbus-relay"'
 
 
 class SteadyCameras:
@@ -160,27 +113,35 @@ def lasting_rig(
     """
     folder.mkdir(parents=True, exist_ok=True)
     write_calibration(folder)
-    cameras = """[cameras]\nurl = "emulator:"\n"""
-    text = RIG.format(
-        **HERE, profile=profile, emulation=EMULATION, pump_part=PUMP.format("emulator:") * pump
-    )
-    before, _, rest = text.partition("[cameras]")
-    twin_text = before + cameras + "[limits]" + rest.partition("[limits]")[2]
-    (folder / "twin.toml").write_text(twin_text, encoding="utf-8")
+
+    def rig_of(name: str, urls: Mapping[str, str], cameras: str, limits: str) -> Path:
+        parts = {
+            "operator": urls["operator"],
+            "cameras_part": cameras,
+            "stage_part": STAGE.format(stage=urls["stage"], feed=5000.0),
+            "pump_part": RELAY.format(urls["pump"]) if pump else "",
+            "check_part": CHECK.format(2),
+        }
+        parts |= {"profile": profile, "silence_s": "30.0", "limits": limits}
+        text = RIG.format(arm=urls["arm"], bath=urls["bath"], **parts)
+        (folder / name).write_text(text, encoding="utf-8")
+        return folder / name
+
+    names = ("operator", "arm", "bath", "pump", "stage")
+    emulated = rig_of("twin.toml", dict.fromkeys(names, "emulator:"), HERE, EMULATION)
     with (
         closing(RealClock()) as clock,
-        EmulatedRig(load_rig(folder / "twin.toml"), clock, 3, pty=pty) as twin,
+        EmulatedRig(load_rig(emulated), clock, 3, pty=pty) as twin,
         closing(StreamServer(SteadyCameras(twin, clock), clock)) as streams,
         closing(
             Listener(OperatorPort(twin.operator), clock, lock=threading.RLock(), name="operator")
         ) as hands,
     ):
-        urls = twin.urls | {name: f"opencv:{url}" for name, url in streams.urls.items()}
-        urls["operator"] = hands.url.replace("socket://", ELSEWHERE)
-        part = PUMP.format(urls["pump"]) if pump else ""
-        rig, script = folder / "lab.toml", folder / "short.toml"
-        text = RIG.format(**urls, profile=profile, emulation="", pump_part=part)
-        rig.write_text(text, encoding="utf-8")
+        urls = twin.urls | {"operator": hands.url.replace("socket://", ELSEWHERE)}
+        rig, script = (
+            rig_of("lab.toml", urls, STREAMS.format(**streams.urls), ""),
+            folder / "short.toml",
+        )
         script.write_text(SCRIPT, encoding="utf-8")
         yield RealRig(twin, folder, rig, script)
 

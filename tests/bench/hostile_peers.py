@@ -28,6 +28,7 @@ from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.world.plant import Plant
 from tests.bench.forked import begin
+from tests.bench.operated_runs import ONE
 from tests.bench.real_rig import record_one
 
 # a process that has loaded the bench, but nothing else, takes 110 MB
@@ -184,22 +185,7 @@ dialect = "{}"
 """
 ZABER = 'zaber_axes = ["1 1", "2 1"]\nmicrosteps = [1000.0, 1000.0]\nreference_mm = [150.0, 137.5]'
 MARLIN = "reference_mm = [150.0, 137.5]"
-SCRIPT = """
-title = "Short"
-detectors = ["thesis"]
-[bath]
-set_point_c = 33.0
-[[requirements]]
-kind = "bath_in_band"
-name = "bath"
-band_k = 0.15
-[[trials]]
-name = "one"
-situation = "ideal"
-layout = "single"
-set_up = "One teat."
-pose = { x_mm = 5.0 }
-"""
+SCRIPT = re.sub(r"\nwindow_s(?:.*\n)*?\n", "\n\n", ONE).replace("table-5-1", "single")
 
 RELAYED = "watlow-pm-map1"  # a controller whose pump is a relay's
 # link -> what of the rig file names it
@@ -347,10 +333,16 @@ _WRITES = (5, 6, 15, 16)
 
 
 def _writes(sent: bytes) -> list[bytes]:
-    """Requests of Modbus that write: TCP's by their heads, RTU's by their check sums."""
-    found = [
-        one[0] for one in re.finditer(rb"..\0\0\0[\x06-\xff].([\x05\x06\x0f\x10])", sent, re.S)
-    ]
+    """Requests of Modbus that write: TCP's one after the other by their heads, RTU's by their check
+    sums.
+    """
+    found, at = [], 0
+    while at + 8 <= len(sent):
+        tcp = sent[at + 2 : at + 5] == b"\0\0\0" and sent[at + 5] >= 2
+        length = 6 + sent[at + 5] if tcp else 1
+        if tcp and sent[at + 7] in _WRITES:
+            found.append(sent[at : at + length])
+        at += length
     for at in range(len(sent) - 7):
         unit_on = sent[at : at + 8]
         if unit_on[1] in _WRITES[:2] and crc(unit_on[:6]) == unit_on[6:]:

@@ -39,6 +39,10 @@ set_up = "Teats as in table 5.1."
 poses = [{ x_mm = 12.0, y_mm = -8.0 }, { x_mm = -15.0, z_mm = 6.0, yaw_deg = 4.0 }, {}]
 """
 
+ONE = SCRIPT.replace(
+    "{ x_mm = 12.0, y_mm = -8.0 }, { x_mm = -15.0, z_mm = 6.0, yaw_deg = 4.0 }, {}", "{}"
+)
+
 RIG = """
 name = "operated"
 calibration = "calibration.toml"
@@ -55,7 +59,7 @@ packets = 2
 
 [bath]
 url = "emulator:"
-profile = "julabo-presto"
+{bath}
 
 {stage}
 
@@ -64,10 +68,11 @@ url = "emulator:"
 settle_s = 0.1
 
 [emulation]
-bath_start_c = 33.0
+bath_start_c = {start_c}
 {emulation}
 """
 
+BATH = 'profile = "julabo-presto"'
 SMALLER = 4.0
 STAGE = '[stage]\nurl = "emulator:"'
 CHECK_POINT = "check_point_mm = [-190.0, 120.0, 15.0]\ncheck_touches = 2"
@@ -78,6 +83,8 @@ def files(
     *,
     operator: str = "emulator:",
     operator_more: str = "",
+    bath: str = BATH,
+    start_c: float = 33.0,
     stage: str = "",
     touches: int = 1,
     check_point: str = "",
@@ -94,6 +101,8 @@ def files(
     figures = {
         "operator": operator,
         "operator_more": operator_more,
+        "bath": bath,
+        "start_c": start_c,
         "stage": stage,
         "touches": touches,
         "check_point": check_point,

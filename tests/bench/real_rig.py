@@ -25,31 +25,7 @@ from instruments.clock import RealClock
 from instruments.operators.operator import Arrangement, Touch
 from tests.bench.commands import words
 from tests.bench.forked import Running, begin
-from tests.bench.operated_runs import write_calibration
-
-SCRIPT = """
-title = "Short"
-detectors = ["thesis"]
-repeats = {repeats}
-
-[bath]
-set_point_c = 33.0
-window_s = {window_s}
-slope_k_per_min = 10.0
-teat_slope_k_per_min = 10.0
-
-[[requirements]]
-kind = "bath_in_band"
-name = "bath"
-band_k = 0.15
-
-[[trials]]
-name = "one"
-situation = "ideal"
-layout = "table-5-1"
-set_up = "Teats as in table 5.1."
-pose = {{ x_mm = 5.0 }}
-"""
+from tests.bench.operated_runs import ONE, write_calibration
 
 STANDS, READ = "Enter when it stands", "Readings taken"
 ASKED = re.compile(rf"ouch the end of teat (?P<teat>\d)|The arm was lost|{STANDS}")
@@ -61,7 +37,12 @@ RELAY = 'pump_url = "{}"\npump_profile = "modbus-relay"'
 STAGE = """
 [stage]
 url = "{stage}"
-feed_mm_per_min = 1500.0
+feed_mm_per_min = {feed}
+"""
+PLAYED = """
+[cameras]
+url = "recording:recording"
+settle_s = {settle_s}
 """
 
 RIG = """
@@ -69,7 +50,7 @@ name = "a real rig"
 calibration = "calibration.toml"
 
 [operator]
-url = "console:"
+url = "{operator}"
 
 [arm]
 url = "{arm}"
@@ -86,12 +67,10 @@ cut_out_tested = "2024-03-01"
 
 {stage_part}
 
-[cameras]
-url = "recording:recording"
-settle_s = {settle_s}
+{cameras_part}
 
 [limits]
-bath_silence_s = 3.0
+bath_silence_s = {silence_s}
 {limits}
 """
 
@@ -148,14 +127,26 @@ def real_rig(
     ):
         rig, script = folder / "lab.toml", folder / "short.toml"
         parts = {
-            "stage_part": STAGE.format(**twin.urls) if stage else "",
+            "operator": "console:",
+            "cameras_part": PLAYED.format(settle_s=settle_s),
+            "stage_part": STAGE.format(**twin.urls, feed=1500.0) if stage else "",
             "pump_part": RELAY.format(twin.urls["pump"]) if pump else "",
             "check_part": CHECK.format(check_touches) if check_touches else "",
         }
-        text = RIG.format(**twin.urls, **parts, settle_s=settle_s, limits=limits, profile=profile)
+        parts |= {"profile": profile, "silence_s": "3.0", "limits": limits}
+        text = RIG.format(**twin.urls, **parts)
         rig.write_text(text, encoding="utf-8")
-        script.write_text(SCRIPT.format(window_s=window_s, repeats=repeats), encoding="utf-8")
+        script.write_text(script_of(window_s, repeats), encoding="utf-8")
         yield RealRig(twin, folder, rig, script)
+
+
+def script_of(window_s: float = 2.0, repeats: int = 1) -> str:
+    """One pose, with a gate of ``window_s``."""
+    text = ONE.replace("window_s = 2.0", f"window_s = {window_s}").replace("0.5", "0.15")
+    text = text.replace("[bath]", f"repeats = {repeats}\n\n[bath]", 1)
+    return text.replace('name = "place"', 'name = "one"').replace(
+        "poses = [{}]", "pose = { x_mm = 5.0 }"
+    )
 
 
 def at_set_point(folder: Path, start_c: float, profile: str, *, pump: bool) -> LoadedRig:

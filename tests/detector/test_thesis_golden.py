@@ -15,9 +15,7 @@ from detector.calibration import Calibration
 from detector.protocol import Detection
 from detector.thesis.detector import (
     ThesisDetector,
-    no_refinement,
     published_homography,
-    published_homography_no_refinement,
 )
 from tests.detector import thesis_tables as tables
 from tests.detector.thesis_fits import thesis_published
@@ -97,22 +95,6 @@ def test_the_chain_comes_out_at_the_tables(found: Detection) -> None:
         assert np.abs(nominated - tables.optical_ends(camera)).max() <= 0.62 * END_COLUMNS + 1
 
 
-def test_each_variant_differs_in_the_stage_that_it_names(found: Detection) -> None:
-    calibration, frames = thesis_published(), tables.frames()
-    kept = no_refinement().detect(frames, calibration)
-    for camera in ("left", "right"):
-        nominated = points(kept, "nominations", f"{camera}_px")
-        assert np.array_equal(nominated, points(found, "nominations", f"{camera}_px"))
-        assert np.array_equal(points(kept, "ends", f"{camera}_px"), nominated)
-        assert not points(kept, "ends", f"{camera}_moved").any()
-        assert points(found, "ends", f"{camera}_moved").any()
-        assert np.array_equal(points(kept, "regions", camera), points(found, "regions", camera))
-    assert len(kept.teats) == 4
-    made = [make() for make in (published_homography, no_refinement, ThesisDetector)]
-    settings = [(d.parameters["homographies"], d.parameters["refinement"]) for d in made]
-    assert settings == [("published", True), ("calibration", False), ("calibration", True)]
-
-
 def test_the_printed_homographies_are_those_of_the_printed_calibration(
     rig: Calibration,
 ) -> None:
@@ -131,7 +113,7 @@ def test_the_printed_homographies_are_those_of_the_printed_calibration(
 def test_the_printed_homographies_are_refused_for_other_pictures(rig: Calibration) -> None:
     frames = tables.frames()
     halved = replace(frames, left=np.ascontiguousarray(frames.left[::2, ::2]))
-    text = published_homography_no_refinement().detect(
+    text = published_homography().detect(
         halved, replace(rig, left=replace(rig.left, image_size=(680, 512)))
     )
     assert text.teats == ()

@@ -1,9 +1,7 @@
-"""What leaves the folder: the single file for mail (pictures in it, the worst trials first, never
-larger than allowed), and the PDF: what it says of itself, its pages and links; a browser that hangs
-or is not there.
+"""The PDF of a page: what it says of itself, its pages and links; a browser that hangs or is not
+there.
 """
 
-import dataclasses
 import re
 import stat
 import sys
@@ -14,13 +12,11 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser
 
-from reports.mail import write_single_file
 from reports.page import Page
 from reports.pdf import BROWSER, find_browser, print_pdf, travelling
 from reports.render import write_report
 from reports.trust import PageError
 from tests.chromium import chromium, window
-from tests.reports.markup import read
 from tests.reports.sample import sample_page
 
 pytestmark = pytest.mark.slow
@@ -33,65 +29,6 @@ INFO = (
 )
 PATIENCE_S = 280.0  # a busy machine's browser; the suite's own limit comes after it
 Made = tuple[Page, Path]
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
-    folder = tmp_path_factory.mktemp("mail")
-    return dataclasses.replace(sample_page(folder), worst=("trial-005", "trial-002")), folder
-
-
-def articles(path: Path) -> list[str]:
-    document = read(path.read_text(encoding="utf-8"))
-    return [element.attributes["id"] for element in document.all("article")]
-
-
-def test_everything_is_in_the_one_file(made: Made, tmp_path: Path) -> None:
-    alone = write_single_file(*made, tmp_path / "alone.html")
-    document = read(alone.read_text(encoding="utf-8"))
-    assert articles(alone) == [f"trial-{number:03}" for number in range(1, 7)]
-    assert all(src.startswith("data:image/png;base64,") for src in document.values("src"))
-    assert all(link.attributes["href"].startswith("#") for link in document.all("a"))
-    assert "trials.csv" in document.by_id("provenance").text
-
-
-def test_the_worst_trials_go_first_where_there_is_no_room(made: Made, tmp_path: Path) -> None:
-    noted = dataclasses.replace(made[0], trials_note="x" * 200)
-    bare = write_single_file(noted, made[1], tmp_path / "all.html").stat().st_size
-    for most in (bare * 7 // 10, bare * 4 // 5):
-        small = write_single_file(*made, tmp_path / "small.html", most)
-        kept = articles(small)
-        assert small.stat().st_size <= most
-        assert 0 < len(kept) < 6
-        assert "trial-005" in kept
-        said = read(small.read_text(encoding="utf-8")).by_id("trials").text
-        assert f"{len(kept)} of 6 trials are in this file" in said
-
-
-def test_a_page_that_fits_no_way_is_refused(made: Made, tmp_path: Path) -> None:
-    with pytest.raises(PageError, match="the page alone is larger than 1000 bytes"):
-        write_single_file(*made, tmp_path / "no.html", 1000)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_only_jpeg_and_png_travel(made: Made, tmp_path: Path) -> None:
-    first, *others = made[0].trials
-    odd = dataclasses.replace(first.images[0], src="odd.bmp", original="")
-    (made[1] / "odd.bmp").write_bytes(b"BM")
-    page = dataclasses.replace(made[0], trials=(dataclasses.replace(first, images=(odd,)), *others))
-    with pytest.raises(PageError, match=r"odd\.bmp: a file for mail holds JPEG and PNG, no \.bmp"):
-        write_single_file(page, made[1], tmp_path / "no.html")
-
-
-@pytest.mark.browser
-def test_it_opens_anywhere_with_its_pictures(browser: Browser, made: Made, tmp_path: Path) -> None:
-    alone = write_single_file(*made, tmp_path / "alone.html")
-    with window(browser) as seen:
-        page = seen.open(alone, "trial-003")
-        assert set(seen.image_widths().values()) == {640}
-        assert page.locator("#trial-003 .pane").count() == 3
-        assert seen.network_requests() == []
-        assert seen.complaints == []
 
 
 @pytest.fixture(scope="module")

@@ -10,21 +10,19 @@ from pathlib import Path
 import pytest
 
 from tests.bench.commands import Said
-from tests.conftest import ROOT
-
-KEPT = ROOT / "tests" / "bench" / "record" / "kept"
+from tests.bench.small_run import KEPT
 
 
 @pytest.fixture
 def runs(tmp_path: Path) -> Path:
     folder = tmp_path / "my runs"
-    for name in ("schema-3", "schema-4"):
-        shutil.copytree(KEPT / name, folder / name)
-    damaged = shutil.copytree(KEPT / "schema-4", folder / "damaged")
+    for name in ("first", "second"):
+        shutil.copytree(KEPT, folder / name)
+    damaged = shutil.copytree(KEPT, folder / "damaged")
     next(damaged.glob("frames/*/left.png")).unlink()
     (folder / "foreign").mkdir()
     (folder / "cut").mkdir()
-    whole = (KEPT / "schema-4" / "run.sqlite").read_bytes()
+    whole = (KEPT / "run.sqlite").read_bytes()
     (folder / "cut" / "run.sqlite").write_bytes(whole[:5000])
     return folder
 
@@ -32,14 +30,14 @@ def runs(tmp_path: Path) -> Path:
 def test_each_run_is_listed_and_each_other_folder_named(said: Said, runs: Path) -> None:
     text = json.loads(said(0, "runs {} --json", runs).out)
     by_name = {Path(run["folder"]).name: run for run in text["runs"]}
-    assert set(by_name) == {"schema-3", "schema-4", "damaged"}
-    (good,) = by_name["schema-4"]["results"]
+    assert set(by_name) == {"first", "second", "damaged"}
+    (good,) = by_name["second"]["results"]
     assert good["detector"] == "fused"
     assert good["verdict"] in ("met", "not met", "inconclusive")
     assert good["found"] <= good["visible"]
     assert by_name["damaged"]["results"][0]["verdict"] == "no verdict"
     assert "left.png" in by_name["damaged"]["damage"][0]
-    assert by_name["schema-4"]["damage"] == []
+    assert by_name["second"]["damage"] == []
     others = {Path(one["folder"]).name: one["why"] for one in text["others"]}
     assert set(others) == {"cut", "foreign"}
     assert "no run.sqlite" in others["foreign"]
@@ -59,7 +57,7 @@ def test_the_page_stands_alone(said: Said, runs: Path) -> None:
 
 
 def test_a_run_in_place_of_its_folder_is_refused(said: Said, runs: Path) -> None:
-    assert "is one run" in said(2, "runs {}", runs / "schema-4").err
+    assert "is one run" in said(2, "runs {}", runs / "second").err
 
 
 def test_an_empty_folder_has_a_page(said: Said, tmp_path: Path) -> None:

@@ -59,12 +59,6 @@ def test_show_as_json(said: Said) -> None:
     assert text["assumed"]["touch [s]"] == ASSUMED["touch"]
 
 
-def test_show_of_a_script_without_trials(said: Said) -> None:
-    shown = said(0, "trials show thesis-test-2").out
-    assert "teat 2: 0 px in the left picture, 2 px in the right one" in shown
-    assert len(json.loads(said(0, "trials show thesis-test-2 --json").out)["offsets"]) == 4
-
-
 def test_show_has_a_help_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         teatbench("trials show --help")

@@ -192,8 +192,7 @@ def test_a_wrong_file_gives_2_and_a_sentence(
 WITHOUT_A_LINK = {
     f"{group} {name}".strip()
     for group, names in {
-        "": "console replay-wire control tell report score compare init plan detect rigs emulate runs"
-        " completion",
+        "": "console replay-wire control tell report score compare init plan detect rigs emulate runs",
         "calibrate": "merge board export import",
         "camera": "list show focus grab",
         "campaign": "run chunk query compare show search herd keep",

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from bench.cli.commands import REMOVED
 from bench.script.model import TRIALS
 from instruments.listener import Connection
 from tests.bench.commands import Said, served
@@ -33,6 +34,8 @@ WRONG_USE = {  # code 2
     "detect nowhere": "no such folder",
     "check emulatd": 'did you mean "emulated"',
     "": "required: COMMAND",
+    **{word: f"'{word}' went: {use}" for word, use in REMOVED.items()},
+    "score r --detector thesis-no-refinement": "before refinement",
     "fly": "invalid choice: 'fly' ('teatbench --help' lists all",
     "runn": "invalid choice: 'runn' (did you mean 'run' or 'runs'?)",
     "arm vrify": "invalid choice: 'vrify' (did you mean 'verify'?)",

@@ -19,6 +19,7 @@ from bench.run.estimate import KINDS, spent_of
 from bench.script.model import LoadedScript, find_script, load_script
 from bench.truth.registration import Registration, StageAccuracy, Station
 from detector.geometry import Motion
+from instruments.bath.profile import load_profile
 from instruments.clock import VirtualClock
 from instruments.stage.settings import StageSettings
 from tests.bench.operated_runs import SCRIPT
@@ -62,6 +63,17 @@ def test_every_address_is_an_emulators_and_nothing_else_is_changed(
     assert twin.arm.model_copy(update={"url": lab.rig.arm.url}) == lab.rig.arm
     assert twin.cameras.settle_s == lab.rig.cameras.settle_s
     assert twin.emulation.ambient_c == twin.emulation.bath_start_c == lab.rig.bath.room_c
+
+
+def test_a_bath_of_a_lab_s_own_lines_is_stood_in_for(lab: LoadedRig, tmp_path: Path) -> None:
+    own = load_profile("huber-pb").model_copy(update={"family": "OUR OWN"})
+    assert (
+        twin_of(replace(lab, profile=own), script(tmp_path), TOLD).profile.family
+        == "JULABO circulator"
+    )
+    shipped = load_profile("huber-pb")
+    twin = twin_of(replace(lab, profile=shipped), script(tmp_path), TOLD)
+    assert twin.profile == shipped
 
 
 def test_the_emulated_stage_is_set_as_the_controller_reported(

@@ -1,12 +1,9 @@
-"""What guardians wrote in a run's folder, read by session: of today's bench, and of one that wrote
-one file for all sessions.
-"""
+"""What guardians wrote in a run's folder, read by session."""
 
 from __future__ import annotations
 
 import json
 import shutil
-import sqlite3
 from contextlib import closing
 from datetime import timedelta
 from pathlib import Path
@@ -17,7 +14,6 @@ import pytest
 from bench.config import ConfigError
 from bench.record.check import Weight, check_run
 from bench.record.reader import RunRecord, read_run
-from bench.record.schema import DATABASE
 from bench.record.writer import Store
 from bench.report.bath import _care_parts
 from bench.report.wording import guardian_text
@@ -67,23 +63,6 @@ def test_each_session_has_its_own_and_the_last_one_s_says_how_the_run_stands(run
     assert f"Session 2: {guardian_text(second)}" in paragraphs(record)
 
 
-@pytest.mark.parametrize("session", [1, 2])
-def test_an_older_bench_s_file_belongs_to_the_session_that_it_ended(
-    run: Path, session: int
-) -> None:
-    if session == 2:
-        goes_on(run)
-    write(run, "guardian.json", before := acted(minutes=-1.0))
-    goes_on(run)
-    with closing(sqlite3.connect(run / DATABASE)) as db:  # as if the next came an hour later
-        later = (wall_time() + timedelta(hours=1)).isoformat(timespec="milliseconds")
-        db.execute("UPDATE sessions SET wall_time = ? WHERE number = ?", (later, session + 1))
-        db.commit()
-    record = read_run(run)
-    assert record.guardians == {session: before}
-    assert record.guardian is None
-
-
 def test_what_the_next_session_found_is_in_the_chain(run: Path) -> None:
     write(run, "guardian-1.json", acted())
     note = (
@@ -104,9 +83,8 @@ def test_what_the_next_session_found_is_in_the_chain(run: Path) -> None:
     assert read_run(run).guardians[1]["tries"] == 1, "the record has it still"
 
 
-@pytest.mark.parametrize("name", ["guardian.json", "guardian-1.json"])
-def test_one_that_is_no_record_is_named(run: Path, name: str) -> None:
-    (run / name).write_text("{", encoding="utf-8")
+def test_one_that_is_no_record_is_named(run: Path) -> None:
+    (run / (name := "guardian-1.json")).write_text("{", encoding="utf-8")
     with pytest.raises(ConfigError, match=f"{name} can't be read"):
         read_run(run)
     assert not check_run(run).whole

@@ -230,7 +230,7 @@ def test_no_words_of_a_program_and_no_name_stop_a_run(tmp_path: Path, said: Said
 def test_every_name_has_an_id_of_its_own_on_a_page(names: list[str]) -> None:
     ids = [checked_slug(f"histogram-{id_of(name)}", name) for name in names]
     assert len(set(ids)) == len(ids)
-    for name in ("fused", "thesis-no-refinement"):
+    for name in ("fused", "thesis-published-homography"):
         assert id_of(name) == name, "links to a report's figures stay"
 
 

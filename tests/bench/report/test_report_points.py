@@ -56,14 +56,6 @@ def no_figure_is_looked_at() -> Iterator[None]:
         yield
 
 
-@pytest.fixture
-def offsets(tmp_path: Path) -> Path:
-    """A run of a script of offsets: its report is made in no time."""
-    assert main(["run", "thesis-test-2", "--out", str(tmp_path)]) == 1
-    (run,) = tmp_path.iterdir()
-    return run
-
-
 @pytest.fixture(scope="module")
 def browser(folder: Path) -> Iterator[Browser]:
     """A browser for all tests of the file, begun when the run is over."""
@@ -267,40 +259,28 @@ def test_the_same_run_gives_the_same_bytes(folder: Path) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_baseline_and_a_single_file(copy: Path) -> None:
-    assert main(["report", str(copy), "--baseline", str(copy), "--single-file"]) in DECIDED
+def test_a_baseline(copy: Path) -> None:
+    assert main(["report", str(copy), "--baseline", str(copy)]) in DECIDED
     page = read((copy / "report" / "index.html").read_text(encoding="utf-8"))
     said = page.by_id("baseline").text
     assert "Largest error of each scene, now against the baseline" in said
     assert "No scene's outcome changed" in said
-    alone = copy / "report" / "single-file.html"
-    assert alone.stat().st_size < 20_000_000
-    assert not re.search(r'src="(?!data:image/)', alone.read_text(encoding="utf-8"))
 
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_pdf_needs_a_browser_that_prints(
-    offsets: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with monkeypatch.context() as without:
         without.setattr("reports.pdf.find_browser", lambda: None)
-        assert main(["report", str(offsets), "--pdf"]) == 2
+        assert main(["report", str(copy), "--pdf"]) == 2
     assert "no Chromium, Chrome or Edge was found" in capsys.readouterr().err
     monkeypatch.setenv("TEATBENCH_BROWSER", sys.executable)
-    assert main(["report", str(offsets)]) == 1, "costs the PDF only"
+    assert main(["report", str(copy)]) in DECIDED, "costs the PDF only"
     note = capsys.readouterr()
     assert "Report: " in note.out
     assert re.search(r"no PDF: .*report\.pdf: .* ended with code 2 and printed nothing", note.err)
-    assert main(["report", str(offsets), "--pdf"]) == 2
-
-
-@pytest.mark.browser
-@pytest.mark.usefixtures("undrawn")
-def test_a_script_of_offsets_is_printed_too(offsets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert not (offsets / "report" / "report.pdf").exists()
-    monkeypatch.setenv("TEATBENCH_BROWSER", chromium())
-    assert main(["report", str(offsets), "--pdf"]) == 1
-    assert (offsets / "report" / "report.pdf").read_bytes().startswith(b"%PDF-")
+    assert main(["report", str(copy), "--pdf"]) == 2
 
 
 @pytest.mark.browser

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from bench.record.reader import RunRecord
-from bench.report.pixel_offsets import offset_page
 from bench.report.thesis import (
     PLANE,
     elsewhere_table,
@@ -28,7 +27,6 @@ from bench.results.thesis_figures import Kind, errors_of_test_mm, thesis
 from bench.rig.loading import find_rig, load_rig
 from bench.scoring.errors import summarise
 from bench.script.model import TRIALS, load_script
-from bench.script.pixel_offsets import Outcome, load_offsets, outcomes
 from detector.calibration.thesis_rig import (
     HOMOGRAPHY_LEFT,
     HOMOGRAPHY_RIGHT,
@@ -123,11 +121,7 @@ def test_scripts_detector_and_figures_agree() -> None:
     script = load_script(TRIALS / "six-situations.toml").script.published.items()
     known = {one.name: (one.found, one.present, one.section) for one in figures.situations}
     assert {name: (one.found, one.present, one.source) for name, one in script} == known
-    loaded = load_offsets(TRIALS / "thesis-test-2.toml")
-    offsets, plain = loaded.script.offsets, figures.test_1.triangulated_mm
-    assert tuple(one.published_mm for one in offsets) == figures.test_2.triangulated_mm
-    assert tuple(one.published_plain_mm for one in offsets) == plain == TEAT_ENDS_MM
-    assert loaded.points_mm == pytest.approx(np.array(figures.test_1.measured_mm))
+    assert figures.test_1.triangulated_mm == TEAT_ENDS_MM
     maps = figures.homography
     assert (maps.left, maps.right) == (HOMOGRAPHY_LEFT, HOMOGRAPHY_RIGHT)
     assert figures.world.matrix == WORLD_MATRIX
@@ -147,7 +141,7 @@ def test_a_figure_is_said_to_be_elsewhere_unless_the_page_has_it() -> None:
     figures = thesis()
     whole = {text_of(row[1]) for row in elsewhere_table(figures).rows}
     assert len(whole) == len(figures.elsewhere)
-    kinds: tuple[Kind, ...] = ("situations", "plane", "offsets")
+    kinds: tuple[Kind, ...] = ("situations", "plane")
     for kind in kinds:
         left_out = whole - {text_of(row[1]) for row in elsewhere_table(figures, kind).rows}
         assert left_out == {one.what for one in figures.elsewhere if kind in one.shown}
@@ -196,36 +190,3 @@ def test_the_plane_has_the_chapter_with_the_earlier_system(plane: RunRecord) -> 
     )
     trials = tuple(replace(t, head={**t.head, "situation": "mine"}) for t in plane.trials)
     assert thesis_chapter(replace(plane, trials=trials), rules, calibration) == ()
-
-
-def published(script: Path) -> tuple[Section, tuple[Outcome, ...]]:
-    """The chapter of a script of offsets, and what it was made of."""
-    loaded = load_offsets(script)
-    found = outcomes(loaded, load_rig(find_rig(None)).calibration)
-    page = offset_page(loaded, found, "0" * 64)
-    return next(part for part in page.sections if part.id == "published"), found
-
-
-def test_the_offsets_have_the_tables_beside_them() -> None:
-    section, found = published(TRIALS / "thesis-test-2.toml")
-    rows = rows_of(section)
-    amounts = rows["test 2: mean of the components' amounts: that of test 2"]
-    assert amounts[1:3] == ("5.1 mm", "5.08 mm (n = 4)")
-    assert rows["test 2: mean distance to the teat end"][2] == "10.69 mm (n = 4)"
-    everything = np.concatenate([one.errors_mm for one in found])
-    far = rows["test 2: largest distance to the teat end"][3].split(" mm ")[0]
-    assert float(far) == pytest.approx(np.linalg.norm(everything, axis=1).max(), abs=0.005)
-    teats = rows_of(section, "Tables 5.1 to 5.4")
-    # table 5.4 prints 0.3 for 0.2
-    assert [row[-1] for row in teats.values()] == ["nothing", "nothing", "z", "nothing"]
-    assert teats["2"][:4] == ("+0.6, -0.9, +0.2", "1.10", "+9.1, +9.2, +0.0", "12.94")
-    assert rows["one pixel: teat 4, 1 px left"][:2] == ("6.1", "9 mm")
-
-
-def test_offsets_of_one_s_own_have_no_thesis_beside_them(tmp_path: Path) -> None:
-    text = (TRIALS / "thesis-test-2.toml").read_text(encoding="utf-8")
-    text = text.replace("-105.1, 290.8, 134.9", "-105.0, 290.8, 134.9")
-    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
-    section, _ = published(tmp_path / "mine.toml")
-    captions = [part.caption for part in section.parts if isinstance(part, Table)]
-    assert captions == ["The thesis's figures"]

@@ -15,7 +15,7 @@ from bench.record.reader import RunRecord, read_run
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import load_rig
 from instruments.clock import VirtualClock
-from tests.bench.real_rig import SCRIPT
+from tests.bench.real_rig import script_of
 from tests.bench.rig.test_bath_profiles import rig_of
 
 FAULT = """
@@ -28,7 +28,7 @@ at_s = {at_s}
 
 def run(rig: Path, folder: Path, code: set[int], *, window_s: float = 60.0) -> RunRecord:
     script = folder / "script.toml"
-    script.write_text(SCRIPT.format(repeats=1, window_s=window_s), encoding="utf-8")
+    script.write_text(script_of(window_s), encoding="utf-8")
     assert main(["run", str(script), "--rig", str(rig), "--out", str(folder / "runs")]) in code
     (made,) = (folder / "runs").iterdir()
     return read_run(made)

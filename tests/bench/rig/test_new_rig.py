@@ -19,7 +19,7 @@ from bench.script.phantom import shipped_phantom
 from detector.calibration import load_part
 from tests.bench.calibrate.small_rig import small_calibration, write_rig
 from tests.bench.forked import begin
-from tests.bench.real_rig import SCRIPT, real_rig, record_one
+from tests.bench.real_rig import real_rig, record_one, script_of
 
 pytestmark = pytest.mark.slow
 
@@ -80,7 +80,7 @@ def test_a_written_rig_is_checked(written_rig: Path, capsys: Capture) -> None:
 
 @posix
 def test_a_written_rig_runs_as_it_is(written_rig: Path, tmp_path: Path) -> None:
-    (tmp_path / "short.toml").write_text(SCRIPT.format(window_s=2.0, repeats=1), encoding="utf-8")
+    (tmp_path / "short.toml").write_text(script_of(), encoding="utf-8")
     given = ["run", str(tmp_path / "short.toml"), "--rig", str(written_rig)]
     assert main([*given, "--out", str(tmp_path / "runs")]) == 0
     (folder,) = (tmp_path / "runs").iterdir()

@@ -19,39 +19,24 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from bench.rig.loading import RIGS
 from tests.bench.forked import Running, begin
-from tests.bench.operated_runs import write_calibration
+from tests.bench.operated_runs import ONE, write_calibration
 from tests.conftest import ROOT
 
 PATIENCE_S = 240.0  # for an event that comes by itself, on a machine with ten times too much to do
-BASE = """
-name = "a rig to die on"
-calibration = "calibration.toml"
-
-[operator]
-url = "emulator:"
-
-[arm]
-url = "emulator:"
-
-[bath]
-url = "emulator:"
-profile = "julabo-presto"
-cut_out_tested = "2024-03-01"
-
-[stage]
-url = "emulator:"
-dialect = "zaber"
-
-[cameras]
-url = "emulator:"
-
+BASE = (
+    (RIGS / "emulated.toml")
+    .read_text(encoding="utf-8")
+    .replace("[stage]", '[stage]\ndialect = "zaber"')
+    + """
 [emulation.stage.settings]
 24 = 3000.0
 25 = 6000.0
 110 = 12000.0
 111 = 12000.0
 """
+)
 
 CAMERAS = """[cameras]
 url = "recording:recording"
@@ -202,25 +187,7 @@ print(f"@@ run {holder_of(out / name)['pid']}", flush=True)
 time.sleep(600.0)
 """
 
-TRIALS = """
-title = "Short"
-detectors = ["thesis"]
-
-[bath]
-set_point_c = 33.0
-
-[[requirements]]
-kind = "bath_in_band"
-name = "bath"
-band_k = 0.15
-
-[[trials]]
-name = "one"
-situation = "ideal"
-layout = "table-5-1"
-set_up = "Teats as in table 5.1."
-pose = { x_mm = 5.0 }
-"""
+TRIALS = re.sub(r"\nwindow_s(?:.*\n)*?\n", "\n\n", ONE)  # with the gate as it is usual
 
 
 @dataclass

@@ -20,7 +20,8 @@ from instruments.listener import Listener
 from instruments.world.plant import Plant
 
 PATIENCE_S = 60.0
-STANDBY_S, HANG_S = 3.0, 10.0  # what docs/safety.md promises; standby takes milliseconds
+# what docs/safety.md promises; standby takes milliseconds
+STANDBY_S, STOPPED_S, HANG_S = 3.0, 2.0, 10.0
 
 Measured = Callable[[str, float], None]
 

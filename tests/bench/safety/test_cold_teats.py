@@ -5,7 +5,6 @@ wide as a script may have them, no trial is captured and nothing is met.
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 
 import pytest
@@ -16,34 +15,12 @@ from bench.results.teats_seen import TEATS_FACT
 from bench.results.verdicts import judge, run_verdict, stored_rules
 from bench.scoring.decisions import Verdict
 from bench.script.model import TRIALS
-from tests.bench.operated_runs import write_calibration
+from tests.bench.operated_runs import ONE, STAGE, files
 from tests.bench.safety.wide_scripts import RELAY, wide
 
 SCRIPTS = sorted(  # of a bath: one only computes
     path.stem for path in TRIALS.glob("*.toml") if "[bath]" in path.read_text(encoding="utf-8")
 )
-RIG = """
-name = "cold"
-calibration = "calibration.toml"
-[operator]
-url = "emulator:"
-[arm]
-url = "emulator:"
-touches = 1
-packets = 2
-[bath]
-url = "emulator:"
-profile = "{profile}"
-{more}
-[stage]
-url = "emulator:"
-[cameras]
-url = "emulator:"
-settle_s = 0.1
-[emulation]
-bath_start_c = {start_c}
-faults = [{{ instrument = "bath", name = "{fault}", at_s = {at_s} }}]
-"""
 SENSED, UNSENSED = "julabo-presto", "watlow-pm-map1"
 # fault, family, where the bath starts, and when it breaks: before any trial
 CASES = [
@@ -56,16 +33,27 @@ CASES = [
 ]
 
 
+def bath_of(profile: str) -> str:
+    """The lines of a rig's bath; whose pump a relay turns, where the family has none."""
+    return f'profile = "{profile}"\n{RELAY * (profile in (UNSENSED, "omega-cn7"))}'
+
+
+def broken(fault: str, at_s: float) -> str:
+    return f'faults = [{{ instrument = "bath", name = "{fault}", at_s = {at_s} }}]'
+
+
 def nothing_met(script: str, case: tuple[str, str, float, float], folder: Path) -> None:
     fault, profile, start_c, at_s = case
-    write_calibration(folder)
-    more = RELAY if profile in (UNSENSED, "omega-cn7") else ""
-    rig = RIG.format(profile=profile, more=more, start_c=start_c, fault=fault, at_s=at_s)
-    (folder / "rig.toml").write_text(rig, encoding="utf-8")
     text = wide((TRIALS / f"{script}.toml").read_text(encoding="utf-8"))
-    (folder / "script.toml").write_text(text, encoding="utf-8")
-    given = [str(folder / "script.toml"), "--rig", str(folder / "rig.toml")]
-    assert main(["run", *given, "--out", str(folder / "runs")]) == 3
+    given = files(
+        folder,
+        script=text,
+        stage=STAGE,
+        bath=bath_of(profile),
+        start_c=start_c,
+        emulation=broken(fault, at_s),
+    )
+    assert main(given) == 3
     (made,) = (folder / "runs").iterdir()
     run = read_run(made)
     assert run.trials == (), [event["text"] for event in run.events]
@@ -96,14 +84,11 @@ def test_nor_in_any_script_that_ships(
 @pytest.mark.slow
 def test_teats_that_cool_in_a_run_end_it(tmp_path: Path) -> None:
     """All is warm at first, and only the thermal camera shows the teats."""
-    write_calibration(tmp_path)
-    rig = RIG.format(profile=UNSENSED, more=RELAY, start_c=33.0, fault="pump stopped", at_s=0.0)
-    (tmp_path / "rig.toml").write_text(rig + "prompt_s = 5.0\n", encoding="utf-8")
     poses = ", ".join("{}" for _ in range(20))
-    script = wide(SHORT).replace("[{}]", f"[{poses}]")
-    (tmp_path / "script.toml").write_text(script, encoding="utf-8")
-    given = [str(tmp_path / "script.toml"), "--rig", str(tmp_path / "rig.toml")]
-    assert main(["run", *given, "--out", str(tmp_path / "runs")]) == 3
+    script = wide(ONE).replace("[{}]", f"[{poses}]")
+    emulation = f"{broken('pump stopped', 0.0)}\nprompt_s = 5.0"
+    given = files(tmp_path, script=script, stage=STAGE, bath=bath_of(UNSENSED), emulation=emulation)
+    assert main(given) == 3
     (made,) = (tmp_path / "runs").iterdir()
     run = read_run(made)
     assert 0 < len(run.trials) < 20
@@ -114,41 +99,16 @@ def test_teats_that_cool_in_a_run_end_it(tmp_path: Path) -> None:
     assert lost_k < 1.0 + 2.0 + 0.5, "before the first look, since then, and in one trial"
 
 
-SHORT = """
-title = "Short"
-detectors = ["thesis"]
-[bath]
-set_point_c = 33.0
-window_s = 2.0
-slope_k_per_min = 10.0
-teat_slope_k_per_min = 10.0
-[[requirements]]
-kind = "bath_in_band"
-name = "bath"
-band_k = 0.5
-[[trials]]
-name = "one"
-situation = "ideal"
-layout = "table-5-1"
-set_up = "Teats as in table 5.1."
-poses = [{}]
-"""
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("camera", [True, False])
 def test_teats_that_nothing_shows_leave_the_bath_inconclusive(
     camera: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A controller without a sensor at the teats: the thermal camera tells, where it can."""
-    write_calibration(tmp_path)
-    rig = re.sub(r"faults = .*", "", RIG).format(profile=UNSENSED, more=RELAY, start_c=33.0)
-    if not camera:  # the room is as warm as the bath: no camera tells one from the other
-        rig += "ambient_c = 30.0\n"
-    (tmp_path / "rig.toml").write_text(rig, encoding="utf-8")
-    (tmp_path / "script.toml").write_text(SHORT, encoding="utf-8")
-    given = [str(tmp_path / "script.toml"), "--rig", str(tmp_path / "rig.toml")]
-    code = main(["run", *given, "--out", str(tmp_path / "runs")])
+    # in a room as warm as the bath no camera tells one from the other
+    room = "" if camera else "ambient_c = 30.0"
+    given = files(tmp_path, script=ONE, stage=STAGE, bath=bath_of(UNSENSED), emulation=room)
+    code = main(given)
     (made,) = (tmp_path / "runs").iterdir()
     run = read_run(made)
     said = " ".join(capsys.readouterr().out.split())

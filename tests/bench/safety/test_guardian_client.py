@@ -304,11 +304,11 @@ def test_the_last_word_of_a_bench_that_ends_is_read_before_it_counts_as_dead(
     """A guardian that was frozen meanwhile sees the end in /proc before its thread reads the pipe."""
     source, bench_end = os.pipe()
 
-    def looked(_process: int) -> bool:
+    def looked(_process: int) -> str:
         os.write(bench_end, DONE.encode() + b"\n")
-        return True
+        return "dying"
 
-    monkeypatch.setattr("bench.rig.guardian._is_dying", looked)
+    monkeypatch.setattr("bench.rig.guardian._state_of", looked)
     with Path(os.devnull).open("wb") as echo:
         reader = HeartbeatReader(source, echo.fileno(), os.getpid())
         assert reader.wait_for_loss() is None

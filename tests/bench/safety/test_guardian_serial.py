@@ -28,8 +28,8 @@ from instruments.listener import Listener
 from instruments.world.plant import Plant
 from tests.bench.real_rig import real_rig
 from tests.bench.safety.guards import (
-    HANG_S,
     STANDBY_S,
+    STOPPED_S,
     Measured,
     guardian_record,
     standby_after,
@@ -77,8 +77,8 @@ def test_a_killed_bench_leaves_its_serial_port_to_the_guardian(
 def test_a_hung_bench_that_holds_its_serial_port_is_ended_first(
     recording: Path, tmp_path: Path, measured: Measured
 ) -> None:
-    """The port takes no second owner, so standby takes the hang's ten seconds, the tries to open,
-    and the end of the bench.
+    """The port takes no second owner, so standby takes the silence, the tries to open, and the end
+    of the bench.
     """
     with real_rig(tmp_path / "rig", recording, profile=RTU_FAMILY, pty=True, window_s=60.0) as rig:
         plant = rig.twin.world.plant
@@ -90,7 +90,7 @@ def test_a_hung_bench_that_holds_its_serial_port_is_ended_first(
             text = guardian_record(rig.run_folder(), lambda record: record["standby"])
             running.process.join(60)
             assert running.process.exitcode == -signal.SIGKILL
-        assert seconds > HANG_S - 2.0
+        assert seconds > STOPPED_S - 1.0
         assert (text["cause"], text["killed"]) == ("hung", True)
         run = read_run(rig.run_folder())
         assert run.ending == "interrupted"

@@ -5,6 +5,7 @@ seconds, and a bench that died.
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import threading
@@ -19,28 +20,14 @@ from instruments.bath.profile import LineProfile, load_profile
 from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.world.plant import Plant
+from tests.bench.operated_runs import ONE
 from tests.bench.test_config import rig_with
 
 ROOT = Path(__file__).parents[3]
 FAULT = (
     '\n[emulation]\nfaults = [{ instrument = "bath", name = "silence", at_s = 200.0, for_s = 8.0 }]'
 )
-SCRIPT = """
-title = "One pose"
-detectors = ["thesis"]
-[bath]
-set_point_c = 33.0
-[[requirements]]
-kind = "bath_in_band"
-name = "bath in band"
-band_k = 0.15
-[[trials]]
-name = "p"
-situation = "one"
-layout = "single"
-set_up = "One teat."
-poses = [{ x_mm = 0.0, y_mm = 0.0 }]
-"""
+SCRIPT = re.sub(r"\nwindow_s(?:.*\n)*?\n", "\n\n", ONE)  # with the gate as it is usual
 
 
 @pytest.mark.slow

@@ -26,7 +26,6 @@ from bench.script.phantom import (
     layout_names,
     load_layout,
 )
-from bench.script.pixel_offsets import Offset, OffsetScript
 from bench.script.planned_trials import (
     POSE_KEYS,
     Draw,
@@ -337,9 +336,7 @@ EXAMPLES = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
 ELSEWHERE = {"title", "about", "source", "kind", "layout"}  # as in every script, or said in words
 
 
-@pytest.mark.parametrize(
-    "model", [Trial, PoseTable, Grid, Draw, PhantomFile, TeatTable, Envelope, OffsetScript, Offset]
-)
+@pytest.mark.parametrize("model", [Trial, PoseTable, Grid, Draw, PhantomFile, TeatTable, Envelope])
 def test_every_key_is_there(model: type[BaseModel]) -> None:
     missing = [
         key

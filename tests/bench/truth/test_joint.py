@@ -19,9 +19,9 @@ from bench.truth.joint import ARM_LENGTH_MM, joint_truth
 from instruments.microscribe.emulator import KinematicError
 from instruments.microscribe.kinematics import inverse
 from instruments.microscribe.unit import shipped_unit
+from tests.bench.small_run import KEPT
 from tests.bench.truth.touches import MADE
 
-KEPT = Path(__file__).parents[1] / "record" / "kept"
 CORNERS = {"o": (0.0, 0.0, 0.0), "x": (400.0, 0.0, 0.0), "y": (0.0, 400.0, 0.0)}
 U = 0.23
 
@@ -43,9 +43,8 @@ def ends_of(run: RunRecord) -> list[Any]:
     return [(trial, row) for trial in run.trials for row in trial.truth]
 
 
-@pytest.mark.parametrize("folder", sorted(KEPT.glob("schema-*")), ids=lambda path: path.name)
-def test_it_can_be_had_of_records_of_every_schema(folder: Path) -> None:
-    run = read_run(folder)
+def test_it_can_be_had_of_a_kept_run() -> None:
+    run = read_run(KEPT)
     ends = ends_of(run)
     joint = joint_truth(run, ends)
     u_mm = np.array([row["u_mm"] or 0.0 for _, row in ends])

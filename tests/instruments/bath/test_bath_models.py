@@ -12,7 +12,7 @@ import pytest
 
 from instruments.bath.driver import Bath
 from instruments.bath.line_dialects import Julabo
-from instruments.bath.line_emulator import LineEmulator, dialect_of
+from instruments.bath.line_emulator import LineEmulator
 from instruments.bath.profile import LineProfile, load_profile, load_register_profile, profile_names
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, LimitError, ProtocolError
@@ -125,7 +125,7 @@ def test_an_emulated_julabo_is_silent_at_no_known_query() -> None:
 def test_an_emulated_circulator_answers_what_public_drivers_ask(name: str, commands: str) -> None:
     profile = load_profile(name)
     assert isinstance(profile, LineProfile)
-    panel = dialect_of(profile)(calm_plant())
+    panel = LineEmulator(calm_plant(), profile, VirtualClock()).panel
     for command in commands.split("|" if "|" in commands else " "):
         said = panel.answer(command)
         assert said, command

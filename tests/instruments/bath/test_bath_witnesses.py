@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from instruments.bath.driver import Bath
-from instruments.bath.line_emulator import dialect_of
+from instruments.bath.line_emulator import LineEmulator
 from instruments.bath.profile import LineProfile, RegisterProfile, load_profile, profile_names
 from instruments.bath.rows import LineRow, Quantity, Row
 from instruments.bath.witness import WITNESSES, Witness, device_of, witnesses
@@ -196,7 +196,7 @@ def test_the_drivers_rows_read_and_write_as_the_transcript_has_it(name: str) -> 
 @pytest.mark.parametrize("name", LINE_FAMILIES)
 def test_the_emulator_answers_as_the_transcript_has_it(name: str) -> None:
     profile, told = rows_of(name)
-    panel = dialect_of(profile)(calm_plant())
+    panel = LineEmulator(calm_plant(), profile, VirtualClock()).panel
     for key, seen in told["rows"].items():
         said = panel.answer(seen["ask"])
         assert said is not None, f"{name}: silent at {seen['ask']}"

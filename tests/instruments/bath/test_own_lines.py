@@ -7,7 +7,6 @@ from __future__ import annotations
 import re
 import threading
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 from typing import Any, get_args
 
@@ -439,19 +438,9 @@ def test_bytes_models_and_a_check_sum_of_16_bits(
         assert state["run"] == 0
 
 
-@pytest.mark.parametrize("text", [FIXED, SCALED, BYTES], ids=["fixed", "scaled", "bytes"])
-def test_each_is_rehearsed_by_its_own_profile(tmp_path: Path, text: str) -> None:
-    profile, clock, plant = profile_of(tmp_path, text), VirtualClock(), calm_plant()
-    device = LineEmulator(plant, profile, clock)
-    with closing(Listener(device, clock, lock=threading.RLock(), name="bath")) as listener:
-        url = f"tcp://127.0.0.1:{listener.port}"
-        with closing(Bath(url, profile, clock, unit_confirmed=True)) as bath:
-            bath.start(33.0)
-            assert (plant.running, plant.set_point_c) == (True, 33.0)
-            clock.sleep(60.0)
-            assert bath.read().temp_c > 20.5
-            bath.safe()
-            assert not plant.running
+def test_no_emulator_answers_by_the_profile_that_the_driver_reads(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no emulator answers as a INVENTED; there are julabo"):
+        LineEmulator(calm_plant(), profile_of(tmp_path, FIXED), VirtualClock())
 
 
 @pytest.mark.parametrize(
