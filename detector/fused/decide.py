@@ -145,12 +145,8 @@ MEASURES: dict[str, Measure] = {
     "warmer than the cooler side, K": Measure(
         -2, 8, COLD, lambda f: f.lines[:, 1] - f.beside.min(axis=1)
     ),
-    "coolest line, to the usual teat, K": Measure(
-        -6, 0, COLD, lambda f: f.lines[:, 0] - f.usual
-    ),
-    "middle line, to the usual teat, K": Measure(
-        -6, 0, COLD, lambda f: f.lines[:, 1] - f.usual
-    ),
+    "coolest line, to the usual teat, K": Measure(-6, 0, COLD, lambda f: f.lines[:, 0] - f.usual),
+    "middle line, to the usual teat, K": Measure(-6, 0, COLD, lambda f: f.lines[:, 1] - f.usual),
     "lines unlike in warmth, K": Measure(0, 3, COLD, lambda f: np.ptp(f.of.warmth, axis=1)),
     "radius outside of the range, mm": Measure(0, 5, SIZE, lambda f: f.off_size),
     "radius off the usual, mm": Measure(
