@@ -45,7 +45,7 @@ Array = NDArray[np.float64]
 SEED, FIRST, MEMBERS, RIGS, ON_A_RIG = 1, 200, 60, 26, 6
 EXACT = ParameterCovariance((), np.zeros((0, 0)))
 RIDGE, NEAR_MM, NOT_SURE_MM, LESS = 5e-3, 4.0, (2.5, 6.0), 0.3
-AGAIN, WITHIN, LEAST, FREEDOM = 2, 0.2, -0.3, 6.0
+AGAIN, WITHIN, LEAST, FREEDOM = 2, 0.2, -0.3, 30.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
