@@ -98,7 +98,7 @@ def members() -> list[Seen]:
     return list(seen(FAMILIES, SEEDS))
 
 
-FOUND, FALSE = 0, 999
+FOUND, FALSE = 312, 6  # 314 and 5 of 327
 # family, noise, member: scenes on which earlier decisions failed, and on what
 DIFFICULT = (
     ("cow_teats", 1, 1003),  # short teats
