@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import re
 import shlex
+import sys
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -141,7 +142,8 @@ def test_a_figure_stands_alone_on_paper_of_its_own(tmp_path: Path) -> None:
     assert svg_facts(figure_of(QUANTITIES["tilt"], points), "tilt").ids is not None
 
 
-ALL_OF_THEM = " ".join(f"--detector {name}" for name in available([]))
+PROGRAMS = [f"exec:{sys.executable} {option}" for option in ("-V", "-h")]
+SIX = " ".join(f"--detector {name}" for name in (*available([]), "{}", "{}"))
 
 
 @pytest.mark.parametrize(
@@ -151,11 +153,12 @@ ALL_OF_THEM = " ".join(f"--detector {name}" for name in available([]))
         ("--detector thesys", "thesys"),
         ("--rig no-such-rig", "no-such-rig"),
         ("--seeds 0", "'0' is not a whole number of 1 or more"),
-        (ALL_OF_THEM, "a figure shows 4 detectors at most, 6 are asked for: thesis, fused,"),
+        (SIX, "a figure shows 4 detectors at most, 6 are asked for: thesis, fused,"),
     ],
 )
 def test_wrong_use_is_explained(arguments: str, why: str, tmp_path: Path, said: Said) -> None:
-    wrong = said(2, f"scene sensitivity {arguments} --out {{}}", tmp_path)
+    programs = PROGRAMS[: arguments.count("{}")]
+    wrong = said(2, f"scene sensitivity {arguments} --out {{}}", *programs, tmp_path)
     assert why in wrong.err
     assert wrong.out == ""
 
