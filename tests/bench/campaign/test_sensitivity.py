@@ -8,7 +8,6 @@ from __future__ import annotations
 import csv
 import re
 import shlex
-import sys
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -142,7 +141,6 @@ def test_a_figure_stands_alone_on_paper_of_its_own(tmp_path: Path) -> None:
     assert svg_facts(figure_of(QUANTITIES["tilt"], points), "tilt").ids is not None
 
 
-PROGRAMS = [f"exec:{sys.executable} {option}" for option in ("-V", "-h")]
 SIX = " ".join(f"--detector {name}" for name in (*available([]), "{}", "{}"))
 
 
@@ -157,8 +155,11 @@ SIX = " ".join(f"--detector {name}" for name in (*available([]), "{}", "{}"))
     ],
 )
 def test_wrong_use_is_explained(arguments: str, why: str, tmp_path: Path, said: Said) -> None:
-    programs = PROGRAMS[: arguments.count("{}")]
-    wrong = said(2, f"scene sensitivity {arguments} --out {{}}", *programs, tmp_path)
+    programs = [tmp_path / f"program-{number}" for number in range(arguments.count("{}"))]
+    for program in programs:
+        program.touch(0o755)
+    named = [f"exec:{program}" for program in programs]
+    wrong = said(2, f"scene sensitivity {arguments} --out {{}}", *named, tmp_path / "out")
     assert why in wrong.err
     assert wrong.out == ""
 
