@@ -19,9 +19,12 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import psutil
+
 from bench.rig.loading import RIGS
 from tests.bench.forked import Running, begin
 from tests.bench.operated_runs import ONE, write_calibration
+from tests.bench.safety.guards import within
 from tests.conftest import ROOT
 
 PATIENCE_S = 240.0  # for an event that comes by itself, on a machine with ten times too much to do
@@ -352,9 +355,25 @@ def die(there: Elsewhere, name: str, death: str, folder: Path) -> tuple[float, s
             DEATHS[death](dying)
         seconds = safe_after(there, way.does)
         if death == "hang":
-            with suppress(ProcessLookupError):
-                os.kill(dying.pid, signal.SIGKILL)
+            _end_hung(dying.pid)
         return seconds, dying.said
+
+
+def _end_hung(pid: int) -> None:
+    """End a stopped process, and wait for its guardian, which tries again where `safe_after` took
+    the port from it, and would take it from whoever comes next.
+    """
+    with suppress(psutil.NoSuchProcess):
+        hung = psutil.Process(pid)
+        guardians = [one for one in hung.children() if "bench.rig.guardian" in one.cmdline()]
+        hung.kill()
+        within(PATIENCE_S, lambda: all(map(_has_ended, guardians)), "the guardian's end")
+
+
+def _has_ended(process: psutil.Process) -> bool:
+    with suppress(psutil.NoSuchProcess):
+        return bool(process.status() == psutil.STATUS_ZOMBIE)
+    return True
 
 
 def begun(there: Elsewhere, dying: Dying, way: Way) -> None:
