@@ -139,8 +139,11 @@ def test_one_of_this_machine_by_name_open_already_and_without_its_trigger(clock:
         camera = GenicamCamera("thermal", ADDRESS, clock, asked, timeout_s=0.3)
         camera.begin()
         never = r"no frame came .*after 0\.3 s\)\. Did its trigger come\?"
-        with pytest.raises(FrameError, match=never) as error:
+        with pytest.raises(FrameError) as error:
             camera.take()
+        if "status CLEARED" in str(error.value):
+            raise StarvedError("its stream gave all its buffers back unfilled")
+        assert re.search(never, str(error.value))
         assert (error.value.fault, error.value.camera) == (FrameFault.DROPPED, "thermal")
         camera.close()
         camera.close()
