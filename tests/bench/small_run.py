@@ -19,8 +19,11 @@ from bench.record.chain import add_link
 from bench.record.schema import DATABASE, LATER_WORD, SCHEMA_VERSION, tables_of
 from tests.bench import operated_runs
 
-# what the bench of today's schema wrote so
-KEPT = Path(__file__).parent / "record" / "kept" / f"schema-{SCHEMA_VERSION}"
+# what the bench of today's schema wrote so: this process's copy of it, for a reader of a run leaves
+# its database's own files in the folder for a moment, where another process copies them
+WRITTEN = Path(__file__).parent / "record" / "kept" / f"schema-{SCHEMA_VERSION}"
+_COPIES = tempfile.TemporaryDirectory(prefix="teatbench-kept-")
+KEPT = Path(shutil.copytree(WRITTEN, Path(_COPIES.name) / WRITTEN.name))
 SCRIPT = (
     operated_runs.SCRIPT.replace("thesis", "fused").replace(
         "poses = [{ x_mm = 12.0, y_mm = -8.0 }, { x_mm = -15.0, z_mm = 6.0, yaw_deg = 4.0 }, {}]",
