@@ -52,7 +52,7 @@ def pytest_configure(config: pytest.Config) -> None:
     fixed = settings().derandomize and config.getoption("hypothesis_seed") is None
     # how fast the machine is says nothing of the code
     settings.register_profile(
-        "teatbench", deadline=None, derandomize=fixed, max_examples=examples(50)
+        "teatbench", deadline=None, derandomize=fixed, max_examples=examples(20)
     )
     settings.load_profile("teatbench")
     # numba takes a second of each process: only where that is what is tested
@@ -78,6 +78,19 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = [item for item in items if not item.get_closest_marker("weekly")]
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: (item.path not in slow, len(item.path.parts)))
+
+
+def pytest_collection_finish() -> None:
+    """What is collected stays to the end: the garbage collector need not walk it in each test, nor
+    come as often as in a program of Python's usual size.
+    """
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
+
+
+def pytest_sessionfinish() -> None:
+    gc.unfreeze()  # at their end extension modules look whether anything of theirs is left
 
 
 @pytest.hookimpl(wrapper=True)
