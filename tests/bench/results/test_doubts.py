@@ -141,7 +141,7 @@ IMPOSSIBLE: dict[str, Change] = {
 def recording() -> Recording:
     import tempfile
 
-    return Recording(write_recording(Path(tempfile.mkdtemp()) / "rec"))
+    return Recording(write_recording(Path(tempfile.mkdtemp()) / "rec", whole=True))
 
 
 def refused(table: Table) -> list[str]:
@@ -218,7 +218,7 @@ def test_none_of_two_thousand_sound_ones_is_doubted(draw: st.DataObject) -> None
 
 @pytest.fixture
 def metres(tmp_path: Path) -> Path:
-    folder = write_recording(tmp_path / "rec")
+    folder = write_recording(tmp_path / "rec", whole=True)
     shutil.copy(CASES / "metres.toml", folder / "calibration.toml")
     return folder
 
