@@ -6,8 +6,9 @@ at most one of its objects, pictures as the cameras take them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache, lru_cache
 from typing import Any, TypeVar
 
 from hypothesis import strategies as st
@@ -35,22 +36,25 @@ def layouts(
 ) -> SearchStrategy[tuple[Teat, ...]]:
     """Teats of a `Scene`, each at a place of its own; one that can't stand so is plain."""
     least = most if published else least
-    teat = _numbers(Teat(), Teat.STEPS, published=published)
+    teat = _numbers(Teat(), published=published)
     teats: SearchStrategy[list[Teat]] = st.lists(teat, min_size=least, max_size=most)
     return teats.map(_standing)
 
 
 def poses() -> SearchStrategy[Pose]:
     """Places and turns of the phantom's plate."""
-    return _numbers(Pose(), Pose.STEPS)
+    return _numbers(Pose())
 
 
 def objects(*kinds: str, published: bool = False) -> SearchStrategy[Object]:
     """A thing of one of these kinds, of any without one."""
     known = kinds or (PUBLISHED_KINDS if published else tuple(KINDS))
-    return st.sampled_from(known).flatmap(
-        lambda kind: _numbers(Object(kind), Object.STEPS, published=published)
-    )
+    return st.sampled_from(known).flatmap(lambda kind: _object(kind, published))
+
+
+@cache
+def _object(kind: str, published: bool) -> SearchStrategy[Object]:
+    return _numbers(Object(kind), published=published)
 
 
 def perturbations(*names: str) -> SearchStrategy[Applied]:
@@ -73,26 +77,51 @@ def scenes(
     """A scene that can be set up; its parts by strategies of their own where these are given. An
     object that can't stand there, or a pose out of reach, is left out.
     """
-    found = Scene(draw(_layouts(published=published) if layouts is None else layouts))
+    of_layouts, of_poses, of_objects, of_perturbations = _usual(published)
+    found = Scene(draw(of_layouts if layouts is None else layouts))
     if published:
         most_objects, most_perturbations = min(most_objects, 1), 0
     else:
-        moved = replace(found, pose=draw(_poses() if poses is None else poses))
+        moved = replace(found, pose=draw(of_poses if poses is None else poses))
         found = found if moved.faults() else moved
-    found = replace(found, paint=draw(st.sampled_from(tuple(PAINTS))))
-    found = draw(_numbers(found, Scene.STEPS, published=published))
-    if objects is None:
-        objects = _objects(published=published)
-    for one in draw(st.lists(objects, max_size=most_objects)):
+    found = replace(found, paint=draw(_PAINTS), **draw(_steps(_OF_A_SCENE, published)))
+    for one in draw(_several(of_objects if objects is None else objects, most_objects)):
         more = replace(found, objects=(*found.objects, one))
         found = found if more.faults() else more
-    if perturbations is None:
-        perturbations = _perturbations()
-    once = st.lists(perturbations, max_size=most_perturbations, unique_by=lambda one: one.name)
-    return replace(found, perturbations=tuple(draw(once)))
+    once = draw(
+        _once(of_perturbations if perturbations is None else perturbations, most_perturbations)
+    )
+    return replace(found, perturbations=tuple(once))
 
 
+_OF_A_SCENE = tuple(Scene.STEPS.items())
+_PAINTS: SearchStrategy[Any] = st.sampled_from(tuple(PAINTS))
 _layouts, _poses, _objects, _perturbations = layouts, poses, objects, perturbations
+
+
+# hypothesis checks each strategy anew that it is given, which takes longer than to draw from it
+@cache
+def _usual(
+    published: bool,
+) -> tuple[
+    SearchStrategy[tuple[Teat, ...]],
+    SearchStrategy[Pose],
+    SearchStrategy[Object],
+    SearchStrategy[Applied],
+]:
+    """The parts' own strategies."""
+    things = _objects(published=published)
+    return _layouts(published=published), _poses(), things, _perturbations()
+
+
+@lru_cache(maxsize=64)
+def _several(of: SearchStrategy[Object], most: int) -> SearchStrategy[list[Object]]:
+    return st.lists(of, max_size=most)
+
+
+@lru_cache(maxsize=64)
+def _once(of: SearchStrategy[Applied], most: int) -> SearchStrategy[list[Applied]]:
+    return st.lists(of, max_size=most, unique_by=lambda one: one.name)
 
 
 def _standing(teats: Sequence[Teat]) -> tuple[Teat, ...]:
@@ -106,20 +135,25 @@ def _standing(teats: Sequence[Teat]) -> tuple[Teat, ...]:
     return found
 
 
-def _numbers(plain: T, steps: Mapping[str, Steps], *, published: bool = False) -> SearchStrategy[T]:
+def _numbers(plain: T, *, published: bool = False) -> SearchStrategy[T]:
     """``plain`` with numbers that hypothesis shrinks to 0."""
-    ranges = {
-        name: one.published if published else (one.least, one.most) for name, one in steps.items()
-    }
+    steps = _steps(tuple(plain.STEPS.items()), published)
+    return steps.map(lambda found: replace(plain, **found))
+
+
+@cache
+def _steps(named: tuple[tuple[str, Steps], ...], published: bool) -> SearchStrategy[dict[str, Any]]:
+    """A number by each name."""
     numbers = {
-        name: st.integers(*ends).map(steps[name].value)
-        for name, ends in ranges.items()
-        if ends != (0, 0)
+        name: st.integers(*ends).map(steps.value)
+        for name, steps in named
+        if (ends := steps.published if published else (steps.least, steps.most)) != (0, 0)
     }
     given: SearchStrategy[dict[str, Any]] = st.fixed_dictionaries(numbers)
-    return given.map(lambda found: replace(plain, **found))
+    return given
 
 
+@cache
 def _amounts(name: str) -> SearchStrategy[Applied]:
     plain, steps = AMOUNTS[name]
     counts = st.integers(steps.least, steps.most).filter(bool)

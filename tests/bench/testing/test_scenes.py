@@ -72,8 +72,14 @@ WANTED = {
 }
 
 
+EACH_RUN = ("a lean", "a perturbation")  # of what is drawn first and what is drawn last
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", WANTED)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=() if name in EACH_RUN else pytest.mark.weekly) for name in WANTED],
+)
 def test_a_scene_shrinks_to_the_plainest_that_has_what_is_wanted(name: str) -> None:
     wanted, simplest = WANTED[name]
     found = find(scenes(), wanted, settings=settings(max_examples=2000, database=None))
@@ -81,7 +87,24 @@ def test_a_scene_shrinks_to_the_plainest_that_has_what_is_wanted(name: str) -> N
     assert found.differences() == 1
 
 
-def test_parts_have_strategies_of_their_own() -> None:
+OWN_PARTS = scenes(
+    layouts=layouts(2, 2),
+    poses=poses(),
+    objects=objects(*KINDS),
+    perturbations=perturbations("jpeg"),
+)
+
+
+@pytest.mark.slow
+@given(OWN_PARTS)
+def test_parts_have_strategies_of_their_own(scene: Scene) -> None:
+    assert len(scene.teats) == 2
+    assert {one.kind for one in scene.objects} <= {*KINDS}
+    assert {one.name for one in scene.perturbations} <= {"jpeg"}
+
+
+@pytest.mark.weekly
+def test_a_scene_of_such_parts_shrinks_too() -> None:
     own = settings(database=None, max_examples=300)
     parts = scenes(
         layouts=layouts(2, 2),
@@ -180,8 +203,10 @@ def shrunk(detector: str, limit_mm: float, number: int, *, published: bool = Fal
     return scene
 
 
-@pytest.mark.slow
+@pytest.mark.weekly
+@pytest.mark.timeout(3600)
 def test_the_plainest_scene_of_all_breaks_the_thesis_detector() -> None:
+    """In each run test_plugin lets a failing test shrink to the simplest scene."""
     assert shrunk("thesis", 5.0, 1) == Scene()
 
 
