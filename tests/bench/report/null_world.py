@@ -286,6 +286,7 @@ class _Arm:
     """Signed on and homed; what it reads is drawn."""
 
     who, homing, safe_state, homed = "arm", "", "closed", True
+    touches = moves = pedals = False
     identity = Identity("MicroScribe", "1", "3DX", SERIAL, "", "", "1")
 
     def record(self) -> dict[str, object]:
