@@ -50,14 +50,19 @@ def trials(
             }
             truth.append(
                 {"teat": str(teat), "cameras": json.dumps(seen), "u_mm": 0.3, "visible": 1}
+                | dict.fromkeys(("x_mm", "y_mm", "z_mm"), 0.0)
             )
         head = {"id": str(pose), "name": str(pose), "invalid": None, "bath_state": "stable"}
         found.append(TrialRecord(head, truth=truth))
     return found
 
 
+def run_of(made: list[TrialRecord]) -> RunRecord:
+    return RunRecord(Path(), {"detectors": ["d"], "ending": "finished"}, tuple(made))
+
+
 def decided(disparity_px: float, **more: int) -> Decision:
-    return decide_cameras(RULE, cameras_of(trials(disparity_px, **more)))
+    return decide_cameras(RULE, cameras_of(run_of(trials(disparity_px, **more))))
 
 
 @pytest.mark.slow
@@ -79,9 +84,16 @@ def test_it_says_by_how_much_and_as_if_by_what() -> None:
 
 def test_few_poses_and_other_pictures_show_nothing() -> None:
     assert decided(0.5, poses=2).verdict is Verdict.NOT_MEASURED
-    unseen = [TrialRecord({"id": "1", "name": "1"}, truth=[{"teat": "1", "cameras": None}])]
-    assert decide_cameras(RULE, cameras_of(unseen)).verdict is Verdict.NOT_MEASURED
-    assert decide_cameras(RULE, cameras_of(trials(0.0, thermal_px=2.0))).verdict is Verdict.NOT_MET
+    unseen = [
+        TrialRecord(
+            {"id": "1", "name": "1", "invalid": None}, truth=[{"teat": "1", "cameras": None}]
+        )
+    ]
+    assert decide_cameras(RULE, cameras_of(run_of(unseen))).verdict is Verdict.NOT_MEASURED
+    assert (
+        decide_cameras(RULE, cameras_of(run_of(trials(0.0, thermal_px=2.0)))).verdict
+        is Verdict.NOT_MET
+    )
 
 
 def blind(told: int, ends: int = 48) -> list[TrialRecord]:
@@ -99,12 +111,12 @@ def blind(told: int, ends: int = 48) -> list[TrialRecord]:
 
 def test_what_is_off_beyond_what_can_be_measured_is_no_figure() -> None:
     for told in (0, 4):
-        found = decide_cameras(RULE, cameras_of(blind(told)))
+        found = decide_cameras(RULE, cameras_of(run_of(blind(told))))
         assert found.verdict is Verdict.INCONCLUSIVE
         assert f"nly {told} of 48 ends measured in left and right" in found.sentence
         assert "more than 25 px of columns or 10 px of rows" in found.sentence
         assert found.measured is None
-    cold = decide_cameras(RULE, cameras_of(trials(0.0, thermal_px=None)))
+    cold = decide_cameras(RULE, cameras_of(run_of(trials(0.0, thermal_px=None))))
     assert cold.verdict is Verdict.INCONCLUSIVE
     assert "nly 0 of 48 ends measured in the thermal picture" in cold.sentence
     assert "48 of 48 ends measured" in decided(0.0).sentence
@@ -147,21 +159,20 @@ def answered(seen_px: float, answers_px: float | None) -> list[TrialRecord]:
 def test_a_shift_of_the_answers_is_the_cameras_only_where_they_have_it_too(
     seen_px: float, answers_px: float | None, words: str, cause: Cause | None
 ) -> None:
-    made = answered(seen_px, answers_px)
-    answers = answers_of(made, "d", TOLD)
-    apart = shift_text(cameras_of(made), answers, 0.25)
+    run = run_of(answered(seen_px, answers_px))
+    answers = answers_of(run, "d", TOLD)
+    apart = shift_text(cameras_of(run), answers, 0.25)
     assert apart.endswith(words)
     assert bool(words) == bool(apart)
     if answers_px is not None:
         assert answers is not None
         assert answers.value == pytest.approx(answers_px, abs=0.02)
-    run = RunRecord(Path(), {"detectors": ["d"], "ending": "finished"}, tuple(made))
     assert {one.cause for one in attributed(run, "d", TOLD)} == ({cause} if cause else set())
 
 
 def test_a_run_says_how_many_ends_its_cameras_were_checked_on() -> None:
     def said(made: list[TrialRecord]) -> str:
-        return unchecked_of(made, cameras_of(made))
+        return unchecked_of(made, cameras_of(run_of(made)))
 
     assert said(trials(0.0)) == ""
     few = trials(0.0, poses=2)
@@ -230,6 +241,4 @@ def test_what_the_cameras_put_off_is_the_calibrations(px: float, cause: Cause) -
         detections=({"detector": "d", "reason": None},),
         scores={"d": score},
     )
-    facts = {"detectors": ["d"], "ending": "finished"}
-    run = RunRecord(Path(), facts, (judged, *seen[1:]))
-    assert {one.cause for one in attributed(run, "d")} == {cause}
+    assert {one.cause for one in attributed(run_of([judged, *seen[1:]]), "d")} == {cause}
