@@ -132,6 +132,10 @@ class World:
     flat: bool = False
     arm_mm: float = 0.23
     hand_mm: float = 0.1
+    # by which the whole truth is displaced: nothing that the rig states
+    away_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # along x, of all poses of the script
+    beside_mm: float = 0.0
 
 
 WORLDS = {
@@ -178,7 +182,7 @@ class _Errors:
 
     def __post_init__(self) -> None:
         self.rng = np.random.default_rng([self.seed, 77])
-        self.arm = np.sqrt(self.world.alike) * self._of(self.world.arm_mm)
+        self.arm = np.sqrt(self.world.alike) * self._of(self.world.arm_mm) + self.world.away_mm
         self.frame = self.rng.normal(0.0, self.world.arm_mm, 9)
 
     def _of(self, sd_mm: float) -> Floats:
@@ -394,7 +398,7 @@ def _write(folder: Path, world: World, errors: _Errors, arm_rule: str) -> TableF
     verified = _verification(rng, u_mm)
     text = verification_text(verified, VerificationLimits(5.0, 5.0))
     (folder / "arm-verification.toml").write_text(text, encoding="utf-8")
-    drawn = PLACES_MM.copy()
+    drawn = PLACES_MM + [world.beside_mm, 0.0, 0.0]
     drawn[:, 2] = 0.0 if world.flat else (25.0 + drawn[:, 2] / 4.0).round(1)
     poses = [f"  {{ x_mm = {x}, y_mm = {y}, z_mm = {z} }}," for x, y, z in drawn]
     script = SCRIPT.format(truth=world.truth, arm_rule=arm_rule, poses="\n".join(poses))
