@@ -391,19 +391,23 @@ def _write(folder: Path, world: World, errors: _Errors, arm_rule: str) -> TableF
         'frame = "arm-frame.toml"\nverification = "arm-verification.toml"',
         emulation=f"hand_error_mm = 0.0\nstage = {{ {axes} }}",
     )
-    corners = {"origin": (0.0, 0.0, 0.0), "x axis": (600.0, 0.0, 0.0), "plane": (0.0, 600.0, 0.0)}
-    touched = [TouchedPoint(name, at) for name, at in corners.items()]
-    frame = TableFrame.from_touches(MADE, SERIAL, touched)
+    frame = table_frame()
     (folder / "arm-frame.toml").write_text(frame_text(frame), encoding="utf-8")
     verified = _verification(rng, u_mm)
     text = verification_text(verified, VerificationLimits(5.0, 5.0))
     (folder / "arm-verification.toml").write_text(text, encoding="utf-8")
-    drawn = PLACES_MM + [world.beside_mm, 0.0, 0.0]
+    drawn = np.add(PLACES_MM, [world.beside_mm, 0.0, 0.0])
     drawn[:, 2] = 0.0 if world.flat else (25.0 + drawn[:, 2] / 4.0).round(1)
     poses = [f"  {{ x_mm = {x}, y_mm = {y}, z_mm = {z} }}," for x, y, z in drawn]
     script = SCRIPT.format(truth=world.truth, arm_rule=arm_rule, poses="\n".join(poses))
     (folder / "script.toml").write_text(script, encoding="utf-8")
     return frame
+
+
+def table_frame() -> TableFrame:
+    """Of three touches that were exact."""
+    corners = {"origin": (0.0, 0.0, 0.0), "x axis": (600.0, 0.0, 0.0), "plane": (0.0, 600.0, 0.0)}
+    return TableFrame.from_touches(MADE, SERIAL, [TouchedPoint(*one) for one in corners.items()])
 
 
 def _verification(rng: np.random.Generator, u_mm: float) -> Verification:

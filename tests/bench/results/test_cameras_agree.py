@@ -23,6 +23,7 @@ from bench.results.cameras_agree import (
     shift_text,
     unchecked_of,
 )
+from bench.rig.arm_files import frame_text
 from bench.rig.loading import RIGS, find_rig, load_rig
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.scene import score_scene
@@ -30,7 +31,7 @@ from bench.script.model import CamerasRequirement
 from bench.truth.joint import joint_truth
 from detector.geometry import Array
 from tests.bench.commands import Said, teatbench
-from tests.bench.report.null_world import WORLDS, Off, done
+from tests.bench.report.null_world import WORLDS, Off, done, table_frame
 from tests.plain_text import plain_text
 
 RULE = CamerasRequirement(kind="cameras_agree", name="cameras agree")
@@ -105,13 +106,15 @@ def checked(run: RunRecord, exact_mm: Array, shift: str, rng: np.random.Generato
     warm, warm_known = (
         pose.apply(TOLD.world_from_right.inverse().apply(at)) for at in (exact_mm, truth_mm)
     )
-    thermal = lens.project(warm) - lens.project(warm_known) + rng.normal(0.0, 0.1, (len(warm), 2))
+    a_pixel = TOLD.thermal.image_size[0] / TOLD.thermal.sensor_size[0]
+    thermal = (lens.project(warm) - lens.project(warm_known)) / a_pixel
+    thermal += rng.normal(0.0, 0.1, (len(warm), 2))
     figures = np.column_stack(
         [
             seen[0, :, 0] - seen[1, :, 0] + rng.normal(0.0, 0.03, len(warm)),
             apart[1, :, 1] - apart[0, :, 1] + rng.normal(0.0, 0.02, len(warm)),
             TOLD.depth_per_disparity_px_mm(truth_mm),
-            warm_known[:, 2] / lens.fc[0],
+            warm_known[:, 2] * a_pixel / lens.fc[0],
         ]
     ).tolist()
     names = ("disparity_px", "rows_px", "mm_a_px", "thermal_mm_a_px")
@@ -128,6 +131,12 @@ def checked(run: RunRecord, exact_mm: Array, shift: str, rng: np.random.Generato
     return cameras_of(replace(run, trials=tuple(made)))
 
 
+def framed(run: RunRecord, folder: Path) -> RunRecord:
+    """The run with the file of its table frame: its own folder is gone."""
+    (folder / "arm-frame.toml").write_text(frame_text(table_frame()), encoding="utf-8")
+    return replace(run, folder=folder)
+
+
 def excluded(check: CamerasCheck) -> set[str]:
     """The figures whose interval leaves out that the rig is sound."""
     return {one.name for one in check.offsets if one.exceeds(0.0)}
@@ -135,8 +144,10 @@ def excluded(check: CamerasCheck) -> set[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("world", ["touched", "carried"])
-def test_what_the_truths_share_accuses_no_sound_rig_and_hides_no_knock(world: str) -> None:
-    run = done(WORLDS[world], Off(), 5).run
+def test_what_the_truths_share_accuses_no_sound_rig_and_hides_no_knock(
+    world: str, tmp_path: Path
+) -> None:
+    run = framed(done(WORLDS[world], Off(), 5).run, tmp_path)
     ends = [(trial, row) for trial in run.counted for row in trial.truth]
     joint, truth_mm = joint_truth(run, ends), points_mm(row for _, row in ends)
     own = np.linalg.cholesky(joint.fresh + 1e-12 * np.eye(3))
@@ -159,17 +170,17 @@ def test_what_the_truths_share_accuses_no_sound_rig_and_hides_no_knock(world: st
 @pytest.mark.weekly
 @pytest.mark.timeout(6 * 3600)
 @pytest.mark.parametrize("world", WORLDS)
-def test_runs_of_a_null_world_accuse_no_sound_rig(world: str) -> None:
+def test_runs_of_a_null_world_accuse_no_sound_rig(world: str, tmp_path: Path) -> None:
     faulthandler.cancel_dump_traceback_later()
     wrong: Counter[str] = Counter()
     noticed: Counter[str] = Counter()
     runs = 300
     for seed in range(runs):
-        one = done(WORLDS[world], Off(), seed)
-        rows = [row for trial in one.run.counted for row in trial.truth]
+        run = framed(done(WORLDS[world], Off(), seed).run, tmp_path)
+        rows = [row for trial in run.counted for row in trial.truth]
         exact_mm = np.array([json.loads(row["exact_mm"]) for row in rows])
         for shift in SHIFTS:
-            check = checked(one.run, exact_mm, shift, np.random.default_rng(seed))
+            check = checked(run, exact_mm, shift, np.random.default_rng(seed))
             noticed[shift] += decide_cameras(RULE, check).verdict is Verdict.NOT_MET
             wrong.update(excluded(check) if shift == "sound" else ())
     print(f"{world}: noticed {noticed}, interval leaves out a sound rig {wrong}, of {runs}")
