@@ -218,7 +218,7 @@ def _pooled(
     if truth is not None:
         shared_mm2 = truth.of(finite).of_mean(1.0 / (n * np.bincount(own)[own]))
         common_mm = float(np.sqrt(np.linalg.norm(shared_mm2, ord=2)))
-    common = 2.0 * common_mm / scales[0]
+    common = float(2.0 * common_mm / scales[0])
     return CameraOffset(name, float(medians.mean()), scatter, common, n, *map(float, scales[1:]))
 
 
