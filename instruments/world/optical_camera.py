@@ -280,7 +280,7 @@ class OpticalCamera:
         layers: Sequence[Layer],
     ) -> Image:
         """Light on the sensor; out-of-focus things in layers, far to near."""
-        sensor, sharp = self.readout.sensor, self.readout.sensor.blur_px
+        sharp = self.readout.sensor.blur_px
         apart = [(float(layer.depth_mm.mean()), layer) for layer in layers if len(layer)]
         blurs = self._blurs([layer for _, layer in apart])
         if soft is None and max(blurs, default=sharp) > sharp:
@@ -374,9 +374,7 @@ def _sigma_px(
 
 def _around(layer: Layer) -> Part:
     """The part of an image that a layer covers."""
-    rows, columns = (
-        slice(int(at.min()), int(at.max()) + 1) for at in (layer.row, layer.column)
-    )
+    rows, columns = (slice(int(at.min()), int(at.max()) + 1) for at in (layer.row, layer.column))
     return rows, columns
 
 

@@ -209,4 +209,7 @@ class OpticalReadout:
             part = noise[rows]
             part *= spread[rows]
             cv2.add(part, mean[rows], exposed[rows], dtype=depth)
-        return np.asarray(np.minimum(exposed, kind(2**self.sensor.bits - 1), out=exposed))
+        most = 2**self.sensor.bits - 1
+        if most < np.iinfo(kind).max:  # else it has saturated there
+            np.minimum(exposed, kind(most), out=exposed)
+        return exposed
