@@ -6,9 +6,12 @@ while the operator holds the board, until nothing is missing or the operator has
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -159,22 +162,36 @@ def find_views(
     found: dict[str, dict[str, DetectedBoard]] = {}
     sizes: dict[str, tuple[int, int]] = {}
     refused: list[Refused] = []
-    for camera, chosen in chosen_views.items():
-        found[camera] = {}
-        for name, path in chosen.items():
-            report(done, total)
-            done += 1
-            image = _picture(path, turn=camera in mirrored)
-            rows, columns = image.shape
-            if sizes.setdefault(camera, (columns, rows)) != (columns, rows):
-                raise _other_size(camera, chosen)
-            try:
-                found[camera][name] = find_board(image, board, sub_pixel=SubPixel(window_px))
-            except ViewRefusedError as why:
-                refused.append(Refused(camera, name, str(why)))
-            if len(found[camera]) == 0 and name == [*chosen][:LOOKED_AT][-1]:
-                _refuse_other_count(camera, chosen, found, board, turn=camera in mirrored)
-        _refuse_other_count(camera, chosen, found, board, turn=camera in mirrored)
+
+    def look(path: Path, turn: bool) -> tuple[tuple[int, int], DetectedBoard | ViewRefusedError]:
+        image = _picture(path, turn=turn)
+        rows, columns = image.shape
+        try:
+            return (columns, rows), find_board(image, board, sub_pixel=SubPixel(window_px))
+        except ViewRefusedError as why:
+            return (columns, rows), why
+
+    threads = ThreadPoolExecutor(os.cpu_count())  # OpenCV looks for most of a board on one core
+    try:
+        for camera, chosen in chosen_views.items():
+            found[camera] = {}
+            turn = camera in mirrored
+            looked = threads.map(partial(look, turn=turn), chosen.values())
+            for name in chosen:
+                report(done, total)
+                done += 1
+                size, seen = next(looked)
+                if sizes.setdefault(camera, size) != size:
+                    raise _other_size(camera, chosen)
+                if isinstance(seen, ViewRefusedError):
+                    refused.append(Refused(camera, name, str(seen)))
+                else:
+                    found[camera][name] = seen
+                if len(found[camera]) == 0 and name == [*chosen][:LOOKED_AT][-1]:
+                    _refuse_other_count(camera, chosen, found, board, turn=turn)
+            _refuse_other_count(camera, chosen, found, board, turn=turn)
+    finally:
+        threads.shutdown(cancel_futures=True)
     _order_alike(found, board)
     return BoardViews(board, found, sizes, (*refused, *_alone(found, chosen_views)))
 
