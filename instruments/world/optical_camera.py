@@ -36,7 +36,7 @@ from instruments.world.shading import GLOSS_EXPONENT, Lighting, irradiance, seen
 from instruments.world.solids import BLOCK, Ints, dot, intersect
 from instruments.world.state import SceneState, Stage
 
-KEPT_PIXELS = 400_000
+KEPT_PIXELS = 100_000  # 5 MB a camera: a scene or two
 T = TypeVar("T")
 
 
@@ -145,7 +145,9 @@ class PixelRays:
 
 
 class KeptLayers:
-    """Layers by what they show; beyond `KEPT_PIXELS` in all, those not asked for the longest go."""
+    """Layers by what they show: the last asked for, and others while all are `KEPT_PIXELS` at most;
+    those not asked for the longest go.
+    """
 
     def __init__(self) -> None:
         self._layers: dict[Hashable, Layer] = {}
@@ -167,7 +169,7 @@ class KeptLayers:
         latest = dict(zip(keys, found, strict=True))
         self._layers.update(latest)
         self._pixels += sum(map(len, latest.values()))
-        while self._pixels > KEPT_PIXELS and len(self._layers) > 1:
+        while self._pixels > KEPT_PIXELS and len(self._layers) > len(latest):
             self._pixels -= len(self._layers.pop(next(iter(self._layers))))
         return found
 

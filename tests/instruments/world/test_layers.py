@@ -90,6 +90,8 @@ def test_kept_layers_make_each_once_and_forget_the_oldest() -> None:
         ("cd", "abcd"),  # too much for all: b, asked for the longest ago, goes
         ("acd", "abcd"),
         ("b", "abcdb"),
+        ("abcd", "abcdba"),
+        ("dcba", "abcdba"),  # the last asked for stay, however large
     ):
         kept.of(asked, str.upper, make)
         assert "".join(made) == in_all
