@@ -6,13 +6,11 @@ while the operator holds the board, until nothing is missing or the operator has
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
-from itertools import count
+from itertools import count, repeat
 from pathlib import Path
 
 import cv2
@@ -158,28 +156,26 @@ def find_views(
     turned first. Raises ConfigError.
     """
     chosen_views = {camera: _spread(views, max_views) for camera, views in pictures.items()}
-    done, total = 0, sum(map(len, chosen_views.values()))
+    done, total = count(), sum(map(len, chosen_views.values()))
     found: dict[str, dict[str, DetectedBoard]] = {}
     sizes: dict[str, tuple[int, int]] = {}
     refused: list[Refused] = []
 
     def look(path: Path, turn: bool) -> tuple[tuple[int, int], DetectedBoard | ViewRefusedError]:
         image = _picture(path, turn=turn)
-        rows, columns = image.shape
+        size = image.shape[1], image.shape[0]
         try:
-            return (columns, rows), find_board(image, board, sub_pixel=SubPixel(window_px))
+            return size, find_board(image, board, sub_pixel=SubPixel(window_px))
         except ViewRefusedError as why:
-            return (columns, rows), why
+            return size, why
 
-    threads = ThreadPoolExecutor(os.cpu_count())  # OpenCV looks for most of a board on one core
+    threads = ThreadPoolExecutor()  # OpenCV looks for most of a board on one core
     try:
         for camera, chosen in chosen_views.items():
-            found[camera] = {}
-            turn = camera in mirrored
-            looked = threads.map(partial(look, turn=turn), chosen.values())
+            found[camera], turn = {}, camera in mirrored
+            looked = threads.map(look, chosen.values(), repeat(turn))
             for name in chosen:
-                report(done, total)
-                done += 1
+                report(next(done), total)
                 size, seen = next(looked)
                 if sizes.setdefault(camera, size) != size:
                     raise _other_size(camera, chosen)

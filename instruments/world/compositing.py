@@ -195,8 +195,7 @@ def _of_corners(corners: Sequence[Floats], camera: CameraModel) -> Cover:
     way = start[:, _following(counts)] - start
     # edges in pieces of STEP_PX, those near the image kept, and distorted
     x_px, y_px = way * camera.fc[:, None]
-    pieces = np.maximum(np.ceil(np.sqrt(x_px * x_px + y_px * y_px) / STEP_PX), 1.0)
-    pieces = pieces.astype(np.intp)
+    pieces = np.maximum(np.ceil(np.sqrt(x_px * x_px + y_px * y_px) / STEP_PX), 1.0).astype(np.intp)
     edge, part = _repeated(pieces)
     points = _bent(start[:, edge] + part * (way / pieces)[:, edge], camera)
     counts = np.add.reduceat(pieces, np.cumsum(counts) - counts)

@@ -7,6 +7,7 @@ thing alone and is kept.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -212,9 +213,8 @@ class OpticalCamera:
         key = (looks, fixed, shadows is None)
         if self._latest is None or self._latest[0] != key:
             self._latest = None  # let go before the next is drawn
-            expected, drawn = self._still(state).copy(), self._drawn(state, shadows)
-            if drawn is not None:
-                part, light = drawn
+            expected, drawn = deepcopy(self._still(state)), self._drawn(state, shadows)
+            for part, light in drawn:
                 changed = self.readout.expected(light, state.exposure, part)
                 expected.mean[part], expected.spread[part] = changed.mean, changed.spread
             self._latest = key, expected
@@ -230,9 +230,9 @@ class OpticalCamera:
             self._empty = key, self.readout.expected(light, state.exposure)
         return self._empty[1]
 
-    def _drawn(self, state: SceneState, shadows: ShadowMap | None) -> tuple[Part, Image] | None:
+    def _drawn(self, state: SceneState, shadows: ShadowMap | None) -> list[tuple[Part, Image]]:
         """The part of the picture that isn't empty, and light on the sensor there: the backdrop,
-        its shadows, and over it what stands there. None where nothing does.
+        its shadows, and over it what stands there. Nothing where nothing does.
         """
         camera, moments = self.view.camera, [self._seen(one) for one in self._moments(state)]
         empty, soft = _empty(state.backdrop, state.lighting, camera, self.readout.sensor)
@@ -240,25 +240,25 @@ class OpticalCamera:
         layers = [layer for seen in moments for layer in seen if len(layer)]
         parts = [_around(layer) for layer in layers] + ([dark[0]] if dark else [])
         if not parts:
-            return None
+            return []
         reach = reach_px(max(self._blurs(layers), default=self.readout.sensor.blur_px))
         part = _wider(_joined(parts), reach, empty.shape)
         wide = _wider(part, reach, empty.shape)  # the lens brings light from there
         row, column = wide[0].start, wide[1].start
-        here = [
-            [replace(one, row=one.row - row, column=one.column - column) for one in seen]
-            for seen in moments
-        ]
         dark = dark and (_within(dark[0], wide), dark[1])
-        light, *others = (
-            self._lens(empty[wide], None if soft is None else soft[wide], dark, seen)
-            for seen in here
+        behind = empty[wide], None if soft is None else soft[wide], dark
+        pictures = (
+            self._lens(
+                *behind, [replace(x, row=x.row - row, column=x.column - column) for x in seen]
+            )
+            for seen in moments
         )
-        for other in others:
+        light = next(pictures)
+        for other in pictures:
             light += other
-        if others:
+        if len(moments) > 1:
             light /= np.float32(len(moments))
-        return part, light[_within(part, wide)]
+        return [(part, light[_within(part, wide)])]
 
     def _moments(self, state: SceneState) -> list[SceneState]:
         """Even moments of the exposure, less than half a pixel of motion apart."""
@@ -282,9 +282,8 @@ class OpticalCamera:
         layers: Sequence[Layer],
     ) -> Image:
         """Light on the sensor; out-of-focus things in layers, far to near."""
-        sharp = self.readout.sensor.blur_px
-        apart = [(float(layer.depth_mm.mean()), layer) for layer in layers if len(layer)]
-        blurs = self._blurs([layer for _, layer in apart])
+        sharp, apart = self.readout.sensor.blur_px, [layer for layer in layers if len(layer)]
+        blurs = self._blurs(apart)
         if soft is None and max(blurs, default=sharp) > sharp:
             soft = blurred(empty, sharp)
         light = (empty if soft is None else soft).copy()
@@ -293,8 +292,8 @@ class OpticalCamera:
         if soft is None:
             lay_over(light, layers)
             return blurred(light, sharp)
-        for i in sorted(range(len(apart)), key=lambda i: -apart[i][0]):
-            layer, sigma = apart[i][1], blurs[i]
+        for i in sorted(range(len(apart)), key=lambda i: -float(apart[i].depth_mm.mean())):
+            layer, sigma = apart[i], blurs[i]
             part = _wider(_around(layer), reach_px(sigma), light.shape, lanes=1)
             corner, behind = (part[0].start, part[1].start), light[part]
             cover, own = np.zeros_like(behind), np.zeros_like(behind)
@@ -307,8 +306,8 @@ class OpticalCamera:
     def _blurs(self, layers: Sequence[Layer]) -> list[float]:
         """Blur of each layer's picture, sigma in px."""
         sensor, sharp = self.readout.sensor, self.readout.sensor.blur_px
-        depths = [float(layer.depth_mm.mean()) for layer in layers]
-        blurs = [float(_sigma_px(sensor, depth, self._focal_px)) for depth in depths]
+        depths = (float(layer.depth_mm.mean()) for layer in layers)
+        blurs = (float(_sigma_px(sensor, depth, self._focal_px)) for depth in depths)
         return [sigma if sigma - sharp > SHARP_PX else sharp for sigma in blurs]
 
     def _seen(self, state: SceneState) -> list[Layer]:

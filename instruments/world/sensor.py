@@ -152,10 +152,6 @@ class Expected:
     mean: Image
     spread: Image
 
-    def copy(self) -> Expected:
-        """The same in arrays of its own."""
-        return Expected(self.mean.copy(), self.spread.copy())
-
 
 class OpticalReadout:
     """One optical camera's sensor: its fixed pattern and its grey levels."""
