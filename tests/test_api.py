@@ -150,12 +150,17 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return found
 
 
+@pytest.fixture(scope="module")
+def site(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the wheel is installed."""
+    folder = tmp_path_factory.mktemp("installed")
+    Installed(folder / "site", folder).pip(str(wheel))
+    return folder / "site"
+
+
 @pytest.fixture
-def installed(wheel: Path, tmp_path: Path) -> Installed:
-    (tmp_path / "empty").mkdir()
-    found = Installed(tmp_path / "site", tmp_path / "empty")
-    found.pip(str(wheel))
-    return found
+def installed(site: Path, tmp_path: Path) -> Installed:
+    return Installed(site, tmp_path)
 
 
 def blocks(page: Path, language: str) -> list[str]:

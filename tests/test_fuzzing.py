@@ -378,9 +378,9 @@ def test_samples_are_read_whole(codec: Codec) -> None:
 @pytest.mark.slow
 @every
 def test_only_named_errors_leave_a_reader(codec: Codec) -> None:
-    """Some ten thousand inputs in all: damaged samples, and any bytes."""
+    """Some four thousand inputs in all: damaged samples, and any bytes."""
 
-    @settings(max_examples=max(1, round(examples(20) * codec.share)))
+    @settings(max_examples=max(1, round(examples(8) * codec.share)))
     @given(st.randoms(use_true_random=False), st.binary(max_size=80))
     def damaged(rng: Any, other: bytes) -> None:
         codec.check(other)

@@ -37,10 +37,16 @@ def undrawn() -> Iterator[None]:
 
 
 @contextmanager
-def bare() -> Iterator[None]:
-    """No figure is made at all, and the cameras of a run are not checked with its known ends."""
+def without_figures() -> Iterator[None]:
+    """No figure is made at all."""
     with ExitStack() as stack:
         for name in DRAWN_IN:
             stack.enter_context(patch(f"reports.figures.{name}.draw", lambda *_: NO_FIGURE))
-        stack.enter_context(patch("bench.run.trial.where_seen", lambda *_: {}))
+        yield
+
+
+@contextmanager
+def bare() -> Iterator[None]:
+    """As `without_figures`, and the cameras of a run are not checked with its known ends."""
+    with without_figures(), patch("bench.run.trial.where_seen", lambda *_: {}):
         yield

@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import KW_ONLY, asdict, dataclass, field, replace
 from datetime import datetime
 from enum import StrEnum
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -331,16 +332,23 @@ def _reported(run: RunRecord) -> dict[str, Any] | None:
         written = json.loads((run.folder / RUN_JSON).read_text(encoding="utf-8"))
         if run.head is None or written["chain"]["wall_digest"] != run.head.wall_digest:
             return None
-        said = TypeAdapter(RunStatus).validate_python(written["status"])
+        said = _reader(RunStatus).validate_python(written["status"])
         return {key: getattr(said, key) for key in ("verdicts", "why", "next", "damage")}
     return None
+
+
+@cache
+def _reader(kind: Any) -> TypeAdapter[Any]:
+    """Takes milliseconds to make."""
+    return TypeAdapter(kind)
 
 
 def _live(folder: Path) -> RunStatus | None:
     """What the run in ``folder`` said last of itself."""
     with suppress(OSError, ValueError, LookupError, TypeError):
         found = json.loads((folder / FOLDER / LIVE).read_bytes())
-        return TypeAdapter(RunStatus).validate_python(found["status"])
+        said: RunStatus = _reader(RunStatus).validate_python(found["status"])
+        return said
     return None
 
 
@@ -359,7 +367,10 @@ def _left(run: RunRecord, state: State, live: RunStatus | None) -> tuple[Instrum
         stored = run.facts.get(INSTRUMENTS_FACT, {})
         if stored.get("session") != run.sessions:
             return ()
-        return TypeAdapter(tuple[InstrumentStatus, ...]).validate_python(stored["instruments"])
+        left: tuple[InstrumentStatus, ...] = _reader(tuple[InstrumentStatus, ...]).validate_python(
+            stored["instruments"]
+        )
+        return left
     guardian, alone = run.guardian, run.facts.get("guardian") == NO_GUARDIAN
     known = live.instruments if live else ()
     if guardian and not known:

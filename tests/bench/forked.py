@@ -7,6 +7,7 @@ and `tests/test_run_py.py` test.
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -78,6 +79,7 @@ def _child(
     environment: Mapping[str, str],
     terminal: bool,
 ) -> None:
+    gc.freeze()  # what the server has loaded stays
     if terminal:
         os.setsid()
     take(streams)

@@ -14,7 +14,7 @@ from detector.calibration.gate import folds, lens_faults, pair_faults
 from detector.geometry import Camera, Motion
 from tests.examples import examples
 
-FEW, ALL = examples(25), 2000
+FEW, ALL = examples(10), 2000
 
 
 @st.composite

@@ -197,7 +197,7 @@ FILES = ("bom.toml", "metres.toml", "good.csv", "semi.csv")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FILES)
 def test_mutants_of_files_are_read_or_named(name: str, tmp_path: Path) -> None:
-    said = of_mutants(name, examples(60), tmp_path)
+    said = of_mutants(name, examples(25), tmp_path)
     assert said
     assert all(f"mutant-{name}" in each for each in said)
 

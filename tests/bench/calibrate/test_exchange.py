@@ -329,7 +329,7 @@ WEEKLY = {"opencv": 10, "ros": 10, "kalibr": 10, "bouguet": 8, "matlab": 2}  # p
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [*TEXTS, "bouguet", "matlab"])
 def test_mutants_of_each_format_are_read_or_named(kind: str, tmp_path: Path) -> None:
-    read, said = read_mutants(kind, examples(40) if kind in TEXTS else 2, tmp_path)
+    read, said = read_mutants(kind, examples(15) if kind in TEXTS else 2, tmp_path)
     assert read or said
     assert all("calib." in each for each in said)
 

@@ -43,7 +43,7 @@ from tests.bench.commands import Said
 # with 50 by hand: 200 scenes
 WORKERS = (1, 2, 7) if KILLS else (2,)
 CLIENT_KILLS = WORKER_KILLS = int(KILLS or 1)
-KILLED = int(KILLS or 3)  # of a cluster
+KILLED = int(KILLS or 1)  # of a cluster
 
 
 @pytest.fixture(scope="module")

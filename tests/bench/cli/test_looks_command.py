@@ -13,6 +13,7 @@ import pytest
 
 from bench.record.check import check_run
 from bench.record.schema import DATABASE
+from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said, teatbench
 
 pytestmark = pytest.mark.slow
@@ -22,10 +23,11 @@ pytestmark = pytest.mark.slow
 def kept(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Three runs of one family's members, one scene each."""
     found, folder = {}, tmp_path_factory.mktemp("looks")
+    rig = write_small_rig(folder)
     for number, name in enumerate("abc"):
         scenes, out = folder / f"scenes-{name}", folder / name
-        how = "scene record --situation ideal --seeds 1 --first {} --out {}"
-        teatbench(how, number, scenes)
+        how = "scene record --situation ideal --seeds 1 --rig {} --first {} --out {}"
+        teatbench(how, rig, number, scenes)
         teatbench("score {} --out {} --detector fused", scenes, out)
         (found[name],) = out.iterdir()
     return found
@@ -129,7 +131,8 @@ def test_runs_of_different_scripts_are_pooled_only_where_asked(
     runs: dict[str, Path], said: Said, tmp_path: Path
 ) -> None:
     scenes, out = tmp_path / "other", tmp_path / "out"
-    teatbench("scene record --situation low_contrast --seeds 1 --out {}", scenes)
+    rig = write_small_rig(tmp_path)
+    teatbench("scene record --situation low_contrast --seeds 1 --rig {} --out {}", rig, scenes)
     teatbench("score {} --out {} --detector fused", scenes, out)
     (other,) = out.iterdir()
     refused = said(2, "compare {} {} --together", runs["a"], other).err

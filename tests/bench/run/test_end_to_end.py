@@ -22,7 +22,8 @@ import pytest
 
 from bench.record.reader import RunRecord, read_run
 from bench.safety.stability import State
-from tests.bench.commands import Said, teatbench
+from tests.bench.campaign.small_campaign import write_small_rig
+from tests.bench.commands import Said, teatbench, words
 from tests.bench.forked import Running, begin
 from tests.conftest import first_trials
 
@@ -44,10 +45,17 @@ def run_command(arguments: Sequence[str], out: Path) -> tuple[int, Path]:
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory, short_script: Path) -> Done:
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With small pictures."""
+    return write_small_rig(tmp_path_factory.mktemp("rig"))
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory, short_script: Path, rig: Path) -> Done:
     out = tmp_path_factory.mktemp("first")
     recording = tmp_path_factory.mktemp("recording") / "new"
-    code, folder = run_command(["run", str(short_script), "--record", str(recording)], out)
+    command = words("run {} --rig {} --record {}", short_script, rig, recording)
+    code, folder = run_command(command, out)
     return Done(code, read_run(folder), recording)
 
 
@@ -131,9 +139,11 @@ def content(folder: Path) -> dict[str, Any]:
     return found
 
 
-def test_another_seed_gives_other_noise(done: Done, short_script: Path, tmp_path: Path) -> None:
-    script = first_trials(short_script, 1)
-    _, folder = run_command(["run", str(script), "--seed", "2"], tmp_path)
+def test_another_seed_gives_other_noise(
+    done: Done, short_script: Path, rig: Path, tmp_path: Path
+) -> None:
+    command = words("run {} --rig {} --seed 2", first_trials(short_script, 1), rig)
+    _, folder = run_command(command, tmp_path)
     first, second = content(done.run.folder), content(folder)
     for table in ("touches", "bath"):
         assert first[table][: len(second[table])] != second[table]
@@ -152,10 +162,10 @@ def test_the_report_can_be_written_again(done: Done, said: Said) -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals to a child")
 @pytest.mark.parametrize("after_s", [0.1, 1.6, 3.2])
 def test_ctrl_c_ends_safe_and_leaves_a_run(
-    short_script: Path, tmp_path: Path, after_s: float
+    short_script: Path, rig: Path, tmp_path: Path, after_s: float
 ) -> None:
     out = tmp_path / "runs"
-    with long_run(short_script, out, window_s=600.0) as child:
+    with long_run(short_script, rig, out, window_s=600.0) as child:
         folder = wait_for_run(out, child)
         time.sleep(after_s)
         child.send_signal(signal.SIGINT)
@@ -173,9 +183,11 @@ def test_ctrl_c_ends_safe_and_leaves_a_run(
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
-def test_a_killed_bench_leaves_a_run_that_reports(short_script: Path, tmp_path: Path) -> None:
+def test_a_killed_bench_leaves_a_run_that_reports(
+    short_script: Path, rig: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "runs"
-    with long_run(short_script, out) as child:
+    with long_run(short_script, rig, out) as child:
         folder = wait_for_run(out, child)
         while child.poll() is None and not list((folder / "frames").glob("003-*")):
             time.sleep(0.02)
@@ -189,12 +201,12 @@ def test_a_killed_bench_leaves_a_run_that_reports(short_script: Path, tmp_path: 
     assert "died before the run was over" in page
 
 
-def long_run(script: Path, out: Path, window_s: float = 60.0) -> Running:
+def long_run(script: Path, rig: Path, out: Path, window_s: float = 60.0) -> Running:
     """A bench that runs ``script`` with 50 repeats and a stability gate of ``window_s``."""
     text = script.read_text(encoding="utf-8").replace("repeats = 1", "repeats = 50")
     long = out.with_name("long.toml")
     long.write_text(text.replace("window_s = 60.0", f"window_s = {window_s}"), encoding="utf-8")
-    return begin(["run", long, "--out", out])
+    return begin(["run", long, "--rig", rig, "--out", out])
 
 
 def wait_for_run(out: Path, child: Running) -> Path:

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import bench
+import bench.testing.checking  # here, for a session in this process forgets what it loaded first
 from bench.rig.loading import load_rig
 from bench.run.lock import lock_path, locked
 from tests.bench.campaign.small_campaign import write_small_rig

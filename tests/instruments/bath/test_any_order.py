@@ -265,7 +265,7 @@ def test_any_order(name: str) -> None:
     run_state_machine_as_test(
         machine,
         settings=settings(
-            max_examples=examples(15),
+            max_examples=examples(8),
             stateful_step_count=20,
             deadline=None,
             # as found: to shrink a run that hangs takes minutes

@@ -482,7 +482,7 @@ TWO_REPLIES = 0.1 + 1e-9  # what they may differ by; a tenth has no exact binary
 
 
 @pytest.mark.slow
-@settings(max_examples=examples(50), deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=examples(20), deadline=None, suppress_health_check=list(HealthCheck))
 @given(faults=st.dictionaries(st.integers(0, 40), FAULTS, min_size=1, max_size=4))
 # both replies to one command come twice, each late enough to answer the next command: they agree
 @example(faults={10: Fault(again_s=0.012), 11: Fault(again_s=0.012)})

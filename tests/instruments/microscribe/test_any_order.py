@@ -253,5 +253,5 @@ class ArmInAnyOrder(RuleBasedStateMachine):
 
 TestArmInAnyOrder = pytest.mark.slow(ArmInAnyOrder.TestCase)
 TestArmInAnyOrder.settings = settings(
-    max_examples=examples(25), stateful_step_count=30, deadline=None
+    max_examples=examples(10), stateful_step_count=30, deadline=None
 )

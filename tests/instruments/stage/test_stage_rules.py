@@ -255,7 +255,7 @@ class StageRules(RuleBasedStateMachine):
 
 
 StageRules.TestCase.settings = settings(
-    max_examples=examples(50),
+    max_examples=examples(20),
     stateful_step_count=30,
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],

@@ -407,7 +407,7 @@ PIECES = [
         max_size=25,
     )
 )
-@settings(max_examples=examples(40), deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 def test_nothing_on_the_wire_ends_an_emulator(
     dialect: Dialect, said: list[tuple[bytes, float]]
 ) -> None:
