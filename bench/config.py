@@ -107,7 +107,11 @@ class Section(BaseModel):
     """A table that a person writes: no unknown keys, finite numbers, no changes."""
 
     model_config = ConfigDict(
-        extra="forbid", frozen=True, arbitrary_types_allowed=True, allow_inf_nan=False
+        extra="forbid",
+        frozen=True,
+        arbitrary_types_allowed=True,
+        allow_inf_nan=False,
+        defer_build=True,  # few of all tables are read by one command
     )
 
 

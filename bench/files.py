@@ -20,8 +20,12 @@ from numpy.typing import NDArray
 
 Picture = NDArray[np.uint8] | NDArray[np.uint16]
 
-# on noise half the time of level 1, and smaller; a level would undo it
-PNG = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
+# On noise half the time of level 1, and smaller; a level would undo it. Differences to the row
+# above are as small as those to the pixel before, and are read in three quarters of the time.
+PNG = (
+    *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE),
+    *(cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP),
+)
 STORED = (cv2.IMWRITE_PNG_COMPRESSION, 0, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE)
 AT_ONCE = 4  # files; a disk syncs several in little more time than one
 

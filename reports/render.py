@@ -34,7 +34,7 @@ from reports.frames import (
     places_of,
 )
 from reports.glossary import Explained, style_rules
-from reports.page import Cell, Figure, Page, Part, Section, Table, TrialPart, Verdict
+from reports.page import Cell, Column, Figure, Page, Part, Section, Table, TrialPart, Verdict
 from reports.sanitize import sanitized
 from reports.trust import PageError, address
 
@@ -151,7 +151,10 @@ class Press:
             places=(places := places_of(self._page.detectors)),
             alone=next(iter(places.values())) if len(places) == 1 else 0,
             shapes=_shapes,
-            answer_mark=lambda who: _shape(answer_mark(who, 10, 10, 5)),
+            cell=lambda value: _cell(value, to),
+            cells=lambda row, columns: _cells(row, columns, to),
+            look=_look,
+            answer_mark=lambda who: Markup(_shape(answer_mark(who, 10, 10, 5))),  # noqa: S704 numbers
             view_name=lambda image: views[_view(image)],
             row_id=row_id,
             lone=_lone,
@@ -330,16 +333,53 @@ def _drawing(figure: Figure, link: Callable[[str], str] | None) -> Markup:
     return Markup(svg)  # noqa: S704 page.Figure has checked every element and attribute
 
 
+def _escaped(text: str) -> str:
+    """Others' text, as plain as HTML takes it."""
+    return str(escape(sanitized(text)))
+
+
+def _cell(value: str | Cell, link: Callable[[str], str]) -> Markup:
+    """What stands in a cell; its link leads through `link`."""
+    if isinstance(value, str):
+        return Markup(_escaped(value))  # noqa: S704 escaped
+    text, href = _escaped(value.text), link(value.href) if value.href else ""
+    if href:
+        mono = ' class="mono"' if value.mono else ""
+        return Markup(f'<a href="{_escaped(href)}"{mono}>{text}</a>')  # noqa: S704 escaped
+    return Markup(f"<code>{text}</code>" if value.mono else text)  # noqa: S704 escaped
+
+
+def _look(align: str, value: str | Cell) -> str:
+    """The classes of what shows a value."""
+    tone = "plain" if isinstance(value, str) else value.tone
+    return align if tone == "plain" else f"{align} tone-{tone}".strip()
+
+
+def _cells(
+    row: Sequence[str | Cell], columns: Sequence[Column], link: Callable[[str], str]
+) -> Markup:
+    """A table's row, in Python as shapes are; a first cell that isn't empty is its head."""
+    drawn = []
+    for number, (value, column) in enumerate(zip(row, columns, strict=True)):
+        text, look = _cell(value, link), _look(column.align.replace("left", ""), value)
+        tag, scope = ("th", ' scope="row"') if number == 0 and text.strip() else ("td", "")
+        if look:
+            scope += f' class="{look}"'
+        if not isinstance(value, str) and value.sort is not None:
+            scope += f' data-sort="{value.sort}"'
+        drawn.append(f"<{tag}{scope}>{text}</{tag}>")
+    return Markup("".join(drawn))  # noqa: S704 each is escaped
+
+
 def _shapes(layer: Overlay) -> Markup:
     """In Python, not in the template: the shapes of 1 000 trials are most of a report's text."""
-    return Markup("").join(map(_shape, layer.shapes))
+    return Markup("".join(map(_shape, layer.shapes)))  # noqa: S704 each is escaped
 
 
-def _shape(it: Shape) -> Markup:
+def _shape(it: Shape) -> str:
     n = _number
     if isinstance(it, Label):
-        text = escape(sanitized(it.text))
-        return Markup(f'<text x="{n(it.x_px)}" y="{n(it.y_px)}">{text}</text>')  # noqa: S704 escaped
+        return f'<text x="{n(it.x_px)}" y="{n(it.y_px)}">{_escaped(it.text)}</text>'
     if isinstance(it, Circle):
         drawn = f'<circle cx="{n(it.x_px)}" cy="{n(it.y_px)}" r="{n(it.radius_px)}"'
     elif isinstance(it, Ellipse):
@@ -359,9 +399,9 @@ def _shape(it: Shape) -> Markup:
         a, b = n(it.arm_px), n(it.arm_px * 2)
         drawn = f'<path d="M{n(it.x_px)} {n(it.y_px)}m-{a} 0h{b}m-{a} -{a}v{b}"'
     if not it.title:
-        return Markup(f"{drawn}/>")  # noqa: S704 numbers
+        return f"{drawn}/>"
     tag = drawn[1 : drawn.index(" ")]
-    return Markup(f"{drawn}><title>{escape(sanitized(it.title))}</title></{tag}>")  # noqa: S704 escaped
+    return f"{drawn}><title>{_escaped(it.title)}</title></{tag}>"
 
 
 def _number(value: float) -> str:

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import count
+from itertools import count, repeat
 from pathlib import Path
 
 import cv2
@@ -155,26 +156,38 @@ def find_views(
     turned first. Raises ConfigError.
     """
     chosen_views = {camera: _spread(views, max_views) for camera, views in pictures.items()}
-    done, total = 0, sum(map(len, chosen_views.values()))
+    done, total = count(), sum(map(len, chosen_views.values()))
     found: dict[str, dict[str, DetectedBoard]] = {}
     sizes: dict[str, tuple[int, int]] = {}
     refused: list[Refused] = []
-    for camera, chosen in chosen_views.items():
-        found[camera] = {}
-        for name, path in chosen.items():
-            report(done, total)
-            done += 1
-            image = _picture(path, turn=camera in mirrored)
-            rows, columns = image.shape
-            if sizes.setdefault(camera, (columns, rows)) != (columns, rows):
-                raise _other_size(camera, chosen)
-            try:
-                found[camera][name] = find_board(image, board, sub_pixel=SubPixel(window_px))
-            except ViewRefusedError as why:
-                refused.append(Refused(camera, name, str(why)))
-            if len(found[camera]) == 0 and name == [*chosen][:LOOKED_AT][-1]:
-                _refuse_other_count(camera, chosen, found, board, turn=camera in mirrored)
-        _refuse_other_count(camera, chosen, found, board, turn=camera in mirrored)
+
+    def look(path: Path, turn: bool) -> tuple[tuple[int, int], DetectedBoard | ViewRefusedError]:
+        image = _picture(path, turn=turn)
+        size = image.shape[1], image.shape[0]
+        try:
+            return size, find_board(image, board, sub_pixel=SubPixel(window_px))
+        except ViewRefusedError as why:
+            return size, why
+
+    threads = ThreadPoolExecutor()  # OpenCV looks for most of a board on one core
+    try:
+        for camera, chosen in chosen_views.items():
+            found[camera], turn = {}, camera in mirrored
+            looked = threads.map(look, chosen.values(), repeat(turn))
+            for name in chosen:
+                report(next(done), total)
+                size, seen = next(looked)
+                if sizes.setdefault(camera, size) != size:
+                    raise _other_size(camera, chosen)
+                if isinstance(seen, ViewRefusedError):
+                    refused.append(Refused(camera, name, str(seen)))
+                else:
+                    found[camera][name] = seen
+                if len(found[camera]) == 0 and name == [*chosen][:LOOKED_AT][-1]:
+                    _refuse_other_count(camera, chosen, found, board, turn=turn)
+            _refuse_other_count(camera, chosen, found, board, turn=turn)
+    finally:
+        threads.shutdown(cancel_futures=True)
     _order_alike(found, board)
     return BoardViews(board, found, sizes, (*refused, *_alone(found, chosen_views)))
 

@@ -49,6 +49,9 @@ LIBRARIES = {
     "OPENCV_FFMPEG_LOGLEVEL": "-8",
     "OPENBLAS_NUM_THREADS": "1",
 }
+LIMIT = "give the machine, or the limit that it works under (ulimit -v), more"
+# of addresses: the libraries take 370 MB, and one that is refused them while it loads never returns
+LEAST_BYTES = 512 << 20
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -76,11 +79,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
             asked = (*starts, *(word for word in words if "-" in word))
             if gone := next((one for one in asked if one in REMOVED), None):
                 return complain(f"'{gone}' went: {REMOVED[gone]}", CODES.wrong_use)
-            return _run(top.parse_args(arguments))
+            given = top.parse_args(arguments)
+            if (limit := _address_limit()) < LEAST_BYTES:
+                why = f"{limit >> 20} MB of memory are allowed, {LEAST_BYTES >> 20} are needed"
+                return complain(f"{why}: {LIMIT}", CODES.fault)
+            return _run(given)
     except Exception as error:
         return _unforeseen(error)
     finally:
         sys.stdout, sys.stderr = streams
+
+
+def _address_limit() -> int:
+    """Of this process, in bytes; without end on Windows, which has none."""
+    if sys.platform == "win32":
+        return sys.maxsize
+    import resource
+
+    soft, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return sys.maxsize if soft == resource.RLIM_INFINITY else soft
 
 
 def _is_text(word: str) -> bool:
@@ -159,8 +176,7 @@ def _unforeseen(error: Exception) -> int:
     look like a requirement that isn't met, which Python's own would.
     """
     if _is_of_memory(error):
-        why = "out of memory: give the machine, or the limit that it works under (ulimit -v), more"
-        return complain(f"{why}, or ask for less at once ({error})", CODES.fault)
+        return complain(f"out of memory: {LIMIT}, or ask for less at once ({error})", CODES.fault)
     if isinstance(error, OSError):
         windows_says = getattr(error, "winerror", 0) == FILENAME_EXCED_RANGE
         if error.errno == errno.ENAMETOOLONG or windows_says:

@@ -48,7 +48,7 @@ LOCATIONS = (
 
 def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:
     """The check of the cameras on known ends, and whether answers share their shift."""
-    check = cameras_of(run.counted)
+    check = cameras_of(run)
     if looked := run.facts.get(LOOKED_FACT):
         yield Paragraph(f"{looked}.")
     if text := run.facts.get(UNCHECKED_FACT) or unchecked_of(run.counted, check):
@@ -57,7 +57,7 @@ def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Ite
         return
     asked = [r.limit_px for r in rules.requirements if isinstance(r, CamerasRequirement)]
     limit_px = min(asked, default=DEFAULT.limit_px)
-    answers = {name: answers_of(run.counted, name, calibration) for name in run.detectors}
+    answers = {name: answers_of(run, name, calibration) for name in run.detectors}
     found = [("cameras", one) for one in check.offsets]
     found += [(f"answers of {name}", one) for name, one in answers.items() if one is not None]
     thermal = "" if check.thermal is None else f", {check.thermal} in the thermal picture"

@@ -60,9 +60,9 @@ def attributed(
     An answer that doesn't share the cameras' shift stays the detector's.
     """
     found = []
-    check = cameras_of(run.counted)
+    check = cameras_of(run)
     depth_mm, seen = check.depth_error_mm, check.disparity
-    answers = answers_of(run.counted, detector, calibration) if calibration else None
+    answers = answers_of(run, detector, calibration) if calibration else None
     if answers is not None and seen is not None and not share_shift(seen, answers):
         depth_mm = 0.0
     off = "; ".join(one.text for one in check.beyond(DEFAULT))

@@ -2,9 +2,10 @@
 check of its cameras, pooled over a run, whichever detectors are under test. The same figure is
 taken of a detector's answers, which a camera that was knocked shifts alike.
 
-Disparity measures an end's depth. A truth with one error all through a run (registration, arm)
-shifts the disparity too: its standard uncertainty along the line of sight is part of the
-uncertainty stated here.
+Disparity measures an end's depth. What the ends of a run's truth have in common (arm, table frame,
+registration, reference touch) shifts the disparity too: of their mean, its standard uncertainty in
+the worst direction is part of the uncertainty stated here. What is fresh to each end is part of the
+scatter between poses.
 """
 
 from __future__ import annotations
@@ -17,15 +18,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import stdtrit
 
 from bench.config import ConfigError
-from bench.record.reader import TrialRecord, points_mm, read_run
+from bench.record.reader import RunRecord, TrialRecord, points_mm, read_run
 from bench.record.recording import Recording, RecordingError, TruthRow
 from bench.record.schema import DATABASE
 from bench.scoring.decisions import Decision, Verdict
+from bench.scoring.joint import JointCovariance
 from bench.scoring.rates import plural
 from bench.script.model import CamerasRequirement
+from bench.truth.joint import End, joint_truth
 from detector.calibration import Calibration
 from detector.geometry import Array
 from detector.outline.known_ends import (
@@ -84,15 +88,22 @@ def spread(frames: Iterable[str]) -> frozenset[str]:
 @dataclass(frozen=True, slots=True)
 class CameraOffset:
     """The mean offset of one figure over ``poses``, px (of the sensor for the thermal camera), with
-    its expanded uncertainty. One pixel is ``mm`` of an end's depth, or a turn of ``deg``.
+    the half width of its interval by their ``scatter`` and the expanded uncertainty of what their
+    truths share (``common``). One pixel is ``mm`` of an end's depth, or a turn of ``deg``.
     """
 
     name: str
     value: float
-    uncertainty: float
+    scatter: float
+    common: float
     poses: int
     mm: float
     deg: float
+
+    @property
+    def uncertainty(self) -> float:
+        """Expanded, of both parts."""
+        return float(np.hypot(self.scatter, self.common))
 
     @property
     def text(self) -> str:
@@ -153,9 +164,11 @@ def limit_of(rule: CamerasRequirement, one: CameraOffset) -> float:
     return rule.limit_px if one.name in NAMES[:2] else rule.thermal_limit_px
 
 
-def check_cameras(seen: Mapping[str, Sequence[Mapping[str, Any]]], u_mm: float) -> CamerasCheck:
-    """The check of each pose's `EndOffsets`, as dicts; ``u_mm`` is that of the known ends. A figure
-    is the mean over poses of each pose's median; repeats of a pose count once.
+def check_cameras(
+    seen: Mapping[str, Sequence[Mapping[str, Any]]], truth: JointCovariance
+) -> CamerasCheck:
+    """The check of each pose's `EndOffsets`, as dicts; ``truth`` is that of the known ends, in the
+    same order. A figure is the mean over poses of each pose's median; repeats of a pose count once.
     """
     if not seen:
         return CamerasCheck()
@@ -165,45 +178,54 @@ def check_cameras(seen: Mapping[str, Sequence[Mapping[str, Any]]], u_mm: float) 
         for rows in seen.values()
     ]  # None becomes not-a-number
     every = np.concatenate(poses)
+    groups = np.repeat(np.arange(len(poses)), [len(values) for values in poses])
     thermal, measured = (int(np.isfinite(every[:, k]).sum()) for k in (0, 2))
-    by_pose = np.array([[_median(column) for column in values.T] for values in poses])
-    mm, thermal_mm, deg = np.median(by_pose[:, 4:], axis=0)
+    mm, thermal_mm, deg = (np.median([np.median(v[:, k]) for v in poses]) for k in (4, 5, 6))
     offsets: list[CameraOffset | None] = []
     if measured >= LEAST_MEASURED * len(every):
         offsets += [
-            _pooled(NAMES[0], by_pose[:, 2], u_mm / mm, mm, deg),
-            _pooled(NAMES[1], by_pose[:, 3], 0.0, mm, deg),
+            _pooled(NAMES[0], every[:, 2], groups, truth, (mm, mm, deg)),
+            _pooled(NAMES[1], every[:, 3], groups, None, (mm, mm, deg)),
         ]
         if thermal >= LEAST_MEASURED * measured:
             offsets += [
-                _pooled(NAMES[2 + k], by_pose[:, k], u_mm / thermal_mm, mm, deg) for k in (0, 1)
+                _pooled(NAMES[2 + k], every[:, k], groups, truth, (thermal_mm, mm, deg))
+                for k in (0, 1)
             ]
     looked = bool((every[:, 5] != NO_THERMAL_MM).any())
     found = tuple(one for one in offsets if one is not None)
     return CamerasCheck(found, len(poses), len(every), measured, thermal if looked else None)
 
 
-def _median(values: Array) -> float:
-    """The median of the finite ones; not-a-number where there are none."""
-    finite = values[np.isfinite(values)]
-    return float(np.median(finite)) if len(finite) else np.nan
-
-
-def _pooled(name: str, values: Array, common: float, mm: float, deg: float) -> CameraOffset | None:
-    """The mean over poses (n,); ``common`` is the uncertainty that all share, px."""
-    values = values[np.isfinite(values)]
-    n = len(values)
+def _pooled(
+    name: str,
+    values: Array,
+    groups: npt.ArrayLike,
+    truth: JointCovariance | None,
+    scales: tuple[float, float, float],
+) -> CameraOffset | None:
+    """The mean over ``groups`` (n,) of the medians of their finite ``values`` (n,); ``truth`` is
+    that of the ends where it counts. ``scales``: mm of the truth and of depth, and degrees, a px.
+    """
+    finite = np.isfinite(values)
+    seen, own = np.unique(np.asarray(groups)[finite], return_inverse=True)
+    n = len(seen)
     if n < LEAST_POSES:
         return None
-    scatter = float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2) * values.std(ddof=1) / np.sqrt(n))
-    uncertainty = float(np.hypot(scatter, 2 * common))
-    return CameraOffset(name, float(values.mean()), uncertainty, n, float(mm), float(deg))
+    medians = np.array([np.median(values[finite][own == k]) for k in range(n)])
+    scatter = float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2) * medians.std(ddof=1) / np.sqrt(n))
+    common_mm = 0.0
+    if truth is not None:
+        shared_mm2 = truth.of(finite).of_mean(1.0 / (n * np.bincount(own)[own]))
+        common_mm = float(np.sqrt(np.linalg.norm(shared_mm2, ord=2)))
+    common = float(2.0 * common_mm / scales[0])
+    return CameraOffset(name, float(medians.mean()), scatter, common, n, *map(float, scales[1:]))
 
 
 def can_tell(seen: Mapping[str, Mapping[str, EndOffsets]]) -> bool:
     """Whether the ends of these poses, by name, are enough for the check."""
     rows = {pose: [asdict(one) for one in ends.values()] for pose, ends in seen.items() if ends}
-    check = check_cameras(rows, 0.0)
+    check = check_cameras(rows, JointCovariance.exact(sum(map(len, rows.values()))))
     return check.disparity is not None and not check.unseen
 
 
@@ -250,8 +272,10 @@ def check_folder(
     try:
         recording = Recording(folder)
         truth = recording.truth
+        run = RunRecord(folder, {}, tuple(_trial_of(*one) for one in truth.items()))
         if (folder / DATABASE).exists():
-            truth = {trial.id: tuple(truth_rows(trial)) for trial in read_run(folder).counted}
+            run = read_run(folder)
+            truth = {trial.id: tuple(truth_rows(trial)) for trial in run.counted}
         known = [
             frame for frame in recording.frames if any(r.visible for r in truth.get(frame, ()))
         ]
@@ -269,33 +293,51 @@ def check_folder(
     except (RecordingError, UnusableError, np.linalg.LinAlgError) as error:
         raise ConfigError.plain(f"{folder}: its pictures can't be checked: {error}") from error
     each = len(set(some)) < LEAST_POSES
-    rows: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for pose, ends in seen:
+    trials = {trial.id: trial for trial in run.counted}
+    rows: dict[str, list[tuple[End, dict[str, Any]]]] = defaultdict(list)
+    for frame, (pose, ends) in zip(some, seen, strict=True):
+        at = {str(row["teat"]): row for row in trials[frame].truth}
         for teat, one in ends.items():
-            rows[teat if anew else f"{pose} {teat}" if each else pose].append(asdict(one))
-    u_mm = max((row.u_mm or 0.0 for frame in some for row in truth[frame]), default=0.0)
-    return check_cameras(rows, u_mm)
+            key = teat if anew else f"{pose} {teat}" if each else pose
+            rows[key].append(((trials[frame], at[teat]), asdict(one)))
+    return _checked(run, rows)
 
 
-def cameras_of(trials: Sequence[TrialRecord]) -> CamerasCheck:
+def _trial_of(frame: str, truth: Sequence[TruthRow]) -> TrialRecord:
+    """A frame of a recording as a trial of a run."""
+    axes = ("x_mm", "y_mm", "z_mm")
+    rows: list[dict[str, Any]] = [
+        {"teat": row.teat, "u_mm": row.u_mm, **dict(zip(axes, row.xyz_mm, strict=True))}
+        for row in truth
+    ]
+    return TrialRecord({"id": frame, "invalid": None}, truth=rows)
+
+
+def cameras_of(run: RunRecord) -> CamerasCheck:
     """The check of a run's touched ends."""
-    by_pose: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    u_mm = 0.0
-    for trial in trials:
+    by_pose: dict[str, list[tuple[End, dict[str, Any]]]] = defaultdict(list)
+    for trial in run.counted:
         for row in trial.truth:
             if row.get("cameras"):
-                by_pose[trial.pose].append(json.loads(row["cameras"]))
-                u_mm = max(u_mm, row["u_mm"] or 0.0)
-    return check_cameras(by_pose, u_mm)
+                by_pose[trial.pose].append(((trial, row), json.loads(row["cameras"])))
+    return _checked(run, by_pose)
 
 
-def answers_of(
-    trials: Sequence[TrialRecord], detector: str, calibration: Calibration
-) -> CameraOffset | None:
+def _checked(
+    run: RunRecord, by_pose: Mapping[str, Sequence[tuple[End, dict[str, Any]]]]
+) -> CamerasCheck:
+    """The check of ends of ``run``, each with its offsets."""
+    ends = [end for rows in by_pose.values() for end, _ in rows]
+    seen = {pose: [one for _, one in rows] for pose, rows in by_pose.items()}
+    return check_cameras(seen, joint_truth(run, ends))
+
+
+def answers_of(run: RunRecord, detector: str, calibration: Calibration) -> CameraOffset | None:
     """The disparity between a detector's answers and the truth; None below `LEAST_POSES`."""
-    by_pose: dict[str, list[float]] = defaultdict(list)
-    scales, u_mm = [], 0.0
-    for trial in trials:
+    ends: list[End] = []
+    values: list[float] = []
+    scales: list[float] = []
+    for trial in run.counted:
         score = trial.scores.get(detector)
         if score is None or not score.match.pairs:
             continue
@@ -305,21 +347,24 @@ def answers_of(
             np.subtract(left[:, 0], right[:, 0])
             for left, right in map(calibration.project, (true + score.errors_mm, true))
         ]
-        by_pose[trial.pose] += (columns[0] - columns[1]).tolist()
+        values += (columns[0] - columns[1]).tolist()
         scales += calibration.depth_per_disparity_px_mm(true).tolist()
-        u_mm = max(u_mm, *(row["u_mm"] or 0.0 for row in rows))
-    if not scales:
+        ends += [(trial, row) for row in rows]
+    if not ends:
         return None
+    poses = list(dict.fromkeys(trial.pose for trial, _ in ends))
+    groups = [poses.index(trial.pose) for trial, _ in ends]
     mm, deg = float(np.median(scales)), float(np.degrees(1.0 / calibration.right.fc[0]))
-    medians = np.array([np.median(values) for values in by_pose.values()])
-    return _pooled(NAMES[0], medians, u_mm / mm, mm, deg)
+    return _pooled(NAMES[0], np.array(values), groups, joint_truth(run, ends), (mm, mm, deg))
 
 
 def share_shift(cameras: CameraOffset, answers: CameraOffset) -> bool:
-    """Whether the answers may have the cameras' shift: half of it, or what both scatter by."""
+    """Whether the answers may have the cameras' shift: half of it, or what both scatter by. Both
+    are held against the same truth, whose error cancels in the difference.
+    """
     apart = abs(answers.value - cameras.value)
     alike = answers.value * np.sign(cameras.value) >= SHARED * abs(cameras.value)
-    return bool(alike or apart <= np.hypot(answers.uncertainty, cameras.uncertainty))
+    return bool(alike or apart <= np.hypot(answers.scatter, cameras.scatter))
 
 
 def shift_text(check: CamerasCheck, answers: CameraOffset | None, limit_px: float) -> str:

@@ -1,15 +1,15 @@
 """Whether a recording's calibration can be: its pair sees depth, its pictures are of its size, and
 what its truth calls visible has a place in them. Where not, nothing is scored: every detector would
-be charged with what no detector can find.
+be charged with what no detector can find. The truth of a run's trial is asked the same.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
-from bench.record.recording import FILES, Recording
+from bench.record.recording import FILES, Recording, TruthRow
 from bench.results.working_volume import FARTHEST_MM, outside_picture
 from bench.scoring.rates import plural
 from detector.calibration import Calibration
@@ -30,7 +30,8 @@ def doubts_of(recording: Recording, calibration: Calibration) -> tuple[str, ...]
     """Sentences' parts that say why the calibration can't be of this recording; () where it may."""
     pair = (f"calibration.toml, [stereo] T: {w}" for w in pair_faults(calibration.right_from_left))
     found = [*pair, *_sizes(recording, calibration)]
-    return tuple(found or _places(recording, calibration))
+    rows = [(frame, row) for frame, those in recording.truth.items() for row in those]
+    return tuple(found or out_of_sight(rows, calibration))
 
 
 def looked_at(recording: Recording) -> str:
@@ -60,11 +61,11 @@ def _sizes(recording: Recording, calibration: Calibration) -> Iterator[str]:
         yield f"{frames[0]}{more}, the calibration is for {'{} x {}'.format(*wanted[name])}"
 
 
-def _places(recording: Recording, calibration: Calibration) -> Iterator[str]:
-    """Visible ends that the pictures can't show, or whose depth no disparity can tell."""
-    rows = [
-        (frame, row) for frame, those in recording.truth.items() for row in those if row.visible
-    ]
+def out_of_sight(truth: Iterable[tuple[str, TruthRow]], calibration: Calibration) -> Iterator[str]:
+    """Visible ends that the pictures can't show, or whose depth no disparity can tell; of rows with
+    the name of their frame or trial.
+    """
+    rows = [(frame, row) for frame, row in truth if row.visible]
     if not rows:
         return
     points = np.array([row.xyz_mm for _, row in rows])

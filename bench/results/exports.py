@@ -13,6 +13,7 @@ from typing import Any
 
 from bench.files import write_synced
 from bench.record.check import NOT_AS_WRITTEN, printed_chain
+from bench.record.looks import id_of
 from bench.record.reader import RunRecord
 from bench.results.status import RunStatus
 from bench.results.verdicts import Judgement, run_verdict
@@ -118,7 +119,8 @@ def _chain(run: RunRecord) -> Any:
 
 def _junit_xml(run: RunRecord, status: RunStatus, judgements: Sequence[Judgement]) -> str:
     """A test case a requirement: not met is a failure, undecided is skipped with its reason. A run
-    without a verdict has a case of its own that is an error, for readers of this file alone.
+    without a verdict has a case of its own that is an error, for readers of this file alone. Of
+    two suites with one name, id and time stamp Jenkins drops one: the id is the run's.
     """
     several = len(judgements) > 1  # else its requirements stand with the one detector's
     cases = list(
@@ -141,11 +143,12 @@ def _junit_xml(run: RunRecord, status: RunStatus, judgements: Sequence[Judgement
         nothing = "nothing was scored, so no requirement was decided"
         cases = [(who, "requirements", "skipped", nothing, "") for who in run.detectors]
     started, took_s = _span(run)
+    known_as = f"{run.folder.resolve().name} {id_of(run)}"
     share_s = f"{took_s / max(1, len(cases)):.3f}"
     root = ET.Element("testsuites", name=str(run.facts.get("title", run.folder.name)))
     root.set("time", f"{took_s:.3f}")
     for detector in dict.fromkeys(who for who, *_ in cases):
-        suite = ET.SubElement(root, "testsuite", name=detector, timestamp=started)
+        suite = ET.SubElement(root, "testsuite", name=detector, id=known_as, timestamp=started)
         for _, name, kind, message, rule in (one for one in cases if one[0] == detector):
             named = {"classname": detector, "name": name, "time": share_s}
             case = ET.SubElement(suite, "testcase", named)

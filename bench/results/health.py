@@ -164,7 +164,7 @@ def _values(run: RunRecord) -> Iterator[tuple[str, float]]:
         if stated := facts.get(STATED_FACT):
             yield "arm_ratio", check_touches("", stated, test).ratio
     yield from _of_bath(run)
-    if disparity := cameras_of(run.counted).disparity:
+    if disparity := cameras_of(run).disparity:
         yield "disparity_px", disparity.value
     yield from _of_pictures(run)
     age_days = facts.get(CALIBRATION_FACT, {}).get("age_days")

@@ -371,7 +371,7 @@ def _decide(
         case CalibrationRequirement():
             return decide_calibration(rule, run.facts)
         case CamerasRequirement():
-            return decide_cameras(rule, cameras_of(run.counted))
+            return decide_cameras(rule, cameras_of(run))
     u_mm = truth_u_mm([run], scores, detector)
     looks = Looks(planned)
     return decide_detector(rule, scores, latency_of(run, detector), u_mm, looks)

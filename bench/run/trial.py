@@ -20,6 +20,7 @@ from bench.record.schema import Row
 from bench.record.writer import Store
 from bench.results.answers import Answer, Examiner, score_answers
 from bench.results.cameras_agree import where_seen
+from bench.results.doubts import out_of_sight
 from bench.results.teats_seen import TEATS_FACT, teats_seen
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import LoadedRig
@@ -43,11 +44,13 @@ from bench.truth.registration import (
 )
 from bench.truth.stage_registration import around, ends_of, register, stands_at
 from bench.truth.touching import (
+    ASTRAY_MM,
     ExpectedScene,
     NoTruthError,
     TouchedTruth,
     Toucher,
     TrialTruth,
+    astray_text,
     end_u_mm,
     truth_row,
 )
@@ -307,6 +310,7 @@ class TrialRun:
             TruthRow(trial.situation, str(i), t.point_mm, visible[i - 1], t.uncertainty.u_mm)
             for i, t in enumerate(truth.points, 1)
         ]
+        self._refuse_astray(there, rows)
         if bath is not None and bath.external_c is None and not self._rig.cameras.recorded:
             self._look_at_teats(trial, frames, rows, bath.temp_c)
         answers = self._detect(frames)
@@ -327,6 +331,21 @@ class TrialRun:
         self._truth.stored(trial.id, truth)
         if self._recorder and not self.rehearsing:
             self._recorder.trial(trial.id, frames, rows, confirmed=truth.how is How.TOUCHED)
+
+    def _refuse_astray(self, there: ExpectedScene, rows: Sequence[TruthRow]) -> None:
+        """Raises NoTruthError for an end that is nowhere near the script's place, or is called
+        visible where no camera can show it: no detector is charged with it.
+        """
+        places = np.array([row.xyz_mm for row in rows]).reshape(-1, 3)
+        off_mm = np.linalg.norm(places - there.ends.expected_mm, axis=1)
+        found = [
+            astray_text(there.ends.called(teat), off)
+            for teat, off in enumerate(off_mm.tolist(), 1)
+            if off > ASTRAY_MM
+        ]
+        named = ((there.trial, row) for row in rows)
+        if why := next(iter(found or out_of_sight(named, self._ctx.rig.calibration)), None):
+            raise NoTruthError("truth", why, hint="Is the rig's calibration of this table's frame?")
 
     def _stable(self) -> bool:
         return self._ctx.watch.state == State.STABLE

@@ -49,7 +49,8 @@ class Window:
 
     @property
     def half_range(self) -> float:
-        return float(np.ptp([y for _, y, _ in self._readings])) / 2.0
+        values = [y for _, y, _ in self._readings]
+        return (max(values) - min(values)) / 2.0
 
     @property
     def slope(self) -> float:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
-from itertools import combinations
+from itertools import combinations, starmap
 from math import dist, inf, sqrt
 from operator import attrgetter
 
@@ -94,11 +94,9 @@ def gate_mm(truth_mm: npt.ArrayLike) -> float:
     which holds no finding in two gates. Raises ValueError where two ends are at one place.
     """
     truth = truth_mm if isinstance(truth_mm, list) else as_points(truth_mm, "truth").tolist()
-    least, (i, j) = min(
-        ((dist(truth[i], truth[j]), (i, j)) for i, j in combinations(range(len(truth)), 2)),
-        default=(inf, (0, 0)),
-    )
+    least = min(starmap(dist, combinations(truth, 2)), default=inf)
     if least < LEAST_SPACING_MM:
+        i, j = min(combinations(range(len(truth)), 2), key=lambda at: dist(*(truth[k] for k in at)))
         raise ValueError(
             f"truth: the ends of teats {i + 1} and {j + 1} are {least:.2f} mm apart, at {truth[i]}"
             " mm; one was touched twice"
@@ -126,7 +124,7 @@ def assign(found: Points, truth: Points, seen: list[bool], gate_mm: float) -> Ma
         (i, j): d
         for j, b in enumerate(truth)
         for i, a in enumerate(found)
-        if (d := dist(a, b)) <= gate_mm
+        if abs(a[0] - b[0]) <= gate_mm and (d := dist(a, b)) <= gate_mm  # most are far in x
     }
     kept = list(within)  # in order of truth, as the pairs were looked at
     taken_found, taken_truth = {i for i, _ in kept}, {j for _, j in kept}

@@ -9,8 +9,8 @@ in space). Of two readings that far apart neither is used. With normal readings 
 loses one falsely.
 
 **Wrong teat.** Places are compared with each other: the teats touched already give the phantom's
-shift. A touch is refused where another teat's shifted place is nearer by more than `TELL_MM`, or
-where it falls on an end that was touched already.
+shift. A touch is refused where another teat's shifted place is nearer by more than `TELL_MM`, where
+it falls on an end that was touched already, or farther than `ASTRAY_MM` from its own place.
 """
 
 from __future__ import annotations
@@ -56,8 +56,12 @@ TELL_MM = 2.0  # nearer to the other teat by this, or the two are taken to be eq
 SAME_SHARE = 0.25
 
 
+# of an end from where the script has it: no phantom is set up worse
+ASTRAY_MM = 150.0
+
+
 class NoTruthError(DeviceError):
-    """A teat end could not be touched well; the trial has no truth."""
+    """A teat end could not be touched well, or is where none can be; the trial has no truth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -315,10 +319,19 @@ def mistaken(point: Floats, teat: int, ends: Ends, done: Mapping[int, Floats]) -
     away = np.linalg.norm(expected + (np.mean(shifts, axis=0) if shifts else 0.0) - point, axis=1)
     nearest = int(np.argmin(away)) + 1
     if nearest == teat or away[nearest - 1] + TELL_MM >= away[teat - 1]:
-        return None
+        off_mm = float(np.linalg.norm(expected[teat - 1] - point))
+        return astray_text(ends.called(teat), off_mm) if off_mm > ASTRAY_MM else None
     return (
         f"That looks like {ends.called(nearest)}: it is {away[nearest - 1]:.0f} mm from that teat's"
         f" place, and {away[teat - 1]:.0f} mm from the place of {ends.called(teat)}."
+    )
+
+
+def astray_text(who: str, off_mm: float) -> str:
+    """What is said of an end so far from where the script has it."""
+    return (
+        f"That is {off_mm:.0f} mm from the place of {who} (at most {ASTRAY_MM:g} mm are taken): the"
+        " table frame or the layout is not that of this table."
     )
 
 

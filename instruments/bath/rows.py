@@ -31,7 +31,7 @@ COLDEST_C, HOTTEST_C, TINIEST, LARGEST = -273.15, 2000.0, 1e-6, 1e9
 class Strict(BaseModel):
     """What is read from a person's file: unknown keys are faults, and nothing changes later."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
 
 class Quantity(Strict):

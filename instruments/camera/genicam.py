@@ -28,6 +28,8 @@ INSTALL = (
 BUFFERS = 4
 TIMEOUT_S = 2.0
 INTERVALS = 3.0  # a frame under way, one that may be damaged, and the one that is taken
+# a buffer that came back without a frame: its stream began anew or was stopped
+UNFILLED = frozenset({"UNKNOWN", "CLEARED", "FILLING", "ABORTED"})
 # what a buffer's status says of its frame; any other means that none came
 DAMAGED = dict.fromkeys(
     ("MISSING_PACKETS", "WRONG_PACKET_ID", "TIMEOUT"), FrameFault.LOST_PACKETS
@@ -353,8 +355,9 @@ class GenicamCamera:
             raise self._fault(FrameFault.DROPPED, what, hint) from error
 
     def take(self) -> RawFrame:
-        """The next whole frame. Damaged ones are passed over and counted in it. Raises FrameError
-        where none came in time, or not as the camera was opened.
+        """The next whole frame. Damaged ones are passed over and counted in it, and buffers that
+        were given back unfilled are not. Raises FrameError where none came in time, or not as the
+        camera was opened.
         """
         end_s = self._clock.now() + self._wait_s
         passed: list[str] = []  # the status of each damaged buffer
@@ -368,7 +371,8 @@ class GenicamCamera:
                 status = buffer.get_status().value_nick.upper().replace("-", "_")
                 if status == "SUCCESS":
                     return self._frame(buffer, arrived_s, len(passed))
-                passed.append(status)
+                if status not in UNFILLED:
+                    passed.append(status)
             finally:
                 self._stream.push_buffer(buffer)
             if arrived_s >= end_s:

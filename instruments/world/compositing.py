@@ -169,16 +169,14 @@ def cover(solids: Solids, camera: CameraModel) -> Cover:
         nothing = np.zeros(0, dtype=np.intp)
         return Cover(nothing, nothing, nothing, np.zeros(0))
     _refuse_near(float(solids.nearest_depth().min()), camera)
-    corners, owners = _outlines(solids, camera)
-    return _of_corners(corners, owners, camera)
+    return _of_corners(_outlines(solids, camera), camera)
 
 
 def cover_outlines(outlines: Sequence[Floats], camera: CameraModel) -> Cover:
     """The same for flat polygons, each (m, 3) mm in the camera's frame, before the camera."""
     for outline in outlines:
         _refuse_near(float(outline[:, 2].min()), camera)
-    flat = [outline[:, :2] / outline[:, 2:] for outline in outlines]
-    return _of_corners(flat, list(range(len(flat))), camera)
+    return _of_corners([outline[:, :2] / outline[:, 2:] for outline in outlines], camera)
 
 
 def _refuse_near(nearest_mm: float, camera: CameraModel) -> None:
@@ -190,23 +188,26 @@ def _refuse_near(nearest_mm: float, camera: CameraModel) -> None:
         )
 
 
-def _of_corners(corners: Sequence[Floats], owners: Sequence[int], camera: CameraModel) -> Cover:
-    """Polygons (m, 2) in the ideal plane, each with the number of its solid."""
+def _of_corners(corners: Sequence[Floats], camera: CameraModel) -> Cover:
+    """Each solid's polygon (m, 2) in the ideal plane."""
     counts = np.array([len(outline) for outline in corners], dtype=np.intp)
-    owner = np.repeat(np.asarray(owners, dtype=np.intp), counts)
-    start, after = np.concatenate(corners), np.arange(1, len(owner) + 1)
-    lasts = np.cumsum(counts) - 1
-    after[lasts] = lasts - counts + 1  # an outline is closed
-    end = start[after]
+    start = np.concatenate(corners).T.copy()
+    way = start[:, _following(counts)] - start
     # edges in pieces of STEP_PX, those near the image kept, and distorted
-    length_px = np.linalg.norm((end - start) * camera.fc, axis=1)
-    pieces = np.maximum(np.ceil(length_px / STEP_PX), 1.0).astype(np.intp)
+    x_px, y_px = way * camera.fc[:, None]
+    pieces = np.maximum(np.ceil(np.sqrt(x_px * x_px + y_px * y_px) / STEP_PX), 1.0).astype(np.intp)
     edge, part = _repeated(pieces)
-    way = (end - start)[edge] / pieces[edge][:, None]
-    begin = start[edge] + part[:, None] * way
-    low, high = _plane_window(camera)
-    first, last = (_bent(plane, camera, low, high) for plane in (begin, begin + way))
-    return _areas(max(owners) + 1, owner[edge], first, last, camera)
+    points = _bent(start[:, edge] + part * (way / pieces)[:, edge], camera)
+    counts = np.add.reduceat(pieces, np.cumsum(counts) - counts)
+    end = points[:, _following(counts)]
+    return _areas(counts, points, end, camera)
+
+
+def _following(counts: Ints) -> Ints:
+    """The point after each one of closed outlines of so many points."""
+    after, lasts = np.arange(1, int(counts.sum()) + 1), np.cumsum(counts) - 1
+    after[lasts] = lasts - counts + 1
+    return after
 
 
 def _repeated(counts: Ints) -> tuple[Ints, Ints]:
@@ -215,12 +216,11 @@ def _repeated(counts: Ints) -> tuple[Ints, Ints]:
     return which, np.arange(len(which)) - (np.cumsum(counts) - counts)[which]
 
 
-def _outlines(solids: Solids, camera: CameraModel) -> tuple[list[Floats], list[int]]:
-    """The polygon (m, 2) of each solid in the ideal plane, and its number."""
+def _outlines(solids: Solids, camera: CameraModel) -> list[Floats]:
+    """The polygon (m, 2) of each solid in the ideal plane."""
     depth = np.minimum(solids.a[:, 2], solids.b[:, 2])
     size_px = np.maximum(solids.radius_a, solids.radius_b) / depth * float(camera.fc.max())
-    corners: list[Floats] = []
-    owners: list[int] = []
+    corners: dict[int, Floats] = {}
     for points, above, up_to in RING_POINTS:
         which = np.flatnonzero((size_px > above) & (size_px <= up_to))
         if len(which) == 0:
@@ -228,12 +228,9 @@ def _outlines(solids: Solids, camera: CameraModel) -> tuple[list[Floats], list[i
         rings = np.concatenate([_ring(solids, which, points, end) for end in (True, False)], axis=1)
         clouds = rings[..., :2] / rings[..., 2:]
         coarse = clouds.astype(np.float32, order="C")
-        corners += [
-            cloud[cv2.convexHull(rough, returnPoints=False)[:, 0]]
-            for cloud, rough in zip(clouds, coarse, strict=True)
-        ]
-        owners += which.tolist()
-    return corners, owners
+        for number, cloud, rough in zip(which.tolist(), clouds, coarse, strict=True):
+            corners[number] = cloud[cv2.convexHull(rough, returnPoints=False)[:, 0]]
+    return [corners[number] for number in range(len(solids))]
 
 
 def _ring(solids: Solids, which: Ints, points: int, at_a: bool) -> Floats:
@@ -263,62 +260,60 @@ def _plane_window(camera: CameraModel) -> tuple[Floats, Floats]:
     return plane.min(axis=0), plane.max(axis=0)
 
 
-def _bent(plane: Floats, camera: CameraModel, low: Floats, high: Floats) -> Floats:
-    pixels = camera.pixels_from_plane(np.clip(plane, low, high))
-    size = np.array([camera.width_px, camera.height_px], dtype=np.float64)
+def _bent(plane: Floats, camera: CameraModel) -> Floats:
+    """Where the lens puts points (2, n), from the first pixel's corner, px."""
+    low, high = (limit[:, None] for limit in _plane_window(camera))
+    pixels = camera.pixels_from_plane(np.minimum(np.maximum(plane, low), high).T).T
+    size = np.array([[camera.width_px], [camera.height_px]], dtype=np.float64)
     # From here a pixel reaches from its number to the next one.
-    return np.asarray(np.clip(pixels + 0.5, -MARGIN_PX, size + MARGIN_PX))
+    return np.minimum(np.maximum(pixels + 0.5, -MARGIN_PX), size + MARGIN_PX)
 
 
-def _areas(count: int, owner: Ints, start: Floats, end: Floats, camera: CameraModel) -> Cover:
-    """Signed areas in one flat buffer of windows; a closed outline's rows sum to zero."""
-    low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
-    # an outline's points follow each other
-    runs = np.flatnonzero(np.append(True, owner[1:] != owner[:-1]))
-    low[owner[runs]] = np.minimum.reduceat(start, runs)
-    high[owner[runs]] = np.maximum.reduceat(start, runs)
-    (x0, y0), (right, bottom) = np.floor(low).astype(np.intp).T, np.floor(high).astype(np.intp).T
+def _areas(counts: Ints, start: Floats, end: Floats, camera: CameraModel) -> Cover:
+    """Signed areas in one flat buffer of windows; a closed outline's rows sum to zero. Edges
+    (2, n), the outlines' one after the other.
+    """
+    runs = np.cumsum(counts) - counts
+    x0, y0 = np.floor(np.minimum.reduceat(start, runs, axis=1)).astype(np.intp)
+    right, bottom = np.floor(np.maximum.reduceat(start, runs, axis=1)).astype(np.intp)
     width, height = right - x0 + 2, bottom - y0 + 1
     offset = np.concatenate([[0], np.cumsum(width * height)])
     edge, here, there = _split_at_pixels(start, end)
-    who = owner[edge]
     middle = 0.5 * (here + there)
-    column, row = np.floor(middle[:, 0]).astype(np.intp), np.floor(middle[:, 1]).astype(np.intp)
-    cell = offset[who] + (row - y0[who]) * width[who] + column - x0[who]
-    rise = there[:, 1] - here[:, 1]
-    right_part = rise * (middle[:, 0] - column)
+    column, row = np.floor(middle).astype(np.intp)
+    who = np.repeat(np.arange(len(counts)), counts)[edge]
+    cell = (offset[:-1] - y0 * width - x0)[who] + row * width[who] + column
+    rise = there[1] - here[1]
+    right_part = rise * (middle[0] - column)
     total = int(offset[-1]) + 1
     change = np.bincount(cell, rise - right_part, total) + np.bincount(cell + 1, right_part, total)
     share = np.cumsum(change, out=change)
     np.minimum(np.abs(share, out=share), 1.0, out=share)
     flat = np.flatnonzero(share > NOTHING)
     # both are in order, so each solid's cells are one run
-    solid = np.repeat(np.arange(count), np.diff(np.searchsorted(flat, offset)))
-    row, column = np.divmod(flat - offset[solid], width[solid])
-    row, column = row + y0[solid], column + x0[solid]
+    solid = np.repeat(np.arange(len(counts)), np.diff(np.searchsorted(flat, offset)))
+    place = flat - offset[solid]
+    row = ((place + 0.5) / width[solid]).astype(np.intp)  # a division of whole numbers is slower
+    column = place - row * width[solid] + x0[solid]
+    row += y0[solid]
     inside = (row >= 0) & (column >= 0) & (row < camera.height_px) & (column < camera.width_px)
     return Cover(solid[inside], row[inside], column[inside], share[flat[inside]])
 
 
 def _split_at_pixels(start: Floats, end: Floats) -> tuple[Ints, Floats, Floats]:
-    """Cut edges (n, 2) where they cross from pixel to pixel: which edge, from, to."""
-    edges = np.arange(len(start))
-    keys: list[Floats] = [edges.astype(np.float64)]
-    for axis in (0, 1):
-        p, q = start[:, axis], end[:, axis]
-        low, high = np.minimum(p, q), np.maximum(p, q)
-        first = np.floor(low) + 1.0
-        crossings = np.maximum(np.ceil(high) - first, 0.0).astype(np.intp)
-        edge, number = _repeated(crossings)
-        line = first[edge] + number
-        keys.append(
-            edge.astype(np.float64) + np.minimum((line - p[edge]) / (q - p)[edge], 1.0 - 1e-9)
-        )
+    """Cut edges (2, n) where they cross from pixel to pixel: which edge, from, to."""
+    way, count = end - start, start.shape[1]
+    first = np.floor(np.minimum(start, end)) + 1.0
+    crossings = np.maximum(np.ceil(np.maximum(start, end)) - first, 0.0).astype(np.intp)
+    crossed, number = _repeated(crossings.ravel())  # of x, then of y
+    line = first.ravel()[crossed] + number
+    part = np.minimum((line - start.ravel()[crossed]) / way.ravel()[crossed], 1.0 - 1e-9)
     # the edge's number and how far along it: one sort orders both
-    key = np.sort(np.concatenate(keys))
-    edge = np.minimum(key.astype(np.intp), len(start) - 1)
-    along = key - edge
-    last = np.append(edge[1:] != edge[:-1], True)
-    until = np.where(last, 1.0, np.append(along[1:], 1.0))
-    way = (end - start)[edge]
-    return edge, start[edge] + along[:, None] * way, start[edge] + until[:, None] * way
+    key = np.sort(np.concatenate([np.arange(count, dtype=np.float64), crossed % count + part]))
+    edge = np.minimum(key.astype(np.intp), count - 1)
+    here = start[:, edge] + (key - edge) * way[:, edge]
+    there = np.empty_like(here)
+    there[:, :-1] = here[:, 1:]
+    last = np.flatnonzero(np.append(edge[1:] != edge[:-1], True))
+    there[:, last] = end[:, edge[last]]
+    return edge, here, there

@@ -7,6 +7,7 @@ thing alone and is kept.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -27,6 +28,7 @@ from instruments.world.sensor import (
     Image,
     OpticalReadout,
     OpticalSensor,
+    Part,
     blurred,
     blurred_by_depth,
     reach_px,
@@ -35,7 +37,7 @@ from instruments.world.shading import GLOSS_EXPONENT, Lighting, irradiance, seen
 from instruments.world.solids import BLOCK, Ints, dot, intersect
 from instruments.world.state import SceneState, Stage
 
-KEPT_PIXELS = 400_000
+KEPT_PIXELS = 100_000  # 5 MB a camera: a scene or two
 T = TypeVar("T")
 
 
@@ -144,7 +146,9 @@ class PixelRays:
 
 
 class KeptLayers:
-    """Layers by what they show; beyond `KEPT_PIXELS` in all, those not asked for the longest go."""
+    """Layers by what they show: the last asked for, and others while all are `KEPT_PIXELS` at most;
+    those not asked for the longest go.
+    """
 
     def __init__(self) -> None:
         self._layers: dict[Hashable, Layer] = {}
@@ -166,7 +170,7 @@ class KeptLayers:
         latest = dict(zip(keys, found, strict=True))
         self._layers.update(latest)
         self._pixels += sum(map(len, latest.values()))
-        while self._pixels > KEPT_PIXELS and len(self._layers) > 1:
+        while self._pixels > KEPT_PIXELS and len(self._layers) > len(latest):
             self._pixels -= len(self._layers.pop(next(iter(self._layers))))
         return found
 
@@ -174,6 +178,9 @@ class KeptLayers:
 BACKDROPS_KEPT = 4  # two of each camera of a rig, which commands and tests open again
 SHARP_PX = 0.15  # less blur than this on top of the lens's own is left out
 MOST_STEPS = 64  # pictures that make one smeared by motion
+# Columns that a processor's vectors hold, and some more: of whole ones, the lens makes the same
+# of a part as of the whole picture, bit by bit.
+LANES = 16
 
 
 class OpticalCamera:
@@ -186,7 +193,8 @@ class OpticalCamera:
         self.readout = OpticalReadout(sensor, self.view.rays, seed)
         self._focal_px = float(camera.fc.mean())
         self._layers = KeptLayers()
-        self._latest: tuple[object, Expected | None] = (None, None)
+        self._latest: tuple[object, Expected] | None = None
+        self._empty: tuple[object, Expected] | None = None
 
     def expose(
         self, state: SceneState, shadows: ShadowMap | None, rng: np.random.Generator
@@ -203,24 +211,54 @@ class OpticalCamera:
         looks = tuple((thing.hulls, thing.paint) for thing in state.everything())
         fixed = state.boards, state.lighting, state.backdrop, state.exposure, state.velocity_mm_s
         key = (looks, fixed, shadows is None)
-        kept, expected = self._latest
-        if expected is None or kept != key:
-            self._latest = None, None  # let go before the next is drawn
-            expected = self.readout.expected(self._drawn(state, shadows), state.exposure)
+        if self._latest is None or self._latest[0] != key:
+            self._latest = None  # let go before the next is drawn
+            expected, drawn = deepcopy(self._still(state)), self._drawn(state, shadows)
+            for part, light in drawn:
+                changed = self.readout.expected(light, state.exposure, part)
+                expected.mean[part], expected.spread[part] = changed.mean, changed.spread
             self._latest = key, expected
-        return expected
+        return self._latest[1]
 
-    def _drawn(self, state: SceneState, shadows: ShadowMap | None) -> Image:
-        """Light on the sensor: the backdrop, its shadows, and over it what stands there."""
-        camera, moments = self.view.camera, self._moments(state)
-        empty = _empty(state.backdrop, state.lighting, camera, self.readout.sensor)
+    def _still(self, state: SceneState) -> Expected:
+        """The same of the empty scene; kept while light and exposure stay."""
+        key = state.backdrop, state.lighting, state.exposure
+        if self._empty is None or self._empty[0] != key:
+            self._empty, sensor = None, self.readout.sensor
+            empty, soft = _empty(state.backdrop, state.lighting, self.view.camera, sensor)
+            light = blurred(empty, sensor.blur_px) if soft is None else soft
+            self._empty = key, self.readout.expected(light, state.exposure)
+        return self._empty[1]
+
+    def _drawn(self, state: SceneState, shadows: ShadowMap | None) -> list[tuple[Part, Image]]:
+        """The part of the picture that isn't empty, and light on the sensor there: the backdrop,
+        its shadows, and over it what stands there. Nothing where nothing does.
+        """
+        camera, moments = self.view.camera, [self._seen(one) for one in self._moments(state)]
+        empty, soft = _empty(state.backdrop, state.lighting, camera, self.readout.sensor)
         dark = shade(shadows, state.backdrop, camera) if shadows else None
-        light, *others = (self._lens(*empty, dark, self._seen(moment)) for moment in moments)
-        for other in others:
+        layers = [layer for seen in moments for layer in seen if len(layer)]
+        parts = [_around(layer) for layer in layers] + ([dark[0]] if dark else [])
+        if not parts:
+            return []
+        reach = reach_px(max(self._blurs(layers), default=self.readout.sensor.blur_px))
+        part = _wider(_joined(parts), reach, empty.shape)
+        wide = _wider(part, reach, empty.shape)  # the lens brings light from there
+        row, column = wide[0].start, wide[1].start
+        dark = dark and (_within(dark[0], wide), dark[1])
+        behind = empty[wide], None if soft is None else soft[wide], dark
+        pictures = (
+            self._lens(
+                *behind, [replace(x, row=x.row - row, column=x.column - column) for x in seen]
+            )
+            for seen in moments
+        )
+        light = next(pictures)
+        for other in pictures:
             light += other
-        if others:
+        if len(moments) > 1:
             light /= np.float32(len(moments))
-        return light
+        return [(part, light[_within(part, wide)])]
 
     def _moments(self, state: SceneState) -> list[SceneState]:
         """Even moments of the exposure, less than half a pixel of motion apart."""
@@ -240,14 +278,12 @@ class OpticalCamera:
         self,
         empty: Image,
         soft: Image | None,
-        dark: tuple[tuple[slice, slice], Image] | None,
+        dark: tuple[Part, Image] | None,
         layers: Sequence[Layer],
     ) -> Image:
         """Light on the sensor; out-of-focus things in layers, far to near."""
-        sensor, sharp = self.readout.sensor, self.readout.sensor.blur_px
-        apart = [(float(layer.depth_mm.mean()), layer) for layer in layers if len(layer)]
-        blurs = [float(_sigma_px(sensor, depth, self._focal_px)) for depth, _ in apart]
-        blurs = [sigma if sigma - sharp > SHARP_PX else sharp for sigma in blurs]
+        sharp, apart = self.readout.sensor.blur_px, [layer for layer in layers if len(layer)]
+        blurs = self._blurs(apart)
         if soft is None and max(blurs, default=sharp) > sharp:
             soft = blurred(empty, sharp)
         light = (empty if soft is None else soft).copy()
@@ -256,9 +292,9 @@ class OpticalCamera:
         if soft is None:
             lay_over(light, layers)
             return blurred(light, sharp)
-        for i in sorted(range(len(apart)), key=lambda i: -apart[i][0]):
-            layer, sigma = apart[i][1], blurs[i]
-            part = _around(layer, reach_px(sigma), light.shape)
+        for i in sorted(range(len(apart)), key=lambda i: -float(apart[i].depth_mm.mean())):
+            layer, sigma = apart[i], blurs[i]
+            part = _wider(_around(layer), reach_px(sigma), light.shape, lanes=1)
             corner, behind = (part[0].start, part[1].start), light[part]
             cover, own = np.zeros_like(behind), np.zeros_like(behind)
             lay_over(own, [layer], corner)
@@ -266,6 +302,13 @@ class OpticalCamera:
             behind *= 1.0 - blurred(cover, sigma)
             behind += blurred(own, sigma)
         return light
+
+    def _blurs(self, layers: Sequence[Layer]) -> list[float]:
+        """Blur of each layer's picture, sigma in px."""
+        sensor, sharp = self.readout.sensor, self.readout.sensor.blur_px
+        depths = (float(layer.depth_mm.mean()) for layer in layers)
+        blurs = (float(_sigma_px(sensor, depth, self._focal_px)) for depth in depths)
+        return [sigma if sigma - sharp > SHARP_PX else sharp for sigma in blurs]
 
     def _seen(self, state: SceneState) -> list[Layer]:
         """The layer of each thing and each board."""
@@ -330,11 +373,35 @@ def _sigma_px(
     return np.asarray(np.hypot(sensor.focus.sigma_px(depth_mm, focal_px), sensor.blur_px))
 
 
-def _around(layer: Layer, reach: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
-    """The part of an image that a layer changes, with the lens's blur around it."""
-    spans = zip((layer.row, layer.column), shape, strict=True)
+def _around(layer: Layer) -> Part:
+    """The part of an image that a layer covers."""
+    rows, columns = (slice(int(at.min()), int(at.max()) + 1) for at in (layer.row, layer.column))
+    return rows, columns
+
+
+def _joined(parts: Sequence[Part]) -> Part:
+    """The least part that holds them all."""
     rows, columns = (
-        slice(max(int(at.min()) - reach, 0), min(int(at.max()) + 1 + reach, size))
-        for at, size in spans
+        slice(min(one.start for one in spans), max(one.stop for one in spans))
+        for spans in zip(*parts, strict=True)
+    )
+    return rows, columns
+
+
+def _wider(part: Part, reach: int, shape: tuple[int, ...], lanes: int = LANES) -> Part:
+    """A part with ``reach`` pixels around it, its columns in whole ``lanes``."""
+    (rows, columns), (tall, wide) = part, shape
+    left, right = (columns.start - reach) // lanes, -(-(columns.stop + reach) // lanes)
+    return (
+        slice(max(rows.start - reach, 0), min(rows.stop + reach, tall)),
+        slice(max(left * lanes, 0), min(right * lanes, wide)),
+    )
+
+
+def _within(part: Part, outer: Part) -> Part:
+    """A part's place in an outer one."""
+    rows, columns = (
+        slice(one.start - out.start, one.stop - out.start)
+        for one, out in zip(part, outer, strict=True)
     )
     return rows, columns

@@ -134,33 +134,33 @@ def seen_share(
     """Visible share of each rounded end's near side, (n,); 0 where the apex is hidden or outside.
     The ``stage`` begins with the teats; a teat doesn't hide its own end.
     """
-    ends = phantom.ends_mm
-    shares = np.zeros(len(ends))
+    ends, parts = phantom.ends_mm, list[Floats]()
+    for end, axis, teat in zip(ends, phantom.axes, phantom.teats, strict=True):
+        parts += [end[None, :], _near_side(end, axis, teat.shape, camera)]
+    if not parts:
+        return np.zeros(0)
+    points, of = np.concatenate(parts), np.repeat(np.arange(len(parts)) // 2, [*map(len, parts)])
+    seen = stage.solids.in_camera(camera)
+    # no solid but the teat itself stands between
+    x, y, z = np.tile(camera.camera_from_world(points), (len(seen), 1)).T
+    which = np.repeat(np.arange(len(seen)), len(points))
+    depth, _, hit = intersect(seen, which, x / z, y / z)
+    blocks = hit & (depth > 0.0) & (depth < z) & (stage.owner[which] != np.tile(of, len(seen)))
+    free = ~blocks.reshape(-1, len(points)).any(axis=0)
+    away = points - camera.centre_mm
+    for board in boards:
+        towards, corner = away @ board.normal, np.asarray(board.corner_mm)
+        ahead = np.where(np.abs(towards) > 1e-9, towards, 1e-9)
+        part = ((corner - camera.centre_mm) @ board.normal) / ahead
+        point = camera.centre_mm + part[:, None] * away - corner
+        place = np.column_stack([point @ np.asarray(board.across), point @ np.asarray(board.along)])
+        on_it = np.all((place >= 0.0) & (place <= board.pattern.size_mm), axis=1)
+        free &= ~((part > 0.0) & (part < 1.0) & on_it)
     pixels, size = camera.project(ends), np.array([camera.width_px, camera.height_px])
     inside = np.all((pixels >= -0.5) & (pixels <= size - 0.5), axis=1)
-    seen = stage.solids.in_camera(camera)
-    for i, (end, axis) in enumerate(zip(ends, phantom.axes, strict=True)):
-        near = _near_side(end, axis, phantom.teats[i].shape, camera)
-        points = np.concatenate([end[None, :], near])
-        # no solid but the teat itself stands between
-        x, y, z = np.tile(camera.camera_from_world(points), (len(seen), 1)).T
-        which = np.repeat(np.arange(len(seen)), len(points))
-        depth, _, hit = intersect(seen, which, x / z, y / z)
-        blocks = hit & (depth > 0.0) & (depth < z) & (stage.owner[which] != i)
-        free = ~blocks.reshape(-1, len(points)).any(axis=0)
-        away = points - camera.centre_mm
-        for board in boards:
-            towards, corner = away @ board.normal, np.asarray(board.corner_mm)
-            ahead = np.where(np.abs(towards) > 1e-9, towards, 1e-9)
-            part = ((corner - camera.centre_mm) @ board.normal) / ahead
-            point = camera.centre_mm + part[:, None] * away - corner
-            place = np.column_stack(
-                [point @ np.asarray(board.across), point @ np.asarray(board.along)]
-            )
-            on_it = np.all((place >= 0.0) & (place <= board.pattern.size_mm), axis=1)
-            free &= ~((part > 0.0) & (part < 1.0) & on_it)
-        shares[i] = float(free[1:].mean()) if inside[i] and free[0] else 0.0
-    return shares
+    own = [free[of == i] for i in range(len(ends))]
+    seen_of = [float(each[1:].mean()) if each[0] else 0.0 for each in own]
+    return np.where(inside, seen_of, 0.0)
 
 
 def _near_side(end_mm: Floats, axis: Floats, shape: TeatShape, camera: CameraModel) -> Floats:

@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from instruments.world.optics import Floats
 
 Image = NDArray[np.float32]
+Part = tuple[slice, slice]  # rows and columns
+WHOLE: Part = (slice(None), slice(None))
 NOISE_LEVELS = 65536
 BLOCK = 32768  # pixels
 
@@ -166,9 +168,11 @@ class OpticalReadout:
         vignette = 1.0 - np.float32(sensor.vignetting) * (1.0 - cos4)
         self._response = vignette * (1.0 + np.float32(sensor.prnu) * normal_noise(rng, shape))
 
-    def expected(self, light: Image, exposure: Exposure | None = None) -> Expected:
-        """What light (height, width) on the sensor gives. Variance: K^2 (electrons + read
-        noise^2), EMVA 1288; a full well holds no more.
+    def expected(
+        self, light: Image, exposure: Exposure | None = None, part: Part = WHOLE
+    ) -> Expected:
+        """What light on the sensor gives in that ``part`` of it, (h, w). Variance: K^2 (electrons +
+        read noise^2), EMVA 1288; a full well holds no more.
         """
         shutter = exposure or Exposure()
         sensor, gain = self.sensor, self.sensor.gain_dn_per_e * shutter.gain
@@ -176,16 +180,17 @@ class OpticalReadout:
         dark = np.float32(sensor.dark_e_per_s * shutter.time_s)
         filled = np.float32(sensor.full_well_e * shutter.time_s / NORMAL_EXPOSURE_S)
         mean, spread = np.empty_like(light), np.empty_like(light)
+        response, dark_e = self._response[part], self._dark_e[part]
         for rows in in_blocks(light):
             electrons, variance = mean[rows], spread[rows]
-            np.multiply(light[rows], self._response[rows], out=electrons)
+            np.multiply(light[rows], response[rows], out=electrons)
             electrons *= filled
             electrons += dark
             np.minimum(electrons, full, out=electrons)
             np.add(electrons, np.float32(sensor.read_noise_e**2), out=variance)
             variance *= np.float32(gain**2)
             np.sqrt(variance, out=variance)
-            electrons += self._dark_e[rows]
+            electrons += dark_e[rows]
             electrons *= np.float32(gain)
             electrons += np.float32(sensor.offset_dn)
         return Expected(mean, spread)
@@ -200,4 +205,7 @@ class OpticalReadout:
             part = noise[rows]
             part *= spread[rows]
             cv2.add(part, mean[rows], exposed[rows], dtype=depth)
-        return np.asarray(np.minimum(exposed, kind(2**self.sensor.bits - 1), out=exposed))
+        most = 2**self.sensor.bits - 1
+        if most < np.iinfo(kind).max:  # else it has saturated there
+            np.minimum(exposed, kind(most), out=exposed)
+        return exposed

@@ -31,7 +31,7 @@ def test_each_question_and_why_a_touch_was_refused_stay_on_the_screen(
 ) -> None:
     """The sentences wrap at 37 and 80 columns, and their last row may be as good as full."""
     teats = [f"teat {teat} of 4," for teat in (1, 2, 3, 4)]
-    asked = ["on its peg", "Situation ideal", *teats[:2], "Once more", *teats[2:]]
+    asked = ["on its peg", "Situation ideal", *teats[:2], "Once", *teats[2:]]
     mistake = 'mistakes = ["wrong teat"]'
     with at_terminal(
         files(tmp_path, operator="console:", script=ONE, emulation=mistake), columns

@@ -192,13 +192,15 @@ def test_a_wrong_file_gives_2_and_a_sentence(
 WITHOUT_A_LINK = {
     f"{group} {name}".strip()
     for group, names in {
-        "": "console replay-wire control tell report score compare init plan detect rigs emulate runs",
+        "": "console replay-wire control tell report score compare init plan detect rigs emulate runs"
+        " help",
         "calibrate": "merge board export import",
         "camera": "list show focus grab",
-        "campaign": "run chunk query compare show search herd keep",
+        "campaign": "run chunk query compare show keep",
         "detectors": "new try",
+        "plugin": "check",
         "recording": "pack",
-        "scene": "sheet record boards sensitivity",
+        "scene": "sheet record boards",
         "store": "check export",
         "trials": "show",
     }.items()

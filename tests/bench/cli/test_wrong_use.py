@@ -209,3 +209,13 @@ def test_a_limit_of_memory_ends_with_a_sentence(
 
     monkeypatch.setattr("bench.cli.main.call", fail)
     assert "out of memory: give the machine" in said(3, "runs").err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows limits no process's addresses")
+def test_under_a_limit_in_which_no_library_loads_nothing_is_begun(
+    said: Said, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bench.cli.main.call", lambda _: pytest.fail("it was begun"))
+    monkeypatch.setattr("resource.getrlimit", lambda _: (350_000 << 10, 350_000 << 10))
+    refused = "341 MB of memory are allowed, 512 are needed: give the machine, or the limit"
+    assert refused in said(3, "runs").err

@@ -194,7 +194,7 @@ def test_what_is_whole_is_taken_by_every_command(
     run: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Else nothing below would mean anything. The kept run is finished, and its rig lies elsewhere:
-    it isn't resumed.
+    it isn't resumed; a gate finds the same answers in both.
     """
     for name, command in reading(run, whole, tmp_path / "out").items():
         assert main(command) == (2 if name == "resume" else 0), name

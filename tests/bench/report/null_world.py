@@ -132,6 +132,10 @@ class World:
     flat: bool = False
     arm_mm: float = 0.23
     hand_mm: float = 0.1
+    # by which the whole truth is displaced: nothing that the rig states
+    away_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # along x, of all poses of the script
+    beside_mm: float = 0.0
 
 
 WORLDS = {
@@ -178,7 +182,7 @@ class _Errors:
 
     def __post_init__(self) -> None:
         self.rng = np.random.default_rng([self.seed, 77])
-        self.arm = np.sqrt(self.world.alike) * self._of(self.world.arm_mm)
+        self.arm = np.sqrt(self.world.alike) * self._of(self.world.arm_mm) + self.world.away_mm
         self.frame = self.rng.normal(0.0, self.world.arm_mm, 9)
 
     def _of(self, sd_mm: float) -> Floats:
@@ -242,6 +246,7 @@ class _Bath:
 
     url, pump_url, who, pump = "null", "", "bath", "none"
     safe_state, watchdog_s, doubt = "standby", None, ""
+    heats = pump_on = False
     identity: ClassVar[dict[str, str]] = {"family": "null"}
 
     def __init__(self, clock: Clock, profile: Profile) -> None:
@@ -261,7 +266,7 @@ class _Bath:
 class _Stage:
     """Moves at once, and carries the world's phantom as a stage does whose axes are off."""
 
-    who, homed, safe_state = "stage", True, "still"
+    who, homed, safe_state, moves = "stage", True, "still", False
     identity = StageIdentity("null", "1", "", "")
 
     def __init__(self, table: StageTable, off: EmulatedStage, world: EmulatedWorld) -> None:
@@ -286,6 +291,7 @@ class _Arm:
     """Signed on and homed; what it reads is drawn."""
 
     who, homing, safe_state, homed = "arm", "", "closed", True
+    touches = moves = pedals = False
     identity = Identity("MicroScribe", "1", "3DX", SERIAL, "", "", "1")
 
     def record(self) -> dict[str, object]:
@@ -387,19 +393,23 @@ def _write(folder: Path, world: World, errors: _Errors, arm_rule: str) -> TableF
         'frame = "arm-frame.toml"\nverification = "arm-verification.toml"',
         emulation=f"hand_error_mm = 0.0\nstage = {{ {axes} }}",
     )
-    corners = {"origin": (0.0, 0.0, 0.0), "x axis": (600.0, 0.0, 0.0), "plane": (0.0, 600.0, 0.0)}
-    touched = [TouchedPoint(name, at) for name, at in corners.items()]
-    frame = TableFrame.from_touches(MADE, SERIAL, touched)
+    frame = table_frame()
     (folder / "arm-frame.toml").write_text(frame_text(frame), encoding="utf-8")
     verified = _verification(rng, u_mm)
     text = verification_text(verified, VerificationLimits(5.0, 5.0))
     (folder / "arm-verification.toml").write_text(text, encoding="utf-8")
-    drawn = PLACES_MM.copy()
+    drawn = np.add(PLACES_MM, [world.beside_mm, 0.0, 0.0])
     drawn[:, 2] = 0.0 if world.flat else (25.0 + drawn[:, 2] / 4.0).round(1)
     poses = [f"  {{ x_mm = {x}, y_mm = {y}, z_mm = {z} }}," for x, y, z in drawn]
     script = SCRIPT.format(truth=world.truth, arm_rule=arm_rule, poses="\n".join(poses))
     (folder / "script.toml").write_text(script, encoding="utf-8")
     return frame
+
+
+def table_frame() -> TableFrame:
+    """Of three touches that were exact."""
+    corners = {"origin": (0.0, 0.0, 0.0), "x axis": (600.0, 0.0, 0.0), "plane": (0.0, 600.0, 0.0)}
+    return TableFrame.from_touches(MADE, SERIAL, [TouchedPoint(*one) for one in corners.items()])
 
 
 def _verification(rng: np.random.Generator, u_mm: float) -> Verification:

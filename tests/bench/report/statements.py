@@ -255,6 +255,7 @@ KINDS = (
             r"Put the bench right before all else: .*",
             r"What each detector shows, from \d+ where nothing else is said",
             r"Start with the trials marked below; each shows where .*",
+            r"The filter takes words: .*",
             r"None: every trial of the script was done and counts, and no touch was refused\.",
             r"Truth: within the guard band of its uncertainty, or it was taken back\.",
             r"A pose succeeds when all its repeats do[.;].*",

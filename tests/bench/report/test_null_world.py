@@ -12,10 +12,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bench.results.attribution import Cause, What, attributed
 from bench.rig.arm_files import TableFrame, TouchedPoint
 from tests.bench.report.null_world import (
     FINE,
     MADE,
+    POSES,
     SERIAL,
     WORLDS,
     WORSE,
@@ -31,6 +33,7 @@ RUNS = 300
 MOST = 0.06  # of runs: 5 % are claimed, and so many leave as much to chance
 NOTICED = 0.8
 SEED = 5
+BESIDE_MM = 550.0
 
 
 @pytest.fixture
@@ -61,6 +64,32 @@ def test_a_detector_that_is_off_is_noticed_and_a_new_statement_as_well() -> None
     for text in (new, in_words):
         assert [one.text for one in unknown(page.page + text)]
     assert unknown(page.page + "<p class='note'>Made of paper.</p>") == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("away_mm", [(0.0, 0.0, 2000.0), (-1500.0, 1500.0, 0.0)])
+@pytest.mark.parametrize("world", ["touched", "carried"])
+def test_a_truth_that_is_nowhere_near_the_script_is_charged_to_no_detector(
+    world: str, away_mm: tuple[float, float, float]
+) -> None:
+    """Its poses move by 200 mm at most."""
+    run = done(replace(WORLDS[world], away_mm=away_mm), Off(), SEED).run
+    assert not run.counted
+    found = attributed(run, run.detectors[0])
+    assert {one.cause for one in found} == {Cause.TRUTH}
+    assert len(found) == len(run.skipped) == POSES
+    assert all("mm from the place of teat 1" in one.why for one in found)
+
+
+@pytest.mark.slow
+def test_an_end_that_is_called_visible_where_no_camera_sees_is_charged_to_no_detector() -> None:
+    """Half of the script's poses are beside the pictures; the rest counts as before."""
+    run = done(replace(WORLDS["touched"], beside_mm=BESIDE_MM), Off(), SEED).run
+    found = [one for one in attributed(run, run.detectors[0]) if one.what is What.NOT_JUDGED]
+    assert 0 < len(found) < POSES
+    assert len(run.counted) == POSES - len(found)
+    assert {one.cause for one in found} == {Cause.TRUTH}
+    assert all("visible ends have no place in the" in one.why for one in found)
 
 
 def test_the_frame_of_this_world_moves_points_as_the_benchs_own_derivatives_say() -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import faulthandler
 import json
 import shutil
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,24 +13,30 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.record.reader import RunRecord, TrialRecord
+from bench.record.reader import RunRecord, TrialRecord, points_mm
 from bench.results.attribution import Cause, attributed
 from bench.results.cameras_agree import (
+    CamerasCheck,
     answers_of,
     cameras_of,
     decide_cameras,
     shift_text,
     unchecked_of,
 )
+from bench.rig.arm_files import frame_text
 from bench.rig.loading import RIGS, find_rig, load_rig
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.scene import score_scene
 from bench.script.model import CamerasRequirement
+from bench.truth.joint import joint_truth
+from detector.geometry import Array
 from tests.bench.commands import Said, teatbench
+from tests.bench.report.null_world import WORLDS, Off, done, table_frame
 from tests.plain_text import plain_text
 
 RULE = CamerasRequirement(kind="cameras_agree", name="cameras agree")
 RNG_SEEDS = range(200)
+TOLD = load_rig(find_rig(None)).calibration
 
 
 def trials(
@@ -50,14 +58,19 @@ def trials(
             }
             truth.append(
                 {"teat": str(teat), "cameras": json.dumps(seen), "u_mm": 0.3, "visible": 1}
+                | dict.fromkeys(("x_mm", "y_mm", "z_mm"), 0.0)
             )
         head = {"id": str(pose), "name": str(pose), "invalid": None, "bath_state": "stable"}
         found.append(TrialRecord(head, truth=truth))
     return found
 
 
+def run_of(made: list[TrialRecord]) -> RunRecord:
+    return RunRecord(Path(), {"detectors": ["d"], "ending": "finished"}, tuple(made))
+
+
 def decided(disparity_px: float, **more: int) -> Decision:
-    return decide_cameras(RULE, cameras_of(trials(disparity_px, **more)))
+    return decide_cameras(RULE, cameras_of(run_of(trials(disparity_px, **more))))
 
 
 @pytest.mark.slow
@@ -67,6 +80,113 @@ def test_twelve_poses_notice_half_a_pixel_and_accuse_no_sound_rig() -> None:
     assert off.count(Verdict.NOT_MET) >= 0.95 * len(off)
     assert sound.count(Verdict.NOT_MET) <= 0.05 * len(sound)
     assert sound.count(Verdict.MET) >= 0.9 * len(sound)
+
+
+# what the real rig is off by: none, half a pixel of column and of row, 0.1 degrees of vergence
+SHIFTS = {
+    "sound": ("right", "cx", 0.0),
+    "column": ("right", "cx", 0.5),
+    "row": ("right", "cy", 0.5),
+    "vergence": ("stereo", "om2", float(np.radians(0.1))),
+}
+
+
+def checked(run: RunRecord, exact_mm: Array, shift: str, rng: np.random.Generator) -> CamerasCheck:
+    """The check of a run whose ends are exactly at (n, 3), by pictures that scatter as rendered ones
+    do and a rig that is off by this.
+    """
+    real = TOLD.moved(*SHIFTS[shift])
+    truth_mm = points_mm(row for trial in run.counted for row in trial.truth)
+    shown, known = np.stack(real.project(exact_mm)), np.stack(TOLD.project(truth_mm))
+    # rows are off where the pictures put the end, whatever is known of its place
+    seen, apart = shown - known, shown - np.stack(TOLD.project(TOLD.place(*shown)))
+    pose, lens = TOLD.thermal_from_right, TOLD.thermal.lens
+    assert pose is not None
+    assert lens is not None
+    warm, warm_known = (
+        pose.apply(TOLD.world_from_right.inverse().apply(at)) for at in (exact_mm, truth_mm)
+    )
+    a_pixel = TOLD.thermal.image_size[0] / TOLD.thermal.sensor_size[0]
+    thermal = (lens.project(warm) - lens.project(warm_known)) / a_pixel
+    thermal += rng.normal(0.0, 0.1, (len(warm), 2))
+    figures = np.column_stack(
+        [
+            seen[0, :, 0] - seen[1, :, 0] + rng.normal(0.0, 0.03, len(warm)),
+            apart[1, :, 1] - apart[0, :, 1] + rng.normal(0.0, 0.02, len(warm)),
+            TOLD.depth_per_disparity_px_mm(truth_mm),
+            warm_known[:, 2] * a_pixel / lens.fc[0],
+        ]
+    ).tolist()
+    names = ("disparity_px", "rows_px", "mm_a_px", "thermal_mm_a_px")
+    rows = iter(
+        json.dumps(
+            {**dict(zip(names, one, strict=True)), "thermal_px": two.tolist(), "deg_a_px": 0.0445}
+        )
+        for one, two in zip(figures, thermal, strict=True)
+    )
+    made = [
+        replace(trial, truth=[{**row, "cameras": next(rows)} for row in trial.truth])
+        for trial in run.counted
+    ]
+    return cameras_of(replace(run, trials=tuple(made)))
+
+
+def framed(run: RunRecord, folder: Path) -> RunRecord:
+    """The run with the file of its table frame: its own folder is gone."""
+    (folder / "arm-frame.toml").write_text(frame_text(table_frame()), encoding="utf-8")
+    return replace(run, folder=folder)
+
+
+def excluded(check: CamerasCheck) -> set[str]:
+    """The figures whose interval leaves out that the rig is sound."""
+    return {one.name for one in check.offsets if one.exceeds(0.0)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("world", ["touched", "carried"])
+def test_what_the_truths_share_accuses_no_sound_rig_and_hides_no_knock(
+    world: str, tmp_path: Path
+) -> None:
+    run = framed(done(WORLDS[world], Off(), 5).run, tmp_path)
+    ends = [(trial, row) for trial in run.counted for row in trial.truth]
+    joint, truth_mm = joint_truth(run, ends), points_mm(row for _, row in ends)
+    own = np.linalg.cholesky(joint.fresh + 1e-12 * np.eye(3))
+    rng = np.random.default_rng(2)
+    wrong: Counter[str] = Counter()
+    noticed: Counter[str] = Counter()
+    n, knocked = 80, 10
+    for number in range(n):
+        error_mm = joint.common @ rng.normal(size=joint.common.shape[2])
+        error_mm += np.einsum("nab,nb->na", own, rng.normal(size=truth_mm.shape))
+        for shift in SHIFTS if number < knocked else ("sound",):
+            check = checked(run, truth_mm - error_mm, shift, rng)
+            noticed[shift] += decide_cameras(RULE, check).verdict is Verdict.NOT_MET
+            wrong.update(excluded(check) if shift == "sound" else ())
+    assert noticed == {shift: knocked for shift in SHIFTS if shift != "sound"} | {"sound": 0}
+    # 5 % are claimed of each: by chance more than 10 of 80 in 0.3 %
+    assert max(wrong.values(), default=0) <= 10, wrong
+
+
+@pytest.mark.weekly
+@pytest.mark.timeout(6 * 3600)
+@pytest.mark.parametrize("world", WORLDS)
+def test_runs_of_a_null_world_accuse_no_sound_rig(world: str, tmp_path: Path) -> None:
+    faulthandler.cancel_dump_traceback_later()
+    wrong: Counter[str] = Counter()
+    noticed: Counter[str] = Counter()
+    runs = 300
+    for seed in range(runs):
+        run = framed(done(WORLDS[world], Off(), seed).run, tmp_path)
+        rows = [row for trial in run.counted for row in trial.truth]
+        exact_mm = np.array([json.loads(row["exact_mm"]) for row in rows])
+        for shift in SHIFTS:
+            check = checked(run, exact_mm, shift, np.random.default_rng(seed))
+            noticed[shift] += decide_cameras(RULE, check).verdict is Verdict.NOT_MET
+            wrong.update(excluded(check) if shift == "sound" else ())
+    print(f"{world}: noticed {noticed}, interval leaves out a sound rig {wrong}, of {runs}")
+    assert noticed["sound"] == 0
+    assert all(noticed[shift] >= 0.95 * runs for shift in SHIFTS if shift != "sound")
+    assert max(wrong.values()) <= 0.06 * runs
 
 
 def test_it_says_by_how_much_and_as_if_by_what() -> None:
@@ -79,9 +199,16 @@ def test_it_says_by_how_much_and_as_if_by_what() -> None:
 
 def test_few_poses_and_other_pictures_show_nothing() -> None:
     assert decided(0.5, poses=2).verdict is Verdict.NOT_MEASURED
-    unseen = [TrialRecord({"id": "1", "name": "1"}, truth=[{"teat": "1", "cameras": None}])]
-    assert decide_cameras(RULE, cameras_of(unseen)).verdict is Verdict.NOT_MEASURED
-    assert decide_cameras(RULE, cameras_of(trials(0.0, thermal_px=2.0))).verdict is Verdict.NOT_MET
+    unseen = [
+        TrialRecord(
+            {"id": "1", "name": "1", "invalid": None}, truth=[{"teat": "1", "cameras": None}]
+        )
+    ]
+    assert decide_cameras(RULE, cameras_of(run_of(unseen))).verdict is Verdict.NOT_MEASURED
+    assert (
+        decide_cameras(RULE, cameras_of(run_of(trials(0.0, thermal_px=2.0)))).verdict
+        is Verdict.NOT_MET
+    )
 
 
 def blind(told: int, ends: int = 48) -> list[TrialRecord]:
@@ -99,19 +226,18 @@ def blind(told: int, ends: int = 48) -> list[TrialRecord]:
 
 def test_what_is_off_beyond_what_can_be_measured_is_no_figure() -> None:
     for told in (0, 4):
-        found = decide_cameras(RULE, cameras_of(blind(told)))
+        found = decide_cameras(RULE, cameras_of(run_of(blind(told))))
         assert found.verdict is Verdict.INCONCLUSIVE
         assert f"nly {told} of 48 ends measured in left and right" in found.sentence
         assert "more than 25 px of columns or 10 px of rows" in found.sentence
         assert found.measured is None
-    cold = decide_cameras(RULE, cameras_of(trials(0.0, thermal_px=None)))
+    cold = decide_cameras(RULE, cameras_of(run_of(trials(0.0, thermal_px=None))))
     assert cold.verdict is Verdict.INCONCLUSIVE
     assert "nly 0 of 48 ends measured in the thermal picture" in cold.sentence
     assert "48 of 48 ends measured" in decided(0.0).sentence
 
 
 ENDS = np.array([[-110.2, 284.2, 134.2], [-161.9, 192.6, 137.6], [-260.6, 267.1, 136.3]])
-TOLD = load_rig(find_rig(None)).calibration
 
 
 def answered(seen_px: float, answers_px: float | None) -> list[TrialRecord]:
@@ -147,21 +273,20 @@ def answered(seen_px: float, answers_px: float | None) -> list[TrialRecord]:
 def test_a_shift_of_the_answers_is_the_cameras_only_where_they_have_it_too(
     seen_px: float, answers_px: float | None, words: str, cause: Cause | None
 ) -> None:
-    made = answered(seen_px, answers_px)
-    answers = answers_of(made, "d", TOLD)
-    apart = shift_text(cameras_of(made), answers, 0.25)
+    run = run_of(answered(seen_px, answers_px))
+    answers = answers_of(run, "d", TOLD)
+    apart = shift_text(cameras_of(run), answers, 0.25)
     assert apart.endswith(words)
     assert bool(words) == bool(apart)
     if answers_px is not None:
         assert answers is not None
         assert answers.value == pytest.approx(answers_px, abs=0.02)
-    run = RunRecord(Path(), {"detectors": ["d"], "ending": "finished"}, tuple(made))
     assert {one.cause for one in attributed(run, "d", TOLD)} == ({cause} if cause else set())
 
 
 def test_a_run_says_how_many_ends_its_cameras_were_checked_on() -> None:
     def said(made: list[TrialRecord]) -> str:
-        return unchecked_of(made, cameras_of(made))
+        return unchecked_of(made, cameras_of(run_of(made)))
 
     assert said(trials(0.0)) == ""
     few = trials(0.0, poses=2)
@@ -230,6 +355,4 @@ def test_what_the_cameras_put_off_is_the_calibrations(px: float, cause: Cause) -
         detections=({"detector": "d", "reason": None},),
         scores={"d": score},
     )
-    facts = {"detectors": ["d"], "ending": "finished"}
-    run = RunRecord(Path(), facts, (judged, *seen[1:]))
-    assert {one.cause for one in attributed(run, "d")} == {cause}
+    assert {one.cause for one in attributed(run_of([judged, *seen[1:]]), "d")} == {cause}

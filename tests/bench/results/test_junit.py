@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +109,18 @@ def test_a_reader_of_it_alone_sees_how_the_run_ended(
             assert all(case.result for case in cases)  # nothing has passed
         if not judged and not why:
             assert suite.skipped == len(cases)
+
+
+def test_suites_of_two_runs_that_began_in_one_second_are_two(tmp_path: Path) -> None:
+    """Jenkins takes suites of one name, id and time stamp for one and drops the second."""
+    run = ENDINGS["finished"][0]
+    twins = run, replace(run, folder=Path("run-2")), replace(run, first_link="another chain")
+    suites = [
+        tuple(map(suite.attrib.get, ("name", "id", "timestamp")))
+        for number, one in enumerate(twins)
+        for suite in ET.parse(written(one, JUDGED, tmp_path / str(number))).getroot()
+    ]
+    assert len(set(suites)) == len(suites) == 6
 
 
 @pytest.mark.parametrize("judged", [(), JUDGED], ids=["nothing scored", "scored"])

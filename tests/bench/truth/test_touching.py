@@ -67,6 +67,24 @@ def test_the_wrong_teat_is_asked_for_again() -> None:
     assert np.allclose([p.point_mm for p in points], ENDS_MM)
 
 
+@pytest.mark.parametrize(
+    "moved",
+    [
+        np.add(ENDS_MM, [0.0, 0.0, 2000.0]),
+        ENDS_MM / 1000.0,  # metres
+        ENDS_MM[:, [2, 0, 1]],  # another frame's axes
+        np.subtract(ENDS_MM, [0.0, 160.0, 0.0]),
+    ],
+)
+def test_an_end_far_from_the_scripts_place_is_no_truth(moved: np.ndarray) -> None:
+    hand = Hand(moved, [moved[0]] * 20)
+    with pytest.raises(NoTruthError, match=r"teat 1: .* could not be used; the last one: That"):
+        toucher(hand, readings=3).touch_all(table_5_1())
+    near = np.add(ENDS_MM, [140.0, 0.0, 0.0])
+    points, _ = toucher(Hand(near, [near[0]]), readings=1).touch_all(table_5_1())
+    assert np.allclose([p.point_mm for p in points], near)
+
+
 @pytest.mark.parametrize(("known", "says"), [(True, ""), (False, " (0.3 mm")])
 def test_the_same_end_twice_is_asked_for_again(known: bool, says: str) -> None:
     """Also where the places are not known."""

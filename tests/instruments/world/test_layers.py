@@ -9,13 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from instruments.world import optical_camera
 from instruments.world.compositing import Layer, lay_over, merged
 from instruments.world.objects import make_object
 from instruments.world.optical_camera import KEPT_PIXELS, KeptLayers
 from instruments.world.optics import Floats
 from instruments.world.phantom import Phantom, PlatePose, Teat
 from instruments.world.state import SceneState
-from tests.instruments.world.scenes import PLAIN, small
+from tests.instruments.world.scenes import NOBODY, PLAIN, small
 from tests.situations import SITUATIONS, situation
 
 SHAPE = (6, 7)
@@ -89,6 +90,8 @@ def test_kept_layers_make_each_once_and_forget_the_oldest() -> None:
         ("cd", "abcd"),  # too much for all: b, asked for the longest ago, goes
         ("acd", "abcd"),
         ("b", "abcdb"),
+        ("abcd", "abcdba"),
+        ("dcba", "abcdba"),  # the last asked for stay, however large
     ):
         kept.of(asked, str.upper, make)
         assert "".join(made) == in_all
@@ -130,3 +133,18 @@ def test_temperatures_are_no_part_of_what_is_kept_but_light_and_paint_are() -> N
     for changed in (darker, painted):
         assert not np.array_equal(eyes.left.expected(changed), before[0])
     assert np.array_equal(eyes.left.expected(first), before[0])
+
+
+@pytest.mark.parametrize("velocity_mm_s", [(0.0, 0.0, 0.0), (40.0, 0.0, 0.0)])
+def test_a_part_is_drawn_as_the_whole_picture_is(
+    monkeypatch: pytest.MonkeyPatch, velocity_mm_s: tuple[float, float, float]
+) -> None:
+    state = replace(at(3.0), velocity_mm_s=velocity_mm_s)
+    shadows = small().shadows(state)
+    parts = [small().left.expected(state, shadows)]
+    whole = parts[0].shape
+    monkeypatch.setattr(optical_camera, "_joined", lambda _: tuple(slice(0, n) for n in whole))
+    parts.append(small().left.expected(state, shadows))
+    assert np.abs(parts[0] - parts[1]).max() < 1e-4  # of a grey level: equal but for rounding
+    empty = small().left.expected(replace(NOBODY, lighting=state.lighting))
+    assert (parts[0] == empty).mean() > 0.2  # where nothing stands, all is the empty scene's
