@@ -88,10 +88,8 @@ def scenes(
     for one in draw(_several(of_objects if objects is None else objects, most_objects)):
         more = replace(found, objects=(*found.objects, one))
         found = found if more.faults() else more
-    once = draw(
-        _once(of_perturbations if perturbations is None else perturbations, most_perturbations)
-    )
-    return replace(found, perturbations=tuple(once))
+    once = of_perturbations if perturbations is None else perturbations
+    return replace(found, perturbations=tuple(draw(_once(once, most_perturbations))))
 
 
 _OF_A_SCENE = tuple(Scene.STEPS.items())
@@ -101,14 +99,7 @@ _layouts, _poses, _objects, _perturbations = layouts, poses, objects, perturbati
 
 # hypothesis checks each strategy anew that it is given, which takes longer than to draw from it
 @cache
-def _usual(
-    published: bool,
-) -> tuple[
-    SearchStrategy[tuple[Teat, ...]],
-    SearchStrategy[Pose],
-    SearchStrategy[Object],
-    SearchStrategy[Applied],
-]:
+def _usual(published: bool) -> tuple[SearchStrategy[Any], ...]:
     """The parts' own strategies."""
     things = _objects(published=published)
     return _layouts(published=published), _poses(), things, _perturbations()
