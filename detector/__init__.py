@@ -1,3 +1,3 @@
-"""Pixels to millimetres: calibration, geometry, teat detectors. numpy, OpenCV and scipy only, and
-numba where it is installed.
+"""Pixels to millimetres: calibration, geometry, teat detectors. numpy, OpenCV, scipy and
+numba only.
 """

@@ -113,7 +113,7 @@ def run_script(
     under_test = _allowed(rig, script, how.detectors)
     how = replace(how, seed=rig.rig.seed if how.seed is None else how.seed)
     with (
-        introduced(under_test, script.scenes),
+        introduced(under_test, script.scenes, rig.calibration),
         locked(lock_path(rig), str(out.resolve()), events.warn),
     ):
         refuse_no_room(rig, len(script.planned), out)
@@ -150,7 +150,7 @@ def resume_run(
     here = str(folder.resolve())
     run_locked = locked(run_lock(folder), here, lambda _: None, "run")
     with (
-        introduced(under_test, script.scenes),
+        introduced(under_test, script.scenes, rig.calibration),
         locked(lock_path(rig), here, events.warn),
         run_locked,
     ):

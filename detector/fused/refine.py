@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from detector.fused.parameters import Parameters
 from detector.geometry import Array
-from detector.outline import fast
+from detector.outline import kernels
 from detector.outline.edges import LEAST_CLEAR
 from detector.outline.fine import (
     FINE_OUTLINE,
@@ -32,7 +32,6 @@ from detector.outline.fit import Seen, View, look, step, weights
 from detector.outline.model import (
     COUNT,
     CX,
-    CZ,
     END,
     HEIGHT,
     RADIUS,
@@ -275,9 +274,10 @@ def hidden_points(fitted: Fitted, accepted: list[int], again: list[int]) -> NDAr
     m, n = len(fitted.teats), len(FINE_OUTLINE.part)
     pixels = fitted.seen.pixels_px.reshape(m, -1, n, 2)
     hidden = np.zeros(pixels.shape[:3], dtype=bool)
+    away_mm = np.linalg.norm(fitted.teats[:, :3], axis=1)
     for k in accepted:
-        nearer = fitted.teats[k, CZ] + _NEARER_MM
-        behind = np.array([i for i in again if fitted.teats[i, CZ] > nearer], dtype=np.intp)
+        nearer = away_mm[k] + _NEARER_MM
+        behind = np.array([i for i in again if away_mm[i] > nearer], dtype=np.intp)
         for view, room in enumerate(_ROOM_PX):
             hidden[behind, view] |= _inside(pixels[behind, view], pixels[k, view], room)
     return hidden.reshape(m, -1)
@@ -291,17 +291,5 @@ def _inside(points: Array, outline: Array, room_px: float) -> NDArray[np.bool_]:
     p = points[near]
     if len(p) == 0:
         return result
-    if loops := fast.compiled():
-        result[near] = loops.inside(p, outline, room_px)
-        return result
-    way = np.roll(outline, -1, axis=0) - outline
-    from_start = p[:, None] - outline
-    length2 = np.maximum(np.einsum("nd,nd->n", way, way), 1e-12)
-    share = np.clip(np.einsum("pnd,nd->pn", from_start, way) / length2, 0, 1)
-    off = from_start - share[..., None] * way
-    beside = np.einsum("pnd,pnd->pn", off, off).min(axis=1) < room_px**2
-    crossed = (from_start[..., 1] < 0) != (from_start[..., 1] < way[:, 1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        right = from_start[..., 0] < way[:, 0] * from_start[..., 1] / way[:, 1]
-    result[near] = beside | ((crossed & right).sum(axis=1) % 2 == 1)
+    result[near] = kernels.inside(p, outline, room_px)
     return result

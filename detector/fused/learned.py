@@ -1,0 +1,46 @@
+"""What was learned from simulated scenes: the weights of a decision and of a variance, from the
+file that `python -m tests.learn_fused` writes, with its seed, sizes and figures.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from detector.geometry import Array
+
+FILE = Path(__file__).with_name("learned.json")
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """``weights`` and ``bias`` of log odds by measure, the ``least`` odds of what is given; and of
+    standard deviations the factor of what ``edges`` say, and ``factors`` by term.
+    """
+
+    weights: Mapping[str, float]
+    bias: float
+    least: float
+    edges: float
+    factors: Mapping[str, float]
+
+    def weights_of(self, names: tuple[str, ...]) -> Array:
+        """In this order; 0 of what wasn't worth a weight."""
+        return np.array([self.weights.get(name, 0.0) for name in names])
+
+    def factors_of(self, names: tuple[str, ...]) -> Array:
+        """In this order; 0 of what is no part of the spread."""
+        return np.array([self.factors.get(name, 0.0) for name in names])
+
+
+@cache
+def learned() -> Learned:
+    """What the product ships with."""
+    table = json.loads(FILE.read_text(encoding="utf-8"))
+    odds, spread = table["odds"], table["spread"]
+    return Learned(odds["weights"], odds["bias"], odds["least"], spread["edges"], spread["terms"])
