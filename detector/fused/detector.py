@@ -19,7 +19,7 @@ from detector.fused.covariances import (
     unaliased,
     world_covariances,
 )
-from detector.fused.decide import Decision, Fits, decide
+from detector.fused.decide import Decision, Fits, decide, means
 from detector.fused.depth_search import (
     Map,
     best_starts,
@@ -41,6 +41,7 @@ from detector.fused.refine import (
     one_sided,
     refine,
     refine_again,
+    refine_beside,
     refine_slid,
     shaped_again,
     slide_to_round,
@@ -81,6 +82,7 @@ _OPTICAL_BLUR_PX, _THERMAL_BLUR_PX = 1.5, 0.8  # as much as a start may be off
 # log odds above what is accepted: beyond doubt; below, of what a nearer teat may hide, and of what
 # is told of
 _SURE, _MAYBE_HIDDEN, _MAYBE_END = 3.0, 6.0, 4.0
+_UNSURE_MM = 0.3  # of an end's sd, beyond which fits begin beside it too
 LEARNED = learned()
 _ROOM_ABOVE_MM = 110.0  # how far above a bar's visible part its end may be
 
@@ -180,7 +182,7 @@ def _detect(
     right = pictures.optical(frames.right, calibration.right.image_size, "right")
     thermal = _thermal(frames, calibration, p.prior)
     teats, views, ends = _start(thermal, left, right, calibration, p, trace, more)
-    judged = _fit(teats, views, thermal, ends, p)
+    judged = _fit(teats, views, thermal, ends, calibration, p)
     # every fitted teat with evidence and objection, empty if accepted
     shown = {"teats": judged.fitted.teats}
     shown |= {name: getattr(judged.evidence, name) for name in Evidence.__slots__}
@@ -262,9 +264,16 @@ def _unexplained(teats: Array, thermal: _Thermal, ends: Nominations) -> Array:
 
 
 def _fit(
-    teats: Array, views: tuple[View, ...], thermal: _Thermal, ends: Nominations, p: Parameters
+    teats: Array,
+    views: tuple[View, ...],
+    thermal: _Thermal,
+    ends: Nominations,
+    calibration: Calibration,
+    p: Parameters,
 ) -> _Judged:
-    """Fit and judge; again without what a neighbour may have bridged or hidden."""
+    """Fit and judge; again without what a neighbour may have bridged or hidden, and from beside
+    what is unsure.
+    """
 
     def weighed(fitted: Fitted) -> _Candidates:
         return _weigh(fitted, views, thermal, p)
@@ -293,11 +302,15 @@ def _fit(
         judged = judge(weighed(shaped_again(judged.fitted, unlike, p, views)))
     again = np.flatnonzero(judged.decision.odds > LEARNED.least - _MAYBE_HIDDEN).tolist()
     hidden = hidden_points(judged.fitted, judged.decision.accepted, again)
-    if not hidden.any():
-        return judged
-    clear, behind = (np.flatnonzero(hidden.any(axis=1) == some) for some in (False, True))
-    refitted = refine_again(judged.fitted.take(behind), hidden[behind], views, p)
-    return judge(judged.candidates.take(clear) + weighed(refitted))
+    if hidden.any():
+        clear, behind = (np.flatnonzero(hidden.any(axis=1) == some) for some in (False, True))
+        refitted = refine_again(judged.fitted.take(behind), hidden[behind], views, p)
+        judged = judge(judged.candidates.take(clear) + weighed(refitted))
+    unsure = [i for i in judged.decision.accepted if judged.evidence.sd_mm[i] > _UNSURE_MM]
+    if unsure:
+        beside = refine_beside(judged.fitted.take(unsure), views, p, calibration)
+        judged = judge(judged.candidates + weighed(beside))
+    return judged
 
 
 def _from_starts(
@@ -410,19 +423,21 @@ def _answers(
     accepted = judged.candidates.take(rows)
     fitted, own = unaliased(accepted.fitted, p)
     teats, turned = fitted.teats, right_from_teats(calibration)
-    ends, down = turned.apply(apexes(teats)), axes(teats) @ turned.R.T
+    mean, between = means(apexes(judged.fitted.teats), judged.decision.odds, rows, LEARNED.power)
+    found = apexes(teats) + mean - apexes(accepted.fitted.teats)
+    ends, down = turned.apply(found), axes(teats) @ turned.R.T
     world = calibration.world_from_right.apply(ends)
     fits = Fits.made(teats, accepted.evidence, p.prior)
-    own = own + end_covariances(fitted, p)
-    trace.append(Stage("answers", {"rows": np.array(rows), "teats": teats, "own": own}))
-    own = stated(own, fits, LEARNED, calibration)
-    own = turned.R @ own @ turned.R.T
-    own += calibration_covariances(cameras, ends, calibration, p)
+    own = own + between + end_covariances(fitted, p)
+    rest = calibration_covariances(cameras, ends, calibration, p)
     px_a_mm = calibration.right.fc[0] / ends[:, 2]
-    own = own + blur_covariances(edges, down, ends, px_a_mm, calibration.baseline_mm)
-    covariances = world_covariances(own, ends, calibration)
+    rest += blur_covariances(edges, down, ends, px_a_mm, calibration.baseline_mm)
+    shown = {"rows": np.array(rows), "teats": teats, "ends": found, "own": own}
+    trace.append(Stage("answers", shown | {"rest": turned.R.T @ rest @ turned.R}))
+    own = turned.R @ stated(own, fits, LEARNED, calibration) @ turned.R.T
+    covariances = world_covariances(own + rest, ends, calibration)
     left_px, right_px = calibration.project(world)
-    thermal_px = thermal.lens.project(thermal.view.camera_from_teats.apply(apexes(teats)))
+    thermal_px = thermal.lens.project(thermal.view.camera_from_teats.apply(found))
     return tuple(
         Teat(*each) for each in zip(world, covariances, left_px, right_px, thermal_px, strict=True)
     )

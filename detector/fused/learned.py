@@ -19,13 +19,15 @@ FILE = Path(__file__).with_name("learned.json")
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """``weights`` and ``bias`` of log odds by measure, the ``least`` odds of what is given; and of
-    standard deviations the factor of what ``edges`` say, and ``factors`` by term.
+    """``weights`` and ``bias`` of log odds by measure, the ``least`` odds of what is given, and
+    the ``power`` of odds by which fits of one end are weighted; and of standard deviations the
+    factor of what ``edges`` say, and ``factors`` by term.
     """
 
     weights: Mapping[str, float]
     bias: float
     least: float
+    power: float
     edges: float
     factors: Mapping[str, float]
 
@@ -43,4 +45,11 @@ def learned() -> Learned:
     """What the product ships with."""
     table = json.loads(FILE.read_text(encoding="utf-8"))
     odds, spread = table["odds"], table["spread"]
-    return Learned(odds["weights"], odds["bias"], odds["least"], spread["edges"], spread["terms"])
+    return Learned(
+        odds["weights"],
+        odds["bias"],
+        odds["least"],
+        odds["power"],
+        spread["edges"],
+        spread["terms"],
+    )

@@ -8,12 +8,14 @@ sides; and points hidden by an accepted teat are left out.
 
 from __future__ import annotations
 
+import operator
 from dataclasses import replace
-from functools import cache
+from functools import cache, reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
+from detector.calibration import Calibration
 from detector.fused.parameters import Parameters
 from detector.geometry import Array
 from detector.outline import kernels
@@ -43,6 +45,7 @@ from detector.outline.model import (
     axes,
 )
 from detector.outline.pictures import UnusableError
+from detector.outline.prior import disparities_px
 
 _MOST_A_BAR = 2
 _ROUGH_STEPS = 2
@@ -140,6 +143,7 @@ ROUND_MM = 3.0  # beyond its middle a round end looks straight
 _SHAPE = 0.3
 # of the usual lean: what is left of a hidden teat's outline hardly separates lean from depth
 _UPRIGHT = 0.5
+_BESIDE = ((1.5, 0.0), (-1.5, 0.0), (0.0, 0.3), (0.0, -0.3))  # mm across, px of disparity
 _NEARER_MM = 3.0
 _SHORT_MM = 26.0  # of the sides of a teat that stands 35 mm out of an udder
 # left, right, thermal: about a nearer teat, where its edge is what is found
@@ -150,16 +154,32 @@ def refine_again(
     fitted: Fitted, hidden: NDArray[np.bool_], views: tuple[View, ...], p: Parameters
 ) -> Fitted:
     """The teats fitted again without outline points (m, k) that another teat hides."""
-    found = list[Fitted]()
+    found, left_out = list[Fitted](), hidden | fitted.hidden
+    covered = left_out.any(axis=1)
     for shaped, priors in ((False, p), (True, any_shape(p))):
-        at = np.flatnonzero(fitted.shaped == shaped)
-        if len(at):
-            lean_sd = _UPRIGHT * priors.prior.lean_sd
-            upright = replace(priors.prior, lean_sd=lean_sd)
-            left_out = hidden[at] | fitted.hidden[at]
-            again = fine(fitted.teats[at], left_out, views, upright, steps=FINE_STEPS - 1)
-            found.append(replace(again, followed=fitted.followed[at], shaped=fitted.shaped[at]))
-    return found[0] if len(found) == 1 else found[0] + found[1]
+        for behind, share in ((False, 1.0), (True, _UPRIGHT)):
+            at = np.flatnonzero((fitted.shaped == shaped) & (covered == behind))
+            if len(at):
+                prior = replace(priors.prior, lean_sd=share * priors.prior.lean_sd)
+                again = fine(fitted.teats[at], left_out[at], views, prior, steps=FINE_STEPS - 1)
+                found.append(replace(again, followed=fitted.followed[at], shaped=fitted.shaped[at]))
+    return reduce(operator.add, found)
+
+
+def refine_beside(
+    fitted: Fitted, views: tuple[View, ...], p: Parameters, calibration: Calibration
+) -> Fitted:
+    """The teats fitted again from either side of where they are, and from in front and behind:
+    edges that are weak or another thing's hold a fit near to where it began.
+    """
+    n, teats = len(fitted.teats), fitted.teats
+    starts = np.repeat(teats[None], 4, axis=0)
+    px = disparities_px(teats[:, :3], calibration)
+    for start, (aside_mm, nearer_px) in zip(starts, _BESIDE, strict=True):
+        start[:, :3] *= (px / (px + nearer_px))[:, None]
+        start[:, CX] += aside_mm
+    again = replace(fitted.take(np.tile(np.arange(n), 4)), teats=starts.reshape(-1, COUNT))
+    return refine_again(again, np.zeros_like(again.hidden), views, p)
 
 
 @cache
