@@ -1,10 +1,11 @@
 """``python -m tests.learn_fused --frames DIR``: learns what `fused` decides and states by, and writes
 detector/fused/learned.json.
 
-Scenes of all families are drawn on the shipped rig, and some of each on rigs drawn at random; DIR
-keeps their frames. The detector runs on them and shows what it measures of every fit. The log odds
+Scenes of all families are drawn on the shipped rig, and some of each on rigs drawn at random, and
+those that were difficult; DIR keeps their frames. The detector runs on them and shows what it measures of every fit. The log odds
 of a fit are linear in that: weights are the maximum a posteriori with a ridge, of fits labelled by
-whether an end is near. Standard deviations are linear in their terms: factors, none negative, are
+whether an end is near. What is given at least, and by which power of odds fits of one end are weighted, are those
+that do best. Standard deviations are linear in their terms: factors, none negative, are
 those of the greatest likelihood of the errors that were made (Student's t, so that an end taken for
 another's doesn't rule). Both are done twice, as the first answers change which fits are tried.
 
@@ -17,8 +18,9 @@ from __future__ import annotations
 import argparse
 import json
 import pickle
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,24 +36,29 @@ from bench.scoring.matching import gate_mm, match
 from detector.calibration import Calibration, ParameterCovariance
 from detector.external.serve import Pictures
 from detector.fused.covariances import TERMS, variance_terms
-from detector.fused.decide import MEASURES, Fits, measures, pass_through
+from detector.fused.decide import MEASURES, NEAR_MM, Fits, means, measures, pass_through
 from detector.fused.evidence import Evidence
 from detector.fused.learned import FILE
 from detector.outline.model import apexes
 from detector.outline.prior import Prior, world_from_teats
+from instruments.world.scene import Renderer
 from instruments.world.situations import SITUATIONS, member
+from tests.detector.fused.difficult import DIFFICULT, Rendered, rendered
 
 Array = NDArray[np.float64]
 SEED, FIRST, MEMBERS, RIGS, ON_A_RIG = 1, 200, 60, 26, 6
 EXACT = ParameterCovariance((), np.zeros((0, 0)))
-RIDGE, NEAR_MM, NOT_SURE_MM, LESS = 5e-3, 4.0, (2.5, 6.0), 0.3
-AGAIN, WITHIN, LEAST, FREEDOM = 2, 0.2, -0.3, 30.0
+RIDGE, NOT_SURE_MM, LESS = 5e-3, (2.5, 6.0), 0.3
+AGAIN, WITHIN, FREEDOM = 2, 0.2, 30.0
+# a false end counts as so many that are missed
+FALSE, LEASTS, POWERS = 2, (-1.2, -0.9, -0.6, -0.3, 0.0, 0.3), (0.5, 1.0, 2.0, 4.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
     """Of one scene the fits' measures (m, k) and ends (m, 3), which pass through which (m, m), and
-    of the answers their errors (a, 3), base covariances (a, 3, 3) and terms (a, k, 3), world.
+    of the answers their errors (a, 3), covariances (a, 3, 3) by their edges and by what isn't
+    learned, and terms (a, k, 3), world.
     """
 
     family: str
@@ -62,6 +69,7 @@ class Shown:
     through: NDArray[np.bool_]
     errors_mm: Array
     own: Array
+    rest: Array
     terms: Array
 
 
@@ -69,57 +77,65 @@ def scenes(frames: Path) -> Iterator[tuple[str, Calibration, Any]]:
     """Family, calibration, and pictures with truth, drawn where DIR doesn't have them."""
     rig = load_rig(find_rig(None))
     usual, names = rig_renderer(rig, SEED), list(SITUATIONS)
-    plain = [(name, k, rig.calibration) for k in range(FIRST, FIRST + MEMBERS) for name in names]
-    other = [
-        (names[(5 * k + 4 * n) % len(names)], FIRST + k, drawn(rig.calibration, chance))
-        for k in range(RIGS)
-        for chance in [np.random.default_rng([7, FIRST + k])]
-        for n in range(ON_A_RIG)
-    ]
-    for name, k, calibration in plain + other:
-        own = calibration is not rig.calibration
-        path = frames / f"{'rig_' if own else ''}{name}-{k}.npz"
-        if not path.exists():
-            renderer = renderer_of(calibration, usual, SEED) if own else usual
-            try:
-                shot = draw(renderer, name, warm(member(name, k)[0]), [SEED, k])
-            except ValueError:  # a thing too near a camera
-                continue
-            np.savez(
-                path,
-                left=shot.frames.left,
-                right=shot.frames.right,
-                t=np.asarray(shot.frames.thermal_ck),
-                ends=np.array([row.xyz_mm for row in shot.truth]),
-                vis=np.array([row.visible for row in shot.truth]),
-            )
-        yield name, replace(calibration, covariance=EXACT), np.load(path)
+    for k in range(FIRST, FIRST + MEMBERS):
+        for name in names:
+            path = frames / f"{name}-{k}.npz"
+            yield from _kept(path, name, rig.calibration, partial(_drawn, usual, name, k))
+    for k in range(FIRST, FIRST + RIGS):
+        calibration = drawn(rig.calibration, np.random.default_rng([7, k]))
+        for n in range(ON_A_RIG):
+            name = names[(5 * (k - FIRST) + 4 * n) % len(names)]
+            path, renderer = frames / f"rig_{name}-{k}.npz", renderer_of(calibration, usual, SEED)
+            yield from _kept(path, name, calibration, partial(_drawn, renderer, name, k))
+    for name, noise, k in DIFFICULT:
+        path, renderer = frames / f"{name}-{k}-{noise}.npz", rig_renderer(rig, noise)
+        yield from _kept(path, name, rig.calibration, partial(rendered, renderer, name, noise, k))
+
+
+def _kept(
+    path: Path, name: str, calibration: Calibration, draws: Callable[[], Rendered]
+) -> Iterator[tuple[str, Calibration, Any]]:
+    """One scene, or none where a thing is too near a camera."""
+    if not path.exists():
+        try:
+            np.savez(path, **draws()._asdict())
+        except ValueError:
+            return
+    yield name, replace(calibration, covariance=EXACT), np.load(path)
+
+
+def _drawn(renderer: Renderer, name: str, k: int) -> Rendered:
+    shot = draw(renderer, name, warm(member(name, k)[0]), [SEED, k])
+    ends = np.array([row.xyz_mm for row in shot.truth])
+    visible = np.array([row.visible for row in shot.truth])
+    thermal_k = np.asarray(shot.frames.thermal_ck) / 100.0
+    return Rendered(shot.frames.left, shot.frames.right, thermal_k, ends, visible)
 
 
 def shown_of(family: str, calibration: Calibration, data: Any) -> Shown | None:
     """What the detector shows of a scene; None where it doesn't come to fits."""
-    pictures = Pictures(data["left"], data["right"], None, data["t"] / 100.0)
+    pictures = Pictures(data["left"], data["right"], None, data["thermal_k"])
     answer = fused.FusedDetector().detect(pictures, calibration)
     stage, given = answer.stage("decisions"), answer.stage("answers")
     if stage is None:
         return None
-    ends, prior = data["ends"], Prior()
+    ends, visible, prior = data["ends_mm"], data["visible"], Prior()
     teats, world = stage.data["teats"], world_from_teats(calibration)
     evidence = Evidence(*(stage.data[name] for name in Evidence.__slots__))
     places = world.apply(apexes(teats))
-    errors, own, terms = np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, len(TERMS), 3))
+    errors, terms = np.zeros((0, 3)), np.zeros((0, len(TERMS), 3))
+    own = rest = np.zeros((0, 3, 3))
     if given is not None and len(given.data["rows"]):
-        rows, moved = given.data["rows"], given.data["teats"]
-        found = world.apply(apexes(moved))
-        fits = Fits.made(moved, evidence.take(rows), prior)
-        pairs = match(found, ends, data["vis"], gate_mm(ends)).pairs
+        found = world.apply(given.data["ends"])
+        fits = Fits.made(given.data["teats"], evidence.take(given.data["rows"]), prior)
+        pairs = match(found, ends, visible, gate_mm(ends)).pairs
         which = [i for i, _ in pairs]
         errors = np.array([found[i] - ends[j] for i, j in pairs]).reshape(-1, 3)
-        own = world.R @ given.data["own"][which] @ world.R.T
+        own, rest = (world.R @ given.data[of][which] @ world.R.T for of in ("own", "rest"))
         terms = variance_terms(fits, calibration)[which] @ world.R.T
     return Shown(
-        family, ends, data["vis"], measures(teats, evidence, prior), places,
-        pass_through(teats, teats), errors, own, terms,
+        family, ends, visible, measures(teats, evidence, prior), places,
+        pass_through(teats, teats), errors, own, rest, terms,
     )  # fmt: skip
 
 
@@ -168,13 +184,16 @@ def _odds(
 def learned_spread(some: Sequence[Shown]) -> Array:
     """Factors (1 + k,): of what edges say, and of the terms."""
     errors = np.concatenate([one.errors_mm for one in some])
-    own, terms = (np.concatenate([getattr(one, n) for one in some]) for n in ("own", "terms"))
+    own, rest, terms = (
+        np.concatenate([getattr(one, name) for one in some]) for name in ("own", "rest", "terms")
+    )
     near = np.linalg.norm(errors, axis=1) < 15.0  # farther off it is another's end
-    errors, own, terms = errors[near], own[near], terms[near]
+    errors, own, rest, terms = errors[near], own[near], rest[near], terms[near]
 
     def cost(log: Array) -> tuple[float, Array]:
         variance = np.exp(2 * log)
-        total = variance[0] * own + np.einsum("k,mki,mkj->mij", variance[1:], terms, terms)
+        total = variance[0] * own + rest
+        total += np.einsum("k,mki,mkj->mij", variance[1:], terms, terms)
         inverse = np.linalg.inv(total)
         weighted = np.einsum("mij,mj->mi", inverse, errors)
         squared = np.einsum("mi,mi->m", errors, weighted)
@@ -194,19 +213,24 @@ def learned_spread(some: Sequence[Shown]) -> Array:
     return np.asarray(np.where(found.x > -7.0, np.exp(found.x), 0.0))
 
 
-def judged(some: Sequence[Shown], weights: Array, bias: float) -> dict[str, int]:
-    """Ends visible and found within 5 mm, and false ones, of the best sets by these odds."""
-    count = {"visible": 0, "found": 0, "false": 0}
+def judged(
+    some: Sequence[Shown], weights: Array, bias: float, least: float, power: float
+) -> dict[str, Any]:
+    """Ends visible and found, and false ones, of the best sets by these odds, and the mean mm."""
+    count: dict[str, Any] = {"visible": 0, "found": 0, "false": 0}
+    off = list[float]()
     for one in some:
         odds, kept = one.seen @ weights + bias, list[int]()
         for i in np.argsort(-odds, kind="stable").tolist():
-            if odds[i] > LEAST and len(kept) < Prior().udder and not one.through[i, kept].any():
+            if odds[i] > least and len(kept) < Prior().udder and not one.through[i, kept].any():
                 kept.append(i)
-        found = match(one.places_mm[kept], one.ends_mm, one.visible, gate_mm(one.ends_mm)).counts
-        count["visible"] += found.visible
-        count["found"] += found.matched
-        count["false"] += found.false
-    return count
+        ends, _ = means(one.places_mm, odds, kept, power)
+        found = match(ends, one.ends_mm, one.visible, gate_mm(one.ends_mm))
+        count["visible"] += found.counts.visible
+        count["found"] += found.counts.matched
+        count["false"] += found.counts.false
+        off += [float(np.linalg.norm(ends[i] - one.ends_mm[j])) for i, j in found.pairs]
+    return count | {"mean mm": round(float(np.mean(off)), 4)}
 
 
 def main() -> None:
@@ -218,12 +242,22 @@ def main() -> None:
     some = [shown for scene in scenes(given.frames) if (shown := shown_of(*scene))]
     (given.frames / "shown.pickle").write_bytes(pickle.dumps(some))  # for studies
     (weights, bias), factors = learned_odds(some), learned_spread(some)
-    by_name = dict(zip(MEASURES, np.round(weights, 4).tolist(), strict=True))
-    spread = dict(zip(TERMS, np.round(factors[1:], 5).tolist(), strict=True))
-    left_out = {}
+    power = min(POWERS, key=lambda each: judged(some, weights, bias, LEASTS[0], each)["mean mm"])
+    apart = list[tuple[str, list[Shown], tuple[Array, float]]]()
     for name in SITUATIONS:
         others = learned_odds([one for one in some if one.family != name], np.r_[weights, bias])
-        left_out[name] = judged([one for one in some if one.family == name], *others)
+        apart.append((name, [one for one in some if one.family == name], others))
+
+    def figures(least: float) -> dict[str, dict[str, Any]]:
+        return {name: judged(own, *by, least, power) for name, own, by in apart}
+
+    def gain(least: float) -> int:
+        return sum(one["found"] - FALSE * one["false"] for one in figures(least).values())
+
+    least = max(LEASTS, key=gain)
+    left_out = figures(least)
+    by_name = dict(zip(MEASURES, np.round(weights, 4).tolist(), strict=True))
+    spread = dict(zip(TERMS, np.round(factors[1:], 5).tolist(), strict=True))
     table = {
         "made": {
             "seed": SEED,
@@ -234,7 +268,7 @@ def main() -> None:
         }
         | {"fits": sum(len(one.seen) for one in some)}
         | {"ends": sum(len(one.errors_mm) for one in some)},
-        "odds": {"least": LEAST, "bias": round(bias, 4), "weights": by_name},
+        "odds": {"least": least, "power": power, "bias": round(bias, 4), "weights": by_name},
         "spread": {"edges": round(float(factors[0]), 5), "terms": spread},
         "families left out": left_out,
     }

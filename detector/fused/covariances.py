@@ -202,29 +202,39 @@ def _beyond(f: Fits) -> Array:
     return np.asarray(np.maximum(f.thermal[:, [SIDE_A, SIDE_B]].max(axis=1), 0.0))
 
 
+def _short(f: Fits) -> Array:
+    return np.asarray(1.0 - f.of.side.max(axis=1))
+
+
 # standard deviations, a unit of the factor
 TERMS: dict[str, Term] = {
-    "along": Term("along", lambda f: np.ones(len(f.teats))),
+    "along, misfit of the end": Term("along", lambda f: f.of.end_misfit_px),
     "along, misfit of the end squared": Term("along", lambda f: f.of.end_misfit_px**2),
+    "along, misfit of the end, unlike a ball": Term(
+        "along", lambda f: f.of.end_misfit_px * f.teats[:, RADIUS] * np.abs(f.teats[:, HEIGHT] - 1)
+    ),
+    "along, misfit of the end, of any shape": Term(
+        "along", lambda f: f.of.end_misfit_px * f.of.shaped
+    ),
     "along, end in part": Term("along", _unseen),
     "along, end in part and not warm": Term("along", lambda f: _unseen(f) * (1.0 - f.of.end[:, 2])),
-    "along, end unlike a ball": Term(
-        "along", lambda f: f.teats[:, RADIUS] * np.abs(f.teats[:, HEIGHT] - 1.0)
+    "along, end in part and sides go on": Term("along", lambda f: _unseen(f) * f.of.goes_on_mm),
+    "along, short sides": Term("along", _short),
+    "across, misfit squared": Term("across", lambda f: f.of.misfit_px**2),
+    "across, misfit of the end": Term("across", lambda f: f.of.end_misfit_px),
+    "across, unlike a ball": Term(
+        "across", lambda f: f.teats[:, RADIUS] * np.abs(f.teats[:, HEIGHT] - 1)
     ),
-    "along, of any shape": Term("along", lambda f: f.of.shaped.astype(float)),
-    "along, short sides": Term("along", lambda f: 1.0 - f.of.side.max(axis=1)),
-    "across": Term("across", lambda f: np.ones(len(f.teats))),
-    "across, one side": Term("across", _one_sided),
+    "across, one side and misfit": Term("across", lambda f: _one_sided(f) * f.of.misfit_px),
     "across, one side and warmth beyond": Term("across", lambda f: _one_sided(f) * _beyond(f)),
+    "across, one side, of any shape": Term("across", lambda f: _one_sided(f) * f.of.shaped),
     "across, of any shape": Term("across", lambda f: f.of.shaped.astype(float)),
-    "sight": Term("sight", lambda f: np.ones(len(f.teats))),
     "sight, misfit squared": Term("sight", lambda f: f.of.misfit_px**2),
-    "sight, one side": Term("sight", _one_sided),
     "sight, one side and misfit": Term("sight", lambda f: _one_sided(f) * f.of.misfit_px),
     "sight, sides unlike": Term("sight", lambda f: np.ptp(f.of.both[:, :2], axis=1)),
-    "sight, ends unlike": Term("sight", lambda f: np.ptp(f.of.end[:, :2], axis=1)),
     "sight, widths unlike": Term("sight", lambda f: np.minimum(f.of.width_px, 1.0)),
     "sight, thermal outline aside": Term("sight", aside),
+    "sight, short sides": Term("sight", _short),
     "sight, of any shape": Term("sight", lambda f: f.of.shaped.astype(float)),
 }
 # beside what was learned, mm: a mm of radius and a unit of slope outside of what teats are
