@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from detector.fused.evidence import WHOLE_END, Evidence
 from detector.fused.learned import Learned
 from detector.geometry import Array
-from detector.outline.model import END, HEIGHT, LEAN_X, LEAN_Z, RADIUS, SIDE_A, SIDE_B, axes
+from detector.outline.model import END, HEIGHT, LEAN_X, LEAN_Z, RADIUS, SIDE_A, SIDE_B, apexes, axes
 from detector.outline.prior import Prior
 
 OUTLINE = "its outline isn't that of a teat"
@@ -27,11 +27,15 @@ SIZE, LEANS = "it isn't of a teat's size", "it leans more than a teat does"
 END_UNSEEN, SIDE_UNSEEN = "too little of its end is seen", "too little of its sides is seen"
 COLD, GOES_ON = "it isn't as warm as a teat all over", "its sides are seen beyond its end"
 UNLIKE = "one picture shows more of it than the other"
+APART = "it is far from the other teats"
 ONE_MORE = "it is one more than an udder has teats, and the worst"
 REASONS = (
     OUTLINE, ELSEWHERE, UNSURE, WORSE, SIZE, LEANS, END_UNSEEN, SIDE_UNSEEN, COLD, GOES_ON, UNLIKE,
-    ONE_MORE,
+    APART, ONE_MORE,
 )  # fmt: skip
+
+
+_ONE_PLACE_MM = 15.0
 
 
 class Fits(NamedTuple):
@@ -57,10 +61,22 @@ class Fits(NamedTuple):
     @property
     def usual(self) -> float:
         """How warm fits are that show a whole end in both optical pictures, or the warmest."""
-        whole = self.of.end[:, :2].min(axis=1) > WHOLE_END
         middle = self.lines[:, 1]
-        known = middle[whole & np.isfinite(middle)]
+        known = middle[self.whole & np.isfinite(middle)]
         return float(np.median(known)) if len(known) else float(np.nanmax(middle, initial=-np.inf))
+
+    @property
+    def whole(self) -> NDArray[np.bool_]:
+        """Which show a whole end in both optical pictures."""
+        return np.asarray(self.of.end[:, :2].min(axis=1) > WHOLE_END)
+
+    @property
+    def apart_mm(self) -> Array:
+        """How far (m,) the nearest whole end in another place is; 0 without one."""
+        ends = apexes(self.teats)
+        away = np.linalg.norm(ends[:, None] - ends[self.whole], axis=2)
+        nearest = np.where(away > _ONE_PLACE_MM, away, np.inf).min(axis=1, initial=np.inf)
+        return np.where(np.isfinite(nearest), nearest, 0.0)
 
     @property
     def lean(self) -> Array:
@@ -152,6 +168,7 @@ MEASURES: dict[str, Measure] = {
     "radius off the usual, mm": Measure(
         0, 5, SIZE, lambda f: np.abs(f.teats[:, RADIUS] - f.prior.radius_mm)
     ),
+    "from the nearest whole end, mm": Measure(150, 450, APART, lambda f: f.apart_mm),
     "lean beyond the range": Measure(0, 0.5, LEANS, lambda f: f.too_steep),
     "ln of the end's height": Measure(
         0, 0.5, OUTLINE, lambda f: np.abs(np.log(f.teats[:, HEIGHT]))

@@ -5,6 +5,7 @@ high or low, and short teats of another shape.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from detector.fused.decide import Decision, pass_through
 from detector.fused.evidence import Evidence
@@ -31,9 +32,14 @@ def doubts(
     order = np.argsort(-decision.odds, kind="stable").tolist()
     open_ = [i for i in order if partial[i] and not same[i, whole].any()]
     half = end.max(axis=1) > 0.5 * _WHOLE_END
-    bridging, shifted = [i for i in open_ if half[i] and not both[i]], [i for i in open_ if both[i]]
-    one_each = [i for n, i in enumerate(shifted) if not same[i, shifted[:n]].any()]
-    return bridging[: p.most_bridging], one_each[: p.most_shifted]
+    bridging = _one_each([i for i in open_ if half[i] and not both[i]], same)
+    shifted = _one_each([i for i in open_ if both[i]], same)
+    return bridging[: p.most_bridging], shifted[: p.most_shifted]
+
+
+def _one_each(rows: list[int], same: NDArray[np.bool_]) -> list[int]:
+    """The first of ``rows`` in each place."""
+    return [i for n, i in enumerate(rows) if not same[i, rows[:n]].any()]
 
 
 def shapes(teats: Array, evidence: Evidence, decision: Decision, p: Parameters) -> list[int]:
