@@ -140,12 +140,18 @@ def shown_of(family: str, calibration: Calibration, data: Any) -> Shown | None:
     )  # fmt: skip
 
 
+def _off(one: Shown) -> Array:
+    """How far each fit's end is from the nearest (m,), mm."""
+    away = np.linalg.norm(one.places_mm[:, None] - one.ends_mm, axis=2)
+    return np.asarray(away.min(axis=1))
+
+
 def learned_odds(some: Sequence[Shown], start: Array | None = None) -> tuple[Array, float]:
     """Weights (k,) and bias. Fits that lie within a likelier right one are neither given nor looked
     at, and count for less; which these are hangs on the weights, so this is done again.
     """
     seen = np.concatenate([one.seen for one in some])
-    off = [np.linalg.norm(one.places_mm[:, None] - one.ends_mm, axis=2).min(axis=1) for one in some]
+    off = [_off(one) for one in some]
     far = np.concatenate(off)
     usual = np.where((far > NOT_SURE_MM[0]) & (far < NOT_SURE_MM[1]), LESS, 1.0)
     weights, bias = _odds(seen, far < NEAR_MM, usual, start)
@@ -257,6 +263,8 @@ def main() -> None:
 
     least = max(LEASTS, key=gain)
     left_out = figures(least)
+    right = np.concatenate([one.seen[_off(one) < NEAR_MM] for one in some])
+    usual = dict(zip(MEASURES, np.round(right.mean(axis=0), 4).tolist(), strict=True))
     by_name = dict(zip(MEASURES, np.round(weights, 4).tolist(), strict=True))
     spread = dict(zip(TERMS, np.round(factors[1:], 5).tolist(), strict=True))
     table = {
@@ -269,7 +277,13 @@ def main() -> None:
         }
         | {"fits": sum(len(one.seen) for one in some)}
         | {"ends": sum(len(one.errors_mm) for one in some)},
-        "odds": {"least": least, "power": power, "bias": round(bias, 4), "weights": by_name},
+        "odds": {
+            "least": least,
+            "power": power,
+            "bias": round(bias, 4),
+            "weights": by_name,
+            "usual": usual,
+        },
         "spread": {"edges": round(float(factors[0]), 5), "terms": spread},
         "families left out": left_out,
     }

@@ -219,9 +219,21 @@ TERMS: dict[str, Term] = {
     "along, end in part": Term("along", _unseen),
     "along, end in part and not warm": Term("along", lambda f: _unseen(f) * (1.0 - f.of.end[:, 2])),
     "along, end in part and sides go on": Term("along", lambda f: _unseen(f) * f.of.goes_on_mm),
+    "along, led to by its sides and not warm": Term(
+        "along", lambda f: f.of.followed * (1.0 - f.of.end[:, 2])
+    ),
+    "along, led to by its sides, misfit of the end": Term(
+        "along", lambda f: f.of.followed * f.of.end_misfit_px
+    ),
+    "along, misfit of the end and not warm": Term(
+        "along", lambda f: f.of.end_misfit_px * (1.0 - f.of.end[:, 2])
+    ),
     "along, short sides": Term("along", _short),
     "across, misfit squared": Term("across", lambda f: f.of.misfit_px**2),
     "across, misfit of the end": Term("across", lambda f: f.of.end_misfit_px),
+    "across, misfit of the end, of any shape": Term(
+        "across", lambda f: f.of.end_misfit_px * f.of.shaped
+    ),
     "across, unlike a ball": Term(
         "across", lambda f: f.teats[:, RADIUS] * np.abs(f.teats[:, HEIGHT] - 1)
     ),

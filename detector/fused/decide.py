@@ -2,7 +2,7 @@
 
 The log odds of a fit are linear in what the pictures show of it (`MEASURES`). Weights are learned
 (`python -m tests.learn_fused`) and read from a file; none is set by hand. The reason of a rejected
-fit is that of the measure which lowers its odds the most.
+fit is that of the measure which lowers its odds the most, next to those of right fits.
 """
 
 from __future__ import annotations
@@ -213,7 +213,8 @@ def decide(teats: Array, evidence: Evidence, learned: Learned, prior: Prior) -> 
     )
     lack = (best - seen) * weights
     odds = seen @ weights + learned.bias
-    reasons: list[str | None] = [list(kinds)[k].lacking for k in lack.argmax(axis=1)]
+    short = (learned.usual_of(tuple(MEASURES)) - seen) * weights
+    reasons: list[str | None] = [list(kinds)[k].lacking for k in short.argmax(axis=1)]
     witness = lack[:, [kind.witness for kind in kinds]].sum(axis=1)
     through, kept = pass_through(teats, teats), list[int]()
     for i in np.argsort(-odds, kind="stable").tolist():

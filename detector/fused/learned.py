@@ -19,12 +19,13 @@ FILE = Path(__file__).with_name("learned.json")
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """``weights`` and ``bias`` of log odds by measure, the ``least`` odds of what is given, and
-    the ``power`` of odds by which fits of one end are weighted; and of standard deviations the
-    factor of what ``edges`` say, and ``factors`` by term.
+    """``weights`` and ``bias`` of log odds by measure, and what is ``usual`` of right fits; the
+    ``least`` odds of what is given, and the ``power`` of odds by which fits of one end are
+    weighted; of standard deviations the factor of what ``edges`` say, and ``factors`` by term.
     """
 
     weights: Mapping[str, float]
+    usual: Mapping[str, float]
     bias: float
     least: float
     power: float
@@ -34,6 +35,10 @@ class Learned:
     def weights_of(self, names: tuple[str, ...]) -> Array:
         """In this order; 0 of what wasn't worth a weight."""
         return np.array([self.weights.get(name, 0.0) for name in names])
+
+    def usual_of(self, names: tuple[str, ...]) -> Array:
+        """In this order."""
+        return np.array([self.usual.get(name, 0.0) for name in names])
 
     def factors_of(self, names: tuple[str, ...]) -> Array:
         """In this order; 0 of what is no part of the spread."""
@@ -46,10 +51,6 @@ def learned() -> Learned:
     table = json.loads(FILE.read_text(encoding="utf-8"))
     odds, spread = table["odds"], table["spread"]
     return Learned(
-        odds["weights"],
-        odds["bias"],
-        odds["least"],
-        odds["power"],
-        spread["edges"],
-        spread["terms"],
-    )
+        odds["weights"], odds["usual"], odds["bias"], odds["least"], odds["power"],
+        spread["edges"], spread["terms"],
+    )  # fmt: skip

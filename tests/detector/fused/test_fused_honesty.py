@@ -93,7 +93,7 @@ def members() -> list[Seen]:
     return list(seen(FAMILIES, SEEDS))
 
 
-FOUND, FALSE = 312, 6  # 314 and 5 of 327
+FOUND, FALSE = 318, 3  # 320 and 2 of 327
 
 
 def test_difficult_scenes_keep_nearly_all_their_ends() -> None:
@@ -154,7 +154,9 @@ TOO_NARROW = pytest.mark.xfail(
 @pytest.mark.parametrize(
     ("family", "noise", "member"),
     [
-        pytest.param("cow_teats", 1, 1047, id="one side", marks=TOO_NARROW),
+        pytest.param("cow_teats", 1, 1047, id="one side"),
+        pytest.param("cow_teats", 1, 1000, id="a pointed end"),
+        pytest.param("swollen", 1, 200, id="either side alone"),
         pytest.param("overlapping", 1, 1032, id="one side, touching"),
         pytest.param(
             "hot_body_at_ends", 999, 60002, id="half an end that sides lead to", marks=TOO_NARROW
