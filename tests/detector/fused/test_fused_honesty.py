@@ -146,8 +146,10 @@ def every_end_and_none_else(members: list[Seen]) -> None:
         assert counts.matched == counts.visible, one.family
 
 
-TOO_NARROW = pytest.mark.xfail(
-    strict=True, reason="the learned factors state too little of these ends: docs/detectors.md"
+AN_ARMS_EDGE = pytest.mark.xfail(
+    strict=True,
+    reason="the sides of two teats lead to an arm's edge, 7 mm up, that bends as an end does and is"
+    " as close; what is stated is 1.3 mm",
 )
 
 
@@ -159,7 +161,7 @@ TOO_NARROW = pytest.mark.xfail(
         pytest.param("swollen", 1, 200, id="either side alone"),
         pytest.param("overlapping", 1, 1032, id="one side, touching"),
         pytest.param(
-            "hot_body_at_ends", 999, 60002, id="half an end that sides lead to", marks=TOO_NARROW
+            "hot_body_at_ends", 999, 60002, id="half an end that sides lead to", marks=AN_ARMS_EDGE
         ),
         pytest.param("cooler_bodies", 777, 31219, id="end and side, one picture shows less"),
         pytest.param("cluttered", 1127, 110176, id="a post behind the end disturbs its edges"),
