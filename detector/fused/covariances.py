@@ -13,7 +13,7 @@ import numpy as np
 
 from detector.calibration import Calibration
 from detector.fused.decide import Fits, aside
-from detector.fused.learned import Learned
+from detector.fused.learned import Learned, in_order
 from detector.fused.parameters import Parameters
 from detector.fused.refine import any_shape
 from detector.geometry import Array
@@ -277,7 +277,7 @@ def stated(own: Array, fits: Fits, learned: Learned, calibration: Calibration) -
     """(m, 3, 3) mm^2 of ends, the fits' frame: ``own`` by their edges, and what was learned of
     fits that show as much.
     """
-    factors = learned.factors_of(tuple(TERMS))
+    factors = in_order(learned.factors, TERMS)
     moves = variance_terms(fits, calibration) * factors[:, None]
     outside = np.hypot(_OFF_SIZE * fits.off_size, _TOO_STEEP_MM * fits.too_steep) ** 2
     total = learned.edges**2 * own + np.einsum("mki,mkj->mij", moves, moves)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.fused.evidence import WHOLE_END, Evidence
-from detector.fused.learned import Learned
+from detector.fused.learned import Learned, in_order
 from detector.geometry import Array
 from detector.outline.model import END, HEIGHT, LEAN_X, LEAN_Z, RADIUS, SIDE_A, SIDE_B, apexes, axes
 from detector.outline.prior import Prior
@@ -29,12 +29,6 @@ COLD, GOES_ON = "it isn't as warm as a teat all over", "its sides are seen beyon
 UNLIKE = "one picture shows more of it than the other"
 APART = "it is far from the other teats"
 ONE_MORE = "it is one more than an udder has teats, and the worst"
-REASONS = (
-    OUTLINE, ELSEWHERE, UNSURE, WORSE, SIZE, LEANS, END_UNSEEN, SIDE_UNSEEN, COLD, GOES_ON, UNLIKE,
-    APART, ONE_MORE,
-)  # fmt: skip
-
-
 _ONE_PLACE_MM = 15.0
 
 
@@ -207,13 +201,13 @@ class Decision:
 def decide(teats: Array, evidence: Evidence, learned: Learned, prior: Prior) -> Decision:
     """The best of teats (m, 8) that don't overlap."""
     seen, kinds = measures(teats, evidence, prior), MEASURES.values()
-    weights = learned.weights_of(tuple(MEASURES))
+    weights = in_order(learned.weights, MEASURES)
     best = np.array(
         [kind.most if w > 0 else kind.least for kind, w in zip(kinds, weights, strict=True)]
     )
     lack = (best - seen) * weights
     odds = seen @ weights + learned.bias
-    short = (learned.usual_of(tuple(MEASURES)) - seen) * weights
+    short = (in_order(learned.usual, MEASURES) - seen) * weights
     reasons: list[str | None] = [list(kinds)[k].lacking for k in short.argmax(axis=1)]
     witness = lack[:, [kind.witness for kind in kinds]].sum(axis=1)
     through, kept = pass_through(teats, teats), list[int]()

@@ -5,7 +5,7 @@ file that `python -m tests.learn_fused` writes, with its seed, sizes and figures
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -32,17 +32,10 @@ class Learned:
     edges: float
     factors: Mapping[str, float]
 
-    def weights_of(self, names: tuple[str, ...]) -> Array:
-        """In this order; 0 of what wasn't worth a weight."""
-        return np.array([self.weights.get(name, 0.0) for name in names])
 
-    def usual_of(self, names: tuple[str, ...]) -> Array:
-        """In this order."""
-        return np.array([self.usual.get(name, 0.0) for name in names])
-
-    def factors_of(self, names: tuple[str, ...]) -> Array:
-        """In this order; 0 of what is no part of the spread."""
-        return np.array([self.factors.get(name, 0.0) for name in names])
+def in_order(by_name: Mapping[str, float], names: Iterable[str]) -> Array:
+    """In the order of ``names``; 0 of what nothing was learned of."""
+    return np.array([by_name.get(name, 0.0) for name in names])
 
 
 @cache
