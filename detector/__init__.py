@@ -1,5 +1,5 @@
-"""Pixels to millimetres: calibration, geometry, teat detectors. numpy, OpenCV and scipy only, and
-numba where it is installed. For detectors of other packages: what they take and give.
+"""Pixels to millimetres: calibration, geometry, teat detectors. numpy, OpenCV, scipy and numba
+only. For detectors of other packages: what they take and give.
 """
 
 from textfiles.lazy import lazily

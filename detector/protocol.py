@@ -94,7 +94,8 @@ class Detector(Protocol):
     """`parameters`: every setting that changes an answer, for the configuration hash. One that
     states covariances may have a `covariance_leaves_out`, one whose time depends on what computes
     it a `computed_by` and a `device`: phrases that the report quotes. One that was trained may have
-    a `trained_on` (`trained_on_of`), on which it isn't scored.
+    a `trained_on` (`trained_on_of`), on which it isn't scored. One that not every rig suits may
+    have a `refuses` (calibration -> why not, or None), asked before the first frame.
     """
 
     @property

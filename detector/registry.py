@@ -25,7 +25,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")  # it becomes a part of files'
 _PHRASES = ("device", "computed_by", "covariance_leaves_out")  # that the report quotes
 
 # name: where what makes it is, and one line on it
-_SHIPPED = {
+SHIPPED = {
     "thesis": ("thesis.detector", "ThesisDetector"),
     "fused": ("fused.detector", "FusedDetector"),
     "thesis-published-homography": ("thesis.detector", "published_homography"),
@@ -62,6 +62,11 @@ class Plugged:
     computed_by: str = ""
     covariance_leaves_out: str = ""
 
+    def refuses(self, calibration: Calibration) -> str | None:
+        """Why the object can't be used with such a rig, if it says so."""
+        own = getattr(self.inner, "refuses", None)
+        return cast("str | None", own(calibration)) if own else None
+
     def detect(self, frames: Frames, calibration: Calibration) -> Detection:
         """The object's own answer; whoever asks checks it."""
         return cast("Detection", self.inner.detect(frames, calibration))
@@ -77,7 +82,7 @@ def available(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
     """Name -> one line on every detector; ``plugs``: entry points, by default the group's."""
     usable = [plug for plug in _plugs(plugs) if _NAME.fullmatch(plug.name)]
     others = {plug.name: f"from {_source(plug)}" for plug in reversed(usable)}
-    return {**others, **dict(zip(_SHIPPED, _ABOUT.splitlines(), strict=True))}
+    return {**others, **dict(zip(SHIPPED, _ABOUT.splitlines(), strict=True))}
 
 
 def broken(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
@@ -89,7 +94,7 @@ def broken(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
         if not _NAME.fullmatch(plug.name):
             allowed = "letters, digits, dots, _ and - are allowed"
             fault = f"gives it a name that no file could bear: {allowed}"
-        elif plug.name in _SHIPPED:
+        elif plug.name in SHIPPED:
             shipped = "which is the name of one that ships: it is left out"
             fault = f"brings a detector of this name, {shipped}"
         elif plug.name in seen:
@@ -107,8 +112,8 @@ def broken(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
 
 def create(name: str, plugs: Iterable[EntryPoint] | None = None) -> Detector:
     """A detector with its own settings. Raises UnknownDetectorError, BrokenDetectorError."""
-    if name in _SHIPPED:
-        module, maker = _SHIPPED[name]
+    if name in SHIPPED:
+        module, maker = SHIPPED[name]
         return cast("Detector", getattr(import_module(f"detector.{module}"), maker)())
     usable = (plug for plug in _plugs(plugs) if _NAME.fullmatch(plug.name))
     plug = next((plug for plug in usable if plug.name == name), None)

@@ -58,8 +58,6 @@ def pytest_configure(config: pytest.Config) -> None:
         "teatbench", deadline=None, derandomize=fixed, max_examples=examples(20)
     )
     settings.load_profile("teatbench")
-    # numba takes a second of each process: only where that is what is tested
-    os.environ.setdefault("TEATBENCH_KERNELS", "numpy")
     # compiled once, not in each of some hundred processes
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     sys.dont_write_bytecode = False

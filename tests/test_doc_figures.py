@@ -81,7 +81,7 @@ def test_the_readmes_command_shows_the_readmes_figures(
     command = re.search(r"teatbench (score tests/data/path_traced .*?) ```", text)
     claim = re.search(
         r"On eleven path-traced frame sets, .*? fused finds (?P<found>\d+ of \d+) visible ends,"
-        r" nothing false, (?P<p50>[\d.]+) mm off in the median and (?P<most>[\d.]+) mm at most;"
+        r" nothing false, (?P<mean>[\d.]+) mm off in the mean and (?P<most>[\d.]+) mm at most;"
         r" the thesis's detector (?P<theirs>\d+), with (?P<false>\d+) false\.",
         text,
     )
@@ -95,7 +95,7 @@ def test_the_readmes_command_shows_the_readmes_figures(
     ours, theirs = (row[3:-1] for row in rows if row[1:2] == ["all"])
     assert [ours[0], ours[1], ours[2]] == ["11", claim["found"], "0"]
     middle, _, most = (float(value) for value in ours[3].split(","))
-    assert middle == pytest.approx(float(claim["p50"]), abs=0.05)
+    assert middle == pytest.approx(float(claim["mean"]), abs=0.05)
     assert most == pytest.approx(float(claim["most"]), abs=0.05)
     assert [theirs[1].split()[0], theirs[2]] == [claim["theirs"], claim["false"]]
 

@@ -18,7 +18,7 @@ import numpy as np
 from bench.campaign.perturbations import Applied
 from bench.record.recording import FIELDS, TruthRow
 from bench.results.answers import Answer, examine, score_answer
-from bench.rig.scenes import Drawn, draw, warm
+from bench.rig.scenes import Drawn, draw, renderer_of, warm
 from bench.scoring.scene import SceneScore
 from detector.calibration import Calibration, ParameterCovariance
 from detector.protocol import Detector, Outcome, Teat
@@ -167,12 +167,17 @@ def draw_scene(bench: Bench, scene: Scene, found: Situation) -> tuple[Drawn, Cal
     Raises ValueError for one that can't be drawn before these cameras.
     """
     seeds = (bench.seed, scene.member, *scene.family.encode())
-    stated = bench.calibration
+    rig = bench.calibration
+    for perturbation in bench.perturbations:
+        rig = perturbation.rig(rig, seeds)
+    stated, renderer = rig, bench.renderer
+    if rig is not bench.calibration:
+        renderer = renderer_of(rig, bench.renderer, bench.seed)
     for perturbation in bench.perturbations:
         stated = perturbation.stated(stated)
     own = [bench.seed, scene.member]
-    drawn = draw(bench.renderer, scene.family, warm(found), own, bench.perturbations, seeds)
-    if bench.exact and stated is bench.calibration:
+    drawn = draw(renderer, scene.family, warm(found), own, bench.perturbations, seeds)
+    if bench.exact and stated is rig:
         stated = replace(stated, covariance=EXACT)
     return drawn, stated
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict
 
 from bench.config import did_you_mean
+from bench.rig import moved
 from bench.scoring.errors import Floats
 from detector.calibration import Calibration
 from detector.geometry import Motion
@@ -27,7 +28,8 @@ from instruments.world.shading import Lighting
 from instruments.world.state import SceneState
 
 Chance = np.random.Generator
-Of = Literal["scene", "frames", "optical", "stated"]  # optical: left and right, one after the other
+# optical: left and right, one after the other; rig: the cameras, drawn by and stated alike
+Of = Literal["scene", "frames", "optical", "stated", "rig"]
 Change = Callable[[Any, float, Chance], Any]
 T = TypeVar("T", SceneState, FrameSet, Calibration)
 
@@ -91,6 +93,10 @@ class Applied:
     def frames(self, frames: FrameSet, seeds: Sequence[int]) -> FrameSet:
         """The pictures that the detectors get."""
         return self._changed("optical", self._changed("frames", frames, seeds), seeds)
+
+    def rig(self, calibration: Calibration, seeds: Sequence[int]) -> Calibration:
+        """The cameras that the scene is drawn by."""
+        return self._changed("rig", calibration, seeds)
 
     def stated(self, calibration: Calibration) -> Calibration:
         """The calibration that the detectors get."""
@@ -235,8 +241,20 @@ def _longer(calibration: Calibration, amount: float, _: Chance) -> Calibration:
     return calibration
 
 
+def _rig(name: str) -> Change:
+    return lambda calibration, amount, _: moved.DRAWN[name][0](calibration, amount)
+
+
 # docs/campaigns.md says what each is
 KINDS: Mapping[str, Kind] = {
+    "rig": Kind("", 0, 1, "rig", lambda calibration, _, chance: moved.drawn(calibration, chance)),
+    "baseline": Kind("mm", 20, 1000, "rig", _rig("baseline"), none=None),
+    "away": Kind("mm", 200, 3000, "rig", _rig("away"), none=None),
+    "tilt": Kind("deg", -60, 60, "rig", _rig("tilt")),
+    "roll": Kind("deg", -180, 180, "rig", _rig("roll")),
+    "pixels": Kind("x", 0.1, 2, "rig", _rig("pixels"), none=1.0),
+    "thermal-pixels": Kind("x", 0.2, 2, "rig", _rig("thermal-pixels"), none=1.0),
+    "distortion": Kind("", -0.5, 0.5, "rig", _rig("distortion")),
     "column": Kind("px", -20, 20, "stated", _right_moved("cx")),
     "row": Kind("px", -20, 20, "stated", _right_moved("cy")),
     "vergence": Kind("deg", -5, 5, "stated", _turned("right_from_left")),

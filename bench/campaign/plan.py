@@ -36,14 +36,13 @@ from bench.script.detectors import EXEC, FILE, introduced, make_detectors
 from bench.toml import toml_text
 from bench.version import __version__
 from detector.calibration import Calibration
-from detector.outline import fast
 from detector.protocol import Detector
 from instruments.world.scene import Renderer
 
 SCENES, MOST_SCENES = 100, 20_000  # a family: without and with a width to be reached
 CHUNK_SCENES, LEAST_CHUNKS = 50, 4  # 9 s of fused; of a small plan so many chunks
 DETECTORS = ("fused",)
-LIBRARIES = ("numpy", "opencv-python-headless", "scipy")
+LIBRARIES = ("numba", "numpy", "opencv-python-headless", "scipy")
 # what makes a scene's rows, beside the libraries
 MAKES_ROWS = (
     *(Path(detector.__file__).parent, Path(instruments.world.__file__).parent),
@@ -217,7 +216,7 @@ def open_plan(plan: Plan) -> tuple[Job, dict[str, str]]:
     true = rig.calibration
     stated = read_calibration(Path(plan.calibration)) if plan.calibration else true
     detectors = make_detectors(plan.detectors)
-    with introduced(detectors, plan.asked_of()):
+    with introduced(detectors, plan.asked_of(), stated):
         devices = {one.name: getattr(one, "device", "") for one in detectors}
     sensors = {
         name: getattr(rig.rig.emulation, name).model_copy(
@@ -261,17 +260,16 @@ def _asked(plan: Plan) -> list[tuple[str, Any]]:
 
 @cache
 def of_program() -> dict[str, str]:
-    """Versions of all that makes rows: release and source files of the program, libraries, and what
-    computes fused, whose answers differ beyond the tenth digit by it.
-    """
+    """Versions of all that makes rows: release and source files of the program, and libraries."""
     files = [
         path
         for place in MAKES_ROWS
-        for path in (sorted(place.rglob("*.py")) if place.is_dir() else [place])
+        for path in (
+            sorted([*place.rglob("*.py"), *place.rglob("*.json")]) if place.is_dir() else [place]
+        )
     ]
     source = digest_of(*(path.read_text(encoding="utf-8") for path in files))
     libraries = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in LIBRARIES)
-    libraries += f"; fused by {fast.chosen().by}"
     return {"teatbench": f"{__version__} {source}", "libraries": libraries}
 
 

@@ -124,7 +124,10 @@ def _rehearsed(
     named = (detectors,) if detectors else (script.script.detectors, script.path.parent)
     under_test = make_detectors(*named)
     try:
-        with introduced(under_test, script.scenes), working(REHEARSING) as shown:
+        with (
+            introduced(under_test, script.scenes, rig.calibration),
+            working(REHEARSING) as shown,
+        ):
             return rehearse(rig, script, under_test, stage=stage, seed=seed, shown=shown), ()
     except NoTwinError as error:
         return None, (f"the script as a whole: there can be no emulated twin of this rig: {error}",)

@@ -231,18 +231,6 @@ class TopParser(Parser):
         return help_text.format_help()
 
 
-class _Version(argparse.Action):
-    """Loads what computes fused, and so says whether it can be used here."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from detector.outline import fast
-
-        kernels = fast.chosen()
-        why = f" ({kernels.why})" if kernels.why else ""
-        print(f"teatbench {__version__}\nfused is computed by {kernels.by}{why}")
-        parser.exit()
-
-
 @cache
 def parser() -> argparse.ArgumentParser:
     """The whole command line; made once."""
@@ -252,9 +240,7 @@ def parser() -> argparse.ArgumentParser:
         epilog=EXIT_CODES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    top.add_argument(
-        "--version", action=_Version, nargs=0, help="show the version and what computes fused"
-    )
+    top.add_argument("--version", action="version", version=f"teatbench {__version__}")
     parsers: dict[str, argparse.ArgumentParser] = {"": top}
     subparsers: dict[str, SubParsers] = {}
 

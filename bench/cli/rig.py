@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 def check(given: argparse.Namespace) -> int:
     from bench.rig.alone import check_rig
     from bench.safety.latch import unconfirmed
+    from bench.script.detectors import refusals
+    from detector import registry
 
     rig = load_rig(find_rig(given.rig))
     if rig.made_calibration is None:
@@ -31,6 +33,9 @@ def check(given: argparse.Namespace) -> int:
             f"calibration: not made yet ({rig.calibration_path}); a run needs it, see"
             " 'teatbench help calibration'"
         )
+    else:
+        for why in refusals([registry.create(name) for name in registry.SHIPPED], rig.calibration):
+            print(why)
     for why in unconfirmed(rig, wall_time().date()):
         print(why)
     failed = False

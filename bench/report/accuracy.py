@@ -4,6 +4,7 @@ of repeats: ISO 9283 for poses and distances, ISO 5725's components, the gage st
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import Any
@@ -65,6 +66,21 @@ def accuracy_tables(
         yield table(caption, ("teat | axis | >poses | >n", MM), lines)
     yield _distances(run, rows, pool, detector)
     yield _tolerance(pool, detector)
+    yield from _left_out_kinds(run, detector)
+
+
+def _left_out_kinds(run: RunRecord, detector: str) -> Iterator[Table]:
+    """What the answers say of themselves, without places, counted."""
+    said = Counter(
+        one.partition(": ")[2] if one.startswith("left out at ") else one
+        for trial in run.trials
+        for row in trial.detections
+        if row["detector"] == detector and row["reason"]
+        for one in str(row["reason"]).split("; ")
+    )
+    if said:
+        caption = f"What the answers say they left out, and of what they give, detector {detector}"
+        yield table(caption, ("what | >times",), said.most_common())
 
 
 def _axes(

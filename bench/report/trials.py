@@ -31,7 +31,7 @@ from bench.scoring.errors import Floats
 from bench.scoring.scene import SceneScore
 from detector.calibration import Calibration
 from detector.geometry import Motion
-from detector.outline.model import COUNT, Outline, contours, pixels_of
+from detector.outline.model import COUNT, Outline, numbers_of, outlines
 from detector.protocol import Outcome
 from instruments.world.situations import spoken
 from reports.frames import (
@@ -516,7 +516,7 @@ def _stages(
 def _models(
     trace: Mapping[str, Any], camera: str, calibration: Calibration, detector: str
 ) -> Iterator[tuple[LayerTone, Shape]]:
-    """The outlines of fused's fitted teats (right camera), reasons of rejection, thermal ends."""
+    """The outlines of fused's fitted teats, reasons of rejection, thermal ends."""
     if camera == "thermal":
         # fused nominates in the sensor's pixels, of which the picture may have several each
         size = calibration.thermal.image_size[0] / calibration.thermal.sensor_size[0]
@@ -535,7 +535,9 @@ def _models(
     }[camera]
     if not len(teats) or lens is None or from_right is None:
         return
-    lines = pixels_of(contours(teats, from_right, OUTLINE).points, lens)
+    turned = _rows(decided.get("right_from_teats"), 3)
+    from_teats = from_right @ Motion(turned, np.zeros(3)) if len(turned) else from_right
+    lines, _, _ = outlines(teats, numbers_of(lens, from_teats)[None], OUTLINE)
     for line, reason in zip(lines, reasons, strict=False):
         if np.isfinite(line).all():
             text = f"{detector}: rejected, {reason}" if reason else f"{detector}: fitted teat"

@@ -29,6 +29,7 @@ from instruments.world.scene import Renderer, contact_sheet
 from instruments.world.setups import Situation
 from instruments.world.situations import SITUATIONS, situation, spoken
 from instruments.world.state import SceneState
+from textfiles.documents import read_toml
 
 BOARD_DEPTHS_MM = (450.0, 1300.0)
 
@@ -49,6 +50,15 @@ def rig_renderer(rig: LoadedRig, seed: int) -> Renderer:
     """The cameras of a rig file as emulated; ``seed`` is theirs."""
     table, emulation = toml_of(rig.calibration_path), rig.rig.emulation
     return make_renderer(table, seed, emulation.optical, emulation.thermal, emulation.depth)
+
+
+def renderer_of(calibration: Calibration, usual: Renderer, seed: int) -> Renderer:
+    """Cameras of another calibration, with sensors like those of ``usual``."""
+    optical, thermal = usual.left.readout.sensor, usual.thermal.readout.sensor
+    columns, rows = calibration.thermal.sensor_size
+    thermal = replace(thermal, width_px=columns, height_px=rows)
+    table = read_toml(dump_calibration(calibration))
+    return Renderer.from_calibration(table, seed, optical=optical, thermal=thermal)
 
 
 def warm(found: Situation) -> SceneState:
@@ -92,6 +102,7 @@ class Perturbation(Protocol):
 
     def state(self, state: SceneState, seeds: Sequence[int]) -> SceneState: ...
     def frames(self, frames: FrameSet, seeds: Sequence[int]) -> FrameSet: ...
+    def rig(self, calibration: Calibration, seeds: Sequence[int]) -> Calibration: ...
     def stated(self, calibration: Calibration) -> Calibration: ...
 
 
@@ -108,6 +119,10 @@ def record(
     """
     families = chosen(names)
     renderer, stated = rig_renderer(rig, seed), rig.calibration
+    for one in perturbations:
+        stated = one.rig(stated, [seed])
+    if stated is not rig.calibration:
+        renderer = renderer_of(stated, renderer, seed)
     for one in perturbations:
         stated = one.stated(stated)
     text = read_text(rig.calibration_path)

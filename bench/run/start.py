@@ -152,7 +152,7 @@ def run_queue(
             recorded = None
             if how.record:
                 recorded = Recorder(how.record, rig.calibration_path, events.warn)
-            with introduced(detectors, script.scenes):
+            with introduced(detectors, script.scenes, rig.calibration):
                 store = _begun(rig, script, out, detectors, how, warm=held.is_warm)
                 note.runs(store.folder)
                 with locked(run_lock(store.folder), "itself", events.warn, "run"):
@@ -207,7 +207,7 @@ def resume_run(
     here = str(folder.resolve())
     run_locked = locked(run_lock(folder), here, lambda _: None, "run")
     with (
-        introduced(under_test, script.scenes),
+        introduced(under_test, script.scenes, rig.calibration),
         locked(lock_path(rig), here, events.warn),
         run_locked,
     ):

@@ -23,6 +23,7 @@ from pydantic import Field, StringConstraints
 
 from bench.config import ConfigError, Positive, Section, did_you_mean, read_config
 from detector import registry
+from detector.calibration import Calibration
 from detector.external import ExternalDetector, ProcessLimits
 from detector.protocol import Detector, Served, TrainedOn
 from instruments.clock import stopwatch_s
@@ -68,22 +69,33 @@ def make_detectors(
 
 @contextmanager
 def introduced(
-    detectors: Sequence[Detector], scenes: Mapping[str, Collection[int]]
+    detectors: Sequence[Detector],
+    scenes: Mapping[str, Collection[int]],
+    calibration: Calibration | None = None,
 ) -> Iterator[None]:
     """Start those that are programs, and close them in the end. Raises ConfigError where one says
-    that it was trained on some of ``scenes`` (families and members, scripts and seeds).
+    that it was trained on some of ``scenes`` (families and members, scripts and seeds), or refuses
+    the rig of ``calibration``.
     """
     served = [detector for detector in detectors if isinstance(detector, Served)]
     try:
         for detector in served:
             detector.introduce()
-        faults = list(_trained_on(detectors, scenes))
+        faults = [*_trained_on(detectors, scenes), *refusals(detectors, calibration)]
         if faults:
             raise ConfigError.plain("\n".join(faults))
         yield
     finally:
         for detector in served:
             detector.close()
+
+
+def refusals(detectors: Sequence[Detector], calibration: Calibration | None) -> Iterator[str]:
+    """Which of them can't be used with the rig of ``calibration``, and why."""
+    for detector in detectors:
+        refuses = getattr(detector, "refuses", None)
+        if calibration is not None and callable(refuses) and (why := refuses(calibration)):
+            yield f"detector {detector.name} can't be used with this rig: {why}"
 
 
 def _trained_on(

@@ -74,6 +74,8 @@ def _blocks(part: Part) -> dict[str, Mapping[str, Any]]:
     for name, attribute in POSES.items():
         if pose := getattr(part, attribute):
             blocks[name] = {"om": pose.om, "T": pose.T}
+    if part.hanging:
+        blocks["world"] = {**blocks["world"], "teats": "hanging"}
     if maps := part.homographies:
         depth = {} if maps.plane_depth_mm is None else {"plane_depth_mm": maps.plane_depth_mm}
         blocks["homography"] = {"left": maps.left, "right": maps.right, **depth}
@@ -250,6 +252,15 @@ _POSE: dict[str, Check] = {
     "om": _numbers(3, "a rotation vector in rad"),
     "T": _numbers(3, "a translation in mm"),
 }
+WAYS = ("standing", "hanging")
+
+
+def _way(value: Any) -> bool:
+    known = " or ".join(map(repr, WAYS))
+    _refuse(value not in WAYS, f"must be {known}, got {value!r}")
+    return bool(value == "hanging")
+
+
 _BLOCKS: dict[Key, dict[str, Check]] = {
     ("cameras", "left"): _CAMERA,
     ("cameras", "right"): _CAMERA,
@@ -261,6 +272,7 @@ _BLOCKS: dict[Key, dict[str, Check]] = {
     },
     ("cameras", "depth"): _CAMERA,
     **{(name,): _POSE for name in POSES},
+    ("world",): {**_POSE, "teats": _way},
     ("homography",): {"left": _matrix, "right": _matrix, "plane_depth_mm": _positive},
     ("uncertainty",): {"parameters": _parameters, "covariance": _triangle},
     ("record",): {"made": _day, "by": _word, "with_what": _word}
@@ -268,7 +280,7 @@ _BLOCKS: dict[Key, dict[str, Check]] = {
 }
 DEPTH: tuple[Key, ...] = ("cameras", "depth"), ("depth",)
 _OPTIONAL_BLOCKS: set[Key] = {*DEPTH, ("thermal",), ("homography",), ("uncertainty",), ("record",)}
-_NEVER_REQUIRED = {"alpha_c", "plane_depth_mm"}
+_NEVER_REQUIRED = {"alpha_c", "plane_depth_mm", "teats"}
 # keys that a block may leave out; `_thermal_faults` has the last word
 _NOT_REQUIRED = {("cameras", "thermal"): set(LENS_KEYS), ("homography",): {"left", "right"}}
 
@@ -350,6 +362,7 @@ def _part(found: Mapping[Key, Mapping[str, Any]]) -> Part:
         **{attribute: motion(name) for name, attribute in POSES.items()},
         covariance=found.get(("uncertainty",), {}).get("matrix"),
         record=Record(**found["record",]) if ("record",) in found else None,
+        hanging=found.get(("world",), {}).get("teats", False),
     )
 
 

@@ -177,13 +177,15 @@ class Part:
     world_from_right: Motion | None = None
     covariance: ParameterCovariance | None = None
     record: Record | None = None
+    hanging: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration(Pair):
     """A calibrated rig, mm. ``thermal.lens`` and ``thermal_from_left`` are both given or both None,
     and so are ``depth``, the depth camera's lens, and ``depth_from_left``;
-    ``covariance`` is of all fitted parameters.
+    ``covariance`` is of all fitted parameters. ``hanging``: teats point along the world's -z, as a
+    cow's; else along +z, as on the phantom.
     """
 
     thermal: ThermalCamera
@@ -193,6 +195,7 @@ class Calibration(Pair):
     record: Record | None = None
     depth: Camera | None = None
     depth_from_left: Motion | None = None
+    hanging: bool = False
 
     @property
     def thermal_from_right(self) -> Motion | None:

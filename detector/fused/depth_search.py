@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from detector.calibration import Calibration
 from detector.fused.parameters import Parameters
-from detector.fused.thermal import Field, Nominations, joined, strengths
+from detector.fused.thermal import Field, Nominations, bar_ways, strengths
 from detector.geometry import Array, Camera, Motion
-from detector.outline import fast
+from detector.outline import kernels
 from detector.outline.fit import View
 from detector.outline.model import COUNT, HEIGHT, LEAN_X, RADIUS, Rows, apexes, axes
 
@@ -39,7 +39,7 @@ _SLIDE_MM = np.arange(0.0, 111.0, 3.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Starts(Rows):
-    """Teats (m, 8) for the fit, right camera's frame, their scores (m,), and their nominations'."""
+    """Teats (m, 8) for the fit, their scores (m,), and their nominations'."""
 
     teats: Array
     score: Array
@@ -60,30 +60,34 @@ class Map:
         return cls(*strengths(view.field, blur_px, noises=3.0, border=1), view)
 
 
-def depths_mm(calibration: Calibration, p: Parameters) -> Array:
-    """Depths (d,) from the nearest to the farthest, evenly in disparity."""
-    fb = calibration.right.fc[0] * calibration.baseline_mm
-    count = max(2, round((fb / p.nearest_mm - fb / p.farthest_mm) / _DISPARITY_STEP_PX) + 1)
-    return np.asarray(fb / np.linspace(fb / p.nearest_mm, fb / p.farthest_mm, count))
+def depths_mm(calibration: Calibration, seen_mm: tuple[float, float]) -> Array:
+    """Depths (d,) from the nearest to the farthest that are seen, evenly in disparity."""
+    fb, (nearest, farthest) = calibration.right.fc[0] * calibration.baseline_mm, seen_mm
+    count = max(2, round((fb / nearest - fb / farthest) / _DISPARITY_STEP_PX) + 1)
+    return np.asarray(fb / np.linspace(fb / nearest, fb / farthest, count))
 
 
 def hypotheses(
     found: Nominations,
     lens: Camera,
     px_a_sensor_px: float,
-    right_from_thermal: Motion,
+    teats_from_thermal: Motion,
     depth_mm: Array,
+    down: tuple[float, float],
 ) -> Array:
-    """Teats (n, d, 8), right camera's frame: each nomination at each depth, with its width."""
+    """Teats (n, d, 8), the fits' frame: each nomination at each depth, with its width, leaning
+    neither towards the camera nor away. ``down``: of a bar without lean, in the picture.
+    """
     centre = (found.centre_px + 0.5) * px_a_sensor_px - 0.5
     normal = lens.normalize(centre)
     rays = np.column_stack([normal, np.ones(len(normal))])
     teats = np.zeros((len(found), len(depth_mm), COUNT))
     points = (rays[:, None] * depth_mm[:, None]).reshape(-1, 3)
-    teats[..., :3] = right_from_thermal.apply(points).reshape(*teats.shape[:2], 3)
-    lean = np.column_stack([found.lean, np.ones(len(found)), np.zeros(len(found))])
-    down = lean @ right_from_thermal.R.T
-    teats[..., LEAN_X] = (down[:, 0] / down[:, 1])[:, None]
+    teats[..., :3] = teats_from_thermal.apply(points).reshape(*teats.shape[:2], 3)
+    flat = np.column_stack([bar_ways(found.lean, down)[0], np.zeros(len(found))])
+    way, sight = flat @ teats_from_thermal.R.T, rays @ teats_from_thermal.R.T
+    way -= (way[:, 2] / sight[:, 2])[:, None] * sight  # of the plane through the eye, what is level
+    teats[..., LEAN_X] = (way[:, 0] / way[:, 1])[:, None]
     teats[..., HEIGHT] = 1.0
     teats[..., RADIUS] = (found.radius_px * px_a_sensor_px / lens.fc[0])[:, None] * depth_mm
     return teats
@@ -117,10 +121,16 @@ def sweep_bars(
 
 def _by_depth(teats: Array, maps: tuple[Map, ...], p: Parameters, *, end: bool) -> Array:
     """Scores (n, d) of teats (n, d, 8); 0 for a size that no teat has."""
-    score = _joint(teats.reshape(-1, COUNT), maps, _CROSS_PX, end=end).max(axis=0)
+    score, possible = np.zeros(teats.shape[:2]), of_teats(teats, p)
+    score[possible] = _joint(teats[possible], maps, _CROSS_PX, end=end).max(axis=0)
+    return score
+
+
+def of_teats(teats: Array, p: Parameters) -> NDArray[np.bool_]:
+    """Which of teats (..., 8) may have such a radius."""
+    least, most = p.prior.radii_mm
     radius = teats[..., RADIUS]
-    possible = (radius > 0.75 * p.least_radius_mm) & (radius < 1.3 * p.greatest_radius_mm)
-    return np.where(possible, score.reshape(radius.shape), 0.0)
+    return np.asarray((radius > 0.75 * least) & (radius < 1.3 * most))
 
 
 def best_starts(ends: Starts, sides: Starts, maps: tuple[Map, ...], p: Parameters) -> Array:
@@ -137,10 +147,11 @@ def best_starts(ends: Starts, sides: Starts, maps: tuple[Map, ...], p: Parameter
     joint = joint.reshape(-1, swells, m).swapaxes(0, 1)  # (swells, shifts, m)
     swell, shift = np.unravel_index(joint.reshape(-1, m).argmax(axis=0), joint.shape[:2])
     moved = teats.copy()
-    moved[:, :2] += _GRID_PX[shift] * moved[:, 2:3] / np.array(maps[1].view.camera.fc)
-    moved[:, RADIUS] = np.clip(
-        moved[:, RADIUS] * np.array(_SWELLS)[swell], p.least_radius_mm, p.greatest_radius_mm
-    )
+    right = maps[1].view
+    depth_mm = right.camera_from_teats.apply(moved[:, :3])[:, 2:]
+    aside_mm = _GRID_PX[shift] * depth_mm / np.array(right.camera.fc)
+    moved[:, :3] += aside_mm @ right.camera_from_teats.R[:2]
+    moved[:, RADIUS] = np.clip(moved[:, RADIUS] * np.array(_SWELLS)[swell], *p.prior.radii_mm)
     return moved
 
 
@@ -176,47 +187,14 @@ def _scores(
     teats: Array, each: Map, shifts: Field, swell: Array | float = 1.0, *, end: bool = True
 ) -> Array:
     """Scores (shifts, m) of teats (m, 8) in one picture."""
-    camera, motion, m = each.view.camera, each.view.camera_from_teats, len(teats)
+    m = len(teats)
     arc = np.column_stack([-np.cos(_ARC), np.sin(_ARC)])
-    if loops := fast.compiled():
-        swells = np.array(np.broadcast_to(swell, m), dtype=float)
-        found = loops.across(
-            each.gx, each.gy, shifts, np.ascontiguousarray(teats), swells, each.view.numbers,
-            each.view.corner_px, arc, _BELOW, end,
-        )  # fmt: skip
-        return np.asarray(found)
-    down_mm = np.column_stack([teats[:, LEAN_X], np.ones(m), np.zeros(m)])
-    points = motion.apply(np.concatenate([teats[:, :3], teats[:, :3] + 20.0 * down_mm]))
-    pixels = camera.project(points)
-    seen = np.isfinite(pixels[:m] + pixels[m:]).all(axis=1, keepdims=True)
-    middle = np.where(seen, pixels[:m], -1e4)  # nowhere, and so without a score
-    down = np.where(seen, pixels[m:] - pixels[:m], [0.0, 1.0])
-    down /= np.linalg.norm(down, axis=1, keepdims=True)
-    right = np.column_stack([down[:, 1], -down[:, 0]])
-    half = (swell * teats[:, RADIUS] * camera.fc[0] / np.maximum(points[:m, 2], 1.0))[:, None]
-    at = middle - each.view.corner_px
-    arc = arc[:, :1, None] * down + arc[:, 1:, None] * right
-    below = _BELOW[:, None, None] * down
-    left, other = (
-        _across(each, shifts, at + half * (below + s * right), s * right[None]) for s in (-1.0, 1.0)
-    )
-    top = _across(each, shifts, at + half * arc, arc) if end else np.ones_like(left)
-    return joined(top, left, other)
-
-
-def _across(each: Map, shifts: Field, at: Array, normals: Array) -> Array:
-    """Mean strength (shifts, m) across an outline ``at`` (k, m, 2) along ``normals``; 0 outside."""
-    index, columns = np.zeros((1, 1, 1), dtype=np.int32), each.gx.shape[1]
-    for axis, step in ((0, 1), (1, columns)):
-        place = at[:, None, :, axis].astype(np.float32) + (shifts[:, axis, None] + np.float32(1.5))
-        # the border holds nothing
-        np.maximum(place, 0, out=place)
-        np.minimum(place, each.gx.shape[1 - axis] - 1, out=place)
-        index = index + place.astype(np.int32) * step
-    n = normals.astype(np.float32)[:, None]
-    across = each.gx.ravel()[index] * n[..., 0]
-    across += each.gy.ravel()[index] * n[..., 1]
-    return np.asarray(np.abs(across, out=across).mean(axis=0))
+    swells = np.array(np.broadcast_to(swell, m), dtype=float)
+    found = kernels.across(
+        each.gx, each.gy, shifts, np.ascontiguousarray(teats), swells, each.view.numbers,
+        each.view.corner_px, arc, _BELOW, end,
+    )  # fmt: skip
+    return np.asarray(found)
 
 
 def _rank(rows: NDArray[np.intp]) -> NDArray[np.intp]:

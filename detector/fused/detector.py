@@ -15,21 +15,23 @@ from numpy.typing import NDArray
 from detector.calibration import Calibration
 from detector.fused.covariances import (
     end_covariances,
+    stated,
     unaliased,
-    unlike_covariances,
-    widened,
     world_covariances,
 )
-from detector.fused.decide import doubts, maybe_hidden, objections, settled, shapes
+from detector.fused.decide import Decision, Fits, decide, means
 from detector.fused.depth_search import (
     Map,
     best_starts,
     depths_mm,
     hypotheses,
+    of_teats,
     sweep_bars,
     sweep_ends,
 )
 from detector.fused.evidence import Evidence, warmth_across, weigh
+from detector.fused.learned import learned
+from detector.fused.left_out import left_out, outside
 from detector.fused.parameters import Parameters
 from detector.fused.refine import (
     FAR_MM,
@@ -39,15 +41,18 @@ from detector.fused.refine import (
     one_sided,
     refine,
     refine_again,
+    refine_beside,
     refine_slid,
     shaped_again,
     slide_to_round,
     slide_to_stop,
 )
+from detector.fused.refits import doubts, shapes
 from detector.fused.sharpness import Sharpness, blur_covariances, sharpness, too_blurred
 from detector.fused.thermal import (
     ROOM_PX,
     Nominations,
+    Sought,
     bars,
     levels,
     nominate,
@@ -57,16 +62,28 @@ from detector.fused.thermal import (
 from detector.fused.witness import Agreement, agreement, calibration_covariances, disagreement
 from detector.geometry import Array, Camera
 from detector.history import predicted
-from detector.outline import fast, pictures
+from detector.outline import pictures
 from detector.outline.fine import Fitted, fine
 from detector.outline.fit import View, upright
 from detector.outline.model import COUNT, Rows, apexes, axes
+from detector.outline.prior import (
+    OutOfDomainError,
+    Prior,
+    depths_seen_mm,
+    right_from_teats,
+    world_from_teats,
+)
 from detector.outline.views import optical_views, thermal_view
 from detector.protocol import Context, Detection, Frames, Stage, Teat
 
 _SAME_MM, _CHI2_99 = 15.0, 11.345  # two answers on one end; 99 % of three degrees of freedom
 _BESIDE_PX = np.array([-1.0, 0.0, 1.0])  # disparities about an expected end
 _OPTICAL_BLUR_PX, _THERMAL_BLUR_PX = 1.5, 0.8  # as much as a start may be off
+# log odds above what is accepted: beyond doubt; below, of what a nearer teat may hide, and of what
+# is told of
+_SURE, _MAYBE_HIDDEN, _MAYBE_END = 3.0, 6.0, 4.0
+_UNSURE_MM = 0.3  # of an end's sd, beyond which fits begin beside it too
+LEARNED = learned()
 _ROOM_ABOVE_MM = 110.0  # how far above a bar's visible part its end may be
 
 
@@ -76,7 +93,7 @@ class FusedDetector:
 
     settings: Parameters = field(default_factory=Parameters)
     name: str = "fused"  # in the registry
-    version: str = "17"  # counted up when an answer on any frame set changes
+    version: str = "18"  # counted up when an answer on any frame set changes
 
     covariance_leaves_out: ClassVar[str] = (
         "what the ends of one frame have in common (each end has its own covariance); where the"
@@ -86,13 +103,13 @@ class FusedDetector:
         " shape is further from half an ellipsoid than the parameters say"
     )
 
-    def __post_init__(self) -> None:
-        fast.chosen()  # loads them now, not in the first frame's time
-
-    @property
-    def computed_by(self) -> str:
-        """The kernels that run: "numpy", or numba and its version. Answers are equal."""
-        return fast.chosen().by
+    def refuses(self, calibration: Calibration) -> str | None:
+        """Why teats can't be found with this rig, whatever its pictures show, or None."""
+        try:
+            depths_seen_mm(calibration, self.settings.prior)
+        except OutOfDomainError as why:
+            return str(why)
+        return None
 
     @property
     def parameters(self) -> Mapping[str, Any]:
@@ -104,7 +121,7 @@ class FusedDetector:
         trace: list[Stage] = []
         try:
             return _detect(frames, calibration, self.settings, trace)
-        except pictures.UnusableError as why:
+        except (pictures.UnusableError, OutOfDomainError) as why:
             return Detection((), 0, str(why), tuple(trace))
 
     def detect_with(self, frames: Frames, calibration: Calibration, context: Context) -> Detection:
@@ -116,7 +133,7 @@ class FusedDetector:
         if not expected:
             return answer
         world = np.array([teat.world_mm for teat in expected.values()])
-        ends = calibration.world_from_right.inverse().apply(world)
+        ends = world_from_teats(calibration).inverse().apply(world)
         starts = upright(ends, calibration, _BESIDE_PX, self.settings.prior).reshape(-1, COUNT)
         with suppress(pictures.UnusableError):
             again = _detect(frames, calibration, self.settings, [], starts)
@@ -149,6 +166,8 @@ class _Thermal:
     lens: Camera
     px_a_sensor_px: float
     levels: Array  # (2,)
+    depths_mm: tuple[float, float]
+    sought: Sought
 
 
 def _detect(
@@ -161,31 +180,57 @@ def _detect(
     """``more`` teats (m, 8): where fits begin beside what the pictures suggest."""
     left = pictures.optical(frames.left, calibration.left.image_size, "left")
     right = pictures.optical(frames.right, calibration.right.image_size, "right")
-    thermal = _thermal(frames, calibration)
-    teats, maps, ends = _start(thermal, left, right, calibration, p, trace)
-    judged = _fit(teats if more is None else np.concatenate([more, teats]), maps, thermal, ends, p)
+    thermal = _thermal(frames, calibration, p.prior)
+    teats, views, ends = _start(thermal, left, right, calibration, p, trace, more)
+    judged = _fit(teats, views, thermal, ends, calibration, p)
     # every fitted teat with evidence and objection, empty if accepted
     shown = {"teats": judged.fitted.teats}
-    shown |= {name: getattr(judged.evidence, name) for name in (*Evidence.__slots__, "merit")}
-    shown["reasons"] = np.array([reason or "" for reason in judged.reasons], dtype=np.str_)
-    cameras = agreement(judged.fitted, judged.reasons, calibration, p, thermal.px_a_sensor_px)
+    shown |= {name: getattr(judged.evidence, name) for name in Evidence.__slots__}
+    shown["right_from_teats"] = right_from_teats(calibration).R
+    decision = judged.decision
+    shown["odds"] = decision.odds
+    shown["reasons"] = np.array([reason or "" for reason in decision.reasons], dtype=np.str_)
+    which = decision.accepted or np.flatnonzero(decision.by_witness).tolist()
+    cameras = agreement(judged.fitted.take(which), calibration, p, thermal.px_a_sensor_px)
     shown["cameras_px"] = np.array([cameras.rows_px, *cameras.thermal_px])
     trace.append(Stage("decisions", shown))
     if wrong := disagreement(cameras, judged.fitted, calibration):
         raise pictures.UnusableError(wrong)
-    fitted = judged.fitted.take(judged.accepted)
-    edges = sharpness(fitted, (maps[0].view, maps[1].view))
+    fitted = judged.fitted.take(decision.accepted)
+    edges = sharpness(fitted, views[:2])
     if wrong := too_blurred(edges):
         raise pictures.UnusableError(wrong)
-    hidden = _unexplained(fitted.teats, thermal, ends)
-    answers = _answers(judged, cameras, edges, thermal, calibration, p)
-    reason = None if answers else "nothing warm has the outline of a teat in both optical pictures"
-    return Detection(answers, hidden, reason, tuple(trace))
+    unexplained_px = _unexplained(fitted.teats, thermal, ends)
+    answers = _answers(judged, cameras, edges, thermal, calibration, p, trace)
+    said = _said(judged, unexplained_px, thermal, calibration, p)
+    if not answers:
+        said = ["nothing warm has the outline of a teat in both optical pictures", *said]
+    reason = "; ".join(said) or None
+    return Detection(answers, len(unexplained_px), reason, tuple(trace))
+
+
+def _said(
+    judged: _Judged,
+    unexplained_px: Array,
+    thermal: _Thermal,
+    calibration: Calibration,
+    p: Parameters,
+) -> list[str]:
+    """What isn't given, and what of the given lies outside of what teats are."""
+    decision, teats = judged.decision, judged.fitted.teats
+    accepted = decision.accepted
+    given = Fits.made(teats[accepted], judged.evidence.take(accepted), p.prior)
+    size = thermal.px_a_sensor_px
+    thermal_px = thermal.lens.project(thermal.view.camera_from_teats.apply(apexes(teats)))
+    warm_px = (unexplained_px + 0.5) * size - 0.5
+    doubtful = decision.odds > LEARNED.least - _MAYBE_END
+    more = left_out(teats, decision, doubtful, thermal_px, warm_px, size, calibration)
+    return [*outside(given), *more]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidates(Rows):
-    """Fitted teats, end covariances (m, 3, 3) in the right camera's frame, and evidence."""
+    """Fitted teats, end covariances (m, 3, 3) in their frame, and evidence."""
 
     fitted: Fitted
     covariances: Array
@@ -194,10 +239,10 @@ class _Candidates(Rows):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Judged:
-    """Candidates, and the objection to each."""
+    """Candidates, and what was decided of each."""
 
     candidates: _Candidates
-    reasons: list[str | None]
+    decision: Decision
 
     @property
     def fitted(self) -> Fitted:
@@ -207,35 +252,37 @@ class _Judged:
     def evidence(self) -> Evidence:
         return self.candidates.evidence
 
-    @property
-    def accepted(self) -> list[int]:
-        return [i for i, reason in enumerate(self.reasons) if reason is None]
 
-
-def _unexplained(teats: Array, thermal: _Thermal, ends: Nominations) -> int:
-    """How many of the ends that the thermal picture shows belong to none of teats (m, 8)."""
+def _unexplained(teats: Array, thermal: _Thermal, ends: Nominations) -> Array:
+    """The ends (k, 2) sensor px of the thermal picture that are of none of teats (m, 8)."""
     tips, view = apexes(teats), thermal.view
     feet_px, tips_px = (
         view.camera.project(view.camera_from_teats.apply(points))
         for points in (tips + 60.0 * axes(teats), tips)
     )
-    return unexplained(view.field, thermal.levels, ends, feet_px, tips_px)
+    return unexplained(view.field, thermal.levels, ends, feet_px, tips_px, thermal.sought)
 
 
 def _fit(
-    teats: Array, maps: tuple[Map, ...], thermal: _Thermal, ends: Nominations, p: Parameters
+    teats: Array,
+    views: tuple[View, ...],
+    thermal: _Thermal,
+    ends: Nominations,
+    calibration: Calibration,
+    p: Parameters,
 ) -> _Judged:
-    """Fit and judge; again without what a neighbour may have bridged or hidden."""
-    views = tuple(each.view for each in maps)
+    """Fit and judge; again without what a neighbour may have bridged or hidden, and from beside
+    what is unsure.
+    """
 
     def weighed(fitted: Fitted) -> _Candidates:
         return _weigh(fitted, views, thermal, p)
 
     def judge(candidates: _Candidates) -> _Judged:
-        return _judge(candidates, thermal, p)
+        return _judge(candidates, p)
 
     judged = _from_starts(teats, views, thermal, ends, p)
-    bridging, shifted = doubts(judged.fitted.teats, judged.evidence, judged.reasons, p)
+    bridging, shifted = doubts(judged.fitted.teats, judged.evidence, judged.decision, p)
     if bridging or shifted:
         more, doubtful = judged.candidates, judged.fitted.teats[shifted]
         if bridging:
@@ -246,20 +293,24 @@ def _fit(
             more += weighed(refine_slid(np.concatenate(slid), views, p))
         judged = judge(more)
         # farther only where none is near, as an arm may show what looks like an end too
-        same = on_one_bar(judged.fitted.teats)[np.ix_(shifted, judged.accepted)].any(axis=1)
-        far = slide_to_round(doubtful[~same], views, FAR_MM)
+        same = on_one_bar(judged.fitted.teats)[np.ix_(shifted, judged.decision.accepted)]
+        far = slide_to_round(doubtful[~same.any(axis=1)], views, FAR_MM)
         if len(far):
             judged = judge(judged.candidates + weighed(refine_slid(far, views, p)))
-    unlike = shapes(judged.fitted.teats, judged.evidence, judged.reasons, p)
+    unlike = shapes(judged.fitted.teats, judged.evidence, judged.decision, p)
     if unlike:
         judged = judge(weighed(shaped_again(judged.fitted, unlike, p, views)))
-    again = [i for i, reason in enumerate(judged.reasons) if maybe_hidden(reason)]
-    hidden = hidden_points(judged.fitted, judged.accepted, again)
-    if not hidden.any():
-        return judged
-    clear, behind = (np.flatnonzero(hidden.any(axis=1) == some) for some in (False, True))
-    refitted = refine_again(judged.fitted.take(behind), hidden[behind], views, p)
-    return judge(judged.candidates.take(clear) + weighed(refitted))
+    again = np.flatnonzero(judged.decision.odds > LEARNED.least - _MAYBE_HIDDEN).tolist()
+    hidden = hidden_points(judged.fitted, judged.decision.accepted, again)
+    if hidden.any():
+        clear, behind = (np.flatnonzero(hidden.any(axis=1) == some) for some in (False, True))
+        refitted = refine_again(judged.fitted.take(behind), hidden[behind], views, p)
+        judged = judge(judged.candidates.take(clear) + weighed(refitted))
+    unsure = [i for i in judged.decision.accepted if judged.evidence.sd_mm[i] > _UNSURE_MM]
+    if unsure:
+        beside = refine_beside(judged.fitted.take(unsure), views, p, calibration)
+        judged = judge(judged.candidates + weighed(beside))
+    return judged
 
 
 def _from_starts(
@@ -272,37 +323,46 @@ def _from_starts(
     except pictures.UnusableError:
         if len(rest) == 0:
             raise
-        return _judge(_weigh(refine(rest, views, p), views, thermal, p), thermal, p)
-    judged = _judge(_weigh(fitted, views, thermal, p), thermal, p)
+        return _judge(_weigh(refine(rest, views, p), views, thermal, p), p)
+    judged = _judge(_weigh(fitted, views, thermal, p), p)
     if len(rest) == 0 or (
-        settled(judged.evidence, judged.reasons, p)
-        and _unexplained(judged.fitted.teats[judged.accepted], thermal, ends) == 0
+        _settled(judged, p)
+        and len(_unexplained(judged.fitted.teats[judged.decision.accepted], thermal, ends)) == 0
     ):
         return judged
-    return _judge(_weigh(refine(rest, views, p, judged.fitted), views, thermal, p), thermal, p)
+    return _judge(_weigh(refine(rest, views, p, judged.fitted), views, thermal, p), p)
 
 
-def _judge(candidates: _Candidates, thermal: _Thermal, p: Parameters) -> _Judged:
-    level = float(thermal.levels[0])
-    return _Judged(candidates, objections(candidates.fitted.teats, candidates.evidence, level, p))
+def _settled(judged: _Judged, p: Parameters) -> bool:
+    """Whether an udder of teats is accepted, all of them beyond doubt."""
+    accepted = judged.decision.accepted
+    beyond = judged.decision.odds[accepted] > LEARNED.least + _SURE
+    return bool(len(accepted) == p.prior.udder and beyond.all())
+
+
+def _judge(candidates: _Candidates, p: Parameters) -> _Judged:
+    teats, evidence = candidates.fitted.teats, candidates.evidence
+    return _Judged(candidates, decide(teats, evidence, LEARNED, p.prior))
 
 
 def _weigh(
     fitted: Fitted, views: tuple[View, ...], thermal: _Thermal, p: Parameters
 ) -> _Candidates:
-    covariances = end_covariances(fitted, p, to_decide=True)
+    covariances = end_covariances(fitted, p)
     motion, size = thermal.view.camera_from_teats, thermal.px_a_sensor_px
     warmth = warmth_across(fitted.teats, thermal.view.field, thermal.lens, motion, size)
-    return _Candidates(fitted, covariances, weigh(fitted, covariances, warmth, views))
+    return _Candidates(fitted, covariances, weigh(fitted, covariances, warmth, views, p.prior))
 
 
-def _thermal(frames: Frames, calibration: Calibration) -> _Thermal:
-    """Raises UnusableError."""
+def _thermal(frames: Frames, calibration: Calibration, prior: Prior) -> _Thermal:
+    """Raises UnusableError, OutOfDomainError."""
+    depths_mm = depths_seen_mm(calibration, prior)
     view, camera = thermal_view(frames, calibration), calibration.thermal
     if camera.lens is None:
         raise ValueError("a thermal view without a lens")
     size = camera.image_size[0] / camera.sensor_size[0]
-    return _Thermal(view, camera.lens, size, levels(view.field))
+    sought = Sought.of(view.camera, view.camera_from_teats, depths_mm, prior)
+    return _Thermal(view, camera.lens, size, levels(view.field), depths_mm, sought)
 
 
 def _start(
@@ -312,11 +372,12 @@ def _start(
     calibration: Calibration,
     p: Parameters,
     trace: list[Stage],
-) -> tuple[Array, tuple[Map, ...], Nominations]:
+    more: Array | None,
+) -> tuple[Array, tuple[View, ...], Nominations]:
     warm = thermal.view.field
     gx, gy = strengths(warm, border=ROOM_PX)
-    ends = nominate(gx, gy, p.most_nominations)
-    upright = bars(warm, gx, gy, thermal.levels, ends, p.most_bars)
+    ends = nominate(gx, gy, p.most_nominations, thermal.sought)
+    upright = bars(warm, gx, gy, thermal.levels, ends, p.most_bars, thermal.sought)
     shown = {
         f"{what}_{name.removeprefix('centre_')}": getattr(found, name)
         for what, found in (("end", ends), ("bar", upright))
@@ -325,21 +386,25 @@ def _start(
     trace.append(Stage("thermal", {"warmth": warm, **shown}))
     if len(ends) + len(upright) == 0:
         raise pictures.UnusableError("the thermal picture shows nothing like a teat")
-    depth_mm = depths_mm(calibration, p)
-    right_from_thermal = thermal.view.camera_from_teats.inverse()
+    depth_mm, down = depths_mm(calibration, thermal.depths_mm), thermal.sought.down
+    from_thermal = thermal.view.camera_from_teats.inverse()
     of_ends, of_bars = (
-        hypotheses(n, thermal.lens, thermal.px_a_sensor_px, right_from_thermal, depth_mm)
+        hypotheses(n, thermal.lens, thermal.px_a_sensor_px, from_thermal, depth_mm, down)
         for n in (ends, upright)
     )
     above = of_bars - [0, _ROOM_ABOVE_MM, 0, 0, 0, 0, 0, 0]
-    views = optical_views(left, right, calibration, np.concatenate([of_ends, above, of_bars]))
+    guesses = np.concatenate([teats[of_teats(teats, p)] for teats in (of_ends, above, of_bars)])
+    views = optical_views(left, right, calibration, guesses)
     maps = tuple(Map.of(view, _OPTICAL_BLUR_PX) for view in views)
     coarse = Map.of(thermal.view, _THERMAL_BLUR_PX)
     by_end = sweep_ends(of_ends, ends.score, maps, p)
     by_sides = sweep_bars(of_bars, upright.score, maps, coarse, p)
     teats = best_starts(by_end, by_sides, maps, p)
+    teats = teats if more is None else np.concatenate([more, teats])
     trace.append(Stage("starts", {"teats": teats}))
-    return teats, (*maps, coarse), ends
+    # noise is that of what is near them
+    near = optical_views(left, right, calibration, teats) if len(teats) else views
+    return teats, (*near, thermal.view), ends
 
 
 def _answers(
@@ -349,22 +414,30 @@ def _answers(
     thermal: _Thermal,
     calibration: Calibration,
     p: Parameters,
+    trace: list[Stage],
 ) -> tuple[Teat, ...]:
     """Accepted ends with covariances, the calibration's included, and their pixels."""
-    if not judged.accepted:
+    rows = judged.decision.accepted
+    if not rows:
         return ()
-    accepted = judged.candidates.take(judged.accepted)
+    accepted = judged.candidates.take(rows)
     fitted, own = unaliased(accepted.fitted, p)
-    teats, ends = fitted.teats, apexes(fitted.teats)
+    teats, turned = fitted.teats, right_from_teats(calibration)
+    mean, between = means(apexes(judged.fitted.teats), judged.decision.odds, rows, LEARNED.power)
+    found = apexes(teats) + mean - apexes(accepted.fitted.teats)
+    ends, down = turned.apply(found), axes(teats) @ turned.R.T
     world = calibration.world_from_right.apply(ends)
-    own = own + end_covariances(fitted, p) + unlike_covariances(teats, accepted.evidence, p)
-    own = widened(own, ends[:, 2], accepted.evidence, calibration)
-    own += calibration_covariances(cameras, ends, calibration, p)
+    fits = Fits.made(teats, accepted.evidence, p.prior)
+    own = own + between + end_covariances(fitted, p)
+    rest = calibration_covariances(cameras, ends, calibration, p)
     px_a_mm = calibration.right.fc[0] / ends[:, 2]
-    own = own + blur_covariances(edges, teats, px_a_mm, calibration.baseline_mm)
-    covariances = world_covariances(own, ends, calibration)
+    rest += blur_covariances(edges, down, ends, px_a_mm, calibration.baseline_mm)
+    shown = {"rows": np.array(rows), "teats": teats, "ends": found, "own": own}
+    trace.append(Stage("answers", shown | {"rest": turned.R.T @ rest @ turned.R}))
+    own = turned.R @ stated(own, fits, LEARNED, calibration) @ turned.R.T
+    covariances = world_covariances(own + rest, ends, calibration)
     left_px, right_px = calibration.project(world)
-    thermal_px = thermal.lens.project(thermal.view.camera_from_teats.apply(ends))
+    thermal_px = thermal.lens.project(thermal.view.camera_from_teats.apply(found))
     return tuple(
         Teat(*each) for each in zip(world, covariances, left_px, right_px, thermal_px, strict=True)
     )

@@ -14,20 +14,17 @@ from detector.outline.edges import CLEAR
 from detector.outline.fine import FINE_OUTLINE, Fitted
 from detector.outline.fit import View
 from detector.outline.model import END, RADIUS, SIDE_A, SIDE_B, Rows, axes
+from detector.outline.offsets import row_offsets
+from detector.outline.prior import Prior
 
 _CLOSE_PX, _MOST_SD_PX = 0.6, 1.2
 WHOLE_END = 0.9
-# merit of the farthest end that sides lead to: a nearer one shows up to 0.28 more of itself, in two
-# pictures, twice
-_FARTHEST = 0.9
-_SHAPED = 2.0  # of a fit of any shape: it was begun where the usual shape doesn't fit
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
 _ACROSS = (-1.7, -0.6, 0.0, 0.6, 1.7)  # of the radius: two lines beside it
-# an end that is seen in part, with both sides: how many of its points are next to a side, and the
-# share of them that is seen where it bends; how far from a round end's its sides may stop; beyond
-# what they go on, unless so much of the end is seen; how far beyond the end they are looked for
+# an end with both sides: how many of its points are next to a side, and the share of them that is
+# seen where it bends; how far from a round end's its sides may stop, and are looked for beyond it
 _LEAST_BOTH, _BEND, _BENDS = 0.6, 5, 0.75
-_STOP_MM, _GOES_ON_MM, _PART_OF_END, _BEYOND_MM = 2.0, 7.5, 0.75, 24.0
+_STOP_MM, _BEYOND_MM = 2.0, 24.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,28 +46,18 @@ class Evidence(Rows):
     shaped: NDArray[np.bool_]  # fitted as a short teat of any shape
     # the median distance (m, 3 parts) of the thermal outline, NaN where it shows none
     thermal_px: Array
-    # of an end that is seen in part, whether both sides stop there and bend, or go on beyond it
+    # whether both sides stop at the end and bend, and how far straight sides go on beyond it, mm
     stops: NDArray[np.bool_]
-    goes_on: NDArray[np.bool_]
-
-    @property
-    def usual_warmth(self) -> Array:
-        """Of the middle one of the three lines (m,)."""
-        return np.asarray(np.sort(self.warmth, axis=1)[:, 1])
-
-    @property
-    def merit(self) -> Array:
-        """One number (m,) by which the better of two is chosen."""
-        return np.asarray(
-            (2 * self.end + self.side + 0.5 * self.both)[:, :2].sum(axis=1)
-            + self.both[:, :2].min(axis=1)
-            - 4 * self.misfit_px
-            + _FARTHEST * self.followed
-            + _SHAPED * self.shaped
-        )
+    goes_on_mm: Array
+    # how much wider one optical picture shows it than the other, and how far the right one's edges
+    # are off in rows, px
+    width_px: Array
+    rows_px: Array
 
 
-def weigh(fitted: Fitted, covariances: Array, warmth: Array, views: tuple[View, ...]) -> Evidence:
+def weigh(
+    fitted: Fitted, covariances: Array, warmth: Array, views: tuple[View, ...], prior: Prior
+) -> Evidence:
     """Evidence from edges about m teats in views, covariances (m, 3, 3), and warmth (m, 5)."""
     seen, part = fitted.seen, FINE_OUTLINE.part
     m, n = len(fitted.weight), len(part)
@@ -87,21 +74,30 @@ def weigh(fitted: Fitted, covariances: Array, warmth: Array, views: tuple[View, 
     end_misfit = _misfit(offset[:, :2, part == END], weight[:, :2, part == END])
     sides = np.stack([shares[SIDE_A], shares[SIDE_B]])
     largest = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
-    better, other, thermal = sides.max(axis=0), sides.min(axis=0), _thermal_offsets(fitted)
+    better, other = sides.max(axis=0), sides.min(axis=0)
+    left, right, thermal = (_offsets(fitted, view) for view in range(3))
+    wide = (
+        np.nan_to_num(each[:, [SIDE_A, SIDE_B]], nan=np.inf).sum(axis=1) for each in (left, right)
+    )
+    wide_left, wide_right = wide
+    known = np.isfinite(wide_left + wide_right)
+    width = np.where(
+        known, np.abs(np.where(known, wide_left, 0.0) - np.where(known, wide_right, 0.0)), 0.0
+    )
+    rows, _ = row_offsets(fitted, prior)
     inside, beside = warmth[:, 1:-1], warmth[:, [0, -1]]
-    stops, goes_on = (np.zeros(m, dtype=bool) for _ in range(2))
-    of_end = shares[END][:, :2].mean(axis=1)
-    at = np.flatnonzero((of_end < WHOLE_END) & (other[:, :2].min(axis=1) > _LEAST_BOTH))
+    stops, goes_on = np.zeros(m, dtype=bool), np.zeros(m)
+    at = np.flatnonzero(other[:, :2].min(axis=1) > _LEAST_BOTH)
     if len(at):
         end = good[at][:, :2, part == END]
         bends = [end[..., :_BEND].mean(axis=2), end[..., -_BEND:].mean(axis=2)]
         each, together = side_stops(fitted.teats[at], views, _BEYOND_MM)
         stops[at] = (np.abs(each - ROUND_MM) <= _STOP_MM).all(axis=1)
         stops[at] &= (np.minimum(*bends) > _BENDS).all(axis=1)
-        goes_on[at] = (together > _GOES_ON_MM) & (of_end[at] < _PART_OF_END)
+        goes_on[at] = np.clip(together - ROUND_MM, 0.0, _BEYOND_MM)
     return Evidence(
         shares[END], better, other, misfit, end_misfit, inside, beside, largest, fitted.followed,
-        fitted.shaped, thermal, stops, goes_on,
+        fitted.shaped, thermal, stops, goes_on, width, rows,
     )  # fmt: skip
 
 
@@ -118,12 +114,12 @@ def _share(good: NDArray[np.bool_], open_: NDArray[np.bool_]) -> Array:
     )
 
 
-def _thermal_offsets(fitted: Fitted) -> Array:
-    """Median offsets (m, 3 parts) of thermal edges, sensor px; NaN where few edges are clear."""
+def _offsets(fitted: Fitted, view: int) -> Array:
+    """Median offsets (m, 3 parts) of a view's edges, px; NaN where few edges are clear."""
     part = FINE_OUTLINE.part
-    thermal = slice(2 * len(part), 3 * len(part))
-    open_, offset = ~fitted.hidden[:, thermal], fitted.seen.offset_px[:, thermal]
-    clear = open_ & (fitted.seen.clarity[:, thermal] > CLEAR) & np.isfinite(offset)
+    those = slice(view * len(part), (view + 1) * len(part))
+    open_, offset = ~fitted.hidden[:, those], fitted.seen.offset_px[:, those]
+    clear = open_ & (fitted.seen.clarity[:, those] > CLEAR) & np.isfinite(offset)
     medians = np.full((len(clear), 3), np.nan)
     values = np.where(clear, offset, np.inf)
     for p in (SIDE_A, END, SIDE_B):

@@ -8,15 +8,17 @@ sides; and points hidden by an accepted teat are left out.
 
 from __future__ import annotations
 
+import operator
 from dataclasses import replace
-from functools import cache
+from functools import cache, reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
+from detector.calibration import Calibration
 from detector.fused.parameters import Parameters
 from detector.geometry import Array
-from detector.outline import fast
+from detector.outline import kernels
 from detector.outline.edges import LEAST_CLEAR
 from detector.outline.fine import (
     FINE_OUTLINE,
@@ -32,7 +34,6 @@ from detector.outline.fit import Seen, View, look, step, weights
 from detector.outline.model import (
     COUNT,
     CX,
-    CZ,
     END,
     HEIGHT,
     RADIUS,
@@ -44,6 +45,7 @@ from detector.outline.model import (
     axes,
 )
 from detector.outline.pictures import UnusableError
+from detector.outline.prior import disparities_px
 
 _MOST_A_BAR = 2
 _ROUGH_STEPS = 2
@@ -141,6 +143,7 @@ ROUND_MM = 3.0  # beyond its middle a round end looks straight
 _SHAPE = 0.3
 # of the usual lean: what is left of a hidden teat's outline hardly separates lean from depth
 _UPRIGHT = 0.5
+_BESIDE = ((1.5, 0.0), (-1.5, 0.0), (0.0, 0.3), (0.0, -0.3))  # mm across, px of disparity
 _NEARER_MM = 3.0
 _SHORT_MM = 26.0  # of the sides of a teat that stands 35 mm out of an udder
 # left, right, thermal: about a nearer teat, where its edge is what is found
@@ -151,16 +154,32 @@ def refine_again(
     fitted: Fitted, hidden: NDArray[np.bool_], views: tuple[View, ...], p: Parameters
 ) -> Fitted:
     """The teats fitted again without outline points (m, k) that another teat hides."""
-    found = list[Fitted]()
+    found, left_out = list[Fitted](), hidden | fitted.hidden
+    covered = left_out.any(axis=1)
     for shaped, priors in ((False, p), (True, any_shape(p))):
-        at = np.flatnonzero(fitted.shaped == shaped)
-        if len(at):
-            lean_sd = _UPRIGHT * priors.prior.lean_sd
-            upright = replace(priors.prior, lean_sd=lean_sd)
-            left_out = hidden[at] | fitted.hidden[at]
-            again = fine(fitted.teats[at], left_out, views, upright, steps=FINE_STEPS - 1)
-            found.append(replace(again, followed=fitted.followed[at], shaped=fitted.shaped[at]))
-    return found[0] if len(found) == 1 else found[0] + found[1]
+        for behind, share in ((False, 1.0), (True, _UPRIGHT)):
+            at = np.flatnonzero((fitted.shaped == shaped) & (covered == behind))
+            if len(at):
+                prior = replace(priors.prior, lean_sd=share * priors.prior.lean_sd)
+                again = fine(fitted.teats[at], left_out[at], views, prior, steps=FINE_STEPS - 1)
+                found.append(replace(again, followed=fitted.followed[at], shaped=fitted.shaped[at]))
+    return reduce(operator.add, found)
+
+
+def refine_beside(
+    fitted: Fitted, views: tuple[View, ...], p: Parameters, calibration: Calibration
+) -> Fitted:
+    """The teats fitted again from either side of where they are, and from in front and behind:
+    edges that are weak or another thing's hold a fit near to where it began.
+    """
+    n, teats = len(fitted.teats), fitted.teats
+    starts = np.repeat(teats[None], 4, axis=0)
+    px = disparities_px(teats[:, :3], calibration)
+    for start, (aside_mm, nearer_px) in zip(starts, _BESIDE, strict=True):
+        start[:, :3] *= (px / (px + nearer_px))[:, None]
+        start[:, CX] += aside_mm
+    again = replace(fitted.take(np.tile(np.arange(n), 4)), teats=starts.reshape(-1, COUNT))
+    return refine_again(again, np.zeros_like(again.hidden), views, p)
 
 
 @cache
@@ -275,9 +294,10 @@ def hidden_points(fitted: Fitted, accepted: list[int], again: list[int]) -> NDAr
     m, n = len(fitted.teats), len(FINE_OUTLINE.part)
     pixels = fitted.seen.pixels_px.reshape(m, -1, n, 2)
     hidden = np.zeros(pixels.shape[:3], dtype=bool)
+    away_mm = np.linalg.norm(fitted.teats[:, :3], axis=1)
     for k in accepted:
-        nearer = fitted.teats[k, CZ] + _NEARER_MM
-        behind = np.array([i for i in again if fitted.teats[i, CZ] > nearer], dtype=np.intp)
+        nearer = away_mm[k] + _NEARER_MM
+        behind = np.array([i for i in again if away_mm[i] > nearer], dtype=np.intp)
         for view, room in enumerate(_ROOM_PX):
             hidden[behind, view] |= _inside(pixels[behind, view], pixels[k, view], room)
     return hidden.reshape(m, -1)
@@ -291,17 +311,5 @@ def _inside(points: Array, outline: Array, room_px: float) -> NDArray[np.bool_]:
     p = points[near]
     if len(p) == 0:
         return result
-    if loops := fast.compiled():
-        result[near] = loops.inside(p, outline, room_px)
-        return result
-    way = np.roll(outline, -1, axis=0) - outline
-    from_start = p[:, None] - outline
-    length2 = np.maximum(np.einsum("nd,nd->n", way, way), 1e-12)
-    share = np.clip(np.einsum("pnd,nd->pn", from_start, way) / length2, 0, 1)
-    off = from_start - share[..., None] * way
-    beside = np.einsum("pnd,pnd->pn", off, off).min(axis=1) < room_px**2
-    crossed = (from_start[..., 1] < 0) != (from_start[..., 1] < way[:, 1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        right = from_start[..., 0] < way[:, 0] * from_start[..., 1] / way[:, 1]
-    result[near] = beside | ((crossed & right).sum(axis=1) % 2 == 1)
+    result[near] = kernels.inside(p, outline, room_px)
     return result

@@ -17,7 +17,7 @@ from detector.geometry import Array
 from detector.outline.edges import LEAST_CLEAR, sample
 from detector.outline.fine import FINE_OUTLINE, Fitted
 from detector.outline.fit import View
-from detector.outline.model import END, SIDE_A, SIDE_B, apexes, axes
+from detector.outline.model import END, SIDE_A, SIDE_B
 
 _X_PX = np.arange(-6.0, 6.5, 0.5)
 _STEP_PX = _X_PX[2] - _X_PX[0]  # over which slopes are taken
@@ -45,7 +45,7 @@ class Sharpness:
     clipped: Array
 
 
-def sharpness(fitted: Fitted, views: tuple[View, View]) -> Sharpness:
+def sharpness(fitted: Fitted, views: tuple[View, ...]) -> Sharpness:
     """Of the edges that the fits found in both optical pictures."""
     n, m = len(FINE_OUTLINE.part), len(fitted.teats)
     if m == 0:
@@ -129,7 +129,9 @@ def too_blurred(found: Sharpness) -> str | None:
     return f"the optical pictures are blurred ({way}): edges are {width:.1f} px wide"
 
 
-def blur_covariances(found: Sharpness, teats: Array, px_a_mm: Array, baseline_mm: float) -> Array:
+def blur_covariances(
+    found: Sharpness, axis: Array, ends: Array, px_a_mm: Array, baseline_mm: float
+) -> Array:
     """(m, 3, 3) mm^2 of the ends of teats (m, 8), right camera's frame: what width and clipping of
     edges add. ``px_a_mm`` (m,): at the ends.
     """
@@ -142,7 +144,6 @@ def blur_covariances(found: Sharpness, teats: Array, px_a_mm: Array, baseline_mm
             _BLUR, _MOTION, _CLIPPED, found.clipped.T[::-1], strict=True
         )
     )
-    axis, ends = axes(teats), apexes(teats)
     down = axis[:, :, None] * axis[:, None]
     sight = ends / ends[:, 2:]
     deep = _CLIPPED_DISPARITY_PX * found.clipped.max(axis=1) * ends[:, 2] / baseline_mm

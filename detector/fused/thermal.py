@@ -9,32 +9,68 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Self
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.geometry import Array
-from detector.outline import fast
+from detector.geometry import Array, Camera, Motion
+from detector.outline import kernels
 from detector.outline.model import Rows
 from detector.outline.pictures import median
+from detector.outline.prior import Prior
 
 Field = NDArray[np.float32]
-HALF_WIDTHS_PX = (2.4, 3.2, 4.2, 5.5, 7.0)
-LEANS = (-0.28, -0.14, 0.0, 0.14, 0.28)
+_LEANS = (-0.7, -0.48, -0.28, -0.14, 0.0, 0.14, 0.28, 0.48, 0.7)
 _ARC = np.radians([-65.0, -40.0, -15.0, 15.0, 40.0, 65.0])
 _BELOW_PX = np.array([1.0, 4.0, 7.0, 10.0, 13.0, 16.0])
-_BAR_LEANS = (-0.22, 0.0, 0.22)
-_ROUGH_WIDTHS_PX, _MOST_TIPS = (3.6, 6.0), 250
-ROOM_PX = 34  # of zeros about the gradients, for outlines beyond the picture
-_APART_PX = 4.0
+_BAR_LEANS = (-0.66, -0.44, -0.22, 0.0, 0.22, 0.44, 0.66)
+_WIDER, _MOST_TIPS = 1.31, 250  # from one width that is tried to the next
+ROOM_PX = 48  # of zeros about the gradients, for outlines beyond the picture
+_APART_PX, _NARROWEST_PX = 4.0, 1.6
 # strengths, 0 to 1
 _STEEP, _LEAST_END, _LEAST_BAR, _CLEAR_END, _SURE_END = 0.35, 0.25, 0.45, 0.8, 0.85
 
 
+@dataclass(frozen=True, slots=True)
+class Sought:
+    """What upright teats are in a thermal picture: unit vector from end to base, and half widths,
+    sensor px.
+    """
+
+    down: tuple[float, float]
+    half_widths_px: tuple[float, ...]
+
+    @classmethod
+    def of(
+        cls, camera: Camera, camera_from_teats: Motion, depths_mm: tuple[float, float], prior: Prior
+    ) -> Self:
+        """By a camera of the sensor's pixels, teats ``depths_mm`` (2,) from it."""
+        middle = float(np.sqrt(depths_mm[0] * depths_mm[1])) * np.array([0.0, 0.0, 1.0])
+        way = camera_from_teats.R @ np.array([0.0, 1.0, 0.0])
+        start, stop = camera.project(np.stack([middle, middle + 20.0 * way]))
+        down = (stop - start) / np.linalg.norm(stop - start)
+        least = max(camera.fc[0] * prior.radii_mm[0] / depths_mm[1], _NARROWEST_PX)
+        most = max(camera.fc[0] * prior.radii_mm[1] / depths_mm[0], least)
+        count = 1 + round(float(np.log(most / least) / np.log(_WIDER)))
+        widths = np.geomspace(least, most, count)
+        return cls((float(down[0]), float(down[1])), tuple(widths.tolist()))
+
+    def turned(self, places: Array) -> Array:
+        """Places (..., 2) across and along."""
+        x, y = self.down
+        return np.asarray(places @ np.array([[y, x], [-x, y]]))
+
+    @property
+    def rough(self) -> tuple[float, ...]:
+        """Two widths and more that come near to all."""
+        return self.half_widths_px[1::2]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Nominations(Rows):
-    """Ends, sensor px: middle (n, 2), radius, lean (columns a row downwards), score, (n,) each."""
+    """Ends, sensor px: middle (n, 2), radius, lean (px across a px downwards), score, (n,) each."""
 
     centre_px: Array
     radius_px: Array
@@ -53,50 +89,64 @@ def levels(temperature: Field) -> Array:
     return np.asarray(np.percentile(temperature, [20, 99]))
 
 
-def nominate(gx: Field, gy: Field, most: int) -> Nominations:
+def nominate(gx: Field, gy: Field, most: int, sought: Sought) -> Nominations:
     """At most ``most`` ends, best first, by `strengths` of a picture in which warm is high, with a
     border of `ROOM_PX`.
     """
-    steep = np.abs(gy[ROOM_PX:-ROOM_PX, ROOM_PX:-ROOM_PX])
-    v, u = np.nonzero((steep > _STEEP) & (steep >= cv2.dilate(steep, np.ones((3, 1))) - 1e-6))
+    inner, (x, y) = np.s_[ROOM_PX:-ROOM_PX, ROOM_PX:-ROOM_PX], sought.down
+    steep = np.abs(np.float32(x) * gx[inner] + np.float32(y) * gy[inner])
+    beside = np.zeros((3, 3), dtype=np.uint8)
+    column, row = round(x), round(y)
+    beside[[1, 1 + row, 1 - row], [1, 1 + column, 1 - column]] = 1
+    v, u = np.nonzero((steep > _STEEP) & (steep >= cv2.dilate(steep, beside) - 1e-6))
     if len(u) == 0:
         return _NONE
     tips = np.column_stack([u, v]).astype(np.float32)
-    rough = _scores(True, gx, gy, tips, _ROUGH_WIDTHS_PX, _BAR_LEANS).max(axis=0)
+    rough = _scores(True, gx, gy, tips, sought.rough, _BAR_LEANS, sought.down).max(axis=0)
     tips = tips[np.argsort(-rough, kind="stable")[:_MOST_TIPS]]
-    scores = _scores(True, gx, gy, tips, HALF_WIDTHS_PX, LEANS)
-    found = _best(tips, scores, HALF_WIDTHS_PX, LEANS)
-    length = np.sqrt(1 + found.lean**2)
-    down = np.column_stack([found.lean, np.ones_like(found.lean)]) / length[:, None]
+    scores = _scores(True, gx, gy, tips, sought.half_widths_px, _LEANS, sought.down)
+    found = _best(tips, scores, sought.half_widths_px, _LEANS)
+    down = bar_ways(found.lean, sought.down)[0]
     inside = replace(found, centre_px=tips + found.radius_px[:, None] * down)
     return inside.take(_peaks(tips, found.score, most, 3.0, _LEAST_END))
 
 
 def bars(
-    temperature: Field, gx: Field, gy: Field, between: Array, ends: Nominations, most: int
+    temperature: Field,
+    gx: Field,
+    gy: Field,
+    between: Array,
+    ends: Nominations,
+    most: int,
+    sought: Sought,
 ) -> Nominations:
     """At most ``most`` upright warm bars without a clear end of ``ends``, by a picture, its
     `strengths` with a border of `ROOM_PX`, and its `levels`; `centre_px` is on the bar. For ends
     before something as warm, where only sides show.
     """
     low, high = between
-    rows, columns = np.nonzero(temperature[::4] > low + 0.4 * (high - low))
+    flat = abs(sought.down[0]) > abs(sought.down[1])
+    every = np.s_[:, ::4] if flat else np.s_[::4]
+    rows, columns = np.nonzero(temperature[every] > low + 0.4 * (high - low))
     if len(rows) == 0 or high <= low:
         return _NONE
-    at = np.column_stack([columns, 4 * rows]).astype(np.float32)
-    clear = [(ends.centre_px[i], ends.lean[i]) for i in np.flatnonzero(ends.score > _CLEAR_END)]
+    at = np.column_stack([columns, rows]).astype(np.float32)
+    at[:, 0 if flat else 1] *= 4
+    middles = sought.turned(ends.centre_px)
+    clear = [(middles[i], ends.lean[i]) for i in np.flatnonzero(ends.score > _CLEAR_END)]
     for middle, lean in clear:
-        at = at[_beside(at.T.astype(np.float64), 0.0, middle, lean) > _APART_PX]
+        at = at[_beside(sought.turned(at.astype(np.float64)).T, 0.0, middle, lean) > _APART_PX]
     if len(at) == 0:
         return _NONE
-    scores = _scores(False, gx, gy, at, HALF_WIDTHS_PX, _BAR_LEANS)
-    found = _best(at, scores, HALF_WIDTHS_PX, _BAR_LEANS)
+    scores = _scores(False, gx, gy, at, sought.half_widths_px, _BAR_LEANS, sought.down)
+    found = _best(at, scores, sought.half_widths_px, _BAR_LEANS)
+    centres = sought.turned(found.centre_px)
     order = np.argsort(-found.score, kind="stable")
     order = order[found.score[order] > _LEAST_BAR]
 
     def beside(middle: Array, lean: float) -> NDArray[np.intp]:
         """Of the order, what is beside such a bar."""
-        apart = _beside(found.centre_px[order].T, found.lean[order], middle, lean)
+        apart = _beside(centres[order].T, found.lean[order], middle, lean)
         return order[apart > _APART_PX]
 
     for middle, lean in clear:
@@ -104,21 +154,29 @@ def bars(
     kept: list[int] = []
     while len(order) and len(kept) < most:
         kept.append(int(order[0]))
-        order = beside(found.centre_px[kept[-1]], found.lean[kept[-1]])
+        order = beside(centres[kept[-1]], found.lean[kept[-1]])
     return found.take(np.array(kept, dtype=np.intp))
 
 
 def unexplained(
-    temperature: Field, between: Array, ends: Nominations, feet_px: Array, tips_px: Array
-) -> int:
-    """How many clear ends lie on no bar from ``tips_px`` (k, 2) to ``feet_px`` (k, 2)."""
+    temperature: Field,
+    between: Array,
+    ends: Nominations,
+    feet_px: Array,
+    tips_px: Array,
+    sought: Sought,
+) -> Array:
+    """Which clear ends (k, 2) lie on no bar from ``tips_px`` (k, 2) to ``feet_px`` (k, 2)."""
+    feet_px, tips_px = sought.turned(feet_px), sought.turned(tips_px)
     way = tips_px - feet_px
     bars_seen = list(zip(0.5 * (tips_px + feet_px), (way[:, 0] / way[:, 1]).tolist(), strict=True))
     low, high = between
-    count = 0
+    found = []
     for i in np.flatnonzero(ends.score > _SURE_END):
-        middle, lean = ends.centre_px[i] + 8.0 * np.array([ends.lean[i], 1.0]), ends.lean[i]
-        row, column = np.rint(middle).astype(int)[::-1].clip(0, np.array(temperature.shape) - 1)
+        lean, (way_px, _) = ends.lean[i], bar_ways(ends.lean[i], sought.down)
+        place = ends.centre_px[i] + 8.0 * way_px
+        row, column = np.rint(place).astype(int)[::-1].clip(0, np.array(temperature.shape) - 1)
+        middle = sought.turned(place)
         if temperature[row, column] < low + 0.6 * (high - low):
             continue  # the gap between two teats below an arm has a bar's outline too
         if all(
@@ -126,8 +184,8 @@ def unexplained(
             for other, slope in bars_seen
         ):
             bars_seen.append((middle, lean))
-            count += 1
-    return count
+            found.append(ends.centre_px[i])
+    return np.array(found).reshape(-1, 2)
 
 
 def _beside(a: Array, lean_a: Array | float, b: Array, lean_b: float) -> Array:
@@ -174,6 +232,7 @@ def _scores(
     at: Field,
     widths: tuple[float, ...],
     leans: tuple[float, ...],
+    down: tuple[float, float],
 ) -> Array:
     """Scores (shapes, n) of bars of each half width px and lean with their tips, for ``end``, or
     above their sides at whole pixels ``at`` (n, 2).
@@ -183,31 +242,30 @@ def _scores(
     start = whole[:, 1] * columns + whole[:, 0]
     found = []
     for width in widths:
-        off, normals = _shapes(end, width, leans)
+        off, normals = _shapes(end, width, leans, down)
         flat = off[..., 1] * columns + off[..., 0]
-        if loops := fast.compiled():
-            found.append(loops.along_shapes(flat_x, flat_y, start, flat, normals, end))
-            continue
-        index = start + flat[..., None]
-        outward = flat_x[index] * normals[..., :1]
-        outward += flat_y[index] * normals[..., 1:]
-        if end:
-            np.abs(outward, out=outward)
-        found.append(outward.mean(axis=2))
+        found.append(kernels.along_shapes(flat_x, flat_y, start, flat, normals, end))
     left, right, *top = np.concatenate(found).swapaxes(0, 1)
     return joined(top[0], left, right) if end else np.minimum(-left, -right)
 
 
+def bar_ways(lean: Array | float, down: tuple[float, float]) -> tuple[Array, Array]:
+    """Unit vectors (..., 2) down bars of such leans, and to their right."""
+    x, y = down
+    columns, rows = x + lean * y, y - lean * x
+    way = np.stack([columns, rows], axis=-1)
+    way /= np.linalg.norm(way, axis=-1, keepdims=True)
+    return way, np.stack([way[..., 1], -way[..., 0]], axis=-1)
+
+
 @cache
-def _shapes(end: bool, width: float, leans: tuple[float, ...]) -> tuple[NDArray[np.intp], Field]:
+def _shapes(
+    end: bool, width: float, leans: tuple[float, ...], upright: tuple[float, float]
+) -> tuple[NDArray[np.intp], Field]:
     """Places (leans, parts, 6, 2), whole px from a bar's tip or middle, and the outward normals
     there, of its two sides and for ``end`` of its round end.
     """
-    lean = np.array(leans)
-    down, right = (
-        np.column_stack(way)[:, None] / np.hypot(1.0, lean)[:, None, None]
-        for way in ((lean, np.ones_like(lean)), (np.ones_like(lean), -lean))
-    )
+    down, right = (way[:, None] for way in bar_ways(np.array(leans), upright))
     below = ((width if end else 0.0) + _BELOW_PX)[:, None] * down
     normals = [np.repeat(s * right, 6, axis=1) for s in (-1.0, 1.0)]
     places = [below + s * width * right for s in (-1.0, 1.0)]

@@ -18,12 +18,12 @@ import numpy as np
 
 from detector.calibration import Calibration
 from detector.calibration.bundle import LENS, POSE
-from detector.fused.decide import ELSEWHERE, OUTLINE
 from detector.fused.parameters import Parameters
 from detector.geometry import Array, Camera, Motion
 from detector.outline.fine import Fitted
 from detector.outline.model import apexes
 from detector.outline.offsets import row_offsets, thermal_offsets
+from detector.outline.prior import right_from_teats
 
 # beyond these no calibration of a rig that is fit for use is off
 _ROWS_PX = 0.4
@@ -50,20 +50,15 @@ class Agreement:
     ratio: float
 
 
-def agreement(
-    fitted: Fitted, reasons: list[str | None], calibration: Calibration, p: Parameters, size: float
-) -> Agreement:
-    """Pooled over the accepted fits, else over those that only a witness speaks against."""
-    which = [i for i, reason in enumerate(reasons) if reason is None]
-    which = which or [i for i, reason in enumerate(reasons) if reason in (ELSEWHERE, OUTLINE)]
+def agreement(some: Fitted, calibration: Calibration, p: Parameters, size: float) -> Agreement:
+    """Pooled over ``some`` fits: the accepted ones, else what only a witness speaks against."""
     lens, pose = _thermal_camera(calibration)
     thermal_mm = abs(float((pose.R.T @ pose.T)[0]))
     optical = calibration.right.fc[0] * calibration.baseline_mm
     ratio = max(lens.fc[0] / size * thermal_mm / optical, 1e-3)
     nothing = Agreement(0, np.nan, (np.nan, np.nan), 0.0, ratio)
-    if not which:
+    if len(some.teats) == 0:
         return nothing
-    some = fitted.take(which)
     rows, row_weight = row_offsets(some, p.prior)
     shift, weight = thermal_offsets(some)
     known = weight > _LEAST_INFORMATION
@@ -73,7 +68,7 @@ def agreement(
     pooled = float(rows @ row_weight / max(row_weight.sum(), 1e-9))
     across = shift[known[:, 0], 0]
     disparity = abs(float(np.median(across))) / ratio if len(across) else 0.0
-    return Agreement(len(which), pooled, (columns, down), disparity, ratio)
+    return Agreement(len(some.teats), pooled, (columns, down), disparity, ratio)
 
 
 def _middle(shifts: Array) -> float:
@@ -93,7 +88,8 @@ def disagreement(found: Agreement, fitted: Fitted, calibration: Calibration) -> 
     limit = few * np.array([_ROWS_PX, *_THERMAL_PX])
     if (off <= limit).all():
         return None
-    limit = np.maximum(limit, _SDS * _stated_px(apexes(fitted.teats), calibration))
+    ends_mm = right_from_teats(calibration).apply(apexes(fitted.teats))
+    limit = np.maximum(limit, _SDS * _stated_px(ends_mm, calibration))
     if (off <= limit).all():
         return None
     worst = int(np.argmax(off / limit))

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.geometry import Array
-from detector.outline import fast
-from detector.outline.fit import Prior, Seen, View, look, step, weights
-from detector.outline.model import END, SIDE_A, SIDE_B, Outline, Rows
+from detector.outline import kernels
+from detector.outline.fit import Seen, View, look, step, weights
+from detector.outline.model import END, SIDE_A, Outline, Rows
+from detector.outline.prior import Prior
 
-ROUGH_OUTLINE, FINE_OUTLINE = Outline.of(55.0, 8, 12), Outline.of(72.0, 28, 24)
+ROUGH_OUTLINE, FINE_OUTLINE = Outline.of(55.0, 8, 12), Outline.of(Prior().length_mm, 28, 24)
 FINE_STEPS = 4
 # floors beyond which an edge counts for less
 ROUGH_SCALE, _FINE_SCALE = 20.0, 3.0
@@ -63,12 +64,7 @@ def look_again(
     """Edges after a ``change`` (m, 8): optical ones anew where outlines moved, thermal kept."""
     outline = FINE_OUTLINE if fine else ROUGH_OUTLINE
     k = 2 * len(outline.part)
-    if loops := fast.compiled():
-        offset, moving = loops.follow(seen.jacobian, seen.offset_px, change, k, _STILL_PX)
-    else:
-        moves = (seen.jacobian @ change[..., None])[..., 0]
-        offset = seen.offset_px - moves
-        moving = np.flatnonzero(~(np.abs(moves[:, :k]).max(axis=1) < _STILL_PX))
+    offset, moving = kernels.follow(seen.jacobian, seen.offset_px, change, k, _STILL_PX)
     seen = replace(seen, offset_px=offset)
     if len(moving) == 0:
         return seen
@@ -82,26 +78,9 @@ def _trusted(seen: Seen, hidden: NDArray[np.bool_], number: int) -> Array:
     weight = np.where(hidden, 0.0, weights(seen, _FINE_SCALE))
     if number == 0:
         return weight
-    if loops := fast.compiled():
-        counts = len(FINE_OUTLINE.along_mm), len(FINE_OUTLINE.over_end)
-        loops.trusted(weight, seen.offset_px, seen.floor_px, hidden, *counts, _LIMITS)
-        return weight
-    shape = (len(weight), -1, len(FINE_OUTLINE.part))
-    near = np.abs(seen.offset_px) < np.minimum(_CLOSE * seen.floor_px, 1.0)
-    close, each = ((weight > 0) & near).reshape(shape), weight.reshape(shape)
-    open_ = ~hidden.reshape(shape)
-    for side in (SIDE_A, SIDE_B):
-        at = FINE_OUTLINE.slices[side]
-        shown = open_[:, :, at].sum(axis=2)
-        share = close[:, :, at].sum(axis=2) / np.maximum(shown, 0.3 * (at.stop - at.start))
-        covered = open_[:, :2, at].mean(axis=2) < 0.5
-        doubtful = np.where(covered, 1.0, share[:, :2]).min(axis=1) < _MOST_OTHER
-        doubtful &= share[:, :2].max(axis=1) > _LEAST_ALONE
-        unseen = share < _LEAST_SIDE
-        unseen[:, :2] |= doubtful[:, None]
-        each[:, :, at] *= ~unseen[..., None]
-        each[:, :2, next_to(side, 3)] *= ~doubtful[:, None, None]
-    return each.reshape(weight.shape)
+    counts = len(FINE_OUTLINE.along_mm), len(FINE_OUTLINE.over_end)
+    kernels.trusted(weight, seen.offset_px, seen.floor_px, hidden, *counts, _LIMITS)
+    return weight
 
 
 def next_to(side: int, parts: int) -> slice:

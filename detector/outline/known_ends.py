@@ -24,9 +24,10 @@ from detector.calibration import Calibration
 from detector.geometry import Array
 from detector.outline import pictures
 from detector.outline.fine import FINE_OUTLINE, ROUGH_OUTLINE, Fitted, fine
-from detector.outline.fit import Prior, View, look, step, upright, weights
+from detector.outline.fit import View, look, step, upright, weights
 from detector.outline.model import COUNT, END, apexes
 from detector.outline.offsets import row_offsets, thermal_offsets
+from detector.outline.prior import Prior, disparities_px, world_from_teats
 from detector.outline.views import optical_views, thermal_view
 from detector.protocol import Frames
 
@@ -72,7 +73,7 @@ def offsets_at(frames: Frames, calibration: Calibration, ends_mm: Array) -> list
     """Of known ends (k, 3), world frame, mm. Raises UnusableError."""
     left = pictures.optical(frames.left, calibration.left.image_size, "left")
     right = pictures.optical(frames.right, calibration.right.image_size, "right")
-    known = calibration.world_from_right.inverse().apply(ends_mm)
+    known = world_from_teats(calibration).inverse().apply(ends_mm)
     seen = _seen(left, right, calibration, known, (0.0, 0.0, 0.0))
     for shifts in (_ROW_SHIFTS, _COLUMN_SHIFTS):
         if not seen.good:
@@ -87,7 +88,7 @@ def offsets_at(frames: Frames, calibration: Calibration, ends_mm: Array) -> list
     figures = np.column_stack([seen.disparity_px, seen.rows_px, thermal])
     figures[~seen.measured] = np.nan
     focal = calibration.right.fc[0]
-    mm_a_px = known[:, 2] ** 2 / (focal * calibration.baseline_mm)
+    mm_a_px = focal * calibration.baseline_mm / disparities_px(known, calibration) ** 2
     found = []
     for values, mm, across in zip(figures, mm_a_px, thermal_mm, strict=True):
         rounded = [round(float(v), 4) if np.isfinite(v) else None for v in values]
@@ -127,7 +128,7 @@ def _seen(
     known: Array,
     shift: tuple[float, float, float],
 ) -> _Seen:
-    """Of ends (k, 3), right camera's frame, looked for where the pictures are shifted by so many
+    """Of ends (k, 3), the fits' frame, looked for where the pictures are shifted by so many
     columns of the left and right one and rows of the right one; rows follow what is found.
     """
     x_left, x_right, y = shift
@@ -136,7 +137,7 @@ def _seen(
     for _ in range(_AGAIN if shift == (0.0, 0.0, 0.0) else _AGAIN_SHIFTED):
         calibration = stated.moved("right", "cy", y)
         starts = upright(known, calibration, _BESIDE_PX, prior)
-        views = tuple(optical_views(left, right, calibration, starts))
+        views = tuple(optical_views(left, right, calibration, starts.reshape(-1, COUNT)))
         fitted = _fitted(starts.reshape(-1, COUNT), views, prior)
         best = _best(fitted, known)
         some = fitted.take(np.maximum(best, 0))
@@ -230,6 +231,6 @@ def _end_share(fitted: Fitted) -> Array:
 
 
 def _disparity(calibration: Calibration, points: Array) -> Array:
-    """Left minus right columns (k,) of points (k, 3) in the right camera's frame."""
-    left_px, right_px = calibration.project(calibration.world_from_right.apply(points))
+    """Left minus right columns (k,) of points (k, 3), the fits' frame."""
+    left_px, right_px = calibration.project(world_from_teats(calibration).apply(points))
     return np.asarray(left_px[:, 0] - right_px[:, 0])

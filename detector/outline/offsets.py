@@ -9,7 +9,8 @@ import numpy as np
 from detector.geometry import Array
 from detector.outline.edges import CLEAR
 from detector.outline.fine import FINE_OUTLINE, Fitted
-from detector.outline.fit import Prior, normal_equations
+from detector.outline.fit import normal_equations
+from detector.outline.prior import Prior
 
 _EDGE_PX, _ROBUST_PX = 0.2, 0.3  # of thermal edges: sd beyond noise; farther off counts for less
 _SHIFT_SD, _SWELL_SD = 0.5, 0.5  # px, before a teat is looked at: no end, no rows

@@ -19,6 +19,7 @@ from detector.protocol import Frames
 _GREY = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
 
 
+_GROUPED = 0.01  # of differences that are one number: intensities are whole
 BARN_C = (-60.0, 150.0)  # the middle of a barn's picture; raw counts read as -191 degC
 
 
@@ -75,10 +76,16 @@ def region(
 
 
 def noise_of(field: Field) -> float:
-    """Robust noise sd of intensities, from second differences (Immerkaer 1996)."""
+    """Robust noise sd of intensities, from second differences (Immerkaer 1996). Of whole grey
+    levels the median is that of a step's share, so that it doesn't hang on the region's rim.
+    """
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
     second = np.abs(cv2.filter2D(field, cv2.CV_32F, mask)[::3, ::3])
-    return max(median(second) / (0.6745 * 6.0), 0.05)
+    middle = median(second)
+    below, same = np.count_nonzero(second < middle), np.count_nonzero(second == middle)
+    if same > _GROUPED * second.size:
+        middle += (0.5 * second.size - below) / same - 0.5
+    return max(middle / (0.6745 * 6.0), 0.05)
 
 
 def median(values: NDArray[Any]) -> float:

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.calibration import Calibration
-from detector.geometry import Array, Camera, Motion
+from detector.geometry import Array, Camera
 from detector.outline import pictures
 from detector.outline.edges import Profile
 from detector.outline.fit import View
+from detector.outline.prior import right_from_teats
 from detector.protocol import Frames
 
 OPTICAL_ROUGH = Profile(7.0, 1.0, 5.0, 0.5, 1.2, limb=False, pull_px=4.0)
@@ -24,14 +25,15 @@ ROOM_PX = 60  # about the nominations: half a teat's width, and as far down as t
 def optical_views(
     left: NDArray[Any], right: NDArray[Any], calibration: Calibration, guesses: Array
 ) -> list[View]:
-    """The parts of both pictures that the guesses (n, d, 8) from near to far reach."""
-    points = guesses[:, [0, -1], :3].reshape(-1, 3)
+    """The parts of both pictures that the guesses (n, 8) reach."""
+    points = guesses[:, :3]
     points = np.concatenate([points, points + np.array([0.0, 60.0, 0.0])])
     profiles = OPTICAL_ROUGH, OPTICAL_FINE, OPTICAL_FLOOR_PX
     made = []
+    turned = right_from_teats(calibration)
     for picture, camera, motion in (
-        (left, calibration.left, calibration.right_from_left.inverse()),
-        (right, calibration.right, Motion.identity()),
+        (left, calibration.left, calibration.right_from_left.inverse() @ turned),
+        (right, calibration.right, turned),
     ):
         near, corner = pictures.region(picture, camera.project(motion.apply(points)), ROOM_PX)
         made.append(View(near, corner, pictures.noise_of(near), camera, motion, *profiles))
@@ -67,6 +69,6 @@ def thermal_view(frames: Frames, calibration: Calibration) -> View:
     )
     # it can't take a shadow for a teat
     return View(
-        warm, np.zeros(2), pictures.noise_of(warm), sensor, motion, THERMAL, THERMAL,
-        THERMAL_FLOOR_PX,
+        warm, np.zeros(2), pictures.noise_of(warm), sensor,
+        motion @ right_from_teats(calibration), THERMAL, THERMAL, THERMAL_FLOOR_PX,
     )  # fmt: skip

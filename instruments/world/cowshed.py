@@ -1,5 +1,6 @@
 """Families of scenes with what a cowshed shows and the thesis's six leave out: quarters of unlike
-warmth, a warm room, straw, legs and a tail, teats of a cow, wet skin, pipes and hoses.
+warmth, a warm room, straw, legs and a tail, teats of a cow, wet skin, pipes and hoses; teats that
+point outward, a swollen quarter, liners, and rods beside a teat's edge.
 
 Ranges are our choice where no source is named.
 """
@@ -11,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from instruments.world.draws import PLACES, Draw, footing, plain, udder
+from instruments.world.draws import PLACES, Draw, footing, plain, shape, udder
 from instruments.world.objects import SceneObject, make_object
-from instruments.world.phantom import Phantom, Spots, Teat, TeatForm, TeatShape, Udder
+from instruments.world.phantom import Phantom, PlatePose, Spots, Teat, TeatForm, TeatShape, Udder
 from instruments.world.setups import EYES_MM, Situation, collisions, hidden_ways
 from instruments.world.shading import Paint
 
@@ -281,3 +282,83 @@ def _hose(draw: Draw) -> SceneObject:
         offset_k=(-10.0, 3.0), albedo=(0.03, 0.2),
     )  # fmt: skip
     return make_object("hose", **hose, temperature="teat")
+
+
+def outward(draw: Draw) -> Situation:
+    """Teats that point away from the udder's middle, as a full udder's do: by 20 to 40 degrees (our
+    choice).
+    """
+    foot_mm = footing(draw, (18.0, 32.0), (55.0, 80.0), (22.0, 40.0))
+    teats = []
+    for across, away in PLACES:
+        form = shape(draw, (105.0, 140.0), (9.5, 12.5))
+        lean = math.radians(draw.between("lean_deg", 20.0, 40.0))
+        way = math.atan2(0.6 * away, across) + draw.between("lean_way_rad", -0.5, 0.5)
+        slope = math.tan(lean) * math.cos(way), math.tan(lean) * math.sin(way)
+        teats.append(Teat(foot_mm(across, away), form, (math.atan(slope[0]), math.atan(slope[1]))))
+    # a plate that is raised, so that no foot reaches below the table
+    return plain(draw, Phantom(tuple(teats), PlatePose(z_mm=10.0)))
+
+
+def swollen(draw: Draw) -> Situation:
+    """One quarter's teat is swollen: wider at its end, wider still at its base, and warmer."""
+    phantom = udder(draw, lean_deg=(0.0, 5.0))
+    which = draw.count(0, len(phantom.teats) - 1)
+    size = draw.each("swollen", end_mm=(13.5, 16.5), base_mm=(18.0, 24.0), warmer_k=(0.0, 2.0))
+    long_mm, (end, base) = phantom.teats[which].shape.length_mm, (size["end_mm"], size["base_mm"])
+    form = TeatForm(((end, end), (0.4 * long_mm, 0.5 * (end + base)), (long_mm - 1.3 * base, base)))
+    teats = list(phantom.teats)
+    teats[which] = replace(teats[which], shape=TeatShape(long_mm, end, form))
+    cooler_k = [size["warmer_k"]] * len(teats)
+    cooler_k[which] = 0.0
+    return replace(plain(draw, Phantom(tuple(teats))), cooler_k=tuple(cooler_k))
+
+
+def liners(draw: Draw) -> Situation | None:
+    """Liners of a cluster upright behind and beside the teats, their rims level with the ends, and
+    a hose: black rubber, nearly as warm as a teat. Or domes as wide as no teat.
+    """
+    phantom = udder(draw, lean_deg=(0.0, 4.0))
+    level = float(phantom.ends_mm[:, 2].mean())
+    things = list[SceneObject]()
+    for _ in range(draw.count(1, 4)):
+        at = draw.each(
+            "liner", x_mm=(-330.0, 60.0), y_mm=(300.0, 520.0), height_mm=(-30.0, 25.0),
+            radius_mm=(13.0, 21.0), offset_k=(-4.0, 3.0), albedo=(0.03, 0.5),
+        )  # fmt: skip
+        at["height_mm"] += level
+        if draw.chance(0.3):
+            at["top_radius_mm"] = at["radius_mm"] = at["radius_mm"] + 6.0
+            things.append(make_object("cooler_body", **at))
+        else:
+            things.append(make_object("rod", **at, temperature="teat"))
+    if draw.chance(0.5):
+        things.append(_hose(draw))
+    found = plain(draw, phantom, *things)
+    return None if any(collisions(found)) or hidden_ways(found).any() else found
+
+
+def rods(draw: Draw) -> Situation | None:
+    """One teat to four, and behind some an upright rod, post or leg's edge that one camera sees
+    beside the teat's own.
+    """
+    phantom = udder(draw, lean_deg=(0.0, 6.0))
+    phantom = Phantom(phantom.teats[: draw.count(1, len(phantom.teats))])
+    things = list[SceneObject]()
+    for end, teat in zip(phantom.ends_mm.tolist(), phantom.teats, strict=True):
+        if things and draw.chance(0.5):
+            continue
+        eye_x, eye_y, _ = draw.one_of(*EYES_MM[:2])
+        rod = draw.each(
+            "rod", y_mm=(40.0, 300.0), x_mm=(-3.0, 3.0), radius_mm=(3.0, 14.0),
+            height_mm=(-40.0, 200.0), albedo=(0.04, 0.6),
+        )  # fmt: skip
+        side, edge = draw.either(), teat.shape.radius_mm + draw.between("rod_beside_mm", -3.0, 6.0)
+        share = (end[1] + rod["y_mm"] - eye_y) / (end[1] - eye_y)
+        rod["x_mm"] += eye_x + (end[0] + side * edge - eye_x) * share + side * rod["radius_mm"]
+        rod["y_mm"] += end[1]
+        rod["height_mm"] += end[2]
+        warm = {"temperature": "teat", "offset_k": -draw.between("rod_cooler_k", 0.0, 12.0)}
+        things.append(make_object("rod", **rod, **warm))
+    alone = Situation("", 0, "", phantom, tuple(things))
+    return None if any(collisions(alone)) else plain(draw, phantom, *things)

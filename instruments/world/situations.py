@@ -302,4 +302,11 @@ SITUATIONS: dict[str, tuple[str, Callable[[Draw], Situation | None]]] = {
         "Four teats before pipes and posts, with teat cups and hoses beside and behind them.",
         cowshed.cluttered,
     ),
+    "outward": ("Four teats that point outward by 20 to 40 degrees.", cowshed.outward),
+    "swollen": ("Four teats, one of them swollen.", cowshed.swollen),
+    "liners": (
+        "Four teats before and beside liners whose rims are level with the ends.",
+        cowshed.liners,
+    ),
+    "rods": ("One teat to four, with rods behind that one camera sees beside them.", cowshed.rods),
 }

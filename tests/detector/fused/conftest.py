@@ -87,8 +87,7 @@ Draw = Callable[..., Pictures]
 Find = Callable[..., Detection]
 
 
-@pytest.fixture(scope="session")
-def draw_scene(rig: Calibration) -> Draw:
+def drawer(rig: Calibration) -> Draw:
     """Draws bodies, the farthest first, in all three cameras, with noise from a seed."""
     assert rig.thermal.lens is not None
     assert rig.thermal_from_right is not None
@@ -112,7 +111,9 @@ def draw_scene(rig: Calibration) -> Draw:
         pictures = {}
         for eye, (camera, motion) in eyes.items():
             picture = np.full(camera.image_size[::-1], 292.0 if eye == "T" else 190.0)
-            for body in sorted(bodies, key=lambda b: -b.end_mm[1]):
+            for body in sorted(
+                bodies, key=lambda b: -float(np.linalg.norm(right_from_world.apply(b.end_mm)))
+            ):
                 if eye in body.seen_by:
                     at, cover = coverage(body, camera, motion)
                     picture[at] += cover * (
@@ -125,6 +126,11 @@ def draw_scene(rig: Calibration) -> Draw:
         return Pictures(left, right, None, np.rint(pictures["T"] * 100) / 100)
 
     return scene
+
+
+@pytest.fixture(scope="session")
+def draw_scene(rig: Calibration) -> Draw:
+    return drawer(rig)
 
 
 @pytest.fixture(scope="session")

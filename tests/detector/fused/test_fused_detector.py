@@ -47,7 +47,7 @@ def covariance(teat: Teat) -> Array:
 
 def test_it_is_a_detector() -> None:
     detector: Detector = FusedDetector()
-    assert (detector.name, detector.version) == ("fused", "17")
+    assert (detector.name, detector.version) == ("fused", "18")
     assert detector.parameters["prior"]["radius_mm"] == 11.0
     assert FusedDetector(Parameters(most_bars=0)).parameters != detector.parameters
 
@@ -140,11 +140,13 @@ def test_a_teat_that_one_camera_doesnt_see_is_hidden(
 @pytest.mark.slow
 def test_the_trace_gives_every_rejected_candidates_reason(find: Find, udder: list[Body]) -> None:
     found = find([*udder[:3], replace(udder[3], seen_by="LT")])
-    assert [stage.name for stage in found.trace] == ["thermal", "starts", "decisions"]
+    assert [stage.name for stage in found.trace] == ["thermal", "starts", "decisions", "answers"]
     decisions = found.stage("decisions")
     assert decisions is not None
     reasons = decisions.data["reasons"].tolist()
     assert reasons.count("") == len(found.teats)
+    assert found.reason is not None
+    assert found.reason.startswith("left out at ")  # the end that one camera doesn't see
     assert len(reasons) == len(decisions.data["teats"])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -9,11 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from bench.config import ConfigError
+from bench.rig import moved
+from bench.script.detectors import introduced
 from detector.calibration import Calibration
 from detector.fused.detector import FusedDetector
 from detector.geometry import Camera, Motion
 from detector.protocol import Detection
-from tests.detector.fused.conftest import Body, Draw, Find
+from tests.detector.fused.conftest import Body, Draw, Find, drawer
 
 Array = NDArray[np.float64]
 M = np.diag([-1.0, 1.0, 1.0])
@@ -95,8 +99,106 @@ def test_a_warmer_room_moves_nothing(frames: Any, plain: Detection, rig: Calibra
     assert np.linalg.norm(places(found) - places(plain), axis=1).max() < 0.01
 
 
+def test_a_world_upside_down_has_hanging_teats(
+    frames: Any, plain: Detection, rig: Calibration
+) -> None:
+    over = Motion.from_vectors([np.pi, 0.0, 0.0], [0.0, 0.0, 0.0])
+    hung = replace(rig, world_from_right=over @ rig.world_from_right, hanging=True)
+    found = FusedDetector().detect(frames, hung)
+    for before, after in zip(plain.teats, found.teats, strict=True):
+        assert np.allclose(over.apply(before.world_mm), after.world_mm, atol=1e-6)
+
+
+def test_frames_turned_over_give_the_same_ends(
+    frames: Any, plain: Detection, rig: Calibration
+) -> None:
+    """The rig hangs upside down: its right camera is on the left of its pictures."""
+    half = Motion(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+
+    def turned(camera: Camera) -> Camera:
+        (columns, rows), (k1, k2, p1, p2, k3) = camera.image_size, camera.kc
+        cc = columns - 1 - camera.cc[0], rows - 1 - camera.cc[1]
+        return replace(camera, cc=cc, kc=(k1, k2, -p1, -p2, k3))
+
+    assert rig.thermal.lens is not None
+    assert rig.thermal_from_left is not None
+    right_from_left = half @ rig.right_from_left @ half
+    over = replace(
+        rig,
+        left=turned(rig.right),
+        right=turned(rig.left),
+        thermal=replace(rig.thermal, lens=turned(rig.thermal.lens)),
+        right_from_left=right_from_left.inverse(),
+        thermal_from_left=half @ rig.thermal_from_left @ half @ right_from_left.inverse(),
+        world_from_right=rig.world_from_right @ rig.right_from_left @ half,
+    )
+    left, right, kelvin = (
+        np.ascontiguousarray(one[::-1, ::-1])
+        for one in (frames.right, frames.left, frames.thermal_k)
+    )
+    found = FusedDetector().detect(replace(frames, left=left, right=right, thermal_k=kelvin), over)
+    assert np.linalg.norm(places(found) - places(plain), axis=1).max() < 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "amount"),
+    [
+        ("tilt", 30.0),
+        ("tilt", -30.0),
+        ("roll", 37.0),
+        ("roll", -90.0),
+        ("roll", 180.0),
+        ("away", 650.0),
+        ("away", 1600.0),
+        ("baseline", 60.0),
+        ("baseline", 240.0),
+        ("pixels", 0.5),
+        ("thermal-pixels", 0.5),
+        ("distortion", -0.1),
+    ],
+)
+def test_other_rigs_find_the_same_ends(
+    rig: Calibration, udder: list[Body], name: str, amount: float
+) -> None:
+    other = moved.DRAWN[name][0](moved.aimed(rig), amount)
+    found = FusedDetector().detect(drawer(other)(udder, seed=2), other)
+    ends = np.array([body.end_mm for body in udder])
+    assert len(found.teats) == len(udder), found.reason
+    assert np.linalg.norm(places(found) - ends[np.argsort(ends[:, 0])], axis=1).max() < 1.0
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda rig: moved.tilted(rig, 70.0), "looks up or down by"),
+        (lambda rig: moved.with_thermal_pixels(rig, 0.03), "pixels wide in the thermal"),
+        (lambda rig: moved.with_pixels(rig, 0.02), "pixels"),
+        (
+            lambda rig: replace(
+                rig,
+                world_from_right=rig.world_from_right,
+                thermal_from_left=Motion.from_vectors([0.0, 2.0, 0.0], [0.0, 0.0, 0.0]),
+            ),
+            "no place in common",
+        ),
+    ],
+)
+def test_a_rig_outside_of_the_domain_is_refused_by_name(
+    rig: Calibration, change: Callable[[Calibration], Calibration], says: str, frames: Any
+) -> None:
+    detector, other = FusedDetector(), change(rig)
+    assert detector.refuses(rig) is None
+    why = detector.refuses(other)
+    assert why is not None
+    assert says in why
+    refused = pytest.raises(ConfigError, match=r"fused can.t be used with this rig")
+    with refused, introduced([detector], {}, other):
+        pass
+
+
 def test_another_world_turns_the_answers(frames: Any, plain: Detection, rig: Calibration) -> None:
-    turn = Motion.from_vectors([0.3, -0.5, 1.1], [10.0, -200.0, 35.0])
+    turn = Motion.from_vectors([0.0, 0.0, 1.1], [10.0, -200.0, 35.0])
     found = FusedDetector().detect(
         frames, replace(rig, world_from_right=turn @ rig.world_from_right)
     )

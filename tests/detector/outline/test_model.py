@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from detector.calibration import Calibration
-from detector.geometry import Motion
+from detector.geometry import Camera, Motion
 from detector.outline.model import (
     COUNT,
     END,
@@ -19,10 +19,8 @@ from detector.outline.model import (
     Outline,
     apexes,
     axes,
-    contours,
-    normals_of,
-    pixels_of,
-    slopes,
+    numbers_of,
+    outlines,
 )
 
 TEATS = np.array(
@@ -33,6 +31,7 @@ TEATS = np.array(
     ]
 )
 OUTLINE = Outline.of(60.0, 8, 15)
+PLAIN = numbers_of(Camera((1, 1), (1.0, 1.0), (0.0, 0.0)), Motion.identity())[None]
 
 
 def surface(
@@ -62,37 +61,30 @@ def test_outlines_lie_on_the_hull_of_the_projected_surface(rig: Calibration, num
     straight = replace(rig.left, kc=(0.0, 0.0, 0.0, 0.0, 0.0))
     projected = cv2.projectPoints(surface(teat), motion.om, motion.T, lens, None)[0]
     hull = cv2.convexHull(projected.astype(np.float32))
-    found = pixels_of(contours(teat[None], motion, OUTLINE).points, straight)[0]
+    found = outlines(teat[None], numbers_of(straight, motion)[None], OUTLINE)[0][0]
     off = [cv2.pointPolygonTest(hull, (float(x), float(y)), True) for x, y in found]
     assert np.abs(off).max() < 0.02
 
 
 def test_the_parts_are_left_end_and_right() -> None:
     part = OUTLINE.part
-    pixels = contours(TEATS[2:], Motion.identity(), OUTLINE).points[0]
+    pixels = outlines(TEATS[2:], PLAIN, OUTLINE)[0][0]
     assert pixels[part == SIDE_A][:, 0].max() < pixels[part == SIDE_B][:, 0].min()
     assert pixels[part == END][:, 1].max() < pixels[part != END][:, 1].min()
 
 
 def test_normals_point_outward() -> None:
-    pixels = contours(TEATS, Motion.identity(), OUTLINE).points[..., :2]
+    pixels, normals, _ = outlines(TEATS, PLAIN, OUTLINE)
     middle = pixels.mean(axis=1, keepdims=True)
-    assert (np.einsum("mnd,mnd->mn", normals_of(pixels), pixels - middle) > 0).all()
+    assert (np.einsum("mnd,mnd->mn", normals, pixels - middle) > 0).all()
 
 
 def test_slopes_are_the_differences(rig: Calibration) -> None:
-    motion = rig.right_from_left.inverse()
-    contour = contours(TEATS, motion, OUTLINE)
-    pixels = pixels_of(contour.points, rig.left)
-    normals = normals_of(pixels)
-    outward = (pixels_of(contour.points + 0.1 * contour.normals, rig.left) - pixels) / 0.1
-    closed = slopes(TEATS, contour, np.einsum("mnd,mnd->mn", outward, normals), motion)
+    camera = numbers_of(rig.left, rig.right_from_left.inverse())[None]
+    _, normals, closed = outlines(TEATS, camera, OUTLINE, slopes_too=True)
     for i, step in enumerate((0.05, 0.05, 0.5, 1e-3, 1e-3, 0.05, 1e-4, 5e-3)):
         moved = [
-            pixels_of(
-                contours(TEATS + sign * step * np.eye(COUNT)[i], motion, OUTLINE).points, rig.left
-            )
-            for sign in (-1, 1)
+            outlines(TEATS + sign * step * np.eye(COUNT)[i], camera, OUTLINE)[0] for sign in (-1, 1)
         ]
         differences = np.einsum("mnd,mnd->mn", moved[1] - moved[0], normals) / (2 * step)
         inner = slice(1, -1)  # the last point's normal is one-sided
@@ -109,5 +101,4 @@ def test_the_apex_is_on_the_axis_a_height_above_the_middle() -> None:
 
 def test_a_teat_around_the_camera_has_no_outline() -> None:
     inside = np.array([[0.0, 0.0, 5.0, 0.0, 0.0, 11.0, 0.0, 1.0]])
-    with np.errstate(invalid="ignore"):
-        assert np.isnan(contours(inside, Motion.identity(), OUTLINE).points).any()
+    assert np.isnan(outlines(inside, PLAIN, OUTLINE)[0]).any()

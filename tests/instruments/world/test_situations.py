@@ -41,8 +41,10 @@ def test_there_are_the_eleven_and_those_of_a_cowshed() -> None:
         "non_vertical overlapping spurious_teat hot_body_at_base hot_body_at_ends cooler_bodies"
     )
     others = "low_contrast dim_light missing_or_hidden anywhere"
-    cowshed = "cool_quarters warm_room straw_and_legs cow_teats wet cluttered"
-    assert tuple(f"ideal {thesis} {others} {cowshed}".split()) == NAMES
+    cowshed = (
+        "cool_quarters warm_room straw_and_legs cow_teats wet cluttered outward swollen liners"
+    )
+    assert tuple(f"ideal {thesis} {others} {cowshed} rods".split()) == NAMES
 
 
 @pytest.mark.slow

@@ -1,0 +1,49 @@
+"""What was learned from simulated scenes: the weights of a decision and of a variance, from the
+file that `python -m tests.learn_fused` writes, with its seed, sizes and figures.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from detector.geometry import Array
+
+FILE = Path(__file__).with_name("learned.json")
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """``weights`` and ``bias`` of log odds by measure, and what is ``usual`` of right fits; the
+    ``least`` odds of what is given, and the ``power`` of odds by which fits of one end are
+    weighted; of standard deviations the factor of what ``edges`` say, and ``factors`` by term.
+    """
+
+    weights: Mapping[str, float]
+    usual: Mapping[str, float]
+    bias: float
+    least: float
+    power: float
+    edges: float
+    factors: Mapping[str, float]
+
+
+def in_order(by_name: Mapping[str, float], names: Iterable[str]) -> Array:
+    """In the order of ``names``; 0 of what nothing was learned of."""
+    return np.array([by_name.get(name, 0.0) for name in names])
+
+
+@cache
+def learned() -> Learned:
+    """What the product ships with."""
+    table = json.loads(FILE.read_text(encoding="utf-8"))
+    odds, spread = table["odds"], table["spread"]
+    return Learned(
+        odds["weights"], odds["usual"], odds["bias"], odds["least"], odds["power"],
+        spread["edges"], spread["terms"],
+    )  # fmt: skip

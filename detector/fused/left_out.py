@@ -1,0 +1,61 @@
+"""What a frame set shows that isn't among the answers, each in a sentence: warm ends in the thermal
+picture that no answer explains, and fits that may have been ends. And what an answer is that lies
+outside of what teats are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detector.calibration import Calibration
+from detector.fused.decide import WORSE, Decision, Fits
+from detector.geometry import Array
+from detector.outline.model import RADIUS, apexes
+from detector.outline.prior import world_from_teats
+
+_NO_FIT = "the optical pictures show no outline there"
+_PLACE_MM, _NEAR_SENSOR_PX = 15.0, 6.0  # fits and thermal ends so near are of one thing
+
+
+def left_out(
+    teats: Array,
+    decision: Decision,
+    doubtful: NDArray[np.bool_],
+    thermal_px: Array,
+    warm_px: Array,
+    px_a_sensor_px: float,
+    calibration: Calibration,
+) -> list[str]:
+    """Of fits (m, 8), ``thermal_px`` (m, 2) their ends in the delivered picture, the ``doubtful``
+    ones that aren't accepted, one a place; and of unexplained thermal ends ``warm_px`` (w, 2).
+    """
+    world = world_from_teats(calibration).apply(apexes(teats))
+    left_px, _ = calibration.project(world)
+    near = np.linalg.norm(world[:, None] - world, axis=2) < _PLACE_MM
+    told, found = list(decision.accepted), list[str]()
+    order = np.argsort(-decision.odds, kind="stable").tolist()
+    for i in order:
+        # what passes through an accepted teat is that teat
+        if doubtful[i] and decision.reasons[i] not in (None, WORSE) and not near[i, told].any():
+            told.append(i)
+            x, y = left_px[i].tolist()
+            found.append(f"left out at left ({x:.0f}, {y:.0f}): {decision.reasons[i]}")
+    for place in warm_px:
+        off = np.linalg.norm(thermal_px - place, axis=1) / px_a_sensor_px
+        if (off[told] < _NEAR_SENSOR_PX).any():
+            continue
+        why = next((decision.reasons[i] for i in order if off[i] < _NEAR_SENSOR_PX), None)
+        x, y = place.tolist()
+        found.append(f"left out at thermal ({x:.0f}, {y:.0f}): {why or _NO_FIT}")
+    return found
+
+
+def outside(fits: Fits) -> list[str]:
+    """Of given ends, what they lack to be as teats are."""
+    lean, size = fits.too_steep > 0, fits.off_size > 0
+    degrees, wide = np.degrees(np.arctan(fits.lean)), 2 * fits.teats[:, RADIUS]
+    return [
+        *(f"an end as of a teat, leaning {angle:.0f} degrees" for angle in degrees[lean]),
+        *(f"an end as of a teat, {mm:.0f} mm wide" for mm in wide[size]),
+    ]

@@ -1,0 +1,298 @@
+"""``python -m tests.learn_fused --frames DIR``: learns what `fused` decides and states by, and writes
+detector/fused/learned.json.
+
+Scenes of all families are drawn on the shipped rig, some of each on rigs drawn at random, and those
+that were difficult; DIR keeps their frames. The detector runs on them and shows what it measures of
+every fit. The log odds of a fit are linear in that: weights are the maximum a posteriori with a
+ridge, of fits labelled by whether an end is near. The least odds of what is given, and the power of
+odds by which fits of one end are weighted, are those that do best. Standard deviations are linear
+in their terms: factors, none negative, are those of the greatest likelihood of the errors that were
+made (Student's t, so that an end taken for another's doesn't rule). Both are done twice, as the
+first answers change which fits are tried.
+
+The gate: each family is judged by weights that were learned without it. A change passes that loses
+no more ends and gives no more false ones than the file says.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import pickle
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+import detector.fused.detector as fused
+from bench.rig.loading import find_rig, load_rig
+from bench.rig.moved import drawn
+from bench.rig.scenes import draw, renderer_of, rig_renderer, warm
+from bench.scoring.matching import gate_mm, match
+from detector.calibration import Calibration, ParameterCovariance
+from detector.external.serve import Pictures
+from detector.fused.covariances import TERMS, variance_terms
+from detector.fused.decide import MEASURES, NEAR_MM, Fits, means, measures, pass_through
+from detector.fused.evidence import Evidence
+from detector.fused.learned import FILE
+from detector.outline.model import apexes
+from detector.outline.prior import Prior, world_from_teats
+from instruments.world.scene import Renderer
+from instruments.world.situations import SITUATIONS, member
+from tests.detector.fused.difficult import DIFFICULT, Rendered, rendered
+
+Array = NDArray[np.float64]
+SEED, FIRST, MEMBERS, RIGS, ON_A_RIG = 1, 200, 60, 26, 6
+EXACT = ParameterCovariance((), np.zeros((0, 0)))
+RIDGE, NOT_SURE_MM, LESS = 5e-3, (2.5, 6.0), 0.3
+AGAIN, WITHIN, FREEDOM = 2, 0.2, 30.0
+# a false end counts as so many that are missed
+FALSE, LEASTS, POWERS = 4, (-1.2, -0.9, -0.6, -0.3, 0.0, 0.3), (0.5, 1.0, 2.0, 4.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """Of one scene the fits' measures (m, k) and ends (m, 3), which pass through which (m, m), and
+    of the answers their errors (a, 3), covariances (a, 3, 3) by their edges and by what isn't
+    learned, and terms (a, k, 3), world.
+    """
+
+    family: str
+    ends_mm: Array
+    visible: NDArray[np.bool_]
+    seen: Array
+    places_mm: Array
+    through: NDArray[np.bool_]
+    errors_mm: Array
+    own: Array
+    rest: Array
+    terms: Array
+
+
+def scenes(frames: Path) -> Iterator[tuple[str, Calibration, Any]]:
+    """Family, calibration, and pictures with truth, drawn where DIR doesn't have them."""
+    rig = load_rig(find_rig(None))
+    usual, names = rig_renderer(rig, SEED), list(SITUATIONS)
+    for k in range(FIRST, FIRST + MEMBERS):
+        for name in names:
+            path = frames / f"{name}-{k}.npz"
+            yield from _kept(path, name, rig.calibration, partial(_drawn, usual, name, k))
+    for k in range(FIRST, FIRST + RIGS):
+        calibration = drawn(rig.calibration, np.random.default_rng([7, k]))
+        for n in range(ON_A_RIG):
+            name = names[(5 * (k - FIRST) + 4 * n) % len(names)]
+            path, renderer = frames / f"rig_{name}-{k}.npz", renderer_of(calibration, usual, SEED)
+            yield from _kept(path, name, calibration, partial(_drawn, renderer, name, k))
+    for name, noise, k in DIFFICULT:
+        path, renderer = frames / f"{name}-{k}-{noise}.npz", rig_renderer(rig, noise)
+        yield from _kept(path, name, rig.calibration, partial(rendered, renderer, name, noise, k))
+
+
+def _kept(
+    path: Path, name: str, calibration: Calibration, draws: Callable[[], Rendered]
+) -> Iterator[tuple[str, Calibration, Any]]:
+    """One scene, or none where a thing is too near a camera."""
+    if not path.exists():
+        try:
+            np.savez(path, **draws()._asdict())
+        except ValueError:
+            return
+    yield name, replace(calibration, covariance=EXACT), np.load(path)
+
+
+def _drawn(renderer: Renderer, name: str, k: int) -> Rendered:
+    shot = draw(renderer, name, warm(member(name, k)[0]), [SEED, k])
+    ends = np.array([row.xyz_mm for row in shot.truth])
+    visible = np.array([row.visible for row in shot.truth])
+    thermal_k = np.asarray(shot.frames.thermal_ck) / 100.0
+    return Rendered(shot.frames.left, shot.frames.right, thermal_k, ends, visible)
+
+
+def shown_of(family: str, calibration: Calibration, data: Any) -> Shown | None:
+    """What the detector shows of a scene; None where it doesn't come to fits."""
+    pictures = Pictures(data["left"], data["right"], None, data["thermal_k"])
+    answer = fused.FusedDetector().detect(pictures, calibration)
+    stage, given = answer.stage("decisions"), answer.stage("answers")
+    if stage is None:
+        return None
+    ends, visible, prior = data["ends_mm"], data["visible"], Prior()
+    teats, world = stage.data["teats"], world_from_teats(calibration)
+    evidence = Evidence(*(stage.data[name] for name in Evidence.__slots__))
+    places = world.apply(apexes(teats))
+    errors, terms = np.zeros((0, 3)), np.zeros((0, len(TERMS), 3))
+    own = rest = np.zeros((0, 3, 3))
+    if given is not None and len(given.data["rows"]):
+        found = world.apply(given.data["ends"])
+        fits = Fits.made(given.data["teats"], evidence.take(given.data["rows"]), prior)
+        pairs = match(found, ends, visible, gate_mm(ends)).pairs
+        which = [i for i, _ in pairs]
+        errors = np.array([found[i] - ends[j] for i, j in pairs]).reshape(-1, 3)
+        own, rest = (world.R @ given.data[of][which] @ world.R.T for of in ("own", "rest"))
+        terms = variance_terms(fits, calibration)[which] @ world.R.T
+    return Shown(
+        family, ends, visible, measures(teats, evidence, prior), places,
+        pass_through(teats, teats), errors, own, rest, terms,
+    )  # fmt: skip
+
+
+def _off(one: Shown) -> Array:
+    """How far each fit's end is from the nearest (m,), mm."""
+    away = np.linalg.norm(one.places_mm[:, None] - one.ends_mm, axis=2)
+    return np.asarray(away.min(axis=1))
+
+
+def learned_odds(some: Sequence[Shown], start: Array | None = None) -> tuple[Array, float]:
+    """Weights (k,) and bias. Fits that lie within a likelier right one are neither given nor looked
+    at, and count for less; which these are hangs on the weights, so this is done again.
+    """
+    seen = np.concatenate([one.seen for one in some])
+    off = [_off(one) for one in some]
+    far = np.concatenate(off)
+    usual = np.where((far > NOT_SURE_MM[0]) & (far < NOT_SURE_MM[1]), LESS, 1.0)
+    weights, bias = _odds(seen, far < NEAR_MM, usual, start)
+    for _ in range(AGAIN):
+        within = []
+        for one, mm in zip(some, off, strict=True):
+            odds = one.seen @ weights + bias
+            likelier = one.through & (odds[None] > odds[:, None]) & (mm < NEAR_MM)[None]
+            within.append(likelier.any(axis=1))
+        trust = np.where(np.concatenate(within), WITHIN * usual, usual)
+        weights, bias = _odds(seen, far < NEAR_MM, trust, np.r_[weights, bias])
+    return weights, bias
+
+
+def _odds(
+    seen: Array, label: NDArray[np.bool_], trust: Array, start: Array | None
+) -> tuple[Array, float]:
+    """By Newton's method on the ridge-penalised log likelihood, from ``start`` (k + 1,) on."""
+    middle, spread = seen.mean(axis=0), seen.std(axis=0) + 1e-9
+    z = np.column_stack([(seen - middle) / spread, np.ones(len(seen))])
+    ridge = RIDGE * trust.sum() * np.r_[np.ones(seen.shape[1]), 0.0]
+    weights = np.zeros(z.shape[1])
+    if start is not None:
+        weights = np.r_[start[:-1] * spread, start[-1] + start[:-1] @ middle]
+    for _ in range(50):
+        share = 1.0 / (1.0 + np.exp(-z @ weights))
+        slope = z.T @ (trust * (share - label)) + ridge * weights
+        bend = (z * (trust * share * (1 - share))[:, None]).T @ z + np.diag(ridge + 1e-9)
+        step = np.linalg.solve(bend, slope)
+        weights -= step
+        if np.abs(step).max() < 1e-4:
+            break
+    plain = weights[:-1] / spread
+    return plain, float(weights[-1] - plain @ middle)
+
+
+def learned_spread(some: Sequence[Shown]) -> Array:
+    """Factors (1 + k,): of what edges say, and of the terms."""
+    errors = np.concatenate([one.errors_mm for one in some])
+    own, rest, terms = (
+        np.concatenate([getattr(one, name) for one in some]) for name in ("own", "rest", "terms")
+    )
+    near = np.linalg.norm(errors, axis=1) < 15.0  # farther off it is another's end
+    errors, own, rest, terms = errors[near], own[near], rest[near], terms[near]
+
+    def cost(log: Array) -> tuple[float, Array]:
+        variance = np.exp(2 * log)
+        total = variance[0] * own + rest
+        total += np.einsum("k,mki,mkj->mij", variance[1:], terms, terms)
+        inverse = np.linalg.inv(total)
+        weighted = np.einsum("mij,mj->mi", inverse, errors)
+        squared = np.einsum("mi,mi->m", errors, weighted)
+        value = 0.5 * np.linalg.slogdet(total)[1].sum()
+        value += 0.5 * (FREEDOM + 3) * np.log1p(squared / (FREEDOM - 2)).sum()
+        pull = (FREEDOM + 3) / (FREEDOM - 2 + squared)
+        by_own = np.einsum("mij,mji->m", inverse, own)
+        by_own = by_own - pull * np.einsum("mi,mij,mj->m", weighted, own, weighted)
+        by_terms = np.einsum("mki,mij,mkj->mk", terms, inverse, terms)
+        by_terms -= pull[:, None] * np.einsum("mki,mi->mk", terms, weighted) ** 2
+        slope = np.r_[by_own.sum(), by_terms.sum(axis=0)] * variance
+        return float(value / len(errors)), slope / len(errors)
+
+    start = np.log(np.r_[1.0, np.full(len(TERMS), 0.05)])
+    bounds = [(-2.3, 2.3), *[(-8.0, 3.0)] * len(TERMS)]
+    found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds)
+    return np.asarray(np.where(found.x > -7.0, np.exp(found.x), 0.0))
+
+
+def judged(
+    some: Sequence[Shown], weights: Array, bias: float, least: float, power: float
+) -> dict[str, Any]:
+    """Ends visible and found, and false ones, of the best sets by these odds, and the mean mm."""
+    count: dict[str, Any] = {"visible": 0, "found": 0, "false": 0}
+    off = list[float]()
+    for one in some:
+        odds, kept = one.seen @ weights + bias, list[int]()
+        for i in np.argsort(-odds, kind="stable").tolist():
+            if odds[i] > least and len(kept) < Prior().udder and not one.through[i, kept].any():
+                kept.append(i)
+        ends, _ = means(one.places_mm, odds, kept, power)
+        found = match(ends, one.ends_mm, one.visible, gate_mm(one.ends_mm))
+        count["visible"] += found.counts.visible
+        count["found"] += found.counts.matched
+        count["false"] += found.counts.false
+        off += [float(np.linalg.norm(ends[i] - one.ends_mm[j])) for i, j in found.pairs]
+    return count | {"mean mm": round(float(np.mean(off)), 4)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=Path, required=True)
+    parser.add_argument("--out", type=Path, default=FILE)
+    given = parser.parse_args()
+    given.frames.mkdir(parents=True, exist_ok=True)
+    some = [shown for scene in scenes(given.frames) if (shown := shown_of(*scene))]
+    (given.frames / "shown.pickle").write_bytes(pickle.dumps(some))  # for studies
+    (weights, bias), factors = learned_odds(some), learned_spread(some)
+    power = min(POWERS, key=lambda each: judged(some, weights, bias, LEASTS[0], each)["mean mm"])
+    apart = list[tuple[str, list[Shown], tuple[Array, float]]]()
+    for name in SITUATIONS:
+        others = learned_odds([one for one in some if one.family != name], np.r_[weights, bias])
+        apart.append((name, [one for one in some if one.family == name], others))
+
+    def figures(least: float) -> dict[str, dict[str, Any]]:
+        return {name: judged(own, *by, least, power) for name, own, by in apart}
+
+    def gain(least: float) -> int:
+        return sum(one["found"] - FALSE * one["false"] for one in figures(least).values())
+
+    least = max(LEASTS, key=gain)
+    left_out = figures(least)
+    right = np.concatenate([one.seen[_off(one) < NEAR_MM] for one in some])
+    usual = dict(zip(MEASURES, np.round(right.mean(axis=0), 4).tolist(), strict=True))
+    by_name = dict(zip(MEASURES, np.round(weights, 4).tolist(), strict=True))
+    spread = dict(zip(TERMS, np.round(factors[1:], 5).tolist(), strict=True))
+    table = {
+        "made": {
+            "seed": SEED,
+            "first": FIRST,
+            "members": MEMBERS,
+            "rigs": RIGS,
+            "scenes": len(some),
+        }
+        | {"fits": sum(len(one.seen) for one in some)}
+        | {"ends": sum(len(one.errors_mm) for one in some)},
+        "odds": {
+            "least": least,
+            "power": power,
+            "bias": round(bias, 4),
+            "weights": by_name,
+            "usual": usual,
+        },
+        "spread": {"edges": round(float(factors[0]), 5), "terms": spread},
+        "families left out": left_out,
+    }
+    given.out.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+    total = {
+        key: sum(one[key] for one in left_out.values()) for key in ("visible", "found", "false")
+    }
+    print(f"families left out in turn: {total}")
+
+
+if __name__ == "__main__":
+    main()
