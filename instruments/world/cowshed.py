@@ -14,7 +14,7 @@ import numpy as np
 
 from instruments.world.draws import PLACES, Draw, footing, plain, shape, udder
 from instruments.world.objects import SceneObject, make_object
-from instruments.world.phantom import Phantom, PlatePose, Spots, Teat, TeatForm, TeatShape, Udder
+from instruments.world.phantom import Phantom, Spots, Teat, TeatForm, TeatShape, Udder
 from instruments.world.setups import EYES_MM, Situation, collisions, hidden_ways
 from instruments.world.shading import Paint
 
@@ -296,8 +296,7 @@ def outward(draw: Draw) -> Situation:
         way = math.atan2(0.6 * away, across) + draw.between("lean_way_rad", -0.5, 0.5)
         slope = math.tan(lean) * math.cos(way), math.tan(lean) * math.sin(way)
         teats.append(Teat(foot_mm(across, away), form, (math.atan(slope[0]), math.atan(slope[1]))))
-    # a plate that is raised, so that no foot reaches below the table
-    return plain(draw, Phantom(tuple(teats), PlatePose(z_mm=10.0)))
+    return plain(draw, Phantom(tuple(teats)))
 
 
 def swollen(draw: Draw) -> Situation:

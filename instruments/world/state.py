@@ -16,7 +16,7 @@ from instruments.world.sensor import Exposure
 from instruments.world.shading import Lighting, Paint
 from instruments.world.solids import Ints, Point, Solids
 
-LOWEST_MM = 1.0  # below the table: paint and play
+LOWEST_MM = 10.0  # below the table: paint, play, and the foot of a teat that leans by 40 degrees
 # twice the plant's 0.046 / 1.9: the skin is as warm as the water at the base, and farthest behind
 # it at the end
 TEAT_FALL = 0.048

@@ -77,7 +77,7 @@ POINTS = {
     "verdict": "Not met | thesis: not met: error below 5 mm | What to do next | How sure that is",
     # 2 item and bench; 11 raw data and command
     "provenance": (
-        "Item under test: thesis | Item under test: fused | computed by | configuration SHA-256 | version, machine"
+        "Item under test: thesis | Item under test: fused | configuration SHA-256 | version, machine"
         " | bench's commit | seed | run.sqlite | trials.csv | record's digest | teatbench"
         " | The command that repeats it"
     ),

@@ -10,7 +10,15 @@ from pathlib import Path
 import pytest
 
 import bench
-import bench.testing.checking  # here, for a session in this process forgets what it loaded first
+
+# here, for a session in this process forgets what it loaded first: numba and scipy too
+import bench.api.rigs
+import bench.report.page
+import bench.rig.opening
+import bench.run.start
+import bench.testing.checking
+import bench.testing.found
+import bench.testing.trials
 from bench.rig.loading import load_rig
 from bench.run.lock import lock_path, locked
 from tests.bench.campaign.small_campaign import write_small_rig
