@@ -50,6 +50,9 @@ def hot_bath(folder: Path) -> Iterator[HotBath]:
     try:
         url = listener.url.replace("socket://", "tcp://")
         yield HotBath(plant, emulator, clock, url, folder)
+        for thread in threading.enumerate():
+            if thread.name == "guardian":  # it goes once it has read back that the bath is safe
+                thread.join(30.0)
     finally:
         listener.close()
         clock.close()
