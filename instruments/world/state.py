@@ -16,7 +16,8 @@ from instruments.world.sensor import Exposure
 from instruments.world.shading import Lighting, Paint
 from instruments.world.solids import Ints, Point, Solids
 
-LOWEST_MM = 10.0  # below the table: paint, play, and the foot of a teat that leans by 40 degrees
+LOWEST_MM = 1.0  # below the table: paint and play
+FOOT_MM = 10.0  # a teat's, which is in the plate: its lower edge where it leans by 40 degrees
 # twice the plant's 0.046 / 1.9: the skin is as warm as the water at the base, and farthest behind
 # it at the end
 TEAT_FALL = 0.048
@@ -57,7 +58,8 @@ class SceneState:
                     f"the temperature of {what} must be from -60 to 200 degC, is {values}"
                 )
         stage, behind_mm = Stage.of(self.everything()), self.backdrop.board_y_mm
-        low = np.flatnonzero(stage.solids.nearest_depth() < -LOWEST_MM)
+        lowest_mm = np.where(stage.owner < len(self.phantom.teats), -FOOT_MM, -LOWEST_MM)
+        low = np.flatnonzero(stage.solids.nearest_depth() < lowest_mm)
         if len(low):
             raise ValueError(f"{stage.name_of(low)} reaches below the table (z = 0): raise it")
         far = np.flatnonzero(np.maximum(stage.solids.a[:, 1], stage.solids.b[:, 1]) > behind_mm)
