@@ -20,7 +20,7 @@ from bench.record.reader import RunRecord
 from bench.record.recording import Recording, RecordingError, RecordingWriter, TruthRow
 from bench.results.answers import Answer, Examiner, close_detectors, one_line
 from bench.results.cameras_agree import truth_rows
-from bench.script.detectors import make_detectors
+from bench.script.detectors import make_detectors, refusals
 from bench.truth.carrying import resumed
 from bench.truth.uncertainty import How
 from detector.protocol import Detection, Outcome
@@ -131,7 +131,10 @@ def detect_lines(path: Path, names: Sequence[str]) -> Iterator[tuple[dict[str, A
     """For each frame and detector the JSON line of the recording format, and a sentence."""
     detectors = make_detectors(names)
     recording = Recording(path)
-    examiner = Examiner(read_calibration(recording.calibration_path))
+    calibration = read_calibration(recording.calibration_path)
+    if faults := list(refusals(detectors, calibration)):
+        raise ConfigError.plain("\n".join(faults))
+    examiner = Examiner(calibration)
     try:
         for frame in recording.frames:
             frames: FrameSet | None = None

@@ -73,6 +73,7 @@ from bench.script.model import (
 )
 from bench.script.planned_trials import pose_set
 from bench.truth.touching import truth_row
+from detector.calibration import Calibration
 from detector.protocol import Detector
 from instruments.camera.frame import FrameSet
 from instruments.captures.capture import CaptureFile
@@ -472,14 +473,19 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
     """Score detectors over a recording; the run's folder. Raises ConfigError, RecordingError."""
     check_pack(path)
     under_test, recording, path = make_detectors(detectors), Recording(path), path.resolve()
-    with introduced(under_test, members_of(recording)):
-        return _scored(path, recording, out, progress, under_test)
+    calibration = read_calibration(recording.calibration_path, doubtful=True)
+    with introduced(under_test, members_of(recording), calibration):
+        return _scored(path, recording, calibration, out, progress, under_test)
 
 
 def _scored(
-    path: Path, recording: Recording, out: Path, progress: Progress, under_test: Sequence[Detector]
+    path: Path,
+    recording: Recording,
+    calibration: Calibration,
+    out: Path,
+    progress: Progress,
+    under_test: Sequence[Detector],
 ) -> Path:
-    calibration = read_calibration(recording.calibration_path, doubtful=True)
     doubts = doubts_of(recording, calibration)
     truth = {} if doubts else recording.truth  # nothing is charged where none can be found
     examiner = Examiner(calibration)

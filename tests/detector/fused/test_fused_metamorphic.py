@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -12,8 +14,10 @@ from numpy.typing import NDArray
 
 from bench.config import ConfigError
 from bench.rig import moved
+from bench.run.recordings import detect_lines
+from bench.run.start import score_recording
 from bench.script.detectors import introduced
-from detector.calibration import Calibration
+from detector.calibration import Calibration, dump_calibration
 from detector.fused.detector import FusedDetector
 from detector.geometry import Camera, Motion
 from detector.protocol import Detection
@@ -195,6 +199,21 @@ def test_a_rig_outside_of_the_domain_is_refused_by_name(
     refused = pytest.raises(ConfigError, match=r"fused can.t be used with this rig")
     with refused, introduced([detector], {}, other):
         pass
+
+
+def test_a_recording_of_such_a_rig_is_refused_before_its_first_frame(
+    rig: Calibration, tmp_path: Path
+) -> None:
+    recording, text = tmp_path / "tilted", dump_calibration(moved.tilted(rig, 70.0))
+    (recording / "frames" / "0").mkdir(parents=True)
+    (recording / "calibration.toml").write_text(text, encoding="utf-8")
+    for what in (
+        lambda: score_recording(recording, tmp_path / "runs", Mock(), ["fused"]),
+        lambda: list(detect_lines(recording, ["fused"])),
+    ):
+        with pytest.raises(ConfigError, match=r"fused can.t be used with this rig: .*looks up"):
+            what()
+    assert not (tmp_path / "runs").exists()
 
 
 def test_another_world_turns_the_answers(frames: Any, plain: Detection, rig: Calibration) -> None:
