@@ -174,13 +174,15 @@ MEASURES: dict[str, Measure] = {
 }
 
 
+_RANGES = np.array([(measure.least, measure.most) for measure in MEASURES.values()]).T
+
+
 def measures(teats: Array, evidence: Evidence, prior: Prior) -> Array:
     """What `MEASURES` weighs of teats (m, 8), (m, k)."""
     fits = Fits.made(teats, evidence, prior)
-    every = (
-        np.clip(np.nan_to_num(m.of(fits), nan=-9.0), m.least, m.most) for m in MEASURES.values()
-    )
-    return np.stack([np.asarray(one, dtype=np.float64) for one in every], axis=1)
+    every = np.stack([measure.of(fits) for measure in MEASURES.values()], axis=1, dtype=np.float64)
+    every[np.isnan(every)] = -9.0
+    return np.clip(every, *_RANGES, out=every)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -210,21 +212,20 @@ def decide(teats: Array, evidence: Evidence, learned: Learned, prior: Prior) -> 
     short = (in_order(learned.usual, MEASURES) - seen) * weights
     reasons: list[str | None] = [list(kinds)[k].lacking for k in short.argmax(axis=1)]
     witness = lack[:, [kind.witness for kind in kinds]].sum(axis=1)
-    through, kept = pass_through(teats, teats), list[int]()
-    for i in np.argsort(-odds, kind="stable").tolist():
-        if odds[i] <= learned.least:
-            break
-        if through[i, kept].any():
+    order = np.argsort(-odds, kind="stable")
+    order = order[odds[order] > learned.least]
+    through, kept = pass_through(teats[order], teats[order]), list[int]()
+    for place, i in enumerate(order.tolist()):
+        if through[place, kept].any():
             reasons[i] = WORSE
         elif len(kept) == prior.udder:
             reasons[i] = ONE_MORE
         else:
             reasons[i] = None
-            kept.append(i)
+            kept.append(place)
     rejected = np.array([reason is not None for reason in reasons], dtype=bool)
-    return Decision(
-        odds, reasons, rejected & (odds + witness > learned.least) & (odds <= learned.least)
-    )
+    by_witness = rejected & (odds + witness > learned.least) & (odds <= learned.least)
+    return Decision(odds, reasons, by_witness)
 
 
 NEAR_MM = 4.0  # a fit whose end is so near to a teat's is right

@@ -34,13 +34,7 @@ from detector.fused.learned import learned
 from detector.fused.left_out import left_out, outside
 from detector.fused.parameters import Parameters
 from detector.fused.refine import (
-    FAR_MM,
-    NEAR_MM,
-    hidden_points,
-    on_one_bar,
-    one_sided,
     refine,
-    refine_again,
     refine_beside,
     refine_slid,
     shaped_again,
@@ -63,7 +57,7 @@ from detector.fused.witness import Agreement, agreement, calibration_covariances
 from detector.geometry import Array, Camera
 from detector.history import predicted
 from detector.outline import pictures
-from detector.outline.fine import Fitted, fine
+from detector.outline.fine import Fitted
 from detector.outline.fit import View, upright
 from detector.outline.model import COUNT, Rows, apexes, axes
 from detector.outline.prior import (
@@ -79,9 +73,8 @@ from detector.protocol import Context, Detection, Frames, Stage, Teat
 _SAME_MM, _CHI2_99 = 15.0, 11.345  # two answers on one end; 99 % of three degrees of freedom
 _BESIDE_PX = np.array([-1.0, 0.0, 1.0])  # disparities about an expected end
 _OPTICAL_BLUR_PX, _THERMAL_BLUR_PX = 1.5, 0.8  # as much as a start may be off
-# log odds above what is accepted: beyond doubt; below, of what a nearer teat may hide, and of what
-# is told of
-_SURE, _MAYBE_HIDDEN, _MAYBE_END = 3.0, 6.0, 4.0
+# log odds above what is accepted: beyond doubt; below, of what is told of
+_SURE, _MAYBE_END = 3.0, 4.0
 _UNSURE_MM = 0.3  # of an end's sd, beyond which fits begin beside it too
 LEARNED = learned()
 _ROOM_ABOVE_MM = 110.0  # how far above a bar's visible part its end may be
@@ -93,7 +86,7 @@ class FusedDetector:
 
     settings: Parameters = field(default_factory=Parameters)
     name: str = "fused"  # in the registry
-    version: str = "18"  # counted up when an answer on any frame set changes
+    version: str = "19"  # counted up when an answer on any frame set changes
 
     covariance_leaves_out: ClassVar[str] = (
         "what the ends of one frame have in common (each end has its own covariance); where the"
@@ -271,8 +264,8 @@ def _fit(
     calibration: Calibration,
     p: Parameters,
 ) -> _Judged:
-    """Fit and judge; again without what a neighbour may have bridged or hidden, and from beside
-    what is unsure.
+    """Fit and judge; again where ends may be too high or low, or not of the usual shape, and from
+    beside what is unsure.
     """
 
     def weighed(fitted: Fitted) -> _Candidates:
@@ -282,30 +275,16 @@ def _fit(
         return _judge(candidates, p)
 
     judged = _from_starts(teats, views, thermal, ends, p)
-    bridging, shifted = doubts(judged.fitted.teats, judged.evidence, judged.decision, p)
-    if bridging or shifted:
-        more, doubtful = judged.candidates, judged.fitted.teats[shifted]
-        if bridging:
-            starts, left_out = one_sided(judged.fitted.teats[bridging], p, len(views))
-            more += weighed(fine(starts, left_out, views, p.prior))
-        if len(doubtful):
-            slid = [slide_to_round(doubtful, views, NEAR_MM), slide_to_stop(doubtful, views)]
-            more += weighed(refine_slid(np.concatenate(slid), views, p))
-        judged = judge(more)
-        # farther only where none is near, as an arm may show what looks like an end too
-        same = on_one_bar(judged.fitted.teats)[np.ix_(shifted, judged.decision.accepted)]
-        far = slide_to_round(doubtful[~same.any(axis=1)], views, FAR_MM)
-        if len(far):
-            judged = judge(judged.candidates + weighed(refine_slid(far, views, p)))
+    shifted = doubts(judged.fitted.teats, judged.evidence, judged.decision, p)
+    if shifted:
+        doubtful = judged.fitted.teats[shifted]
+        slid = np.concatenate([slide(doubtful, views) for slide in (slide_to_round, slide_to_stop)])
+        judged = judge(judged.candidates + weighed(refine_slid(slid, views, p)))
     unlike = shapes(judged.fitted.teats, judged.evidence, judged.decision, p)
     if unlike:
-        judged = judge(weighed(shaped_again(judged.fitted, unlike, p, views)))
-    again = np.flatnonzero(judged.decision.odds > LEARNED.least - _MAYBE_HIDDEN).tolist()
-    hidden = hidden_points(judged.fitted, judged.decision.accepted, again)
-    if hidden.any():
-        clear, behind = (np.flatnonzero(hidden.any(axis=1) == some) for some in (False, True))
-        refitted = refine_again(judged.fitted.take(behind), hidden[behind], views, p)
-        judged = judge(judged.candidates.take(clear) + weighed(refitted))
+        usual = np.delete(np.arange(len(judged.fitted.teats)), unlike)
+        again = weighed(shaped_again(judged.fitted.take(unlike), views, p))
+        judged = judge(judged.candidates.take(usual) + again)
     unsure = [i for i in judged.decision.accepted if judged.evidence.sd_mm[i] > _UNSURE_MM]
     if unsure:
         beside = refine_beside(judged.fitted.take(unsure), views, p, calibration)

@@ -1,9 +1,8 @@
 """From starts to fitted teats: a rough pass for many, a fine one for the rest, and further fits
 where needed.
 
-The rough pass looks far for plain steps; the fine pass looks close with the full edge model. Then:
-a fit that may bridge two teats is begun again on one side; an end seen in part is slid up its
-sides; and points hidden by an accepted teat are left out.
+The rough pass looks far for plain steps; the fine pass looks close with the full edge model. Then
+an end seen in part is slid up its sides, and an unsure one is begun from beside.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ from numpy.typing import NDArray
 from detector.calibration import Calibration
 from detector.fused.parameters import Parameters
 from detector.geometry import Array
-from detector.outline import kernels
 from detector.outline.edges import LEAST_CLEAR
 from detector.outline.fine import (
     FINE_OUTLINE,
@@ -28,7 +26,6 @@ from detector.outline.fine import (
     Fitted,
     fine,
     look_again,
-    next_to,
 )
 from detector.outline.fit import Seen, View, look, step, weights
 from detector.outline.model import (
@@ -37,9 +34,6 @@ from detector.outline.model import (
     END,
     HEIGHT,
     RADIUS,
-    SIDE_A,
-    SIDE_B,
-    TAPER,
     Outline,
     apexes,
     axes,
@@ -130,7 +124,7 @@ def on_one_bar(teats: Array) -> NDArray[np.bool_]:
 
 
 _END_OUTLINE = Outline(np.array([1.0]), (np.arange(18) + 0.5) / 18)
-NEAR_MM, FAR_MM = np.arange(-14.0, 15.0), np.arange(15.0, 49.0)  # towards the end
+_SLIDE_MM = np.arange(-14.0, 15.0)  # towards the end
 # of the best place's share of an end, and of the whole end: so much must be seen where an end may
 # be
 _NEARLY, _LEAST_END = 0.72, 0.5
@@ -141,29 +135,8 @@ _FROM_FOOT_MM, _FARTHEST_MM, _GOES_ON = 12.0, 60.0, 0.6
 ROUND_MM = 3.0  # beyond its middle a round end looks straight
 # of the usual spread of heights: an end that is seen in part doesn't give both shape and place
 _SHAPE = 0.3
-# of the usual lean: what is left of a hidden teat's outline hardly separates lean from depth
-_UPRIGHT = 0.5
 _BESIDE = ((1.5, 0.0), (-1.5, 0.0), (0.0, 0.3), (0.0, -0.3))  # mm across, px of disparity
-_NEARER_MM = 3.0
 _SHORT_MM = 26.0  # of the sides of a teat that stands 35 mm out of an udder
-# left, right, thermal: about a nearer teat, where its edge is what is found
-_ROOM_PX = (3.0, 3.0, 1.0)
-
-
-def refine_again(
-    fitted: Fitted, hidden: NDArray[np.bool_], views: tuple[View, ...], p: Parameters
-) -> Fitted:
-    """The teats fitted again without outline points (m, k) that another teat hides."""
-    found, left_out = list[Fitted](), hidden | fitted.hidden
-    covered = left_out.any(axis=1)
-    for shaped, priors in ((False, p), (True, any_shape(p))):
-        for behind, share in ((False, 1.0), (True, _UPRIGHT)):
-            at = np.flatnonzero((fitted.shaped == shaped) & (covered == behind))
-            if len(at):
-                prior = replace(priors.prior, lean_sd=share * priors.prior.lean_sd)
-                again = fine(fitted.teats[at], left_out[at], views, prior, steps=FINE_STEPS - 1)
-                found.append(replace(again, followed=fitted.followed[at], shaped=fitted.shaped[at]))
-    return reduce(operator.add, found)
 
 
 def refine_beside(
@@ -178,8 +151,17 @@ def refine_beside(
     for start, (aside_mm, nearer_px) in zip(starts, _BESIDE, strict=True):
         start[:, :3] *= (px / (px + nearer_px))[:, None]
         start[:, CX] += aside_mm
-    again = replace(fitted.take(np.tile(np.arange(n), 4)), teats=starts.reshape(-1, COUNT))
-    return refine_again(again, np.zeros_like(again.hidden), views, p)
+    again, found = (
+        replace(fitted.take(np.tile(np.arange(n), 4)), teats=starts.reshape(-1, COUNT)),
+        [],
+    )
+    for shaped, priors in ((False, p), (True, any_shape(p))):
+        at = np.flatnonzero(again.shaped == shaped)
+        if len(at):
+            some = again.take(at)
+            fits = fine(some.teats, some.hidden, views, priors.prior, steps=FINE_STEPS - 1)
+            found.append(replace(fits, followed=some.followed, shaped=some.shaped))
+    return reduce(operator.add, found)
 
 
 @cache
@@ -189,39 +171,16 @@ def any_shape(p: Parameters) -> Parameters:
     return replace(p, prior=prior)
 
 
-def shaped_again(
-    fitted: Fitted, which: list[int], p: Parameters, views: tuple[View, ...]
-) -> Fitted:
-    """All, and ``which`` fitted again as short ones of any shape: sides no farther than such a teat
+def shaped_again(fitted: Fitted, views: tuple[View, ...], p: Parameters) -> Fitted:
+    """The same, and fitted again as short ones of any shape: sides no farther than such a teat
     stands out of an udder. The first fits of these are as unsure as the second.
     """
-    teats = fitted.teats[which]
-    n = len(FINE_OUTLINE.part)
-    along = np.full(n, 0.0)
-    along[FINE_OUTLINE.part != END] = np.concatenate(
-        [FINE_OUTLINE.along_mm[::-1], FINE_OUTLINE.along_mm]
-    )
-    hidden = np.tile(along > _SHORT_MM, (len(teats), len(views)))
-    found = fine(teats, hidden, views, any_shape(p).prior, steps=FINE_STEPS + 1)
-    unlike = np.isin(np.arange(len(fitted.teats)), which)
-    return replace(fitted, shaped=unlike) + replace(found, shaped=np.ones(len(teats), dtype=bool))
-
-
-def one_sided(teats: Array, p: Parameters, views: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Two starts for each teat (m, 8), each with one side and half the end; and what is left out.
-    Where teats touch, the other side is the neighbour's.
-    """
-    starts, masks = [], []
-    for lost, sign in ((SIDE_B, -1.0), (SIDE_A, 1.0)):
-        start = teats.copy()
-        start[:, CX] += sign * (start[:, RADIUS] - p.prior.radius_mm)
-        start[:, RADIUS], start[:, TAPER] = p.prior.radius_mm, 0.0
-        starts.append(start)
-        left_out = FINE_OUTLINE.part == lost
-        left_out[next_to(lost, 2)] = True
-        left_out = np.tile(left_out, views)
-        masks.append(np.repeat(left_out[None], len(teats), axis=0))
-    return np.concatenate(starts), np.concatenate(masks)
+    count, part = len(fitted.teats), FINE_OUTLINE.part
+    along, every = np.zeros(len(part)), np.ones(len(fitted.teats), dtype=bool)
+    along[part != END] = np.concatenate([FINE_OUTLINE.along_mm[::-1], FINE_OUTLINE.along_mm])
+    hidden = np.tile(along > _SHORT_MM, (count, len(views)))
+    found = fine(fitted.teats, hidden, views, any_shape(p).prior, steps=FINE_STEPS + 1)
+    return replace(fitted, shaped=every) + replace(found, shaped=every)
 
 
 def refine_slid(slid: Array, views: tuple[View, ...], p: Parameters) -> Fitted:
@@ -262,21 +221,19 @@ def slide_to_stop(teats: Array, views: tuple[View, ...]) -> Array:
     return slid
 
 
-def slide_to_round(teats: Array, views: tuple[View, ...], slide_mm: Array) -> Array:
-    """Teats (m, 8) with ends moved along their axes by one of ``slide_mm`` (s,), to where both
-    optical pictures show a round end.
+def slide_to_round(teats: Array, views: tuple[View, ...]) -> Array:
+    """Teats (m, 8) with ends moved along their axes by some mm, to where both optical pictures show
+    a round end.
 
     Light paints rims on a teat, but nothing as wide beyond its end: of places nearly as good as the
     best, the farthest out.
     """
-    m, count = len(teats), len(slide_mm)
-    if m == 0:
-        return teats
+    m, count = len(teats), len(_SLIDE_MM)
     slid = np.repeat(teats[:, None], count, axis=1)
     slid[..., HEIGHT] = 1.0
     axis = axes(teats)[:, None]
     slid[..., :3] -= (teats[:, RADIUS] * (teats[:, HEIGHT] - 1.0))[:, None, None] * axis
-    slid[..., :3] -= slide_mm[:, None] * axis
+    slid[..., :3] -= _SLIDE_MM[:, None] * axis
     seen = look(slid.reshape(-1, COUNT), views[:2], _END_OUTLINE, fine=True, slopes_too=False)
     part = np.tile(_END_OUTLINE.part == END, 2)
     good = np.abs(seen.offset_px) < _CLOSE_PX
@@ -287,29 +244,3 @@ def slide_to_round(teats: Array, views: tuple[View, ...], slide_mm: Array) -> Ar
     near = np.abs(np.arange(count) - last[:, None]) <= 2
     best = np.where(near, share, 0.0).argmax(axis=1)
     return np.asarray(slid[np.arange(m), best][peak.any(axis=1)])
-
-
-def hidden_points(fitted: Fitted, accepted: list[int], again: list[int]) -> NDArray[np.bool_]:
-    """Which outline points (m, k) lie on or beside a nearer accepted teat; of teats ``again``."""
-    m, n = len(fitted.teats), len(FINE_OUTLINE.part)
-    pixels = fitted.seen.pixels_px.reshape(m, -1, n, 2)
-    hidden = np.zeros(pixels.shape[:3], dtype=bool)
-    away_mm = np.linalg.norm(fitted.teats[:, :3], axis=1)
-    for k in accepted:
-        nearer = away_mm[k] + _NEARER_MM
-        behind = np.array([i for i in again if away_mm[i] > nearer], dtype=np.intp)
-        for view, room in enumerate(_ROOM_PX):
-            hidden[behind, view] |= _inside(pixels[behind, view], pixels[k, view], room)
-    return hidden.reshape(m, -1)
-
-
-def _inside(points: Array, outline: Array, room_px: float) -> NDArray[np.bool_]:
-    """Whether points (b, n, 2) lie within a closed ``outline`` (n, 2), or ``room_px`` of it."""
-    result = np.zeros(points.shape[:2], dtype=bool)
-    low, high = outline.min(axis=0) - room_px, outline.max(axis=0) + room_px
-    near = np.all((points > low) & (points < high), axis=2)
-    p = points[near]
-    if len(p) == 0:
-        return result
-    result[near] = kernels.inside(p, outline, room_px)
-    return result

@@ -718,24 +718,3 @@ def follow(
             if j < k and not abs(moves) < still_px:
                 moving[i] = True
     return result, np.flatnonzero(moving)
-
-
-@_compiled("b1[::1](f8[:,::1],f8[:,::1],f8)")
-def inside(points: Array, outline: Array, room_px: float) -> NDArray[np.bool_]:
-    """The last part of `refine._inside`, of points (n, 2) that are near."""
-    count = len(outline)
-    result = np.empty(len(points), dtype=np.bool_)
-    for i in range(len(points)):
-        within, nearest = False, np.inf
-        for j in range(count):
-            x, y = points[i, 0] - outline[j, 0], points[i, 1] - outline[j, 1]
-            k = j + 1 if j + 1 < count else 0
-            way_x, way_y = outline[k, 0] - outline[j, 0], outline[k, 1] - outline[j, 1]
-            share = (x * way_x + y * way_y) / max(way_x * way_x + way_y * way_y, 1e-12)
-            share = min(max(share, 0.0), 1.0)
-            off_x, off_y = x - share * way_x, y - share * way_y
-            nearest = min(nearest, off_x * off_x + off_y * off_y)
-            if (y < 0) != (y < way_y) and x < way_x * y / way_y:
-                within = not within
-        result[i] = within or nearest < room_px**2
-    return result

@@ -1,37 +1,17 @@
-"""Starts that lead nowhere, ends that are followed up their sides, and what is inside of an outline."""
+"""Starts that lead nowhere, and ends that are followed up their sides."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
 from detector.fused import depth_search
 from detector.fused.parameters import Parameters
-from detector.fused.refine import _inside
 from detector.outline.model import CX
 from tests.detector.fused.conftest import Body, Find
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_points_inside_of_an_outline_are_those_of_opencv(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    angle = np.sort(rng.uniform(0, 2 * np.pi, 30))
-    outline = np.column_stack([np.cos(angle), np.sin(angle)]) * rng.uniform(20, 60, (30, 1)) + 100.0
-    points = rng.uniform(20, 180, (3, 200, 2))
-    polygon = outline.astype(np.float32).reshape(-1, 1, 2)
-    off = np.array(
-        [
-            cv2.pointPolygonTest(polygon, (float(x), float(y)), True)
-            for x, y in points.reshape(-1, 2)
-        ]
-    ).reshape(3, 200)
-    for room in (3.0, 1.0):
-        sure = np.abs(off + room) > 0.01  # OpenCV's is in single precision
-        assert (_inside(points, outline, room)[sure] == (off > -room)[sure]).all()
 
 
 @pytest.mark.slow
