@@ -61,7 +61,7 @@ def laid_over(ends_mm: Array, onto_mm: Array) -> tuple[Array, Array]:
 def udder_of(context: Context) -> Udder | None:
     """What her visits say of her udder as full as it is now; None for too few visits."""
     visits = [visit for visit in context.visits if len(visit.teats) >= LEAST_SEEN]
-    if len(visits) < LEAST_VISITS:
+    if len(visits) < LEAST_VISITS or context.hours_since_milking is None:
         return None
     teats = tuple(sorted({teat for visit in visits for teat in visit.teats}))
     fills = np.array([fill(visit.hours_since_milking) for visit in visits])

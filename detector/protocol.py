@@ -142,19 +142,33 @@ class Visit:
 
 
 @dataclass(frozen=True, slots=True)
-class Context:
-    """Which cow stands there: hours since she was milked, days in milk (None: not known), and her
-    earlier visits, the oldest first.
+class CamerasOff:
+    """What a bench has found of its cameras so far in a run, beyond its limit: the known ends have
+    their disparity off by so many px, with this expanded uncertainty, over so many poses.
     """
 
-    hours_since_milking: float
+    disparity_px: float
+    u_px: float
+    poses: int
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """Which cow stands there: hours since she was milked, days in milk (None: not known), and her
+    earlier visits, the oldest first. And what is known of the cameras, where they are off.
+    """
+
+    hours_since_milking: float | None = None
     days_in_milk: float | None = None
     visits: tuple[Visit, ...] = ()
+    cameras: CamerasOff | None = None
 
 
 @runtime_checkable
 class WithContext(Protocol):
-    """A detector that can use a cow's history for ``predicted`` ends, as well as plain `detect`."""
+    """A detector that can use a cow's history for ``predicted`` ends and what is known of the
+    cameras for what it states, as well as plain `detect`.
+    """
 
     def detect_with(
         self, frames: Frames, calibration: Calibration, context: Context

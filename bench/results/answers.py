@@ -21,6 +21,7 @@ from bench.results.working_volume import outside_volume
 from bench.scoring.scene import SceneScore, score_scene
 from detector.calibration import Calibration
 from detector.protocol import (
+    Context,
     Detection,
     DetectionFailure,
     Detector,
@@ -29,6 +30,7 @@ from detector.protocol import (
     Served,
     Stage,
     Teat,
+    WithContext,
     depth_of,
 )
 from instruments.clock import load_per_processor, processor_s, stopwatch_s
@@ -212,11 +214,18 @@ class Examiner:
         self._calibration, self._timeout_s = calibration, timeout_s
         self._asked: set[str] = set()
 
-    def ask(self, detector: Detector, frames: Frames) -> Answer:
-        """One detector on one frame set."""
+    def ask(self, detector: Detector, frames: Frames, context: Context | None = None) -> Answer:
+        """One detector on one frame set, with what is known beside it."""
         first = detector.name not in self._asked
         self._asked.add(detector.name)
-        return examine(detector, frames, self._calibration, first=first, timeout_s=self._timeout_s)
+        return examine(
+            detector,
+            frames,
+            self._calibration,
+            first=first,
+            timeout_s=self._timeout_s,
+            context=context,
+        )
 
 
 def examine(
@@ -226,6 +235,7 @@ def examine(
     *,
     first: bool = False,
     timeout_s: float = TIMEOUT_S,
+    context: Context | None = None,
 ) -> Answer:
     """Detect, timed. Any failure becomes an answer without teats that gives the reason."""
     served = detector if isinstance(detector, Served) else None
@@ -237,7 +247,10 @@ def examine(
         start_s, used_before_s = stopwatch_s(), processor_s()
         try:
             with redirect_stdout(sys.stderr):  # the bench's own output may be read by a program
-                given = detector.detect(shown, calibration)
+                if context and isinstance(detector, WithContext):
+                    given: Any = detector.detect_with(shown, calibration, context)
+                else:
+                    given = detector.detect(shown, calibration)
         finally:
             seconds, used_s = stopwatch_s() - start_s, processor_s() - used_before_s
         if seconds > timeout_s:

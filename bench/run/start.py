@@ -24,7 +24,13 @@ from bench.record.state import run_lock
 from bench.record.writer import Store
 from bench.results import health
 from bench.results.answers import Answer, Examiner
-from bench.results.cameras_agree import UNCHECKED_FACT, spread, unchecked_text, where_seen
+from bench.results.cameras_agree import (
+    UNCHECKED_FACT,
+    CamerasSoFar,
+    spread,
+    unchecked_text,
+    where_seen,
+)
 from bench.results.doubts import DOUBTS_FACT, LOOKED_FACT, doubts_of, looked_at
 from bench.results.queue import ENDED, QueueNote
 from bench.results.stated_arm import contradictions, stated_fact
@@ -488,7 +494,7 @@ def _scored(
 ) -> Path:
     doubts = doubts_of(recording, calibration)
     truth = {} if doubts else recording.truth  # nothing is charged where none can be found
-    examiner = Examiner(calibration)
+    examiner, so_far = Examiner(calibration), CamerasSoFar()
     rules, planned, poses = RECORDING_RULES, len(recording.frames), _pose_names(recording)
     seen = {
         frame: where_seen(recording.load(frame), calibration, truth.get(frame, ()))
@@ -508,9 +514,11 @@ def _scored(
         for number, frame in enumerate(recording.frames, 1):
             progress.trial(number - 1, planned, frame)
             frames = recording.load(frame)
-            answers = [examiner.ask(one, frames) for one in under_test if not doubts]
+            off = so_far.context
+            answers = [examiner.ask(one, frames, off) for one in under_test if not doubts]
             known, scored = recording.truth.get(frame, ()), truth.get(frame, ())
             ends = seen.get(frame, {})
+            so_far.add(poses[frame], ends, scored)
             rows = [truth_row("", row, seen=ends.get(row.teat)) for row in known]
             situation = known[0].situation if known else "unknown"
             run.add(frame, poses[frame], situation, frames, answers, scored, rows)

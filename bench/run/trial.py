@@ -19,7 +19,7 @@ from bench.record.recording import TruthRow
 from bench.record.schema import Row
 from bench.record.writer import Store
 from bench.results.answers import Answer, Examiner, score_answers
-from bench.results.cameras_agree import where_seen
+from bench.results.cameras_agree import CamerasSoFar, where_seen
 from bench.results.doubts import out_of_sight
 from bench.results.teats_seen import TEATS_FACT, teats_seen
 from bench.rig.frame_capture import FrameTaker
@@ -269,6 +269,7 @@ class TrialRun:
         # what of a pose the stage does; the operator does the rest
         self._axes = rig.stage.axes if ctx.devices.stage and rig.stage else ""
         self._examiner = Examiner(ctx.rig.calibration, rig.limits.detection_timeout_s)
+        self._cameras = CamerasSoFar()
 
         def before_another_try(seconds: float) -> None:
             ctx.wait(seconds)
@@ -451,7 +452,7 @@ class TrialRun:
                 ctx.check()
 
     def _detect(self, frames: FrameSet) -> list[Answer]:
-        answers: list[Answer] = []
+        answers, known = list[Answer](), self._cameras.context
         for detector in () if self.rehearsing else self._detectors:
             what = f"detecting with {detector.name}"
             self._ctx.events.state(what)
@@ -459,7 +460,7 @@ class TrialRun:
             if isinstance(detector, Served):
                 patience_s = detector.patience_s
             self._ctx.long(what, 10.0 + patience_s, silent=True)
-            answers.append(self._examiner.ask(detector, frames))
+            answers.append(self._examiner.ask(detector, frames, known))
         return answers
 
     def _store_trial(
@@ -476,6 +477,7 @@ class TrialRun:
         ends = [None] * len(rows) if exact is None else list(exact)
         looked = store.keeps_pictures and not self.rehearsing
         seen = where_seen(frames, self._ctx.rig.calibration, rows) if looked else {}
+        self._cameras.add(str(head["name"]), seen, rows)
         truth_rows = [
             truth_row(trial_id, row, end, point, seen.get(row.teat))
             for row, end, point in zip(rows, ends, truth.points, strict=True)

@@ -16,7 +16,16 @@ import numpy as np
 
 from detector.calibration import Calibration
 from detector.geometry import Array
-from detector.protocol import Context, Detection, Detector, Teat, TrainedOn, Visit, trained_on_of
+from detector.protocol import (
+    CamerasOff,
+    Context,
+    Detection,
+    Detector,
+    Teat,
+    TrainedOn,
+    Visit,
+    trained_on_of,
+)
 
 READY = {"ready": True}
 PICTURES = ("left", "right", "thermal", "thermal_radiometric", "depth", "depth_amplitude")
@@ -70,7 +79,9 @@ def context_in(asked: Mapping[str, Any]) -> Context | None:
         )
         for one in given["visits"]
     )
-    return Context(given["hours_since_milking"], given["days_in_milk"], visits)
+    cameras = given.get("cameras")
+    off = None if cameras is None else CamerasOff(**cameras)
+    return Context(given["hours_since_milking"], given["days_in_milk"], visits, off)
 
 
 def answer_line(frame: str, detection: Detection) -> bytes:

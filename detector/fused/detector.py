@@ -53,7 +53,13 @@ from detector.fused.thermal import (
     strengths,
     unexplained,
 )
-from detector.fused.witness import Agreement, agreement, calibration_covariances, disagreement
+from detector.fused.witness import (
+    Agreement,
+    agreement,
+    calibration_covariances,
+    disagreement,
+    told_off,
+)
 from detector.geometry import Array, Camera
 from detector.history import predicted
 from detector.outline import pictures
@@ -73,6 +79,7 @@ from detector.protocol import Context, Detection, Frames, Stage, Teat
 _SAME_MM, _CHI2_99 = 15.0, 11.345  # two answers on one end; 99 % of three degrees of freedom
 _BESIDE_PX = np.array([-1.0, 0.0, 1.0])  # disparities about an expected end
 _OPTICAL_BLUR_PX, _THERMAL_BLUR_PX = 1.5, 0.8  # as much as a start may be off
+_WIDE_PX = 4.0  # of a teat's radius: where all are wider, starts are found on a coarser picture
 # log odds above what is accepted: beyond doubt; below, of what is told of
 _SURE, _MAYBE_END = 3.0, 4.0
 _UNSURE_MM = 0.3  # of an end's sd, beyond which fits begin beside it too
@@ -119,8 +126,15 @@ class FusedDetector:
 
     def detect_with(self, frames: Frames, calibration: Calibration, context: Context) -> Detection:
         """As `detect`; where the cow's history expects ends that it doesn't give, these are where
-        fits begin once more, and what is still unseen is predicted.
+        fits begin once more, and what is still unseen is predicted. Cameras that are known to be
+        off widen the covariances.
         """
+        answer = self._with_history(frames, calibration, context)
+        return told_off(answer, context.cameras, calibration) if context.cameras else answer
+
+    def _with_history(
+        self, frames: Frames, calibration: Calibration, context: Context
+    ) -> Detection:
         answer = self.detect(frames, calibration)
         expected = predicted(context, answer.teats)
         if not expected:
@@ -373,15 +387,16 @@ def _start(
     )
     above = of_bars - [0, _ROOM_ABOVE_MM, 0, 0, 0, 0, 0, 0]
     guesses = np.concatenate([teats[of_teats(teats, p)] for teats in (of_ends, above, of_bars)])
-    views = optical_views(left, right, calibration, guesses)
-    maps = tuple(Map.of(view, _OPTICAL_BLUR_PX) for view in views)
+    views = optical_views(left, right, calibration, guesses, noise=1.0)
+    least_px = calibration.right.fc[0] * p.prior.radii_mm[0] / thermal.depths_mm[1]
+    step = 2 if least_px > _WIDE_PX else 1
+    maps = tuple(Map.of(view, _OPTICAL_BLUR_PX, step) for view in views)
     coarse = Map.of(thermal.view, _THERMAL_BLUR_PX)
     by_end = sweep_ends(of_ends, ends.score, maps, p)
     by_sides = sweep_bars(of_bars, upright.score, maps, coarse, p)
     teats = best_starts(by_end, by_sides, maps, p)
     teats = teats if more is None else np.concatenate([more, teats])
     trace.append(Stage("starts", {"teats": teats}))
-    # noise is that of what is near them
     near = optical_views(left, right, calibration, teats) if len(teats) else views
     return teats, (*near, thermal.view), ends
 

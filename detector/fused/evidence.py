@@ -62,7 +62,7 @@ def weigh(
     seen, part = fitted.seen, FINE_OUTLINE.part
     m, n = len(fitted.weight), len(part)
     offset, weight, sd = (
-        np.nan_to_num(a.reshape(m, -1, n), nan=9.0)
+        np.where(np.isnan(a), 9.0, a).reshape(m, -1, n)
         for a in (seen.offset_px, fitted.weight, seen.sd_px)
     )
     good = (weight > 0) & (np.abs(offset) < _CLOSE_PX) & (sd < _MOST_SD_PX)
@@ -75,15 +75,9 @@ def weigh(
     sides = np.stack([shares[SIDE_A], shares[SIDE_B]])
     largest = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
     better, other = sides.max(axis=0), sides.min(axis=0)
-    left, right, thermal = (_offsets(fitted, view) for view in range(3))
-    wide = (
-        np.nan_to_num(each[:, [SIDE_A, SIDE_B]], nan=np.inf).sum(axis=1) for each in (left, right)
-    )
-    wide_left, wide_right = wide
-    known = np.isfinite(wide_left + wide_right)
-    width = np.where(
-        known, np.abs(np.where(known, wide_left, 0.0) - np.where(known, wide_right, 0.0)), 0.0
-    )
+    medians = _offsets(fitted)
+    thermal, wide = medians[:, 2], medians[:, :2, [SIDE_A, SIDE_B]].sum(axis=2)
+    width = np.nan_to_num(np.abs(wide[:, 0] - wide[:, 1]))
     rows, _ = row_offsets(fitted, prior)
     inside, beside = warmth[:, 1:-1], warmth[:, [0, -1]]
     stops, goes_on = np.zeros(m, dtype=bool), np.zeros(m)
@@ -114,21 +108,22 @@ def _share(good: NDArray[np.bool_], open_: NDArray[np.bool_]) -> Array:
     )
 
 
-def _offsets(fitted: Fitted, view: int) -> Array:
-    """Median offsets (m, 3 parts) of a view's edges, px; NaN where few edges are clear."""
-    part = FINE_OUTLINE.part
-    those = slice(view * len(part), (view + 1) * len(part))
-    open_, offset = ~fitted.hidden[:, those], fitted.seen.offset_px[:, those]
-    clear = open_ & (fitted.seen.clarity[:, those] > CLEAR) & np.isfinite(offset)
-    medians = np.full((len(clear), 3), np.nan)
-    values = np.where(clear, offset, np.inf)
+def _offsets(fitted: Fitted) -> Array:
+    """Median offsets (m, 3 views, 3 parts) of the edges, px; NaN where few are clear."""
+    part, shape = FINE_OUTLINE.part, (len(fitted.weight), -1, len(FINE_OUTLINE.part))
+    seen, open_ = fitted.seen, ~fitted.hidden.reshape(shape)
+    clear = (
+        open_ & (seen.clarity > CLEAR).reshape(shape) & np.isfinite(seen.offset_px).reshape(shape)
+    )
+    values = np.where(clear, seen.offset_px.reshape(shape), np.inf)
+    medians = np.full((*clear.shape[:2], 3), np.nan)
     for p in (SIDE_A, END, SIDE_B):
         at = part == p
-        count = clear[:, at].sum(axis=1)
-        enough = count > 0.5 * np.maximum(open_[:, at].sum(axis=1), 0.3 * at.sum())
-        ranked, rows = np.sort(values[:, at], axis=1), np.flatnonzero(enough)
-        middle = count[rows]
-        medians[rows, p] = 0.5 * (ranked[rows, (middle - 1) // 2] + ranked[rows, middle // 2])
+        count = clear[..., at].sum(axis=2)
+        enough = count > 0.5 * np.maximum(open_[..., at].sum(axis=2), 0.3 * at.sum())
+        ranked, middle = np.sort(values[..., at], axis=2)[enough], count[enough]
+        rows = np.arange(len(middle))
+        medians[enough, p] = 0.5 * (ranked[rows, (middle - 1) // 2] + ranked[rows, middle // 2])
     return medians
 
 

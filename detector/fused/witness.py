@@ -24,6 +24,7 @@ from detector.outline.fine import Fitted
 from detector.outline.model import apexes
 from detector.outline.offsets import row_offsets, thermal_offsets
 from detector.outline.prior import right_from_teats
+from detector.protocol import CamerasOff, Detection
 
 # beyond these no calibration of a rig that is fit for use is off
 _ROWS_PX = 0.4
@@ -126,6 +127,28 @@ def _stated_px(ends_mm: Array, calibration: Calibration) -> Array:
         columns.append((far - near) / (2 * step))
     slope = np.array(columns).reshape(-1, 3)
     return np.asarray(np.sqrt(np.einsum("ki,kl,li->i", slope, covariance.matrix, slope)))
+
+
+def told_off(answer: Detection, known: CamerasOff, calibration: Calibration) -> Detection:
+    """The answer of a run whose cameras are known to be off: its ends' covariances with the shift
+    of depth that this makes, and the reason. One frame set shows nothing of it.
+    """
+    ends = np.array([teat.world_mm for teat in answer.teats]).reshape(-1, 3)
+    sight = calibration.world_from_right.inverse().apply(ends)
+    sight = (sight / sight[:, 2:]) @ calibration.world_from_right.R.T
+    px = abs(known.disparity_px) + known.u_px
+    moves = px * calibration.depth_per_disparity_px_mm(ends)[:, None] * sight
+    teats = tuple(
+        teat
+        if teat.covariance_mm2 is None
+        else replace(teat, covariance_mm2=teat.covariance_mm2 + np.outer(move, move))
+        for teat, move in zip(answer.teats, moves, strict=True)
+    )
+    said = (
+        f"cameras disagree by {abs(known.disparity_px):.2g} px (disparity, ends of {known.poses}"
+        " poses of this run): check the calibration, and that all pictures are of one time"
+    )
+    return replace(answer, teats=teats, reason="; ".join(filter(None, [answer.reason, said])))
 
 
 def _thermal_camera(calibration: Calibration) -> tuple[Camera, Motion]:

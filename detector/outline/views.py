@@ -23,9 +23,13 @@ ROOM_PX = 60  # about the nominations: half a teat's width, and as far down as t
 
 
 def optical_views(
-    left: NDArray[Any], right: NDArray[Any], calibration: Calibration, guesses: Array
+    left: NDArray[Any],
+    right: NDArray[Any],
+    calibration: Calibration,
+    guesses: Array,
+    noise: float | None = None,
 ) -> list[View]:
-    """The parts of both pictures that the guesses (n, 8) reach."""
+    """The parts of both pictures that the guesses (n, 8) reach; ``noise`` where it isn't asked."""
     points = guesses[:, :3]
     points = np.concatenate([points, points + np.array([0.0, 60.0, 0.0])])
     profiles = OPTICAL_ROUGH, OPTICAL_FINE, OPTICAL_FLOOR_PX
@@ -36,7 +40,8 @@ def optical_views(
         (right, calibration.right, turned),
     ):
         near, corner = pictures.region(picture, camera.project(motion.apply(points)), ROOM_PX)
-        made.append(View(near, corner, pictures.noise_of(near), camera, motion, *profiles))
+        found = pictures.noise_of(near) if noise is None else noise
+        made.append(View(near, corner, found, camera, motion, *profiles))
     return made
 
 

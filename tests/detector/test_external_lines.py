@@ -22,7 +22,7 @@ from detector.external.lines import (
     request_line,
     shown,
 )
-from detector.protocol import Context, Detection, Teat, Visit
+from detector.protocol import CamerasOff, Context, Detection, Teat, Visit
 
 
 def line(**answer: Any) -> bytes:
@@ -41,11 +41,12 @@ def test_a_history_goes_with_the_question_and_predictions_come_apart(rig: Calibr
     visit = Visit(
         30.5, 8.0, (1, 3), np.array([[1.0, 2, 3], [4, 5, 6]]), np.tile(np.eye(3), (2, 1, 1))
     )
-    context = Context(9.25, 41.0, (visit,))
+    context = Context(9.25, 41.0, (visit,), CamerasOff(-1.0, 0.1, 4))
     asked = json.loads(request_line("7", {}, Path("x"), context))
     again = context_in(asked)
     assert again is not None
     assert (again.hours_since_milking, again.days_in_milk) == (9.25, 41.0)
+    assert again.cameras == context.cameras
     (one,) = again.visits
     assert (one.hours_ago, one.hours_since_milking, one.teats) == (30.5, 8.0, (1, 3))
     assert one.ends_mm.tolist() == visit.ends_mm.tolist()

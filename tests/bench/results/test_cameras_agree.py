@@ -9,11 +9,13 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
-from bench.record.reader import RunRecord, TrialRecord, points_mm
+from bench.campaign.perturbations import Applied
+from bench.record.reader import RunRecord, TrialRecord, points_mm, read_run
 from bench.results.attribution import Cause, attributed
 from bench.results.cameras_agree import (
     CamerasCheck,
@@ -25,6 +27,8 @@ from bench.results.cameras_agree import (
 )
 from bench.rig.arm_files import frame_text
 from bench.rig.loading import RIGS, find_rig, load_rig
+from bench.rig.scenes import record
+from bench.run.start import score_recording
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.scene import score_scene
 from bench.script.model import CamerasRequirement
@@ -356,3 +360,24 @@ def test_what_the_cameras_put_off_is_the_calibrations(px: float, cause: Cause) -
         scores={"d": score},
     )
     assert {one.cause for one in attributed(run_of([judged, *seen[1:]]), "d")} == {cause}
+
+
+@pytest.mark.slow
+def test_a_shift_common_to_a_run_is_a_reason_once_three_poses_show_it(tmp_path: Path) -> None:
+    """Of one frame set alone a picture that is a pixel late shows as nothing but depth."""
+    rig = load_rig(find_rig(None))
+    late = record(rig, ["ideal"], range(5), tmp_path / "late", 1, [Applied.parse("out-of-step=1")])
+    assert len(list(late)) == 5
+    run = read_run(score_recording(tmp_path / "late", tmp_path / "runs", Mock(), ["fused"]))
+    told, beyond = list[bool](), list[float]()
+    for trial in run.trials:
+        told.append("of this run" in str(trial.detections[0]["reason"]))
+        for (i, _), error in zip(
+            trial.scores["fused"].match.pairs, trial.scores["fused"].errors_mm, strict=True
+        ):
+            spread = np.array(json.loads(trial.found[i]["covariance_mm2"]))
+            assert np.linalg.norm(error) > 3.0
+            if told[-1]:
+                beyond.append(float(error @ np.linalg.solve(spread, error)))
+    assert told == [False] * 3 + [True] * 2
+    assert max(beyond) < 16.0
