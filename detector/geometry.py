@@ -7,6 +7,7 @@ is NaN in its row only.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -98,11 +99,16 @@ class Motion:
 
     def inverse(self) -> Motion:
         """`a_from_b` of a `b_from_a`."""
-        return Motion(self.R.T, -self.R.T @ self.T)
+        return _inverse(self)
 
     def __matmul__(self, other: Motion) -> Motion:
         """`c_from_b @ b_from_a` is `c_from_a`."""
         return Motion(self.R @ other.R, self.R @ other.T + self.T)
+
+
+@lru_cache(maxsize=64)
+def _inverse(motion: Motion) -> Motion:
+    return Motion(motion.R.T, -motion.R.T @ motion.T)
 
 
 def rigid_fit(target_mm: ArrayLike, source_mm: ArrayLike) -> Motion:

@@ -7,7 +7,7 @@ every fit. The log odds of a fit are linear in that: weights are the maximum a p
 ridge, of fits labelled by whether an end is near. The least odds of what is given, and the power of
 odds by which fits of one end are weighted, are those that do best. Standard deviations are linear
 in their terms: factors, none negative, are those of the greatest likelihood of the errors that were
-made (Student's t, so that an end taken for another's doesn't rule). Both are done twice, as the
+made (an end taken for another's counts for none of them). Both are done twice, as the
 first answers change which fits are tried.
 
 The gate: each family is judged by weights that were learned without it. A change passes that loses
@@ -50,7 +50,7 @@ Array = NDArray[np.float64]
 SEED, FIRST, MEMBERS, RIGS, ON_A_RIG = 1, 200, 60, 26, 6
 EXACT = ParameterCovariance((), np.zeros((0, 0)))
 RIDGE, NOT_SURE_MM, LESS = 5e-3, (2.5, 6.0), 0.3
-AGAIN, WITHIN, FREEDOM = 2, 0.2, 30.0
+AGAIN, WITHIN = 2, 0.2
 # a false end counts as so many that are missed
 FALSE, LEASTS, POWERS = 4, (-1.2, -0.9, -0.6, -0.3, 0.0, 0.3), (0.5, 1.0, 2.0, 4.0)
 
@@ -196,23 +196,17 @@ def learned_spread(some: Sequence[Shown]) -> Array:
     )
     near = np.linalg.norm(errors, axis=1) < 15.0  # farther off it is another's end
     errors, own, rest, terms = errors[near], own[near], rest[near], terms[near]
+    squares = np.einsum("mi,mj->mij", errors, errors)
+    by_term = np.einsum("mki,mkj->mijk", terms, terms)
+    parts = np.concatenate([own[..., None], by_term], axis=3).reshape(-1, 1 + terms.shape[1])
 
     def cost(log: Array) -> tuple[float, Array]:
         variance = np.exp(2 * log)
-        total = variance[0] * own + rest
-        total += np.einsum("k,mki,mkj->mij", variance[1:], terms, terms)
+        total = (parts @ variance).reshape(rest.shape) + rest
         inverse = np.linalg.inv(total)
-        weighted = np.einsum("mij,mj->mi", inverse, errors)
-        squared = np.einsum("mi,mi->m", errors, weighted)
-        value = 0.5 * np.linalg.slogdet(total)[1].sum()
-        value += 0.5 * (FREEDOM + 3) * np.log1p(squared / (FREEDOM - 2)).sum()
-        pull = (FREEDOM + 3) / (FREEDOM - 2 + squared)
-        by_own = np.einsum("mij,mji->m", inverse, own)
-        by_own = by_own - pull * np.einsum("mi,mij,mj->m", weighted, own, weighted)
-        by_terms = np.einsum("mki,mij,mkj->mk", terms, inverse, terms)
-        by_terms -= pull[:, None] * np.einsum("mki,mi->mk", terms, weighted) ** 2
-        slope = np.r_[by_own.sum(), by_terms.sum(axis=0)] * variance
-        return float(value / len(errors)), slope / len(errors)
+        value = 0.5 * (np.linalg.slogdet(total)[1].sum() + (inverse * squares).sum())
+        by_total = inverse - inverse @ squares @ inverse
+        return float(value / len(errors)), (by_total.ravel() @ parts) * variance / len(errors)
 
     start = np.log(np.r_[1.0, np.full(len(TERMS), 0.05)])
     bounds = [(-2.3, 2.3), *[(-8.0, 3.0)] * len(TERMS)]

@@ -216,7 +216,6 @@ TERMS: dict[str, Term] = {
     "along, misfit of the end, of any shape": Term(
         "along", lambda f: f.of.end_misfit_px * f.of.shaped
     ),
-    "along, end in part": Term("along", _unseen),
     "along, end in part and not warm": Term("along", lambda f: _unseen(f) * (1.0 - f.of.end[:, 2])),
     "along, end in part and sides go on": Term("along", lambda f: _unseen(f) * f.of.goes_on_mm),
     "along, led to by its sides and not warm": Term(
@@ -230,7 +229,6 @@ TERMS: dict[str, Term] = {
     ),
     "along, short sides": Term("along", _short),
     "across, misfit squared": Term("across", lambda f: f.of.misfit_px**2),
-    "across, misfit of the end": Term("across", lambda f: f.of.end_misfit_px),
     "across, misfit of the end, of any shape": Term(
         "across", lambda f: f.of.end_misfit_px * f.of.shaped
     ),
@@ -243,14 +241,16 @@ TERMS: dict[str, Term] = {
     "across, of any shape": Term("across", lambda f: f.of.shaped.astype(float)),
     "sight, misfit squared": Term("sight", lambda f: f.of.misfit_px**2),
     "sight, one side and misfit": Term("sight", lambda f: _one_sided(f) * f.of.misfit_px),
-    "sight, sides unlike": Term("sight", lambda f: np.ptp(f.of.both[:, :2], axis=1)),
     "sight, widths unlike": Term("sight", lambda f: np.minimum(f.of.width_px, 1.0)),
     "sight, thermal outline aside": Term("sight", aside),
     "sight, short sides": Term("sight", _short),
-    "sight, of any shape": Term("sight", lambda f: f.of.shaped.astype(float)),
+    "along, outside of a teat's size": Term("along", lambda f: f.off_size),
+    "across, outside of a teat's size": Term("across", lambda f: f.off_size),
+    "sight, outside of a teat's size": Term("sight", lambda f: f.off_size),
+    "along, leaning more than a teat": Term("along", lambda f: f.too_steep),
+    "across, leaning more than a teat": Term("across", lambda f: f.too_steep),
+    "sight, leaning more than a teat": Term("sight", lambda f: f.too_steep),
 }
-# beside what was learned, mm: a mm of radius and a unit of slope outside of what teats are
-_OFF_SIZE, _TOO_STEEP_MM = 0.2, 2.0
 
 
 def ways(fits: Fits, calibration: Calibration) -> dict[str, Array]:
@@ -279,6 +279,4 @@ def stated(own: Array, fits: Fits, learned: Learned, calibration: Calibration) -
     """
     factors = in_order(learned.factors, TERMS)
     moves = variance_terms(fits, calibration) * factors[:, None]
-    outside = np.hypot(_OFF_SIZE * fits.off_size, _TOO_STEEP_MM * fits.too_steep) ** 2
-    total = learned.edges**2 * own + np.einsum("mki,mkj->mij", moves, moves)
-    return np.asarray(total + outside[:, None, None] * np.eye(3))
+    return np.asarray(learned.edges**2 * own + np.einsum("mki,mkj->mij", moves, moves))

@@ -7,9 +7,8 @@ gradients. A bar without an end gets its depth from its sides; its end is then s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -49,29 +48,16 @@ class Starts(Rows):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Map:
-    """Squeezed gradients of one view, blurred by a start's error, with a border of zeros, and the
-    view as its pixels are after ``step`` by ``step`` were joined.
-    """
+    """Squeezed gradients of one view, blurred by a start's error, with a border of zeros."""
 
     gx: Field
     gy: Field
     view: View
-    step: int
 
     @classmethod
-    def of(cls, view: View, blur_px: float, step: int = 1) -> Map:
+    def of(cls, view: View, blur_px: float) -> Map:
         """The map of a view."""
-        if step == 1:
-            return cls(*strengths(view.field, blur_px, noises=3.0, border=1), view, step)
-        rows, columns = (size // step for size in view.field.shape)
-        whole, lens = view.field[: rows * step, : columns * step], view.camera.lens.copy()
-        joined: Field = np.empty((rows, columns), dtype=np.float32)
-        cv2.resize(whole, (columns, rows), dst=joined, interpolation=cv2.INTER_AREA)
-        lens[:2] /= step
-        lens[2:4], corner = ((at + 0.5) / step - 0.5 for at in (lens[2:4], view.corner_px))
-        camera = view.camera.with_lens(lens)
-        smaller = replace(view, field=joined, corner_px=corner, camera=camera)
-        return cls(*strengths(joined, blur_px / step, noises=3.0, border=1), smaller, step)
+        return cls(*strengths(view.field, blur_px, noises=3.0, border=1), view)
 
 
 def depths_mm(calibration: Calibration, seen_mm: tuple[float, float]) -> Array:
@@ -163,7 +149,7 @@ def best_starts(ends: Starts, sides: Starts, maps: tuple[Map, ...], p: Parameter
     moved = teats.copy()
     right = maps[1].view
     depth_mm = right.camera_from_teats.apply(moved[:, :3])[:, 2:]
-    aside_mm = _GRID_PX[shift] * depth_mm / (maps[1].step * np.array(right.camera.fc))
+    aside_mm = _GRID_PX[shift] * depth_mm / np.array(right.camera.fc)
     moved[:, :3] += aside_mm @ right.camera_from_teats.R[:2]
     moved[:, RADIUS] = np.clip(moved[:, RADIUS] * np.array(_SWELLS)[swell], *p.prior.radii_mm)
     return moved
@@ -205,8 +191,8 @@ def _scores(
     arc = np.column_stack([-np.cos(_ARC), np.sin(_ARC)])
     swells = np.array(np.broadcast_to(swell, m), dtype=float)
     found = kernels.across(
-        each.gx, each.gy, shifts / np.float32(each.step), np.ascontiguousarray(teats), swells,
-        each.view.numbers, each.view.corner_px, arc, _BELOW, end,
+        each.gx, each.gy, shifts, np.ascontiguousarray(teats), swells, each.view.numbers,
+        each.view.corner_px, arc, _BELOW, end,
     )  # fmt: skip
     return np.asarray(found)
 

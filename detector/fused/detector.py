@@ -34,6 +34,7 @@ from detector.fused.learned import learned
 from detector.fused.left_out import left_out, outside
 from detector.fused.parameters import Parameters
 from detector.fused.refine import (
+    one_sided,
     refine,
     refine_beside,
     refine_slid,
@@ -63,7 +64,7 @@ from detector.fused.witness import (
 from detector.geometry import Array, Camera
 from detector.history import predicted
 from detector.outline import pictures
-from detector.outline.fine import Fitted
+from detector.outline.fine import Fitted, fine
 from detector.outline.fit import View, upright
 from detector.outline.model import COUNT, Rows, apexes, axes
 from detector.outline.prior import (
@@ -79,7 +80,6 @@ from detector.protocol import Context, Detection, Frames, Stage, Teat
 _SAME_MM, _CHI2_99 = 15.0, 11.345  # two answers on one end; 99 % of three degrees of freedom
 _BESIDE_PX = np.array([-1.0, 0.0, 1.0])  # disparities about an expected end
 _OPTICAL_BLUR_PX, _THERMAL_BLUR_PX = 1.5, 0.8  # as much as a start may be off
-_WIDE_PX = 4.0  # of a teat's radius: where all are wider, starts are found on a coarser picture
 # log odds above what is accepted: beyond doubt; below, of what is told of
 _SURE, _MAYBE_END = 3.0, 4.0
 _UNSURE_MM = 0.3  # of an end's sd, beyond which fits begin beside it too
@@ -278,8 +278,8 @@ def _fit(
     calibration: Calibration,
     p: Parameters,
 ) -> _Judged:
-    """Fit and judge; again where ends may be too high or low, or not of the usual shape, and from
-    beside what is unsure.
+    """Fit and judge; again without what a neighbour may have bridged, where ends may be too high or
+    low, or not of the usual shape, and from beside what is unsure.
     """
 
     def weighed(fitted: Fitted) -> _Candidates:
@@ -289,11 +289,16 @@ def _fit(
         return _judge(candidates, p)
 
     judged = _from_starts(teats, views, thermal, ends, p)
-    shifted = doubts(judged.fitted.teats, judged.evidence, judged.decision, p)
-    if shifted:
-        doubtful = judged.fitted.teats[shifted]
-        slid = np.concatenate([slide(doubtful, views) for slide in (slide_to_round, slide_to_stop)])
-        judged = judge(judged.candidates + weighed(refine_slid(slid, views, p)))
+    bridging, shifted = doubts(judged.fitted.teats, judged.evidence, judged.decision, p)
+    if bridging or shifted:
+        more, doubtful = judged.candidates, judged.fitted.teats[shifted]
+        if bridging:
+            starts, left_out = one_sided(judged.fitted.teats[bridging], p, len(views))
+            more += weighed(fine(starts, left_out, views, p.prior))
+        if shifted:
+            slid = [slide(doubtful, views) for slide in (slide_to_round, slide_to_stop)]
+            more += weighed(refine_slid(np.concatenate(slid), views, p))
+        judged = judge(more)
     unlike = shapes(judged.fitted.teats, judged.evidence, judged.decision, p)
     if unlike:
         usual = np.delete(np.arange(len(judged.fitted.teats)), unlike)
@@ -388,9 +393,7 @@ def _start(
     above = of_bars - [0, _ROOM_ABOVE_MM, 0, 0, 0, 0, 0, 0]
     guesses = np.concatenate([teats[of_teats(teats, p)] for teats in (of_ends, above, of_bars)])
     views = optical_views(left, right, calibration, guesses, noise=1.0)
-    least_px = calibration.right.fc[0] * p.prior.radii_mm[0] / thermal.depths_mm[1]
-    step = 2 if least_px > _WIDE_PX else 1
-    maps = tuple(Map.of(view, _OPTICAL_BLUR_PX, step) for view in views)
+    maps = tuple(Map.of(view, _OPTICAL_BLUR_PX) for view in views)
     coarse = Map.of(thermal.view, _THERMAL_BLUR_PX)
     by_end = sweep_ends(of_ends, ends.score, maps, p)
     by_sides = sweep_bars(of_bars, upright.score, maps, coarse, p)
