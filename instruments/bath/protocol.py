@@ -16,16 +16,15 @@ from dataclasses import dataclass
 
 HEADER = struct.Struct(">HHHB")  # transaction, protocol (0 is Modbus), bytes that follow it, unit
 LONGEST = 254  # unit and PDU
-MOST_READ, MOST_WRITTEN, MOST_EXCHANGED = 125, 123, 121
-MOST_BITS_READ, MOST_BITS_WRITTEN = 2000, 1968
+MOST_READ, MOST_WRITTEN, MOST_BITS_READ = 125, 123, 2000
 
 READ_COILS, READ_DISCRETE, READ_HOLDING, READ_INPUT = 1, 2, 3, 4
-WRITE_COIL, WRITE_ONE, STATUS, LOOPBACK, WRITE_COILS, WRITE_MANY, EXCHANGE = 5, 6, 7, 8, 15, 16, 23
+WRITE_COIL, WRITE_ONE, WRITE_MANY = 5, 6, 16
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, FAILURE, BUSY = 1, 2, 3, 4, 6
 
 READS = {READ_COILS: MOST_BITS_READ, READ_DISCRETE: MOST_BITS_READ}  # the most that each takes
 READS |= {READ_HOLDING: MOST_READ, READ_INPUT: MOST_READ}
-BITS = (READ_COILS, READ_DISCRETE, WRITE_COIL, WRITE_COILS)
+BITS = (READ_COILS, READ_DISCRETE, WRITE_COIL)
 
 
 # a request's bytes come closer together; 3.5 characters are 4 ms at 9600 baud, but a busy PC stalls
@@ -66,30 +65,14 @@ class Read:
 
 @dataclass(frozen=True, slots=True)
 class Write:
-    """Functions 5, 6, 15, 16: ``values`` (bits as 0 and 1, or registers) from ``address`` up."""
+    """Functions 5, 6, 16: ``values`` (a bit as 0 or 1, or registers) from ``address`` up."""
 
     function: int
     address: int
     values: tuple[int, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Exchange:
-    """Function 23: ``write`` first, then ``read``, in one go."""
-
-    read: Read
-    write: Write
-
-
-@dataclass(frozen=True, slots=True)
-class Plain:
-    """Functions 7 (status byte) and 8 (loopback): what follows the function code, as it came."""
-
-    function: int
-    body: bytes
-
-
-Request = Read | Write | Exchange | Plain
+Request = Read | Write
 
 
 class Refused(Exception):  # noqa: N818 - it is an answer, not a fault
@@ -107,14 +90,11 @@ class UnframedError(ValueError):
 def parse(pdu: bytes) -> Request:
     """The request. Raises Refused, with the code that the specification's state diagrams give."""
     function, body = pdu[0], pdu[1:]
-    if function in (STATUS, LOOPBACK):
-        return Plain(function, body)
-    if function not in (*READS, WRITE_COIL, WRITE_ONE, WRITE_COILS, WRITE_MANY, EXCHANGE):
+    if function not in (*READS, WRITE_COIL, WRITE_ONE, WRITE_MANY):
         raise Refused(ILLEGAL_FUNCTION)
-    numbers, head = (4, 8) if function == EXCHANGE else (2, 4)
-    data = body[head:]
-    _demand(len(body) >= head and (function in COUNTED or not data))
-    address, value, *written = struct.unpack_from(f">{numbers}H", body)
+    data = body[4:]
+    _demand(len(body) >= 4 and (function == WRITE_MANY or not data))
+    address, value = struct.unpack_from(">2H", body)
     if function in READS:
         _demand(1 <= value <= READS[function])
         return Read(function, address, value)
@@ -123,16 +103,8 @@ def parse(pdu: bytes) -> Request:
         return Write(function, address, (value >> 15,))
     if function == WRITE_ONE:
         return Write(function, address, (value,))
-    if function == WRITE_COILS:
-        _demand(1 <= value <= MOST_BITS_WRITTEN)
-        bits = int.from_bytes(_counted(data, -(-value // 8)), "little")
-        return Write(function, address, tuple(bits >> at & 1 for at in range(value)))
-    if function == WRITE_MANY:
-        return Write(function, address, _registers(data, value, MOST_WRITTEN))
-    _demand(1 <= value <= MOST_READ)
-    target, count = written
-    write = Write(function, target, _registers(data, count, MOST_EXCHANGED))
-    return Exchange(Read(function, address, value), write)
+    _demand(1 <= value <= MOST_WRITTEN and len(data) == 2 * value + 1 and data[0] == 2 * value)
+    return Write(function, address, struct.unpack(f">{value}H", data[1:]))
 
 
 def answer_read(request: Read, values: Sequence[int]) -> bytes:
@@ -153,17 +125,6 @@ def answer_write(request: Write) -> bytes:
 
 def answer_refusal(function: int, code: int) -> bytes:
     return bytes((function | 0x80, code))
-
-
-def _registers(counted: bytes, count: int, most: int) -> tuple[int, ...]:
-    _demand(1 <= count <= most)
-    return struct.unpack(f">{count}H", _counted(counted, 2 * count))
-
-
-def _counted(counted: bytes, length: int) -> bytes:
-    """What follows a count of bytes, which must be ``length``."""
-    _demand(len(counted) == length + 1 and counted[0] == length)
-    return counted[1:]
 
 
 def _demand(condition: bool) -> None:
