@@ -164,7 +164,6 @@ class LineAccess(Access[LineRow]):
         url: str,
         profile: LineProfile,
         clock: Clock,
-        *,
         who: str,
         allow_inferred: bool = False,
         tap: Tap | None = None,
