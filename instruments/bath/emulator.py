@@ -15,7 +15,7 @@ from typing import ClassVar, Literal, get_args
 from instruments.bath import protocol
 from instruments.bath.line_dialects import Dialect
 from instruments.bath.profile import PUMP, RegisterProfile, RelayProfile, Wiring
-from instruments.bath.protocol import Frame, Read, Refused
+from instruments.bath.protocol import Exchange, Frame, Plain, Read, Refused, Write
 from instruments.bath.register_semantics import Behaviour, Cells, Controller, Values, behaviour_of
 from instruments.bath.rows import Row
 from instruments.bath.witness import device_of
@@ -191,6 +191,10 @@ class Server(Emulator):
         except protocol.UnframedError:
             connection.hang_up()
 
+    def plain(self, request: Plain) -> bytes:  # noqa: ARG002 - for families that have these functions
+        """The PDU that answers functions 7 and 8. Raises Refused."""
+        raise Refused(protocol.ILLEGAL_FUNCTION)
+
     def _serve(self, connection: Connection, frame: Frame) -> None:
         to_all = self.framing == "rtu" and frame.unit == protocol.BROADCAST
         if self.is_silent or (frame.unit != self.unit_id and not to_all):
@@ -214,11 +218,7 @@ class Server(Emulator):
         try:
             if function not in behaviour.functions:
                 raise Refused(protocol.ILLEGAL_FUNCTION)
-            request = protocol.parse(pdu)
-            if isinstance(request, Read):
-                return protocol.answer_read(request, self._read(request))
-            self._cells.write(request)
-            return protocol.answer_write(request)
+            return self._execute(pdu)
         except Refused as refused:
             if (
                 refused.code == protocol.ILLEGAL_FUNCTION
@@ -226,6 +226,20 @@ class Server(Emulator):
             ):
                 return b""
             return protocol.answer_refusal(function, refused.code)
+
+    def _execute(self, pdu: bytes) -> bytes:
+        match protocol.parse(pdu):
+            case Read() as request:
+                return protocol.answer_read(request, self._read(request))
+            case Write() as request:
+                self._cells.write(request)
+                return protocol.answer_write(request)
+            case Exchange(read, write):
+                self._cells.read(read)  # refused before anything is written
+                self._cells.write(write)
+                return protocol.answer_read(read, self._read(read))
+            case Plain() as request:
+                return self.plain(request)
 
     def _read(self, request: Read) -> list[int]:
         values = self._cells.read(request)
@@ -263,6 +277,15 @@ class BathEmulator(Server):
         super().__init__(plant, device, clock, behaviour, panel, unit_id, framing)
         self.profile = profile
         plant.fit(circulator=profile.capabilities.pump == "with run")
+
+    def plain(self, request: Plain) -> bytes:
+        """The status byte, or the loopback's echo."""
+        if request.function == protocol.LOOPBACK:
+            if len(request.body) != 4 or request.body[:2] != b"\0\0":
+                raise Refused(protocol.ILLEGAL_VALUE)
+            return bytes((request.function,)) + request.body
+        status = self.panel.profile.find("status")
+        return bytes((request.function, self.panel.words(status)[0] & 0xFF if status else 0))
 
 
 class Contacts(Values):

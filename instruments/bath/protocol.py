@@ -16,15 +16,16 @@ from dataclasses import dataclass
 
 HEADER = struct.Struct(">HHHB")  # transaction, protocol (0 is Modbus), bytes that follow it, unit
 LONGEST = 254  # unit and PDU
-MOST_READ, MOST_WRITTEN, MOST_BITS_READ = 125, 123, 2000
+MOST_READ, MOST_WRITTEN, MOST_EXCHANGED = 125, 123, 121
+MOST_BITS_READ, MOST_BITS_WRITTEN = 2000, 1968
 
 READ_COILS, READ_DISCRETE, READ_HOLDING, READ_INPUT = 1, 2, 3, 4
-WRITE_COIL, WRITE_ONE, WRITE_MANY = 5, 6, 16
+WRITE_COIL, WRITE_ONE, STATUS, LOOPBACK, WRITE_COILS, WRITE_MANY, EXCHANGE = 5, 6, 7, 8, 15, 16, 23
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, FAILURE, BUSY = 1, 2, 3, 4, 6
 
 READS = {READ_COILS: MOST_BITS_READ, READ_DISCRETE: MOST_BITS_READ}  # the most that each takes
 READS |= {READ_HOLDING: MOST_READ, READ_INPUT: MOST_READ}
-BITS = (READ_COILS, READ_DISCRETE, WRITE_COIL)
+BITS = (READ_COILS, READ_DISCRETE, WRITE_COIL, WRITE_COILS)
 
 
 # a request's bytes come closer together; 3.5 characters are 4 ms at 9600 baud, but a busy PC stalls
@@ -65,14 +66,30 @@ class Read:
 
 @dataclass(frozen=True, slots=True)
 class Write:
-    """Functions 5, 6, 16: ``values`` (a bit as 0 or 1, or registers) from ``address`` up."""
+    """Functions 5, 6, 15, 16: ``values`` (bits as 0 and 1, or registers) from ``address`` up."""
 
     function: int
     address: int
     values: tuple[int, ...]
 
 
-Request = Read | Write
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """Function 23: ``write`` first, then ``read``, in one go."""
+
+    read: Read
+    write: Write
+
+
+@dataclass(frozen=True, slots=True)
+class Plain:
+    """Functions 7 (status byte) and 8 (loopback): what follows the function code, as it came."""
+
+    function: int
+    body: bytes
+
+
+Request = Read | Write | Exchange | Plain
 
 
 class Refused(Exception):  # noqa: N818 - it is an answer, not a fault
@@ -90,11 +107,14 @@ class UnframedError(ValueError):
 def parse(pdu: bytes) -> Request:
     """The request. Raises Refused, with the code that the specification's state diagrams give."""
     function, body = pdu[0], pdu[1:]
-    if function not in (*READS, WRITE_COIL, WRITE_ONE, WRITE_MANY):
+    if function in (STATUS, LOOPBACK):
+        return Plain(function, body)
+    if function not in (*READS, WRITE_COIL, WRITE_ONE, WRITE_COILS, WRITE_MANY, EXCHANGE):
         raise Refused(ILLEGAL_FUNCTION)
-    data = body[4:]
-    _demand(len(body) >= 4 and (function == WRITE_MANY or not data))
-    address, value = struct.unpack_from(">2H", body)
+    numbers, head = (4, 8) if function == EXCHANGE else (2, 4)
+    data = body[head:]
+    _demand(len(body) >= head and (function in COUNTED or not data))
+    address, value, *written = struct.unpack_from(f">{numbers}H", body)
     if function in READS:
         _demand(1 <= value <= READS[function])
         return Read(function, address, value)
@@ -103,8 +123,16 @@ def parse(pdu: bytes) -> Request:
         return Write(function, address, (value >> 15,))
     if function == WRITE_ONE:
         return Write(function, address, (value,))
-    _demand(1 <= value <= MOST_WRITTEN and len(data) == 2 * value + 1 and data[0] == 2 * value)
-    return Write(function, address, struct.unpack(f">{value}H", data[1:]))
+    if function == WRITE_COILS:
+        _demand(1 <= value <= MOST_BITS_WRITTEN)
+        bits = int.from_bytes(_counted(data, -(-value // 8)), "little")
+        return Write(function, address, tuple(bits >> at & 1 for at in range(value)))
+    if function == WRITE_MANY:
+        return Write(function, address, _registers(data, value, MOST_WRITTEN))
+    _demand(1 <= value <= MOST_READ)
+    target, count = written
+    write = Write(function, target, _registers(data, count, MOST_EXCHANGED))
+    return Exchange(Read(function, address, value), write)
 
 
 def answer_read(request: Read, values: Sequence[int]) -> bytes:
@@ -125,6 +153,17 @@ def answer_write(request: Write) -> bytes:
 
 def answer_refusal(function: int, code: int) -> bytes:
     return bytes((function | 0x80, code))
+
+
+def _registers(counted: bytes, count: int, most: int) -> tuple[int, ...]:
+    _demand(1 <= count <= most)
+    return struct.unpack(f">{count}H", _counted(counted, 2 * count))
+
+
+def _counted(counted: bytes, length: int) -> bytes:
+    """What follows a count of bytes, which must be ``length``."""
+    _demand(len(counted) == length + 1 and counted[0] == length)
+    return counted[1:]
 
 
 def _demand(condition: bool) -> None:

@@ -34,7 +34,9 @@ STANDARD: Mapping[int, Table] = {
     protocol.READ_INPUT: "input",
     protocol.WRITE_COIL: "coil",
     protocol.WRITE_ONE: "holding",
+    protocol.WRITE_COILS: "coil",
     protocol.WRITE_MANY: "holding",
+    protocol.EXCHANGE: "holding",
 }
 WORDS: Mapping[int, Table] = {3: "holding", 4: "holding", 6: "holding", 16: "holding"}
 
@@ -75,7 +77,7 @@ LIMITS = {
 # 1.2: no bits; floats need function 16; all holding registers RW; the start command is gone after a
 # power cut
 JULABO = Behaviour(
-    functions={3: "holding", 4: "input", 6: "holding", 16: "holding"},
+    functions={3: "holding", 4: "input", 6: "holding", 16: "holding", 23: "holding"},
     after_reset="standby",
     writable=None,
     starts={
@@ -90,7 +92,7 @@ JULABO = Behaviour(
 )
 # 1.1: an unsupported function gets no reply; exceptions 2 and 3 only; 5 s silent when it resets
 EUROTHERM = Behaviour(
-    functions={**WORDS, **dict.fromkeys((1, 2, 5), "coil")},
+    functions={**WORDS, **dict.fromkeys((1, 2, 5), "coil"), 7: "holding", 8: "holding"},
     unknown_function="silence",
     alike=True,
     gaps="undefined",

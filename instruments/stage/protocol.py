@@ -27,6 +27,10 @@ RESUME = b"~"
 SOFT_RESET = b"\x18"
 DOOR = b"\x84"
 JOG_CANCEL = b"\x85"
+# None: back to 100 %
+_FEED_STEPS = (None, 10, -10, 1, -1)
+FEED_OVERRIDES = {bytes([0x90 + at]): step for at, step in enumerate(_FEED_STEPS)}
+RAPID_OVERRIDES: dict[bytes, int] = {b"\x95": 100, b"\x96": 50, b"\x97": 25}
 
 # in the order of every list of numbers; A is a rotation in degrees, on boards with four axes
 AXES = "XYZA"

@@ -133,6 +133,12 @@ class Controller(ABC):
         there = self.settings.whole_steps(count, self.carriage.motion.target)
         self.carriage.go(there, feed_mm_s, self.settings.rates, self.now)
 
+    def plan(self, target_mm: Sequence[float], feed_mm_s: float | None) -> Iterator[float]:
+        """As `go`, once the planner has a free place."""
+        while len(self.carriage.motion.left(self.now)) >= self.dialect.planner_blocks:
+            yield self.carriage.motion.next_end_s(self.now)
+        self.go(target_mm, feed_mm_s)
+
     def until_still(self) -> Iterator[float]:
         while self.carriage.motion.moving(self.now):
             yield self.carriage.motion.next_end_s(self.now)

@@ -1,9 +1,9 @@
 """Emulated GRBL, grblHAL and FluidNC: states, resets, alarms, real-time bytes, the receive buffer,
 ``$`` lines and status reports. The G-code is in `gcode`.
 
-While a line waits for dwell or homing, further ones wait, too; real-time bytes act at once. Any
-number of moves and bytes may wait. Sources: the firmware's interface and command documents, and its
-behaviour recorded in a simulator.
+While a line waits for planner, dwell or homing, further bytes stay in the receive buffer; real-time
+bytes act at once. Sources: the firmware's interface and command documents, and its behaviour
+recorded in a simulator.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Mode(Enum):
 
 
 DEAF = frozenset({Mode.CRITICAL, Mode.HOLD, Mode.DOOR, Mode.SLEEP})  # lines wait
-# holds and resumes are ignored
+# holds, resumes and overrides are ignored
 STUBBORN = frozenset({Mode.LOCKED, Mode.CRITICAL, Mode.HOMING, Mode.SLEEP})
 
 
@@ -73,6 +73,7 @@ class GrblController(Controller):
         if self._work:
             self.say("ok")  # the line that was in the works is answered on the way out
         self.carriage.halt(self.now)
+        self.carriage.follow(self.now).override(100, 100, self.now)
         self._clear()
         self.mode = Mode.LOCKED if locked else Mode.READY
         self._greet()
@@ -89,7 +90,7 @@ class GrblController(Controller):
     def _clear(self) -> None:
         self.drop()
         self._half = b""
-        self._waiting = bytearray()  # bytes that no line was made of yet
+        self._waiting = bytearray()  # in the receive buffer
         self._resume_s = self._restart_s = math.inf  # when it goes on after a hold; has restarted
         self.gcode.reset(self.target_mm())
         self._until_wco = self._until_ov = 0  # reports until the next with this field
@@ -122,7 +123,12 @@ class GrblController(Controller):
     def _jogging(self) -> bool:
         return self._jogged and self.moving
 
-    # Lines
+    # The receive buffer
+
+    @property
+    def _room(self) -> int:
+        """Bytes that can be taken before the main loop reads again."""
+        return self.dialect.receive_bytes - len(self._waiting)
 
     def take(self, data: bytes) -> None:
         """Bytes from the host, cut anywhere. While the board restarts they are lost."""
@@ -132,8 +138,10 @@ class GrblController(Controller):
         for at, part in enumerate(_REALTIME.split(data)):
             if at % 2:
                 self._realtime(part)
-            elif part:
-                self._waiting += part
+                continue
+            while part and (room := self._room):  # what finds no room is lost
+                self._waiting += part[:room]
+                part = part[room:]
                 self.pump()
 
     def next_line(self) -> str | None:
@@ -165,15 +173,18 @@ class GrblController(Controller):
             self._control(byte)
 
     def _control(self, byte: bytes) -> None:
-        """Holds and resumes."""
+        """Holds, resumes and overrides."""
         if byte in (protocol.HOLD, protocol.DOOR):
             self._hold(byte == protocol.DOOR)
         elif byte == protocol.RESUME:
             # while it still brakes, the byte is lost
             if self.mode in (Mode.HOLD, Mode.DOOR) and not self.moving:
                 self._resume_s = self.now + PASS_S
-        elif byte == protocol.JOG_CANCEL and self._jogging:
-            self.carriage.follow(self.now).cancel(self.now)
+        elif byte == protocol.JOG_CANCEL:
+            if self._jogging:
+                self.carriage.follow(self.now).cancel(self.now)
+        else:
+            self._override(byte)
 
     def _query(self) -> None:
         if self.dialect.always_reports or self.mode not in (Mode.HOMING, Mode.CRITICAL):
@@ -193,6 +204,17 @@ class GrblController(Controller):
         if door or (self.mode is Mode.READY and not jogging):
             self.mode = Mode.DOOR if door else Mode.HOLD
 
+    def _override(self, byte: bytes) -> None:
+        feed, rapid = self.carriage.motion.percent
+        if byte in protocol.FEED_OVERRIDES:
+            change = protocol.FEED_OVERRIDES[byte]
+            feed = 100 if change is None else min(200, max(10, feed + change))
+        rapid = protocol.RAPID_OVERRIDES.get(byte, rapid)
+        if (feed, rapid) != self.carriage.motion.percent:
+            self._until_ov = 0
+            self.carriage.follow(self.now).override(feed, rapid, self.now)
+            self.pump()
+
     def status(self) -> str:
         """A status report, as ``?`` gets it."""
         now, moving, motion = self.now, self.moving, self.carriage.motion
@@ -201,6 +223,8 @@ class GrblController(Controller):
         parts = ["Jog" if jog else self.mode.value[moving]]
         numbers = ",".join([f"{at + 0.0:.3f}" for at in place])  # the work offset is 0
         parts.append(f"{'MPos' if bits & 1 else 'WPos'}:{numbers}")
+        if bits & 2:
+            parts.append(f"Bf:{self.dialect.planner_blocks - len(motion.left(now))},{self._room}")
         parts.append(f"FS:{math.floor(motion.speed(now) * 60 + 0.5)},0")  # a half is rounded up
         if pins := self._pins():
             parts.append(f"Pn:{pins}")
@@ -210,7 +234,7 @@ class GrblController(Controller):
             self._until_ov = max(self._until_ov, 1)
             parts.append("WCO:" + ",".join(["0.000"] * len(place)))
         elif self._until_ov == 0:
-            parts.append("Ov:100,100,100")
+            parts.append("Ov:{},{},100".format(*motion.percent))
             self._until_ov = _BUSY_OV_EVERY if busy else _IDLE_EVERY
         self._until_wco -= 1
         self._until_ov -= 1
@@ -268,7 +292,7 @@ class GrblController(Controller):
         """
         first = text[:1]
         if first == "J":
-            self._jog(text[1:])
+            yield from self._jog(text[1:])
         elif first in ("$", "G", "X"):
             if len(text) > 1:
                 raise RefusedError(3)
@@ -345,7 +369,7 @@ class GrblController(Controller):
             if isinstance(action, Move):
                 if self.settings[20] and self.settings.beyond_travel(action.target_mm):
                     yield from self._soft_limit()
-                self._straight(action)
+                yield from self._straight(action)
                 self._jogged = False
             else:
                 yield from self.until_still()
@@ -359,8 +383,9 @@ class GrblController(Controller):
         if self.settings.whole_steps(self.gcode.at_mm) != end_mm:
             self.gcode.at_mm = end_mm
 
-    def _straight(self, move: Move) -> None:
-        self.go(move.target_mm, None if move.feed_mm_min is None else move.feed_mm_min / 60)
+    def _straight(self, move: Move) -> Iterator[float]:
+        feed = None if move.feed_mm_min is None else move.feed_mm_min / 60
+        yield from self.plan(move.target_mm, feed)
 
     def _soft_limit(self) -> Iterator[float]:
         """To a stand without losing steps, then no line is taken until a reset."""
@@ -370,7 +395,7 @@ class GrblController(Controller):
         while True:
             yield math.inf
 
-    def _jog(self, text: str) -> None:
+    def _jog(self, text: str) -> Iterator[float]:
         if self.mode is not Mode.READY or (self.moving and not self._jogged):
             raise RefusedError(8)
         if not text.startswith("="):
@@ -380,5 +405,5 @@ class GrblController(Controller):
             if self.settings[20] and self.settings.beyond_travel(move.target_mm):
                 raise RefusedError(15)
             self.gcode.at_mm = move.target_mm
-            self._straight(move)
+            yield from self._straight(move)
             self._jogged = True

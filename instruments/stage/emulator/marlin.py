@@ -73,7 +73,7 @@ class MarlinController(Controller):
         words = {letter: float(number or 0) for letter, number in found}  # no number counts as 0
         match name:
             case "G0" | "G1":
-                self._move(words)
+                yield from self._move(words)
             case "G28":
                 asked = [axis for axis, letter in enumerate("XYZ") if letter in words]
                 yield from self._busy(self.until_still())
@@ -127,7 +127,7 @@ class MarlinController(Controller):
                 self.say("echo:; Home offset:")
                 self.say("echo:  M206 X0.00 Y0.00 Z0.00")
 
-    def _move(self, words: dict[str, float]) -> None:
+    def _move(self, words: dict[str, float]) -> Iterator[float]:
         self._feed_mm_min = words.get("F", self._feed_mm_min)
         axes = [axis for axis, letter in enumerate("XYZ") if letter in words]
         if unhomed := "".join("XYZ"[axis] for axis in axes if axis not in self.homed):
@@ -138,7 +138,7 @@ class MarlinController(Controller):
         for axis in axes:
             wanted = words["XYZ"[axis]] + (target[axis] if self._relative else 0.0)
             target[axis] = min(max(wanted, low[axis]), high[axis])
-        self.go(target, self._feed_mm_min / 60)
+        yield from self.plan(target, self._feed_mm_min / 60)
 
     def _busy(self, work: Iterator[float]) -> Iterator[float]:
         """``work``, with a word that it goes on every few seconds."""

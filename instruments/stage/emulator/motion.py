@@ -6,6 +6,7 @@ Where a real controller rounds corners without a stop, this one stops at each en
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 # one number an axis: X Y Z, and A where the board has it; mm, and degrees for A
@@ -14,6 +15,42 @@ SOON_S = 1e-9  # two moments nearer than this are one: sums of times differ in t
 LEAST_MM_S = 1 / 60  # the firmware's slowest feed
 LEAST_MM_S2 = 0.01  # for a setting of 0, which no board can do anything with
 ROUNDED = 1e-12  # of a length: its parts differ from it in their last bits
+
+
+class Run:
+    """A way of ``length_mm`` > 0 from ``entry_mm_s`` to rest, at ``speed_mm_s`` between."""
+
+    def __init__(
+        self,
+        start_s: float,
+        length_mm: float,
+        speed_mm_s: float,
+        accel_mm_s2: float,
+        entry_mm_s: float = 0.0,
+    ) -> None:
+        self.start_s, self.length_mm = start_s, length_mm
+        accel, entry = accel_mm_s2, entry_mm_s
+        top = min(speed_mm_s, math.sqrt(accel * length_mm + entry**2 / 2))
+        first = accel if top >= entry else -accel
+        cruise_mm = length_mm - (top**2 - entry**2) / (2 * first) - top**2 / (2 * accel)
+        # seconds, first speed and acceleration of each phase
+        self._phases = (
+            ((top - entry) / first, entry, first),
+            (max(0.0, cruise_mm) / top, top, 0.0),
+            (top / accel, top, -accel),
+        )
+        self.end_s = start_s + sum([seconds for seconds, _, _ in self._phases])
+
+    def at(self, now_s: float) -> tuple[float, float]:
+        """How far along, mm, and how fast, mm/s."""
+        left_s, place = now_s - self.start_s, 0.0
+        for seconds, speed, accel in self._phases:
+            t = min(max(left_s, 0.0), seconds)
+            place += speed * t + accel * t * t / 2
+            if left_s < seconds:
+                return place, speed + accel * t
+            left_s -= seconds
+        return self.length_mm, 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,63 +67,49 @@ class AxisRates:
 
 @dataclass(frozen=True, slots=True)
 class Straight:
-    """A straight move with its speed and acceleration."""
+    """A straight move. ``feed_mm_s``: what was asked for; None is as fast as possible."""
 
     start_mm: Vector
     target_mm: Vector
     length_mm: float
-    speed_mm_s: float
+    feed_mm_s: float | None
+    top_mm_s: float
     accel_mm_s2: float
 
+    def speed_mm_s(self, feed_percent: int, rapid_percent: int) -> float:
+        """The speed to go at, under the overrides."""
+        speed = self.top_mm_s * rapid_percent / 100
+        if self.feed_mm_s is not None:
+            speed = min(self.feed_mm_s * feed_percent / 100, self.top_mm_s)
+        return max(speed, LEAST_MM_S)
+
     def place(self, along_mm: float) -> Vector:
-        if along_mm >= self.length_mm * (1.0 - ROUNDED):
+        if along_mm >= self.length_mm:
             return self.target_mm
         share = along_mm / self.length_mm
         pairs = zip(self.start_mm, self.target_mm, strict=True)
         return tuple([start + (end - start) * share for start, end in pairs])
 
 
+@dataclass(frozen=True, slots=True)
 class Leg:
-    """``length_mm`` > 0 of ``move`` from ``from_mm`` on: from rest to rest, or ``braking`` from a
-    speed to rest.
-    """
+    """A move, or what is run of it from ``from_mm`` on, and when it is where."""
 
-    def __init__(
-        self,
-        move: Straight,
-        from_mm: float,
-        length_mm: float,
-        start_s: float,
-        braking_mm_s: float = 0.0,
-    ) -> None:
-        self.move, self.from_mm, self.length_mm, self.start_s = move, from_mm, length_mm, start_s
-        accel = move.accel_mm_s2
-        # seconds, first speed and acceleration of each phase
-        self._phases: tuple[tuple[float, float, float], ...] = (
-            (braking_mm_s / accel, braking_mm_s, -accel),
-        )
-        if not braking_mm_s:
-            top = min(move.speed_mm_s, math.sqrt(accel * length_mm))
-            cruise_mm = length_mm - top**2 / (2 * accel) - top**2 / (2 * accel)
-            cruise_s, ramp_s = max(0.0, cruise_mm) / top, top / accel
-            self._phases = ((ramp_s, 0.0, accel), (cruise_s, top, 0.0), (ramp_s, top, -accel))
-        self.end_s = start_s + sum([seconds for seconds, _, _ in self._phases])
+    move: Straight
+    from_mm: float
+    run: Run
 
-    def at(self, now_s: float) -> tuple[float, float]:
-        """How far along the move, mm, and how fast, mm/s."""
-        left_s, place = now_s - self.start_s, self.from_mm
-        for seconds, speed, accel in self._phases:
-            t = min(max(left_s, 0.0), seconds)
-            place += speed * t + accel * t * t / 2
-            if left_s < seconds:
-                return place, speed + accel * t
-            left_s -= seconds
-        return self.from_mm + self.length_mm, 0.0
+    @property
+    def end_s(self) -> float:
+        return self.run.end_s
 
     @property
     def end_mm(self) -> Vector:
         """The move's own target where it goes so far, whatever parts of it were run before."""
-        return self.move.place(self.from_mm + self.length_mm)
+        along_mm = self.from_mm + self.run.length_mm
+        if along_mm >= self.move.length_mm * (1.0 - ROUNDED):
+            return self.move.target_mm
+        return self.move.place(along_mm)
 
 
 class Motion:
@@ -94,13 +117,14 @@ class Motion:
 
     def __init__(self, at_mm: Vector) -> None:
         self._rest = at_mm
-        self._legs: list[Leg] = []
-        self._held: list[tuple[Straight, float]] = []  # and how far each has come
+        self._legs: tuple[Leg, ...] = ()
+        self._held: tuple[tuple[Straight, float], ...] = ()  # and how far each has come
+        self.percent = (100, 100)  # the overrides of feed and of rapid moves
 
     def position(self, now_s: float) -> Vector:
         for leg in self._legs:
             if now_s < leg.end_s:
-                return leg.move.place(leg.at(now_s)[0])
+                return leg.move.place(leg.from_mm + leg.run.at(now_s)[0])
         return self._legs[-1].end_mm if self._legs else self._rest
 
     def turns(self, since_s: float, now_s: float) -> list[Vector]:
@@ -110,7 +134,7 @@ class Motion:
 
     def speed(self, now_s: float) -> float:
         """Along the path, mm/s."""
-        return next((leg.at(now_s)[1] for leg in self._legs if now_s < leg.end_s), 0.0)
+        return next((leg.run.at(now_s)[1] for leg in self._legs if now_s < leg.end_s), 0.0)
 
     def moving(self, now_s: float) -> bool:
         return bool(self._legs) and self._legs[-1].end_s > now_s + SOON_S
@@ -119,10 +143,12 @@ class Motion:
         """When the running move ends, or stops; ``inf`` at rest."""
         return next((leg.end_s for leg in self._legs if leg.end_s > now_s + SOON_S), math.inf)
 
-    def left(self, now_s: float) -> list[tuple[Straight, float]]:
+    def left(self, now_s: float) -> tuple[tuple[Straight, float], ...]:
         """The moves that are not over, the running one first, and how far each has come."""
+        if self._held:
+            return self._held
         legs = [leg for leg in self._legs if leg.end_s > now_s + SOON_S]
-        return self._held or [(leg.move, leg.at(now_s)[0]) for leg in legs]
+        return tuple([(leg.move, leg.from_mm + leg.run.at(now_s)[0]) for leg in legs])
 
     @property
     def target(self) -> Vector:
@@ -132,51 +158,60 @@ class Motion:
         return self._legs[-1].end_mm if self._legs else self._rest
 
     def go(self, target: Vector, feed_mm_s: float | None, rates: AxisRates, now_s: float) -> bool:
-        """Plan a move to ``target`` behind all others, as fast as possible without a feed; False
-        where there is nothing to go.
-        """
+        """Plan a move to ``target`` behind all others; False where there is nothing to go."""
         start = self.target
         length = math.dist(start, target)
         if length == 0:
             return False
         unit = tuple([(end - at) / length for at, end in zip(start, target, strict=True)])
         top, accel = (rates.along(unit, of) for of in (rates.speed_mm_s, rates.accel_mm_s2))
-        speed = max(top if feed_mm_s is None else min(feed_mm_s, top), LEAST_MM_S)
-        self._plan(Straight(start, target, length, speed, max(accel, LEAST_MM_S2)), 0.0, now_s)
+        move = Straight(start, target, length, feed_mm_s, top, max(accel, LEAST_MM_S2))
+        self._plan((*self.left(now_s), (move, 0.0)), now_s)
         return True
 
     def hold(self, now_s: float) -> None:
         """Brake; what is left waits for ``resume``."""
         left, speed = self.left(now_s), self.speed(now_s)
-        self._rest, self._legs, self._held = self.position(now_s), [], left
+        self._rest, self._legs, self._held = self.position(now_s), (), left
         if left and speed > 0:
             move, along = left[0]
             brake_mm = min(speed**2 / (2 * move.accel_mm_s2), move.length_mm - along)
             if brake_mm > 0:
-                self._legs = [Leg(move, along, brake_mm, now_s, speed)]
-                self._held = [(move, along + brake_mm), *left[1:]]
+                run = Run(now_s, brake_mm, speed, move.accel_mm_s2, speed)
+                self._legs = (Leg(move, along, run),)
+                self._held = ((move, along + brake_mm), *left[1:])
 
     def resume(self, now_s: float) -> None:
         """Go on with what a hold left. Only at rest."""
-        left, self._held = self._held, []
-        for move, along in left:
-            self._plan(move, along, now_s)
+        left, self._held = self._held, ()
+        self._plan(left, now_s)
+
+    def override(self, feed: int, rapid: int, now_s: float) -> None:
+        """Change the overrides, in percent, at once."""
+        self.percent = (feed, rapid)
+        if not self._held:
+            self._plan(self.left(now_s), now_s)
 
     def cancel(self, now_s: float) -> None:
         """Brake, and forget what is left."""
         self.hold(now_s)
-        self._held = []
+        self._held = ()
 
     def halt(self, now_s: float) -> None:
         """Stop dead and forget the plan: the steps are cut."""
-        self._rest, self._legs, self._held = self.position(now_s), [], []
-
-    def _plan(self, move: Straight, along_mm: float, now_s: float) -> None:
-        if self._held:  # a new move waits behind those held
-            self._held.append((move, along_mm))
-            return
         self._rest = self.position(now_s)
-        self._legs = [leg for leg in self._legs if leg.end_s > now_s]
-        if (way := move.length_mm - along_mm) > 0:
-            start_s = self._legs[-1].end_s if self._legs else now_s
-            self._legs.append(Leg(move, along_mm, way, start_s))
+        self._legs = self._held = ()
+
+    def _plan(self, left: Sequence[tuple[Straight, float]], now_s: float) -> None:
+        """Run what is left one after the other, the first from the speed that it has."""
+        if self._held:  # a new move waits behind those held
+            self._held = tuple(left)
+            return
+        speed, self._rest = self.speed(now_s), self.position(now_s)
+        legs: list[Leg] = []
+        for move, along in left:
+            if (way := move.length_mm - along) > 0:
+                run = Run(now_s, way, move.speed_mm_s(*self.percent), move.accel_mm_s2, speed)
+                legs.append(Leg(move, along, run))
+                now_s, speed = run.end_s, 0.0
+        self._legs = tuple(legs)

@@ -1,9 +1,9 @@
 """The firmwares' differences, and the emulated controller's stored settings: defaults, text,
 allowed values, and meaning in mm and s.
 
-Classic GRBL's differences are recorded. Of grblHAL, welcome, report fields and the answer to ``?``
-in alarm 2 are recorded; fourth axis ($103 to $133), homing passes ($44 to $46) and the
-out-of-square alarm are from its source. Numbers to $132 are the firmware's
+Classic GRBL's differences are recorded. Of grblHAL, welcome, buffer size, report fields and the
+answer to ``?`` in alarm 2 are recorded; planner blocks, fourth axis ($103 to $133), homing passes
+($44 to $46) and the out-of-square alarm are from its source. Numbers to $132 are the firmware's
 documents'. FluidNC is from its source. Marlin and Zaber are set by Grbl's numbers here, too.
 """
 
@@ -18,14 +18,16 @@ from instruments.stage.emulator.motion import AxisRates, Vector
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """A firmware's welcome, report fields and options (as `$I` prints them), by default classic
-    GRBL's.
+    """A firmware's welcome, buffers, report fields and options (as `$I` prints them), by default
+    classic GRBL's. grblHAL's receive buffer holds a byte less than it states.
     """
 
     name: str = "Grbl"
     welcome: str = "Grbl 1.1h ['$' for help]"
     build: str = "1.1h.20190830"
     options: str = "V,15,128"
+    planner_blocks: int = 15
+    receive_bytes: int = 128
     more_fields: bool = False  # grblHAL's H: (homed) and TLR: (tool length reference)
     always_reports: bool = False  # also while homing and in a critical alarm
     most_axes: int = 3
@@ -44,6 +46,8 @@ GRBL_HAL = Dialect(
     welcome="GrblHAL 1.1f ['$' or '$HELP' for help]",
     build="1.1f.20240101",
     options="V,35,1024",
+    planner_blocks=35,
+    receive_bytes=1023,
     more_fields=True,
     always_reports=True,
     most_axes=4,
@@ -56,6 +60,7 @@ FLUIDNC = Dialect(
     welcome="Grbl 3.7 [FluidNC v3.7.12 (wifi) '$' for help]",
     build="3.7 FluidNC v3.7.12",
     options="PHS",
+    receive_bytes=1023,
     always_reports=True,
     most_axes=4,
     homing_passes=True,

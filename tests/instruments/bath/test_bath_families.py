@@ -35,7 +35,8 @@ def test_eurotherm_bytes(profile: str) -> None:
         2B 0E 01 00 >                     # an unsupported function gets no reply
         17 0000 0001 0002 0001 02 0001 >
         0F 0000 0001 01 01 >
-        08 0000 1234 >
+        08 0000 1234 > 08 00 00 12 34     # loopback
+        08 0001 1234 > 88 03              # with another sub-function
     """)
 
 
@@ -73,6 +74,8 @@ def test_eurotherm_status_word(profile: str) -> None:
     controller.break_for(1.0, "sensor break")
     assert controller.word(75) & 0x0020 == 0x0020  # bit 5
     assert controller.float(0x8002) == 20.0  # undocumented, and so the worst: the last value
+    # the fast status byte is the lower half
+    assert int(controller.ask("07")[3:], 16) & 0x20 == 0x20
 
 
 @eurotherm
@@ -204,6 +207,18 @@ def test_omega_runs_by_its_coil_and_shows_an_error_code_for_a_broken_sensor() ->
 
 
 # ---- JULABO: 1.2
+
+
+@pytest.mark.parametrize("profile", ["julabo-magio", "julabo-presto"])
+def test_julabo_exchanges_registers(profile: str) -> None:
+    controller = Asked(profile)
+    controller.talk("""
+        17 0000 0004 0000 0004 08 0001 0000 4204 0000 > 17 08 00 01 00 00 42 04 00 00
+        17 0000 0004 0000 0001 02 0007 > 97 03
+        03 0003 0001 > 03 02 00 00
+        0F 0000 0001 01 01 > 8F 01
+    """)
+    assert controller.plant.running
 
 
 def test_julabo_heats_with_a_power_of_its_own_when_that_is_digital() -> None:

@@ -115,6 +115,15 @@ def test_position_and_speed_are_right_on_the_way(free: Board) -> None:
     assert free.emulator.position_mm() == pytest.approx([-206.25, -137.5, -25.0])
 
 
+def test_the_sixteenth_move_waits_for_a_free_place_in_the_planner(free: Board) -> None:
+    # 160 bytes would not fit a waiting buffer
+    lines = b"".join(b"G1X-%dF600\n" % (n + 1) for n in range(16))
+    answers = free.say(lines)
+    assert answers == b"ok\r\n" * 15
+    assert free.hear(60.0) == b"ok\r\n"
+    assert free.emulator.position_mm()[0] == pytest.approx(-166.0)
+
+
 def test_slow_fields_come_first_after_a_reset_and_then_in_turn(free: Board) -> None:
     free.say(b"\x18")
     reports = [free.say(b"?") for _ in range(24)]
@@ -195,11 +204,12 @@ def test_a_soft_limit_behind_a_move_stops_that_move_without_losing_steps(board: 
     assert -60 < place < -40
 
 
-def test_grblhal_reports_in_that_alarm_and_takes_any_line_number(
+def test_grblhal_reports_in_that_alarm_and_knows_its_buffer_and_any_line_number(
     make_board: Make,
 ) -> None:
-    board = make_board(dialect=GRBL_HAL)
+    board = make_board({10: 3}, dialect=GRBL_HAL)
     assert board.greeting.startswith(b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n")
+    assert b"|Bf:35,1023|FS:" in board.say(b"?")
     assert b"[OPT:V,35,1024]" in board.say(b"$I\n")
     board.answered_at(b"$H\n")
     assert board.say(b"N99999999\n") == b"ok\r\n"
@@ -244,6 +254,33 @@ def test_sleep_is_left_only_by_a_reset_and_into_the_alarm(free: Board) -> None:
     assert free.say(b"$X\nG1X1F100\n~", 1.0) == b""
     assert free.say(b"\x18") == WELCOME + LOCK
     assert free.state() == b"Alarm"
+
+
+@pytest.mark.slow
+def test_blasting_blindly_mangles_lines_into_many_kinds_of_error(free: Board) -> None:
+    """As recorded, where 1230 bytes gave 48 ``ok`` and six kinds of error; which ones depends on
+    the moves that were sent.
+
+    Bytes come at 115200 baud; where the planner is full and the buffer too, they are lost, and what
+    is left joins up.
+    """
+    lines = b"".join(
+        b"G1X%.3fY%.3fF3000\r\n" % (-(n % 2) * 0.004, -(n % 3) * 0.004) for n in range(60)
+    )
+    answers = b"".join(free.say(bytes([byte]), 10 / 115200) for byte in lines[:1230]) + free.hear(
+        60.0
+    )
+    assert len(set(re.findall(rb"error:\d+", answers))) >= 3
+    assert answers.count(b"\r\n") < 2 * lines[:1230].count(b"\n"), (
+        "CR and LF end a line each; some were lost"
+    )
+
+
+def test_the_buffer_holds_exactly_128_bytes(free: Board) -> None:
+    free.say(b"!")
+    free.say(b"\n" * 127 + b"$I\n")  # of the last line only the first byte finds room
+    assert free.say(b"~", 0.01) == b"ok\r\n" * 127
+    assert free.say(b"G\n").startswith(b"[GC:G0 ")
 
 
 RESET_TO_GO_ON = b"[MSG:Reset to continue]\r\n"
@@ -323,3 +360,11 @@ def test_the_cases_are_the_sheets_and_a_crooked_gantry_is_another_number_in_grbl
     board = make_board(dialect=GRBL_HAL)
     board.emulator.inject(StageFault.CROOKED_GANTRY)
     assert board.say(HOMED, 60.0).startswith(b"ALARM:15\r\nok\r\n")
+
+
+def test_overrides_act_at_once(free: Board) -> None:
+    free.say(b"G1X-100F3000\n", 0.5)
+    free.say(b"\x92" * 5, 1.0)
+    assert b"|FS:1500,0" in free.say(b"?")
+    free.say(b"\x90", 1.0)
+    assert b"|FS:3000,0" in free.say(b"?")

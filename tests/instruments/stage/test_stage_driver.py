@@ -229,10 +229,9 @@ def test_a_hold_at_the_panel_interrupts_the_move(bench: Bench) -> None:
         stage.move_to(-5, -5)
 
 
-def test_a_move_that_takes_too_long(bench: Bench) -> None:
-    stage = bench.homed()
-    stage._dialogue.command("$110=300")  # behind the driver's back
-    stage.begin_move(-250, -1)
+def test_a_feed_override_that_makes_the_move_too_slow(bench: Bench) -> None:
+    stage = _moving(bench)
+    stage._dialogue.write(b"\x92" * 9)
     with pytest.raises(DeviceError, match="takes too long"):
         stage.finish_move()
     stage.stop()

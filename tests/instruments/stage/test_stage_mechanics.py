@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from instruments.errors import LinkError
 from instruments.stage.emulator import Mounting, StageFault
 from instruments.stage.emulator.carriage import AxisDrive
-from instruments.stage.emulator.motion import AxisRates, Leg, Motion, Straight, Vector
+from instruments.stage.emulator.motion import AxisRates, Motion, Run, Vector
 from tests.instruments.stage.board import LOCK, WELCOME, Board
 
 RATES = AxisRates((50.0, 50.0, 50.0), (200.0, 200.0, 200.0))
@@ -29,18 +29,19 @@ def test_a_diagonal_move_is_as_fast_as_its_slowest_axis_allows() -> None:
     assert motion.speed(1.0) == pytest.approx(50 * math.sqrt(2))
 
 
-@given(st.floats(1e-3, 500), st.floats(1, 80), st.floats(10, 1000))
-def test_a_move_covers_its_length_from_rest_to_rest(
-    length: float, speed: float, accel: float
+@given(st.floats(1e-3, 500), st.floats(0, 1), st.floats(1, 80), st.floats(10, 1000))
+def test_a_run_covers_its_length_and_ends_at_rest(
+    length: float, entry: float, speed: float, accel: float
 ) -> None:
-    run = Leg(Straight((0.0,), (length,), length, speed, accel), 0.0, length, 0.0)
-    assert run.at(0.0) == pytest.approx((0.0, 0.0))
+    entry *= math.sqrt(2 * accel * length)  # from which it can still stop
+    run = Run(0.0, length, speed, accel, entry)
+    assert run.at(0.0) == pytest.approx((0.0, entry))
     almost = run.at(run.end_s - 1e-6)
-    assert almost == pytest.approx((length, 0.0), abs=1e-6 * (accel + 1))
+    assert almost == pytest.approx((length, 0.0), abs=1e-6 * (accel + entry + 1))
     steps = [run.at(run.end_s * n / 50) for n in range(51)]
     for (place, fast), (further, _) in itertools.pairwise(steps):
         assert further >= place - 1e-9
-        assert fast <= speed + 1e-9
+        assert fast <= max(speed, entry) + 1e-9
 
 
 def test_moves_stop_at_each_end() -> None:
@@ -70,18 +71,19 @@ def test_a_hold_brakes_within_v_squared_over_2a_and_the_rest_follows_after_it() 
 
 @given(
     st.lists(st.tuples(PLACES, st.floats(1, 60)), min_size=1, max_size=6),
-    st.lists(st.floats(0.01, 2.0), max_size=5),
+    st.lists(st.tuples(st.floats(0.01, 2.0), st.sampled_from((10, 100, 200))), max_size=5),
 )
-def test_any_path_with_any_holds_is_smooth_and_ends_at_its_target(
-    moves: list[tuple[Vector, float]], holds: list[float]
+def test_any_path_with_any_holds_and_overrides_is_smooth_and_ends_at_its_target(
+    moves: list[tuple[Vector, float]], holds: list[tuple[float, int]]
 ) -> None:
     motion, now = Motion((-1.0, -1.0, -1.0)), 0.0
     for target, feed in moves:
         motion.go(target, feed, RATES, now)
-    for run in holds:
+    for run, percent in holds:
         before = motion.position(now + run - 1e-6)
         assert math.dist(before, motion.position(now + run)) <= 1e-6 * 50 * math.sqrt(3) + 1e-9
         now += run
+        motion.override(percent, 100, now)
         motion.hold(now)
         assert (
             math.dist(motion.position(now), motion.position(now + 1e-6))
@@ -91,7 +93,7 @@ def test_any_path_with_any_holds_is_smooth_and_ends_at_its_target(
         assert not motion.moving(now)
         motion.resume(now)
     assert motion.position(now + 36000) == moves[-1][0]
-    assert motion.left(now + 36000) == []
+    assert motion.left(now + 36000) == ()
 
 
 Make = Callable[..., Board]

@@ -193,3 +193,6 @@ def test_real_time_bytes_are_those_of_the_sheet() -> None:
     sent_while_moving = (protocol.STATUS_QUERY, protocol.HOLD, protocol.RESUME)
     assert (*sent_while_moving, protocol.SOFT_RESET) == (b"?", b"!", b"~", b"\x18")
     assert (protocol.DOOR, protocol.JOG_CANCEL) == (b"\x84", b"\x85")
+    feeds = {b"\x90": None, b"\x91": 10, b"\x92": -10, b"\x93": 1, b"\x94": -1}
+    assert feeds == protocol.FEED_OVERRIDES
+    assert set(protocol.RAPID_OVERRIDES) == {b"\x95", b"\x96", b"\x97"}

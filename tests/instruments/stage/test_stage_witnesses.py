@@ -93,7 +93,7 @@ def test_a_new_grbl_board_answers_each_line_as_the_firmware_does() -> None:
 
 def test_a_grbl_board_remembers_between_lines_as_the_firmware_does() -> None:
     port, table = Port(OPEN), typed("grbl-session")
-    assert len(table) >= 38
+    assert len(table) >= 40
     for sent, answers in table:
         data = b"?" if sent == "?" else sent.encode("ascii") + b"\n"
         assert port.say(data, 60.0) == answers, sent
@@ -352,6 +352,8 @@ PIECES = [
         r"\x18",
         r"\x84",
         r"\x85",
+        r"\x91",
+        r"\x96",
         r"G28\n",
         r"$J=G91X-1F1000\n",
         r"$110=0\n",
