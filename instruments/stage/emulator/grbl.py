@@ -2,8 +2,8 @@
 ``$`` lines and status reports. The G-code is in `gcode`.
 
 While a line waits for planner, dwell or homing, further bytes stay in the receive buffer; real-time
-bytes act at once. Sources: the firmware's interface and command documents, and its behaviour
-recorded in a simulator.
+bytes act at once. Start-up lines set modes only. Sources: the firmware's interface and command
+documents, and its behaviour recorded in a simulator.
 """
 
 from __future__ import annotations
@@ -17,8 +17,18 @@ from instruments.clock import Clock
 from instruments.stage import protocol
 from instruments.stage.emulator.carriage import Carriage
 from instruments.stage.emulator.controller import Controller, Work
-from instruments.stage.emulator.gcode import AXES, GCode, Move, RefusedError
-from instruments.stage.emulator.motion import SOON_S
+from instruments.stage.emulator.gcode import (
+    AXES,
+    INCH_MM,
+    Action,
+    Dwell,
+    Flow,
+    GCode,
+    Move,
+    Probing,
+    RefusedError,
+)
+from instruments.stage.emulator.motion import SOON_S, Vector
 from instruments.stage.emulator.store import Store
 
 PASS_S = 0.001  # one pass of the main loop: reports that are asked for in it are sent first
@@ -45,11 +55,12 @@ class Mode(Enum):
     HOLD = "Hold:0", "Hold:1"
     DOOR = "Door:0", "Door:2"
     SLEEP = "Sleep", "Sleep"
+    CHECK = "Check", "Check"
 
 
 DEAF = frozenset({Mode.CRITICAL, Mode.HOLD, Mode.DOOR, Mode.SLEEP})  # lines wait
 # holds, resumes and overrides are ignored
-STUBBORN = frozenset({Mode.LOCKED, Mode.CRITICAL, Mode.HOMING, Mode.SLEEP})
+STUBBORN = frozenset({Mode.LOCKED, Mode.CRITICAL, Mode.HOMING, Mode.SLEEP, Mode.CHECK})
 
 
 class GrblController(Controller):
@@ -59,6 +70,8 @@ class GrblController(Controller):
         self, clock: Clock, settings: Store, carriage: Carriage, answer: Callable[[str], None]
     ) -> None:
         self.gcode = GCode(AXES[: settings.axes], settings.dialect.most_line_number)
+        self._startup, self._info = ["", ""], ""
+        self._afterwards: Callable[[], None] | None = None  # what comes behind a line's answer
         super().__init__(clock, settings, carriage, answer)
 
     def power_up(self) -> None:
@@ -67,10 +80,10 @@ class GrblController(Controller):
         self.mode = Mode.LOCKED if self.settings[22] else Mode.READY
         self._greet()
 
-    def restart(self) -> None:
+    def restart(self, *, answered: bool = False) -> None:
         """What every soft reset ends in. The count stays; an alarm stays an alarm."""
         locked = self.mode in (Mode.LOCKED, Mode.CRITICAL, Mode.SLEEP)
-        if self._work:
+        if self._work and not answered:
             self.say("ok")  # the line that was in the works is answered on the way out
         self.carriage.halt(self.now)
         self.carriage.follow(self.now).override(100, 100, self.now)
@@ -92,7 +105,9 @@ class GrblController(Controller):
         self._half = b""
         self._waiting = bytearray()  # in the receive buffer
         self._resume_s = self._restart_s = math.inf  # when it goes on after a hold; has restarted
-        self.gcode.reset(self.target_mm())
+        self.gcode.reset()
+        self.gcode.at_mm = self.target_mm()
+        self._probed = (0.0,) * self.settings.axes, 0  # where a probing ended, and whether well
         self._until_wco = self._until_ov = 0  # reports until the next with this field
         self._asked_while_homing = self._jogged = False
         self._pressed = set(self.carriage.pressed(self.now))  # an alarm is for those that close
@@ -102,6 +117,16 @@ class GrblController(Controller):
         self.say(self.dialect.welcome)
         if self.mode is Mode.LOCKED:
             self._message("'$H'|'$X' to unlock")
+        else:
+            self._start_up()
+
+    def _start_up(self) -> None:
+        for line in filter(None, self._startup):
+            try:
+                self.gcode.take(line)
+                self.say(f">{line}:ok")
+            except RefusedError as error:
+                self.say(f">{line}:error:{error}")
 
     def _message(self, text: str) -> None:
         self.say(f"[MSG:{self.dialect.info}{text}]")
@@ -215,24 +240,43 @@ class GrblController(Controller):
             self.carriage.follow(self.now).override(feed, rapid, self.now)
             self.pump()
 
+    def _numbers(self, place: Vector) -> str:
+        """The axes' numbers as reports write them; the rotation A is in degrees."""
+        inches = bool(self.settings[13])
+        return ",".join(
+            f"{v / INCH_MM + 0.0:.4f}" if inches and axis < 3 else f"{v + 0.0:.3f}"
+            for axis, v in enumerate(place)
+        )
+
+    def _rate(self, mm_min: float) -> str:
+        if self.settings[13]:
+            return f"{mm_min / INCH_MM:.1f}"
+        return f"{math.floor(mm_min + 0.5)}"  # a half is rounded up
+
     def status(self) -> str:
         """A status report, as ``?`` gets it."""
         now, moving, motion = self.now, self.moving, self.carriage.motion
-        bits, place = int(self.settings[10]), self.settings.whole_steps(motion.position(now))
+        bits, offset = int(self.settings[10]), self.gcode.offset_mm()
+        place = self.settings.whole_steps(motion.position(now))
         jog = self.mode is Mode.READY and self._jogging
         parts = ["Jog" if jog else self.mode.value[moving]]
-        numbers = ",".join([f"{at + 0.0:.3f}" for at in place])  # the work offset is 0
-        parts.append(f"{'MPos' if bits & 1 else 'WPos'}:{numbers}")
+        if bits & 1:
+            parts.append(f"MPos:{self._numbers(place)}")
+        else:
+            work = [at - zero for at, zero in zip(place, offset, strict=True)]
+            parts.append(f"WPos:{self._numbers(tuple(work))}")
         if bits & 2:
             parts.append(f"Bf:{self.dialect.planner_blocks - len(motion.left(now))},{self._room}")
-        parts.append(f"FS:{math.floor(motion.speed(now) * 60 + 0.5)},0")  # a half is rounded up
+        parts.append(f"FS:{self._rate(motion.speed(now) * 60)},0")
         if pins := self._pins():
             parts.append(f"Pn:{pins}")
         busy = moving or self.mode in (Mode.HOLD, Mode.DOOR)
+        if self.gcode.offset_changed:
+            self.gcode.offset_changed, self._until_wco = False, 0
         if self._until_wco == 0:
             self._until_wco = _BUSY_WCO_EVERY if busy else _IDLE_EVERY
             self._until_ov = max(self._until_ov, 1)
-            parts.append("WCO:" + ",".join(["0.000"] * len(place)))
+            parts.append(f"WCO:{self._numbers(offset)}")
         elif self._until_ov == 0:
             parts.append("Ov:{},{},100".format(*motion.percent))
             self._until_ov = _BUSY_OV_EVERY if busy else _IDLE_EVERY
@@ -272,49 +316,46 @@ class GrblController(Controller):
                 raise RefusedError(11)
             if text.startswith("$"):
                 yield from self._system(text[1:])
-            elif self.mode is Mode.LOCKED or self._jogging:
-                raise RefusedError(9)
-            else:
-                yield from self._run(text)
+            elif text:
+                yield from self._gcode(text)
         except RefusedError as error:
             return f"error:{error}"
-        if self.mode is not Mode.SLEEP:
+        afterwards, self._afterwards = self._afterwards, None
+        if afterwards is None:
             return "ok"
         self._answer("ok")
-        self._message("Sleeping")
+        afterwards()
         return None
 
     # "$" lines
 
     def _system(self, text: str) -> Iterator[float]:
-        """Those that are taken in more states than idle and alarm come first; a fault's order is
-        the firmware's.
+        """Those that are taken in more states than idle and alarm; a fault's order is the
+        firmware's.
         """
         first = text[:1]
-        if first == "J":
+        if not text:
+            self.say("[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]")
+        elif first == "J":
             yield from self._jog(text[1:])
-        elif first in ("$", "G", "X"):
+        elif first in "$GCX":
             if len(text) > 1:
                 raise RefusedError(3)
             self._state_line(first)
         elif first == "/" and self.dialect.configured:
-            self._say_entry(text.lower())
+            key = text.lower()
+            said = self.settings.configuration(key)
+            if said is None:
+                raise RefusedError(3)
+            self.say(f"${key}={said}")
         elif self.moving or self.mode not in (Mode.READY, Mode.LOCKED):
             raise RefusedError(8)
         elif first == "H":
             yield from self._home(text)
-        elif text == "I":
-            self.say(f"[VER:{self.dialect.build}:]")
-            self.say(f"[OPT:{self.dialect.options}]")
-        elif text == "SLP":
-            self.mode = Mode.SLEEP
+        elif first == "N" and len(text) > 1:
+            yield from self._store_startup(text[1:])
         else:
-            self._store(text)
-
-    def _say_entry(self, key: str) -> None:
-        if (said := self.settings.configuration(key)) is None:
-            raise RefusedError(3)
-        self.say(f"${key}={said}")
+            self._stored(text)
 
     def _state_line(self, text: str) -> None:
         if text == "$":
@@ -324,26 +365,82 @@ class GrblController(Controller):
                 self.say(line)
         elif text == "G":
             modes = self.gcode.modes
-            self.say(
-                f"[GC:G{modes.motion} G54 G17 G{modes.units} G{modes.distance} G94 M5 M9 T0"
-                f" F{math.floor(modes.feed_mm_min + 0.5)} S0]"
-            )
-        elif self.mode is Mode.LOCKED:
+            self.say(f"[GC:{modes} F{self._rate(modes.feed)} S{math.floor(modes.speed + 0.5)}]")
+        elif text == "X" and self.mode is Mode.LOCKED:
             self.mode = Mode.READY
             self._message("Caution: Unlocked")
+        elif text == "C" and self.mode is Mode.CHECK:
+            self._message("Disabled")
+            self._afterwards = lambda: self.restart(answered=True)
+        elif text == "C":
+            if self.moving or self.mode is not Mode.READY:
+                raise RefusedError(8)
+            self.mode = Mode.CHECK
+            self._message("Enabled")
 
-    def _store(self, text: str) -> None:
-        """Write a setting, ``number=value``."""
-        if (found := _NUMBER.match(text)) is None:
-            raise RefusedError(2)
-        equals, value = text[found.end() : found.end() + 1], text[found.end() + 1 :]
-        given = _NUMBER.match(value)
-        if equals and given is None:
-            raise RefusedError(2 if equals == "=" else 3)
-        if given is None or given.end() < len(value) or float(found[0]) > 255:
+    def _stored(self, text: str) -> None:
+        """Parameters, settings and build: reported or written."""
+        head, equals, value = text.partition("=")
+        if text == "SLP":
+            self.mode = Mode.SLEEP
+            self._afterwards = lambda: self._message("Sleeping")
+        elif head == "RST" and value in ("$", "#", "*"):
+            self._restore(value)
+        elif head == "I" and equals:
+            self._info = value
+        elif text in ("#", "N", "I"):
+            self._report(text)
+        elif text[0] in "#ISR":
             raise RefusedError(3)
-        if code := self.settings.write(int(float(found[0])), float(given[0])):
-            raise RefusedError(code)
+        else:
+            number, value = _setting(text)
+            found = _NUMBER.match(value)
+            if found is None:
+                raise RefusedError(2)
+            if found.end() < len(value) or number > 255:
+                raise RefusedError(3)
+            if code := self.settings.write(int(number), float(found[0])):
+                raise RefusedError(code)
+            self.gcode.offset_changed |= number == 13
+
+    def _report(self, text: str) -> None:
+        if text == "#":
+            self._report_parameters()
+        elif text == "I":
+            for line in self.dialect.identity(self._info):
+                self.say(line)
+        else:
+            for at, line in enumerate(self._startup):
+                self.say(f"$N{at}={line}")
+
+    def _report_parameters(self) -> None:
+        for code, place in self.gcode.stored.items():
+            self.say(f"[G{code:g}:{self._numbers(place)}]")
+        self.say(f"[G92:{self._numbers(self.gcode.g92_mm)}]")
+        self.say(f"[TLO:{self._numbers((self.gcode.modes.tool_mm,))}]")
+        self._report_probe()
+
+    def _report_probe(self) -> None:
+        place, well = self._probed
+        self.say(f"[PRB:{self._numbers(place)}:{well}]")
+
+    def _restore(self, what: str) -> None:
+        if what != "#":
+            self.settings.restore()
+        if what != "$":
+            self.gcode.restore()
+        if what == "*":
+            self._startup, self._info = ["", ""], ""
+        self._message("Restoring defaults")
+        self._afterwards = lambda: self.restart(answered=True)
+
+    def _store_startup(self, text: str) -> Iterator[float]:
+        if self.mode is not Mode.READY:
+            raise RefusedError(8)
+        number, line = _setting(text)
+        yield from self._run(line)
+        if int(number) in (0, 1):
+            self._startup[int(number)] = line
 
     def _home(self, text: str) -> Iterator[float]:
         if not self.settings[22]:
@@ -360,32 +457,54 @@ class GrblController(Controller):
             self._asked_while_homing = False
             self.say(self.status())
         self.mode = Mode.READY
+        self._start_up()
 
     # G-code
+
+    def _gcode(self, text: str) -> Iterator[float]:
+        if self.mode is Mode.LOCKED or self._jogging:
+            raise RefusedError(9)
+        yield from self._run(text)
 
     def _run(self, text: str) -> Iterator[float]:
         self._follow_count()
         for action in self.gcode.take(text):
-            if isinstance(action, Move):
-                if self.settings[20] and self.settings.beyond_travel(action.target_mm):
-                    yield from self._soft_limit()
-                yield from self._straight(action)
-                self._jogged = False
-            else:
-                yield from self.until_still()
-                end_s = self.now + action.seconds
-                while self.now < end_s - SOON_S:
-                    yield end_s
+            yield from self._act(action)
 
     def _follow_count(self) -> None:
         """Something else than a line of G-code may have ended a motion."""
         end_mm = self.target_mm()
-        if self.settings.whole_steps(self.gcode.at_mm) != end_mm:
+        if self.mode is not Mode.CHECK and self.settings.whole_steps(self.gcode.at_mm) != end_mm:
             self.gcode.at_mm = end_mm
+
+    def _act(self, action: Action) -> Iterator[float]:
+        if isinstance(action, Move | Probing):
+            if self.settings[20] and self.settings.beyond_travel(action.target_mm):
+                yield from self._soft_limit()
+            if self.mode is Mode.CHECK:
+                return
+            if isinstance(action, Move):
+                yield from self._straight(action)
+            else:
+                yield from self._probe(action)
+            return
+        checking = self.mode is Mode.CHECK
+        if not checking:
+            yield from self.until_still()
+        if isinstance(action, Dwell) and not checking:
+            end_s = self.now + action.seconds
+            while self.now < end_s - SOON_S:
+                yield end_s
+        elif isinstance(action, Flow) and action.end:
+            self._message("Pgm End")
+        elif isinstance(action, Flow) and not checking:
+            self.mode = Mode.HOLD
+            yield math.inf
 
     def _straight(self, move: Move) -> Iterator[float]:
         feed = None if move.feed_mm_min is None else move.feed_mm_min / 60
         yield from self.plan(move.target_mm, feed)
+        self._jogged = False
 
     def _soft_limit(self) -> Iterator[float]:
         """To a stand without losing steps, then no line is taken until a reset."""
@@ -395,15 +514,41 @@ class GrblController(Controller):
         while True:
             yield math.inf
 
+    def _probe(self, way: Probing) -> Iterator[float]:
+        """To the end of the way, for nothing ever touches this board's probe."""
+        yield from self.until_still()
+        self._probed = self._probed[0], 0
+        if self.probe_closed is not way.away:
+            self.alarm(4)
+            return
+        yield from self._straight(Move(way.target_mm, way.feed_mm_min))
+        yield from self.until_still()
+        if way.strict:
+            self.alarm(5)
+        else:
+            self._probed = self.target_mm(), 0
+        self._report_probe()
+
     def _jog(self, text: str) -> Iterator[float]:
         if self.mode is not Mode.READY or (self.moving and not self._jogged):
             raise RefusedError(8)
         if not text.startswith("="):
             raise RefusedError(3)
         self._follow_count()
-        if move := self.gcode.jog(text[1:]):
+        move = self.gcode.jog(text[1:])
+        if move:
             if self.settings[20] and self.settings.beyond_travel(move.target_mm):
                 raise RefusedError(15)
             self.gcode.at_mm = move.target_mm
             yield from self._straight(move)
             self._jogged = True
+
+
+def _setting(text: str) -> tuple[float, str]:
+    """``number=value``. Raises RefusedError."""
+    found = _NUMBER.match(text)
+    if found is None:
+        raise RefusedError(2)
+    if text[found.end() : found.end() + 1] != "=":
+        raise RefusedError(3)
+    return float(found[0]), text[found.end() + 1 :]

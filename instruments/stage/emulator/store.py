@@ -39,6 +39,9 @@ class Dialect:
     from_low_end: bool = False  # machine space is positive, 0 where it is homed
     resets_on_open: bool = True  # when a host opens the port
 
+    def identity(self, info: str = "") -> list[str]:
+        return [f"[VER:{self.build}:{info}]", f"[OPT:{self.options}]"]
+
 
 CLASSIC = Dialect()
 GRBL_HAL = Dialect(
@@ -119,13 +122,17 @@ class Store:
         needed = [n + axis for n in (100, 110, 120, 130) for axis in range(axes)]
         if dialect.from_low_end and (zero := [n for n in needed if not known[n]]):
             raise ValueError(f"{dialect.name} needs ${', $'.join(map(str, zero))} above 0")
-        self._values = dict(sorted(known.items()))
-        self._wired = self._values[5]
+        self._usual = dict(sorted(known.items()))
+        self.restore()
+
+    def restore(self) -> None:
+        """Set all back to what the board came with."""
+        self._values = dict(self._usual)
 
     @property
     def limits_inverted(self) -> bool:
         """Whether $5 is not as the limit switches are wired: their pins then show the contrary."""
-        return self._values[5] != self._wired
+        return self._values[5] != self._usual[5]
 
     def __getitem__(self, number: int) -> float:
         return self._values[number]

@@ -4,9 +4,8 @@ only pretend to be a stage.
 
 from __future__ import annotations
 
-import re
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, cast
 
 from instruments.clock import VirtualClock
@@ -128,21 +127,6 @@ class Bench(OnLink):
         self.stage.connect()
         self.stage.home()
         return self.stage
-
-
-def spoil(bench: Bench, what: bytes, instead: bytes | Callable[[re.Match[bytes]], bytes]) -> Bench:
-    """Plug the driver in again, with something else in the board's reports."""
-    board = bench.emulator
-
-    class Spoiled:
-        receive, disconnect = board.receive, board.disconnect
-
-        def connect(self, connection: Connection) -> None:
-            honest = connection.send
-            connection.send = lambda data: honest(re.sub(what, instead, data))  # type: ignore[method-assign]
-            board.connect(connection)
-
-    return bench.again(device=Spoiled())
 
 
 class Parrot:

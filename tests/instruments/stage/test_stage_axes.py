@@ -4,14 +4,16 @@ with more in them than we know.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import pytest
 
 from instruments.errors import DeviceError, LimitError, ProtocolError
+from instruments.listener import Connection
 from instruments.stage.driver import Stage
 from instruments.stage.emulator import GRBL_HAL
-from tests.instruments.stage.board import Bench, spoil
+from tests.instruments.stage.board import Bench
 
 Make = Callable[..., Bench]
 
@@ -67,6 +69,21 @@ def test_unknown_fields_of_a_report_are_no_obstacle(make: Make) -> None:
     stage = spoil(make(), rb"\|FS:", b"|H:1,7|A:S|Sx:?;-|TLR:0|FS:").homed()
     stage.move_to(-100, -50)
     assert stage.status().fields["Sx"] == "?;-"
+
+
+def spoil(bench: Bench, what: bytes, instead: bytes) -> Bench:
+    """Plug the driver in again, with something else in the board's reports."""
+    board = bench.emulator
+
+    class Spoiled:
+        receive, disconnect = board.receive, board.disconnect
+
+        def connect(self, connection: Connection) -> None:
+            honest = connection.send
+            connection.send = lambda data: honest(re.sub(what, instead, data))  # type: ignore[method-assign]
+            board.connect(connection)
+
+    return bench.again(device=Spoiled())
 
 
 @pytest.mark.parametrize("text", [b"-100.020", b"-99.980", b"-1.000"])

@@ -4,7 +4,6 @@ moves, limits, jogs, hold, resume, stop and safe from every state; golden lines 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable
 
 import pytest
@@ -12,7 +11,7 @@ import pytest
 from instruments.errors import DeviceError, LimitError, LinkError
 from instruments.stage.driver import Stage
 from instruments.stage.emulator import StageFault
-from tests.instruments.stage.board import Bench, spoil
+from tests.instruments.stage.board import Bench
 
 Make = Callable[..., Bench]
 
@@ -108,12 +107,9 @@ def test_a_controller_without_homing_is_never_moved(make: Make) -> None:
 
 
 def test_work_positions_are_turned_into_machine_positions(make: Make) -> None:
-    def shifted(found: re.Match[bytes]) -> bytes:
-        if found[1] == b"WCO":
-            return b"WCO:100.000,50.000,"
-        return b"WPos:%.3f,%.3f," % (float(found[2]) - 100, float(found[3]) - 50)
-
-    stage = spoil(make({10: 0}), rb"(WPos|WCO):([-.\d]+),([-.\d]+),", shifted).homed()
+    bench = make({10: 0})
+    stage = bench.homed()
+    stage._dialogue.command("G92X100Y50")
     stage.move_to(-30, -40)
     assert stage.position() == pytest.approx([-30, -40, -1])
     assert stage.status().mpos_mm is None

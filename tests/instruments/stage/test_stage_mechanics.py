@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from instruments.errors import LinkError
 from instruments.stage.emulator import Mounting, StageFault
 from instruments.stage.emulator.carriage import AxisDrive
+from instruments.stage.emulator.gcode import GCode, Move
 from instruments.stage.emulator.motion import AxisRates, Motion, Run, Vector
 from tests.instruments.stage.board import LOCK, WELCOME, Board
 
@@ -345,3 +346,28 @@ def test_the_plates_pose_by_hand(
 ) -> None:
     got = mounting.pose(place)
     assert (got.x_mm, got.y_mm, got.z_mm, got.yaw_rad) == pytest.approx(pose, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("line", "centre", "radius", "turn_deg"),
+    [
+        ("G2X1Y1I1F500", (1.0, 0.0), 1.0, -90.0),
+        ("G3X1Y1I1F500", (1.0, 0.0), 1.0, 270.0),
+        ("G3X1Y1J1F500", (0.0, 1.0), 1.0, 90.0),
+        ("G2X2Y0R1F500", (1.0, 0.0), 1.0, -180.0),
+        ("G2X1Y1R-1F500", (0.0, 1.0), 1.0, -270.0),
+        ("G3X1Y1R1F500", (0.0, 1.0), 1.0, 90.0),
+        ("G2X0Y0I3F500", (3.0, 0.0), 3.0, -360.0),
+    ],
+)
+def test_an_arc_goes_round_its_centre(
+    line: str, centre: tuple[float, float], radius: float, turn_deg: float
+) -> None:
+    """Signs by hand: G2 is clockwise, and a negative R is the longer way round."""
+    places = [one.target_mm for one in GCode("XYZ", 1e7).take(line) if isinstance(one, Move)]
+    ways = [(x - centre[0], y - centre[1]) for x, y, _ in [(0.0, 0.0, 0.0), *places]]
+    assert [math.hypot(*way) for way in ways] == pytest.approx([radius] * len(ways))
+    angles = [math.degrees(math.atan2(y, x)) for x, y in ways]
+    turns = [(after - at + 180) % 360 - 180 for at, after in itertools.pairwise(angles)]
+    assert sum(turns) == pytest.approx(turn_deg)
+    assert max(map(abs, turns)) <= 10 + 1e-9
