@@ -1,25 +1,29 @@
-"""What would go wrong with a script on a rig, found without moving anything: limits, views,
-collisions. What the arm reaches is found by the rehearsal.
+"""What would go wrong with a script on a rig, found without moving anything: reach, limits, views,
+collisions.
 
 Each pose is checked once, however often it is repeated. The stage's travel is an argument. What
-can't be checked is reported.
+can't be checked is reported. The emulated operator holds the stylus upright; a person may lean it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, product
 
 import numpy as np
 
 from bench.rig.loading import LoadedRig
 from bench.rig.urls import EMULATED
+from bench.run.estimate import carry_touches
+from bench.scoring.errors import Floats
 from bench.script.model import FIRST, LoadedScript
 from bench.script.planned_trials import PlannedTrial, pose_text, shared
 from bench.truth.stage_registration import around
 from detector.calibration import Calibration
 from detector.geometry import Camera, Motion
+from instruments.microscribe.kinematics import OutOfReachError, inverse
+from instruments.microscribe.unit import ArmIdentity, shipped_unit
 from instruments.stage.settings import AxisLimits
 from instruments.world.objects import make_object
 from instruments.world.phantom import Phantom, PlatePose, spoken_name
@@ -29,7 +33,9 @@ NamedCamera = tuple[str, Camera, Motion]  # name, lens, camera_from_world
 
 MARGIN_PX = 4.0  # between a teat's rounded end and the picture's edge
 PLAY_MM = 0.01  # two teats may touch
+USUAL_ARM = "40937"  # the one that ships
 KEYS = {"x_mm": "X", "y_mm": "Y", "z_mm": "Z", "a_deg": "A"}
+STYLUS_UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +62,7 @@ def dry_run(
         *(found for name, pose in places for found in _beyond(rig, name, pose, travel or {})),
         *(found for one in {o.name: o for o in distinct}.values() for found in _unseen(one, views)),
         *(found for one in distinct for found in _collisions(one)),
+        *_out_of_reach(rig, script),
     )
     unchecked = {
         f"the stage's travel: {why_no_travel}": rig.rig.stage and travel is None,
@@ -143,6 +150,48 @@ def _collisions(one: PlannedTrial) -> Iterator[Finding]:
             if gap < -PLAY_MM:
                 text = f"{part} stands {-gap:.1f} mm inside object {number} ({thing.name})"
                 yield Finding(one.name, "collision", text)
+
+
+def _out_of_reach(rig: LoadedRig, script: LoadedScript) -> Iterator[Finding]:
+    """Teat ends that the arm can't reach where it has to."""
+    planned, truth = script.planned, script.script.truth
+    axes = rig.rig.stage.axes if rig.rig.stage else ""
+    at: Sequence[int] = range(len(planned))
+    to_touch: list[tuple[str, Phantom]] = []
+    if truth.mode != "touch":
+        at = carry_touches(planned, axes, truth.check_every)
+        for pose in registered_at(rig, script):
+            stands = planned[0].phantom.moved(shared(planned[0].pose, axes)[1].carried(pose))
+            touched = replace(stands, teats=stands.teats[truth.registration_teat - 1 :][:1])
+            to_touch.append((f"registration at {pose_text(pose)}", touched))
+    distinct = {planned[index].name: planned[index] for index in at}
+    to_touch += [(name, one.phantom.moved(one.pose)) for name, one in distinct.items()]
+    unit, placed = rig.arm_unit or shipped_unit(USUAL_ARM), rig.rig.emulation.arm_placed
+    frame = rig.frame.world_from_arm if rig.frame else Motion.from_vectors(placed.om, placed.T)
+    arm_from_world, upright_only = frame.inverse(), rig.rig.operator.url == EMULATED
+    up = arm_from_world.R @ STYLUS_UP
+    for name, phantom in to_touch:
+        for teat, end in enumerate(arm_from_world.apply(phantom.ends_mm)):
+            if way_to(unit, end, up, upright_only=upright_only) is None:
+                where = np.round(phantom.ends_mm[teat]).astype(int).tolist()
+                text = f"the arm doesn't reach the end of {_name(phantom, teat)} at {where} mm"
+                yield Finding(name, "reach", text)
+
+
+def way_to(
+    unit: ArmIdentity, point_mm: Floats, stylus: Floats, *, upright_only: bool
+) -> Floats | None:
+    """The stylus's direction (3,) in which the arm can hold its tip at ``point_mm`` (3,), arm's
+    frame: ``stylus``, or any other unless ``upright_only``; None where it can't get there.
+    """
+    geometry = unit.geometry()
+    for direction in (stylus,) if upright_only else (stylus, None):
+        try:
+            counts = inverse(geometry, point_mm, direction, start=unit.home)
+        except OutOfReachError:
+            continue
+        return stylus if direction is not None else np.asarray(geometry.forward(counts)[1][0])
+    return None
 
 
 def _name(phantom: Phantom, teat: int) -> str:

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.dry_run.pose_checks import Finding, registered_at
+from bench.dry_run.pose_checks import USUAL_ARM, Finding, registered_at, way_to
 from bench.files import Picture
 from bench.record.reader import read_run
 from bench.record.schema import SCRIPT as SCRIPT_FILE
@@ -56,8 +56,7 @@ from instruments.camera.frame import FrameSet
 from instruments.clock import VirtualClock
 from instruments.drivers.protocols import Cameras as OpenCameras
 from instruments.errors import DeviceError
-from instruments.microscribe.kinematics import OutOfReachError, inverse
-from instruments.microscribe.unit import ArmIdentity, shipped_unit
+from instruments.microscribe.unit import shipped_unit
 from instruments.operators.operator import (
     Answer,
     CheckPoint,
@@ -73,7 +72,6 @@ from instruments.world.phantom import spoken_name
 
 MOST_SETS = 12  # rendered; a second or so each on a busy machine
 DARK, LIGHT = 60, 180  # of a picture that passes for one
-USUAL_ARM = "40937"  # the one that ships
 STAND_IN_BATH = "julabo-ascii"  # for a lab's own lines, which no emulator speaks
 ROOM_MM = 10.0  # beyond the furthest place, where a stage's travel is unknown
 # for pictures that are all alike: nothing is compared, and no edge is measured
@@ -458,19 +456,3 @@ class ReachingHands:
             self._reached[key] = np.asarray(R.T @ way)
         world.hold(point, self._reached[key])
         return ""
-
-
-def way_to(
-    unit: ArmIdentity, point_mm: Floats, stylus: Floats, *, upright_only: bool
-) -> Floats | None:
-    """The stylus's direction (3,) in which the arm can hold its tip at ``point_mm`` (3,), arm's
-    frame: ``stylus``, or any other unless ``upright_only``; None where it can't get there.
-    """
-    geometry = unit.geometry()
-    for direction in (stylus,) if upright_only else (stylus, None):
-        try:
-            counts = inverse(geometry, point_mm, direction, start=unit.home)
-        except OutOfReachError:
-            continue
-        return stylus if direction is not None else np.asarray(geometry.forward(counts)[1][0])
-    return None

@@ -60,6 +60,11 @@ ROD = ({"kind": "rod", "x_mm": -150.0, "y_mm": 284.0},)
             "x -160 mm, y +0 mm needs the stage's X axis at -310, which goes from -300 to 0",
         ),
         (
+            "reach",
+            {"layout": "single", "pose": {"x_mm": -120.0, "y_mm": 130.0}},
+            "the arm doesn't reach the end of right front (RF) at [-235, 492, 135] mm",
+        ),
+        (
             "collision",
             {"objects": ROD, "pose": {"x_mm": -35.0}},
             "right front (RF)'s flange stands 21.2 mm inside object 1 (rod)",
@@ -118,6 +123,15 @@ def test_what_cannot_be_checked_is_said(rig: LoadedRig) -> None:
         "the thermal picture",
     ]
     assert "limits" not in {finding.kind for finding in findings}
+
+
+def test_a_real_arm_may_be_held_at_a_slant(rig: LoadedRig) -> None:
+    """At 462 mm the upright stylus is beyond the wrist's reach, and a person would lean it."""
+    console = rig.rig.operator.model_copy(update={"url": "console:"})
+    by_hand = replace(rig, rig=rig.rig.model_copy(update={"operator": console}))
+    far = script(layout="single", pose={"x_mm": -145.0, "y_mm": 100.0})
+    assert "reach" in kinds(rig, far)
+    assert "reach" not in kinds(by_hand, far)
 
 
 def test_a_carried_truth_is_touched_at_the_start_at_checks_and_at_the_end() -> None:
