@@ -11,6 +11,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import sqlite3
 import subprocess
 import sys
@@ -23,6 +24,7 @@ import pytest
 
 import bench
 from bench.record.schema import make_tables
+from detector.outline import kernels
 from tests.conftest import ROOT
 
 PAGE = ROOT / "docs" / "api.md"
@@ -154,8 +156,15 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def site(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where the wheel is installed."""
     folder = tmp_path_factory.mktemp("installed")
-    Installed(folder / "site", folder).pip(str(wheel))
-    return folder / "site"
+    found = folder / "site"
+    Installed(found, folder).pip(str(wheel))
+    # what numba has compiled of the same file: to do it again takes twenty seconds of a processor
+    own = Path(kernels.__file__)
+    installed = found / own.relative_to(ROOT)
+    shutil.copystat(own, installed)
+    for kept in (own.parent / "__pycache__").glob("*.nb[ci]"):
+        shutil.copy2(kept, installed.parent / "__pycache__")
+    return found
 
 
 @pytest.fixture
