@@ -43,7 +43,7 @@ DRAWN = tuple(
 ROOMS = ("cli", "console", "record", "rig", "run", "safety", "truth")
 BARE = (
     *(f"tests.bench.{room}." for room in ROOMS),
-    *("tests.bench.report.test_report_thesis", "tests.test_docs"),
+    *("tests.bench.report.test_report_thesis", "tests.test_docs", "tests.detector.test_depth"),
 )
 
 

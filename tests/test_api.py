@@ -201,17 +201,22 @@ def test_a_driver_of_each_kind_from_an_empty_folder(installed: Installed) -> Non
     files["lab_drivers.py"] = "\n\n".join(blocks(page, "python"))
     for name, text in files.items():
         (installed.here / name).write_text(text, encoding="utf-8")
+    commands: list[list[str]] = []
     for line in "".join(blocks(page, "sh")).splitlines():
-        words = shlex.split(line)
-        if words[:2] == ["pip", "install"]:
-            installed.pip(*words[2:])
-            continue
-        words[0] = sys.executable if words[0] == "python3" else words[0]
-        said = installed(*words)
-        if "check" in words:
-            assert not re.search("failed|not checked|FAULT", said), said
-        elif words == ["teatbench", "plugin"]:
-            assert said.count("with an emulator") == 4
+        program, *words = shlex.split(line)
+        if program == "pip":
+            installed.pip(*words[1:])
+        elif program == "python3":
+            installed(sys.executable, *words)
+        else:
+            commands.append(words)
+    assert commands.pop(0) == ["plugin"]
+    assert installed("teatbench", "plugin").count("with an emulator") == 4
+    assert all(words[0] in ("plugin", "check") for words in commands)
+    in_turn = "import sys, json; from bench.cli.main import main"
+    in_turn += "; sys.exit(any(list(map(main, json.loads(sys.argv[1])))))"
+    said = installed(sys.executable, "-c", in_turn, json.dumps(commands))
+    assert not re.search("failed|not checked|FAULT", said), said
 
 
 @pytest.mark.slow

@@ -191,7 +191,7 @@ def test_a_scene_that_kills_and_one_without_an_end_are_set_aside_by_name(
     file = tmp_path / "plan.toml"
     file.write_text(
         'families = ["ideal"]\nscenes = 5\nchunk_scenes = 3\nseed = 7\ndetectors = ["rogue"]\n'
-        'rig = "rig.toml"\nchunk_limit_s = 10.0\n',
+        'rig = "rig.toml"\nchunk_limit_s = 4.0\n',
         encoding="utf-8",
     )
     first = said(4, "campaign chunk {} 0 --out {}", file, tmp_path / "out")
@@ -202,7 +202,7 @@ def test_a_scene_that_kills_and_one_without_an_end_are_set_aside_by_name(
     found = json.loads(out.out)
     assert sorted(found["set_aside"]) == ["ideal-0001", "ideal-0004"]
     assert "ended with code 3" in found["set_aside"]["ideal-0001"]
-    assert "no sign of life for 10 s" in found["set_aside"]["ideal-0004"]
+    assert "no sign of life for 4 s" in found["set_aside"]["ideal-0004"]
     assert all("with this scene alone" in why for why in found["set_aside"].values())
     assert "the scene is tried again alone, in a new process" in out.err
     assert "scene ideal-0004 was set aside" in out.err
@@ -226,7 +226,7 @@ def test_a_client_killed_at_random_goes_on_where_it_was(
     shards = Shards(tmp_path / "out")
     chance = random.Random(5)
     for _ in range(CLIENT_KILLS):
-        going = command("run", file, "--workers", 2, "--out", tmp_path / "out")
+        going = command("run", file, "--workers", 1, "--out", tmp_path / "out")
         before = len(shards.done())
         enough = min(before + chance.randint(0, 1), plan.chunk_count)
 
