@@ -32,7 +32,9 @@ CLOSED = '{"t_s": 2, "link": "arm", "event": "closed"}\n'
 
 
 ONE_FOLDER = settings(
-    max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
+    max_examples=examples(40),
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    deadline=None,
 )
 
 
@@ -207,7 +209,7 @@ EVENTS = st.lists(
 
 @pytest.mark.slow
 @given(EVENTS)
-@settings(ONE_FOLDER, max_examples=100)
+@settings(ONE_FOLDER, max_examples=examples(25))
 def test_whatever_taps_get_is_read_back(
     tmp_path: Path, events: list[tuple[str, str, bytes]]
 ) -> None:
@@ -259,6 +261,7 @@ import sys
 from pathlib import Path
 from instruments.captures.capture import CaptureFile
 from instruments.clock import RealClock
+from tests.examples import examples
 tap = CaptureFile(Path(sys.argv[1]), {"teatbench": "0", "command": "c", "machine": "m"}).tap("arm", RealClock())
 tap.opened("u")
 number = 0

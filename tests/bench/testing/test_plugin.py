@@ -6,6 +6,7 @@ import json
 import re
 from importlib.metadata import entry_points
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 
@@ -187,14 +188,18 @@ def test_an_unknown_requirement_rig_or_detector_is_wrong_use(pytester: pytest.Py
 
 
 @pytest.mark.slow
-def test_the_page_word_by_word(pytester: pytest.Pytester) -> None:
-    """Its first program finds a scene; its second one runs on the emulated rig."""
+def test_the_page_word_by_word(pytester: pytest.Pytester, rig: str) -> None:
+    """Its first program finds a scene; its second one runs on an emulated rig. Small cameras stand
+    in for those of the rig where none is named.
+    """
     page = (ROOT / "docs" / "testing.md").read_text(encoding="utf-8")
     programs = re.findall(r"Save this as `(\w+)\.py`:\n\n```python\n(.*?)```", page, re.DOTALL)
     pytester.makepyfile(**dict(programs))
-    with bare():
+    small = patch.dict(bench.testing.check.__kwdefaults__, rig=rig)
+    with bare(), small:
         first = pytester.runpytest_inprocess(*PLUGIN, "test_detector.py")
-        second = pytester.runpytest_inprocess(*PLUGIN, "test_rig.py", "--detector", "fused")
+        words = ("test_rig.py", "--detector", "fused", "--rig", rig)
+        second = pytester.runpytest_inprocess(*PLUGIN, *words)
     first.assert_outcomes(failed=1)
     first.stdout.fnmatch_lines(
         [
