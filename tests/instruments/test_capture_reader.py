@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from instruments.captures.capture import CaptureError, CaptureFile, read_capture
 from instruments.clock import VirtualClock
 from tests.conftest import ROOT
+from tests.examples import examples
 
 HEAD = (
     '{"format": "teatbench capture", "version": 1, "wall_time": "w", "teatbench": "0", "command":'
@@ -261,7 +262,6 @@ import sys
 from pathlib import Path
 from instruments.captures.capture import CaptureFile
 from instruments.clock import RealClock
-from tests.examples import examples
 tap = CaptureFile(Path(sys.argv[1]), {"teatbench": "0", "command": "c", "machine": "m"}).tap("arm", RealClock())
 tap.opened("u")
 number = 0
