@@ -21,6 +21,7 @@ from instruments.captures.capture import CaptureError, CaptureFile, read_capture
 from instruments.clock import VirtualClock
 from tests.conftest import ROOT
 from tests.examples import examples
+from tests.waiting import within
 
 HEAD = (
     '{"format": "teatbench capture", "version": 1, "wall_time": "w", "teatbench": "0", "command":'
@@ -282,9 +283,7 @@ def test_kill_9_leaves_all_that_was_captured(tmp_path: Path) -> None:
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
     try:
-        deadline = time.monotonic() + 60
-        while not (path.exists() and path.stat().st_size > 1000) and time.monotonic() < deadline:
-            time.sleep(0.005)
+        within(60.0, lambda: path.exists() and path.stat().st_size > 1000, "captured")
         time.sleep(0.11)
     finally:
         child.send_signal(signal.SIGKILL)

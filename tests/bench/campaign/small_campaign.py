@@ -8,7 +8,6 @@ import os
 import re
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -116,11 +115,3 @@ def module(name: object, *words: object, quiet: bool = False) -> subprocess.Pope
 def command(*words: object) -> subprocess.Popen[str]:
     """`teatbench campaign` with these words, in a process of its own."""
     return module("bench.cli", "campaign", *words)
-
-
-def until(holds: Callable[[], bool], what: str, most_s: float = 120.0) -> None:
-    """Wait until something holds."""
-    end_s = time.monotonic() + most_s
-    while not holds():
-        assert time.monotonic() < end_s, what
-        time.sleep(0.02)

@@ -36,9 +36,9 @@ from tests.bench.campaign.small_campaign import (
     command,
     module,
     small_plan,
-    until,
 )
 from tests.bench.commands import Said
+from tests.waiting import within
 
 # with 50 by hand: 200 scenes
 WORKERS = (1, 2, 7) if KILLS else (2,)
@@ -230,7 +230,7 @@ def test_a_client_killed_at_random_goes_on_where_it_was(
         before = len(shards.done())
         enough = min(before + chance.randint(0, 1), plan.chunk_count)
 
-        until(partial(got_on, going, shards, enough), "no chunk was done")
+        within(120.0, partial(got_on, going, shards, enough), "a chunk is done")
         going.kill()
         going.communicate()
     last = command("run", file, "--workers", 1, "--json", "--out", tmp_path / "out")
@@ -364,14 +364,14 @@ def test_a_dask_cluster_makes_the_same_rows_whoever_of_it_is_killed(
     try:
         for number in range(KILLED):
             # every other time a chunk is waited for: the campaign must not end before
-            until(partial(ended, len(shards.done()) + number % 2), "no chunk was done")
+            within(120.0, partial(ended, len(shards.done()) + number % 2), "a chunk is done")
             name = ("worker", "scheduler", "client")[number % 3]
             if going["client"].poll() is None:
                 threading.Event().wait(chance.uniform(0.0, 2.0 - 1.5 * (number % 2)))
                 going[name].kill()
                 kills[name] += 1
                 going.pop(name).communicate()
-        until(partial(ended, sys.maxsize), "the campaign did not end", 300.0)
+        within(300.0, partial(ended, sys.maxsize), "the campaign ends")
         told, err = going.pop("client").communicate()
     finally:
         for process in going.values():
