@@ -219,7 +219,7 @@ def got_on(going: subprocess.Popen[str], shards: Shards, enough: int) -> bool:
 @pytest.mark.skipif(sys.platform == "win32", reason="sends signals")
 @pytest.mark.timeout(60 + 20 * CLIENT_KILLS)
 def test_a_client_killed_at_random_goes_on_where_it_was(
-    plan: Plan, plain: tuple[Path, str], tmp_path: Path
+    plan: Plan, plain: tuple[Path, str], tmp_path: Path, said: Said
 ) -> None:
     file = tmp_path / "plan.toml"
     file.write_text(plan_text(plan, {}), encoding="utf-8")
@@ -233,11 +233,9 @@ def test_a_client_killed_at_random_goes_on_where_it_was(
         within(120.0, partial(got_on, going, shards, enough), "a chunk is done")
         going.kill()
         going.communicate()
-    last = command("run", file, "--workers", 1, "--json", "--out", tmp_path / "out")
-    out, err = last.communicate(timeout=100)
-    assert last.returncode == 0, err
-    assert json.loads(out)["digest"] == plain[1]
-    assert json.loads(out)["scenes"] == 2 * plan.most_scenes
+    last = said(0, "campaign run {} --workers 1 --json --out {}", file, tmp_path / "out")
+    assert json.loads(last.out)["digest"] == plain[1]
+    assert json.loads(last.out)["scenes"] == 2 * plan.most_scenes
 
 
 @pytest.mark.slow
