@@ -33,11 +33,11 @@ from instruments.world.situations import situation
 from tests.bench.campaign.small_campaign import (
     KILLS,
     Here,
-    command,
     module,
     small_plan,
 )
 from tests.bench.commands import Said
+from tests.bench.forked import Running, begin
 from tests.waiting import within
 
 # with 50 by hand: 200 scenes
@@ -211,7 +211,7 @@ def test_a_scene_that_kills_and_one_without_an_end_are_set_aside_by_name(
     assert found["rates"][0]["scenes"] == 3
 
 
-def got_on(going: subprocess.Popen[str], shards: Shards, enough: int) -> bool:
+def got_on(going: Running, shards: Shards, enough: int) -> bool:
     return going.poll() is not None or len(shards.done()) > enough
 
 
@@ -226,7 +226,7 @@ def test_a_client_killed_at_random_goes_on_where_it_was(
     shards = Shards(tmp_path / "out")
     chance = random.Random(5)
     for _ in range(CLIENT_KILLS):
-        going = command("run", file, "--workers", 1, "--out", tmp_path / "out")
+        going = begin(["campaign", "run", file, "--workers", 1, "--out", tmp_path / "out"])
         before = len(shards.done())
         enough = min(before + chance.randint(0, 1), plan.chunk_count)
 
@@ -338,14 +338,14 @@ def test_a_dask_cluster_makes_the_same_rows_whoever_of_it_is_killed(
     with socket.create_server(("127.0.0.1", 0)) as free:
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
     shards = Shards(out)
-    campaign = ("bench.cli", "campaign", "run", file, "--dask", address, "--json", "--out", out)
+    campaign = ("campaign", "run", file, "--dask", address, "--json", "--out", out)
     at = ("--host", "127.0.0.1", "--no-dashboard")
     words: dict[str, tuple[object, ...]] = {
         "scheduler": ("distributed.cli.dask_scheduler", "--port", address.split(":")[-1], *at),
         "worker": ("distributed.cli.dask_worker", address, "--nthreads", 1, "--no-nanny", *at),
         "client": campaign,
     }
-    going: dict[str, subprocess.Popen[str]] = {}
+    going: dict[str, Running] = {}
     chance, kills = random.Random(6), Counter[str]()
 
     def ended(enough: int) -> bool:
@@ -353,7 +353,11 @@ def test_a_dask_cluster_makes_the_same_rows_whoever_of_it_is_killed(
             if name not in going or (name != "client" and going[name].poll() is not None):
                 if name in going:
                     going[name].communicate()
-                going[name] = module(*words[name], quiet=name != "client")
+                client = name == "client"
+                started = (
+                    begin(campaign, stderr=subprocess.PIPE) if client else module(*words[name])
+                )
+                going[name] = started
         if (code := going["client"].poll()) not in (None, 0):
             assert code == 3, going["client"].communicate()  # told that it can go on
             del going["client"]
