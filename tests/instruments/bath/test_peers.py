@@ -244,6 +244,8 @@ SEEN = {
     ),
 }
 
+TURNS = [*zip(SEEN, cycle(("tcp", "pty")), strict=False)]
+
 RELAYS = {"modbus-relay": ("0", 0)}  # ``-t`` type and address of the contact
 
 
@@ -296,7 +298,7 @@ def polled(name: str, transport: str) -> Iterator[Polled]:
         yield Polled(emulator.plant, emulator, where)
 
 
-@pytest.mark.parametrize(("name", "transport"), zip(SEEN, cycle(("tcp", "pty")), strict=False))
+@pytest.mark.parametrize(("name", "transport"), TURNS)
 def test_mbpoll_reads_and_writes(name: str, transport: str) -> None:
     seen = SEEN[name]
     high = seen.high_word_first
