@@ -20,8 +20,9 @@ from bench.rig.guardian import DONE
 from bench.rig.guardian_client import GuardianClient, GuardianTarget, Heartbeat
 from bench.rig.hand_over import HAND_OVER_S, BathLock, bath_name
 from instruments.errors import LimitError, LinkError
-from tests.bench.safety.guards import HotBath, guardian_record, hot_bath, standby_after, within
+from tests.bench.safety.guards import HotBath, guardian_record, hot_bath, standby_after
 from tests.conftest import ROOT
+from tests.waiting import within
 
 ENDED = 1 << 22  # more than any system gives a process
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
@@ -251,7 +251,6 @@ def test_the_interval_of_a_published_table() -> None:
     assert span == pytest.approx((-0.517, -0.026), abs=5e-4)
 
 
-@settings(max_examples=60)
 @given(COUNTS)
 def test_the_interval_holds_what_the_score_test_does_not_refuse(d: Discordance) -> None:
     span = d.interval(0.95)
