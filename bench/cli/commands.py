@@ -357,9 +357,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "compare": (
         "compare runs, or the detectors of one run, trial by trial",
         "compare runs/old runs/new --gate",
-        option(
-            "run RUN", "folders of runs, or 'latest'; the first is the old one", a_run, nargs="+"
-        ),
+        option("run RUN", "runs' folders, or 'latest'; the first is the old one", a_run, nargs="+"),
         *COMPARED,
         flag(
             "--together", "judge all runs as one, by their counts and errors, instead of comparing"
