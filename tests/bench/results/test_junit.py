@@ -87,10 +87,15 @@ ENDINGS = {
         RunRecord(
             Path("run"),
             FACTS | {"ending": "faulted", INSTRUMENTS_FACT: {"session": 1, "instruments": [HOT]}},
-            events=(event("trip", "over-temperature: 36.10 degC"), event("fault", "over-temperature: 36.10 degC.")),
+            events=(
+                event("trip", "over-temperature: 36.10 degC"),
+                event("fault", "over-temperature: 36.10 degC."),
+            ),
         ),
-        "The run was tripped by an interlock after 0 of 18 trials: over-temperature: 36.10 degC.\n"
-        "SWITCH OFF THE BATH: no answer",
+        (
+            "The run was tripped by an interlock after 0 of 18 trials: over-temperature: 36.10"
+            " degC.\nSWITCH OFF THE BATH: no answer"
+        ),
     ),
     "running": (
         RunRecord(Path("run"), FACTS, holder={"pid": 1}),
