@@ -284,7 +284,7 @@ class Engine:
     def _left_s(self) -> float | None:
         """How long the trials take; None while nobody knows whether they go on."""
         watch = self._ctx.watch
-        ending = self._ctx.safing or watch.tripped or watch.silence
+        ending = self._ctx.safing or self._ctx.away or watch.tripped or watch.silence
         return None if ending else self._attempts.left_s
 
     def _progress(self) -> dict[str, Any]:
