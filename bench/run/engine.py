@@ -95,6 +95,7 @@ class Engine:
             left.poison if left else {},
             expected.each_s(planned) if expected else None,
         )
+        self._attempts.done = len(left.done) if left and goes_on else 0
         self._reserve = Reserve(store.folder)
         self._ended = False
         self._checked: dict[str, Any] | None = None  # the arm, before the trials of this session
@@ -253,7 +254,7 @@ class Engine:
         elif self._rehearsed and trial.id not in self._left.poison:
             self._trials.rehearsing = True
             self._attempts.run(trial)
-        else:
+        elif self._rehearsed:
             self._attempts.done += 1
 
     def _go_live(self) -> None:
