@@ -176,14 +176,14 @@ def guardian_text(record: Mapping[str, Any]) -> str:
 
 def _next_action(verdict: Verdict, which: Sequence[Decision], of_bench: frozenset[str]) -> str:
     if verdict is Verdict.MET:
-        return "Keep this run's folder as the evidence."
+        return "Keep the run's folder as evidence."
     bench = ", ".join(dict.fromkeys(one.name for one in which if one.name in of_bench))
     own = [one for one in which if one.name not in of_bench]
     names = ", ".join(dict.fromkeys(one.name for one in own))
     if verdict is Verdict.NOT_MET:
         first = f"Put the bench right before all else: {bench}; what it measured may be wrong."
         then = (
-            f"The detector has to become better at: {names}. Begin with the trials below."
+            "The detector has to become better. Begin with the trials below."
             if names
             else "Then run the script again."
         )
