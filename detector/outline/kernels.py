@@ -24,7 +24,7 @@ _f4 = np.float32
 
 
 def _compiled(signature: str) -> Callable[[Loop], Loop]:
-    how = {"error_model": "numpy", "nogil": True}
+    how: dict[str, Any] = {"error_model": "numpy", "nogil": True}
 
     def compiled(loop: Loop) -> Loop:
         try:
