@@ -113,8 +113,7 @@ def build_page(
     folder: Path,
     chapters: tuple[Section, ...] = (),
 ) -> Page:
-    """The page; writes the trials' pictures into ``folder``/images. ``chapters`` come later."""
-    trials = trial_parts(run, calibration, folder)
+    """The page for ``folder``, beside the frames. ``chapters`` come later."""
     facts = run.facts
     poses, invalid = len({trial.pose for trial in run.counted}), len(run.trials) - len(run.counted)
     left_out = f"; {invalid} more have lost their truth (see Deviations)" if invalid else ""
@@ -144,7 +143,7 @@ def build_page(
     undecided = undecided_of(judgements)
     behind = tuple(_pages(run, status, rules, calibration, chapters, undecided))
     drawn = tuple(_figures(run, rules, calibration)) if run.trials and judgements else ()
-    made = tuple(trials)
+    made = tuple(trial_parts(run, calibration, folder))
     if judgements:
         told = note_on_statements((requirements, behind), rules, len(judgements))
         with_note = replace(folded, parts=(*folded.parts, told))
