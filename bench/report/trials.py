@@ -2,8 +2,9 @@
 
 The pictures are the record's own frames, cut to the teats at first sight, with truth, the
 detector's stages and found points over them. Any stage of a trace with `left_px`, `right_px` or
-`thermal_px` (n, 2) is drawn by its name. Coordinates are the image's pixels. A depth frame is
-written as grey, which can be made again at any time, so it is not synced to the disk.
+`thermal_px` (n, 2) is drawn by its name. Coordinates are the image's pixels. Depth frames, and what
+may be printed or mailed, are JPEG copies; they can be made again at any time, so nothing is synced
+to the disk.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -64,10 +65,19 @@ def trial_id(trial: TrialRecord) -> str:
 
 
 def trial_parts(
-    run: RunRecord, calibration: Calibration, folder: Path, up: str = "../"
+    run: RunRecord,
+    calibration: Calibration,
+    folder: Path,
+    up: str = "../",
+    copied: Collection[str] | None = None,
 ) -> Iterator[TrialPart]:
-    """A part a trial, in order, for a page in ``folder``, from which ``up`` leads to the run's."""
-    return map(partial(_part, run, calibration, folder, up), run.trials)
+    """A part a trial, in order, for a page in ``folder``, from which ``up`` leads to the run's. The
+    frames of the trials ``copied``, by default of all, are written into ``folder``/images.
+    """
+    for trial in run.trials:
+        copy = copied is None or trial.id in copied
+        images = _pictures(run, trial, calibration, up, folder, copy=copy)
+        yield _part(run, trial, tuple(images))
 
 
 def undecided_of(judgements: Sequence[Judgement]) -> frozenset[str]:
@@ -109,17 +119,14 @@ def worst_trials(run: RunRecord, undecided: Collection[str] = ()) -> tuple[Trial
     return tuple(trial for trial, _ in failures_in_turn(run, undecided))
 
 
-def looks_of(
-    run: RunRecord,
-    parts: Sequence[TrialPart],
-    calibration: Calibration,
-    undecided: Collection[str] = (),
-) -> tuple[Look, ...]:
-    """The worst trials, each detector's in turn, and a typical one; views cut to the teats."""
+def first_trials(
+    run: RunRecord, undecided: Collection[str] = ()
+) -> dict[str, tuple[TrialRecord, str]]:
+    """The worst trials by id with why, each detector's in turn, and a typical one."""
     scored = [trial for trial in run.counted if trial.scores and trial.truth]
     names = [name for name in run.detectors if any(name in trial.scores for trial in scored)]
     if not names:
-        return ()
+        return {}
     names.sort(key=lambda name: name not in undecided)
     ranks = {name: sorted(scored, key=lambda t: _fault(t, name), reverse=True) for name in names}
     turns = [(names[k % len(names)], NTH[k // len(names)], 0) for k in range(max(3, len(names)))]
@@ -128,10 +135,7 @@ def looks_of(
         free = [trial for trial in ranks[name][first:] if trial.id not in chosen]
         for trial in free[:1]:
             chosen[trial.id] = trial, f"{nth} of {name}" if len(names) > 1 else nth
-    by_id = {part.id: part for part in parts}
-    return tuple(
-        look_at(trial, why, by_id[trial_id(trial)], calibration) for trial, why in chosen.values()
-    )
+    return chosen
 
 
 def look_at(trial: TrialRecord, why: str, part: TrialPart, calibration: Calibration) -> Look:
@@ -214,9 +218,7 @@ def first_looks(run: RunRecord, undecided: Collection[str] = ()) -> KeyValues | 
     return KeyValues("Look at these first", tuple(entries)) if entries else None
 
 
-def _part(
-    run: RunRecord, calibration: Calibration, folder: Path, up: str, trial: TrialRecord
-) -> TrialPart:
+def _part(run: RunRecord, trial: TrialRecord, images: tuple[ImageView, ...]) -> TrialPart:
     head, detections, budget = trial.head, trial.detections, trial_truth(trial)
     notes = [f"In no count: {trial.invalid}"] if trial.invalid else []
     notes += [f"Note: {head['note']}"] if head["note"] else []
@@ -233,7 +235,7 @@ def _part(
             *((f"time, {d['detector']}", _time_text(d)) for d in detections),
             *((f"hidden, {d['detector']}", f"claims {d['hidden']}") for d in detections),
         ),
-        images=tuple(_pictures(run, trial, calibration, folder, up)),
+        images=images,
         tables=(*(_teats(trial, d["detector"]) for d in detections), *([budget] if budget else [])),
         notes=(*notes, *(note for d in detections for note in _notes(d))),
     )
@@ -320,7 +322,13 @@ FINAL = {"ends"}  # stages that repeat the answer
 
 
 def _pictures(
-    run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: Path, up: str
+    run: RunRecord,
+    trial: TrialRecord,
+    calibration: Calibration,
+    up: str,
+    folder: Path,
+    *,
+    copy: bool,
 ) -> Iterator[ImageView]:
     """Every view of a trial. A frame that is gone is left out: the store's check names it."""
     paths = {row["camera"]: row["path"] for row in trial.frames}
@@ -331,10 +339,11 @@ def _pictures(
         mirrored = camera == "thermal" and calibration.thermal.mirrored
         label = f"{camera}, left and right exchanged back" if mirrored else camera
         src = original = up + paths[camera]
-        if camera == "depth":
-            src = f"{IMAGES}/{trial.id}-{camera}.jpg"
-            if (image := shown_depth(run.folder / paths[camera])) is None:
+        if copy or camera == "depth":
+            show = shown_depth if camera == "depth" else grey
+            if (image := show(run.folder / paths[camera])) is None:
                 continue
+            src = f"{IMAGES}/{trial.id}-{camera}.jpg"
             _write(image, folder / src)
         yield ImageView(
             *(label, src, *sizes[camera]),

@@ -9,7 +9,6 @@ import hashlib
 import re
 import shutil
 import sys
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -145,14 +144,51 @@ def test_checksums_and_linked_raw_data_are_those_of_the_files(
     assert [link for link in links if not (folder / "report" / link).is_file()] == []
 
 
-def test_frames_are_those_of_the_record_each_written_once(folder: Path, document: Document) -> None:
-    shown = {element.attributes["src"] for element in document.all("img")}
-    cameras = Counter(Path(src).stem for src in shown)
-    assert cameras == dict.fromkeys(("left", "right", "thermal", "thesis-edges"), 6)
-    for src in shown:
-        assert src.startswith("../frames/")
-        assert (folder / "report" / src).is_file()
-    assert not (folder / "report" / "images").exists()
+def test_frames_are_jpeg_of_quality_80_and_link_their_originals(
+    folder: Path, document: Document
+) -> None:
+    """The luminance table of ITU-T T.81, K.1 (16, 11, 12, 14 in zigzag order), scaled as libjpeg
+    does: (v (200 - 2 q) + 50) / 100.
+    """
+    shown = [element.attributes["src"] for element in document.all("img")]
+    assert [src for src in shown if not (folder / "report" / src).is_file()] == []
+    frames = [src for src in shown if src.endswith(".jpg")]
+    assert len(set(frames)) == 6 * 3  # those of four trials on the first page too
+    for src in frames:
+        picture = (folder / "report" / src).read_bytes()
+        assert picture[:2] == b"\xff\xd8"
+        tables = picture.index(b"\xff\xdb")
+        assert list(picture[tables + 5 : tables + 9]) == [6, 4, 5, 6], src
+    trial = frames[0].removeprefix("images/").removesuffix("-left.jpg")
+    assert f"../frames/{trial}/left.png" in document.values("href")
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_of_many_trials_only_those_of_the_first_page_have_copies(
+    folder: Path, tmp_path: Path
+) -> None:
+    short, rules = read_run(folder), stored_rules(folder)
+    heads = [
+        {**one.head, "number": int(one.head["number"]) + 100 * k, "id": f"{one.id}-{k}"}
+        for k in range(4)
+        for one in short.trials
+    ]
+    trials = zip(heads, short.trials * 4, strict=True)
+    run = dataclasses.replace(
+        short,
+        trials=tuple(
+            dataclasses.replace(
+                trial, head=head, frames=[{**f, "sha256": head["id"]} for f in trial.frames]
+            )
+            for head, trial in trials
+        ),
+    )
+    calibration, judged = read_calibration(folder / "calibration.toml"), judge(run, rules)
+    page = build_page(run, status_of(run, judged), rules, judged, calibration, tmp_path)
+    assert len({image.src for image in page.images() if image.src.endswith(".jpg")}) <= 4 * 3
+    beside = [image for image in page.images() if image.src.startswith("../frames/")]
+    assert {image.camera for image in beside} == {"left", "right", "thermal", "thesis-edges"}
+    assert {image.shown_as for image in beside if image.camera == "thermal"} == {"mirrored"}
 
 
 @pytest.mark.usefixtures("undrawn")
