@@ -137,16 +137,8 @@ def no_leaked_threads() -> Iterator[None]:
 
 @pytest.fixture(scope="module", autouse=True)
 def caches_end_with_their_module() -> Iterator[None]:
-    """What tests draw once and keep (`functools.cache`) is some 100 MB a renderer: a worker would
-    hold that of every module; and as much of what the renderer and campaigns keep of their last
-    rigs.
-    """
     yield
-    for name, module in list(sys.modules.items()):
-        if name.startswith(("tests.", "instruments.world.", "bench.campaign.")):
-            for thing in list(vars(module).values()):
-                if isinstance(thing, _lru_cache_wrapper):
-                    thing.cache_clear()
+    _forget_what_is_kept()
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -174,17 +166,30 @@ def trimmed_mib() -> list[float]:
 def bounded_memory(trimmed_mib: list[float]) -> Iterator[None]:
     """A worker that has grown beyond `MOST_MIB` fails the test after which it was so.
 
-    Freed memory that the allocator kept goes back first; again only when the worker has grown by
-    `GROWN_MIB` since: a trim takes half a second.
+    What its module keeps and freed memory that the allocator kept go back first; a trim takes half
+    a second, so it comes again only when the worker has grown by `GROWN_MIB` since.
     """
     yield
     mib = _resident_mib()
+    if mib > MOST_MIB:
+        _forget_what_is_kept()
     if mib > MOST_MIB or mib > max(TRIM_MIB, trimmed_mib[0] + GROWN_MIB):
         gc.collect()
         with contextlib.suppress(OSError, AttributeError):  # glibc only
             ctypes.CDLL(None).malloc_trim(0)
         trimmed_mib[0] = mib = _resident_mib()
     assert mib < MOST_MIB, f"this worker holds {mib:.0f} MiB"
+
+
+def _forget_what_is_kept() -> None:
+    """What tests draw once and keep (`functools.cache`) is some 200 MB a renderer, and what the
+    renderer and campaigns keep of their last rigs is as much.
+    """
+    for name, module in list(sys.modules.items()):
+        if name.startswith(("tests.", "instruments.world.", "bench.campaign.")):
+            for thing in list(vars(module).values()):
+                if isinstance(thing, _lru_cache_wrapper):
+                    thing.cache_clear()
 
 
 def _resident_mib() -> float:

@@ -18,7 +18,7 @@ from bench.config import writing
 from bench.files import write_synced
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
-from bench.report.glossary import TERMS
+from bench.report.glossary import terms
 from bench.report.wording import NOT_MEASURED, key_values, listed, p_text, table
 from bench.results.comparison import Comparison, Side, compare_folders, compare_sides
 from bench.results.error_rows import truth_gage
@@ -320,9 +320,9 @@ def comparison_page(found: Sequence[Comparison]) -> Page:
         tuple(sorted(sections, key=lambda section: section.folded)),
         alarm=f"{NOT_AS_WRITTEN}: no figure below holds." if damaged else "",
     )
-    said = {term: f"{term.name} {term.meaning}" for term in TERMS}
-    terms = tuple(term for term, text in said.items() if worded(found[0], text) == text)
-    return replace(worded(found[0], page), glossary=terms)
+    said = {term: f"{term.name} {term.meaning}" for term in terms()}
+    same = tuple(term for term, text in said.items() if worded(found[0], text) == text)
+    return replace(worded(found[0], page), glossary=same)
 
 
 Text = TypeVar("Text")

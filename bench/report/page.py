@@ -21,7 +21,7 @@ from bench.report import tables
 from bench.report.accuracy import accuracy_tables, gage_parts, limit_parts
 from bench.report.bath import bath_parts, sparkline
 from bench.report.comparison import detectors_section
-from bench.report.glossary import TERMS
+from bench.report.glossary import terms
 from bench.report.spread import pose_parts, spread_parts
 from bench.report.statements import note_on_statements
 from bench.report.thesis import published_counts, thesis_chapter
@@ -167,7 +167,7 @@ def build_page(
         worst=tuple(map(trial_id, worst_trials(run, undecided))),
         alarm=alarm if run.damage else "",
         footer=(f"teatbench {facts['versions']['teatbench']}, run {run.folder.name}",),
-        glossary=TERMS,
+        glossary=terms(),
     )
 
 
