@@ -966,8 +966,9 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
 # where a command's or a group's functions are, unless in the module of the same name
 MODULES = {
     "alone": ("camera", "stage"),
+    "detectors": ("detect",),
     "manual": ("help",),
-    "rig": ("check", "detect", "emulate", "replay-wire", "rigs", "scene"),
+    "rig": ("check", "emulate", "replay-wire", "rigs", "scene"),
     "run": ("report", "resume", "score"),
     "store": ("compare", "control", "recording", "runs"),
     "trials": ("plan",),

@@ -366,15 +366,15 @@ class Console:
         if not (folder / "report" / "index.html").is_file():
             return _refused(404, "this run has no report")
         ticket = secrets.token_urlsafe(24)
-        self.tickets[ticket] = (folder / "report").resolve()
-        return JSONResponse({"url": f"/report/{ticket}/index.html"})
+        self.tickets[ticket] = folder.resolve()  # the page shows the frames beside it
+        return JSONResponse({"url": f"/report/{ticket}/report/index.html"})
 
     async def report_file(self, request: Request) -> Response:
         folder = self.tickets.get(request.path_params["ticket"])
         if folder is None:
             return _refused(404, "there is no such report")
         path = (folder / request.path_params["path"]).resolve()
-        if not path.is_relative_to(folder.parent) or not path.is_file():
+        if not path.is_relative_to(folder) or not path.is_file():
             return _refused(404, "there is no such page in the report")
         policy = REPORT_POLICY.format(self.origin)
         return FileResponse(path, headers={"content-security-policy": policy})
