@@ -32,7 +32,7 @@ STANDBY, UNMARKED = "s to standby, ", "s of a processor, "
 # rooms and files whose tests run the bench and look at no figure: made up to their last artist,
 # since damaged and odd data come as far as there; and of the others, which alone look at theirs
 UNDRAWN = (
-    *("tests.bench.record.test_damaged_runs", "tests.bench.results.", "tests.bench.dry_run."),
+    *("tests.bench.record.test_damaged_runs", "tests.bench.results.test_score_detectors"),
     *("tests.bench.run.test_end_to_end", "tests.bench.truth.test_truth_runs"),
     *("tests.bench.calibrate.test_checks", "tests.bench.report.test_odd_recordings"),
     *("tests.bench.report.test_detector_errors", "tests.bench.campaign.test_campaign"),
@@ -40,10 +40,11 @@ UNDRAWN = (
 DRAWN = tuple(
     f"tests.bench.report.test_{name}" for name in ("report_points", "report_spread", "summary")
 )
-ROOMS = ("cli", "console", "record", "rig", "run", "safety", "truth")
+ROOMS = ("cli", "console", "record", "rig", "run", "safety", "script", "truth")
 BARE = (
     *(f"tests.bench.{room}." for room in ROOMS),
-    *("tests.bench.report.test_report_thesis", "tests.test_docs"),
+    *("tests.bench.report.test_report_thesis", "tests.test_docs", "tests.detector.test_depth"),
+    *("tests.test_doc_figures", "tests.test_study_examples"),
 )
 
 
@@ -55,7 +56,7 @@ def pytest_configure(config: pytest.Config) -> None:
     fixed = settings().derandomize and config.getoption("hypothesis_seed") is None
     # how fast the machine is says nothing of the code
     settings.register_profile(
-        "teatbench", deadline=None, derandomize=fixed, max_examples=examples(20)
+        "teatbench", deadline=None, derandomize=fixed, max_examples=examples(12)
     )
     settings.load_profile("teatbench")
     # compiled once, not in each of some hundred processes
@@ -137,16 +138,8 @@ def no_leaked_threads() -> Iterator[None]:
 
 @pytest.fixture(scope="module", autouse=True)
 def caches_end_with_their_module() -> Iterator[None]:
-    """What tests draw once and keep (`functools.cache`) is some 100 MB a renderer: a worker would
-    hold that of every module; and as much of what the renderer and campaigns keep of their last
-    rigs.
-    """
     yield
-    for name, module in list(sys.modules.items()):
-        if name.startswith(("tests.", "instruments.world.", "bench.campaign.")):
-            for thing in list(vars(module).values()):
-                if isinstance(thing, _lru_cache_wrapper):
-                    thing.cache_clear()
+    _forget_what_is_kept()
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -174,17 +167,30 @@ def trimmed_mib() -> list[float]:
 def bounded_memory(trimmed_mib: list[float]) -> Iterator[None]:
     """A worker that has grown beyond `MOST_MIB` fails the test after which it was so.
 
-    Freed memory that the allocator kept goes back first; again only when the worker has grown by
-    `GROWN_MIB` since: a trim takes half a second.
+    What its module keeps and freed memory that the allocator kept go back first; a trim takes half
+    a second, so it comes again only when the worker has grown by `GROWN_MIB` since.
     """
     yield
     mib = _resident_mib()
+    if mib > MOST_MIB:
+        _forget_what_is_kept()
     if mib > MOST_MIB or mib > max(TRIM_MIB, trimmed_mib[0] + GROWN_MIB):
         gc.collect()
         with contextlib.suppress(OSError, AttributeError):  # glibc only
             ctypes.CDLL(None).malloc_trim(0)
         trimmed_mib[0] = mib = _resident_mib()
     assert mib < MOST_MIB, f"this worker holds {mib:.0f} MiB"
+
+
+def _forget_what_is_kept() -> None:
+    """What tests draw once and keep (`functools.cache`) is some 200 MB a renderer, and what the
+    renderer and campaigns keep of their last rigs is as much.
+    """
+    for name, module in list(sys.modules.items()):
+        if name.startswith(("tests.", "instruments.world.", "bench.campaign.")):
+            for thing in list(vars(module).values()):
+                if isinstance(thing, _lru_cache_wrapper):
+                    thing.cache_clear()
 
 
 def _resident_mib() -> float:

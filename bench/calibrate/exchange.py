@@ -297,8 +297,7 @@ def _refuse_other_model(found: Foreign) -> None:
     for name, models in known.items():
         if (model := found.word(name).lower()) not in models:
             raise found.refusal(
-                name,
-                f"is {model!r}; only {PLUMB_BOB} (k1 k2 p1 p2 k3) can be taken over",
+                name, f"is {model!r}; only {PLUMB_BOB} (k1 k2 p1 p2 k3) can be taken over"
             )
     for name in ("fisheye_model", "fisheye", "is_fisheye"):
         if found.values.get(name) not in (None, 0, "0", False, "false"):

@@ -19,6 +19,7 @@ from bench.cli.verdict import on_a_desktop
 from bench.config import ConfigError
 
 HERE = "127.0.0.1"
+BROADCAST = ipaddress.IPv4Address("255.255.255.255")
 UP_S = 20.0  # a busy machine reads its modules slowly; then the run begins without its address
 EXPOSED = (
     "Other machines can reach this console, over a network that can be read and without"
@@ -94,10 +95,12 @@ def _listening(address: str, port: int) -> Iterator[socket.socket]:
         why = f"the console can't listen on {address!r}, port {port}: {reason}"
         raise ConfigError.plain(f"{why}. Name another one with --listen or --port.") from error
     with listener:
-        if _numbered(listener.getsockname()[0]).is_unspecified:
+        bound = _numbered(listener.getsockname()[0])
+        if bound.is_unspecified or bound.is_multicast or bound == BROADCAST:
+            what = "every address of this machine" if bound.is_unspecified else "no machine's own"
             raise ConfigError.plain(
-                f"--listen {address!r} is every address of this machine: give the one that others"
-                " may use, whose name is checked in each request"
+                f"--listen {address!r} is {what}: give the one that others may use, whose name is"
+                " checked in each request"
             )
         yield listener
 

@@ -76,12 +76,7 @@ STAND_IN_BATH = "julabo-ascii"  # for a lab's own lines, which no emulator speak
 ROOM_MM = 10.0  # beyond the furthest place, where a stage's travel is unknown
 # for pictures that are all alike: nothing is compared, and no edge is measured
 LENIENT = Checks(
-    frozen=False,
-    swapped=False,
-    focus_px=FocusTable(),
-    flat_dn=0,
-    saturated_share=1.0,
-    black_dn=0,
+    frozen=False, swapped=False, focus_px=FocusTable(), flat_dn=0, saturated_share=1.0, black_dn=0
 )
 
 BEFORE, AFTER = "before the trials", "after the trials"

@@ -21,7 +21,7 @@ from bench.calibrate.cameras import (
 )
 from bench.calibrate.views import BoardViews
 from bench.calibrate.world import PointsAgain, WorldResult
-from bench.report.glossary import TERMS
+from bench.report.glossary import terms
 from bench.report.wording import NOT_MEASURED, key_values, listed, spanned, table
 from bench.results.cameras_agree import NEXT_UNSEEN, CamerasCheck
 from bench.scoring.decisions import Decision, Verdict
@@ -125,7 +125,7 @@ def _page(
     failed = any(score and score.verdict == "not met" for *_, found in rows for score in found)
     banner = {"verdict": "not met" if failed else "no verdict", **banner}
     day = f"{'checked' if title == CHECK else 'made'} {record.made}"
-    return Page(title, day, Banner(kind="computed", **banner), sections, glossary=TERMS)
+    return Page(title, day, Banner(kind="computed", **banner), sections, glossary=terms())
 
 
 def _enough(name: str, mm: float, value: str, shows: str = "") -> Row:
@@ -239,7 +239,7 @@ def thermal_page(result: ThermalResult, record: Record, command: str) -> Page:
         first="residuals",
         tested=(
             f"Thermal camera from {len(result.joint.view_rms_px('thermal'))} views of a heated"
-            f" {views.board.kind}."
+            f" board ({views.board.kind})."
         ),
         sentence=(
             f"No limit is set for it. Points miss by {fit.rms_px:.2f} px on average over both"

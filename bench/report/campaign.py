@@ -23,7 +23,7 @@ from bench.campaign.numbers import (
     campaign_numbers,
 )
 from bench.campaign.plan import Plan
-from bench.report.glossary import TERMS
+from bench.report.glossary import terms
 from bench.report.scenes import draw_again, scene_parts
 from bench.report.trials import look_at
 from bench.report.wording import NOT_MEASURED, key_values, p_text, table
@@ -116,7 +116,7 @@ def campaign_page(
         trials_note="Truth is drawn as the cameras see it by the calibration that detectors got.",
         detectors=tuple(numbers.detectors),
         worst=tuple(part.id for part in parts[:LOOKED_AT]),
-        glossary=TERMS,
+        glossary=terms(),
     )
 
 
@@ -140,7 +140,7 @@ def _banner(folder: Path, plan: Plan, numbers: Numbers) -> Banner:
     if numbers.rates:
         then = (
             f"'teatbench campaign show {_quoted(folder)} SCENE' draws any scene with truth and"
-            " answers; tests with hypothesis look for simpler ones (docs/testing.md)."
+            " answers; tests with hypothesis look for simpler ones (teatbench help testing)."
         )
     return Banner(
         kind="emulated",

@@ -179,10 +179,7 @@ KEPT = ("cameras", "cameras.checks", "limits")  # all of their keys have default
 
 
 def rig_text(
-    example: str,
-    values: Mapping[str, Mapping[str, object]],
-    missing: Mapping[str, str],
-    about: str,
+    example: str, values: Mapping[str, Mapping[str, object]], missing: Mapping[str, str], about: str
 ) -> str:
     """The ``example`` with ``values`` by table and key; other keys and tables stay as comments. A
     table in ``missing`` has its url to be filled in.

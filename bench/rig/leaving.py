@@ -190,9 +190,7 @@ class Opened(AbstractContextManager[Devices]):
     """
 
     def __init__(
-        self,
-        opened: AbstractContextManager[Devices],
-        leaving: Callable[[Devices], Leaving] | None,
+        self, opened: AbstractContextManager[Devices], leaving: Callable[[Devices], Leaving] | None
     ) -> None:
         self._opened = opened
         self._of = leaving

@@ -590,11 +590,7 @@ def make_renderer(
 ) -> Renderer:
     """The cameras of a calibration ``table``. Raises ValueError for a table that is wrong."""
     return Renderer.from_calibration(
-        table,
-        seed,
-        optical=optical.sensor(),
-        thermal=thermal.sensor(table),
-        depth=depth.sensor(),
+        table, seed, optical=optical.sensor(), thermal=thermal.sensor(table), depth=depth.sensor()
     )
 
 

@@ -52,11 +52,11 @@ def folds(camera: Camera) -> bool:
     # from the centre to places of the rim, its corners among them
     along, zero = np.linspace(0.0, 1.0, _DIRECTIONS), np.zeros(_DIRECTIONS)
     rim = np.hstack([[along, zero], [along, zero + 1], [zero, along], [zero + 1, along]])
-    angle = np.arctan2((height * rim[1] - cy) / fy, (width * rim[0] - cx) / fx)[:, None]
     # fine near the axis, where narrow lenses have all of their picture
     radius = np.geomspace(1e-4, _FARTHEST, _STEPS)[None]
-    u, v = radius * np.cos(angle), radius * np.sin(angle)
     with np.errstate(over="ignore", invalid="ignore"):
+        angle = np.arctan2((height * rim[1] - cy) / fy, (width * rim[0] - cx) / fx)[:, None]
+        u, v = radius * np.cos(angle), radius * np.sin(angle)
         r2 = u * u + v * v
         radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
         slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))

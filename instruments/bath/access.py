@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import ClassVar, Generic, TypeVar, cast
 
 from instruments.bath.profile import WATCHDOG, Device, Identity, Profile
@@ -127,11 +127,10 @@ class Access(ABC, Generic[R]):
         can't be.
         """
         self.detect_format()
-        for identity in cast(Profile, self.profile).identity:
+        for identity in self.family.identity:
             self._check(identity)
         reading = self.first_poll()
-        found = (cast("R | None", self.profile.find(name)) for name in self.SHOWN)
-        rows = [row for row in found if row and self.may_ask(row)]
+        rows = [row for row in map(self.find, self.SHOWN) if row and self.may_ask(row)]
         shown = dict(zip((row.name for row in rows), self.show(rows), strict=True))
         self.known = True
         missing = ", ".join(sorted(self.absent))
@@ -166,11 +165,20 @@ class Access(ABC, Generic[R]):
     @cached_property
     def assembler(self) -> Assembler:
         """Makes readings of the profile's rows."""
-        return Assembler(cast(Profile, self.profile), self.who)
+        return Assembler(self.family, self.who)
 
     def alarm_of(self, row: R, value: float, raw: Raw) -> int:  # noqa: ARG002 - codes are values
         """The alarm that ``row`` shows; 0 for none."""
         return self.assembler.alarm_of(row, value)
+
+    @property
+    def family(self) -> Profile:
+        """The profile of a controller."""
+        return cast(Profile, self.profile)
+
+    def offers(self, name: str) -> bool:
+        """Whether the row called ``name`` may be asked for. Raises as `row`."""
+        return self.may_ask(self.row(name))
 
     def may_ask(self, row: R) -> bool:
         """Whether it is read, offered by this model, and surely there or allowed by the rig."""
@@ -199,11 +207,14 @@ class Access(ABC, Generic[R]):
         """The rows that are asked unbidden: a poll's, what it shows of itself, and what writes
         need.
         """
-        rows = [row for row in self.profile.rows if row.poll]
-        rows += filter(None, map(self.profile.find, self.SHOWN))
-        needs = [name for row in self.profile.rows if row.poll for name in row.needs]
-        rows += filter(None, map(self.profile.find, needs))
-        return list({row.name: cast(R, row) for row in rows}.values())
+        polled = [row for row in self.profile.rows if row.poll]
+        needs = [name for row in polled for name in row.needs]
+        names = dict.fromkeys((*(row.name for row in polled), *self.SHOWN, *needs))
+        return [row for row in map(self.find, names) if row]
+
+    def get(self, name: str) -> float:
+        """The value of the row called ``name``. Raises as `row`, `value_in`."""
+        return self.value(self.row(name))
 
     def value(self, row: R) -> float:
         """The value of ``row`` in its unit. Raises as ``value_in``."""
@@ -226,7 +237,7 @@ class Access(ABC, Generic[R]):
     def check_needs(self, row: R) -> None:
         """Raise DeviceError where another row does not show what ``row`` needs."""
         for name, label in row.needs.items():
-            other = cast("R | None", self.profile.find(name))
+            other = self.find(name)
             if other is None or not self.may_ask(other):
                 continue
             try:
@@ -257,6 +268,10 @@ class Access(ABC, Generic[R]):
     def rows_to_try(self) -> Sequence[R]:
         """The rows of a profile that is being made, as the model has them if that is known."""
         return cast("Sequence[R]", self.profile.rows)
+
+    def tries(self) -> Iterator[Callable[[], RowAnswer]]:
+        """A question for each of them. They raise BrokenError."""
+        return (partial(self.tried, row) for row in self.rows_to_try())
 
     def tried(self, row: R) -> RowAnswer:
         """Ask for ``row``, whatever its evidence; writes nothing. Raises BrokenError."""
@@ -293,9 +308,13 @@ class Access(ABC, Generic[R]):
             raise ProtocolError(self.who, f"{value:g} is none of {labels}", asked=row.name)
         return f"{row.label(value)} {row.unit}".strip()
 
+    def find(self, name: str) -> R | None:
+        """The row called ``name``; None where the family has none."""
+        return cast("R | None", self.profile.find(name))
+
     def row(self, name: str) -> R:
         """The row called ``name``. Raises LimitError where the family or the model has none."""
-        row = self.profile.find(name)
+        row = self.find(name)
         if name in self.absent:
             what = f"'{name}' is not offered by this model: {self.absent[name]}"
             hint = "'teatbench bath learn' shows what it answers, row by row."
@@ -304,10 +323,11 @@ class Access(ABC, Generic[R]):
             names = ", ".join(sorted(known.name for known in self.profile.rows))
             what = f"{self.profile.family} has no '{name}'"
             raise LimitError(self.who, what, hint=f"It has: {names}.")
-        return cast(R, row)
+        return row
 
-    def allowed(self, row: R, value: float | str) -> float:
+    def allowed(self, name: str, value: float | str) -> float:
         """The number to write. Raises LimitError when the profile does not allow it."""
+        row = self.row(name)
         if isinstance(value, str):
             if value not in row.values:
                 hint = f"There are: {', '.join(row.values) or 'none'}."
@@ -332,12 +352,14 @@ class Access(ABC, Generic[R]):
         profile = self.profile
         if not isinstance(profile, Profile) or profile.number_unit.fixed:
             return False
-        return not any(self.may_ask(cast(R, row)) for row in profile.unit_rows)
+        return not any(
+            row and self.may_ask(row) for row in map(self.find, profile.number_unit.rows)
+        )
 
     @property
     def unit_source(self) -> str:
         """How the unit of its numbers is known."""
-        number_unit = cast(Profile, self.profile).number_unit
+        number_unit = self.family.number_unit
         if number_unit.fixed:
             return f"{number_unit.fixed}, by its protocol"
         if not self.unit_unknown:
@@ -346,7 +368,7 @@ class Access(ABC, Generic[R]):
 
     def unconfirmed(self) -> LimitError:
         """The error of a write before a person has confirmed the unit."""
-        note = cast(Profile, self.profile).number_unit.note
+        note = self.family.number_unit.note
         what = "not written: nothing tells whether its numbers are degC"
         hint = (
             "Compare its display with 'teatbench bath read'. Where both show the same, in degC,"
@@ -355,10 +377,11 @@ class Access(ABC, Generic[R]):
         )
         return LimitError(self.who, f"{what} ({note})" if note else what, hint=hint)
 
-    def set(self, row: R, value: float) -> None:
-        """Write ``value`` where ``row`` has another, and read it back; a command in any case.
-        Raises DeviceError where another row is not as ``row`` needs it.
+    def set(self, name: str, value: float) -> None:
+        """Write ``value`` where the row has another, and read it back; a command in any case.
+        Raises DeviceError where another row is not as this one needs it.
         """
+        row = self.row(name)
         self.check_needs(row)
         if row.access == "w" or not self.stands(row, value, self.value(row)):
             self.send(row, value)
@@ -373,8 +396,8 @@ class Access(ABC, Generic[R]):
         if row.access == "w" or self.stands(row, value, seen := self.value(row)):
             return
         hint = "Switch it at the controller."
-        if remote := self.profile.find("remote"):
-            shown = f"Its remote control is '{remote.label(self.value(cast(R, remote)))}'"
+        if remote := self.find("remote"):
+            shown = f"Its remote control is '{remote.label(self.value(remote))}'"
             hint = f"{shown}: set it to {self.remote} at the controller, or switch it by hand."
         raise DeviceError(
             self.who,

@@ -13,9 +13,9 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, TypeVar, cast
+from typing import ClassVar, Literal, TypeVar
 
-from instruments.bath.access import Access, RowAnswer
+from instruments.bath.access import RowAnswer
 from instruments.bath.line_access import LineAccess
 from instruments.bath.profile import (
     PUMP,
@@ -39,7 +39,7 @@ HEATS_NOT = (PUMP, WATCHDOG)  # rows whose writing heats nothing
 DISPLAY_K = 0.5  # how far a display may be from what came over the wire
 
 T = TypeVar("T")
-Rows = Access[Any]
+Rows = LineAccess | RegisterAccess
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,19 +82,22 @@ class Bath:
         self.profile = _with_pump(profile, pump.profile) if pump else profile
         self.who = f"bath at {url}"
         self._lock = threading.RLock()
-        given: dict[str, Any] = {"who": self.who, "allow_inferred": allow_inferred, "tap": tap}
+        self._rows: Rows
+        who, inferred = self.who, allow_inferred
         match profile:
             case LineProfile():
-                self._rows: Rows = LineAccess(url, profile, clock, **given)
+                self._rows = LineAccess(url, profile, clock, who, inferred, tap)
             case RegisterProfile():
-                self._rows = RegisterAccess(url, profile, clock, **given)
+                self._rows = RegisterAccess(url, profile, clock, who, inferred, tap)
         self._rows.unit_confirmed = unit_confirmed
         self._wire = self._rows.wire
         self._relay: RegisterAccess | None = None
         if pump:  # on the controller's link where it is on the same line, and that is Modbus
             beside = self._rows.wire if isinstance(self._rows, RegisterAccess) else None
-            given |= {"who": f"pump at {pump.url}", "tap": pump.tap}
-            self._relay = RegisterAccess(pump.url, pump.profile, clock, shared=beside, **given)
+            who = f"pump at {pump.url}"
+            self._relay = RegisterAccess(
+                pump.url, pump.profile, clock, who, inferred, pump.tap, beside
+            )
         self._identity: Mapping[str, str] = {}
         self.before_heating: Callable[[], None] = lambda: None
         self.on_reading: Callable[[BathReading], None] = lambda _: None
@@ -135,9 +138,9 @@ class Bath:
         """The value of any row; for one in degC only after a poll that makes sense."""
         if self._relay and name == PUMP:
             relay = self._relay
-            return self._switched(lambda: relay.value(relay.row(PUMP)), relay)
+            return self._switched(lambda: relay.get(PUMP), relay)
         row = self._rows.row(name)
-        return self._retried(lambda: self._after_poll(row).value(row))
+        return self._retried(lambda: self._after_poll(row).get(name))
 
     def try_rows(self) -> Iterator[RowAnswer]:
         """Ask each row of a profile that is being made, and write nothing; no more than FUTILE_S
@@ -147,9 +150,9 @@ class Bath:
         until_s = clock.now() + FUTILE_S
         with self._lock:
             self._connect()
-            for row in self._rows.rows_to_try():
+            for ask in self._rows.tries():
                 self._connect()
-                yield (one := self._rows.tried(row))
+                yield (one := ask())
                 answered = (answered or one.answered) and not self.doubt
                 if not answered and clock.now() > until_s:
                     return
@@ -162,12 +165,12 @@ class Bath:
             self._switch(self._relay, value)
             return
         row = self._rows.row(name)
-        wanted = self._rows.allowed(row, value)
+        wanted = self._rows.allowed(name, value)
         stops = name == "run" and wanted == row.values["standby"]
         if not stops and name not in HEATS_NOT:
             self._begin_heating()
         self._note_pump(row, wanted)
-        self._retried(lambda: self._after_poll(row).set(row, wanted))
+        self._retried(lambda: self._after_poll(row).set(name, wanted))
         if stops:
             self._stands_by()
 
@@ -200,7 +203,7 @@ class Bath:
 
     def check_start(self, set_point_c: float) -> None:
         """Raise LimitError where it may not be started at ``set_point_c``; asks nothing."""
-        self._rows.allowed(self._rows.row("set_point"), set_point_c)
+        self._rows.allowed("set_point", set_point_c)
 
     def start(self, set_point_c: float) -> None:
         """Heat to ``set_point_c``: no alarm, the set point, then run (fact sheet, 4.1.6). A pump
@@ -302,7 +305,7 @@ class Bath:
         family have no such row.
         """
         seconds = self.profile.watchdog_s
-        if seconds is None or not self.watched or not self._rows.may_ask(self._rows.row(WATCHDOG)):
+        if seconds is None or not self.watched or not self._rows.offers(WATCHDOG):
             return
         try:
             found_s = self.get(WATCHDOG)
@@ -317,16 +320,16 @@ class Bath:
 
     def _switch(self, relay: RegisterAccess, value: float | str) -> None:
         pump, run = relay.row(PUMP), self._rows.row("run")
-        wanted = relay.allowed(pump, value)
+        wanted = relay.allowed(PUMP, value)
         self._note_pump(pump, wanted)
         with self._lock:
             if wanted == pump.values["off"]:
-                shown = self._retried(lambda: self._rows.value(run))
+                shown = self._retried(lambda: self._rows.get("run"))
                 if shown != run.values["standby"]:
                     state = run.label(shown)
                     what = f"the pump is not switched off while the controller is {state}"
                     raise LimitError(self.who, what, hint="Put the controller into standby first.")
-            self._switched(lambda: relay.set(pump, wanted), relay)
+            self._switched(lambda: relay.set(PUMP, wanted), relay)
 
     def _switched(self, work: Callable[[], T], relay: RegisterAccess) -> T:
         """``work``, on a link of the relay's own once more when that breaks."""
@@ -370,7 +373,7 @@ class Bath:
 
     def _offered(self) -> Profile:
         """The profile with the rows that this model offers, and its pump's relay."""
-        known, absent = cast(Profile, self._rows.profile), self._rows.absent
+        known, absent = self._rows.family, self._rows.absent
         rows = tuple(row for row in known.rows if row.name not in absent)
         offered = known.model_copy(update={"rows": rows})
         return _with_pump(offered, self._pump.profile) if self._pump else offered

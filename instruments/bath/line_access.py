@@ -23,13 +23,7 @@ from instruments.bath.reading import BathReading
 from instruments.bath.rows import LineRow, fits
 from instruments.bath.session import BrokenError, RefusedError, Session
 from instruments.clock import Clock
-from instruments.errors import (
-    DeviceError,
-    InstrumentError,
-    LimitError,
-    LinkError,
-    ProtocolError,
-)
+from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.link import Tap
 
 ASKS = 4  # of one command, until two replies in a row agree
@@ -164,7 +158,6 @@ class LineAccess(Access[LineRow]):
         url: str,
         profile: LineProfile,
         clock: Clock,
-        *,
         who: str,
         allow_inferred: bool = False,
         tap: Tap | None = None,

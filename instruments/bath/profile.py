@@ -265,11 +265,6 @@ class Profile(Device):
     def panel_rows(self) -> set[str]:
         return set(self.number_unit.rows)
 
-    @property
-    def unit_rows(self) -> list[Quantity]:
-        """The rows that tell the unit of its numbers, as far as the model has them."""
-        return [row for row in map(self.find, self.number_unit.rows) if row]
-
     def alarm_text(self, code: int) -> str:
         """What an alarm (``BathReading.alarm``) means, with a note where that is inferred."""
         known = self._alarms(code)

@@ -47,7 +47,6 @@ class RegisterAccess(Access[Row]):
         url: str,
         profile: Wiring,
         clock: Clock,
-        *,
         who: str,
         allow_inferred: bool = False,
         tap: Tap | None = None,
@@ -75,7 +74,7 @@ class RegisterAccess(Access[Row]):
         self.absent = {}
         profile = cast(RegisterProfile, self.profile)
         if source := profile.order_from:
-            code = int(self.value(self.row(source.row)))
+            code = int(self.get(source.row))
             order = profile.order_for(code)
             if order is None:
                 what = "its order of bytes is none that the profile knows"

@@ -285,11 +285,12 @@ class OpenCvCamera:
 def in_use(source: Source) -> str:
     """Which other program of this user holds a device of Linux: name and number; "" for none."""
     path = f"/dev/video{source}" if isinstance(source, int) else source
-    for link in Path("/proc").glob("[0-9]*/fd/*"):
-        with suppress(OSError):
-            if (pid := link.parts[2]) != str(os.getpid()) and str(link.readlink()) == path:
-                name = Path("/proc", pid, "comm").read_text(encoding="utf-8").strip()
-                return f"{name} (process {pid})"
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):  # it ends meanwhile, or is another user's
+            held = [str(link.readlink()) for link in (process / "fd").iterdir()]
+            if process.name != str(os.getpid()) and path in held:
+                name = (process / "comm").read_text(encoding="utf-8").strip()
+                return f"{name} (process {process.name})"
     return ""
 
 

@@ -5,13 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-from instruments.errors import (
-    DeviceError,
-    LimitError,
-    LinkError,
-    ProtocolError,
-    TouchAgainError,
-)
+from instruments.errors import DeviceError, LimitError, LinkError, ProtocolError, TouchAgainError
 from instruments.microscribe.protocol import BEGIN, SYNC
 
 

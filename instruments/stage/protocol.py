@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import math
 import re
+import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 from instruments.errors import LimitError
@@ -267,114 +270,21 @@ class Meaning(NamedTuple):
 _REPORT = "The line that was sent is wrong: report it with the bench's log."
 
 
-def _table(text: str, then: str = "") -> dict[int, Meaning]:
-    """Entries "number what | do" in indented lines; "report" is `_REPORT`, ``then`` is added."""
-    table = {}
-    for entry in re.split(r"\n(?=\d)", text.strip()):
-        number, words = re.sub(r"\s+", " ", entry).split(" ", 1)
-        what, _, do = words.partition(" |")
-        do = f"{do.strip()}, then {then}" if do and then else do.strip() or f"Call {then}"
-        table[int(number)] = Meaning(what, _REPORT if do == "report" else do)
-    return table
+@cache
+def codes() -> Mapping[str, Mapping[int, Meaning]]:
+    """What numbers mean, by the tables of ``codes.toml``."""
+    text = Path(__file__).with_name("codes.toml").read_text(encoding="utf-8")
+    return {
+        name: {int(number): _read_meaning(name, *words) for number, words in table.items()}
+        for name, table in tomllib.loads(text).items()
+    }
 
 
-def _alarms(text: str) -> dict[int, Meaning]:
-    return _table(text, "recover() and home().")
-
-
-ERRORS = _table("""
-1 a G-code word has no letter | report
-2 a number is missing or badly written | report
-3 the '$' command is not known | Check the firmware: some builds leave commands out ($I lists the
-    options).
-4 a setting can't be negative | Send a value of zero or more.
-5 homing is switched off | Fit the switches and set $22=1.
-6 the step pulse is too short | Set $0 to 3 or more.
-7 the stored settings could not be read and were set to defaults | Load the stage's own settings
-    again ($100 to $132).
-8 the command is allowed only when the stage is idle | Wait until the move has finished, or end the
-    hold.
-9 G-code is locked out by an alarm, or while jogging | Home the stage; after an alarm recover it
-    first.
-10 soft limits need homing | Set $22=1 before $20=1.
-11 the line is longer than the controller's line buffer | Keep lines below 80 characters.
-12 the rate asks for more than 30000 steps a second | Lower the maximum rate or the steps per mm.
-13 the safety door is open | Close it.
-14 the build information or start-up line is too long | Shorten it.
-15 the jog goes beyond the travel; it was not started | Jog less far.
-16 the jog command is badly formed | report
-17 laser mode needs a PWM output | Set $32=0.
-20 the controller does not know this G-code word | Check the firmware's version and its build
-    options.
-21 two words of one modal group stand in a line | report
-22 no feed rate has been given yet | Give a feed with the move.
-23 a word needs a whole number | report
-24 two commands of the line both need the axis words | report
-25 a word is repeated in the line | report
-26 the command needs axis words and has none | report
-27 the line number is out of range | report
-28 the command lacks a value | report
-29 this work coordinate system does not exist | Use G54 to G59.
-30 G53 goes with G0 and G1 only | report
-31 axis words are left over | report
-32 an arc has no axis word in its plane | report
-33 the target of the move is invalid | Check target and limits.
-34 the radius of an arc is impossible | report
-35 an arc has no offset in its plane | report
-36 words are left over | report
-37 the tool length offset is not set up for this axis | report
-38 the tool number is too large | report
-""")
-
-ALARMS = _alarms("""
-1 a limit switch was hit and the position is probably lost | Clear the stage by hand with the power
-    off
-2 a target lay beyond the controller's soft limits; nothing moved there | Check $130 to $132
-3 the controller was reset while moving and the position is lost
-4 the probe was not in its initial state | Check the probe
-5 the probe found no contact | Check the probe
-6 homing was ended by a reset
-7 homing was ended by the safety door | Close the door
-8 a switch stayed closed after the pull-off | Look for a stuck or dirty switch, or raise $27
-9 homing found no switch | Check the switches, their cables and $23, $5
-10 the two motors of one axis found their switches too far apart | Square the gantry
-""")
-
-HAL_ALARMS = _alarms("""
-10 the emergency stop is pressed | Release it when the cause is gone
-11 the controller wants to be homed first
-12 a limit switch is closed | Move the stage off it by hand with the power off
-13 the probe's protection has stopped the stage | Check the probe
-14 a spindle did not reach its speed; a stage has none | Switch the spindle off in its settings
-15 of the two motors of one axis, one did not find its switch in time | Square the gantry
-16 the controller's test of itself failed | Look at its own messages, switch it off and on
-17 a motor driver reports a fault | Check the motor's driver, cable and load
-""")
-
-FLUIDNC_ERRORS = _table("""
-18 no axis has a homing cycle | Give each axis that moves a homing cycle in the configuration file.
-19 one axis can't be homed alone | Home all of them.
-39 a parameter of this G-code word is too large | report
-40 a control pin was active at the start | Look for a pressed button or a wrong pin, then restart.
-120 another connection of the controller is busy | Close the other program, or its web page.
-130 the jog was ended | Jog again.
-151 the configuration has no such entry | Add the axis to the configuration file, with its homing.
-152 the configuration is not valid | See the controller's own messages after its start.
-""")
-
-FLUIDNC_ALARMS = _alarms("""
-10 a spindle did not reach its speed; a stage has none | Remove it from the configuration file
-11 a control pin was active at the start | Look for a pressed button
-12 both switches of an axis are closed | Check the switches and their pins
-13 a hard stop was asked for | Release the button
-14 the controller wants to be homed first
-15 the controller's start failed | See its own messages
-16 an expander board was reset | Check its cable and power
-17 a G-code line was wrong | Report it with the bench's log
-18 a limit switch was hit while probing
-""")
-
-_OWN = {"grblHAL": HAL_ALARMS, "FluidNC": FLUIDNC_ALARMS}
+def _read_meaning(table: str, what: str, do: str = "") -> Meaning:
+    if table.endswith("errors"):
+        return Meaning(what, _REPORT if do == "report" else do)
+    then = "recover() and home()."
+    return Meaning(what, f"{do}, then {then}" if do else f"Call {then}")
 
 
 def meaning(answer: ErrorReply | Alarm, firmware: str = "Grbl") -> Meaning:
@@ -389,6 +299,6 @@ def meaning(answer: ErrorReply | Alarm, firmware: str = "Grbl") -> Meaning:
         f"an {kind} that this program does not know",
         f"Look the number up in the firmware's list of {kind}s{then if alarm else '.'}",
     )
-    own = _OWN.get(firmware, {}) if alarm else FLUIDNC_ERRORS if firmware == "FluidNC" else {}
-    known = own.get(code) or (ALARMS if alarm else ERRORS).get(code, unknown)
+    own = codes().get(f"{firmware} {kind}s", {})
+    known = own.get(code) or codes()[f"{kind}s"].get(code, unknown)
     return known._replace(what=f"{kind} {code}: {known.what}")

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import Phase, assume, given, settings
+from hypothesis import Phase, assume, example, given, settings
 from hypothesis import strategies as st
 
 from detector.calibration.gate import folds, lens_faults, pair_faults
@@ -87,6 +87,23 @@ def test_a_lens_that_folds_is_found_by_both_witnesses(kc: tuple[float, ...]) -> 
     far = replace(lens, fc=(20_000.0, 20_000.0))  # a narrow lens uses its middle alone
     assert one_to_one(far)
     assert not folds(far)
+
+
+ANY_SIZE = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(
+    st.tuples(*[ANY_SIZE.filter(bool)] * 2), st.tuples(*[ANY_SIZE] * 2), st.tuples(*[ANY_SIZE] * 5)
+)
+@example((1e-310, 800.0), (640.0, 480.0), (0.1, 0.0, 0.0, 0.0, 0.0))
+@example((800.0, -1e-310), (1e308, 480.0), (1e308, -1e308, 0.0, 0.0, 0.0))
+def test_numbers_of_any_size_make_sentences(
+    fc: tuple[float, float], cc: tuple[float, float], kc: tuple[float, float, float, float, float]
+) -> None:
+    """A warning of numpy fails a test."""
+    for key, said in lens_faults(Camera((1280, 960), fc, cc, 1e300, kc)):
+        assert key in ("fc", "cc", "kc", "alpha_c")
+        assert said
 
 
 @given(

@@ -20,10 +20,7 @@ from instruments.stage.emulator.motion import Vector
 from instruments.stage.emulator.store import CLASSIC, Dialect, Store
 from instruments.stage.emulator.zaber import ZaberController
 
-CONTROLLERS: dict[str, type[Controller]] = {
-    "Marlin": MarlinController,
-    "Zaber": ZaberController,
-}
+CONTROLLERS: dict[str, type[Controller]] = {"Marlin": MarlinController, "Zaber": ZaberController}
 
 GLANCE_S = 1e-3  # over which a velocity is measured
 

@@ -13,11 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from instruments.stage.emulator.motion import (
-    AxisRates,
-    Motion,
-    Vector,
-)
+from instruments.stage.emulator.motion import AxisRates, Motion, Vector
 from instruments.world.phantom import PlatePose
 
 PRESSED_MM = 0.005  # how far past its edge a limit switch is closed

@@ -181,7 +181,7 @@ def test_a_session_that_is_closed_while_it_waits_is_reported_as_a_broken_link(fa
         stand.emulator.fault("silence")
         stand.clock.call_at(stand.clock.now() + 0.5, bath.close)
         with pytest.raises(BrokenError, match="the link broke"):
-            bath._wire.read(3, 0, 1)  # type: ignore[attr-defined]
+            bath._wire.read(3, 0, 1)  # type: ignore[union-attr]
         stand.emulator.fault("silence", on=False)
         assert bath.read().temp_c == pytest.approx(20.0, abs=0.05)
 

@@ -267,7 +267,7 @@ def check_presto(url: str) -> None:
         bath.safe()
         assert bath.read().running is False
         with pytest.raises(DeviceError, match="no register at this address"):
-            bath._rows.wire.read(4, 900, 2)  # type: ignore[attr-defined]
+            bath._rows.wire.read(4, 900, 2)  # type: ignore[union-attr]
 
 
 def test_the_driver_on_pymodbustcps_server() -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from instruments.clock import VirtualClock
 from instruments.stage.emulator import GRBL_HAL, ZABER, StageEmulator, StageFault
-from instruments.stage.protocol import ALARMS
+from instruments.stage.protocol import codes
 from tests.instruments.stage.board import LOCK, WELCOME, Board
 
 Make = Callable[..., Board]
@@ -377,7 +377,7 @@ def test_every_alarm_of_the_sheet(
 def test_the_cases_are_the_sheets_and_a_crooked_gantry_is_another_number_in_grblhal(
     make_board: Make,
 ) -> None:
-    assert {code for code, _, _ in CASES} == set(range(1, 11)) == ALARMS.keys()
+    assert {code for code, _, _ in CASES} == set(range(1, 11)) == codes()["alarms"].keys()
     board = make_board(dialect=GRBL_HAL)
     board.emulator.inject(StageFault.CROOKED_GANTRY)
     assert board.say(HOMED, 60.0).startswith(b"ALARM:15\r\nok\r\n")

@@ -16,7 +16,7 @@ from instruments.link import Link
 from instruments.stage.driver import Spoken, Stage
 from instruments.stage.emulator import CLASSIC, GRBL_HAL, Dialect, StageEmulator, StageFault
 from instruments.stage.emulator.grbl import GrblController, Mode
-from instruments.stage.protocol import ALARMS, HAL_ALARMS
+from instruments.stage.protocol import codes
 from tests.instruments.stage.board import GREETING, Bench, Parrot, identify
 
 Make = Callable[..., Bench]
@@ -165,8 +165,11 @@ FAST = (
 @pytest.mark.parametrize(
     ("dialect", "code", "critical"),
     [
-        *((CLASSIC, code, code % 2 == 0) for code in ALARMS),
-        *((GRBL_HAL, code, code % 2 == 1) for code in ALARMS | HAL_ALARMS),
+        *((CLASSIC, code, code % 2 == 0) for code in codes()["alarms"]),
+        *(
+            (GRBL_HAL, code, code % 2 == 1)
+            for code in {**codes()["alarms"], **codes()["grblHAL alarms"]}
+        ),
     ],
 )
 def test_recovery_from_each_alarm_is_explicit(
