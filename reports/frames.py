@@ -143,8 +143,9 @@ class Overlay:
 
 @dataclass(frozen=True, slots=True)
 class ImageView:
-    """An image file beside the page, or the part `view_box` (x, y, width, height); a click opens
-    `original`. `width` and `height` are those that the overlays count in.
+    """An image file, or the part `view_box` (x, y, width, height); a click opens `original`.
+    `width` and `height` are those that the overlays count in; `camera` says whose it is.
+    `shown_as`: the browser exchanges the file's left and right, or black and white.
     """
 
     label: str
@@ -155,6 +156,8 @@ class ImageView:
     overlays: tuple[Overlay, ...] = ()
     view_box: tuple[int, int, int, int] | None = None
     original: str = ""
+    shown_as: Literal["", "mirrored", "inverted"] = ""
+    camera: str = ""
 
     def __post_init__(self) -> None:
         what = f"image {self.label!r}"

@@ -271,8 +271,12 @@ def _link(href: str, place: Place, away: set[str]) -> str:
 
 
 def _own(page: Page) -> Place:
-    most = IN_PAGE // max(1, len(page.detectors))
-    return Place(page.trials if len(page.trials) <= most else ())
+    return Place(page.trials if in_page(len(page.trials), len(page.detectors)) else ())
+
+
+def in_page(trials: int, detectors: int) -> bool:
+    """Whether so many trials are in the page itself."""
+    return trials <= IN_PAGE // max(1, detectors)
 
 
 def _lone(parts: Sequence[Part]) -> set[int]:

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.cli.arguments import CODES, complain, print_values
+from bench.cli.arguments import CODES, complain, json_of, print_values
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
 from bench.script.detectors import DECLARED, declared, make_detectors
@@ -120,6 +120,21 @@ def _python() -> str:
     """A Python by a name that holds elsewhere."""
     names = ("python", "py") if os.name == "nt" else ("python3", "python")
     return next((name for name in names if shutil.which(name)), sys.executable)
+
+
+def detect(given: argparse.Namespace) -> int:
+    from bench.results.detections import detect_lines
+
+    answered = False
+    for line, text in detect_lines(given.recording, given.detector or ["thesis"]):
+        print(json_of(line) if given.json else text, flush=True)
+        answered = answered or "outcome" not in line
+    if not answered:
+        return complain(
+            "no frame had an answer: 'teatbench detectors try' says what is wrong with a detector",
+            CODES.fault,
+        )
+    return CODES.met
 
 
 def try_out(given: argparse.Namespace) -> int:

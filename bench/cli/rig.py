@@ -1,5 +1,5 @@
 """The rig without a run: `check` and `emulate`; `rigs`; `replay-wire`, the far end of a capture;
-`scene sheet|record|boards` and `detect`, scenes and frames.
+and `scene sheet|record|boards`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.cli.arguments import CODES, complain, json_of, print_values, refuse_existing
+from bench.cli.arguments import CODES, complain, print_values, refuse_existing
 from bench.cli.terminal import working
 from bench.config import ConfigError, did_you_mean
 from bench.rig.loading import NO_RIGS, RIGS, TO_COPY, LoadedRig, find_rig, load_rig, shipped
@@ -206,21 +206,6 @@ def _watch(replay: Replay, clock: Clock, path: Path, *, once: bool) -> int:
     for what in unplayed:
         print(what, flush=True)
     return CODES.not_met if shown or unplayed else CODES.met
-
-
-def detect(given: argparse.Namespace) -> int:
-    from bench.run.recordings import detect_lines
-
-    answered = False
-    for line, text in detect_lines(given.recording, given.detector or ["thesis"]):
-        print(json_of(line) if given.json else text, flush=True)
-        answered = answered or "outcome" not in line
-    if not answered:
-        return complain(
-            "no frame had an answer: 'teatbench detectors try' says what is wrong with a detector",
-            CODES.fault,
-        )
-    return CODES.met
 
 
 def _members(given: argparse.Namespace) -> range:

@@ -164,6 +164,7 @@ class Console:
             Mount("/static", StaticFiles(directory=STATIC)),
             Route("/report/{ticket}/{path:path}", self.report_file),
             Route("/api/runs", self.listed),
+            Route("/api/queue", self.queue),
             Route("/api/choices", self.choices),
             Route("/api/dry-run", self.dry_run, methods=["POST"]),
             Route("/api/start", self.start, methods=["POST"]),
@@ -186,8 +187,12 @@ class Console:
 
     async def listed(self, _: Request) -> Response:
         found = await _off(watching.listed, self.runs)
-        queued = await _off(lambda: [one.as_dict() for one in queues(self.runs, 1)])
-        return JSONResponse({"runs": found, "queues": queued, "pages": self.pages.count})
+        return JSONResponse({"runs": found, "pages": self.pages.count})
+
+    async def queue(self, _: Request) -> Response:
+        """The last one; null where there is none."""
+        last = await _off(lambda: next(queues(self.runs, 1), None))
+        return JSONResponse({"queue": last.as_dict() if last else None})
 
     async def snapshot(self, request: Request) -> Response:
         found = await _off(watching.snapshot, self._folder(request))
@@ -361,15 +366,15 @@ class Console:
         if not (folder / "report" / "index.html").is_file():
             return _refused(404, "this run has no report")
         ticket = secrets.token_urlsafe(24)
-        self.tickets[ticket] = (folder / "report").resolve()
-        return JSONResponse({"url": f"/report/{ticket}/index.html"})
+        self.tickets[ticket] = folder.resolve()  # the page shows the frames beside it
+        return JSONResponse({"url": f"/report/{ticket}/report/index.html"})
 
     async def report_file(self, request: Request) -> Response:
         folder = self.tickets.get(request.path_params["ticket"])
         if folder is None:
             return _refused(404, "there is no such report")
         path = (folder / request.path_params["path"]).resolve()
-        if not path.is_relative_to(folder.parent) or not path.is_file():
+        if not path.is_relative_to(folder) or not path.is_file():
             return _refused(404, "there is no such page in the report")
         policy = REPORT_POLICY.format(self.origin)
         return FileResponse(path, headers={"content-security-policy": policy})

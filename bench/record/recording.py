@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,13 +16,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.files import SIGNATURE, png_size
 from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import FrameSet, grey8, no_temperatures
 from instruments.errors import DeviceError
 from textfiles.tables import Row, TableError, read_table
 from textfiles.text import TextError, text_of
 
-PNG = b"\x89PNG\r\n\x1a\n"
 PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 # of a frame set, and its files: the last three have 16 bits
 FIELDS = ("left", "right", "thermal", "thermal_ck", "depth_dmm", "amplitude")
@@ -89,13 +89,8 @@ class Recording:
 
     def sizes(self, frame_id: str) -> dict[str, tuple[int, int]]:
         """Columns and rows of a frame's PNG files by name, from their heads alone."""
-        found = {}
-        for name in FILES:
-            with suppress(OSError), (self.path / "frames" / frame_id / name).open("rb") as file:
-                head = file.read(24)
-                if head.startswith(PNG) and head[12:16] == b"IHDR":
-                    found[name] = int.from_bytes(head[16:20]), int.from_bytes(head[20:24])
-        return found
+        folder = self.path / "frames" / frame_id
+        return {name: size for name in FILES if (size := png_size(folder / name))}
 
     def _truth(self) -> dict[str, tuple[TruthRow, ...]]:
         path = self.path / "truth.csv"
@@ -168,8 +163,8 @@ def _image(path: Path) -> NDArray[Any]:
 
 def _damaged_chunk(data: bytes) -> str:
     """The damage of a PNG's chunks by length and checksum; empty where whole, or no PNG."""
-    at = len(PNG)
-    while data.startswith(PNG):
+    at = len(SIGNATURE)
+    while data.startswith(SIGNATURE):
         end = at + 8 + int.from_bytes(data[at : at + 4])
         if end + 4 > len(data):
             return "it is cut off"

@@ -27,7 +27,8 @@ from bench.report.statements import note_on_statements
 from bench.report.thesis import published_counts, thesis_chapter
 from bench.report.trials import (
     first_looks,
-    looks_of,
+    first_trials,
+    look_at,
     trial_id,
     trial_parts,
     trial_table,
@@ -76,7 +77,7 @@ from reports.page import (
     Section,
     Verdict,
 )
-from reports.render import write_report
+from reports.render import in_page, write_report
 
 REPORT, PDF = "report", "report.pdf"
 
@@ -113,8 +114,7 @@ def build_page(
     folder: Path,
     chapters: tuple[Section, ...] = (),
 ) -> Page:
-    """The page; writes the trials' pictures into ``folder``/images. ``chapters`` come later."""
-    trials = trial_parts(run, calibration, folder)
+    """The page; writes copies of frames into ``folder``/images. ``chapters`` come later."""
     facts = run.facts
     poses, invalid = len({trial.pose for trial in run.counted}), len(run.trials) - len(run.counted)
     left_out = f"; {invalid} more have lost their truth (see Deviations)" if invalid else ""
@@ -142,15 +142,18 @@ def build_page(
         requirements = (tables.scoreboard(judgements), folded)
     sections = [Section("requirements", "Requirements", requirements)]
     undecided = undecided_of(judgements)
+    looked, few = first_trials(run, undecided), in_page(len(run.trials), len(run.detectors))
     behind = tuple(_pages(run, status, rules, calibration, chapters, undecided))
     drawn = tuple(_figures(run, rules, calibration)) if run.trials and judgements else ()
-    made = tuple(trials)
+    made = tuple(trial_parts(run, calibration, folder, copied=None if few else looked))
     if judgements:
         told = note_on_statements((requirements, behind), rules, len(judgements))
         with_note = replace(folded, parts=(*folded.parts, told))
         sections[0] = replace(sections[0], parts=(requirements[0], with_note))
-    if looked := looks_of(run, made, calibration, undecided):
-        sections.append(Section("looks", "Where to look first", (Looks(looked),)))
+    if looked:
+        by_id = {part.id: part for part in made}
+        looks = (look_at(*one, by_id[trial_id(one[0])], calibration) for one in looked.values())
+        sections.append(Section("looks", "Where to look first", (Looks(tuple(looks)),)))
         sections.append(Section("figures", "Figures", drawn))
     alarm = f"{NOT_AS_WRITTEN}: no figure below holds. {shortened(run.damage)}"
     return Page(

@@ -65,14 +65,10 @@ def draw_again(
 def scene_parts(run: RunRecord, stated: Calibration, folder: Path) -> Iterator[TrialPart]:
     """A part a scene for a page in ``folder``, which is in the campaign's or in its ``scenes``."""
     up = "../" if folder.parent == run.folder else f"../{run.folder.name}/"
-    for trial, part in zip(run.trials, trial_parts(run, stated, folder), strict=True):
+    for trial, part in zip(run.trials, trial_parts(run, stated, folder, up), strict=True):
         about = ("what it is", SITUATIONS[str(trial.head["situation"])][0])
         summary = (about, *(entry for entry in part.summary if entry[0] not in OF_A_RUN))
-        images = tuple(
-            replace(image, original=f"{up}{image.original.removeprefix('../')}")
-            for image in part.images
-        )
-        yield replace(part, summary=summary, images=images)
+        yield replace(part, summary=summary)
 
 
 def show_scenes(folder: Path, names: Sequence[str]) -> tuple[Path, list[tuple[str, str, str]]]:

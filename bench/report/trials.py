@@ -1,17 +1,18 @@
 """The report's part for each trial: pictures, teats, readings; and which trials are the worst.
 
-The pictures are JPEG of the frames, cut to the teats at first sight, with truth, the detector's
-stages and found points over them. Any stage of a trace with `left_px`, `right_px` or
-`thermal_px` (n, 2) is drawn by its name. Coordinates are the image's pixels. The pictures can be
-made again at any time, so nothing is synced to the disk.
+The pictures are the record's own frames, cut to the teats at first sight, with truth, the
+detector's stages and found points over them. Any stage of a trace with `left_px`, `right_px` or
+`thermal_px` (n, 2) is drawn by its name. Coordinates are the image's pixels. Depth frames, and what
+may be printed or mailed, are JPEG copies; they can be made again at any time, so nothing is synced
+to the disk.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.files import png_size
 from bench.record.reader import RunRecord, TrialRecord, points_mm
 from bench.record.schema import Row
 from bench.report.bath import capture_text, surface_at, surface_text
@@ -30,7 +32,7 @@ from bench.scoring.decisions import Verdict
 from bench.scoring.errors import Floats
 from bench.scoring.scene import SceneScore
 from detector.calibration import Calibration
-from detector.geometry import Motion
+from detector.geometry import Camera, Motion
 from detector.outline.model import COUNT, Outline, numbers_of, outlines
 from detector.protocol import Outcome
 from instruments.world.situations import spoken
@@ -51,7 +53,6 @@ from reports.frames import (
 from reports.page import Cell, KeyValues, Look, Result, Table, Tone, TrialPart
 
 DECIDED = (Verdict.MET, Verdict.NOT_MET)
-AT_ONCE = 4  # trials: decoding and encoding pictures lets others work
 MOST_WORST = 60
 NTH = ("Worst", "Second worst", "Third worst")  # looked at, and a typical one
 CUT_WIDTH_PX, CUT_MARGIN_PX = 640, 22  # what is shown round the teats on the first page
@@ -63,15 +64,20 @@ def trial_id(trial: TrialRecord) -> str:
     return f"trial-{int(trial.head['number']):03d}"
 
 
-def trial_parts(run: RunRecord, calibration: Calibration, folder: Path) -> Iterator[TrialPart]:
-    """A part a trial, in order; its pictures are written into ``folder``/images. All are begun at
-    once, and go on beside what the caller does until it takes them.
+def trial_parts(
+    run: RunRecord,
+    calibration: Calibration,
+    folder: Path,
+    up: str = "../",
+    copied: Collection[str] | None = None,
+) -> Iterator[TrialPart]:
+    """A part a trial, in order, for a page in ``folder``, from which ``up`` leads to the run's. The
+    frames of the trials ``copied``, by default of all, are written into ``folder``/images.
     """
-    (folder / IMAGES).mkdir(parents=True, exist_ok=True)
-    threads = ThreadPoolExecutor(AT_ONCE)
-    parts = threads.map(lambda trial: _part(run, trial, calibration, folder), run.trials)
-    threads.shutdown(wait=False)
-    return parts
+    for trial in run.trials:
+        copy = copied is None or trial.id in copied
+        images = _pictures(run, trial, calibration, up, folder, copy=copy)
+        yield _part(run, trial, tuple(images))
 
 
 def undecided_of(judgements: Sequence[Judgement]) -> frozenset[str]:
@@ -113,17 +119,14 @@ def worst_trials(run: RunRecord, undecided: Collection[str] = ()) -> tuple[Trial
     return tuple(trial for trial, _ in failures_in_turn(run, undecided))
 
 
-def looks_of(
-    run: RunRecord,
-    parts: Sequence[TrialPart],
-    calibration: Calibration,
-    undecided: Collection[str] = (),
-) -> tuple[Look, ...]:
-    """The worst trials, each detector's in turn, and a typical one; views cut to the teats."""
+def first_trials(
+    run: RunRecord, undecided: Collection[str] = ()
+) -> dict[str, tuple[TrialRecord, str]]:
+    """The worst trials by id with why, each detector's in turn, and a typical one."""
     scored = [trial for trial in run.counted if trial.scores and trial.truth]
     names = [name for name in run.detectors if any(name in trial.scores for trial in scored)]
     if not names:
-        return ()
+        return {}
     names.sort(key=lambda name: name not in undecided)
     ranks = {name: sorted(scored, key=lambda t: _fault(t, name), reverse=True) for name in names}
     turns = [(names[k % len(names)], NTH[k // len(names)], 0) for k in range(max(3, len(names)))]
@@ -132,17 +135,14 @@ def looks_of(
         free = [trial for trial in ranks[name][first:] if trial.id not in chosen]
         for trial in free[:1]:
             chosen[trial.id] = trial, f"{nth} of {name}" if len(names) > 1 else nth
-    by_id = {part.id: part for part in parts}
-    return tuple(
-        look_at(trial, why, by_id[trial_id(trial)], calibration) for trial, why in chosen.values()
-    )
+    return chosen
 
 
 def look_at(trial: TrialRecord, why: str, part: TrialPart, calibration: Calibration) -> Look:
     """Its views cut to the teats, with truth and answers drawn in."""
-    images, there = [], {image.src: image for image in part.images}
+    images, there = [], {image.camera: image for image in part.images}
     for camera, truth_px in project_all(calibration, points_mm(trial.truth)).items():
-        image = there.get(f"{IMAGES}/{trial.id}-{camera}.jpg")
+        image = there.get(camera)
         if image is None:
             continue
         size = max(1.0, image.width / CUT_WIDTH_PX)
@@ -162,7 +162,7 @@ def look_at(trial: TrialRecord, why: str, part: TrialPart, calibration: Calibrat
                 drawn.append(Overlay("point", NAMES["point"], shapes, who))
         alt, layers = f"{image.alt}, at the teats", tuple(drawn)
         images.append(replace(image, label=camera, alt=alt, overlays=layers, view_box=box))
-    images.sort(key=lambda image: "-left." not in image.src)
+    images.sort(key=lambda image: image.camera != "left")
     heading = f"{part.situation}, trial {trial.head['number']}"
     return Look(part.id, heading, why, _results(trial, farthest=True), tuple(images))
 
@@ -218,7 +218,7 @@ def first_looks(run: RunRecord, undecided: Collection[str] = ()) -> KeyValues | 
     return KeyValues("Look at these first", tuple(entries)) if entries else None
 
 
-def _part(run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: Path) -> TrialPart:
+def _part(run: RunRecord, trial: TrialRecord, images: tuple[ImageView, ...]) -> TrialPart:
     head, detections, budget = trial.head, trial.detections, trial_truth(trial)
     notes = [f"In no count: {trial.invalid}"] if trial.invalid else []
     notes += [f"Note: {head['note']}"] if head["note"] else []
@@ -235,7 +235,7 @@ def _part(run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: 
             *((f"time, {d['detector']}", _time_text(d)) for d in detections),
             *((f"hidden, {d['detector']}", f"claims {d['hidden']}") for d in detections),
         ),
-        images=tuple(pictures(run, trial, calibration, folder)),
+        images=images,
         tables=(*(_teats(trial, d["detector"]) for d in detections), *([budget] if budget else [])),
         notes=(*notes, *(note for d in detections for note in _notes(d))),
     )
@@ -321,34 +321,49 @@ NAMES: dict[LayerTone, str] = {
 FINAL = {"ends"}  # stages that repeat the answer
 
 
-def pictures(
-    run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: Path
+def _pictures(
+    run: RunRecord,
+    trial: TrialRecord,
+    calibration: Calibration,
+    up: str,
+    folder: Path,
+    *,
+    copy: bool,
 ) -> Iterator[ImageView]:
-    """Every view of a trial; its files are written into ``folder``/images, which must be there."""
+    """Every view of a trial. A frame that is gone is left out: the store's check names it."""
     paths = {row["camera"]: row["path"] for row in trial.frames}
-    for camera, image, points in frames_of(run, trial, calibration):
+    sizes = {camera: size for camera in paths if (size := png_size(run.folder / paths[camera]))}
+    for camera, points in project_all(calibration, points_mm(trial.truth)).items():
+        if camera not in sizes:
+            continue
         mirrored = camera == "thermal" and calibration.thermal.mirrored
         label = f"{camera}, left and right exchanged back" if mirrored else camera
-        name, (high, wide) = f"{IMAGES}/{trial.id}-{camera}.jpg", image.shape
-        _write(image, folder / name, cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
-        alt = f"{label} frame of trial {trial.id}"
-        layers = overlays(trial, camera, points, calibration)
-        box = None if camera == "thermal" else round_teats(points, wide, high)
-        yield ImageView(label, name, wide, high, alt, layers, box, f"../{paths[camera]}")
+        src = original = up + paths[camera]
+        if copy or camera == "depth":
+            show = shown_depth if camera == "depth" else grey
+            if (image := show(run.folder / paths[camera])) is None:
+                continue
+            src = f"{IMAGES}/{trial.id}-{camera}.jpg"
+            _write(image, folder / src)
+        yield ImageView(
+            *(label, src, *sizes[camera]),
+            alt=f"{label} frame of trial {trial.id}",
+            overlays=overlays(trial, camera, points, calibration),
+            view_box=None if camera == "thermal" else round_teats(points, *sizes[camera]),
+            original=original,
+            shown_as="mirrored" if mirrored else "",
+            camera=camera,
+        )
     for detection in trial.detections:
         # the detector's edge picture, where it has one, with the points that were taken from it
-        path = paths.get(f"{detection['detector']}-edges")
-        edges = None if path is None else grey(run.folder / path)
-        if edges is None:
+        if (size := sizes.get(picture := f"{detection['detector']}-edges")) is None:
             continue
-        name = f"{IMAGES}/{trial.id}-{detection['detector']}-edges.png"
-        _write(255 - edges, folder / name, cv2.IMWRITE_PNG_BILEVEL, 1)
         label = f"{detection['detector']}: edges in the thermal frame"
-        alt, (high, wide) = f"{label}, trial {trial.id}", edges.shape
         places = _places(trial)
         who = places[str(detection["detector"])] if len(places) > 1 else 0
-        layers = stage_overlays(detection, who)
-        yield ImageView(label, name, wide, high, alt, layers, original=f"../{path}")
+        layers, alt = stage_overlays(detection, who), f"{label}, trial {trial.id}"
+        src = up + paths[picture]
+        yield ImageView(label, src, *size, alt, layers, shown_as="inverted", camera=picture)
 
 
 def frames_of(
@@ -409,23 +424,42 @@ def _read(path: Path, how: int) -> NDArray[Any] | None:
     return cv2.imdecode(data, how) if data.size else None
 
 
-def _write(image: NDArray[np.uint8], path: Path, setting: int, value: int) -> None:
-    done, data = cv2.imencode(path.suffix, image, [setting, value])
+def _write(image: NDArray[np.uint8], path: Path) -> None:
+    done, data = cv2.imencode(path.suffix, image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     if not done:
         raise ValueError(f"OpenCV can't write {path.name}")
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(bytes(data))
+
+
+@lru_cache(maxsize=2)
+def _cameras(calibration: Calibration) -> dict[str, tuple[Camera, Motion, Motion] | None]:
+    """Each camera's lens and its motions from the right camera and from the world; None where it
+    has no pose. The thermal camera's are of the un-mirrored picture.
+    """
+    right_from_world = calibration.world_from_right.inverse()
+    thermal, depth = calibration.thermal, calibration.depth_from_world
+    seen = {
+        "left": (calibration.left, calibration.right_from_left.inverse()),
+        "right": (calibration.right, Motion.identity()),
+        "thermal": (thermal.lens, calibration.thermal_from_right),
+    }
+    if calibration.depth and depth:
+        seen["depth"] = (calibration.depth, depth @ calibration.world_from_right)
+    return {
+        camera: (lens, from_right, from_right @ right_from_world) if lens and from_right else None
+        for camera, (lens, from_right) in seen.items()
+    }
 
 
 def project_all(calibration: Calibration, world_mm: Floats) -> dict[str, Floats | None]:
     """Pixels (n, 2) of world points (n, 3) by camera, thermal un-mirrored; None without a pose."""
-    left, right = calibration.project(world_mm)
-    in_right = calibration.world_from_right.inverse().apply(world_mm)
-    lens, pose = calibration.thermal.lens, calibration.thermal_from_right
-    thermal = lens.project(pose.apply(in_right)) if lens and pose else None
-    seen = {"left": left, "right": right, "thermal": thermal}
-    if calibration.depth and (depth_from_world := calibration.depth_from_world):
-        seen["depth"] = calibration.depth.project(depth_from_world.apply(world_mm))
-    return seen
+    return {camera: _seen(calibration, camera, world_mm) for camera in _cameras(calibration)}
+
+
+def _seen(calibration: Calibration, camera: str, world_mm: Floats) -> Floats | None:
+    known = _cameras(calibration)[camera]
+    return known and known[0].project(known[2].apply(world_mm))
 
 
 def overlays(
@@ -441,7 +475,7 @@ def overlays(
                 shapes["truth", 0].append(Label(x + 9, y - 5, str(row["teat"])))
     places = _places(trial)
     for detection in trial.detections:
-        trace, name = json.loads(detection["trace"]), str(detection["detector"])
+        trace, name = _trace(detection["trace"]), str(detection["detector"])
         who = places[name]
         drawn = [*_stages(trace, camera, name), *_models(trace, camera, calibration, name)]
         for row in trial.found:
@@ -462,9 +496,12 @@ def overlays(
     )
 
 
+_trace = lru_cache(maxsize=8)(json.loads)  # of a trial's detectors, for each camera; not changed
+
+
 def stage_overlays(detection: Row, who: int = 0) -> tuple[Overlay, ...]:
     """Over the thesis's picture of edges: the points taken from it, and those nominated."""
-    trace = json.loads(detection["trace"])
+    trace = _trace(detection["trace"])
     taken = tuple(
         Circle(x, y, 4, stage)
         for stage in ("vertical ends", "horizontal middles")
@@ -526,15 +563,9 @@ def _models(
     decided = trace.get("decisions", {})
     teats = _rows(decided.get("teats"), COUNT)
     reasons = decided.get("reasons") if isinstance(decided.get("reasons"), list) else []
-    depth_from_world, world_from_right = calibration.depth_from_world, calibration.world_from_right
-    lens, from_right = {
-        "left": (calibration.left, calibration.right_from_left.inverse()),
-        "right": (calibration.right, Motion.identity()),
-        "thermal": (calibration.thermal.lens, calibration.thermal_from_right),
-        "depth": (calibration.depth, depth_from_world and depth_from_world @ world_from_right),
-    }[camera]
-    if not len(teats) or lens is None or from_right is None:
+    if not len(teats) or (known := _cameras(calibration)[camera]) is None:
         return
+    lens, from_right, _ = known
     turned = _rows(decided.get("right_from_teats"), 3)
     from_teats = from_right @ Motion(turned, np.zeros(3)) if len(turned) else from_right
     lines, _, _ = outlines(teats, numbers_of(lens, from_teats)[None], OUTLINE)
@@ -552,7 +583,7 @@ def _spread(row: Row, camera: str, calibration: Calibration) -> Iterator[Shape]:
         return
     end = points_mm([row])
     around = np.vstack([end, end + STEP_MM * np.eye(3), end - STEP_MM * np.eye(3)])
-    seen = project_all(calibration, around)[camera]
+    seen = _seen(calibration, camera, around)
     if seen is None or not np.isfinite(seen).all():
         return
     slope = (seen[1:4] - seen[4:7]).T / (2 * STEP_MM)  # px / mm, (2, 3)

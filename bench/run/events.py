@@ -22,12 +22,14 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from enum import StrEnum
 from io import FileIO
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from bench.config import ConfigError
 from bench.record.state import TRIP
-from bench.results.status import RunStatus
 from instruments.clock import wall_time
+
+if TYPE_CHECKING:
+    from bench.results.status import RunStatus
 
 PROMPTED, TRIPPED, NOT_SAFE, ENDED = "asked", "tripped", "not safe", "ended"  # to be notified
 EVENT = "run state"  # the kind of a change of state, in the record

@@ -120,9 +120,14 @@ def find_board(image: Gray, board: Board, *, sub_pixel: SubPixel = SubPixel()) -
 def counted_corners(image: Gray) -> tuple[int, int] | None:
     """Columns and rows of inner corners of whatever chessboard is in a picture; None for none."""
     flags = cv2.CALIB_CB_LARGER + cv2.CALIB_CB_EXHAUSTIVE
-    done, _, squares = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)
-    rows, columns = squares.shape[:2] if done else (0, 0)
-    return (columns, rows) if columns * rows > 9 else None  # 3 x 3: a part of one
+    half = image.shape[1] // 2, image.shape[0] // 2
+    # at half the size in a quarter of the time, unless the squares are too small there
+    for picture in (cv2.resize(image, half, interpolation=cv2.INTER_AREA), image):
+        done, _, squares = cv2.findChessboardCornersSBWithMeta(picture, (3, 3), flags)
+        rows, columns = squares.shape[:2] if done else (0, 0)
+        if columns * rows > 9:  # 3 x 3: a part of one
+            return columns, rows
+    return None
 
 
 def order_alike(first: DetectedBoard, second: DetectedBoard, board: Board) -> DetectedBoard:

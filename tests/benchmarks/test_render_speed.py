@@ -6,9 +6,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import count
@@ -24,7 +23,7 @@ from instruments.world.phantom import PlatePose
 from instruments.world.scene import Renderer
 from instruments.world.situations import SITUATIONS as FAMILIES
 from instruments.world.situations import situation as member
-from tests.benchmarks.figures import PEAK_KIB, figure, taken_s
+from tests.benchmarks.figures import PEAK_KIB, cpu_s, figure, kernel, taken_s
 from tests.situations import SITUATIONS, situation
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -97,20 +96,6 @@ def test_frame_set_with_fresh_noise(benchmark: BenchmarkFixture, name: str) -> N
         warmup_rounds=1,
     )
     figure(benchmark, f"{name}, fresh noise, median ms", 1e3 * taken_s(benchmark), "at most 60")
-
-
-def kernel() -> None:
-    """Fixed work for numpy, about as a picture's: what a machine's speed is measured by."""
-    values = np.random.default_rng(0).standard_normal((1024, 1360), dtype=np.float32)
-    for _ in range(10):
-        values = np.sqrt(np.abs(values) * np.float32(0.9) + np.float32(0.1))
-    assert values.min() > 0.0
-
-
-def cpu_s(work: Callable[[], object]) -> float:
-    begun_s = time.process_time()
-    work()
-    return time.process_time() - begun_s
 
 
 def test_frame_set_of_a_new_scene(benchmark: BenchmarkFixture) -> None:

@@ -5,6 +5,7 @@ asserted.
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,8 +13,11 @@ from pathlib import Path
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from tests.benchmarks.figures import PEAK_KIB
+from tests.benchmarks.figures import PEAK_KIB, beside_fixed
 from tests.conftest import ROOT
+
+TRACED = ROOT / "tests/data/path_traced"
+CHILDREN = ("children_user", "children_system")
 
 CHILD = (
     PEAK_KIB
@@ -61,3 +65,15 @@ def test_the_demo(benchmark: BenchmarkFixture, tmp_path: Path) -> None:
 def test_help(benchmark: BenchmarkFixture) -> None:
     stderr = benchmark.pedantic(lambda: call("--help"), rounds=5, warmup_rounds=1)
     show("teatbench --help", stderr, "at most 0.3 s")
+
+
+@pytest.mark.parametrize("detector", ["fused", "thesis"])
+def test_detect_on_one_frame(benchmark: BenchmarkFixture, tmp_path: Path, detector: str) -> None:
+    shutil.copytree(TRACED / "frames/0000", tmp_path / "frames/0000")
+    shutil.copy(TRACED / "calibration.toml", tmp_path)
+    before = os.times()
+    told = ("detect", str(tmp_path), "--detector", detector)
+    benchmark.pedantic(lambda: call(*told), rounds=5, iterations=1)
+    after = os.times()
+    spent_s = sum(getattr(after, of) - getattr(before, of) for of in CHILDREN) / 5
+    beside_fixed(benchmark, f"detect on one frame, {detector}", spent_s, "0.8")

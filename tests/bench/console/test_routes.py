@@ -160,6 +160,10 @@ def test_a_report_is_served_by_its_ticket_alone_and_can_reach_nothing(console: C
     status, answered, text = call(console, "GET", url, {"host": HOST}, b"")
     assert (status, text) == (200, b"<p>all good")
     assert answered[b"content-security-policy"].startswith(b"sandbox allow-scripts")
+    beside = url.replace("report/index.html", "rig.toml")  # as the frames are
+    assert (
+        call(console, "GET", beside, {"host": HOST}, b"")[2] == (folder / "rig.toml").read_bytes()
+    )
     outside = url.replace("index.html", "../../../etc/passwd")
     assert call(console, "GET", outside, {"host": HOST}, b"")[0] == 404
 

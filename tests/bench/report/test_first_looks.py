@@ -7,12 +7,11 @@ from dataclasses import replace
 
 import pytest
 
-from bench.config import read_calibration
 from bench.record.reader import RunRecord, read_run
-from bench.report.trials import first_looks, looks_of, trial_id, undecided_of, worst_trials
+from bench.report.trials import first_looks, first_trials, undecided_of, worst_trials
 from bench.results.verdicts import Judgement
 from bench.scoring.decisions import Decision, Verdict
-from reports.page import Cell, TrialPart
+from reports.page import Cell
 from tests.bench.small_run import KEPT
 
 BASELINE, UNDER_TEST = "thesis", "fused"
@@ -54,11 +53,9 @@ def test_the_one_failure_of_the_undecided_detector_comes_before_all_of_the_basel
 
 def test_the_cards_begin_with_the_same_detector_as_the_line_above_them() -> None:
     run = run_with({BASELINE: range(1, 7), UNDER_TEST: [6]})
-    parts = [TrialPart(trial_id(trial), "1", "ideal") for trial in run.trials]
-    calibration = read_calibration(KEPT / "calibration.toml", doubtful=True)
-    first, second, *_ = looks_of(run, parts, calibration, {UNDER_TEST})
-    assert (first.trial, first.why) == ("trial-006", f"Worst of {UNDER_TEST}")
-    assert second.why == f"Worst of {BASELINE}"
+    (first, why), (_, second), *_ = first_trials(run, {UNDER_TEST}).values()
+    assert (first.head["number"], why) == (6, f"Worst of {UNDER_TEST}")
+    assert second == f"Worst of {BASELINE}"
 
 
 @pytest.mark.parametrize(

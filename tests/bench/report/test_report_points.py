@@ -164,6 +164,34 @@ def test_frames_are_jpeg_of_quality_80_and_link_their_originals(
 
 
 @pytest.mark.usefixtures("undrawn")
+def test_of_many_trials_only_those_of_the_first_page_have_copies(
+    folder: Path, tmp_path: Path
+) -> None:
+    short, rules = read_run(folder), stored_rules(folder)
+    heads = [
+        {**one.head, "number": int(one.head["number"]) + 100 * k, "id": f"{one.id}-{k}"}
+        for k in range(4)
+        for one in short.trials
+    ]
+    trials = zip(heads, short.trials * 4, strict=True)
+    run = dataclasses.replace(
+        short,
+        trials=tuple(
+            dataclasses.replace(
+                trial, head=head, frames=[{**f, "sha256": head["id"]} for f in trial.frames]
+            )
+            for head, trial in trials
+        ),
+    )
+    calibration, judged = read_calibration(folder / "calibration.toml"), judge(run, rules)
+    page = build_page(run, status_of(run, judged), rules, judged, calibration, tmp_path)
+    assert len({image.src for image in page.images() if image.src.endswith(".jpg")}) <= 4 * 3
+    beside = [image for image in page.images() if image.src.startswith("../frames/")]
+    assert {image.camera for image in beside} == {"left", "right", "thermal", "thesis-edges"}
+    assert {image.shown_as for image in beside if image.camera == "thermal"} == {"mirrored"}
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_hostile_notes_come_out_as_text_and_faults_are_reported(
     folder: Path, tmp_path: Path
 ) -> None:

@@ -75,7 +75,7 @@ def test_the_same_answers_are_shown_to_be_no_worse_by_72_poses(n: int, verdict: 
     text = "; ".join(same.gate.reasons)
     if verdict is MET:
         lost = "at most 5.0 % of poses are lost anew (72 poses, 97.5 % confidence"
-        assert f"grew by at most 0.250 mm (margin 0.25 mm) and {lost}" in text
+        assert f"grew by at most 0.25 mm (margin 0.25 mm) and {lost}" in text
     else:
         assert text.startswith(f"identical answers in all {n} frame sets: nothing changed in")
     assert same.identical
