@@ -26,23 +26,5 @@ TEAT_ENDS_MM = (
     (-224.2, 197.4, 137.4),
     (-260.5, 269.9, 137.4),
 )
-# section 3.2.1.2
-STEREO_OM_RAD, STEREO_T_MM = (-0.0011, -0.0008, 0.0085), (-100.317, 0.242, -0.401)
-# section 3.2.2
-HOMOGRAPHY_LEFT = ((0.615, 0.007, 672.822), (-0.004, 0.616, 363.601), (0.0, 0.0, 1.0))
-HOMOGRAPHY_RIGHT = ((0.618, 0.002, 536.133), (-0.002, 0.619, 401.948), (0.0, 0.0, 1.0))
-WORLD_MATRIX = ((0.99, 0.0, 0.02), (-0.02, -0.01, 0.92), (0.0, -1.0, -0.01))  # section 3.3.2
-WORLD_T_MM = (-161.80, -760.40, 64.52)
-# table 5.2
-TEAT_ENDS_MM = (
-    (-109.8, 285.7, 135.5),
-    (-161.3, 191.7, 137.8),
-    (-224.2, 197.4, 137.4),
-    (-260.5, 269.9, 137.4),
-)
-PRINTED_UNCERTAINTY = {  # tables 3.1 and 3.2: fc, cc, k1, k2
-    "left": ((2.7, 2.8), (1.2, 1.3), 0.003, 0.008),
-    "right": ((2.4, 2.4), (1.0, 1.2), 0.004, 0.012),
-}
 THERMAL_IMAGE_SIZE, THERMAL_SENSOR_SIZE = (640, 480), (160, 120)  # sections 3.1.1, 4.1.1
 THERMAL = ThermalCamera(THERMAL_IMAGE_SIZE, THERMAL_SENSOR_SIZE, True, "hot_is_black", None)
