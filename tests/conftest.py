@@ -32,7 +32,7 @@ STANDBY, UNMARKED = "s to standby, ", "s of a processor, "
 # rooms and files whose tests run the bench and look at no figure: made up to their last artist,
 # since damaged and odd data come as far as there; and of the others, which alone look at theirs
 UNDRAWN = (
-    *("tests.bench.record.test_damaged_runs", "tests.bench.results.", "tests.bench.dry_run."),
+    *("tests.bench.record.test_damaged_runs", "tests.bench.results.test_score_detectors"),
     *("tests.bench.run.test_end_to_end", "tests.bench.truth.test_truth_runs"),
     *("tests.bench.calibrate.test_checks", "tests.bench.report.test_odd_recordings"),
     *("tests.bench.report.test_detector_errors", "tests.bench.campaign.test_campaign"),
@@ -40,10 +40,11 @@ UNDRAWN = (
 DRAWN = tuple(
     f"tests.bench.report.test_{name}" for name in ("report_points", "report_spread", "summary")
 )
-ROOMS = ("cli", "console", "record", "rig", "run", "safety", "truth")
+ROOMS = ("cli", "console", "record", "rig", "run", "safety", "script", "truth")
 BARE = (
     *(f"tests.bench.{room}." for room in ROOMS),
-    *("tests.bench.report.test_report_thesis", "tests.test_docs"),
+    *("tests.bench.report.test_report_thesis", "tests.test_docs", "tests.detector.test_depth"),
+    *("tests.test_doc_figures", "tests.test_study_examples"),
 )
 
 
@@ -55,7 +56,7 @@ def pytest_configure(config: pytest.Config) -> None:
     fixed = settings().derandomize and config.getoption("hypothesis_seed") is None
     # how fast the machine is says nothing of the code
     settings.register_profile(
-        "teatbench", deadline=None, derandomize=fixed, max_examples=examples(20)
+        "teatbench", deadline=None, derandomize=fixed, max_examples=examples(12)
     )
     settings.load_profile("teatbench")
     # compiled once, not in each of some hundred processes

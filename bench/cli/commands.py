@@ -357,7 +357,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "compare": (
         "compare runs, or the detectors of one run, trial by trial",
         "compare runs/old runs/new --gate",
-        option("run RUN", "folders of runs; the first is the old one", nargs="+"),
+        option("run RUN", "runs' folders, or 'latest'; the first is the old one", a_run, nargs="+"),
         *COMPARED,
         flag(
             "--together", "judge all runs as one, by their counts and errors, instead of comparing"
@@ -951,7 +951,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option("topic TOPIC", "a page, or a command that a page explains", nargs="?"),
     ),
     "plugin": (
-        "list the drivers of other packages (docs/drivers.md)",
+        "list the drivers of other packages (help drivers)",
         "plugin",
     ),
     "plugin check": (
@@ -1081,7 +1081,7 @@ NEXT: Mapping[str, tuple[str, str]] = {
 }
 # words that went, and what to use
 REMOVED = {
-    "campaign search": "hypothesis draws and simplifies scenes in a test of yours: docs/testing.md",
+    "campaign search": "hypothesis draws and simplifies scenes in a test of yours: help testing",
     "campaign herd": "it is an example that you can change: docs/examples/herd.py",
     "scene sensitivity": "it is an example that you can change: docs/examples/sensitivity.py",
     "--coco": "it is an example that you can change: docs/examples/coco.py",

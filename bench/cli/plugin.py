@@ -17,7 +17,7 @@ def listed(_: argparse.Namespace) -> None:
         emulated = available(EMULATORS[kind])
         for name, source in available(GROUPS[kind]).items():
             found[f"{kind} {name}"] = source + (", with an emulator" if name in emulated else "")
-    print_values(found or {"none": "no package here has a driver (docs/drivers.md)"})
+    print_values(found or {"none": "no package here has a driver (teatbench help drivers)"})
 
 
 def check(given: argparse.Namespace) -> int:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from reports.runs import Runs
 
 DAMAGED = "NOT-AS-WRITTEN.txt"  # beside what was exported of a damaged record
+NARROW = 76
+WIDE = 110  # columns that a comparison's axes need; page and JSON have them always
 TAKEN_S = 10.0  # a run looks once a second; a capture or a detection may take longer
 
 
@@ -144,24 +146,34 @@ def print_comparisons(given: argparse.Namespace, found: Sequence[Comparison]) ->
 
 
 def _show(found: Sequence[Comparison]) -> None:
+    from rich import box
+    from rich.console import JustifyMethod
     from rich.table import Table
 
     from bench.cli.terminal import Terminal
     from bench.report import comparison as report
 
     console = Terminal()
+    wide = console.width >= WIDE
     for comparison in found:
         console.print(report.worded(comparison, report.heading(comparison)), soft_wrap=True)
         for title, page in (
             ("success", report.success_table(comparison)),
             ("distance to the teat end", report.distance_table(comparison)),
         ):
-            table, page = Table(title=title), report.worded(comparison, page)
-            for at, column in enumerate(page.columns):
+            table = Table(title=title, title_justify="left", box=box.SIMPLE, padding=(0, 1, 0, 0))
+            page = report.worded(comparison, page)
+            columns = [one for one in page.columns if wide or not one.title.startswith("|")]
+            for at, column in enumerate(columns):
                 name = f"{column.title}, {column.unit}" if column.unit else column.title
-                table.add_column(name, justify="right" if at else "left", overflow="fold")
+                texts = [one if isinstance(one := row[at], str) else one.text for row in page.rows]
+                words = " ".join((name, *texts)).split()  # none is broken where there is room
+                longest = max(map(len, words)) if console.width >= NARROW else None
+                justify: JustifyMethod = "right" if at else "left"
+                table.add_column(name, justify=justify, overflow="fold", min_width=longest)
             for row in page.rows:
-                table.add_row(*(cell if isinstance(cell, str) else cell.text for cell in row))
+                cells = row[: len(columns)]
+                table.add_row(*(cell if isinstance(cell, str) else cell.text for cell in cells))
             console.print(table)
         for line in (*report.notes(comparison), report.verdict_text(comparison)):
             console.print(report.worded(comparison, line))

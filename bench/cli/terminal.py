@@ -141,12 +141,20 @@ class TerminalProgress:
     def say(self, text: str) -> None:
         """A line that stays above the bar; a failure to show it is ignored."""
         with suppress(*FAILURES):
-            self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+            self._console.print(text, markup=False, highlight=False, soft_wrap=self._is_piped)
 
     def warn(self, text: str) -> None:
         self._console.print(
-            f"\n{text}" if self._asking else text, style="bold red", markup=False, soft_wrap=True
+            f"\n{text}" if self._asking else text,
+            style="bold red",
+            markup=False,
+            soft_wrap=self._is_piped,
         )
+
+    @property
+    def _is_piped(self) -> bool:
+        """Where lines stay whole, for who searches them; a terminal's are wrapped between words."""
+        return not self._console.is_terminal
 
     @contextmanager
     def aside(self) -> Iterator[None]:

@@ -164,6 +164,7 @@ class Console:
             Mount("/static", StaticFiles(directory=STATIC)),
             Route("/report/{ticket}/{path:path}", self.report_file),
             Route("/api/runs", self.listed),
+            Route("/api/queue", self.queue),
             Route("/api/choices", self.choices),
             Route("/api/dry-run", self.dry_run, methods=["POST"]),
             Route("/api/start", self.start, methods=["POST"]),
@@ -186,8 +187,12 @@ class Console:
 
     async def listed(self, _: Request) -> Response:
         found = await _off(watching.listed, self.runs)
-        queued = await _off(lambda: [one.as_dict() for one in queues(self.runs, 1)])
-        return JSONResponse({"runs": found, "queues": queued, "pages": self.pages.count})
+        return JSONResponse({"runs": found, "pages": self.pages.count})
+
+    async def queue(self, _: Request) -> Response:
+        """The last one; null where there is none."""
+        last = await _off(lambda: next(queues(self.runs, 1), None))
+        return JSONResponse({"queue": last.as_dict() if last else None})
 
     async def snapshot(self, request: Request) -> Response:
         found = await _off(watching.snapshot, self._folder(request))

@@ -239,7 +239,7 @@ def thermal_page(result: ThermalResult, record: Record, command: str) -> Page:
         first="residuals",
         tested=(
             f"Thermal camera from {len(result.joint.view_rms_px('thermal'))} views of a heated"
-            f" {views.board.kind}."
+            f" board ({views.board.kind})."
         ),
         sentence=(
             f"No limit is set for it. Points miss by {fit.rms_px:.2f} px on average over both"

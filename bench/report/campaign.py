@@ -140,7 +140,7 @@ def _banner(folder: Path, plan: Plan, numbers: Numbers) -> Banner:
     if numbers.rates:
         then = (
             f"'teatbench campaign show {_quoted(folder)} SCENE' draws any scene with truth and"
-            " answers; tests with hypothesis look for simpler ones (docs/testing.md)."
+            " answers; tests with hypothesis look for simpler ones (teatbench help testing)."
         )
     return Banner(
         kind="emulated",

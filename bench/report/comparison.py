@@ -184,7 +184,7 @@ def success_table(comparison: Comparison) -> Table:
         won, change = row.success, row.success.difference
         span, points = won.interval(confidence), None
         if span is not None and change is not None:
-            points = f"{100 * change:+.1f} ({100 * span[0]:+.1f} to {100 * span[1]:+.1f})"
+            points = f"{100 * change:+.0f} ({100 * span[0]:+.0f} to {100 * span[1]:+.0f})"
         p = p_text(won.p_value if row.success_holm is None else row.success_holm)
         counts = (row.new.false - row.old.false, row.new.missed - row.old.missed)
         rows.append((_name(row), row.poses, won.only_old, won.only_new, points, p, *counts))
@@ -237,7 +237,7 @@ def capped_text(comparison: Comparison) -> str:
     )
 
 
-def _difference(difference: PairedDifference, form: str = ".3f") -> str:
+def _difference(difference: PairedDifference, form: str = ".2f") -> str:
     """``+0.12 (-0.03 to +0.27)``; without an interval where there is none."""
     if difference.mean is None:
         return NOT_MEASURED
@@ -504,7 +504,7 @@ def _scoreboard(one: Comparison) -> Scoreboard:
         verdict = "no verdict" if allowed is not None else "worse" if many > few else "not worse"
         add(name, "" if allowed is not None else "none more", str(few), verdict, str(many), shows)
     before, now = (_mean_mm(errors, one) for errors in common_errors(one.pairs)[:2])
-    shows = f"change {_difference(row.radial, '.2f')} mm" if row.radial.mean is not None else ""
+    shows = f"change {_difference(row.radial)} mm" if row.radial.mean is not None else ""
     limit = f"{margin:g} mm farther"
     add(DISTANCE, limit, before, _change_verdict(row.radial, margin), now, shows)
     along = [(axis.mean, name) for axis, name in zip(row.axes, "xyz", strict=True)]
@@ -613,7 +613,7 @@ def _changed(comparison: Comparison) -> Table:
     shown.sort(key=lambda one: (one[0], -abs(one[1] or 0.0)))
     rows = []
     for _, mm, pair in shown[:50]:
-        change = Cell(NOT_MEASURED if mm is None else f"{mm:+.3f}", sort=mm)
+        change = Cell(NOT_MEASURED if mm is None else f"{mm:+.2f}", sort=mm)
         both = (outcome(pair.old), outcome(pair.new))
         rows.append((pair.scene, spoken(pair.situation), *both, change))
     return table(

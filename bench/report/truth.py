@@ -28,7 +28,15 @@ from bench.results.verdicts import age_of
 from bench.rig.arm_files import LocationTest, Verification, from_dict
 from bench.scoring.stated_u import LEVEL, level_of_each
 from bench.script.model import CamerasRequirement, Rules
-from bench.truth.arm_check import AFTER, BEFORE, CHECK_FACT, location_of, shift_mm
+from bench.truth.arm_check import (
+    AFTER,
+    BEFORE,
+    CHECK_FACT,
+    location_of,
+    moved_mm,
+    new_touches,
+    shift_mm,
+)
 from bench.truth.carrying import counted, resumed
 from bench.truth.joint import FRAME_FACT
 from bench.truth.registration import Registration, registration_from_facts
@@ -152,8 +160,10 @@ def _arm_checks(run: RunRecord) -> Part:
     rows = [_location(*pair) for pair in zip(tests, map(shift_mm, facts.values()), strict=True)]
     note = ""
     if len(tests) == 2:
-        moved_mm = np.linalg.norm(tests[1].centre_mm - tests[0].centre_mm)
-        note = f"Between the two the check point moved by {moved_mm:.2f} mm."
+        before, after = facts.values()
+        note = f"Between the two the check point moved by {moved_mm(before, after):.2f} mm."
+        if new_touches(after) < tests[1].n:
+            note += " One touch afterwards showed it: those before count."
     return table("The arm before and after the trials", LOCATIONS, rows, note)
 
 

@@ -20,9 +20,9 @@ from detector.protocol import Outcome
 LONGEST_WORDS = 200
 AFTER_FAULT = (
     "See the events, remove the cause, check the instruments with 'teatbench check', then go on"
-    " with 'teatbench resume'."
+    " with 'teatbench resume {}'."
 )
-AFTER_END = "Go on with 'teatbench resume'; what there is is unfinished."
+AFTER_END = "It is unfinished. Go on with 'teatbench resume {}'."
 AFTER_RUN = (
     "Wait for its end, which writes the report anew; 'teatbench console' shows it meanwhile."
 )
@@ -59,7 +59,7 @@ def stopped_next(run: RunRecord, state: State) -> str:
     if run.damage:
         then = "Put back the run's folder from a copy; 'teatbench store check' lists all that is"
         return f"{then} damaged."
-    return THEN[state]
+    return THEN[state].format(run.folder)
 
 
 def judged(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[str, str]:
@@ -176,17 +176,14 @@ def guardian_text(record: Mapping[str, Any]) -> str:
 
 def _next_action(verdict: Verdict, which: Sequence[Decision], of_bench: frozenset[str]) -> str:
     if verdict is Verdict.MET:
-        return (
-            "Keep this run folder as the evidence; it names everything that is needed to repeat it."
-        )
+        return "Keep the run's folder as evidence."
     bench = ", ".join(dict.fromkeys(one.name for one in which if one.name in of_bench))
     own = [one for one in which if one.name not in of_bench]
     names = ", ".join(dict.fromkeys(one.name for one in own))
     if verdict is Verdict.NOT_MET:
         first = f"Put the bench right before all else: {bench}; what it measured may be wrong."
         then = (
-            f"The detector has to become better at: {names}. Start with the trials marked below;"
-            " each shows where its points went wrong."
+            "The detector has to become better. Begin with the trials below."
             if names
             else "Then run the script again."
         )

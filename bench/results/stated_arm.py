@@ -7,7 +7,7 @@ gauge. What all touches of one divot have in common shows in lengths only, and b
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import sqrt
 from typing import Any
 
@@ -23,7 +23,7 @@ from bench.scoring.stated_u import (
     largest_limit_mm,
     refuted,
 )
-from bench.script.model import ArmRequirement
+from bench.script.model import ArmRequirement, Requirement
 from bench.truth.arm_check import AFTER, BEFORE, CHECK_FACT, location_of
 
 STATED_FACT = "arm uncertainty"
@@ -64,6 +64,8 @@ def arm_checks(facts: Mapping[str, Any]) -> list[StatedCheck]:
     if (stated := facts.get(STATED_FACT)) is None:
         return []
     keys = [key for when in (BEFORE, AFTER) if (key := CHECK_FACT.format(when)) in facts]
+    if keys and "new" in facts[keys[-1]]:
+        keys = keys[-1:]  # it has the touches of the other
     tests = [location_of(facts[key], key) for key in keys]
     checks = [check_touches("check touches of the run", stated, *tests)] if tests else []
     if VERIFICATION_FACT in facts:
@@ -109,6 +111,21 @@ def drift_limit_mm(
     """The same for the difference between the means of two groups."""
     if rule.drift_limit_mm is not None or stated is None:
         return rule.drift_limit_mm or float("inf")
+    return _drift_mm(stated, sizes)
+
+
+def unmoved_mm(rules: Iterable[Requirement], arm: Arm) -> float:
+    """How near to the mean of an earlier check's touches one more has to be to show that nothing
+    has moved: as two whole checks may differ.
+    """
+    stated, sizes = stated_fact(arm), (arm.check_touches,) * 2
+    limits = [
+        drift_limit_mm(one, stated, sizes) for one in rules if isinstance(one, ArmRequirement)
+    ]
+    return min(limits, default=_drift_mm(stated, sizes))
+
+
+def _drift_mm(stated: Mapping[str, Any], sizes: Sequence[int]) -> float:
     df, several = stated["df"], sum(1.0 / n for n in sizes)
     squared = chdtri(3, LIMIT_LEVEL) if df is None else 3.0 * fdtri(3, df, 1.0 - LIMIT_LEVEL)
     return sqrt(_touch_mm2(stated) * several * float(squared))

@@ -65,7 +65,15 @@ from bench.script.model import (
     SuccessRequirement,
     TimeRequirement,
 )
-from bench.truth.arm_check import AFTER, BEFORE, CHECK_FACT, location_of, shift_mm
+from bench.truth.arm_check import (
+    AFTER,
+    BEFORE,
+    CHECK_FACT,
+    location_of,
+    moved_mm,
+    new_touches,
+    shift_mm,
+)
 from detector.protocol import Outcome
 
 _CHECKS = {when: CHECK_FACT.format(when) for when in (BEFORE, AFTER)}
@@ -80,7 +88,7 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
     tests = {
         when: location_of(fact, f"the check {when} the trials") for when, fact in checks.items()
     }
-    limits = _limits(rule, tests, dated, facts)
+    limits = _limits(rule, checks, tests, dated, facts)
     limit = limits.location_mm
     nothing = Decision(
         name=rule.name,
@@ -117,14 +125,16 @@ class _ArmLimits(VerificationLimits):
 
 def _limits(
     rule: ArmRequirement,
+    checks: Mapping[str, Mapping[str, Any]],
     tests: Mapping[str, LocationTest],
     dated: Verification | None,
     facts: Mapping[str, Any],
 ) -> _ArmLimits:
     """The rule's, and where it leaves one out that which follows from the arm's statement."""
     stated, usual = facts.get(STATED_FACT), (rule.least_touches, rule.least_touches)
-    touches = [test.n for test in tests.values()]
-    sizes = [*touches, *(test.n for test in (dated.locations if dated else ()))]
+    touches = [*map(new_touches, checks.values())]
+    of_run = [test.n for test in tests.values()]
+    sizes = [*of_run, *(test.n for test in (dated.locations if dated else ()))]
     return _ArmLimits(
         location_limit_mm(rule, stated, sizes or usual),
         length_limit_mm(rule, stated, dated.lengths if dated else ()),
@@ -161,7 +171,7 @@ def _against(
                 " the frame was made?"
             )
     if len(tests) == 2:
-        drift = float(np.linalg.norm(tests[AFTER].centre_mm - tests[BEFORE].centre_mm))
+        drift = moved_mm(checks[BEFORE], checks[AFTER])
         if drift > limits.drift_mm:
             yield (
                 f"the check point moved by {drift:.2f} mm during the run, limit"

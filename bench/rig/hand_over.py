@@ -153,6 +153,15 @@ class BathLock:
         return {}
 
 
+def free_bath(url: str, record: Path) -> None:
+    """Until no guardian acts on the bath at ``url`` any more, and writes no record. Raises
+    LimitError.
+    """
+    lock = BathLock(url, record, os.getpid())
+    lock.take()
+    lock.release()
+
+
 def _named(holder: Mapping[str, Any]) -> str:
     return f"the guardian of {holder.get('record')} (process {holder.get('pid')})"
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from bench.record.state import TRIP
 from bench.record.writer import FolderGoneError
+from bench.results.stated_arm import unmoved_mm
 from bench.results.status import INSTRUMENTS_FACT
 from bench.rig.by_hand import not_safe_text
 from bench.rig.frame_capture import FRAMES_FACT
@@ -94,8 +95,10 @@ class Engine:
             left.poison if left else {},
             expected.each_s(planned) if expected else None,
         )
+        self._attempts.done = len(left.done) if left and goes_on else 0
         self._reserve = Reserve(store.folder)
         self._ended = False
+        self._checked: dict[str, Any] | None = None  # the arm, before the trials of this session
         self.bath_is_safe = False  # until the run has ended and made it so
         ctx.under_test = [one.name for one in detectors]
         ctx.progress = self._progress
@@ -199,8 +202,10 @@ class Engine:
         if arm.check_point_mm is None:
             return
         ctx.events.state(f"checking the arm {when} the trials")
-        earlier = self._checked_before() if when == BEFORE else None
-        found = check_arm(ctx.ask, ctx.tip, arm, ctx.clock, ctx.check, earlier)
+        earlier = self._checked_before() if when == BEFORE else self._checked
+        near_mm = unmoved_mm(ctx.script.script.requirements, arm)
+        found = check_arm(ctx.ask, ctx.tip, arm, ctx.clock, ctx.check, earlier, near_mm)
+        self._checked = found
         (self._fact if when == BEFORE else ctx.store.fact)(CHECK_FACT.format(when), found)
         ctx.event("arm", check_text(found, when))
 
@@ -249,7 +254,7 @@ class Engine:
         elif self._rehearsed and trial.id not in self._left.poison:
             self._trials.rehearsing = True
             self._attempts.run(trial)
-        else:
+        elif self._rehearsed:
             self._attempts.done += 1
 
     def _go_live(self) -> None:
@@ -280,7 +285,7 @@ class Engine:
     def _left_s(self) -> float | None:
         """How long the trials take; None while nobody knows whether they go on."""
         watch = self._ctx.watch
-        ending = self._ctx.safing or watch.tripped or watch.silence
+        ending = self._ctx.safing or self._ctx.away or watch.tripped or watch.silence
         return None if ending else self._attempts.left_s
 
     def _progress(self) -> dict[str, Any]:

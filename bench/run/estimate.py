@@ -231,7 +231,8 @@ def needs(
     if emulated or "heating" not in measured:
         time = replace(time, settling_s=settling_of(rig, script))
     arm, touches = rig.rig.arm, _touches(rig, script)
-    checks = 2 * arm.check_touches if arm.check_point_mm else 0
+    # one more afterwards, where nothing has moved
+    checks = arm.check_touches + 1 if arm.check_point_mm else 0
     readings = script.script.truth.readings or arm.touches
     of_ends = f"teat ends ({readings} {'touch' if readings == 1 else 'touches'} each)"
     ends = sum(touches) // readings

@@ -126,7 +126,7 @@ class Recovery:
         if ctx.states.current is RunState.PREPARING:
             patience_s = min(patience_s, PREPARING_S)
         if name == "arm":
-            ctx.ask(Release())
+            ctx.ask(Release(lost=True))
         with ctx.states.during(RunState.PAUSED):
             ctx.event("dropped out", f"{what}: {fault} ({count})")
             ctx.events.warn(f"{fault}\nThe run is paused. {ctx.check_away}")

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.config import ConfigError, parse_config, read_calibration, read_text
-from bench.record.reader import read_run
+from bench.record.reader import guardian_files, read_run
 from bench.record.recording import Recording, TruthRow
 from bench.record.schema import GUARDIAN, RULES, SCRIPT, Row
 from bench.record.state import run_lock
@@ -30,6 +30,7 @@ from bench.results.queue import ENDED, QueueNote
 from bench.results.stated_arm import contradictions, stated_fact
 from bench.rig.devices import Devices
 from bench.rig.guardian_client import GuardianClient, Heartbeat, signs_of
+from bench.rig.hand_over import free_bath
 from bench.rig.leaving import target_of
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import in_virtual_time, open_instruments
@@ -448,6 +449,9 @@ def _guarded_instruments(
             real = stage and not is_emulated(stage.url)
             guardian = guardian_of(bath.url, bath.pump_url, stage.url if stage and real else "")
         if left:
+            if is_emulated(bath.url):
+                for note in guardian_files(store.folder).values():
+                    free_bath(str(note["bath"]), store.folder)  # it died with its bench
             keep_guardians(store)
         opened = open_instruments(
             rig,

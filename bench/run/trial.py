@@ -198,11 +198,13 @@ class Attempts:
         """Until the trial is stored or skipped. Raises whatever else ``once`` raises."""
         started_s = self._started_s = self._working_s()
         self._ctx.ask(NextTrial(trial.number, self._planned, self.left_s))
+        worked = 0
         try:
             if why := self._poison.get(trial.id):
                 raise OperatorSkip(why)
             while not self._tried(trial):
                 pass
+            worked = 1  # one that was skipped says nothing of how long a trial takes
         except OperatorSkip as skip:
             by = "the bench" if trial.id in self._poison else "the operator"
             self._skipped(trial, skip.reason, f"{by} skipped it: ")
@@ -210,8 +212,8 @@ class Attempts:
             self._skipped(trial, str(none))
         self.done += 1
         self._started_s = None
-        self._timed += 1
-        self._taken_s += self._working_s() - started_s if self._timed else 0.0
+        self._timed += worked
+        self._taken_s += self._working_s() - started_s if worked and self._timed else 0.0
 
     @property
     def left_s(self) -> float | None:

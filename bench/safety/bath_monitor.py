@@ -323,7 +323,7 @@ class TripHandler:
 
     def _report(self, trip: Exception, said: list[str]) -> None:
         """To the operator first; the record and the latch may fail without the others."""
-        done = "; ".join(said)
+        done = "; ".join(text.rstrip(".") for text in said)
         self._warn(f"{trip}\n{done}. The run ends; an open question needs no answer any more.")
         try:
             if isinstance(trip, InterlockTrip) and not self._beyond:

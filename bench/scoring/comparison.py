@@ -411,7 +411,7 @@ def gate(
     for what, change in zip(names, (pooled.radial, *pooled.axes), strict=True):
         if change.mean is not None and change.mean > margin_mm:
             most = " or more" if change.capped else ""
-            by = f"grew by {change.mean:.3f} mm{most}, more than the margin of {margin_mm:g} mm"
+            by = f"grew by {change.mean:.2f} mm{most}, more than the margin of {margin_mm:g} mm"
             worse.append(f"the mean {what} {by}")
     shown, perhaps = _grown_in(situations, margin_mm)
     worse, left_open = worse + shown, left_open + perhaps
@@ -425,15 +425,15 @@ def gate(
     elif high > margin_mm:
         needed = _needed(pairs, margin_mm, chance / 2.0)
         left_open.append(
-            f"the mean distance changed by {pooled.radial.mean:+.3f} mm in"
+            f"the mean distance changed by {pooled.radial.mean:+.2f} mm in"
             f" {plural(pooled.radial.poses, 'pose')}; poses that were not run may hide that it grew"
-            f" by {high:.3f} mm (margin {margin_mm:g} mm): {needed}"
+            f" by {high:.2f} mm (margin {margin_mm:g} mm): {needed}"
         )
     if left_open:
         return Gate(Verdict.INCONCLUSIVE, tuple(left_open), margin_mm, margin_rate)
     if high is None:
         raise AssertionError("left open above")
-    grew = f"grew by at most {high:.3f} mm" if high >= 0 else f"shrank by at least {-high:.3f} mm"
+    grew = f"grew by at most {high:.2f} mm" if high >= 0 else f"shrank by at least {-high:.2f} mm"
     lost = f"at most {percent(failing)} of poses are lost anew ({plural(pooled.poses, 'pose')}, "
     bounds = (
         f"over all poses the mean distance {grew} (margin {margin_mm:g} mm) and {lost}"
@@ -534,7 +534,7 @@ def _grown_in(situations: Sequence[Row], margin_mm: float) -> tuple[list[str], l
         by, p = row.radial.mean, row.radial_holm
         if by is None or by <= margin_mm:
             continue
-        grew = f"in {row.situation} the mean distance to the teat end grew by {by:.3f} mm"
+        grew = f"in {row.situation} the mean distance to the teat end grew by {by:.2f} mm"
         if p is not None and p < ALPHA:
             shown.append(f"{grew}, more than the margin of {margin_mm:g} mm (adjusted p = {p:.3f})")
         else:

@@ -20,7 +20,6 @@ from instruments.errors import TouchAgainError
 from instruments.operators.operator import CheckPoint, Release, Request
 
 BEFORE, AFTER = "before", "after"
-NEAR = 2.0  # in the largest distance of the earlier touches from their mean
 CHECK_FACT = "arm check {}"  # before, after
 
 
@@ -31,9 +30,11 @@ def check_arm(
     clock: Clock,
     check: Callable[[], None],
     before: Mapping[str, Any] | None = None,
+    near_mm: float = 0.0,
 ) -> dict[str, Any]:
     """Touch the rig's check point; gives back the fact to store. ``check`` may raise. The touches
-    of a check ``before`` count where the first one shows that nothing has moved since.
+    of a check ``before`` count where the first one lies within ``near_mm`` of their mean: nothing
+    has moved since. The fact then says how many touches are ``new``.
     """
     touches: list[dict[str, Any]] = []
     again, refused = "", 0
@@ -51,17 +52,27 @@ def check_arm(
         axis = None if seen.axis is None else seen.axis.tolist()
         row = {"t_s": clock.now(), "tip_mm": seen.tip_mm.tolist(), "axis": axis}
         touches.append(row | {"spread_mm": float(seen.spread_mm), "counts": seen.evidence})
-        if of == 1 and before and _stands(before, seen.tip_mm):
-            touches = [*before["touches"], *touches]
-            break
+        if of == 1 and before and _apart_mm(before, seen.tip_mm) <= near_mm:
+            ask(Release())
+            both = [*before["touches"], *touches]
+            return {"check_point_mm": arm.check_point_mm, "touches": both, "new": 1}
     ask(Release())
     return {"check_point_mm": arm.check_point_mm, "touches": touches}
 
 
-def _stands(before: Mapping[str, Any], tip_mm: Floats) -> bool:
-    """Whether a touch is as near to the mean of the earlier ones as those are apart at most."""
-    earlier = location_of(before, "")
-    return float(np.linalg.norm(tip_mm - earlier.centre_mm)) <= NEAR * earlier.largest_mm
+def _apart_mm(before: Mapping[str, Any], tip_mm: Floats) -> float:
+    return float(np.linalg.norm(tip_mm - location_of(before, "").centre_mm))
+
+
+def new_touches(fact: Mapping[str, Any]) -> int:
+    """How many touches of a check are its own; the others are those of the check before."""
+    return int(fact.get("new", len(fact["touches"])))
+
+
+def moved_mm(before: Mapping[str, Any], after: Mapping[str, Any]) -> float:
+    """How far the mean of the touches of one check lies from that of the new ones of the next."""
+    new = after["touches"][-new_touches(after) :]
+    return _apart_mm(before, np.mean([touch["tip_mm"] for touch in new], axis=0))
 
 
 def location_of(fact: Mapping[str, Any], where: str) -> LocationTest:
@@ -77,8 +88,11 @@ def shift_mm(fact: Mapping[str, Any]) -> float:
 
 
 def check_text(fact: Mapping[str, Any], when: str) -> str:
-    test = location_of(fact, when)
+    test, new = location_of(fact, when), new_touches(fact)
+    touches = f"{test.n} touches"
+    if new < test.n:
+        touches += f" ({new} new: nothing has moved since the others)"
     return (
-        f"arm check {when} the trials: {test.n} touches within {test.largest_mm:.2f} mm of their"
+        f"arm check {when} the trials: {touches} within {test.largest_mm:.2f} mm of their"
         f" mean, which is {shift_mm(fact):.2f} mm from the check point; {swing_text(test)}"
     )

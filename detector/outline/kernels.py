@@ -24,8 +24,15 @@ _f4 = np.float32
 
 
 def _compiled(signature: str) -> Callable[[Loop], Loop]:
-    made = numba.njit(signature, cache=True, error_model="numpy", nogil=True)
-    return cast("Callable[[Loop], Loop]", made)
+    how: dict[str, Any] = {"error_model": "numpy", "nogil": True}
+
+    def compiled(loop: Loop) -> Loop:
+        try:
+            return cast("Loop", numba.njit(signature, cache=True, **how)(loop))
+        except RuntimeError:  # no folder of these may be written: each process compiles anew
+            return cast("Loop", numba.njit(signature, **how)(loop))
+
+    return compiled
 
 
 def _within(loop: Loop) -> Loop:

@@ -179,7 +179,9 @@ class Console(PromptedOperator):
                 ended = str(why) or "interrupted"
                 if not isinstance(why, REQUESTS):
                     with contextlib.suppress(op.OperatorAbort):
-                        self._write(f"\nNo answer is needed any more: {ended}\n")
+                        # all of it is said where it is handled
+                        what = ended.partition(" (")[0].partition(". ")[0]
+                        self._write(self._wrapped(f"\nNo answer is needed any more: {what}\n"))
                 if self._mailbox:
                     self._mailbox.close(ended, BENCH)
                 raise

@@ -149,7 +149,11 @@ class NextTrial:
 
 @dataclass(frozen=True, slots=True)
 class Release:
-    """The readings are taken; the arm may be put away from the scene."""
+    """The readings are taken; the arm may be put away from the scene. ``lost``: they are not, for
+    the arm itself is away.
+    """
+
+    lost: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,7 +57,8 @@ class PromptedOperator(ABC):
         elif isinstance(request, op.NextTrial):
             self._trial = request
         elif isinstance(request, op.Release):
-            self.say("Readings taken; the arm may be put away.")
+            if not request.lost:
+                self.say("Readings taken; the arm may be put away.")
         elif isinstance(request, op.Arrangement):
             hidden = self._set_up(request, check)
         else:

@@ -36,7 +36,7 @@ from tests.bench import operated_runs
 from tests.bench.marked_bench import MARK, marked_bench
 from tests.bench.operated_runs import write_calibration
 from tests.bench.real_rig import CHECK, RELAY, RIG, STAGE, RealRig
-from tests.bench.safety.guards import within
+from tests.waiting import within
 
 SCRIPT = operated_runs.SCRIPT.replace(", yaw_deg = 4.0 }, {}]", " }]")
 STREAMS = """

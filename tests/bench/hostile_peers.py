@@ -24,9 +24,8 @@ from tempfile import TemporaryDirectory
 from instruments.bath import protocol
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_register_profile
-from instruments.clock import RealClock
-from instruments.listener import Listener
 from instruments.world.plant import Plant
+from tests.bench.commands import served
 from tests.bench.forked import begin
 from tests.bench.operated_runs import ONE
 from tests.bench.real_rig import record_one
@@ -367,15 +366,10 @@ def outcomes(link: str, kind: str, recording: Path) -> list[Outcome]:
 @contextmanager
 def sound_bath(profile: str) -> Iterator[tuple[Plant, str]]:
     """An emulated bath in real time, and its URL."""
-    clock, plant = RealClock(), Plant(1, start_c=20.0)
-    emulator = BathEmulator(plant, load_register_profile(profile), clock)
-    listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
-    scheme = "tcp://" if emulator.framing == "tcp" else "rtu+tcp://"
-    try:
-        yield plant, listener.url.replace("socket://", scheme)
-    finally:
-        listener.close()
-        clock.close()
+    plant, family = Plant(1, start_c=20.0), load_register_profile(profile)
+    with served(lambda clock: BathEmulator(plant, family, clock)) as (emulator, url):
+        scheme = "tcp://" if emulator.framing == "tcp" else "rtu+tcp://"
+        yield plant, url.replace("socket://", scheme)
 
 
 def _outcome(link: str, kind: str, arguments: list[str], peer: HostilePeer) -> Outcome:

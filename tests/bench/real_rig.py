@@ -26,6 +26,7 @@ from instruments.operators.operator import Arrangement, Touch
 from tests.bench.commands import words
 from tests.bench.forked import Running, begin
 from tests.bench.operated_runs import ONE, write_calibration
+from tests.waiting import within
 
 STANDS, READ = "Enter when it stands", "Readings taken"
 ASKED = re.compile(rf"ouch the end of teat (?P<teat>\d)|The arm was lost|{STANDS}")
@@ -195,12 +196,7 @@ class Child:
         self.until(lambda: words in self.said, f"said {words!r}", within_s)
 
     def until(self, there: Callable[[], bool], what: str, within_s: float = 240.0) -> None:
-        deadline = time.monotonic() + within_s
-        while not there():
-            assert time.monotonic() < deadline, f"never {what}:\n{self.said}"
-            code = self._code()
-            assert code is None, f"ended with {code} before it {what}:\n{self.said}"
-            time.sleep(0.005)
+        within(within_s, there, what, said=lambda: self.said, code=self._code)
 
     def _listen(self) -> None:
         while piece := os.read(self._stdout, 4096):  # prompts don't end with a line

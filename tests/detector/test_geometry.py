@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
@@ -76,7 +76,6 @@ def test_a_mirror_image_or_a_scale_is_no_motion() -> None:
 
 
 @given(vectors, vectors)
-@settings(max_examples=50)
 def test_rigid_fit_finds_the_motion(om: Array, T: Array) -> None:
     motion = Motion.from_vectors(om, 50 * T)
     source = np.array([[0.0, 0, 0], [100, 3, 1], [-20, 80, 5], [4, -7, 60]])

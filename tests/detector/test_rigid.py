@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from detector.calibration import ParameterCovariance
@@ -35,7 +35,6 @@ TURNED = Motion.from_vectors((0.2, -0.4, 1.1), (30.0, -70.0, 12.0))
     st.tuples(*[st.floats(-500, 500)] * 3),
     st.floats(0.5, 2.0),
 )
-@settings(max_examples=60, deadline=None)
 def test_each_model_fits(om: tuple[float, ...], shift: tuple[float, ...], scale: float) -> None:
     motion = Motion.from_vectors(om, shift)
     assert np.allclose(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -109,7 +109,6 @@ def test_ridges_are_the_maxima_along_the_gradient() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=30)
 def test_hysteresis_is_reconstruction(seed: int) -> None:
     rng = np.random.default_rng(seed)
     weak = rng.random((20, 30)) < 0.4
@@ -119,7 +118,6 @@ def test_hysteresis_is_reconstruction(seed: int) -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=30)
 def test_thinning_keeps_every_piece_and_every_hole(seed: int) -> None:
     mask = ndimage.binary_dilation(np.random.default_rng(seed).random((25, 30)) < 0.06)
     thin = thin_once(mask)

@@ -20,6 +20,8 @@ from hypothesis import strategies as st
 from instruments.captures.capture import CaptureError, CaptureFile, read_capture
 from instruments.clock import VirtualClock
 from tests.conftest import ROOT
+from tests.examples import examples
+from tests.waiting import within
 
 HEAD = (
     '{"format": "teatbench capture", "version": 1, "wall_time": "w", "teatbench": "0", "command":'
@@ -32,7 +34,9 @@ CLOSED = '{"t_s": 2, "link": "arm", "event": "closed"}\n'
 
 
 ONE_FOLDER = settings(
-    max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
+    max_examples=examples(40),
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    deadline=None,
 )
 
 
@@ -207,7 +211,7 @@ EVENTS = st.lists(
 
 @pytest.mark.slow
 @given(EVENTS)
-@settings(ONE_FOLDER, max_examples=100)
+@settings(ONE_FOLDER, max_examples=examples(25))
 def test_whatever_taps_get_is_read_back(
     tmp_path: Path, events: list[tuple[str, str, bytes]]
 ) -> None:
@@ -279,9 +283,7 @@ def test_kill_9_leaves_all_that_was_captured(tmp_path: Path) -> None:
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
     try:
-        deadline = time.monotonic() + 60
-        while not (path.exists() and path.stat().st_size > 1000) and time.monotonic() < deadline:
-            time.sleep(0.005)
+        within(60.0, lambda: path.exists() and path.stat().st_size > 1000, "captured")
         time.sleep(0.11)
     finally:
         child.send_signal(signal.SIGKILL)

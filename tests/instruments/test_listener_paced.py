@@ -17,6 +17,7 @@ from instruments.link import Link
 from instruments.listener import Listener
 from instruments.pacing import Line
 from tests.instruments.listening_in import Echo, linked
+from tests.waiting import within
 
 LATE_S = 4.0  # what a loaded machine may add to any time here
 Paced = Callable[..., tuple[Link, Echo]]
@@ -126,10 +127,7 @@ def test_closing_does_not_wait_for_the_line() -> None:
 def test_a_host_that_goes_is_noticed(paced: Paced) -> None:
     link, echo = paced(115200)
     link.close()
-    deadline = time.monotonic() + 60.0
-    while not echo.gone and time.monotonic() < deadline:
-        time.sleep(0.005)
-    assert echo.gone == 1
+    within(60.0, lambda: echo.gone == 1, "noticed")
     link.reopen()
     link.write(b"B")
     assert link.read(1, 5.0) == b"B"

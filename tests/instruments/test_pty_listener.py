@@ -7,7 +7,7 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 import serial
@@ -17,6 +17,7 @@ from instruments.errors import LinkError
 from instruments.link import Link
 from instruments.pty_listener import PtyListener
 from tests.instruments.listening_in import Echo
+from tests.waiting import within
 
 LATE_S = 10.0  # what a loaded machine may add to any time here
 
@@ -46,13 +47,6 @@ def listener(request: pytest.FixtureRequest, echo: Echo, clock: RealClock) -> It
     listener.close()
 
 
-def until(true: Callable[[], bool]) -> bool:
-    deadline = time.monotonic() + 60.0
-    while not true() and time.monotonic() < deadline:
-        time.sleep(0.005)
-    return true()
-
-
 def test_a_link_opens_it_as_it_opens_an_adapter(
     listener: PtyListener, echo: Echo, clock: RealClock
 ) -> None:
@@ -64,7 +58,7 @@ def test_a_link_opens_it_as_it_opens_an_adapter(
     link.write(every)
     assert link.read(len(every), 5.0) == every.upper()
     link.close()
-    assert until(lambda: echo.gone == 1)
+    within(60.0, lambda: echo.gone == 1, "noticed")
 
 
 def test_a_host_that_closes_has_unplugged_and_may_plug_in_again(
@@ -77,7 +71,7 @@ def test_a_host_that_closes_has_unplugged_and_may_plug_in_again(
         link.write(b"abc")
         assert link.read(3, 5.0) == b"ABC"
         link.close()
-        assert until(lambda: echo.gone == turn + 1), "noticed"  # noqa: B023 - called within its turn
+        within(60.0, lambda: echo.gone == turn + 1, "noticed")  # noqa: B023 - called within its turn
         link.reopen()
     assert link.read_until(b"\n", 5.0) == b"hello\n"
     assert not echo.connections[0].open
@@ -114,7 +108,7 @@ def test_what_a_host_sends_before_it_is_noticed_is_received(
     end = os.open(listener.url, os.O_RDWR | os.O_NOCTTY)
     os.write(end, b"x")  # the device hangs up, so that nothing is left to read but the end
     os.close(end)
-    assert until(lambda: echo.gone == 1)
+    within(60.0, lambda: echo.gone == 1, "noticed")
 
 
 def test_a_device_that_hangs_up_breaks_the_link_and_comes_back_elsewhere(
@@ -127,7 +121,7 @@ def test_a_device_that_hangs_up_breaks_the_link_and_comes_back_elsewhere(
         link.write(b"x")
         while True:
             link.receive(5.0)
-    assert until(lambda: listener.url != before)
+    within(60.0, lambda: listener.url != before, "noticed")
     link.close()
     again = Link(listener.url, clock, who="echo")
     assert again.read_until(b"\n", 5.0) == b"hello\n"
@@ -144,7 +138,7 @@ def test_a_device_learns_the_rate_that_the_host_set(
         link.set_baud(19200)
         assert echo.connections[-1].baud() == 19200
         link.close()
-        assert until(lambda: not echo.connections[-1].open)
+        within(60.0, lambda: not echo.connections[-1].open, "noticed")
 
 
 def test_a_paced_terminal_is_as_fast_as_its_wire(echo: Echo, clock: RealClock) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 from unittest.mock import patch
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from reports.figures.course import found_bars, latency_strip
@@ -125,7 +125,6 @@ def test_every_text_field_was_tried() -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=25, deadline=None)
 @given(st.text(st.characters(exclude_categories=[]), max_size=40))
 def test_any_text_leaves_the_structure_alone(text: str) -> None:
     marks = patch.dict(KNOWN_PLACES, {text: 3, "calm": 3})  # a detector has its mark by its name

@@ -176,7 +176,7 @@ function page() {
     card({ id: "health" }, heading("Instruments and interlocks"), make("ul", { id: "instruments", className: "chips" }), make("details", {}, make("summary", { id: "armed" }), make("ul", { id: "interlocks", className: "chips" }))),
   );
   controls.hidden = !under();
-  chart(); events(); prompted(run.prompt); leased(); live(); practice(); ended(); trials();
+  chart(); events(); prompted(run.prompt); leased(); live(); practice(); ended(); trials(); queues(run, "health");
 }
 // an emulated rig in real time: what a hand may do to it
 function practice() {
@@ -215,7 +215,7 @@ const under = () => run.status.state === "running";
 function stands() {
   const now = run.status, going = under();
   byId("doing").textContent = words(going ? now.step : now.word) + (now.paused ? ", a pause is asked for" : "");
-  byId("step").textContent = going ? (now.asked ? `waiting for an answer: ${now.asked.kind}` : now.doing) : now.why;
+  byId("step").textContent = going ? (now.asked ? `waiting for an answer${run.prompt ? "" : " at its terminal"}: ${now.asked.kind}` : now.doing) : now.why;
   byId("tripped").textContent = going ? now.tripped : ""; // else it is why
   byId("unsafe").replaceChildren(...now.unsafe.map((line) => make("li", { className: "big bad" }, line)));
   const then = now.next.filter((line) => line && !now.unsafe.includes(line) && !(now.asked && line.startsWith("Answer what")));
@@ -244,7 +244,7 @@ function live() {
   byId("temperature").textContent = number(bath.temp_c, "°C");
   const steady = bath.state === "stable";
   byId("temperature").className = said?.trouble ? "huge bad" : steady ? "huge good" : "huge warn";
-  const why = bath.why_not_stable && !run.status.doing.includes("waiting for the bath") ? ` ${words(bath.why_not_stable)}.` : "";
+  const why = bath.why_not_stable && !run.status.doing.includes("waiting for the bath") ? ` ${words(bath.why_not_stable)}${/[.?]$/.test(bath.why_not_stable) ? "" : "."}` : "";
   byId("gate").textContent = said?.trouble ? said.text : run.status.step === "going to safe" ? run.status.step : `${bath.state}${bath.state === "heating" ? " to" : " at"} ${number(bath.set_point_c, "°C", 1)} ± ${number(bath.band_k, "K")}` + (steady ? "" : `; stable in about ${minutes(bath.stable_in_s)}.${why}`);
   if (plot && bath.t_s !== null && bath.t_s > (run.curve[0].at(-1) ?? -1)) {
     run.curve[0].push(bath.t_s); run.curve[1].push(bath.temp_c);
@@ -447,12 +447,12 @@ async function home() {
   controls.hidden = true;
   main.replaceChildren(make("section", { id: "problem", className: "card bad", hidden: true, role: "alert" }), make("section", { className: "card", id: "new" }, make("h2", {}, "Start a run")), make("section", { className: "card", id: "list" }, make("h2", {}, "Runs")));
   try {
-    const [{ runs, queues }, known] = await Promise.all([ask("/runs"), ask("/choices")]);
+    const [{ runs }, known] = await Promise.all([ask("/runs"), ask("/choices")]);
     showStatus("connected");
     const now = runs.find((one) => one.status.state === "running");
     if (now && hint === "now") { hintUsed(now.name); return; }
     starter(known);
-    if (queues.length) main.insertBefore(queue(queues[0]), byId("list"));
+    queues(null, "list");
     byId("list").append(...(runs.length ? runs.map(listed) : [make("p", {}, "No runs yet.")]));
   } catch (error) {
     showStatus("no connection to the console", true);
@@ -483,7 +483,26 @@ const shown = new IntersectionObserver((entries) => {
     ask(`/runs/${encodeURIComponent(target.run)}/thumbnails`).then(({ thumbnails }) => target.append(...thumbnails.map(([alt, data]) => make("img", { src: `data:image/jpeg;base64,${data}`, alt })))).catch(() => null);
   }
 });
-// the last queue of scripts: what has run, what runs and what follows
+// the last queue of scripts, kept up to date on both pages: what has run, what runs and what
+// follows; a page that saw one run to its end goes on to the next
+const QUEUE_MS = 2000;
+let again = 0;
+async function queues(mine, before) {
+  clearTimeout(again);
+  const { queue: known } = await ask("/queue").catch(() => ({}));
+  if (mine !== run || !byId(before)) return;
+  const here = known && (!mine || known.scripts.some((one) => one.run === mine.name)) ? queue(known) : null;
+  const there = byId("queue");
+  if (!here) there?.remove();
+  else if (!there) main.insertBefore(here, byId(before));
+  else if (there.textContent !== here.textContent) there.replaceWith(here);
+  if (mine && known) {
+    const now = known.scripts.findLast((one) => one.run)?.run;
+    if (under()) mine.seenUnderWay = true;
+    else if (here && known.under_way && mine.seenUnderWay && now !== mine.name) { hintUsed(now); return; }
+  }
+  again = setTimeout(() => queues(mine, before), QUEUE_MS);
+}
 function queue(known) {
   const row = (one, at) => make("li", {}, make("b", {}, `${at + 1}. ${one.script}`), " ", one.run ? make("a", { href: `#/${encodeURIComponent(one.run)}` }, one.text) : make("span", { className: "soft" }, one.text));
   return card({ id: "queue" }, heading(known.under_way ? "Queue, running" : "Last queue"), make("p", { className: known.under_way ? "good" : "" }, words(known.headline)), make("ol", { className: "next" }, ...known.scripts.map(row)));

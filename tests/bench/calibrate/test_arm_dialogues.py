@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
@@ -270,7 +270,6 @@ def test_shapes_that_are_no_test_are_refused(tips: np.ndarray, axes: np.ndarray)
 
 @pytest.mark.slow
 @given(st.lists(st.tuples(*[st.floats(-1.0, 1.0)] * 3), min_size=1, max_size=9))
-@settings(max_examples=60, deadline=None)
 def test_the_least_sphere_is_that_of_an_optimiser(points: list[tuple[float, float, float]]) -> None:
     cloud = np.array(points)
     mine = least_sphere_mm(cloud)

@@ -1,5 +1,5 @@
 """Boards before the emulated cameras, rendered, found and calibrated: what was put in comes back
-within what is claimed, over six seeds, and weekly over twenty.
+within what is claimed, over four seeds, and weekly over twenty.
 
 The emulated rig's own cameras and sensors at half their size in pixels. Corners miss by noise and by what the corner finder makes of a picture; both are new with
 every pose. A chi-square over all parameters says whether the stated covariance is right, no more
@@ -32,7 +32,7 @@ from tests.detector.boards_seen import missed
 
 pytestmark = pytest.mark.slow
 
-SEEDS, VIEWS = 20 if os.environ.get("TEATBENCH_WEEKLY") else 6, 8
+SEEDS, VIEWS = 20 if os.environ.get("TEATBENCH_WEEKLY") else 4, 8
 BOARD = Board("chessboard", 9, 6, 40.0)
 DEPTHS_MM = (500.0, 1200.0)
 

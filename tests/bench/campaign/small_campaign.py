@@ -8,7 +8,6 @@ import os
 import re
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -100,27 +99,12 @@ class Here:
             yield chunk, run_chunk(self._bench, chunk.scenes)
 
 
-def module(name: object, *words: object, quiet: bool = False) -> subprocess.Popen[str]:
-    """A module of Python with these words, in a process of its own; ``quiet``: output isn't kept."""
-    kept = subprocess.DEVNULL if quiet else subprocess.PIPE
+def module(name: object, *words: object) -> subprocess.Popen[str]:
+    """A module of Python with these words, in a process of its own; what it says isn't kept."""
     return subprocess.Popen(
         [sys.executable, "-m", *map(str, (name, *words))],
         cwd=ROOT,
-        stdout=kept,
-        stderr=kept,
-        text=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
         encoding="utf-8",
     )
-
-
-def command(*words: object) -> subprocess.Popen[str]:
-    """`teatbench campaign` with these words, in a process of its own."""
-    return module("bench.cli", "campaign", *words)
-
-
-def until(holds: Callable[[], bool], what: str, most_s: float = 120.0) -> None:
-    """Wait until something holds."""
-    end_s = time.monotonic() + most_s
-    while not holds():
-        assert time.monotonic() < end_s, what
-        time.sleep(0.02)

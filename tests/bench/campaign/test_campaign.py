@@ -33,12 +33,12 @@ from instruments.world.situations import situation
 from tests.bench.campaign.small_campaign import (
     KILLS,
     Here,
-    command,
     module,
     small_plan,
-    until,
 )
 from tests.bench.commands import Said
+from tests.bench.forked import Running, begin
+from tests.waiting import within
 
 # with 50 by hand: 200 scenes
 WORKERS = (1, 2, 7) if KILLS else (2,)
@@ -191,7 +191,7 @@ def test_a_scene_that_kills_and_one_without_an_end_are_set_aside_by_name(
     file = tmp_path / "plan.toml"
     file.write_text(
         'families = ["ideal"]\nscenes = 5\nchunk_scenes = 3\nseed = 7\ndetectors = ["rogue"]\n'
-        'rig = "rig.toml"\nchunk_limit_s = 10.0\n',
+        'rig = "rig.toml"\nchunk_limit_s = 4.0\n',
         encoding="utf-8",
     )
     first = said(4, "campaign chunk {} 0 --out {}", file, tmp_path / "out")
@@ -202,7 +202,7 @@ def test_a_scene_that_kills_and_one_without_an_end_are_set_aside_by_name(
     found = json.loads(out.out)
     assert sorted(found["set_aside"]) == ["ideal-0001", "ideal-0004"]
     assert "ended with code 3" in found["set_aside"]["ideal-0001"]
-    assert "no sign of life for 10 s" in found["set_aside"]["ideal-0004"]
+    assert "no sign of life for 4 s" in found["set_aside"]["ideal-0004"]
     assert all("with this scene alone" in why for why in found["set_aside"].values())
     assert "the scene is tried again alone, in a new process" in out.err
     assert "scene ideal-0004 was set aside" in out.err
@@ -211,7 +211,7 @@ def test_a_scene_that_kills_and_one_without_an_end_are_set_aside_by_name(
     assert found["rates"][0]["scenes"] == 3
 
 
-def got_on(going: subprocess.Popen[str], shards: Shards, enough: int) -> bool:
+def got_on(going: Running, shards: Shards, enough: int) -> bool:
     return going.poll() is not None or len(shards.done()) > enough
 
 
@@ -219,25 +219,23 @@ def got_on(going: subprocess.Popen[str], shards: Shards, enough: int) -> bool:
 @pytest.mark.skipif(sys.platform == "win32", reason="sends signals")
 @pytest.mark.timeout(60 + 20 * CLIENT_KILLS)
 def test_a_client_killed_at_random_goes_on_where_it_was(
-    plan: Plan, plain: tuple[Path, str], tmp_path: Path
+    plan: Plan, plain: tuple[Path, str], tmp_path: Path, said: Said
 ) -> None:
     file = tmp_path / "plan.toml"
     file.write_text(plan_text(plan, {}), encoding="utf-8")
     shards = Shards(tmp_path / "out")
     chance = random.Random(5)
     for _ in range(CLIENT_KILLS):
-        going = command("run", file, "--workers", 2, "--out", tmp_path / "out")
+        going = begin(["campaign", "run", file, "--workers", 1, "--out", tmp_path / "out"])
         before = len(shards.done())
         enough = min(before + chance.randint(0, 1), plan.chunk_count)
 
-        until(partial(got_on, going, shards, enough), "no chunk was done")
+        within(120.0, partial(got_on, going, shards, enough), "a chunk is done")
         going.kill()
         going.communicate()
-    last = command("run", file, "--workers", 1, "--json", "--out", tmp_path / "out")
-    out, err = last.communicate(timeout=100)
-    assert last.returncode == 0, err
-    assert json.loads(out)["digest"] == plain[1]
-    assert json.loads(out)["scenes"] == 2 * plan.most_scenes
+    last = said(0, "campaign run {} --workers 1 --json --out {}", file, tmp_path / "out")
+    assert json.loads(last.out)["digest"] == plain[1]
+    assert json.loads(last.out)["scenes"] == 2 * plan.most_scenes
 
 
 @pytest.mark.slow
@@ -340,14 +338,14 @@ def test_a_dask_cluster_makes_the_same_rows_whoever_of_it_is_killed(
     with socket.create_server(("127.0.0.1", 0)) as free:
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
     shards = Shards(out)
-    campaign = ("bench.cli", "campaign", "run", file, "--dask", address, "--json", "--out", out)
+    campaign = ("campaign", "run", file, "--dask", address, "--json", "--out", out)
     at = ("--host", "127.0.0.1", "--no-dashboard")
     words: dict[str, tuple[object, ...]] = {
         "scheduler": ("distributed.cli.dask_scheduler", "--port", address.split(":")[-1], *at),
         "worker": ("distributed.cli.dask_worker", address, "--nthreads", 1, "--no-nanny", *at),
         "client": campaign,
     }
-    going: dict[str, subprocess.Popen[str]] = {}
+    going: dict[str, Running] = {}
     chance, kills = random.Random(6), Counter[str]()
 
     def ended(enough: int) -> bool:
@@ -355,7 +353,11 @@ def test_a_dask_cluster_makes_the_same_rows_whoever_of_it_is_killed(
             if name not in going or (name != "client" and going[name].poll() is not None):
                 if name in going:
                     going[name].communicate()
-                going[name] = module(*words[name], quiet=name != "client")
+                client = name == "client"
+                started = (
+                    begin(campaign, stderr=subprocess.PIPE) if client else module(*words[name])
+                )
+                going[name] = started
         if (code := going["client"].poll()) not in (None, 0):
             assert code == 3, going["client"].communicate()  # told that it can go on
             del going["client"]
@@ -364,14 +366,14 @@ def test_a_dask_cluster_makes_the_same_rows_whoever_of_it_is_killed(
     try:
         for number in range(KILLED):
             # every other time a chunk is waited for: the campaign must not end before
-            until(partial(ended, len(shards.done()) + number % 2), "no chunk was done")
+            within(120.0, partial(ended, len(shards.done()) + number % 2), "a chunk is done")
             name = ("worker", "scheduler", "client")[number % 3]
             if going["client"].poll() is None:
                 threading.Event().wait(chance.uniform(0.0, 2.0 - 1.5 * (number % 2)))
                 going[name].kill()
                 kills[name] += 1
                 going.pop(name).communicate()
-        until(partial(ended, sys.maxsize), "the campaign did not end", 300.0)
+        within(300.0, partial(ended, sys.maxsize), "the campaign ends")
         told, err = going.pop("client").communicate()
     finally:
         for process in going.values():

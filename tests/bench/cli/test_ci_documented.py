@@ -6,14 +6,18 @@ import json
 import os
 import re
 import shutil
+import socketserver
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import yaml
 
 from tests.bench.commands import teatbench
+from tests.bench.forked import begin
 from tests.bench.small_recording import ENDS_MM, write_recording
 from tests.conftest import ROOT
 
@@ -31,14 +35,37 @@ for line in sys.stdin:
 """
 
 
-# the command, whose figures nobody looks at here
+# the command: the test runs it, in a process that need not load the bench anew
 PROGRAM = f"""#!{sys.executable}
-import sys
-from bench.cli.main import main
-from tests.undrawn import bare
-with bare():
-    sys.exit(main())
+import json, os, socket, sys
+with socket.create_connection(("127.0.0.1", int(os.environ["TEATBENCH_AT"]))) as wire:
+    wire.sendall(json.dumps([os.getcwd(), sys.argv[1:]]).encode() + b"\\n")
+    code, said = json.loads(wire.makefile().read())
+sys.stdout.write(said)
+sys.exit(code)
 """
+
+
+class Teatbench(socketserver.StreamRequestHandler):
+    """Runs the words that a `PROGRAM` has got."""
+
+    def handle(self) -> None:
+        cwd, words = json.loads(self.rfile.readline())
+        with begin(words, cwd=Path(cwd)) as command:
+            said, _ = command.communicate()
+        self.wfile.write(json.dumps([command.returncode, said]).encode())
+
+
+@pytest.fixture
+def at(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Where a `PROGRAM` finds the test."""
+    with socketserver.TCPServer(("127.0.0.1", 0), Teatbench) as server:
+        monkeypatch.setenv("TEATBENCH_AT", str(server.server_address[1]))
+        serving = threading.Thread(target=server.serve_forever, args=(0.02,))
+        serving.start()
+        yield
+        server.shutdown()
+        serving.join()
 
 
 def sh(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
@@ -47,7 +74,7 @@ def sh(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
     path = os.pathsep.join(
         (str(folder / "bin"), str(Path(sys.executable).parent), os.environ["PATH"])
     )
-    environment = {**os.environ, **environment, "PATH": path, "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, **environment, "PATH": path}
     return subprocess.run(
         ["bash", "-c", command],
         cwd=folder,
@@ -60,6 +87,7 @@ def sh(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="the services' machines of the page are Linux")
+@pytest.mark.usefixtures("at")
 def test_the_script_tells_a_worse_detector_from_one_with_the_same_answers(tmp_path: Path) -> None:
     write_recording(tmp_path / "recordings" / "lab")
     (tmp_path / "bin").mkdir()

@@ -26,17 +26,17 @@ DRY = "run {} --dry-run --out {}"
 def test_the_command_says_what_and_exits_with_2(tmp_path: Path, said: Said) -> None:
     text = find_script("repeatability").read_text(encoding="utf-8")
     text = text.replace("x_mm = 104.0, y_mm = 96.0", "x_mm = 160.0, y_mm = 96.0")
-    text = text.replace("cycles = 30", "cycles = 2")
+    text = text.replace("cycles = 30", "cycles = 1")
     path = tmp_path / "wide.toml"
     path.write_text(text, encoding="utf-8")
     given = path, tmp_path / "runs", write_small_rig(tmp_path)
     seen = said(2, f"{DRY} --rig {{}}", *given).out
     for note in (
         "p-2: limits: x +160 mm, y +96 mm needs the stage's X axis at 10, which goes from -300 to 0",
-        "10 trials at 5 poses: 1 problem. Nothing was moved.",
-        "gone through on emulators, in virtual time: 8 of 10 trials; frames of 4 were rendered",
+        "5 trials at 5 poses: 1 problem. Nothing was moved.",
+        "gone through on emulators, in virtual time: 4 of 5 trials; frames of 4 were rendered",
         # what would end the run at once doesn't keep the others from being looked at
-        "not gone through: 2 trials",
+        "not gone through: 1 trial",
     ):
         assert note in seen
     assert not (tmp_path / "runs").exists()
@@ -52,7 +52,7 @@ def test_a_clean_script_exits_with_0(short_script: Path, tmp_path: Path, said: S
     )
     assert first == "6 trials at 6 poses: nothing wrong. Nothing was moved."
     assert time.startswith("about 12 min of the bench's time: settling 12 min, ")
-    asked = "41 prompts: 1 homing, 10 arm check, 6 set-ups, 24 teat ends (3 touches each)"
+    asked = "37 prompts: 1 homing, 6 arm check, 6 set-ups, 24 teat ends (3 touches each)"
     assert room.endswith(f" MB and the report, {asked}")
     assert not (tmp_path / "runs").exists()
 

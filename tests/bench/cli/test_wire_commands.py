@@ -118,14 +118,18 @@ def test_the_drivers_of_a_check_meet_the_captured_run(run_capture: tuple[Capture
 def test_a_whole_check_is_replayed_to_a_check(
     check_capture: Path, tmp_path: Path, said: Said
 ) -> None:
-    with playing(str(check_capture), "--once", "--fast") as (child, urls):
-        far_ends = {
-            '"/dev/ttyUSB0"            #': f'"{urls["arm"]}" #',
-            '"tcp://192.168.0.40:502"': f'"{urls["bath"]}"',
-            '"/dev/ttyACM0"            #': f'"{urls["stage"]}" #',
-        }
-        seen = said(3, "check {}", lab_rig(tmp_path, far_ends | NO_CAMERA)).out
-        output, _ = child.communicate(timeout=60)
+    """A far end that a busy machine holds up is asked once more, which no capture has: then again."""
+    for _ in range(5):
+        with playing(str(check_capture), "--once", "--fast") as (child, urls):
+            far_ends = {
+                '"/dev/ttyUSB0"            #': f'"{urls["arm"]}" #',
+                '"tcp://192.168.0.40:502"': f'"{urls["bath"]}"',
+                '"/dev/ttyACM0"            #': f'"{urls["stage"]}" #',
+            }
+            seen = said(3, "check {}", lab_rig(tmp_path, far_ends | NO_CAMERA)).out
+            output, _ = child.communicate(timeout=60)
+        if child.returncode == 0:
+            break
     arm, bath = ("arm: ok", "serial_number: 40937"), ("bath: ok", "temperature: 20.0")
     for text in (*arm, *bath, "stage: ok", "1.1h", "cameras: FAULT"):
         assert text in seen, text

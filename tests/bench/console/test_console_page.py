@@ -5,16 +5,24 @@ within reach, hostile names as text, and nothing asked for beyond this machine.
 from __future__ import annotations
 
 import os
+import shutil
+import sqlite3
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page, expect
 
 from bench.record.reader import read_run
+from bench.record.schema import DATABASE
+from bench.record.state import run_lock
+from bench.results.queue import QueueNote
+from bench.run.lock import locked
 from instruments.operators.mailbox import read_prompt
 from tests.bench.console import served
 from tests.bench.operated_runs import SCRIPT, texts
+from tests.bench.small_run import KEPT, written_anew
 from tests.chromium import browser_page, violations
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
@@ -170,3 +178,32 @@ def test_practice_by_clicks_and_a_phone_that_is_paired(tmp_path: Path) -> None:
         another = page.context.browser.new_context().new_page()  # type: ignore[union-attr]
         another.goto(link)
         expect(another.locator("#problem")).to_contain_text("no token", timeout=SOON_MS)
+
+
+def test_a_queue_is_followed_from_one_run_to_the_next(tmp_path: Path) -> None:
+    """Its card says what runs, on both pages; the page of a run that ended goes on to the next."""
+    runs = tmp_path / "runs"
+    first, second = (Path(shutil.copytree(KEPT, runs / f"kept-{n}")) for n in "12")
+    with closing(sqlite3.connect(first / DATABASE)) as db, db:
+        db.execute("DELETE FROM facts WHERE key = 'ending'")
+    written_anew(first)
+    note = QueueNote.begin(runs, "a rig", ["one", "two", "three"])
+    with served.console(runs, tmp_path) as one, browser_page() as seen:
+        page, card = seen.page, seen.page.locator("#queue")
+        page.context.set_offline(False)
+        page.goto(one.address)
+        expect(card).to_contain_text("Script 1 of 3: one", timeout=SOON_MS)
+        with locked(run_lock(first), "a run", print, "run"):
+            note.runs(first)
+            expect(card).to_contain_text("1. one running", timeout=SOON_MS)
+            page.get_by_role("link", name=first.name).first.click()
+            expect(card).to_contain_text("3. three not begun", timeout=SOON_MS)
+            abort_in_reach(page)
+            assert not violations(page)
+        with locked(run_lock(second), "a run", print, "run"):
+            note.runs(second)
+            expect(card).to_contain_text("Script 2 of 3: two", timeout=SOON_MS)
+            page.wait_for_url(f"**/#/{second.name}", timeout=SOON_MS)
+        note.ends("an interlock tripped")
+        expect(card).to_contain_text("Ended early, 1 of 3 scripts finished", timeout=SOON_MS)
+        assert page.url.endswith(second.name), "a queue that has ended is left where it is"

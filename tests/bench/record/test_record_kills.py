@@ -30,7 +30,7 @@ from instruments.clock import wall_time
 from tests.bench.record.test_record import facts, trial
 
 RUNS = 10 if os.environ.get("TEATBENCH_WEEKLY") else 3
-KILLS_A_RUN = 20
+KILLS_A_RUN = 20 if os.environ.get("TEATBENCH_WEEKLY") else 12
 MOST_TRIALS = 1  # that are done before a process is killed
 AT_MOST_S = 0.05  # from there: a few trials on an idle machine, a part of one on a busy one
 ROOT = Path(__file__).resolve().parents[3]

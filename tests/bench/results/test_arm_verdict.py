@@ -43,6 +43,12 @@ def check(
     return {"check_point_mm": PLACE.tolist(), "touches": touches}
 
 
+def one_more(off_mm: float, before: dict[str, Any]) -> dict[str, Any]:
+    """The check afterwards, of one new touch."""
+    touch = {"tip_mm": (PLACE + np.array([0.0, 0.0, off_mm])).tolist(), "axis": SWUNG[0].tolist()}
+    return before | {"touches": [*before["touches"], touch], "new": 1}
+
+
 def dated(
     days: float = 10.0,
     scale: float = 1.0,
@@ -90,6 +96,8 @@ CASES: list[tuple[dict[str, Any], Verdict, str]] = [
     (facts(GOOD, GOOD, dated(error_mm=-0.8)), NOT_MET, "300 mm were measured -0.80 mm wrong"),
     (facts(GOOD, GOOD, dated(lengths=False)), OPEN, "no calibrated length was measured"),
     (facts(WORSE), NOT_MET, "0.48 mm"),
+    (facts(GOOD, one_more(0.4, GOOD), dated()), MET, "0.30 mm before"),
+    (facts(GOOD, one_more(0.6, GOOD), dated()), NOT_MET, "moved by 0.60 mm during the run"),
 ]
 
 

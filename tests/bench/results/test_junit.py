@@ -16,7 +16,7 @@ from junitparser import Error, JUnitXml, Skipped
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
 from bench.results.exports import write_exports
-from bench.results.status import status_of
+from bench.results.status import INSTRUMENTS_FACT, status_of
 from bench.results.verdicts import Judgement
 from bench.scoring.decisions import Decision, Verdict
 
@@ -57,6 +57,13 @@ JUDGED = (
     Judgement("fused", (decision("error", Verdict.MET), decision("false", Verdict.NOT_MET))),
     Judgement("thesis", (decision("error", Verdict.INCONCLUSIVE),)),
 )
+HOT = {
+    "name": "bath",
+    "link": "closed",
+    "safe": "failed",
+    "how": "no answer",
+    "by_hand": "SWITCH OFF THE BATH",
+}
 CHAINED = "the chain is broken at link 3"
 ENDINGS = {
     "finished": (RunRecord(Path("run"), FACTS | {"ending": "finished"}), ""),
@@ -75,6 +82,24 @@ ENDINGS = {
     "interrupted": (
         RunRecord(Path("run"), FACTS),
         "The bench died before the run was over; 0 of 18 trials are kept.",
+    ),
+    "tripped": (
+        RunRecord(
+            Path("run"),
+            FACTS | {"ending": "faulted", INSTRUMENTS_FACT: {"session": 1, "instruments": [HOT]}},
+            events=(
+                event("trip", "over-temperature: 36.10 degC"),
+                event("fault", "over-temperature: 36.10 degC."),
+            ),
+        ),
+        (
+            "The run was tripped by an interlock after 0 of 18 trials: over-temperature: 36.10"
+            " degC.\nSWITCH OFF THE BATH: no answer"
+        ),
+    ),
+    "running": (
+        RunRecord(Path("run"), FACTS, holder={"pid": 1}),
+        "The run goes on: trial 1 of 18. Nothing is decided before its end.",
     ),
     "damaged": (
         RunRecord(Path("run"), FACTS | {"ending": "finished"}, damage=(CHAINED,)),

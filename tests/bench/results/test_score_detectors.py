@@ -11,7 +11,6 @@ import shutil
 import signal
 import struct
 import sys
-import time
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +26,7 @@ from tests.bench.forked import begin
 from tests.bench.small_recording import ENDS_MM, write_recording
 from tests.bench.small_run import written_anew
 from tests.plain_text import plain_text
+from tests.waiting import within
 
 pytestmark = pytest.mark.slow
 
@@ -244,9 +244,7 @@ def test_ctrl_c_while_a_program_is_silent_ends_both(recording: Path, tmp_path: P
     )
     program = f"exec:{sys.executable} {tmp_path / 'silent.py'}"
     with begin(words(f"{SCORE} --detector {{}}", recording, tmp_path / "runs", program)) as bench:
-        deadline = time.monotonic() + 60
-        while not (tmp_path / "up").is_file() and time.monotonic() < deadline:
-            time.sleep(0.05)
+        within(60.0, (tmp_path / "up").is_file, "it is up")
         bench.send_signal(signal.SIGINT)
         said, _ = bench.communicate(timeout=60)
     assert "Traceback" not in said

@@ -93,17 +93,6 @@ def test_no_false_alarm_in_what_a_path_tracer_rendered(shared_data: Path) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", SHOWN)
-def test_each_fault_of_the_emulated_cameras_is_noticed_and_named(fault: FrameFault) -> None:
-    cameras, looks = EmulatedCameras(GalleryWorld()), checks()
-    assert looks.notice(cameras.capture()) == []
-    cameras.faults.inject(fault, times=1)
-    noticed = looks.notice(cameras.capture())
-    assert [(one.fault, one.camera) for one in noticed] == [(fault, FAULTS[fault])]
-    assert looks.notice(cameras.capture()) == [], "it has passed"
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "camera"),
     [

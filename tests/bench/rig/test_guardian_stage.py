@@ -19,6 +19,7 @@ from instruments.listener import Listener
 from instruments.stage.driver import Spoken, Stage
 from instruments.stage.emulator import CLASSIC, MARLIN, ZABER, Dialect, StageEmulator
 from instruments.stage.zaber import Motor
+from tests.waiting import within
 
 pytestmark = pytest.mark.slow
 
@@ -57,9 +58,7 @@ def test_it_stops_a_stage_of_each_firmware(dialect: Dialect, spoken: Spoken, hom
             stage.connect()
             owner = threading.Thread(target=_homes if homes else _moves, args=(stage,))
             owner.start()
-            deadline = time.monotonic() + 120.0
-            while not (_moving(device) and (homes or stage.homed)):
-                assert time.monotonic() < deadline, "it never moved"
+            within(120.0, lambda: _moving(device) and (homes or stage.homed), "moves")
             target = GuardianTarget(stage=StageTarget(listener.url, 115200, spoken, "XY", motors))
             found = stopped(target, clock)
             assert not _moving(device)

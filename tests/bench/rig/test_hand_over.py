@@ -18,10 +18,11 @@ from filelock import FileLock
 from bench.results.headline import guardian_text
 from bench.rig.guardian import DONE
 from bench.rig.guardian_client import GuardianClient, GuardianTarget, Heartbeat
-from bench.rig.hand_over import HAND_OVER_S, BathLock, bath_name
+from bench.rig.hand_over import HAND_OVER_S, BathLock, bath_name, free_bath
 from instruments.errors import LimitError, LinkError
-from tests.bench.safety.guards import HotBath, guardian_record, hot_bath, standby_after, within
+from tests.bench.safety.guards import HotBath, guardian_record, hot_bath, standby_after
 from tests.conftest import ROOT
+from tests.waiting import within
 
 ENDED = 1 << 22  # more than any system gives a process
 
@@ -223,3 +224,14 @@ def test_of_two_that_ask_at_once_one_gets_the_bath(hot: HotBath, baths: Path) ->
             for one in asking:
                 one.kill()
                 one.communicate()
+
+
+@pytest.mark.slow
+def test_a_bath_that_died_with_its_bench_is_left_alone(hot: HotBath, baths: Path) -> None:
+    """An emulated one: nothing is made safe any more, and the record is not written again."""
+    hot.emulator.fault("silence")
+    with guardian(hot, ENDED) as old:
+        guardian_record(hot.folder, lambda record: record["tries"] > 0)
+        free_bath(hot.url, hot.folder)
+        assert old.poll() == 0
+        assert "handed_over" in json.loads((hot.folder / "guardian-1.json").read_bytes())

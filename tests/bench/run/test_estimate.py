@@ -133,7 +133,7 @@ def test_needs_by_hand() -> None:
     usual = estimate(rig, script)
     assert (first.set_ups_s, first.touches_s) == (usual.set_ups_s, usual.touches_s)
     assert by_then == replace(first, touches_s=2.0 * first.touches_s)
-    assert needs(rig, script).prompts == 1 + 2 * 5 + 18 * (1 + 4) == 101, "one request a teat end"
+    assert needs(rig, script).prompts == 1 + 5 + 1 + 18 * (1 + 4) == 97, "one request a teat end"
     plane = load_script(find_script("plane-map"))
     assert needs(rig, plane).prompts < len(plane.planned), "carried: most trials ask nobody"
     assert needs(by_hand, plane).time.touches_s == pytest.approx(7 * 3 * 8.0), (

@@ -6,7 +6,7 @@ SIGTERM and SIGHUP in each step are `test_guardian_kills`.
 
 from __future__ import annotations
 
-import json
+import re
 import sys
 import time
 from collections.abc import Callable
@@ -18,7 +18,10 @@ import pytest
 
 from bench.record.reader import RunRecord, read_run
 from instruments.listener import Listener
+from tests.bench.commands import teatbench
 from tests.bench.real_rig import RealRig, real_rig, record_one, touch_as_asked
+from tests.bench.safety.guards import guardian_record
+from tests.plain_text import plain_text
 
 if sys.platform == "win32":
     pytest.skip("sends POSIX signals to the bench", allow_module_level=True)
@@ -131,6 +134,14 @@ def test_every_way_out_of_a_run_leaves_standby_in_bounded_time(
         if outcome.way == "closing":
             continue  # Windows ends the process behind the handler: there is no time for the record
         assert "bath is safe" in texts, outcome.way
+        if outcome.way == "normal":
+            facts, folder = outcome.run.facts, outcome.run.folder
+            assert facts["guardian"] == "beside the bench"
+            assert facts["cut-out tested"] == "2024-03-01"
+            assert not (folder / "guardian.log").exists()
+            assert teatbench("report {}", folder) == 0
+            page = plain_text(folder / "report" / "index.html")
+            assert re.search(r"independent cut-out tested on.{0,80}2024-03-01", page)
         assert outcome.run.guardian is None, f"{outcome.way}: it was told that all is safe"
         if outcome.way == "mistaken":
             assert any("a mistake of the bench: ZeroDivisionError" in text for text in texts)
@@ -175,7 +186,7 @@ def test_instruments_that_are_gone_do_not_keep_the_others_from_safe(
             rig.twin._listeners["bath"] = Listener(
                 rig.twin.bath, clock, lock=lock, name="bath", port=bath.port
             )
-            await_record(rig.run_folder() / "guardian-1.json", standby=True)
+            guardian_record(rig.run_folder(), lambda written: written["standby"] is True)
         assert not rig.twin.world.plant.running
         run = read_run(rig.run_folder())
     texts = [event["text"] for event in run.events]
@@ -185,12 +196,3 @@ def test_instruments_that_are_gone_do_not_keep_the_others_from_safe(
     assert any(text.startswith("stage could not be made safe: stage at socket:") for text in texts)
     assert "arm is safe" in texts
     assert (run.guardian is not None and run.guardian["cause"] == "gave up") is bath_too
-
-
-def await_record(path: Path, *, standby: bool) -> None:
-    deadline = time.monotonic() + 60.0
-    while (
-        not path.is_file() or json.loads(path.read_text(encoding="utf-8"))["standby"] is not standby
-    ):
-        assert time.monotonic() < deadline, "the guardian has not written its record"
-        time.sleep(0.02)

@@ -7,6 +7,7 @@ state.
 
 from __future__ import annotations
 
+import copy
 import html
 import io
 import json
@@ -22,6 +23,7 @@ import pytest
 from bench.cli.terminal import Terminal
 from bench.cli.verdict import show_verdict
 from bench.console import watching
+from bench.report import summary
 from bench.report.page import write_run_report
 from bench.report.runs import list_runs
 from bench.results.status import (
@@ -33,8 +35,9 @@ from bench.results.status import (
 )
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.model import EmulatedFault
-from bench.run.events import Events
+from bench.run.events import ENDED, PROMPTED, TRIPPED, Events
 from bench.run.live import Live
+from bench.run.notify import text_of
 from bench.run.start import RunOptions
 from bench.safety.bath_monitor import LATE_S, PERIOD_S
 from instruments.listener import Connection, Listener
@@ -94,12 +97,12 @@ class Watch(Bringer):
         return self.instrument if self.way == "killed" else ""
 
     def sent(self, connection: Connection, data: bytes) -> None:
-        """An emulator sends something."""
-        SEND(connection, data)
+        """An emulator sends something: noted before the bench can have it."""
         rig = self.rig or self.twin
         for name, listener in rig._listeners.items() if rig else ():
             if isinstance(listener, Listener) and connection in listener._connections:
                 self.sent_s[name] = connection._clock.now()
+        SEND(connection, data)
 
     @property
     def now_s(self) -> float:
@@ -119,9 +122,13 @@ class Watch(Bringer):
         self.against_the_wire(status)
         shown = live_status(folder)
         assert shown is not None
-        assert watching.status(folder)["instruments"] == shown.as_dict()["instruments"]
+        assert same(watching.status(folder)) == same(shown.as_dict())
+        for kind, words in ((PROMPTED, status.asked), (TRIPPED, status.tripped)):
+            sent = text_of(kind, status) if words or kind == PROMPTED else None
+            assert bool(sent) == bool(words)
+            assert not sent or sent[0] == f"{status.title}: {kind}"
         if len(self.samples) % SEVERAL == 0:
-            assert same(read_status(folder)) == same(status)
+            assert same(read_status(folder).as_dict()) == same(status.as_dict())
 
     def against_the_wire(self, status: RunStatus) -> None:
         assert self.rig
@@ -146,9 +153,9 @@ class Watch(Bringer):
             assert (status.step, status.asked, status.left_s) == (GOING_TO_SAFE, None, None)
 
 
-def same(status: RunStatus) -> dict[str, Any]:
+def same(status: Mapping[str, Any]) -> dict[str, Any]:
     """What two readers of one moment have to agree on."""
-    kept = status.as_dict()
+    kept = copy.deepcopy(dict(status))
     for key in ("wall_time", "age_s", "why", "headline"):
         kept.pop(key)
     for one in kept["instruments"]:
@@ -245,10 +252,17 @@ def compare_the_surfaces(run: Path, status: RunStatus, watch: Watch) -> None:
         assert junit.count("<error") == len(status.verdicts)
         assert {one.verdict for one in listed.results} == {status.word}
         assert status.why.split("\n")[0] in " ".join(junit.split())
+    sent = text_of(ENDED, status)
+    assert sent
+    in_ci = re.sub(r"\\(.)", r"\1", summary.of_run(written))
+    for where in (sent[1], in_ci):
+        assert status.headline in where
+        assert " ".join(status.why.split()) in " ".join(where.split())
     warned = "\n".join(watch.warned)
     for line in status.unsafe:
         words = " ".join(line.split())
-        for where in (said, page, " ".join(junit.split()), " ".join(listed.note.split())):
+        texts = (said, page, junit, listed.note, sent[1], in_ci)
+        for where in (" ".join(text.split()) for text in texts):
             assert words in where, (words, where[:2000])
         assert words.split(":")[0] in warned
     assert ("NOT SAFE" in warned) == bool(status.unsafe)

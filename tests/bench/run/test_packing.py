@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +13,7 @@ import pytest
 from bench.files import sha256_of
 from bench.record.reader import read_run
 from tests.bench.commands import Said
+from tests.bench.forked import begin
 from tests.bench.small_run import KEPT
 
 PACK = "recording pack {} --out {} --licence CC-BY-4.0"
@@ -70,12 +69,9 @@ def test_it_scores_as_the_run_did(packed: Path, kept: Path, tmp_path: Path) -> N
     run = read_run(kept)
     (detector,) = run.detectors
     out = tmp_path / "scored"
-    subprocess.run(  # an interpreter that knows nothing of the run
-        [sys.executable, "-m", "bench.cli", "score", packed, "--detector", detector, "--out", out],
-        check=False,
-        capture_output=True,
-        cwd=tmp_path,
-    )
+    command = ["score", packed, "--detector", detector, "--out", out]
+    with begin(command, cwd=tmp_path) as another:  # which knows nothing of the run
+        another.communicate()
     (scored,) = out.iterdir()
     again = read_run(scored)
     for trial, other in zip(run.trials, again.trials, strict=True):

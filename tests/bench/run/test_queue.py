@@ -5,8 +5,10 @@ end, whatever ends it.
 from __future__ import annotations
 
 import json
+import os
 import platform
 import re
+import signal
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -168,7 +170,22 @@ def test_a_queue_whose_bench_died_says_so(tmp_path: Path) -> None:
     assert [one.text for one in queue.scripts] == ["not begun", "not begun"]
 
 
-def test_in_real_time_one_guardian_stays_to_the_end(tmp_path: Path) -> None:
+@pytest.mark.parametrize("killed", [False, True], ids=["to the end", "killed amid the queue"])
+def test_in_real_time_one_guardian_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, killed: bool
+) -> None:
+    take_over = Engine._take_over
+
+    def bereft(self: Engine) -> None:
+        """The second script begins, and its guardian is killed."""
+        take_over(self)
+        if killed and self.context.before:
+            client = self.context.trips._guardian_client
+            assert client
+            os.kill(client.pid, signal.SIGKILL)
+            self.context.wait(10.0)
+
+    monkeypatch.setattr(Engine, "_take_over", bereft)
     rig = write_small_rig(tmp_path)
     warm = "\n[emulation]\nbath_start_c = 33.0\n"
     text = re.sub(r"\n\[stage\].*?(?=\n\[)", "", rig.read_text(encoding="utf-8"), flags=re.DOTALL)
@@ -176,8 +193,15 @@ def test_in_real_time_one_guardian_stays_to_the_end(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_text(ONE, encoding="utf-8")
     began_s = stopwatch_s()
-    code, queue, (first, second) = run([str(path)] * 2, "--realtime")
+    code, queue, (first, second) = run([str(path)] * (3 if killed else 2), "--realtime")
     assert stopwatch_s() - began_s > 2.0
+    if killed:
+        assert code == 3
+        assert queue.headline.startswith("ended early, 1 of 3 scripts finished: an interlock")
+        assert "guardian" in queue.ended
+        assert queue.scripts[2].text == "not begun"
+        assert (status_of(second).state, bath_safe(second)) == ("tripped", Safe.READ_BACK)
+        return
     assert (code, queue.ended) == (0, ENDED)
     assert [one.facts["guardian"] for one in (first, second)] == [WATCHING] * 2
     assert kinds(first, "safe") == [STAYS_WARM]

@@ -64,8 +64,11 @@ class FullDisk:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("error", FULL, ids=["frames", "database"])
-@pytest.mark.parametrize("for_good", [False, True], ids=["once", "for good"])
+@pytest.mark.parametrize(
+    ("error", "for_good"),
+    [(FULL[0], False), (FULL[1], True)],
+    ids=["frames, once", "database, for good"],
+)
 def test_a_full_disk_ends_safely_and_the_run_goes_on_where_there_is_room_again(
     error: Exception, for_good: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -24,8 +24,8 @@ import psutil
 from bench.rig.loading import RIGS
 from tests.bench.forked import Running, begin
 from tests.bench.operated_runs import ONE, write_calibration
-from tests.bench.safety.guards import within
 from tests.conftest import ROOT
+from tests.waiting import within
 
 PATIENCE_S = 240.0  # for an event that comes by itself, on a machine with ten times too much to do
 BASE = (
@@ -213,12 +213,7 @@ class Dying:
         return b"".join(self.pieces).decode("utf-8", "replace")
 
     def until(self, there: Callable[[], bool], what: str) -> None:
-        deadline = time.monotonic() + PATIENCE_S
-        while not there():
-            assert time.monotonic() < deadline, f"never {what}:\n{self.said}"
-            code = self.process.poll()
-            assert code is None, f"ended with {code} before it {what}:\n{self.said}"
-            time.sleep(0.02)
+        within(PATIENCE_S, there, what, said=lambda: self.said, code=self.process.poll)
 
     def sent(self, word: str) -> bool:
         """Whether its capture has a command that begins a motion."""

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from instruments.bath.profile import load_register_profile
 from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.world.plant import Plant
+from tests.waiting import within
 
 PATIENCE_S = 60.0
 # what docs/safety.md promises; standby takes milliseconds
@@ -56,15 +56,6 @@ def hot_bath(folder: Path) -> Iterator[HotBath]:
     finally:
         listener.close()
         clock.close()
-
-
-def within(seconds: float, there: Callable[[], bool], what: str) -> float:
-    """How long it took."""
-    start = time.monotonic()
-    while not there():
-        assert time.monotonic() - start < seconds, f"not within {seconds} s: {what}"
-        time.sleep(0.002)
-    return time.monotonic() - start
 
 
 def standby_after(plant: Plant) -> float:

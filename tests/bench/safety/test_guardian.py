@@ -6,9 +6,7 @@ Kills in every step are `test_guardian_kills`; serial ports and pumps `test_guar
 
 from __future__ import annotations
 
-import json
 import os
-import re
 import signal
 import sys
 import time
@@ -19,8 +17,7 @@ import pytest
 
 from bench.cli.main import main
 from bench.record.reader import read_run
-from instruments.clock import wall_time
-from tests.bench.real_rig import Bench, RealRig, bench, real_rig, touch_as_asked
+from tests.bench.real_rig import Bench, RealRig, bench, real_rig
 from tests.bench.safety.guards import (
     HANG_S,
     STANDBY_S,
@@ -52,29 +49,6 @@ def reported(rig: RealRig, capsys: pytest.CaptureFixture[str]) -> tuple[str, str
     assert main(["report", str(rig.run_folder())]) == 3
     page = rig.run_folder() / "report" / "index.html"
     return " ".join(capsys.readouterr().out.split()), plain_text(page)
-
-
-def test_the_report_of_a_killed_bench_says_when_it_died_and_when_the_bath_was_safe(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with real_rig(tmp_path / "rig", recording) as rig:
-        with bench(rig) as running:
-            heating(rig, running)
-            running.wait_for("Enter when it stands")
-            killed = wall_time()
-            running.process.kill()
-            assert standby_after(rig.twin.world.plant) < STANDBY_S
-            guardian_record(rig.run_folder())
-        text = read_run(rig.run_folder()).guardian
-        assert text is not None
-        late = datetime.fromisoformat(text["wall_noticed"]) - killed
-        assert abs(late.total_seconds()) < STANDBY_S
-        sentence = (
-            f"The bench died at {text['wall_noticed']}; the guardian had the bath in standby at"
-            f" {text['wall_safe']}"
-        )
-        for said in reported(rig, capsys):
-            assert sentence in said
 
 
 def test_a_bench_that_is_stopped_is_taken_for_dead_within_seconds(
@@ -130,29 +104,6 @@ def test_a_main_thread_that_hangs_while_the_others_live_is_taken_for_dead_after_
                 in said
             )
             assert f"the guardian had the bath in standby at {text['wall_safe']}" in said
-
-
-def test_a_run_that_ends_well_leaves_no_guardian(recording: Path, tmp_path: Path) -> None:
-    with real_rig(tmp_path / "rig", recording) as rig, bench(rig) as running:
-        heating(rig, running)
-        running.wait_for("Enter when it stands")
-        running.enter()
-        touch_as_asked(
-            rig, lambda: running.said, running.enter, lambda: running.process.poll() is not None
-        )
-        assert running.process.returncode == 0, running.said
-        assert not rig.twin.world.plant.running
-        folder = rig.run_folder()
-    run = read_run(folder)
-    assert run.ending == "finished"
-    assert run.guardian is None
-    assert run.facts["guardian"] == "beside the bench"
-    assert run.facts["cut-out tested"] == "2024-03-01"
-    page = (folder / "report" / "index.html").read_text(encoding="utf-8")
-    assert re.search(r"independent cut-out tested on.{0,80}2024-03-01", page, re.DOTALL)
-    assert not (folder / "guardian.log").exists()
-    text = json.loads((folder / "report" / "run.json").read_text(encoding="utf-8"))
-    assert text["ending"] == "finished"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="finds the guardian in /proc")

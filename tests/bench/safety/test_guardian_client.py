@@ -31,8 +31,9 @@ from instruments.bath.driver import Bath
 from instruments.clock import RealClock, stopwatch_s
 from instruments.errors import LinkError
 from instruments.link import Link
-from tests.bench.safety.guards import PATIENCE_S, HotBath, standby_after, within
+from tests.bench.safety.guards import PATIENCE_S, HotBath, standby_after
 from tests.conftest import ROOT
+from tests.waiting import within
 
 
 def guardian_of(hot: HotBath) -> GuardianClient:

@@ -58,7 +58,7 @@ class Step:
 STEPS = {
     "moving": Step(f"{MARK}moving", more=(("stage", True),)),  # first: what takes longest
     "homing": Step(f"{MARK}homing", more=(("stage", True),)),
-    "checking the arm after": Step("1 of 2] Arm check", nth=2),
+    "checking the arm after": Step("1 of 1] Arm check"),
     "going to safe": Step(f"{MARK}going to safe"),
     "storing": Step(f"{MARK}storing"),
     "detecting": Step(f"{MARK}detecting"),

@@ -33,9 +33,9 @@ from tests.bench.safety.guards import (
     Measured,
     guardian_record,
     standby_after,
-    within,
 )
 from tests.conftest import ROOT
+from tests.waiting import within
 
 if sys.platform == "win32":
     pytest.skip("needs pseudo-terminals and POSIX signals", allow_module_level=True)

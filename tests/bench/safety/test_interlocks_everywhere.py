@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,12 +21,14 @@ import pytest
 
 from bench.cli.main import main
 from bench.record.reader import RunRecord, read_run
+from tests.bench.commands import teatbench
 from tests.bench.real_rig import RealRig, real_rig
 
 if sys.platform == "win32":
     pytest.skip("forks benches", allow_module_level=True)
 
 from tests.bench.marked_bench import MARK, MarkedBench, marked_bench
+from tests.waiting import within
 
 pytestmark = pytest.mark.slow
 
@@ -64,7 +67,10 @@ class Outcome:
     said: str
 
 
-def trip_in(name: str, folder: Path, recording: Path) -> Outcome:
+def trip_in(
+    name: str, folder: Path, recording: Path, then: Callable[[RealRig], None] = lambda _: None
+) -> Outcome:
+    """``then``: what is done with the rig, which is latched."""
     step = STEPS[name]
     with (
         real_rig(folder, recording, **dict(step.more)) as rig,
@@ -82,6 +88,7 @@ def trip_in(name: str, folder: Path, recording: Path) -> Outcome:
         running.process.join(60)
         assert running.process.exitcode == 3, running.said
         latch = json.loads((rig.folder / "lab.tripped.json").read_text(encoding="utf-8"))
+        then(rig)
         return Outcome(
             name, seconds, still_at_it, stage_still, read_run(rig.run_folder()), latch, running.said
         )
@@ -111,9 +118,28 @@ def stands(rig: RealRig) -> bool:
 def test_a_trip_in_any_step_acts_at_once_and_is_latched(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+
+    def acknowledged(rig: RealRig) -> None:
+        """Once the bath has cooled, and no earlier; nobody pressed Enter."""
+        acknowledge = ["bath", "acknowledge", str(rig.rig_path)]
+        assert main(acknowledge) == 3
+        assert "has to cool below 36 degC" in capsys.readouterr().err
+        with rig.twin.world.lock:
+            plant = rig.twin.world.plant
+            plant.bath_c = plant.pv_c = 33.0
+            plant.acknowledge()
+        # the sensor has its lag
+        within(240.0, lambda: main(acknowledge) == 0, "acknowledged")
+        assert not rig.rig_path.with_name("lab.tripped.json").exists()
+        assert main(acknowledge) == 0
+        assert "nothing is latched" in capsys.readouterr().out
+
     with ThreadPoolExecutor(3) as pool:
-        jobs = [pool.submit(trip_in, name, tmp_path / name, recording) for name in STEPS]
-        outcomes = [job.result() for job in jobs]
+        beside = [one for one in STEPS if one != "prompt"]
+        jobs = [pool.submit(trip_in, name, tmp_path / name, recording) for name in beside]
+        prompted = trip_in("prompt", tmp_path / "prompt", recording, acknowledged)
+        outcomes = [*(job.result() for job in jobs), prompted]
+    assert "No answer is needed any more" in prompted.said
     for outcome in outcomes:
         assert outcome.safe_after_s < 3.0 + 5.0, (
             f"{outcome.name}: sensor's lag, a second, and a busy machine"
@@ -136,17 +162,7 @@ def test_a_trip_in_any_step_acts_at_once_and_is_latched(
     move = next(outcome for outcome in outcomes if outcome.name == "move")
     assert "stage is held" in move.run.facts["trip"]["done"]
     again = tmp_path / "move"
-    assert (
-        main(
-            [
-                "run",
-                str(again / "short.toml"),
-                "--rig",
-                str(again / "lab.toml"),
-                "--out",
-                str(tmp_path / "elsewhere"),
-            ]
-        )
-        == 3
-    )
+    files = again / "short.toml", again / "lab.toml", tmp_path / "elsewhere"
+    assert teatbench("run {} --rig {} --out {}", *files) == 3
     assert "teatbench bath acknowledge" in capsys.readouterr().err
+    assert not files[2].exists(), "another folder is no way round"

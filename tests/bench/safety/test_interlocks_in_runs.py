@@ -1,13 +1,10 @@
-"""Trips and stability in whole runs: with emulated faults under virtual time, and in real time
-while the operator lets the bench wait.
+"""Trips and stability in whole runs, with emulated faults under virtual time; in real time:
+`test_interlocks_everywhere`.
 """
 
 from __future__ import annotations
 
-import json
 import re
-import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from bench.cli.main import main
-from bench.record.reader import RunRecord, read_run
+from bench.record.reader import RunRecord
 from bench.record.schema import Row
 from bench.rig.loading import load_rig
 from bench.rig.opening import open_instruments
@@ -26,7 +23,6 @@ from bench.safety.stability import StabilityGate
 from instruments.bath.sequence import start_bath
 from instruments.clock import VirtualClock
 from tests.bench.operated_runs import SCRIPT, files, run, run_of
-from tests.bench.real_rig import bench, real_rig, record_one
 from tests.bench.test_config import rig_with
 
 FAULT = """
@@ -170,56 +166,6 @@ def test_a_detection_may_take_what_the_rig_file_allows(tmp_path: Path) -> None:
 
 
 SILENT_LOOK_S = 8.0  # a look at a bath that does not answer takes up to seven seconds
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(550)
-@pytest.mark.skipif(sys.platform == "win32", reason="needs a symbolic link")
-def test_a_trip_during_a_prompt_makes_safe_at_once_and_stays_until_it_is_acknowledged(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    recording = record_one(tmp_path / "recording")
-    with real_rig(tmp_path / "rig", recording) as rig:
-        plant = rig.twin.world.plant
-        with bench(rig) as running:
-            running.wait_for("on its peg")
-            running.enter()
-            running.wait_for("Enter when it stands")
-            assert plant.running
-            with rig.twin.world.lock:
-                plant.bath_c = 39.0
-            # and nobody pressed Enter
-            running.until(lambda: not plant.running, "made safe")
-            running.wait_for("interlock over-temperature")
-            running.wait_for("No answer is needed any more")
-            assert running.process.wait(240) == 3, running.said
-        trip = read_run(rig.run_folder()).facts["trip"]
-        assert trip["values"][-1]["safety_c"] == pytest.approx(39.0, abs=0.2)
-        latch = rig.folder / "lab.tripped.json"
-        assert json.loads(latch.read_text(encoding="utf-8"))["rule"] == "over-temperature"
-
-        again = [
-            "run",
-            str(rig.script_path),
-            "--rig",
-            str(rig.rig_path),
-            "--out",
-            str(tmp_path / "elsewhere"),
-        ]
-        assert main(again) == 3
-        assert "teatbench bath acknowledge" in capsys.readouterr().err
-        assert not (tmp_path / "elsewhere").exists(), "another folder is no way round"
-        assert main(["bath", "acknowledge", str(rig.rig_path)]) == 3
-        assert "has to cool below 36 degC" in capsys.readouterr().err
-        with rig.twin.world.lock:
-            plant.bath_c = plant.pv_c = 33.0
-            plant.acknowledge()
-        deadline = time.monotonic() + 240.0
-        while main(["bath", "acknowledge", str(rig.rig_path)]) != 0:  # the sensor has its lag
-            assert time.monotonic() < deadline, capsys.readouterr().err
-        assert not latch.exists()
-        assert main(["bath", "acknowledge", str(rig.rig_path)]) == 0
-        assert "nothing is latched" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -42,7 +42,8 @@ from tests.bench.safety.deaths import (
     emulators,
     on_a_terminal,
 )
-from tests.bench.safety.guards import HotBath, Measured, standby_after, within
+from tests.bench.safety.guards import HotBath, Measured, standby_after
+from tests.waiting import within
 
 pytestmark = pytest.mark.slow
 linux = pytest.mark.skipif(sys.platform != "linux", reason="finds the guardian in /proc")

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.safety.stability import StabilityGate, State
+from tests.examples import examples
 
 SP = 33.0
 HEATING, SETTLING, STABLE = State.HEATING, State.SETTLING, State.STABLE
@@ -223,7 +224,7 @@ class TestTeats:
         assert feed(StabilityGate(SP), quiet(700))[-1] is STABLE
 
     @pytest.mark.slow
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=examples(15), deadline=None)
     @given(
         st.floats(1.0, 600.0),
         st.floats(0.01, 1.0),
@@ -261,7 +262,7 @@ STEPS = st.lists(
 
 
 @pytest.mark.slow
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(STEPS, st.sampled_from([2.0, 10.0, 60.0]), st.sampled_from([0.0, 1e6]))
 def test_the_running_figures_are_those_of_numpy(
     steps: list[tuple[float, int]], window_s: float, start_s: float

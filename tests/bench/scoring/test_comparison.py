@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
@@ -75,7 +75,7 @@ def test_the_same_answers_are_shown_to_be_no_worse_by_72_poses(n: int, verdict: 
     text = "; ".join(same.gate.reasons)
     if verdict is MET:
         lost = "at most 5.0 % of poses are lost anew (72 poses, 97.5 % confidence"
-        assert f"grew by at most 0.250 mm (margin 0.25 mm) and {lost}" in text
+        assert f"grew by at most 0.25 mm (margin 0.25 mm) and {lost}" in text
     else:
         assert text.startswith(f"identical answers in all {n} frame sets: nothing changed in")
     assert same.identical
@@ -251,7 +251,6 @@ def test_the_interval_of_a_published_table() -> None:
     assert span == pytest.approx((-0.517, -0.026), abs=5e-4)
 
 
-@settings(max_examples=60)
 @given(COUNTS)
 def test_the_interval_holds_what_the_score_test_does_not_refuse(d: Discordance) -> None:
     span = d.interval(0.95)

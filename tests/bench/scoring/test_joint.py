@@ -111,14 +111,14 @@ def accused(runs: int, *, with_truth: bool) -> dict[str, float]:
 
 @pytest.mark.slow
 def test_an_unbiased_detector_is_accused_no_more_often_than_is_claimed() -> None:
-    runs = examples(150)
+    runs = examples(120)
     found = accused(runs, with_truth=True)
     assert max(found.values()) <= 0.05 + 3 * np.sqrt(0.05 * 0.95 / runs), found
 
 
 @pytest.mark.slow
 def test_without_the_truth_it_is_accused() -> None:
-    found = accused(RUNS, with_truth=False)
+    found = accused(examples(120), with_truth=False)
     assert found["bias"] > 0.5, found
     assert found["squares"] > 0.08, found
     assert found["trend"] > 0.12, found

@@ -15,6 +15,7 @@ from scipy.optimize import linear_sum_assignment  # type: ignore[attr-defined, u
 from bench.scoring.errors import Floats
 from bench.scoring.matching import Counts, Match, added, gate_mm, match
 from bench.scoring.rates import Rate
+from tests.examples import examples
 
 SQUARE = np.array([[0.0, 0, 0], [60, 0, 0], [0, 60, 0], [60, 60, 0]])
 ALL = np.ones(4, dtype=bool)
@@ -48,7 +49,6 @@ def scene(seed: int, teats: int, spread_mm: float) -> tuple[Floats, Floats]:
 
 
 @pytest.mark.slow
-@settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(2, 6), st.floats(0.5, 15))
 def test_under_the_benchs_gate_against_motmetrics(seed: int, teats: int, spread_mm: float) -> None:
     import motmetrics  # type: ignore[import-untyped]
@@ -76,7 +76,7 @@ SCENES = st.builds(scene, st.integers(0, 2**32 - 1), st.integers(1, 6), st.float
 
 
 @pytest.mark.slow
-@settings(max_examples=260, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(SCENES | st.tuples(clouds(), clouds()), st.floats(1, 60), st.integers(0, 63))
 def test_no_other_assignment_is_cheaper(
     given: tuple[Floats, Floats], gate: float, hidden: int

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from bench.scoring.comparison import Discordance
@@ -28,7 +28,6 @@ def test_frozen_numbers() -> None:
     assert discordant_needed() == 6
 
 
-@settings(max_examples=40)
 @given(st.integers(1, 400), st.sampled_from([0.8, 0.95, 0.99]))
 def test_the_failures_allowed_are_the_most(trials: int, rate: float) -> None:
     allowed = failures_allowed(trials, rate)
@@ -76,7 +75,6 @@ SHARES = st.floats(0, 0.5).map(lambda share: share if share > 1e-12 else 0.0)
 
 
 @pytest.mark.slow
-@settings(max_examples=30, deadline=None)
 @given(st.integers(1, 25), SHARES, SHARES)
 @example(2, 0.0, 0.0)
 def test_the_power_of_mcnemar_by_counting_every_outcome(n: int, lost: float, won: float) -> None:

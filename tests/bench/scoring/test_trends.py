@@ -33,7 +33,7 @@ def weighs(x: Floats, kept: npt.NDArray[np.bool_], strata: npt.NDArray[np.int64]
 
 
 @pytest.mark.slow
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(10), deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(LEAST_TREND_POSES, 9), st.integers(1, 3))
 def test_the_slope_and_its_jackknife_by_leaving_out_each_group(
     seed: int, groups: int, strata: int
@@ -96,7 +96,7 @@ def test_the_chance_of_many_questions_is_that_of_one() -> None:
     """Adjusted together, each is judged far out, where groups - 1 degrees of freedom are too many:
     of these 20 questions of 16 poses one was then shown in 13 % of runs.
     """
-    rng, shown, runs = np.random.default_rng(9), 0, examples(200)
+    rng, shown, runs = np.random.default_rng(9), 0, examples(120)
     for _ in range(runs):
         asked = {str(k): rng.normal(0.0, 50.0, 16) for k in range(5)}
         found = trends(asked, rng.normal(0.0, 1.0, (16, 3)), range(16))

@@ -72,19 +72,21 @@ WANTED = {
 }
 
 
-EACH_RUN = ("a lean", "a perturbation")  # of what is drawn first and what is drawn last
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=() if name in EACH_RUN else pytest.mark.weekly) for name in WANTED],
-)
+@pytest.mark.weekly
+@pytest.mark.parametrize("name", WANTED)
 def test_a_scene_shrinks_to_the_plainest_that_has_what_is_wanted(name: str) -> None:
+    """In each run a part does, and test_plugin lets a failing test shrink to the simplest scene."""
     wanted, simplest = WANTED[name]
     found = find(scenes(), wanted, settings=settings(max_examples=2000, database=None))
     assert found == simplest
     assert found.differences() == 1
+
+
+def test_teats_shrink_to_the_plainest_that_lean() -> None:
+    found = find(
+        layouts(), lambda teats: abs(teats[0].lean_deg) > 3, settings=settings(database=None)
+    )
+    assert found == (Teat(lean_deg=4),)
 
 
 OWN_PARTS = scenes(
@@ -206,7 +208,6 @@ def shrunk(detector: str, limit_mm: float, number: int, *, published: bool = Fal
 @pytest.mark.weekly
 @pytest.mark.timeout(3600)
 def test_the_plainest_scene_of_all_breaks_the_thesis_detector() -> None:
-    """In each run test_plugin lets a failing test shrink to the simplest scene."""
     assert shrunk("thesis", 5.0, 1) == Scene()
 
 

@@ -93,21 +93,25 @@ def members() -> list[Seen]:
     return list(seen(FAMILIES, SEEDS))
 
 
-FOUND, FALSE = 318, 3  # 320 and 2 of 327
-
-
-def test_difficult_scenes_keep_nearly_all_their_ends() -> None:
+@pytest.mark.parametrize(
+    ("every", "found", "false"),
+    [
+        pytest.param(4, 84, 2, id="a quarter"),  # 85 and 1 of 86
+        pytest.param(1, 318, 3, id="all", marks=pytest.mark.weekly),  # 320 and 2 of 327
+    ],
+)
+def test_difficult_scenes_keep_nearly_all_their_ends(every: int, found: int, false: int) -> None:
     """Of scenes that were picked because a decision failed on them, so that no rate follows."""
     count = {"visible": 0, "found": 0, "false": 0}
-    for family, noise, member in DIFFICULT:
+    for family, noise, member in DIFFICULT[::every]:
         (one,) = seen((family,), (member,), noise)
-        found = np.array([teat.world_mm for teat in one.answer.teats]).reshape(-1, 3)
-        counts = match(found, one.ends_mm, one.visible, gate_mm(one.ends_mm)).counts
+        ends_mm = np.array([teat.world_mm for teat in one.answer.teats]).reshape(-1, 3)
+        counts = match(ends_mm, one.ends_mm, one.visible, gate_mm(one.ends_mm)).counts
         count["visible"] += counts.visible
         count["found"] += counts.matched
         count["false"] += counts.false
-    assert count["found"] >= FOUND, count
-    assert count["false"] <= FALSE, count
+    assert count["found"] >= found, count
+    assert count["false"] <= false, count
 
 
 @pytest.mark.parametrize(

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -12,7 +9,6 @@ from bench.campaign.perturbations import Applied
 from detector.calibration import Calibration
 from detector.external.serve import Pictures
 from detector.outline.known_ends import offsets_at
-from tests.conftest import ROOT
 from tests.detector.fused.conftest import Body, Draw
 
 Expected = tuple[float, float, float]  # disparity and rows, px; thermal columns, sensor px
@@ -62,17 +58,3 @@ def test_an_end_that_no_picture_shows_has_no_offset(
     nowhere = np.array([udder[0].end_mm]) + np.array([[0.0, 0.0, 90.0]])
     (found,) = offsets_at(frames, rig, nowhere)
     assert (found.disparity_px, found.rows_px, found.thermal_px) == (None, None, (None, None))
-
-
-ALONE = """
-import sys
-sys.modules.update(dict.fromkeys(("detector.fused", "detector.thesis", "detector.depth")))
-import bench.report.trials
-import bench.truth.touching
-import bench.results.cameras_agree
-"""
-
-
-@pytest.mark.slow
-def test_the_bench_sees_without_any_detector() -> None:
-    subprocess.run([sys.executable, "-c", ALONE], check=True, cwd=ROOT)

@@ -17,6 +17,7 @@ from pymodbus.framer import FramerRTU
 from instruments.bath.emulator import FAULTS
 from instruments.bath.protocol import Frame, RtuReader, crc, framed
 from instruments.listener import Listener
+from tests.examples import examples
 from tests.instruments.bath.devices import Asked, Wire
 
 # ---- Modbus TCP
@@ -219,7 +220,7 @@ def test_bytes_one_by_one_and_with_a_rest() -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=300)
+@settings(max_examples=examples(60))
 @given(pdu=st.binary(min_size=1, max_size=253))
 def test_any_request_gets_one_whole_answer(pdu: bytes) -> None:
     answer = answers_to(Frame(1, b"", 7).answer(pdu))

@@ -7,7 +7,7 @@ import struct
 from functools import partial
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.instruments.bath.devices import EUROTHERMS, NO_PUMP, OMEGA, WATLOWS, Asked
@@ -283,7 +283,6 @@ def test_a_controller_switched_to_manual_holds_its_output(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("profile", ["julabo-presto", *NO_PUMP])
-@settings(max_examples=60)
 @given(
     pdu=st.binary(min_size=1, max_size=40)
     | st.builds(

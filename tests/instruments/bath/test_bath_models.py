@@ -4,9 +4,9 @@ and what is not written before it is known."""
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
-from typing import Any, cast
+from collections.abc import Callable
+from contextlib import closing
+from typing import Any
 
 import pytest
 
@@ -31,22 +31,10 @@ from tests.instruments.bath.test_line_baths import (
     LAUDA_REPLIES,
     LINE_FAMILIES,
     Typed,
+    emulated,
     julabo,
     served,
 )
-
-
-@contextmanager
-def emulated(name: str, **options: bool) -> Iterator[tuple[LineEmulator, Bath]]:
-    """A driver that no person has told anything, on an emulated circulator."""
-    profile, clock = load_profile(name), VirtualClock()
-    assert isinstance(profile, LineProfile)
-    device = LineEmulator(calm_plant(), profile, clock)
-    with closing(Listener(device, clock, lock=threading.RLock(), name="bath")) as listener:
-        url = f"tcp://127.0.0.1:{listener.port}"
-        with closing(Bath(url, profile, clock, **cast(Any, options))) as bath:
-            yield device, bath
-
 
 # ---- models
 
@@ -209,7 +197,7 @@ def test_only_a_negative_number_is_hubers_fault(code: str, alarm: int) -> None:
 
 def test_a_huber_that_was_without_power_and_runs_on_is_noticed() -> None:
     """It may start by itself: that it runs says nothing of its set point."""
-    with emulated("huber-pb") as (device, bath):
+    with emulated("huber-pb", confirmed=False) as (device, bath):
         bath.start(33.0)
         assert bath.read().restarted is False
         device.panel.restarted = True
@@ -280,7 +268,7 @@ def test_both_ports_of_a_watlow_have_to_be_in_celsius(units: dict[int, int], ref
 @pytest.mark.parametrize("name", ["haake", "lauda-ascii", "watlow-pm-map2"])
 def test_where_nothing_tells_the_unit_nothing_is_written_before_a_person_has(name: str) -> None:
     if name in LINE_FAMILIES:
-        with emulated(name) as (device, bath):
+        with emulated(name, confirmed=False) as (device, bath):
             check_confirmation(bath, device.plant)
     else:
         with Stand(profile=load_register_profile(name)) as stand:
@@ -327,7 +315,7 @@ CONTROLLED = ["haake", "huber-pb", "julabo-ascii", "lauda-ascii", "thermo-arctic
 
 @pytest.mark.parametrize("name", CONTROLLED)
 def test_a_set_point_is_not_given_to_another_sensor(name: str) -> None:
-    with emulated(name, unit_confirmed=True) as (device, bath):
+    with emulated(name) as (device, bath):
         device.fault("external control")
         bath.read()
         calls: list[Callable[[], object]] = [lambda: bath.set_point(33.0), lambda: bath.start(33.0)]

@@ -23,6 +23,7 @@ from instruments.clock import Clock, RealClock
 from instruments.errors import InstrumentError, LinkError, ProtocolError
 from instruments.listener import Listener
 from instruments.port_settings import PortSettings
+from tests.examples import examples
 from tests.instruments.bath.devices import Stand
 from tests.instruments.bath.far_end import MARKERS, FarEnd, crc, linked, right, rtu, served, virtual
 
@@ -91,7 +92,7 @@ steps = st.tuples(
     script=st.lists(steps, min_size=2, max_size=12),
     pauses=st.lists(st.floats(0.0, 3.0), min_size=12, max_size=12),
 )
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 def test_p1_whatever_is_late_no_wrong_value_gets_through(
     script: list[Step], pauses: list[float]
 ) -> None:
@@ -246,7 +247,7 @@ def test_p4_over_tcp_only_the_right_number_and_unit_count(number: str) -> None:
     address=st.integers(0, 7),
     count=st.integers(1, 4),
 )
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 def test_p6_any_garbage_around_answers_costs_nothing(
     ahead: bytes, behind: bytes, address: int, count: int
 ) -> None:

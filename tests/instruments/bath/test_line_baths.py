@@ -658,14 +658,17 @@ def test_the_driver_on_a_serial_port(name: str) -> None:
 
 
 @contextmanager
-def emulated(name: str, fault: str = "") -> Iterator[tuple[LineEmulator, Bath]]:
+def emulated(
+    name: str, fault: str = "", *, confirmed: bool = True
+) -> Iterator[tuple[LineEmulator, Bath]]:
+    """A driver on an emulated circulator, whose unit a person has ``confirmed``."""
     profile, clock = load_profile(name), VirtualClock()
     assert isinstance(profile, LineProfile)
     device = LineEmulator(calm_plant(), profile, clock)
     with (
         closing(Listener(device, clock, lock=threading.RLock(), name="bath")) as listener,
         closing(
-            Bath(f"tcp://127.0.0.1:{listener.port}", profile, clock, unit_confirmed=True)
+            Bath(f"tcp://127.0.0.1:{listener.port}", profile, clock, unit_confirmed=confirmed)
         ) as bath,
     ):
         if fault:

@@ -18,6 +18,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -243,6 +244,8 @@ SEEN = {
     ),
 }
 
+TURNS = [*zip(SEEN, cycle(("tcp", "pty")), strict=False)]
+
 RELAYS = {"modbus-relay": ("0", 0)}  # ``-t`` type and address of the contact
 
 
@@ -295,8 +298,7 @@ def polled(name: str, transport: str) -> Iterator[Polled]:
         yield Polled(emulator.plant, emulator, where)
 
 
-@pytest.mark.parametrize("transport", ["tcp", "pty"])
-@pytest.mark.parametrize("name", SEEN)
+@pytest.mark.parametrize(("name", "transport"), TURNS)
 def test_mbpoll_reads_and_writes(name: str, transport: str) -> None:
     seen = SEEN[name]
     high = seen.high_word_first

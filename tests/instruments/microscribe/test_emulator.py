@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from instruments.clock import RealClock, VirtualClock
@@ -109,7 +109,6 @@ def test_the_letter_o_swallows_24_bytes(host: Host) -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=30, deadline=None)
 @given(st.lists(st.binary(min_size=1, max_size=40), max_size=6))
 def test_whatever_it_receives_it_can_be_signed_on_again(noise: list[bytes]) -> None:
     with contextlib.closing(Host()) as host:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from instruments.microscribe.kinematics import RANGES_RAD, Floats, OutOfReachError, inverse
@@ -61,7 +61,6 @@ def tilted(tilt_deg: float, towards_deg: float) -> Floats:
 
 
 @pytest.mark.slow
-@settings(max_examples=60, deadline=None)
 @given(
     st.floats(-260, -110),
     st.floats(190, 290),

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from instruments.world.optics import CameraModel, cameras_from_calibration, rotation_from_vector
@@ -53,7 +53,6 @@ def test_motions_chain_as_published() -> None:
     )
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     kc=st.tuples(
         st.floats(-0.3, 0.1),

@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from instruments.world.optics import Floats
@@ -267,7 +267,6 @@ def test_the_sensor_has_steps_of_10_mk_and_noise_of_4_mk() -> None:
     assert np.std(seen) == pytest.approx(math.hypot(0.004, 0.010 / math.sqrt(12.0)), rel=0.15)
 
 
-@settings(max_examples=25, deadline=None)
 @given(looks=st.lists(st.floats(0.0, 300.0), max_size=20))
 def test_how_often_somebody_looks_changes_nothing(looks: list[float]) -> None:
     watched, alone = Plant(5), Plant(5)
