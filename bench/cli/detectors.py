@@ -20,7 +20,7 @@ from bench.cli.arguments import CODES, complain, json_of, print_values
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
 from bench.script.detectors import DECLARED, declared, make_detectors
-from detector.protocol import Detection, Outcome
+from detector.protocol import Outcome
 
 if TYPE_CHECKING:
     from bench.record.recording import TruthRow
@@ -124,33 +124,15 @@ def _python() -> str:
 
 
 def detect(given: argparse.Namespace) -> int:
-    """For each frame and detector a sentence, or the JSON line of the recording format."""
-    from bench.record.recording import Recording, RecordingError
-    from bench.results.answers import Answer, Examiner, close_detectors, json_line, sentence
+    from bench.run.detections import detect_lines
 
-    detectors, answered = make_detectors(given.detector or ["thesis"]), False
-    recording = Recording(given.recording)
-    examiner = Examiner(read_calibration(recording.calibration_path))
-    try:
-        for frame in recording.frames:
-            frames, unread = None, Detection((), 0)
-            try:
-                frames = recording.load(frame)
-            except RecordingError as error:
-                unread = Detection((), 0, str(error))
-            for detector in detectors:
-                answer = Answer(detector.name, unread, 0.0, Outcome.FAILED)
-                answer = examiner.ask(detector, frames) if frames else answer
-                line = json_of(json_line(frame, answer)) if given.json else None
-                print(line or sentence(frame, answer), flush=True)
-                answered |= answer.outcome is Outcome.ANSWERED
-    finally:
-        close_detectors(detectors)
+    answered = False
+    for line, text in detect_lines(given.recording, given.detector or ["thesis"]):
+        print(json_of(line) if given.json else text, flush=True)
+        answered = answered or "outcome" not in line
     if not answered:
-        return complain(
-            "no frame had an answer: 'teatbench detectors try' says what is wrong with a detector",
-            CODES.fault,
-        )
+        why = "'teatbench detectors try' says what is wrong with a detector"
+        return complain(f"no frame had an answer: {why}", CODES.fault)
     return CODES.met
 
 

@@ -44,7 +44,6 @@ LEFT_OUT = "its covariances leave out"  # of a detector under test, in its own w
 LEAST_SD_MM, MOST_SD_MM = 1e-6, 1e6  # beyond, figures made of it are no longer numbers
 # what a run keeps of the trace of one answer
 MOST_STAGES, LONGEST_NAME, MOST_PICTURE_PX = 64, 60, 8192
-SHOWN_LINES = 5  # of what a program without an answer wrote
 _SYMMETRY = 1e-6  # of the greatest entry: six printed digits
 _PIXELS = ("left_px", "right_px", "thermal_px")
 
@@ -334,46 +333,3 @@ def _fixed(picture: Any) -> Any:
     if view is not None:
         view.setflags(write=False)
     return view
-
-
-def json_line(frame: str, answer: Answer) -> dict[str, Any]:
-    """The recording format's Detections; ``outcome``, ``stderr``, ``cold`` where they apply."""
-    detection = answer.detection
-    line: dict[str, Any] = {
-        "frame": frame,
-        "detector": answer.detector,
-        "teats": [
-            {"world_mm": _list(teat.world_mm), "covariance_mm2": _list(teat.covariance_mm2)}
-            for teat in detection.teats
-        ],
-        "hidden": detection.hidden,
-        "seconds": round(answer.seconds, 6),
-    }
-    if detection.reason is not None:
-        line["reason"] = detection.reason
-    if answer.outcome is not Outcome.ANSWERED:
-        line["outcome"] = answer.outcome.value
-    if words := _last_words(answer):
-        line["stderr"] = "\n".join(words)
-    return {**line, "cold": True} if answer.cold else line
-
-
-def sentence(frame: str, answer: Answer) -> str:
-    """An answer on a recording's ``frame`` in words."""
-    detection = answer.detection
-    places = "; ".join(", ".join(f"{v:.1f}" for v in teat.world_mm) for teat in detection.teats)
-    head = f"{frame} {answer.detector}: {len(detection.teats)} teats, {detection.hidden} hidden"
-    head += f"{f': {places} mm' if places else ''} ({answer.seconds:.3f} s)"
-    head += f" - {detection.reason}" if detection.reason else ""
-    return "\n    ".join([head, *_last_words(answer)])
-
-
-def _last_words(answer: Answer) -> list[str]:
-    """The last lines that a program without an answer wrote to its standard error."""
-    lines = map(one_line, answer.stderr.splitlines())
-    shown = [line for line in lines if line and answer.outcome is not Outcome.ANSWERED]
-    return shown[-SHOWN_LINES:]
-
-
-def _list(value: Any) -> Any:
-    return None if value is None else np.asarray(value).tolist()
