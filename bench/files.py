@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 Picture = NDArray[np.uint8] | NDArray[np.uint16]
 
-SIGNATURE = b"\x89PNG\r\n\x1a\n"
 # On noise half the time of level 1, and smaller; a level would undo it. Differences to the row
 # above are as small as those to the pixel before, and are read in three quarters of the time.
 PNG = (
@@ -39,17 +38,6 @@ def png_bytes(image: Picture) -> bytes:
             f"OpenCV can't write an image of shape {image.shape} and type {image.dtype} as PNG"
         )
     return bytes(data)
-
-
-def png_size(path: Path) -> tuple[int, int] | None:
-    """Columns and rows of a PNG from its head alone; None where there is none."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(24)
-    except OSError:
-        return None
-    is_png = head.startswith(SIGNATURE) and head[12:16] == b"IHDR"
-    return (int.from_bytes(head[16:20]), int.from_bytes(head[20:24])) if is_png else None
 
 
 def write_pictures(pictures: Mapping[Path, Picture]) -> dict[Path, str]:

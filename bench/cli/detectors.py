@@ -20,6 +20,7 @@ from bench.cli.arguments import CODES, complain, json_of, print_values
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
 from bench.script.detectors import DECLARED, declared, make_detectors
+from detector.protocol import Outcome
 
 if TYPE_CHECKING:
     from bench.record.recording import TruthRow
@@ -123,17 +124,15 @@ def _python() -> str:
 
 
 def detect(given: argparse.Namespace) -> int:
-    from bench.results.detections import detect_lines
+    from bench.run.detections import detect_lines
 
     answered = False
     for line, text in detect_lines(given.recording, given.detector or ["thesis"]):
         print(json_of(line) if given.json else text, flush=True)
         answered = answered or "outcome" not in line
     if not answered:
-        return complain(
-            "no frame had an answer: 'teatbench detectors try' says what is wrong with a detector",
-            CODES.fault,
-        )
+        why = "'teatbench detectors try' says what is wrong with a detector"
+        return complain(f"no frame had an answer: {why}", CODES.fault)
     return CODES.met
 
 
@@ -194,8 +193,6 @@ def _drawn(folder: Path, member: int) -> Path:
 
 def _fault(answer: Answer) -> str:
     """Why it is no answer; empty where it is one."""
-    from detector.protocol import Outcome
-
     if answer.outcome is Outcome.ANSWERED:
         return ""
     return (answer.detection.reason or "").removeprefix("the detector failed: ")

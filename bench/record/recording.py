@@ -16,13 +16,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.files import SIGNATURE, png_size
 from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import FrameSet, grey8, no_temperatures
 from instruments.errors import DeviceError
 from textfiles.tables import Row, TableError, read_table
 from textfiles.text import TextError, text_of
 
+PNG = b"\x89PNG\r\n\x1a\n"
 PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 # of a frame set, and its files: the last three have 16 bits
 FIELDS = ("left", "right", "thermal", "thermal_ck", "depth_dmm", "amplitude")
@@ -161,10 +161,21 @@ def _image(path: Path) -> NDArray[Any]:
     return image
 
 
+def png_size(path: Path) -> tuple[int, int] | None:
+    """Columns and rows of a PNG from its head alone; None where there is none."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(24)
+    except OSError:
+        return None
+    is_png = head.startswith(PNG) and head[12:16] == b"IHDR"
+    return (int.from_bytes(head[16:20]), int.from_bytes(head[20:24])) if is_png else None
+
+
 def _damaged_chunk(data: bytes) -> str:
     """The damage of a PNG's chunks by length and checksum; empty where whole, or no PNG."""
-    at = len(SIGNATURE)
-    while data.startswith(SIGNATURE):
+    at = len(PNG)
+    while data.startswith(PNG):
         end = at + 8 + int.from_bytes(data[at : at + 4])
         if end + 4 > len(data):
             return "it is cut off"

@@ -17,7 +17,7 @@ from bench.record.check import checked_first
 from bench.record.reader import RunRecord, database_in, read_run
 from bench.record.schema import DATABASE
 from bench.report.page import REPORT
-from bench.report.trials import frames_of, round_teats, worst_trials
+from bench.report.trials import round_teats, shown, views_of, worst_trials
 from bench.results.health import Chart, charts, history
 from bench.results.queue import QueueStatus
 from bench.results.status import RunStatus, status_of
@@ -129,7 +129,11 @@ def run_thumbnails(run: RunRecord) -> Iterator[tuple[str, str]]:
     if not trials:
         return
     calibration = read_calibration(run.folder / "calibration.toml", doubtful=True)
-    for camera, image, points in frames_of(run, trials[0], calibration):
+    for camera, path, points in views_of(run, trials[0], calibration):
+        if (image := shown(camera, path)) is None:
+            continue
+        if camera == "thermal" and calibration.thermal.mirrored:
+            image = np.ascontiguousarray(image[:, ::-1])
         if cut := None if camera == "thermal" else round_teats(points, *image.shape[::-1]):
             x, y, width, height = cut
             image = image[y : y + height, x : x + width]

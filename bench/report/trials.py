@@ -20,8 +20,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.files import png_size
 from bench.record.reader import RunRecord, TrialRecord, points_mm
+from bench.record.recording import png_size
 from bench.record.schema import Row
 from bench.report.bath import capture_text, surface_at, surface_text
 from bench.report.tables import covariance_of
@@ -75,9 +75,7 @@ def trial_parts(
     frames of the trials ``copied``, by default of all, are written into ``folder``/images.
     """
     for trial in run.trials:
-        copy = copied is None or trial.id in copied
-        images = _pictures(run, trial, calibration, up, folder, copy=copy)
-        yield _part(run, trial, tuple(images))
+        yield _part(run, trial, tuple(_pictures(run, trial, calibration, (folder, up), copied)))
 
 
 def undecided_of(judgements: Sequence[Judgement]) -> frozenset[str]:
@@ -325,38 +323,38 @@ def _pictures(
     run: RunRecord,
     trial: TrialRecord,
     calibration: Calibration,
-    up: str,
-    folder: Path,
-    *,
-    copy: bool,
+    place: tuple[Path, str],
+    copied: Collection[str] | None,
 ) -> Iterator[ImageView]:
     """Every view of a trial. A frame that is gone is left out: the store's check names it."""
-    paths = {row["camera"]: row["path"] for row in trial.frames}
-    sizes = {camera: size for camera in paths if (size := png_size(run.folder / paths[camera]))}
-    for camera, points in project_all(calibration, points_mm(trial.truth)).items():
-        if camera not in sizes:
+    (folder, up), paths = place, {row["camera"]: row["path"] for row in trial.frames}
+    for camera, path, points in views_of(run, trial, calibration):
+        if (size := png_size(path)) is None:
             continue
         mirrored = camera == "thermal" and calibration.thermal.mirrored
         label = f"{camera}, left and right exchanged back" if mirrored else camera
         src = original = up + paths[camera]
-        if copy or camera == "depth":
-            show = shown_depth if camera == "depth" else grey
-            if (image := show(run.folder / paths[camera])) is None:
+        if copied is None or trial.id in copied or camera == "depth":
+            if (image := shown(camera, path)) is None:
                 continue
             src = f"{IMAGES}/{trial.id}-{camera}.jpg"
-            _write(image, folder / src)
+            _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+            (folder / IMAGES).mkdir(parents=True, exist_ok=True)
+            (folder / src).write_bytes(bytes(data))
         yield ImageView(
-            *(label, src, *sizes[camera]),
+            *(label, src, *size),
             alt=f"{label} frame of trial {trial.id}",
             overlays=overlays(trial, camera, points, calibration),
-            view_box=None if camera == "thermal" else round_teats(points, *sizes[camera]),
+            view_box=None if camera == "thermal" else round_teats(points, *size),
             original=original,
             shown_as="mirrored" if mirrored else "",
             camera=camera,
         )
     for detection in trial.detections:
         # the detector's edge picture, where it has one, with the points that were taken from it
-        if (size := sizes.get(picture := f"{detection['detector']}-edges")) is None:
+        picture = f"{detection['detector']}-edges"
+        size = png_size(run.folder / paths[picture]) if picture in paths else None
+        if size is None:
             continue
         label = f"{detection['detector']}: edges in the thermal frame"
         places = _places(trial)
@@ -366,21 +364,14 @@ def _pictures(
         yield ImageView(label, src, *size, alt, layers, shown_as="inverted", camera=picture)
 
 
-def frames_of(
+def views_of(
     run: RunRecord, trial: TrialRecord, calibration: Calibration
-) -> Iterator[tuple[str, NDArray[np.uint8], Floats | None]]:
-    """Each camera with its frame, un-mirrored as the detector and the overlays count, and the true
-    ends (n, 2) in it. A frame that is gone is left out: the store's check names it.
-    """
-    paths = {row["camera"]: row["path"] for row in trial.frames}
+) -> Iterator[tuple[str, Path, Floats | None]]:
+    """Each camera that took a frame, its file, and the true ends (n, 2) in it, un-mirrored."""
+    paths = {row["camera"]: run.folder / row["path"] for row in trial.frames}
     for camera, points in project_all(calibration, points_mm(trial.truth)).items():
-        show = shown_depth if camera == "depth" else grey
-        image = show(run.folder / paths[camera]) if camera in paths else None
-        if image is None:
-            continue
-        if camera == "thermal" and calibration.thermal.mirrored:
-            image = np.ascontiguousarray(image[:, ::-1])
-        yield camera, image, points
+        if camera in paths:
+            yield camera, paths[camera], points
 
 
 def round_teats(
@@ -403,33 +394,18 @@ def round_teats(
     return x, y, *size
 
 
-def grey(path: Path) -> NDArray[np.uint8] | None:
-    """A frame as 8-bit grey or None."""
-    return _read(path, cv2.IMREAD_GRAYSCALE)
-
-
-def shown_depth(path: Path) -> NDArray[np.uint8] | None:
-    """A depth frame as 8-bit grey, near is bright, or None; black where nothing was measured."""
-    tenths = _read(path, cv2.IMREAD_UNCHANGED)
-    if tenths is None or tenths.dtype != np.uint16 or not tenths.any():
-        return None
-    near, far = np.percentile(tenths[tenths > 0], [0.5, 99.5])
-    level = 255.0 - 223.0 * (tenths - near) / max(1.0, float(far - near))
-    return np.where(tenths > 0, np.clip(level, 32.0, 255.0), 0.0).astype(np.uint8)
-
-
-def _read(path: Path, how: int) -> NDArray[Any] | None:
-    """The picture in a file, or None; through memory: OpenCV wants ASCII paths on Windows."""
+def shown(camera: str, path: Path) -> NDArray[np.uint8] | None:
+    """A frame as 8-bit grey, or None; of depth near is bright, black where nothing was measured."""
     data = np.frombuffer(path.read_bytes() if path.is_file() else b"", np.uint8)
-    return cv2.imdecode(data, how) if data.size else None
-
-
-def _write(image: NDArray[np.uint8], path: Path) -> None:
-    done, data = cv2.imencode(path.suffix, image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    if not done:
-        raise ValueError(f"OpenCV can't write {path.name}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(bytes(data))
+    how = cv2.IMREAD_UNCHANGED if camera == "depth" else cv2.IMREAD_GRAYSCALE
+    image: NDArray[Any] | None = cv2.imdecode(data, how) if data.size else None
+    if image is None or camera != "depth":
+        return image
+    if image.dtype != np.uint16 or not image.any():
+        return None
+    near, far = np.percentile(image[image > 0], [0.5, 99.5])
+    level = 255.0 - 223.0 * (image - near) / max(1.0, float(far - near))
+    return np.where(image > 0, np.clip(level, 32.0, 255.0), 0.0).astype(np.uint8)
 
 
 @lru_cache(maxsize=2)

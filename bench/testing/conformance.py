@@ -21,8 +21,6 @@ from instruments.errors import InstrumentError, LinkError
 from instruments.link import Link
 from instruments.listener import Connection, Device, Listener
 
-ABORT_S = 0.2
-
 
 class NotCheckedError(Exception):
     """This subject can't be put into the state that a check needs; the text says why."""

@@ -26,11 +26,5 @@ TEAT_ENDS_MM = (
     (-224.2, 197.4, 137.4),
     (-260.5, 269.9, 137.4),
 )
-PRINTED_UNCERTAINTY = {  # tables 3.1 and 3.2: fc, cc, k1, k2
-    "left": ((2.7, 2.8), (1.2, 1.3), 0.003, 0.008),
-    "right": ((2.4, 2.4), (1.0, 1.2), 0.004, 0.012),
-}
-# section 3.2.1.2
-STEREO_OM_UNCERTAINTY_RAD, STEREO_T_UNCERTAINTY_MM = (0.0023, 0.0030, 0.0003), (0.195, 0.218, 0.959)
 THERMAL_IMAGE_SIZE, THERMAL_SENSOR_SIZE = (640, 480), (160, 120)  # sections 3.1.1, 4.1.1
 THERMAL = ThermalCamera(THERMAL_IMAGE_SIZE, THERMAL_SENSOR_SIZE, True, "hot_is_black", None)

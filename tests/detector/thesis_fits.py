@@ -27,6 +27,13 @@ from detector.geometry import (
     rotation_from_vector,
 )
 
+PRINTED_UNCERTAINTY = {  # tables 3.1 and 3.2: fc, cc, k1, k2
+    "left": ((2.7, 2.8), (1.2, 1.3), 0.003, 0.008),
+    "right": ((2.4, 2.4), (1.0, 1.2), 0.004, 0.012),
+}
+# section 3.2.1.2
+STEREO_OM_UNCERTAINTY_RAD, STEREO_T_UNCERTAINTY_MM = (0.0023, 0.0030, 0.0003), (0.195, 0.218, 0.959)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThermalFit:
@@ -129,9 +136,9 @@ def thesis_published() -> Calibration:
     world is `fit_world`; the thermal camera has homographies only.
     """
     sds: dict[tuple[str, str], float] = {}
-    for name, (fc, cc, k1, k2) in printed.PRINTED_UNCERTAINTY.items():
+    for name, (fc, cc, k1, k2) in PRINTED_UNCERTAINTY.items():
         sds |= {(name, p): sd for p, sd in zip(LENS, (*fc, *cc, k1, k2), strict=False)}
-    pose = (*printed.STEREO_OM_UNCERTAINTY_RAD, *printed.STEREO_T_UNCERTAINTY_MM)
+    pose = (*STEREO_OM_UNCERTAINTY_RAD, *STEREO_T_UNCERTAINTY_MM)
     sds |= {("stereo", p): sd for p, sd in zip(POSE, pose, strict=True)}
     variances = np.diag([(sd / 3.0) ** 2 for sd in sds.values()])
     maps = Homographies(np.array(printed.HOMOGRAPHY_LEFT), np.array(printed.HOMOGRAPHY_RIGHT), None)

@@ -21,6 +21,7 @@ from bench.config import read_calibration
 from bench.record.reader import read_run
 from bench.report.page import build_page
 from bench.report.thesis import thesis_chapter
+from bench.report.trials import trial_parts
 from bench.results.status import status_of
 from bench.results.verdicts import judge, stored_rules
 from instruments.camera.settings import AUTOMATIC, UNSEEN_SIZE
@@ -163,32 +164,13 @@ def test_frames_are_jpeg_of_quality_80_and_link_their_originals(
     assert f"../frames/{trial}/left.png" in document.values("href")
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_of_many_trials_only_those_of_the_first_page_have_copies(
-    folder: Path, tmp_path: Path
-) -> None:
-    short, rules = read_run(folder), stored_rules(folder)
-    heads = [
-        {**one.head, "number": int(one.head["number"]) + 100 * k, "id": f"{one.id}-{k}"}
-        for k in range(4)
-        for one in short.trials
-    ]
-    trials = zip(heads, short.trials * 4, strict=True)
-    run = dataclasses.replace(
-        short,
-        trials=tuple(
-            dataclasses.replace(
-                trial, head=head, frames=[{**f, "sha256": head["id"]} for f in trial.frames]
-            )
-            for head, trial in trials
-        ),
-    )
-    calibration, judged = read_calibration(folder / "calibration.toml"), judge(run, rules)
-    page = build_page(run, status_of(run, judged), rules, judged, calibration, tmp_path)
-    assert len({image.src for image in page.images() if image.src.endswith(".jpg")}) <= 4 * 3
-    beside = [image for image in page.images() if image.src.startswith("../frames/")]
-    assert {image.camera for image in beside} == {"left", "right", "thermal", "thesis-edges"}
-    assert {image.shown_as for image in beside if image.camera == "thermal"} == {"mirrored"}
+def test_frames_that_are_not_copied_are_shown_where_they_lie(folder: Path, tmp_path: Path) -> None:
+    run, calibration = read_run(folder), read_calibration(folder / "calibration.toml")
+    one, other, *_ = trial_parts(run, calibration, tmp_path, copied={run.trials[0].id})
+    assert len([image for image in one.images if image.src.startswith("images/")]) == 3
+    assert {image.src.startswith("../frames/") for image in other.images} == {True}
+    shown = {image.camera: image.shown_as for image in other.images}
+    assert shown == {"left": "", "right": "", "thermal": "mirrored", "thesis-edges": "inverted"}
 
 
 @pytest.mark.usefixtures("undrawn")
