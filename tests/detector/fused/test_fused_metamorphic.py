@@ -13,8 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 from bench.config import ConfigError
-from bench.results.detections import detect_lines
 from bench.rig import moved
+from bench.run.detections import detect_lines
 from bench.run.start import score_recording
 from bench.script.detectors import introduced
 from detector.calibration import Calibration, dump_calibration
