@@ -19,7 +19,6 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from bench.rig.loading import RIGS
 from bench.script.model import TRIALS
 from tests.examples import examples
 from tests.undrawn import bare, undrawn, without_figures
@@ -233,8 +232,3 @@ def first_trials(script: Path, count: int) -> Path:
     path = script.with_name(f"first-{count}.toml")
     path.write_text("[[trials]]".join([head, *trials[:count]]), encoding="utf-8")
     return path
-
-
-@pytest.fixture(scope="session")
-def emulated_rig_text() -> str:
-    return (RIGS / "emulated.toml").read_text(encoding="utf-8")

@@ -16,7 +16,6 @@ import tomllib
 from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import closing
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from textwrap import dedent
@@ -66,11 +65,6 @@ def done(plan: Plan, folder: Path, executor: object) -> Shards:
     return campaign.shards
 
 
-def pool(campaign: Campaign, workers: int, said: list[str], limit_s: float = 0.0) -> LocalPool:
-    plan = campaign.job.plan.model_copy(update={"chunk_limit_s": limit_s})
-    return LocalPool(replace(campaign.job, plan=plan), workers, say=said.append)
-
-
 @pytest.mark.slow
 def test_the_order_of_chunks_changes_nothing(
     plan: Plan, plain: tuple[Path, str], tmp_path: Path
@@ -89,8 +83,8 @@ def test_the_order_of_chunks_changes_nothing(
 class Killing:
     """A pool that gets its chunks shuffled and loses a worker, any of them, after some results."""
 
-    def __init__(self, inner: LocalPool, after: Collection[int], kind: int) -> None:
-        self._inner, self._after, self._kind = inner, after, kind
+    def __init__(self, inner: LocalPool, after: Collection[int]) -> None:
+        self._inner, self._after = inner, after
         self._chance, self._hit = random.Random(8), set[int]()
 
     def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:
@@ -101,7 +95,7 @@ class Killing:
             if number in self._after and whole:
                 pid = self._chance.choice(whole)
                 self._hit.add(pid)
-                os.kill(pid, self._kind)
+                os.kill(pid, signal.SIGKILL)
             yield found
 
     @property
@@ -118,28 +112,12 @@ def test_workers_killed_at_random_change_nothing(
     said: list[str] = []
     campaign = Campaign(plan, tmp_path)
     campaign.begin()
-    with closing(pool(campaign, workers, said)) as inner:
-        killing = Killing(inner, range(WORKER_KILLS), signal.SIGKILL)
+    with closing(LocalPool(campaign.job, workers, say=said.append)) as inner:
+        killing = Killing(inner, range(WORKER_KILLS))
         status = campaign.run(killing, lambda _: None)
     assert campaign.shards.digest() == plain[1], said
     assert (killing.hits, status.done, status.aside) == (WORKER_KILLS, 2 * plan.most_scenes, 0)
     assert any("ended by SIGKILL" in text for text in said), said
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="sends signals")
-def test_a_stopped_worker_is_told_and_replaced(
-    plan: Plan, plain: tuple[Path, str], tmp_path: Path
-) -> None:
-    said: list[str] = []
-    campaign = Campaign(plan, tmp_path)
-    campaign.begin()
-    with closing(
-        pool(campaign, 1, said, limit_s=5.0)
-    ) as inner:  # it has given a result: it is ready
-        campaign.run(Killing(inner, (0,), signal.SIGSTOP), lambda _: None)
-    assert campaign.shards.digest() == plain[1]
-    assert any("gave no sign of life for 5 s" in text for text in said), said
 
 
 ROGUE = """

@@ -160,6 +160,11 @@ OF_THE_FOLDER: dict[str, Damage] = {  # what a figure shows is as it was, or can
     },
 }
 DAMAGES |= OF_THE_FOLDER
+# every other one in each run, all of them weekly
+EACH_RUN = [
+    pytest.param(what, marks=pytest.mark.weekly if place % 2 else ())
+    for place, what in enumerate(DAMAGES)
+]
 
 
 @pytest.fixture
@@ -203,14 +208,14 @@ def test_what_is_whole_is_taken_by_every_command(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("what", DAMAGES)
+@pytest.mark.parametrize("what", EACH_RUN)
 def test_a_damaged_run_is_refused_or_marked_as_damaged(
     run: Path, whole: Path, tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     DAMAGES[what](run)
     assert teatbench("store check {}", run) in (1, 2)
     no_traceback(capsys)
-    out, turn = tmp_path / "out", list(DAMAGES).index(what)
+    out, turn = tmp_path / "out", list(DAMAGES).index(what) // 2
     # each refuses by the same check; they take turns
     for name, command in list(reading(run, whole, out).items())[turn % 3 :: 3]:
         assert main(command) == 2, name

@@ -182,25 +182,6 @@ def test_ctrl_c_ends_safe_and_leaves_a_run(
     assert "aborted" in page
 
 
-@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
-def test_a_killed_bench_leaves_a_run_that_reports(
-    short_script: Path, rig: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "runs"
-    with long_run(short_script, rig, out) as child:
-        folder = wait_for_run(out, child)
-        while child.poll() is None and not list((folder / "frames").glob("003-*")):
-            time.sleep(0.02)
-        child.kill()
-        child.communicate(timeout=60)
-    run = read_run(folder)
-    assert run.ending == "interrupted"
-    assert len(run.trials) >= 2
-    assert teatbench("report {}", folder) == 3
-    page = (folder / "report" / "index.html").read_text(encoding="utf-8")
-    assert "died before the run was over" in page
-
-
 def long_run(script: Path, rig: Path, out: Path, window_s: float = 60.0) -> Running:
     """A bench that runs ``script`` with 50 repeats and a stability gate of ``window_s``."""
     text = script.read_text(encoding="utf-8").replace("repeats = 1", "repeats = 50")

@@ -82,16 +82,6 @@ def test_a_fault_in_a_move_is_a_sentence_and_asks_for_recovery(
         stage.home() if fault is StageFault.LOST_OK else stage.move_to(-5, -5)
 
 
-def test_a_late_answer_is_not_taken_for_another_lines(bench: Bench) -> None:
-    stage = bench.homed()
-    bench.emulator.inject(StageFault.LATE_OK, 3.0)
-    with pytest.raises(LinkError, match="no answer"):
-        stage.move_to(-100, -100)
-    bench.clock.sleep(5.0)
-    stage.move_to(-50, -50)
-    assert bench.emulator.position_mm() == pytest.approx([-50, -50, -1])
-
-
 def test_silence_in_a_move(bench: Bench) -> None:
     stage = bench.homed()
     stage.begin_move(-200, -200)
