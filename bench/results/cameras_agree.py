@@ -40,7 +40,6 @@ from detector.outline.known_ends import (
     offsets_at,
 )
 from detector.outline.pictures import UnusableError
-from detector.protocol import CamerasOff, Context
 from instruments.camera.frame import FrameSet
 
 UNCHECKED_FACT = "cameras not checked"  # of a recording: why, and what was looked at
@@ -221,33 +220,6 @@ def _pooled(
         common_mm = float(np.sqrt(np.linalg.norm(shared_mm2, ord=2)))
     common = float(2.0 * common_mm / scales[0])
     return CameraOffset(name, float(medians.mean()), scatter, common, n, *map(float, scales[1:]))
-
-
-class CamerasSoFar:
-    """What the known ends of a run say of its cameras up to now, for the detectors to be told."""
-
-    def __init__(self) -> None:
-        self._seen: dict[str, list[dict[str, Any]]] = defaultdict(list)
-        self._u_mm = 0.0
-
-    def add(self, pose: str, ends: Mapping[str, EndOffsets], truth: Sequence[TruthRow]) -> None:
-        """One more frame set of a pose, where its ``ends`` are seen, and its truth."""
-        self._seen[pose] += [asdict(one) for one in ends.values()]
-        self._u_mm = max([self._u_mm, *(row.u_mm or 0.0 for row in truth)])
-
-    @property
-    def context(self) -> Context | None:
-        """The disparity where it is beyond its limit with confidence, else None. The truth's
-        uncertainty counts as if all of it were common to all ends.
-        """
-        seen = {pose: rows for pose, rows in self._seen.items() if rows}
-        n = sum(map(len, seen.values()))
-        shared = np.tile(self._u_mm * np.eye(3), (n, 1, 1))
-        truth = JointCovariance(shared, np.zeros((n, 3, 3)), ("truth",) * 3)
-        found = check_cameras(seen, truth).disparity
-        if found is None or not found.exceeds(DEFAULT.limit_px):
-            return None
-        return Context(cameras=CamerasOff(found.value, found.uncertainty, found.poses))
 
 
 def can_tell(seen: Mapping[str, Mapping[str, EndOffsets]]) -> bool:

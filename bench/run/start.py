@@ -26,7 +26,6 @@ from bench.results import health
 from bench.results.answers import Answer, Examiner
 from bench.results.cameras_agree import (
     UNCHECKED_FACT,
-    CamerasSoFar,
     spread,
     unchecked_text,
     where_seen,
@@ -41,6 +40,7 @@ from bench.rig.leaving import target_of
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import in_virtual_time, open_instruments
 from bench.rig.urls import is_emulated
+from bench.run.cameras_so_far import CamerasSoFar
 from bench.run.context import RunContext
 from bench.run.engine import Engine
 from bench.run.estimate import TimeEstimate, needs, read_durations, refuse_no_room

@@ -19,13 +19,14 @@ from bench.record.recording import TruthRow
 from bench.record.schema import Row
 from bench.record.writer import Store
 from bench.results.answers import Answer, Examiner, score_answers
-from bench.results.cameras_agree import CamerasSoFar, where_seen
+from bench.results.cameras_agree import where_seen
 from bench.results.doubts import out_of_sight
 from bench.results.teats_seen import TEATS_FACT, teats_seen
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Stage as StageSettings
 from bench.rig.urls import PEOPLE
+from bench.run.cameras_so_far import CamerasSoFar
 from bench.run.context import RunContext
 from bench.run.events import RunState
 from bench.run.recordings import Recorder
