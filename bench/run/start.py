@@ -484,7 +484,9 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
     check_pack(path)
     under_test, recording, path = make_detectors(detectors), Recording(path), path.resolve()
     calibration = read_calibration(recording.calibration_path, doubtful=True)
-    with introduced(under_test, members_of(recording), calibration):
+    # a rig is refused by what it is, and a calibration that can't be does not say
+    known = None if doubts_of(recording, calibration) else calibration
+    with introduced(under_test, members_of(recording), known):
         return _scored(path, recording, calibration, out, progress, under_test)
 
 

@@ -283,7 +283,7 @@ KINDS = (
             r"A u of half the real one lets 18 % false acceptances through, instead of 5 %\.",
             r"Readings within [\d.]+ s of each capture\. .*",
             r"Stability is what varies in these readings .*",
-            r"\d+ touches within [\d.]+ mm of their mean, .*",
+            r"\d+ touches (\(1 new: .*\) )?within [\d.]+ mm of their mean, .*",
             r".*arm check (before|after) the trials: .*",
             r"The rigid fit carries\..*",
             r"Diagnostics, not corrections; .*",
