@@ -24,7 +24,8 @@ VENV = ROOT / ".venv"
 LOCKS = ROOT / "locks"  # made by the command at the top of each, after that of constraints.txt
 NEEDED = (3, 11)
 PYTEST_OPTIONS = (
-    *("-n", str(3 * (os.cpu_count() or 1))),  # most of a test in real time is waiting
+    # most of a test in real time is waiting; eight processes hold some 7 GB
+    *("-n", str(max(os.cpu_count() or 1, min(4 * (os.cpu_count() or 1), 8)))),
     *("--dist", "loadfile", "--no-loadscope-reorder"),  # slow files first: tests/conftest.py
     *("--max-worker-restart", "0"),  # a test that killed its worker would kill the next one
 )
