@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from bench.cli.arguments import CODES, complain, json_of, print_values
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
-from bench.script.detectors import DECLARED, declared, make_detectors
+from bench.script.detectors import DECLARED, declared, make_detectors, refusals
 from detector.protocol import Outcome
 
 if TYPE_CHECKING:
@@ -149,9 +149,12 @@ def try_out(given: argparse.Namespace) -> int:
             working("asking the detector about a frame"),
         ):
             recording = Recording(given.recording or _drawn(Path(made), _unseen(detectors[0])))
+            calibration = read_calibration(recording.calibration_path)
+            for why in refusals(detectors, calibration):
+                raise ConfigError.plain(why)
             frame = recording.frames[0]
             frames, truth = recording.load(frame), recording.truth.get(frame, ())
-            examiner = Examiner(read_calibration(recording.calibration_path))
+            examiner = Examiner(calibration)
             answers = [examiner.ask(detectors[0], frames)]
             if not _fault(answers[0]):
                 answers.append(examiner.ask(detectors[0], frames))

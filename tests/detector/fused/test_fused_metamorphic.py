@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from bench.cli.detectors import try_out
 from bench.config import ConfigError
 from bench.rig import moved
 from bench.run.detections import detect_lines
@@ -210,6 +212,7 @@ def test_a_recording_of_such_a_rig_is_refused_before_its_first_frame(
     for what in (
         lambda: score_recording(recording, tmp_path / "runs", Mock(), ["fused"]),
         lambda: list(detect_lines(recording, ["fused"])),
+        lambda: try_out(Namespace(word="fused", recording=recording)),
     ):
         with pytest.raises(ConfigError, match=r"fused can.t be used with this rig: .*looks up"):
             what()
