@@ -178,10 +178,10 @@ class RunStatus:
 
     @property
     def trials(self) -> str:
-        """``trial 3 of 18`` of a run under way, else ``2 of 18 trials``."""
+        """``trial 3 of 18`` of a run under way, else ``16 of 18 trials, 2 skipped``."""
         of = plural(self.planned, "trial") if self.planned else "? trials"
         if not self.under_way:
-            return f"{self.done} of {of}"
+            return f"{self.done} of {of}" + (f", {self.skipped} skipped" if self.skipped else "")
         through = self.done + self.skipped
         if through == self.planned:
             return f"all {of} done"

@@ -100,6 +100,12 @@ BATH = InstrumentStatus("bath", Link.ANSWERS, Safe.IN_USE, last="33.00 degC, sta
 LIVES = RunStatus("a-run", "Short", State.RUNNING, "running", instruments=(BATH,), left_s=60.0)
 
 
+def test_trials_that_were_skipped_are_counted() -> None:
+    ended = replace(LIVES, state=State.FINISHED, verdicts={"fused": "met"}, done=16, planned=18)
+    assert ended.headline == "met: 16 of 18 trials"
+    assert replace(ended, skipped=2).headline == "met: 16 of 18 trials, 2 skipped"
+
+
 def test_a_bench_that_hangs_has_its_last_words_with_their_age(tmp_path: Path) -> None:
     run = stopped(State.RUNNING, tmp_path)
     then = wall_time() - timedelta(seconds=40)
