@@ -2,31 +2,35 @@
 
 from __future__ import annotations
 
+import json
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
-from bench.record.recording import TruthRow
+from bench.record.reader import TrialRecord
 from bench.results.cameras_agree import DEFAULT, check_cameras
 from bench.scoring.joint import JointCovariance
-from detector.outline.known_ends import EndOffsets
 from detector.protocol import CamerasOff, Context
 
 
 class CamerasSoFar:
-    """What the known ends of a run say of its cameras up to now, for the detectors to be told."""
+    """What the known ends of a run say of its cameras up to now, for the detectors to be told: from
+    ``trials`` of its earlier sessions on.
+    """
 
-    def __init__(self) -> None:
+    def __init__(self, trials: Iterable[TrialRecord] = ()) -> None:
         self._seen: dict[str, list[dict[str, Any]]] = defaultdict(list)
         self._u_mm = 0.0
+        for trial in trials:
+            self.add(trial.pose, trial.truth)
 
-    def add(self, pose: str, ends: Mapping[str, EndOffsets], truth: Sequence[TruthRow]) -> None:
-        """One more frame set of a pose, where its ``ends`` are seen, and its truth."""
-        self._seen[pose] += [asdict(one) for one in ends.values()]
-        self._u_mm = max([self._u_mm, *(row.u_mm or 0.0 for row in truth)])
+    def add(self, pose: str, truth: Iterable[Mapping[str, Any]]) -> None:
+        """One more frame set of a pose, by its rows of the table ``truth``."""
+        for row in truth:
+            self._seen[pose] += [json.loads(row["cameras"])] if row["cameras"] else []
+            self._u_mm = max(self._u_mm, row["u_mm"] or 0.0)
 
     @property
     def context(self) -> Context | None:

@@ -83,9 +83,10 @@ class Engine:
         self._session = store.session if goes_on else 1
         self._requests = Requests(store.folder, typed, ctx.events.warn)
         settled = recorder.settled if recorder else lambda _trials, _good: None
-        self._truth = choose_truth(ctx, settled, before=left.run if left and goes_on else None)
+        before = left.run if left and goes_on else None
+        self._truth = choose_truth(ctx, settled, before=before)
         self._trials = TrialRun(
-            ctx, detectors, self._truth, exact_ends=exact_ends, recorder=recorder
+            ctx, detectors, self._truth, exact_ends=exact_ends, recorder=recorder, before=before
         )
         self._recovery = Recovery(ctx, self._trials.look)
         self._attempts = Attempts(

@@ -524,8 +524,8 @@ def _scored(
             answers = [examiner.ask(one, frames, off) for one in under_test if not doubts]
             known, scored = recording.truth.get(frame, ()), truth.get(frame, ())
             ends = seen.get(frame, {})
-            so_far.add(poses[frame], ends, scored)
             rows = [truth_row("", row, seen=ends.get(row.teat)) for row in known]
+            so_far.add(poses[frame], rows)
             situation = known[0].situation if known else "unknown"
             run.add(frame, poses[frame], situation, frames, answers, scored, rows)
         progress.trial(planned, planned, "")

@@ -246,7 +246,8 @@ class Attempts:
 
 class TrialRun:
     """The trials of one run. ``exact_ends``: the exact truth, never scored against; ``recorder``
-    gets each frame set. While ``rehearsing`` nothing is detected.
+    gets each frame set; ``before``: the run as an earlier session left it. While ``rehearsing``
+    nothing is detected.
     """
 
     def __init__(
@@ -257,6 +258,7 @@ class TrialRun:
         *,
         exact_ends: Callable[[], NDArray[np.float64]] | None = None,
         recorder: Recorder | None = None,
+        before: RunRecord | None = None,
     ) -> None:
         rig = ctx.rig.rig
         self._ctx = ctx
@@ -272,7 +274,7 @@ class TrialRun:
         # what of a pose the stage does; the operator does the rest
         self._axes = rig.stage.axes if ctx.devices.stage and rig.stage else ""
         self._examiner = Examiner(ctx.rig.calibration, rig.limits.detection_timeout_s)
-        self._cameras = CamerasSoFar()
+        self._cameras = CamerasSoFar(before.trials if before else ())
 
         def before_another_try(seconds: float) -> None:
             ctx.wait(seconds)
@@ -480,11 +482,11 @@ class TrialRun:
         ends = [None] * len(rows) if exact is None else list(exact)
         looked = store.keeps_pictures and not self.rehearsing
         seen = where_seen(frames, self._ctx.rig.calibration, rows) if looked else {}
-        self._cameras.add(str(head["name"]), seen, rows)
         truth_rows = [
             truth_row(trial_id, row, end, point, seen.get(row.teat))
             for row, end, point in zip(rows, ends, truth.points, strict=True)
         ]
+        self._cameras.add(str(head["name"]), truth_rows)
         write_trial(store, script, head, frames, answers, rows, truth_rows, truth.touches)
 
 

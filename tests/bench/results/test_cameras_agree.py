@@ -28,6 +28,7 @@ from bench.results.cameras_agree import (
 from bench.rig.arm_files import frame_text
 from bench.rig.loading import RIGS, find_rig, load_rig
 from bench.rig.scenes import record
+from bench.run.cameras_so_far import CamerasSoFar
 from bench.run.start import score_recording
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.scene import score_scene
@@ -381,3 +382,14 @@ def test_a_shift_common_to_a_run_is_a_reason_once_three_poses_show_it(tmp_path: 
                 beyond.append(float(error @ np.linalg.solve(spread, error)))
     assert told == [False] * 3 + [True] * 2
     assert max(beyond) < 16.0
+
+
+def test_a_resumed_run_tells_what_its_earlier_sessions_have_shown() -> None:
+    made = trials(1.0, poses=6)
+    whole, again = CamerasSoFar(made), CamerasSoFar(made[:4])
+    for trial in made[4:]:
+        assert again.context
+        again.add(trial.pose, trial.truth)
+    assert whole.context is not None
+    assert whole.context == again.context
+    assert CamerasSoFar(made[4:]).context is None
