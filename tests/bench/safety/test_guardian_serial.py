@@ -139,7 +139,7 @@ class Hot:
         ) as process:
             assert process.stdin is not None
             assert process.stdout is not None
-            assert process.stdout.readline().strip() == b"ready"
+            assert process.stdout.readline().split()[:1] == [b"ready"]
             process.stdin.close()
             yield process
             process.wait(60)

@@ -60,7 +60,7 @@ def test_the_guardian_puts_a_julabo_into_standby(tmp_path: Path) -> None:
             with subprocess.Popen(command, cwd=ROOT, stdin=pipe, stdout=pipe) as process:
                 assert process.stdin is not None
                 assert process.stdout is not None
-                assert process.stdout.readline().strip() == b"ready"
+                assert process.stdout.readline().split()[:1] == [b"ready"]
                 process.stdin.close()
                 assert process.wait(60) == 0
     assert not plant.running
