@@ -24,12 +24,7 @@ from bench.record.state import run_lock
 from bench.record.writer import Store
 from bench.results import health
 from bench.results.answers import Answer, Examiner
-from bench.results.cameras_agree import (
-    UNCHECKED_FACT,
-    spread,
-    unchecked_text,
-    where_seen,
-)
+from bench.results.cameras_agree import UNCHECKED_FACT, spread, unchecked_text, where_seen
 from bench.results.doubts import DOUBTS_FACT, LOOKED_FACT, doubts_of, looked_at
 from bench.results.queue import ENDED, QueueNote
 from bench.results.stated_arm import contradictions, stated_fact
@@ -484,21 +479,22 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
     check_pack(path)
     under_test, recording, path = make_detectors(detectors), Recording(path), path.resolve()
     calibration = read_calibration(recording.calibration_path, doubtful=True)
+    doubts = doubts_of(recording, calibration)
     # a rig is refused by what it is, and a calibration that can't be does not say
-    known = None if doubts_of(recording, calibration) else calibration
+    known = None if doubts else calibration
     with introduced(under_test, members_of(recording), known):
-        return _scored(path, recording, calibration, out, progress, under_test)
+        return _scored(path, recording, calibration, doubts, out, progress, under_test)
 
 
 def _scored(
     path: Path,
     recording: Recording,
     calibration: Calibration,
+    doubts: tuple[str, ...],
     out: Path,
     progress: Progress,
     under_test: Sequence[Detector],
 ) -> Path:
-    doubts = doubts_of(recording, calibration)
     truth = {} if doubts else recording.truth  # nothing is charged where none can be found
     examiner, so_far = Examiner(calibration), CamerasSoFar()
     rules, planned, poses = RECORDING_RULES, len(recording.frames), _pose_names(recording)

@@ -59,7 +59,7 @@ from detector.fused.witness import (
     agreement,
     calibration_covariances,
     disagreement,
-    told_off,
+    with_cameras_off,
 )
 from detector.geometry import Array, Camera
 from detector.history import predicted
@@ -130,7 +130,7 @@ class FusedDetector:
         off widen the covariances.
         """
         answer = self._with_history(frames, calibration, context)
-        return told_off(answer, context.cameras, calibration) if context.cameras else answer
+        return with_cameras_off(answer, context.cameras, calibration) if context.cameras else answer
 
     def _with_history(
         self, frames: Frames, calibration: Calibration, context: Context

@@ -129,7 +129,7 @@ def _stated_px(ends_mm: Array, calibration: Calibration) -> Array:
     return np.asarray(np.sqrt(np.einsum("ki,kl,li->i", slope, covariance.matrix, slope)))
 
 
-def told_off(answer: Detection, known: CamerasOff, calibration: Calibration) -> Detection:
+def with_cameras_off(answer: Detection, known: CamerasOff, calibration: Calibration) -> Detection:
     """The answer of a run whose cameras are known to be off: its ends' covariances with the shift
     of depth that this makes, and the reason. One frame set shows nothing of it.
     """
