@@ -42,7 +42,7 @@ from detector.fused.refine import (
     slide_to_round,
     slide_to_stop,
 )
-from detector.fused.refits import doubts, shapes
+from detector.fused.refits import doubts, shapes, unsure
 from detector.fused.sharpness import Sharpness, blur_covariances, sharpness, too_blurred
 from detector.fused.thermal import (
     ROOM_PX,
@@ -80,9 +80,8 @@ from detector.protocol import Context, Detection, Frames, Stage, Teat
 _SAME_MM, _CHI2_99 = 15.0, 11.345  # two answers on one end; 99 % of three degrees of freedom
 _BESIDE_PX = np.array([-1.0, 0.0, 1.0])  # disparities about an expected end
 _OPTICAL_BLUR_PX, _THERMAL_BLUR_PX = 1.5, 0.8  # as much as a start may be off
-# log odds above what is accepted: beyond doubt; below, of what is told of
+# log odds above what is accepted: beyond doubt; below, of what may be an end
 _SURE, _MAYBE_END = 3.0, 4.0
-_UNSURE_MM = 0.3  # of an end's sd, beyond which fits begin beside it too
 LEARNED = learned()
 _ROOM_ABOVE_MM = 110.0  # how far above a bar's visible part its end may be
 
@@ -93,7 +92,7 @@ class FusedDetector:
 
     settings: Parameters = field(default_factory=Parameters)
     name: str = "fused"  # in the registry
-    version: str = "19"  # counted up when an answer on any frame set changes
+    version: str = "20"  # counted up when an answer on any frame set changes
 
     covariance_leaves_out: ClassVar[str] = (
         "what the ends of one frame have in common (each end has its own covariance); where the"
@@ -230,8 +229,7 @@ def _said(
     size = thermal.px_a_sensor_px
     thermal_px = thermal.lens.project(thermal.view.camera_from_teats.apply(apexes(teats)))
     warm_px = (unexplained_px + 0.5) * size - 0.5
-    doubtful = decision.odds > LEARNED.least - _MAYBE_END
-    more = left_out(teats, decision, doubtful, thermal_px, warm_px, size, calibration)
+    more = left_out(teats, decision, _maybe(judged), thermal_px, warm_px, size, calibration)
     return [*outside(given), *more]
 
 
@@ -304,11 +302,16 @@ def _fit(
         usual = np.delete(np.arange(len(judged.fitted.teats)), unlike)
         again = weighed(shaped_again(judged.fitted.take(unlike), views, p))
         judged = judge(judged.candidates.take(usual) + again)
-    unsure = [i for i in judged.decision.accepted if judged.evidence.sd_mm[i] > _UNSURE_MM]
-    if unsure:
-        beside = refine_beside(judged.fitted.take(unsure), views, p, calibration)
+    rows = unsure(judged.fitted.teats, judged.evidence, judged.decision, _maybe(judged), p)
+    if rows:
+        beside = refine_beside(judged.fitted.take(rows), views, p, calibration)
         judged = judge(judged.candidates + weighed(beside))
     return judged
+
+
+def _maybe(judged: _Judged) -> NDArray[np.bool_]:
+    """Which fits may be ends, given or not."""
+    return np.asarray(judged.decision.odds > LEARNED.least - _MAYBE_END)
 
 
 def _from_starts(

@@ -27,6 +27,7 @@ class Parameters:
     most_bridging: int = 3  # fits that may have bridged two
     most_shifted: int = 5  # and whose ends may be too high or low
     most_shapes: int = 6  # fits that are tried again as short teats of any shape
+    most_unsure: int = 4  # fits that aren't accepted and begin again from beside
     # what a short stretch of an outline has in common (paint, shadow, sampling): a share of how the
     # stretches' means scatter about the fitted outline, and of how unlike the lines' light is
     stretch_share: float = 0.15

@@ -1,5 +1,5 @@
 """Which fits are tried again: those that may bridge two teats, those whose ends may be too high or
-low, and short teats of another shape.
+low, short teats of another shape, and those of an unsure place.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from detector.geometry import Array
 
 _WHOLE_END, _WHOLE_END_BOTH, _LEAST_SIDE = 0.7, 0.85, 0.5
 _SHAPED_END, _WHOLE_SIDE, _CLOSE_FIT_PX = 0.4, 0.97, 0.05
+_UNSURE_MM = 0.3  # of an end's sd
 
 
 def doubts(
@@ -55,3 +56,22 @@ def shapes(teats: Array, evidence: Evidence, decision: Decision, p: Parameters) 
         if tried[i] and not same[i, kept + sound].any() and not inside[i]:
             kept.append(i)
     return kept[: p.most_shapes]
+
+
+def unsure(
+    teats: Array,
+    evidence: Evidence,
+    decision: Decision,
+    maybe: NDArray[np.bool_],
+    p: Parameters,
+) -> list[int]:
+    """Of teats (m, 8), those of an unsure place: the accepted ones, and a few that may be ends,
+    one a place, the likeliest first.
+    """
+    wide = evidence.sd_mm > _UNSURE_MM
+    accepted = decision.accepted
+    inside = np.asarray(pass_through(teats, teats[accepted]).any(axis=1))
+    order = np.argsort(-decision.odds, kind="stable").tolist()
+    open_ = [i for i in order if wide[i] and maybe[i] and not inside[i]]
+    more = _one_each(open_, on_one_bar(teats))[: p.most_unsure]
+    return [i for i in accepted if wide[i]] + more
