@@ -233,17 +233,23 @@ NEAR_MM = 4.0  # a fit whose end is so near to a teat's is right
 
 def means(ends: Array, odds: Array, rows: list[int], power: float) -> tuple[Array, Array]:
     """Of the ends (m, 3) of fits, by where ``rows`` are: the means (n, 3) of those near to them,
-    weighted by a power of the odds of log ``odds`` (m,), and their covariances (n, 3, 3).
+    weighted by a power of the odds of log ``odds`` (m,); and how those of one place scatter about
+    them by their odds, covariances (n, 3, 3).
     """
     apart = ends - ends[rows, None]
-    near = np.linalg.norm(apart, axis=2) < NEAR_MM
+    away = np.linalg.norm(apart, axis=2)
     # of a likelier one that gave way to another teat there may be no more than of the given
     ratio = np.minimum(odds - odds[rows, None], 0.0)
-    share = np.where(near, np.exp(power * ratio), 0.0)
-    share /= share.sum(axis=1, keepdims=True)
-    mean = np.einsum("nm,nmi->ni", share, apart)
+    mean = np.einsum("nm,nmi->ni", _shares(power * ratio, away < NEAR_MM), apart)
     off = apart - mean[:, None]
-    return ends[rows] + mean, np.einsum("nm,nmi,nmj->nij", share, off, off)
+    shares = _shares(ratio, away < _ONE_PLACE_MM)
+    return ends[rows] + mean, np.einsum("nm,nmi,nmj->nij", shares, off, off)
+
+
+def _shares(log: Array, of: NDArray[np.bool_]) -> Array:
+    """Shares (n, m) in a sum of 1 a row."""
+    share = np.where(of, np.exp(log), 0.0)
+    return np.asarray(share / share.sum(axis=1, keepdims=True))
 
 
 _OVERLAP = 0.85  # two teats' axes are never closer than this share of the sum of their radii
