@@ -428,8 +428,9 @@ def _answers(
     ends, down = turned.apply(found), axes(teats) @ turned.R.T
     world = calibration.world_from_right.apply(ends)
     fits = Fits.made(teats, accepted.evidence, p.prior)
-    own = own + between + end_covariances(fitted, p)
+    own = own + end_covariances(fitted, p)
     rest = calibration_covariances(cameras, ends, calibration, p)
+    rest += turned.R @ between @ turned.R.T
     px_a_mm = calibration.right.fc[0] / ends[:, 2]
     rest += blur_covariances(edges, down, ends, px_a_mm, calibration.baseline_mm)
     shown = {"rows": np.array(rows), "teats": teats, "ends": found, "own": own}

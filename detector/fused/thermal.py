@@ -30,7 +30,7 @@ _WIDER, _MOST_TIPS = 1.31, 250  # from one width that is tried to the next
 ROOM_PX = 48  # of zeros about the gradients, for outlines beyond the picture
 _APART_PX, _NARROWEST_PX = 4.0, 1.6
 # strengths, 0 to 1
-_STEEP, _LEAST_END, _LEAST_BAR, _CLEAR_END, _SURE_END = 0.35, 0.25, 0.45, 0.8, 0.85
+_STEEP, _LEAST_END, _LEAST_BAR, _CLEAR_END, _SURE_END = 0.35, 0.25, 0.45, 0.8, 0.7
 
 
 @dataclass(frozen=True, slots=True)
