@@ -138,7 +138,12 @@ class Press:
             return name
 
         def to(href: str) -> str:
-            return _link(href, place, away)
+            file = place.apart.get(href[1:], place.file) if href.startswith("#") else place.file
+            if file != place.file:
+                return f"{place.base}{file}{href}"
+            if href.startswith("#") and href[1:] in away:
+                return f"{place.base}{TRIALS}/{href[1:]}.html"
+            return address(href, "link")
 
         different = dict.fromkeys(map(_view, (*cut, *shown)))
         views = {view: f"v{number}" for number, view in enumerate(different)}
@@ -259,15 +264,6 @@ def refuse_missing(images: Iterable[ImageView], folder: Path) -> None:
             f"report in {folder}: {len(missing)} images are not there: {', '.join(missing[:5])}"
             f"{more}; write the images before the page"
         )
-
-
-def _link(href: str, place: Place, away: set[str]) -> str:
-    file = place.apart.get(href[1:], place.file) if href.startswith("#") else place.file
-    if file != place.file:
-        return f"{place.base}{file}{href}"
-    if href.startswith("#") and href[1:] in away:
-        return f"{place.base}{TRIALS}/{href[1:]}.html"
-    return address(href, "link")
 
 
 def _own(page: Page) -> Place:

@@ -188,7 +188,23 @@ def world(given: argparse.Namespace) -> int:
             raise ConfigError.plain(
                 "--rig needs --board: what both cameras see and the arm touches"
             )
-        given.points = _gather_world(given, pair.part)
+        # A table of points of the board that the rig's arm touched and its cameras saw
+        board, _ = find_board(given.board)
+        folder = free_folder(given.out)
+        with _opened(given, pair.part, arm=True) as (parts, rig, look):
+            arm = parts.arm
+            try:
+                arm.sign_on()
+                tip = TipReader(arm, rig.rig.arm, rig.frame)
+                tip.refuse_other_arm()
+                parts.operator.ask(Homing(arm.homing))
+                arm.confirm_homed()
+                asking = Asking(look, parts.operator, tip, rig.rig.arm.tip_radius_mm, tell)
+                gather_points(asking, board, folder)
+                parts.operator.ask(Finish())
+            finally:
+                arm.safe()
+        given.points = folder / POINTS_FILE
     result = calibrate_world(
         read_points(given.points), pair.part, pixel_sd_px=given.pixel_sd, touch_sd_mm=given.touch_sd
     )
@@ -423,26 +439,6 @@ def _gather_views(
     tell(f"{kept} views in {folder}")
     given.frames = [folder]
     return {camera: str(who) for camera, who in identity.items() if camera in request.cameras}
-
-
-def _gather_world(given: argparse.Namespace, known: Part) -> Path:
-    """A table of points of the board that the rig's arm touched and its cameras saw."""
-    board, _ = find_board(given.board)
-    folder = free_folder(given.out)
-    with _opened(given, known, arm=True) as (parts, rig, look):
-        arm = parts.arm
-        try:
-            arm.sign_on()
-            tip = TipReader(arm, rig.rig.arm, rig.frame)
-            tip.refuse_other_arm()
-            parts.operator.ask(Homing(arm.homing))
-            arm.confirm_homed()
-            asking = Asking(look, parts.operator, tip, rig.rig.arm.tip_radius_mm, tell)
-            gather_points(asking, board, folder)
-            parts.operator.ask(Finish())
-        finally:
-            arm.safe()
-    return folder / POINTS_FILE
 
 
 @contextmanager

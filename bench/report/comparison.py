@@ -577,16 +577,14 @@ def _by_situation(comparison: Comparison, number: int) -> Figure:
     return Figure(svg, caption, alt, wide=True)
 
 
-def _sentence(comparison: Comparison, most: int = MOST_REASONS) -> str:
-    reasons = gate_reasons(comparison)
-    more = f"; and {len(reasons) - most} more" if len(reasons) > most else ""
-    return f"{verdict_text(comparison)} {'; '.join(reasons[:most])}{more}."
-
-
 def comparison_parts(comparison: Comparison) -> Iterator[Part]:
     """What a page says of one comparison; a run's report can take the same."""
     tone = GATE[comparison.compared.gate.verdict][3]
-    yield Paragraph(_sentence(comparison), tone=tone)
+    reasons = gate_reasons(comparison)
+    more = f"; and {len(reasons) - MOST_REASONS} more" if len(reasons) > MOST_REASONS else ""
+    yield Paragraph(
+        f"{verdict_text(comparison)} {'; '.join(reasons[:MOST_REASONS])}{more}.", tone=tone
+    )
     yield success_table(comparison)
     yield distance_table(comparison, wide=True)
     yield Notes("Of this comparison", tuple(notes(comparison)))

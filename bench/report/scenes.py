@@ -75,7 +75,18 @@ def show_scenes(folder: Path, names: Sequence[str]) -> tuple[Path, list[tuple[st
     """Write a page of scenes of a campaign; gives back its path, and scene, detector and outcome of
     each answer. Raises ConfigError, also where this version draws other pictures.
     """
-    plan, scenes = _asked(folder, names)
+    plan, scenes = plan_of(folder), []
+    for name in dict.fromkeys(names):
+        family, _, number = name.rpartition("-")
+        last = plan.first + plan.most_scenes - 1
+        inside = number.isdecimal() and plan.first <= int(number) <= last
+        if family not in plan.families or not inside:
+            example = Scene(plan.families[0], plan.first).name
+            raise ConfigError.plain(
+                f"{folder} has no scene {name!r}; it has members {plan.first} to {last} of"
+                f" {', '.join(plan.families)}, named as {example}"
+            )
+        scenes.append(Scene(family, int(number)))
     job, made_by = open_plan(plan)
     detectors = job.make_detectors()
     title = plan.title or "Campaign"
@@ -95,22 +106,6 @@ def show_scenes(folder: Path, names: Sequence[str]) -> tuple[Path, list[tuple[st
     finally:
         close_detectors(detectors)
     return path, outcomes
-
-
-def _asked(folder: Path, names: Sequence[str]) -> tuple[Plan, list[Scene]]:
-    plan, found = plan_of(folder), []
-    for name in dict.fromkeys(names):
-        family, _, number = name.rpartition("-")
-        last = plan.first + plan.most_scenes - 1
-        inside = number.isdecimal() and plan.first <= int(number) <= last
-        if family not in plan.families or not inside:
-            example = Scene(plan.families[0], plan.first).name
-            raise ConfigError.plain(
-                f"{folder} has no scene {name!r}; it has members {plan.first} to {last} of"
-                f" {', '.join(plan.families)}, named as {example}"
-            )
-        found.append(Scene(family, int(number)))
-    return plan, found
 
 
 def _refuse_changed(folder: Path, run: RunRecord, why: str) -> None:

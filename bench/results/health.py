@@ -166,7 +166,17 @@ def _values(run: RunRecord) -> Iterator[tuple[str, float]]:
     yield from _of_bath(run)
     if disparity := cameras_of(run).disparity:
         yield "disparity_px", disparity.value
-    yield from _of_pictures(run)
+    # Medians over the first trials, whose set-up a script repeats
+    seen: dict[str, list[float]] = {}
+    with suppress(RecordingError, ConfigError, OSError):
+        recording = Recording(run.folder)
+        for frame in recording.frames[:LOOKED_AT]:
+            frames = recording.load(frame)
+            for camera, picture in (("left", frames.left), ("right", frames.right)):
+                if (blur_px := edge_blur_px(picture)) is not None:
+                    seen.setdefault(f"{camera}_blur_px", []).append(blur_px)
+                seen.setdefault(f"{camera}_level", []).append(level_dn(picture, BRIGHTEST))
+    yield from ((key, float(np.median(values))) for key, values in seen.items())
     age_days = facts.get(CALIBRATION_FACT, {}).get("age_days")
     if age_days is not None:
         yield "calibration_days", float(age_days)
@@ -185,20 +195,6 @@ def _of_bath(run: RunRecord) -> Iterator[tuple[str, float]]:
     yield "stable_min", float(t_s[run.bath_states.index("stable")] - t_s[0]) / 60.0
     if (temp_c[0] < set_point_c) and (temp_c >= set_point_c).any():
         yield "overshoot_k", float(np.nanmax(temp_c)) - set_point_c
-
-
-def _of_pictures(run: RunRecord) -> Iterator[tuple[str, float]]:
-    """Medians over the first trials, whose set-up a script repeats."""
-    seen: dict[str, list[float]] = {}
-    with suppress(RecordingError, ConfigError, OSError):
-        recording = Recording(run.folder)
-        for frame in recording.frames[:LOOKED_AT]:
-            frames = recording.load(frame)
-            for camera, picture in (("left", frames.left), ("right", frames.right)):
-                if (blur_px := edge_blur_px(picture)) is not None:
-                    seen.setdefault(f"{camera}_blur_px", []).append(blur_px)
-                seen.setdefault(f"{camera}_level", []).append(level_dn(picture, BRIGHTEST))
-    yield from ((key, float(np.median(values))) for key, values in seen.items())
 
 
 def charts(runs: Sequence[Measured]) -> Iterator[Chart]:

@@ -205,25 +205,21 @@ def _together(
     if arm:
         arm.asked_of(answerer or hands)
     if twin:
-        _follow(rig.rig, twin, bath, stage)
+        # The emulated world follows what isn't emulated
+        if bath and "bath" not in rig.rig.emulated:
+            bath.on_reading = twin.follow_bath
+        if stage and "stage" not in rig.rig.emulated:
+            last = [0.0] * 4
+
+            def place() -> list[float]:
+                with suppress(InstrumentError):  # not connected yet, or lost: as it was
+                    last[: len(stage.axes)] = stage.position().tolist()
+                return last
+
+            twin.follow_stage(rig.rig, place)
     exact = twin and {"arm", "cameras"} <= set(rig.rig.emulated)
     exact_ends = twin.world.ends_mm if twin and exact else None
     return Devices(clock, arm, bath, stage, cameras, answerer or hands, exact_ends, heard)
-
-
-def _follow(rig: Rig, twin: EmulatedRig, bath: Bath | None, stage: Stage | None) -> None:
-    """Have the emulated world follow what isn't emulated."""
-    if bath and "bath" not in rig.emulated:
-        bath.on_reading = twin.follow_bath
-    if stage and "stage" not in rig.emulated:
-        last = [0.0] * 4
-
-        def place() -> list[float]:
-            with suppress(InstrumentError):  # not connected yet, or lost: as it was
-                last[: len(stage.axes)] = stage.position().tolist()
-            return last
-
-        twin.follow_stage(rig, place)
 
 
 @contextmanager

@@ -310,7 +310,13 @@ class TrialRun:
             ctx.events.state("taking the truth")
             truth = self._truth.of_trial(there)
             ctx.check()
-            if self._bath_lived(captured_s):
+            # Wait for a sign of life of the bath's reading after the capture: the last value of a
+            # sensor that stopped says nothing of the teats.
+            watch = self._ctx.watch
+            while not (lived := watch.lived_since(captured_s)) and self._stable():
+                self._ctx.events.state("waiting for a sign of life of the bath's sensor")
+                self._ctx.wait(1.0)
+            if lived or self._rig.cameras.recorded:
                 break
         rows = [
             TruthRow(trial.situation, str(i), t.point_mm, visible[i - 1], t.uncertainty.u_mm)
@@ -355,16 +361,6 @@ class TrialRun:
 
     def _stable(self) -> bool:
         return self._ctx.watch.state == State.STABLE
-
-    def _bath_lived(self, captured_s: float) -> bool:
-        """Wait for a sign of life of the bath's reading after the capture: the last value of a
-        sensor that stopped says nothing of the teats. False where none comes.
-        """
-        watch = self._ctx.watch
-        while not (lived := watch.lived_since(captured_s)) and self._stable():
-            self._ctx.events.state("waiting for a sign of life of the bath's sensor")
-            self._ctx.wait(1.0)
-        return lived or self._rig.cameras.recorded
 
     def _look_at_teats(
         self, trial: PlannedTrial, frames: FrameSet, rows: list[TruthRow], bath_c: float

@@ -65,7 +65,12 @@ class EmulatedOperator:
         if isinstance(request, op.Task | op.NextTrial | op.Finish):
             return op.DONE
         if not isinstance(request, op.Release):
-            self._take_time(check)
+            clock = self._world.clock
+            end_s = clock.now() + self._prompt_s
+            check()
+            while (left_s := end_s - clock.now()) > 0.0:
+                clock.sleep(min(LOOK_S, left_s))
+                check()
         match request:
             case op.Arrangement():
                 return self._set_up(request)
@@ -123,14 +128,6 @@ class EmulatedOperator:
             return False
         self._to_make.remove(mistake)
         return True
-
-    def _take_time(self, check: Callable[[], None]) -> None:
-        clock = self._world.clock
-        end_s = clock.now() + self._prompt_s
-        check()
-        while (left_s := end_s - clock.now()) > 0.0:
-            clock.sleep(min(LOOK_S, left_s))
-            check()
 
 
 _views = lru_cache(maxsize=4)(poses)

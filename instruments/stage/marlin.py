@@ -76,7 +76,14 @@ def parse(line: bytes) -> Response:
     if text == "start":
         return Welcome("", "Marlin")
     if text.startswith("X:") and "Count" in text:
-        return _counted(line, text)
+        sent, *counts = text.split("Count")
+        parts = [_COUNT.findall(part) for part in (sent, *counts)]
+        places = [{letter: float(number) for letter, number in part} for part in parts]
+        whole = all(_COUNTS.fullmatch(part.strip()) for part in (sent, *counts))
+        once = [len(part) for part in parts] == [len(place) for place in places]
+        if len(counts) != 1 or not (whole and once):
+            return Malformed(line, "places and counts that are not one number a letter")
+        return Counted(*places)
     if text.startswith("ok"):
         return Malformed(line, "an ok with something else in it")
     while text.startswith("echo:"):  # some lines have it twice
@@ -86,17 +93,6 @@ def parse(line: bytes) -> Response:
     if _REFUSED.fullmatch(text):
         return ErrorReply(text)
     return Message("echo", text)
-
-
-def _counted(raw: bytes, text: str) -> Counted | Malformed:
-    sent, *counts = text.split("Count")
-    parts = [_COUNT.findall(part) for part in (sent, *counts)]
-    places = [{letter: float(number) for letter, number in part} for part in parts]
-    whole = all(_COUNTS.fullmatch(part.strip()) for part in (sent, *counts))
-    once = [len(part) for part in parts] == [len(place) for place in places]
-    if len(counts) != 1 or not (whole and once):
-        return Malformed(raw, "places and counts that are not one number a letter")
-    return Counted(*places)
 
 
 def read_marlin(lines: list[str], axes: str, *, who: str) -> StageSettings:

@@ -214,7 +214,8 @@ class ZaberDialogue(Dialogue):
         for a fault.
         """
         if not self._motors:  # another program's stage, of which only its motion is known
-            return self._unidentified()
+            busy = any(self._where(motor)[0].busy for motor in self._given)
+            return Status("Run" if busy else "Idle", None, (), None, None, {})
         replies = {axis: self._where(motor) for axis, motor in self._motors.items()}
         flags = {axis: reply.flag for axis, (reply, _) in replies.items()}
         for axis, flag in flags.items():
@@ -228,10 +229,6 @@ class ZaberDialogue(Dialogue):
         letters = AXES if "A" in self._motors else AXES[:3]
         at = tuple([replies[a][1] if a in replies else 0.0 for a in letters])
         return Status(state, None, at, None, None, flags)
-
-    def _unidentified(self) -> Status:
-        busy = any(self._where(motor)[0].busy for motor in self._given)
-        return Status("Run" if busy else "Idle", None, (), None, None, {})
 
     def _where(self, motor: Motor) -> tuple[Reply, float]:
         text = f"{motor.device} {motor.axis} get pos"
