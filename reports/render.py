@@ -33,7 +33,7 @@ from reports.frames import (
     layers,
     places_of,
 )
-from reports.glossary import Explained, style_rules
+from reports.glossary import GlossaryLinks, style_rules
 from reports.page import Cell, Column, Figure, Page, Part, Section, Table, TrialPart, Verdict
 from reports.sanitize import sanitized
 from reports.trust import PageError, address
@@ -92,7 +92,7 @@ class Press:
                 f".who-{who}{{color:var(--who-{(who - 1) % len(MARKS) + 1})}}\n"
                 f"body:has(#who-{who}:not(:checked)) .pane .who-{who}{{display:none}}\n"
             )
-        self._explained: dict[str, Explained] = {}
+        self._explained: dict[str, GlossaryLinks] = {}
         self._script = assets("frames.js", "script.js")
         self._environment = environment()
 
@@ -179,11 +179,11 @@ class Press:
             **{"only": None, "named": "", **values},
         )
 
-    def _terms(self, place: Place) -> Explained:
+    def _terms(self, place: Place) -> GlossaryLinks:
         file = place.apart.get("glossary", "index.html")
         base = "" if file == place.file else place.base + file
         if base not in self._explained:
-            self._explained[base] = Explained(self._page.glossary, base, self._page.detectors)
+            self._explained[base] = GlossaryLinks(self._page.glossary, base, self._page.detectors)
         return self._explained[base]
 
 

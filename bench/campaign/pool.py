@@ -22,7 +22,7 @@ from contextlib import suppress
 from typing import IO, Any, cast
 
 from bench.campaign.chunk import Rows, Scene, set_aside
-from bench.campaign.plan import Chunk, Job, Plan
+from bench.campaign.plan import CampaignPlan, Chunk, Job
 from bench.campaign.worker import ONE_THREAD
 from instruments.clock import stopwatch_s
 
@@ -43,7 +43,7 @@ class PoolError(Exception):
     """No worker can be started; the message says why."""
 
 
-def silence_limit_s(plan: Plan, chunk_s: Sequence[float]) -> float:
+def silence_limit_s(plan: CampaignPlan, chunk_s: Sequence[float]) -> float:
     """The plan's ``chunk_limit_s``; where that is 0, ten times what a chunk took."""
     if plan.chunk_limit_s or not chunk_s:
         return plan.chunk_limit_s or FIRST_LIMIT_S

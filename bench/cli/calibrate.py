@@ -23,7 +23,7 @@ import numpy as np
 from bench.calibrate import exchange
 from bench.calibrate.cameras import (
     LEAST_LOOKED_AT,
-    Delivered,
+    ThermalFormat,
     calibrate_pair,
     calibrate_thermal,
     check_pair,
@@ -44,7 +44,7 @@ from bench.calibrate.views import (
 )
 from bench.calibrate.world import (
     POINTS_FILE,
-    Asking,
+    TouchSession,
     calibrate_world,
     check_points,
     gather_points,
@@ -159,7 +159,7 @@ def thermal(given: argparse.Namespace) -> None:
     print(f"thermal camera: {rms:.3f} px rms over {len(of_views)} views")
 
 
-def _delivered(given: argparse.Namespace) -> Delivered:
+def _delivered(given: argparse.Namespace) -> ThermalFormat:
     """How thermal pictures come, by command, by the rig's calibration or by its file."""
     size, mirrored, polarity = (160, 120), False, None
     if given.rig:
@@ -170,7 +170,7 @@ def _delivered(given: argparse.Namespace) -> Delivered:
             size, mirrored, polarity = thermal.sensor_size, thermal.mirrored, thermal.polarity
         elif table is not None:
             mirrored, polarity = bool(table.mirrored), table.polarity
-    return Delivered(
+    return ThermalFormat(
         given.sensor_size or size,
         given.mirrored or mirrored,
         given.polarity or polarity or "hot_is_white",
@@ -199,7 +199,7 @@ def world(given: argparse.Namespace) -> int:
                 tip.refuse_other_arm()
                 parts.operator.ask(Homing(arm.homing))
                 arm.confirm_homed()
-                asking = Asking(look, parts.operator, tip, rig.rig.arm.tip_radius_mm, tell)
+                asking = TouchSession(look, parts.operator, tip, rig.rig.arm.tip_radius_mm, tell)
                 gather_points(asking, board, folder)
                 parts.operator.ask(Finish())
             finally:

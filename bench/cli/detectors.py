@@ -192,9 +192,9 @@ def try_out(given: argparse.Namespace) -> int:
 
 def _unseen(detector: Detector) -> int:
     """The first member that it doesn't say it was trained on."""
-    from detector.protocol import Served
+    from detector.protocol import DetectorProcess
 
-    if isinstance(detector, Served):
+    if isinstance(detector, DetectorProcess):
         detector.introduce()
     member = 0
     for first, last in sorted(getattr(detector, "trained_on", {}).get(SITUATION, ())):

@@ -46,7 +46,7 @@ _damage, _note = partial(Finding, Weight.DAMAGE), partial(Finding, Weight.NOTE)
 
 
 @dataclass(frozen=True, slots=True)
-class Checked:
+class CheckResult:
     """What was looked at (counts by name), what was found, and the chain's last link as it is."""
 
     counts: Mapping[str, int]
@@ -66,7 +66,7 @@ class Checked:
         return f"not checked: whether the record's rows are as they were written ({looked})"
 
 
-def check_run(folder: Path, digest: str | None = None) -> Checked:
+def check_run(folder: Path, digest: str | None = None) -> CheckResult:
     """Check all; ``digest`` is one that a report names. Raises ConfigError where it is no run."""
     with opened(folder) as db:
         findings: list[Finding] = []  # what was found before something fails is kept
@@ -89,7 +89,7 @@ def check_run(folder: Path, digest: str | None = None) -> Checked:
         except (sqlite3.Error, ValueError, TypeError, RecursionError) as error:
             findings.append(_damage(f"{DATABASE} can't be read to its end: {error}"))
     head = Head(links[-1][0], links[-1][2], links[-1][4]) if links else Head()
-    return Checked({**counts, "links": head.number}, tuple(findings), head)
+    return CheckResult({**counts, "links": head.number}, tuple(findings), head)
 
 
 @contextmanager

@@ -27,8 +27,8 @@ from bench.results.cameras_agree import NEXT_UNSEEN, CamerasCheck
 from bench.scoring.decisions import Decision, Verdict
 from detector.calibration import Record
 from detector.calibration.bundle import LENS, POSE
-from detector.calibration.cameras import SIDES, Calibrated, Coverage
-from detector.calibration.diagnosis import Finding, Remeasured
+from detector.calibration.cameras import SIDES, CameraFit, Coverage
+from detector.calibration.diagnosis import Finding, MeasuredBoard
 from detector.geometry import Array
 from reports.figures.errors import per_axis_errors
 from reports.figures.precision import precision_by_distance, residual_field
@@ -356,7 +356,7 @@ def _touched(
 
 
 def check_page(
-    again: Remeasured, findings: Sequence[Finding], record: Record, command: str
+    again: MeasuredBoard, findings: Sequence[Finding], record: Record, command: str
 ) -> Page:
     """Of `calibrate check`: an existing calibration against a board seen today."""
     return _check(
@@ -492,7 +492,7 @@ def _parameters(result: CamerasResult) -> Iterator[Part]:
     yield table("Right camera against left: X_right = R(om) X_left + T", heads, rows, note)
 
 
-def _lens(fit: Calibrated, camera: str, alone: Calibrated | None = None) -> Table:
+def _lens(fit: CameraFit, camera: str, alone: CameraFit | None = None) -> Table:
     """One camera's lens; beside it what the camera alone gave, where that is known."""
 
     lenses = [of.fit.rig.cameras[camera] for of in (fit, alone) if of is not None]
@@ -514,7 +514,7 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _residuals(fits: Mapping[str, Calibrated], views: BoardViews) -> Iterator[Part]:
+def _residuals(fits: Mapping[str, CameraFit], views: BoardViews) -> Iterator[Part]:
     """Where the corners lie, and which way they miss."""
     for camera, fit in fits.items():
         pairs = [
@@ -559,7 +559,7 @@ def _held_out(result: CamerasResult) -> Iterator[Part]:
     yield _measured_table(again)
 
 
-def _measured_table(again: Remeasured) -> Table:
+def _measured_table(again: MeasuredBoard) -> Table:
     """A board measured again, view by view."""
     heads = (
         "view | >distance [mm] ~.0f | >scale ~.5f | >spacing [mm rms] ~.3f"
@@ -603,7 +603,7 @@ def _coverage(shown: Mapping[str, Coverage]) -> Iterator[Part]:
         yield table(caption, heads, coverage.corners, f"{note} {tilts}.")
 
 
-def _pictures(views: BoardViews, fit: Calibrated) -> Iterator[Part]:
+def _pictures(views: BoardViews, fit: CameraFit) -> Iterator[Part]:
     """Views used, and what was left out with its reason."""
     rows = []
     for camera in views.found:

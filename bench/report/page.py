@@ -69,7 +69,7 @@ from reports.page import (
     Code,
     Figure,
     Fold,
-    Looks,
+    Highlights,
     Notes,
     Page,
     Paragraph,
@@ -153,7 +153,7 @@ def build_page(
     if looked:
         by_id = {part.id: part for part in made}
         looks = (look_at(*one, by_id[trial_id(one[0])], calibration) for one in looked.values())
-        sections.append(Section("looks", "Where to look first", (Looks(tuple(looks)),)))
+        sections.append(Section("looks", "Where to look first", (Highlights(tuple(looks)),)))
         sections.append(Section("figures", "Figures", drawn))
     alarm = f"{NOT_AS_WRITTEN}: no figure below holds. {shortened(run.damage)}"
     return Page(

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from bench.campaign.chunk import Bench, Scene, digest_of_frames, draw_scene
-from bench.campaign.plan import Plan, differences, open_plan
+from bench.campaign.plan import CampaignPlan, differences, open_plan
 from bench.campaign.run import plan_of
 from bench.campaign.shards import Shards
 from bench.config import ConfigError, writing
@@ -124,7 +124,7 @@ def _refuse_changed(folder: Path, run: RunRecord, why: str) -> None:
 
 
 def _page(
-    plan: Plan,
+    plan: CampaignPlan,
     run: RunRecord,
     parts: tuple[TrialPart, ...],
     outcomes: Sequence[tuple[str, str, str]],

@@ -26,7 +26,7 @@ from bench.record.state import State, holder_of
 from bench.results.cameras_agree import cameras_of
 from bench.results.stated_arm import STATED_FACT, check_touches
 from bench.results.verdicts import scored
-from bench.scoring.control_chart import FAR, Limits, Trend, broken, limits_of, trend
+from bench.scoring.control_chart import FAR, ControlLimits, Trend, broken, limits_of, trend
 from bench.scoring.rates import plural
 from bench.script.calibration_age import CALIBRATION_FACT
 from bench.truth.arm_check import BEFORE, CHECK_FACT, location_of, shift_mm
@@ -70,7 +70,7 @@ RATE = Quantity("", "%", 0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class RunHealth:
     """One run's ``values`` by quantity. ``stamp``: of the record that they were measured of."""
 
     run: str
@@ -95,7 +95,7 @@ class Chart:
     digits: int
     dates: tuple[str, ...]
     values: tuple[float, ...]
-    limits: Limits | None
+    limits: ControlLimits | None
     rules: tuple[str, ...]
     trend: Trend | None
 
@@ -120,16 +120,16 @@ class Chart:
         return ""
 
 
-def history(folder: Path, most: int | None = None) -> list[Measured]:
+def history(folder: Path, most: int | None = None) -> list[RunHealth]:
     """What each ended run on a rig in ``folder`` says, oldest first; of those that were never read
     only the last ``most``. Raises nothing.
     """
-    kept: dict[str, Measured] = {}
+    kept: dict[str, RunHealth] = {}
     with suppress(OSError, ValueError, TypeError, KeyError):
         text = json.loads((folder / KEPT).read_text(encoding="utf-8"))
         if text["version"] == VERSION:
-            kept = {row["run"]: Measured(**row) for row in text["runs"]}
-    found: dict[str, Measured] = {}
+            kept = {row["run"]: RunHealth(**row) for row in text["runs"]}
+    found: dict[str, RunHealth] = {}
     with suppress(OSError):
         there_are = sorted(folder.glob(f"*/{DATABASE}"))
         late = {*there_are[-most:]} if most else {*there_are}
@@ -148,11 +148,11 @@ def history(folder: Path, most: int | None = None) -> list[Measured]:
     return sorted((one for one in found.values() if one.rig), key=lambda one: one.day)
 
 
-def _of_run(run: RunRecord, stamp: int) -> Measured:
+def _of_run(run: RunRecord, stamp: int) -> RunHealth:
     facts = run.facts
     values = {key: round(value, 4) for key, value in _values(run) if np.isfinite(value)}
     started, rig = str(facts["wall_started"]), str(facts.get("rig", ""))
-    return Measured(run.folder.name, started, rig, str(facts["kind"]), values, stamp)
+    return RunHealth(run.folder.name, started, rig, str(facts["kind"]), values, stamp)
 
 
 def _values(run: RunRecord) -> Iterator[tuple[str, float]]:
@@ -197,7 +197,7 @@ def _of_bath(run: RunRecord) -> Iterator[tuple[str, float]]:
         yield "overshoot_k", float(np.nanmax(temp_c)) - set_point_c
 
 
-def charts(runs: Sequence[Measured]) -> Iterator[Chart]:
+def charts(runs: Sequence[RunHealth]) -> Iterator[Chart]:
     """A chart for each quantity of each rig that at least two runs measured."""
     by_rig = sorted(runs, key=lambda one: (one.rig, one.kind, one.day))
     for (rig, kind), of in groupby(by_rig, key=lambda one: (one.rig, one.kind)):
@@ -210,7 +210,7 @@ def charts(runs: Sequence[Measured]) -> Iterator[Chart]:
                 yield _chart(f"{rig} ({kind})", key, having)
 
 
-def _chart(rig: str, key: str, runs: Sequence[Measured]) -> Chart:
+def _chart(rig: str, key: str, runs: Sequence[RunHealth]) -> Chart:
     quantity = QUANTITIES.get(key, RATE)
     values = tuple(one.values[key] for one in runs)
     limits = limits_of(values, quantity.least) if quantity.limits else None

@@ -22,7 +22,7 @@ from typing import Any, cast
 from bench.record.recording import Recording, RecordingCameras
 from bench.rig.devices import Devices
 from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.leaving import Leaving, Opened, to_stderr
+from bench.rig.leaving import Leaving, OpenInstruments, to_stderr
 from bench.rig.loading import LoadedRig, find_rig, load_rig
 from bench.rig.model import Emulation, OneCamera, Operator, Rig, ThermalTable
 from bench.rig.model import Stage as StageTable
@@ -43,7 +43,7 @@ from instruments.clock import Clock, PacedClock, RealClock, VirtualClock
 from instruments.drivers.arm import PluggedArm
 from instruments.drivers.bath import PluggedBath
 from instruments.drivers.camera import PluggedCamera, PluggedGroup
-from instruments.drivers.entry_points import Kind, Plugged, load, plugin_url
+from instruments.drivers.entry_points import Kind, PluginDriver, load, plugin_url
 from instruments.drivers.protocols import Arm, Bath, Cameras, Stage
 from instruments.drivers.stage import PluggedStage
 from instruments.errors import DeviceError, InstrumentError
@@ -164,7 +164,7 @@ def open_instruments(
                 together = replace(together, practice=practice)
             yield together
 
-    return Opened(opened(), None if supervised else leaving)
+    return OpenInstruments(opened(), None if supervised else leaving)
 
 
 def _opened(
@@ -311,7 +311,7 @@ def _open_cameras(rig: LoadedRig, clock: Clock, emulator: str = "") -> Cameras:
     return CameraSet(openers, conversions, group)
 
 
-def _at(plugged: Plugged, emulator: str) -> Plugged:
+def _at(plugged: PluginDriver, emulator: str) -> PluginDriver:
     return plugged.with_keys(url=emulator) if emulator else plugged
 
 
@@ -371,7 +371,7 @@ class _Openers:
             found["operator"] = lambda: RemoteOperator(port, self._clock)
         return found
 
-    def _driver(self, kind: Kind, url: str) -> Plugged | None:
+    def _driver(self, kind: Kind, url: str) -> PluginDriver | None:
         """The plug-in of ``url``, with its emulator's port; None where it names none."""
         plug = plugin_url(url)
         port = self._ports[kind] if plug and plug.emulated else ""

@@ -178,7 +178,7 @@ class Engine:
             if self._left and trial.id not in self._left.done:
                 self._go_live()
             ctx.events.trial(trial.number - 1, len(planned), trial.name)
-            # A trial that has its result is gone through again where the run is rehearsed, or passed.
+            # A trial that has its result is gone through again or passed over.
             if not self._left:
                 self._requests.pause_if_asked(self._ctx)
                 self._ctx.check_interrupts = self._requests.look

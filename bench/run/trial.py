@@ -56,7 +56,7 @@ from bench.truth.touching import (
     truth_row,
 )
 from bench.truth.uncertainty import How
-from detector.protocol import Detector, Served
+from detector.protocol import Detector, DetectorProcess
 from instruments.camera.frame import FrameSet
 from instruments.clock import wall_time
 from instruments.drivers.protocols import Stage
@@ -458,7 +458,7 @@ class TrialRun:
             what = f"detecting with {detector.name}"
             self._ctx.events.state(what)
             patience_s = 2.0 * self._rig.limits.detection_timeout_s
-            if isinstance(detector, Served):
+            if isinstance(detector, DetectorProcess):
                 patience_s = detector.patience_s
             self._ctx.long(what, 10.0 + patience_s, silent=True)
             answers.append(self._examiner.ask(detector, frames, known))

@@ -26,7 +26,7 @@ from instruments.stage.protocol import (
     Alarm,
     Decoder,
     ErrorReply,
-    Malformed,
+    MalformedLine,
     Message,
     Ok,
     Position,
@@ -338,7 +338,7 @@ class Dialogue:
         return self._judge(self._inbox.popleft())
 
     def _judge(self, answer: Response) -> Response:
-        if isinstance(answer, Malformed):
+        if isinstance(answer, MalformedLine):
             self.upsets += 1
             what, asked, seen = f"malformed answer: {answer.why}", self.outstanding, answer.raw[:60]
             hint = "Check cable and earthing."

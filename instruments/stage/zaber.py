@@ -21,7 +21,7 @@ from instruments.link import Link
 from instruments.stage.connection import ANSWER_S, QUIET_S, Dialogue, whole
 from instruments.stage.protocol import (
     AXES,
-    Malformed,
+    MalformedLine,
     Message,
     Reply,
     Response,
@@ -91,14 +91,14 @@ def parse(line: bytes) -> Response:
     try:
         text = line.decode("ascii")
     except UnicodeDecodeError:
-        return Malformed(line, "bytes that are not ASCII")
+        return MalformedLine(line, "bytes that are not ASCII")
     if _PUSHED.fullmatch(text):
         return Message(text[0], text[1:])
     found = _REPLY.fullmatch(text)
     if not found:
-        return Malformed(line, "no answer of a Zaber device looks like this")
+        return MalformedLine(line, "no answer of a Zaber device looks like this")
     if found[8] and checksum(text[1 : found.start(8) - 1]) != found[8]:
-        return Malformed(line, "its checksum is wrong")
+        return MalformedLine(line, "its checksum is wrong")
     number = None if found[3] is None else int(found[3])
     taken, busy = found[4] == "OK", found[5] == "BUSY"
     return Reply(int(found[1]), int(found[2]), number, taken, busy, found[6], found[7])
