@@ -325,6 +325,7 @@ class TrialRun:
         self._refuse_astray(there, rows)
         if bath is not None and bath.external_c is None and not self._rig.cameras.recorded:
             self._look_at_teats(trial, frames, rows, bath.temp_c)
+        truth_rows = self._truth_rows(trial.id, frames, rows, truth)
         answers = self._detect(frames)
         away_s = ctx.states.away_s - settled_s
         note = f"suspended for {away_s:.1f} s: the bath had left its band"
@@ -339,7 +340,10 @@ class TrialRun:
             "stage_mm": None if truth.stage_mm is None else json.dumps(truth.stage_mm),
             "wall_time": wall_time().isoformat(timespec="milliseconds"),
         }
-        self._store_trial(head, frames, rows, truth, answers)
+        self._cameras.add(trial.name, truth_rows)
+        ctx.long("writing the trial", 60.0, silent=True)
+        script = ctx.script.script
+        write_trial(ctx.store, script, head, frames, answers, rows, truth_rows, truth.touches)
         self._truth.stored(trial.id, truth)
         if self._recorder and not self.rehearsing:
             self._recorder.trial(trial.id, frames, rows, confirmed=truth.how is How.TOUCHED)
@@ -464,26 +468,19 @@ class TrialRun:
             answers.append(self._examiner.ask(detector, frames, known))
         return answers
 
-    def _store_trial(
-        self,
-        head: Row,
-        frames: FrameSet,
-        rows: list[TruthRow],
-        truth: TrialTruth,
-        answers: list[Answer],
-    ) -> None:
-        self._ctx.long("writing the trial", 60.0, silent=True)
-        script, store, trial_id = self._ctx.script.script, self._ctx.store, str(head["id"])
+    def _truth_rows(
+        self, trial_id: str, frames: FrameSet, rows: Sequence[TruthRow], truth: TrialTruth
+    ) -> list[Row]:
+        """What is stored of the true ends, with where the cameras show them."""
+        self._ctx.long("looking for the true ends in the pictures", 60.0, silent=True)
         exact = self._exact_ends() if self._exact_ends else None
         ends = [None] * len(rows) if exact is None else list(exact)
-        looked = store.keeps_pictures and not self.rehearsing
+        looked = self._ctx.store.keeps_pictures and not self.rehearsing
         seen = where_seen(frames, self._ctx.rig.calibration, rows) if looked else {}
-        truth_rows = [
+        return [
             truth_row(trial_id, row, end, point, seen.get(row.teat))
             for row, end, point in zip(rows, ends, truth.points, strict=True)
         ]
-        self._cameras.add(str(head["name"]), truth_rows)
-        write_trial(store, script, head, frames, answers, rows, truth_rows, truth.touches)
 
 
 def write_trial(
