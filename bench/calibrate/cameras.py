@@ -245,7 +245,7 @@ def check_pair(part: Part, views: BoardViews) -> tuple[MeasuredBoard, tuple[Find
 
 @dataclass(frozen=True, slots=True)
 class ThermalFormat:
-    """How the thermal camera's picture comes: what a picture alone doesn't tell."""
+    """How the thermal camera's picture comes: what a picture alone doesn't show."""
 
     sensor_size: tuple[int, int]
     mirrored: bool

@@ -84,7 +84,7 @@ if TYPE_CHECKING:
 
 CHECK_VIEWS = 5
 SHOWN = 3  # pictures that are left out
-tell = partial(print, flush=True)  # for the person at the rig
+say = partial(print, flush=True)  # for the person at the rig
 STEREO = ViewsRequest()
 FOLDERS = "folders of pictures (FRAMES)"
 
@@ -199,7 +199,7 @@ def world(given: argparse.Namespace) -> int:
                 tip.refuse_other_arm()
                 parts.operator.ask(Homing(arm.homing))
                 arm.confirm_homed()
-                asking = TouchSession(look, parts.operator, tip, rig.rig.arm.tip_radius_mm, tell)
+                asking = TouchSession(look, parts.operator, tip, rig.rig.arm.tip_radius_mm, say)
                 gather_points(asking, board, folder)
                 parts.operator.ask(Finish())
             finally:
@@ -288,7 +288,7 @@ def _check_ends(given: argparse.Namespace, part: Part) -> int:
     calibration = read_calibration(given.calibration)
     anew: list[FrameSet] = []
     if given.rig:
-        tell(f"The phantom has to stand as in the last trial of {given.ends}.")
+        say(f"The phantom has to stand as in the last trial of {given.ends}.")
         with _opened(given, part, arm=False) as (parts, rig, _):
             for _ in range(CHECK_VIEWS):
                 parts.clock.sleep(rig.rig.cameras.settle_s)
@@ -431,12 +431,12 @@ def _gather_views(
     folder = free_folder(given.out)
     with _opened(given, known, arm=False) as (parts, _, look):
         try:
-            kept = gather(look, parts.operator, board, request, folder, tell)
+            kept = gather(look, parts.operator, board, request, folder, say)
         except NoPlaceError as error:  # of the emulated operator
             raise ConfigError.plain(f"--board {given.board}: {error}") from error
         parts.operator.ask(Finish())
         identity = dict(parts.cameras.identity)
-    tell(f"{kept} views in {folder}")
+    say(f"{kept} views in {folder}")
     given.frames = [folder]
     return {camera: str(who) for camera, who in identity.items() if camera in request.cameras}
 
@@ -495,7 +495,7 @@ def stage(given: argparse.Namespace) -> int:
     found = calibrate_stage(
         rig,
         wall_time().replace(microsecond=0),
-        tell,
+        say,
         layout=given.layout,
         teat=given.teat,
         at_mm=given.at,

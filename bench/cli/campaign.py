@@ -32,7 +32,7 @@ def run(given: argparse.Namespace) -> int:
 
 @contextmanager
 def working_on(what: str) -> Iterator[dict[str, Any]]:
-    """Arguments of `run_campaign` that show on a bar how far it is. What stops it is told."""
+    """Arguments of `run_campaign` that show on a bar how far it is. What stops it is printed."""
     from bench.campaign.pool import PoolError
     from bench.cli.terminal import working
 

@@ -147,8 +147,8 @@ def build_page(
     drawn = tuple(_figures(run, rules, calibration)) if run.trials and judgements else ()
     made = tuple(trial_parts(run, calibration, folder, copied=None if few else looked))
     if judgements:
-        told = note_on_statements((requirements, behind), rules, len(judgements))
-        with_note = replace(folded, parts=(*folded.parts, told))
+        statements = note_on_statements((requirements, behind), rules, len(judgements))
+        with_note = replace(folded, parts=(*folded.parts, statements))
         sections[0] = replace(sections[0], parts=(requirements[0], with_note))
     if looked:
         by_id = {part.id: part for part in made}

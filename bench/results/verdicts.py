@@ -111,8 +111,8 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
         return nothing
     against = [*_against(rule, limits, checks, tests, dated, facts)]
     missing = [*_missing(rule, limits, tests, dated, facts)]
-    told = _contradictions(rule, tests, dated, facts) if against else []
-    reasons = "; ".join([*against, *missing, *told]) or _in_order(tests, dated, facts)
+    contradicted = _contradictions(rule, tests, dated, facts) if against else []
+    reasons = "; ".join([*against, *missing, *contradicted]) or _in_order(tests, dated, facts)
     figures = [test.largest_mm for test in tests.values()]
     largest = max([*figures, dated.location_mm] if dated else figures)
     return replace(

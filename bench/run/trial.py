@@ -162,7 +162,7 @@ def _made(ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Touch
             u_mm=hypot(end_u_mm(ctx.rig.rig.arm, toucher.readings), settings.repeatability_mm),
             made=wall_time().replace(microsecond=0),
             serial_number=ctx.devices.arm.identity.serial_number,
-            tell=report,
+            report=report,
         )
     except RegistrationError as error:
         hint = "Name other places in the script's registration_at_mm."
@@ -369,8 +369,8 @@ class TrialRun:
     def _look_at_teats(
         self, trial: PlannedTrial, frames: FrameSet, rows: list[TruthRow], bath_c: float
     ) -> None:
-        """Where no sensor is at the teats, the thermal camera tells. Raises DeviceError for cold
-        ones; what can't be told is a fact of the run.
+        """Where no sensor is at the teats, the thermal camera measures. Raises DeviceError for
+        cold ones; why it can't is a fact of the run.
         """
         ctx, emulation = self._ctx, self._rig.emulation
         room_c = emulation.ambient_c if "cameras" in self._rig.emulated else self._rig.bath.room_c

@@ -146,7 +146,7 @@ class CarriedTruth(TouchedTruth):
         stage_mm: Callable[[], Triple],
         store: Store,
         settled: Callable[[Sequence[str], bool], None],
-        tell: Callable[[str, str], None],
+        report: Callable[[str, str], None],
         now_s: Callable[[], float],
         *,
         every: int,
@@ -158,7 +158,7 @@ class CarriedTruth(TouchedTruth):
         self._stands_at = stage_mm
         self._store = store
         self._settled = settled
-        self._tell = tell
+        self._report = report
         self._now_s = now_s
         self._every = every
         self._limit_mm = limit_mm
@@ -171,7 +171,7 @@ class CarriedTruth(TouchedTruth):
         """Have the registration, and its faults for the operator."""
         self._registration = self._register()
         for fault in self._registration.faults:
-            self._tell("registration", fault)
+            self._report("registration", fault)
 
     def before(self, shown: ExpectedScene) -> None:
         """Check the carried trials so far where it is time, or before the phantom is changed."""
@@ -189,7 +189,7 @@ class CarriedTruth(TouchedTruth):
                 if again
                 else "has other teats, a turn or a shift by hand, and only the stage's shifts carry"
             )
-            self._tell("state", f"{shown.trial} {why}: its ends are touched anew")
+            self._report("state", f"{shown.trial} {why}: its ends are touched anew")
             self._refer(None)
 
     def unattended(self, shown: ExpectedScene) -> bool:
@@ -227,7 +227,7 @@ class CarriedTruth(TouchedTruth):
         state, number = self._state, self._state.checks + 1
         after = state.since[-1]
         self._away = False
-        self._tell("state", f"check touch {number} of the carried truth, after trial {after}")
+        self._report("state", f"check touch {number} of the carried truth, after trial {after}")
         stage_mm = self._stands_at()
         expected = self._carried(reference, stage_mm)
         places = np.array([point.point_mm for point in expected])
@@ -235,7 +235,7 @@ class CarriedTruth(TouchedTruth):
         try:
             seen, _ = self._toucher.touch_all(ends)
         except OperatorSkip as skip:  # a wish about this check, not about the trial to come
-            self._tell(
+            self._report(
                 "check touch",
                 f"check touch {number} was skipped: {skip.reason}. {counted(len(state.since))}"
                 " unconfirmed so far",
@@ -274,7 +274,7 @@ class CarriedTruth(TouchedTruth):
         since = tuple(state.since)
         self._store.checked(rows, (), "")
         self._settled(since, True)
-        self._tell("check touch", f"{found}: {counted(len(since))} confirmed")
+        self._report("check touch", f"{found}: {counted(len(since))} confirmed")
         state.checks = number
         state.since.clear()
 
@@ -283,7 +283,7 @@ class CarriedTruth(TouchedTruth):
         since = tuple(self._state.since)
         self._store.checked(rows, since, f"{found}; carried since the last good check. {LOST}")
         self._settled(since, False)
-        self._tell(
+        self._report(
             "invalid",
             f"{found}. Invalidated, as carried since the last good check: {', '.join(since)}."
             f" {LOST}",

@@ -56,7 +56,7 @@ class Bath:
     LinkError, ProtocolError, DeviceError, LimitError. The next call opens a broken link again, and
     identifies the controller. ``identify`` False: identified by the first call but ``safe``.
     ``allow_inferred``: rows whose evidence is INFERRED are polled and written. ``unit_confirmed``:
-    where nothing tells the unit of its numbers, a person has seen that they are degC.
+    where nothing states the unit of its numbers, a person has seen that they are degC.
     ``before_heating`` is called before anything is written that may heat; what it raises keeps that
     from being sent.
     """

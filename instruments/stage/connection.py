@@ -3,7 +3,7 @@
 Nothing is sent while an answer is outstanding. An alarm is kept until a restart; each alarm, locked
 report, restart, broken link or answer that makes no sense counts as an upset, by which the driver
 knows that homing is lost. `Dialogue` is the conversation with Grbl, grblHAL and FluidNC; those
-with other firmwares are its subclasses. What none of them can tell is in docs/rig.md.
+with other firmwares are its subclasses. What none of them reports is in docs/rig.md.
 """
 
 from __future__ import annotations
@@ -207,7 +207,7 @@ class Dialogue:
 
     @property
     def homing(self) -> bool:
-        """Whether it homes, as far as its answers tell."""
+        """Whether it homes, as far as its answers show."""
         return self.outstanding == "$H"
 
     def home(self, axes: str, bound_s: float) -> None:  # noqa: ARG002 - its settings say which

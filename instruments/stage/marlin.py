@@ -65,7 +65,7 @@ _NO_KINEMATICS = "Only machines whose motors are X, Y and Z (Cartesian) can be d
 def parse(line: bytes) -> Response:
     """The value of one line, without its end. Never raises.
 
-    Builds differ in blanks, in ``echo:`` and in what they tell beside: readable text that is no
+    Builds differ in blanks, in ``echo:`` and in what else they report: readable text that is no
     answer is a message. A damaged answer is malformed.
     """
     text = line.decode("ascii", "replace").strip()
