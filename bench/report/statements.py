@@ -30,7 +30,7 @@ def note_on_statements(parts: Sequence[Any], rules: Rules, detectors: int) -> No
     ] * detectors
     intervals, p_values = (_cells(parts, wanted) for wanted in (_is_interval, _is_p))
     decided = f"{len(chances)} decision{'' if len(chances) == 1 else 's'} and bounds, one-sided"
-    each = f"{decided}, {plural(intervals, 'interval')}, two-sided, {plural(p_values, 'p-value')}"
+    kinds = f"{decided}, {plural(intervals, 'interval')}, two-sided, {plural(p_values, 'p-value')}"
     wrong = sum(chances) + CHANCE * (intervals + p_values)
     made = (
         f"This page makes {plural(len(chances) + intervals + p_values, 'statement')} that chance"
