@@ -39,8 +39,10 @@ from detector.calibration import Calibration
 from detector.protocol import Detector
 from instruments.world.scene import Renderer
 
-SCENES, MOST_SCENES = 100, 20_000  # a family: without and with a width to be reached
-CHUNK_SCENES, LEAST_CHUNKS = 50, 4  # 9 s of fused; of a small plan so many chunks
+SCENES = 100  # of a family, where no width is to be reached
+MOST_SCENES = 20_000  # of a family, where one is
+CHUNK_SCENES = 50  # some 9 s of fused
+LEAST_CHUNKS = 4  # of a small plan
 DETECTORS = ("fused",)
 LIBRARIES = ("numba", "numpy", "opencv-python-headless", "scipy")
 # what makes a scene's rows, beside the libraries

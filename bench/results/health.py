@@ -32,7 +32,8 @@ from bench.script.calibration_age import CALIBRATION_FACT
 from bench.truth.arm_check import BEFORE, CHECK_FACT, location_of, shift_mm
 from instruments.camera.quality import edge_blur_px, level_dn
 
-KEPT, VERSION = ".health.json", 1  # in the folder of runs; of what is measured
+KEPT = ".health.json"  # in the folder of runs
+VERSION = 1  # of what is measured
 MOST_NEW = 20  # runs that are read before a run begins
 LOOKED_AT = 3  # trials whose pictures are looked at
 BRIGHTEST = 0.995  # share of the pixels that are darker

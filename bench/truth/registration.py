@@ -116,7 +116,7 @@ def bent_mm(q: Floats, way_mm: Floats) -> Floats:
 DOUBT, ALPHA = 0.4, 0.01
 # rms extent across; nearer together, an arm of 0.23 mm turns the fit by more than 3 mrad
 SPREAD_MM = 40.0
-# no stage is so crooked, and no touch so bad: another teat, or something slipped
+# farther off than both, in mm and in stated uncertainties, it was another teat, or something slipped
 GROSS_MM, GROSS_U = 5.0, 15.0
 
 

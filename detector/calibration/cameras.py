@@ -176,7 +176,8 @@ def join_cameras(
     return CameraFit(fit, tuple(poses), sightings)
 
 
-# of a view's motion between two cameras from that of most: beyond what a pose is known to
+# a view is odd whose motion between two cameras is farther from that of most than this turn, and
+# than these shares of the motion and of the board's distance: no pose is known worse
 ODD_DEG, ODD_OF_MOTION, ODD_OF_DISTANCE = 8.0, 0.5, 0.05
 
 

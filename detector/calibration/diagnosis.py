@@ -153,7 +153,8 @@ def _rms(parts: Sequence[Array]) -> float:
 SIGNIFICANT = 4.0
 SCALE_MATTERS = 0.002  # 2 mm a metre
 ROWS_MATTER_PX = 0.2
-TIMES, UNIT_NEAR = 1.5, 0.05  # from here on it is a unit; and so near to one
+TIMES = 1.5  # by so much or more too long, or too short, it is a wrong unit
+UNIT_NEAR = 0.05  # share by which a scale may be off a unit's
 BEND_MATTERS = 0.002  # of the board's diagonal
 OUTLIER_RATIO = 2.5  # of a view's error to the median of all
 
