@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import count
 from typing import Any
 
@@ -21,7 +21,7 @@ from bench.calibrate.cameras import (
 )
 from bench.calibrate.views import BoardViews
 from bench.calibrate.world import PointsAgain, WorldResult
-from bench.report.glossary import terms
+from bench.report.chapters import Chapters, page_of
 from bench.report.wording import NOT_MEASURED, key_values, listed, spanned, table
 from bench.results.cameras_agree import NEXT_UNSEEN, CamerasCheck
 from bench.scoring.decisions import Decision, Verdict
@@ -43,7 +43,6 @@ from reports.page import (
     Part,
     Score,
     Scoreboard,
-    Section,
     Table,
 )
 from reports.page import Verdict as PageVerdict
@@ -69,7 +68,6 @@ HINTS = {
     " side.",
 }
 Row = tuple[str, str, tuple[Score | None, ...]]
-Chapters = Mapping[str, tuple[str, Iterable[Part]]]  # title and parts by anchor
 
 
 def _page(
@@ -112,20 +110,14 @@ def _page(
         table("Inputs", "file | SHA-256", files),
         Code("The command that repeats it", command),
     )
-    every: dict[str, tuple[str, Iterable[Part]]] = {
-        "findings": ("What came out", (board, *wrong)),
-        **({first: chapters[first]} if first else {}),
-        **{anchor: chapter for anchor, chapter in chapters.items() if anchor != first},
-        "provenance": ("Provenance", made),
-    }
-    sections = tuple(
-        Section(anchor, head, tuple(parts), folded=anchor not in ("findings", first))
-        for anchor, (head, parts) in every.items()
-    )
+    out = {"findings": ("What came out", (board, *wrong))}
+    shown = out | ({first: chapters[first]} if first else {})
+    behind = {anchor: chapter for anchor, chapter in chapters.items() if anchor != first}
+    folded = {**behind, "provenance": ("Provenance", made)}
     failed = any(score and score.verdict == "not met" for *_, found in rows for score in found)
     banner = {"verdict": "not met" if failed else "no verdict", **banner}
     day = f"{'checked' if title == CHECK else 'made'} {record.made}"
-    return Page(title, day, Banner(kind="computed", **banner), sections, glossary=terms())
+    return page_of(title, day, Banner(kind="computed", **banner), shown, folded)
 
 
 def _enough(name: str, mm: float, value: str, shows: str = "") -> Row:

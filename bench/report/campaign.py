@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import shlex
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from math import ceil, floor
 from pathlib import Path
@@ -23,7 +23,7 @@ from bench.campaign.numbers import (
     campaign_numbers,
 )
 from bench.campaign.plan import CampaignPlan
-from bench.report.glossary import terms
+from bench.report.chapters import Chapters, page_of
 from bench.report.scenes import draw_again, scene_parts
 from bench.report.trials import look_at
 from bench.report.wording import NOT_MEASURED, key_values, p_text, table
@@ -42,7 +42,6 @@ from reports.page import (
     Part,
     Score,
     Scoreboard,
-    Section,
     TrialPart,
 )
 from reports.render import write_report
@@ -86,37 +85,31 @@ def campaign_page(
         done = ", ".join(f"{one.name} {one.amount:g}" for one in plan.perturbations)
         asked["perturbations"] = done
     aside = table("Scenes set aside: no detector's failure", "scene | why", numbers.aside.items())
-    first: dict[str, tuple[str, Iterable[Part]]] = {
+    shown: Chapters = {
         "families": ("What each detector shows", [_scoreboard(numbers, plan)]),
         "aside": ("Scenes set aside", [aside] if numbers.aside else []),
         "looks": ("Where to look first", [Highlights(looks)] if looks else []),
         "figures": ("Figures", _figures(numbers, plan) if numbers.rates else []),
     }
-    behind = (
-        ("rates", "Failures by family", _rates(numbers, plan)),
-        ("worst", "Worst scenes", _worst(numbers, folder, drawn)),
-        ("depends", "Failures and parameters", _depends(numbers)),
-        ("sure", "How sure they are", _sure(numbers)),
-        ("made", "Made with", key_values("Plan and program", {**asked, **made_by})),
-    )
-    shown = ((anchor, title, tuple(each)) for anchor, (title, each) in first.items())
-    return Page(
+    folded: Chapters = {
+        "rates": ("Failures by family", [_rates(numbers, plan)]),
+        "worst": ("Worst scenes", [_worst(numbers, folder, drawn)]),
+        "depends": ("Failures and parameters", [_depends(numbers)]),
+        "sure": ("How sure they are", [_sure(numbers)]),
+        "made": ("Made with", [key_values("Plan and program", {**asked, **made_by})]),
+    }
+    return page_of(
         plan.title or "Campaign",
         "Simulated scenes, scored without instruments",
         _banner(folder, plan, numbers),
-        (
-            *(Section(*chapter) for chapter in shown if chapter[-1]),
-            *(
-                Section(anchor, title, (part,), folded=True, about=ABOUT[anchor])
-                for anchor, title, part in behind
-            ),
-        ),
+        shown,
+        folded,
+        ABOUT,
         trials=parts,
         trials_in="worst" if parts else "",
         trials_note="Truth is drawn as the cameras see it by the calibration that detectors got.",
         detectors=tuple(numbers.detectors),
         worst=tuple(part.id for part in parts[:LOOKED_AT]),
-        glossary=terms(),
     )
 
 
