@@ -50,12 +50,11 @@ from bench.truth.touching import (
     NoTruthError,
     TouchedTruth,
     Toucher,
-    TrialTruth,
     astray_text,
     end_u_mm,
     truth_row,
 )
-from bench.truth.uncertainty import How
+from bench.truth.uncertainty import How, TrueEnd
 from detector.protocol import Detector, DetectorProcess
 from instruments.camera.frame import FrameSet
 from instruments.clock import wall_time
@@ -318,14 +317,14 @@ class TrialRun:
                 self._ctx.wait(1.0)
             if lived or self._rig.cameras.recorded:
                 break
-        rows = [
-            TruthRow(trial.situation, str(i), t.point_mm, visible[i - 1], t.uncertainty.u_mm)
-            for i, t in enumerate(truth.points, 1)
+        ends = [
+            replace(end, situation=trial.situation, teat=str(teat), visible=visible[teat - 1])
+            for teat, end in enumerate(truth.points, 1)
         ]
-        self._refuse_astray(there, rows)
+        self._refuse_astray(there, ends)
         if bath is not None and bath.external_c is None and not self._rig.cameras.recorded:
-            self._look_at_teats(trial, frames, rows, bath.temp_c)
-        truth_rows = self._truth_rows(trial.id, frames, rows, truth)
+            self._look_at_teats(trial, frames, ends, bath.temp_c)
+        truth_rows = self._truth_rows(trial.id, frames, ends)
         answers = self._detect(frames)
         away_s = ctx.states.away_s - settled_s
         note = f"suspended for {away_s:.1f} s: the bath had left its band"
@@ -343,23 +342,23 @@ class TrialRun:
         self._cameras.add(trial.name, truth_rows)
         ctx.long("writing the trial", 60.0, silent=True)
         script = ctx.script.script
-        write_trial(ctx.store, script, head, frames, answers, rows, truth_rows, truth.touches)
+        write_trial(ctx.store, script, head, frames, answers, ends, truth_rows, truth.touches)
         self._truth.stored(trial.id, truth)
         if self._recorder and not self.rehearsing:
-            self._recorder.trial(trial.id, frames, rows, confirmed=truth.how is How.TOUCHED)
+            self._recorder.trial(trial.id, frames, ends, confirmed=truth.how is How.TOUCHED)
 
-    def _refuse_astray(self, there: ExpectedScene, rows: Sequence[TruthRow]) -> None:
+    def _refuse_astray(self, there: ExpectedScene, ends: Sequence[TrueEnd]) -> None:
         """Raises NoTruthError for an end that is nowhere near the script's place, or is called
         visible where no camera can show it: no detector is charged with it.
         """
-        places = np.array([row.xyz_mm for row in rows]).reshape(-1, 3)
+        places = np.array([row.xyz_mm for row in ends]).reshape(-1, 3)
         off_mm = np.linalg.norm(places - there.ends.expected_mm, axis=1)
         found = [
             astray_text(there.ends.called(teat), off)
             for teat, off in enumerate(off_mm.tolist(), 1)
             if off > ASTRAY_MM
         ]
-        named = ((there.trial, row) for row in rows)
+        named = ((there.trial, end) for end in ends)
         if why := next(iter(found or out_of_sight(named, self._ctx.rig.calibration)), None):
             raise NoTruthError("truth", why, hint="Is the rig's calibration of this table's frame?")
 
@@ -367,15 +366,15 @@ class TrialRun:
         return self._ctx.watch.state == State.STABLE
 
     def _look_at_teats(
-        self, trial: PlannedTrial, frames: FrameSet, rows: list[TruthRow], bath_c: float
+        self, trial: PlannedTrial, frames: FrameSet, ends: Sequence[TrueEnd], bath_c: float
     ) -> None:
         """Where no sensor is at the teats, the thermal camera measures. Raises DeviceError for
         cold ones; why it can't is a fact of the run.
         """
         ctx, emulation = self._ctx, self._rig.emulation
         room_c = emulation.ambient_c if "cameras" in self._rig.emulated else self._rig.bath.room_c
-        shown = [k for k, row in enumerate(rows) if row.visible]
-        ends_mm = np.array([rows[k].xyz_mm for k in shown]).reshape(-1, 3)
+        shown = [k for k, end in enumerate(ends) if end.visible]
+        ends_mm = np.array([ends[k].xyz_mm for k in shown]).reshape(-1, 3)
         axes = trial.phantom.moved(trial.pose).axes[shown]
         seen = teats_seen(frames, ctx.rig.calibration, ends_mm, axes, bath_c=bath_c, room_c=room_c)
         if why := seen.cold(bath_c, room_c, self._teats_first_c):
@@ -468,18 +467,16 @@ class TrialRun:
             answers.append(self._examiner.ask(detector, frames, known))
         return answers
 
-    def _truth_rows(
-        self, trial_id: str, frames: FrameSet, rows: Sequence[TruthRow], truth: TrialTruth
-    ) -> list[Row]:
+    def _truth_rows(self, trial_id: str, frames: FrameSet, ends: Sequence[TrueEnd]) -> list[Row]:
         """What is stored of the true ends, with where the cameras show them."""
         self._ctx.long("looking for the true ends in the pictures", 60.0, silent=True)
         exact = self._exact_ends() if self._exact_ends else None
-        ends = [None] * len(rows) if exact is None else list(exact)
+        places = [None] * len(ends) if exact is None else list(exact)
         looked = self._ctx.store.keeps_pictures and not self.rehearsing
-        seen = where_seen(frames, self._ctx.rig.calibration, rows) if looked else {}
+        seen = where_seen(frames, self._ctx.rig.calibration, ends) if looked else {}
         return [
-            truth_row(trial_id, row, end, point, seen.get(row.teat))
-            for row, end, point in zip(rows, ends, truth.points, strict=True)
+            truth_row(trial_id, end, place, seen.get(end.teat))
+            for end, place in zip(ends, places, strict=True)
         ]
 
 

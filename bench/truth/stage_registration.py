@@ -64,7 +64,7 @@ def register(
         report(f"registering the stage: position {number} of {len(poses)}")
         stage.move_to(**settings.machine(there), feed_mm_min=settings.feed_mm_per_min)
         point, _ = toucher.touch_one(teat, ends_of(phantom.moved(there), known=False))
-        stations.append(Station(stands_at(stage), point.point_mm, u_mm))
+        stations.append(Station(stands_at(stage), point.xyz_mm, u_mm))
     identity = " ".join(str(part) for part in asdict(stage.identity).values() if part)
     stated = StageAccuracy.model_validate(settings, from_attributes=True)
     return Registration(made, serial_number, identity, teat, tuple(stations), stated)
