@@ -46,6 +46,8 @@ from detector.fused.refits import doubts, shapes, unsure
 from detector.fused.sharpness import Sharpness, blur_covariances, sharpness, too_blurred
 from detector.fused.thermal import (
     ROOM_PX,
+    SOME_END,
+    SURE_END,
     Nominations,
     Sought,
     bars,
@@ -206,13 +208,14 @@ def _detect(
     edges = sharpness(fitted, views[:2])
     if wrong := too_blurred(edges):
         raise pictures.UnusableError(wrong)
-    unexplained_px = _unexplained(fitted.teats, thermal, ends)
     answers = _answers(judged, cameras, edges, thermal, calibration, p, trace)
-    said = _said(judged, unexplained_px, thermal, calibration, p)
+    faint_px = _unexplained(fitted.teats, thermal, ends, SOME_END)
+    said = _said(judged, faint_px, thermal, calibration, p)
     if not answers:
         said = ["nothing warm has the outline of a teat in both optical pictures", *said]
     reason = "; ".join(said) or None
-    return Detection(answers, len(unexplained_px), reason, tuple(trace))
+    hidden = len(_unexplained(fitted.teats, thermal, ends))
+    return Detection(answers, hidden, reason, tuple(trace))
 
 
 def _said(
@@ -258,14 +261,16 @@ class _Judged:
         return self.candidates.evidence
 
 
-def _unexplained(teats: Array, thermal: _Thermal, ends: Nominations) -> Array:
+def _unexplained(
+    teats: Array, thermal: _Thermal, ends: Nominations, least: float = SURE_END
+) -> Array:
     """The ends (k, 2) sensor px of the thermal picture that are of none of teats (m, 8)."""
     tips, view = apexes(teats), thermal.view
     feet_px, tips_px = (
         view.camera.project(view.camera_from_teats.apply(points))
         for points in (tips + 60.0 * axes(teats), tips)
     )
-    return unexplained(view.field, thermal.levels, ends, feet_px, tips_px, thermal.sought)
+    return unexplained(view.field, thermal.levels, ends, feet_px, tips_px, thermal.sought, least)
 
 
 def _fit(

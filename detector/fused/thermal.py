@@ -30,7 +30,8 @@ _WIDER, _MOST_TIPS = 1.31, 250  # from one width that is tried to the next
 ROOM_PX = 48  # of zeros about the gradients, for outlines beyond the picture
 _APART_PX, _NARROWEST_PX = 4.0, 1.6
 # strengths, 0 to 1
-_STEEP, _LEAST_END, _LEAST_BAR, _CLEAR_END, _SURE_END = 0.35, 0.25, 0.45, 0.8, 0.7
+_STEEP, _LEAST_END, _LEAST_BAR, _CLEAR_END = 0.35, 0.25, 0.45, 0.8
+SURE_END, SOME_END = 0.85, 0.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,14 +166,17 @@ def unexplained(
     feet_px: Array,
     tips_px: Array,
     sought: Sought,
+    least: float,
 ) -> Array:
-    """Which clear ends (k, 2) lie on no bar from ``tips_px`` (k, 2) to ``feet_px`` (k, 2)."""
+    """Which ends (k, 2) of a score above ``least`` lie on no bar from ``tips_px`` (k, 2) to
+    ``feet_px`` (k, 2).
+    """
     feet_px, tips_px = sought.turned(feet_px), sought.turned(tips_px)
     way = tips_px - feet_px
     bars_seen = list(zip(0.5 * (tips_px + feet_px), (way[:, 0] / way[:, 1]).tolist(), strict=True))
     low, high = between
     found = []
-    for i in np.flatnonzero(ends.score > _SURE_END):
+    for i in np.flatnonzero(ends.score > least):
         lean, (way_px, _) = ends.lean[i], bar_ways(ends.lean[i], sought.down)
         place = ends.centre_px[i] + 8.0 * way_px
         row, column = np.rint(place).astype(int)[::-1].clip(0, np.array(temperature.shape) - 1)

@@ -7,7 +7,7 @@ import pytest
 
 from detector.fused.decide import NEAR_MM, means
 
-ENDS = np.array([[-1.5, 0, 900], [1.5, 0, 900], [0, NEAR_MM + 1.6, 900], [300, 0, 900.0]])
+ENDS = np.array([[-1.5, 0, 900], [1.5, 0, 900], [0, 16, 900], [300, 0, 900.0]])
 
 
 @pytest.mark.parametrize("power", [0.5, 2.0])
@@ -20,7 +20,14 @@ def test_two_fits_as_likely_give_the_middle_and_their_spread(power: float) -> No
 def test_a_fit_counts_by_a_power_of_its_odds() -> None:
     (mean,), (between,) = means(ENDS, np.log([3.0, 1.0, 1.0, 1.0]), [0], 2.0)
     assert mean == pytest.approx([-1.5 + 3.0 * 0.1, 0, 900])
-    assert between[0, 0] == pytest.approx(9.0 * 0.1 * 0.9)
+    assert between[0, 0] == pytest.approx(0.75 * 0.3**2 + 0.25 * 2.7**2)
+
+
+def test_a_fit_of_the_same_place_farther_off_is_in_the_covariance_alone() -> None:
+    ends = np.array([[0, 0, 900], [0, 0, 900 + 1.5 * NEAR_MM], [300, 0, 900.0]])
+    (mean,), (between,) = means(ends, np.log([4.0, 1.0, 4.0]), [0], 2.0)
+    assert mean == pytest.approx(ends[0])
+    assert between == pytest.approx(np.diag([0, 0, 0.2 * (1.5 * NEAR_MM) ** 2]))
 
 
 def test_a_fit_alone_is_the_end_and_a_likelier_one_counts_no_more_than_the_given() -> None:
