@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from typing import Any, Literal
 
 from instruments.bath.profile import AlarmCode, Capabilities, NumberUnit, Profile
@@ -192,8 +191,7 @@ class PluggedBath:
 
     def close(self) -> None:
         """Close it as it is; once more is no error."""
-        with suppress(InstrumentError):
-            self._border.close()
+        self._border.forget()
 
     def _identify(self) -> None:
         given = self._border.call("identity", lambda bath: dict(bath.identity))

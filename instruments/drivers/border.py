@@ -77,17 +77,11 @@ class Border(Generic[Made]):
         return self._within(what, lambda: work(made), limit_s)
 
     def forget(self) -> None:
-        """Close the plug-in, and open another one when it is next needed."""
+        """Close the plug-in, in 2 s at most; another one is opened when it is next needed."""
         made, self._made = self._made, None
         if made is not None:
             with suppress(InstrumentError):  # it is gone, or hangs
                 self._within("close", lambda: made.close(), CLOSE_S)  # type: ignore[attr-defined]
-
-    def close(self) -> None:
-        """Close it, in 2 s at most; once more is no error."""
-        made, self._made = self._made, None
-        if made is not None:
-            self._within("close", lambda: made.close(), CLOSE_S)  # type: ignore[attr-defined]
 
     @contextmanager
     def _translated(self, what: str) -> Iterator[None]:

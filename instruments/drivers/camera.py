@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from instruments.camera.frame import FrameError, FrameFault, RawFrame
 from instruments.clock import Clock
 from instruments.drivers.border import Border
 from instruments.drivers.entry_points import Plugin
-from instruments.errors import DeviceError, InstrumentError, LimitError
+from instruments.errors import DeviceError, LimitError
 
 CAPTURE_S = 30.0  # a long exposure, and a slow link
 
@@ -43,8 +42,7 @@ class PluggedCamera:
             raise FrameError(FrameFault.DROPPED, self._name, self.who, str(error)) from error
 
     def close(self) -> None:
-        with suppress(InstrumentError):
-            self._border.close()
+        self._border.forget()
 
 
 class PluggedGroup:
@@ -74,8 +72,7 @@ class PluggedGroup:
         return {part: checked(self._border, given[part]) for part in self.parts}
 
     def close(self) -> None:
-        with suppress(InstrumentError):
-            self._border.close()
+        self._border.forget()
 
 
 def checked(border: Border[Camera] | Border[CameraGroup], frame: object) -> RawFrame:

@@ -5,7 +5,6 @@ behind every move, and a stop that doesn't stop it is an error.
 from __future__ import annotations
 
 import math
-from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -171,8 +170,7 @@ class PluggedStage(StageCalls):
 
     def close(self) -> None:
         """Close it, without stopping it; once more is no error."""
-        with suppress(InstrumentError):
-            self._border.close()
+        self._border.forget()
 
     def _begin_move(self, target: Target, feed_mm_min: float | None) -> None:
         self._go(target, feed_mm_min, jog=False)
