@@ -154,8 +154,6 @@ class PluggedStage(StageCalls):
             self.stands()
         self._move, self.moves = None, False
 
-    safe = stop
-
     def reconnect(self) -> StageIdentity:
         """Open it again; it has to be homed then."""
         self._move, self._homed_at = None, 0

@@ -1,5 +1,5 @@
-"""What every stage of declared axes takes and says alike, whatever it speaks: who answered, its
-travel, moves to a place and by so much. Targets are of the axes' letters, mm or degrees of A.
+"""What the bench asks of an open stage, whoever wrote the driver, and what all of them do alike:
+who answered, its travel, moves to a place and by so much.
 """
 
 from __future__ import annotations
@@ -7,15 +7,19 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from instruments.errors import LimitError
-from instruments.stage.protocol import AXES
+from instruments.stage.protocol import AXES, Status
 from instruments.stage.settings import AxisLimits, StageIdentity, StageSettings, Target, declared
 
 
 class StageCalls(ABC):
-    """The stage of ``axes`` at ``url``. ``before_moving`` is called before anything is sent that
-    moves it; what it raises keeps that from being sent. ``moves``: by a call of ours, and no stand
-    was read back since.
+    """The stage of ``axes`` at ``url``, in machine coordinates: mm by axis letter, degrees for A.
+    ``before_moving`` is called before anything is sent that moves it; what it raises keeps that
+    from being sent. ``moves``: by a call of ours, and no stand was read back since. `brake` and
+    `stands` may be called from any thread.
     """
 
     def __init__(self, url: str, who: str, axes: str) -> None:
@@ -89,15 +93,45 @@ class StageCalls(ABC):
             raise LimitError(self.who, "a jog without a distance", hint="Give a way along an axis.")
         self._begin_jog(way, feed_mm_min)
 
+    @property
     @abstractmethod
-    def finish_move(self) -> None:
-        """Wait for a move or jog. Raises DeviceError when held, too slow, or it ends elsewhere."""
-
+    def safe_state(self) -> str: ...
+    @property
+    @abstractmethod
+    def homed(self) -> bool: ...
+    @abstractmethod
+    def connect(self) -> StageIdentity: ...
+    @abstractmethod
+    def reconnect(self) -> StageIdentity: ...
+    @abstractmethod
+    def recover(self) -> None: ...
+    @abstractmethod
+    def home(self) -> None: ...
+    @abstractmethod
+    def position(self) -> NDArray[np.float64]: ...
+    @abstractmethod
+    def status(self) -> Status: ...
+    @abstractmethod
+    def finish_move(self) -> None: ...
+    @abstractmethod
+    def cancel_jog(self) -> None: ...
+    @abstractmethod
+    def brake(self) -> None: ...
+    @abstractmethod
+    def stands(self) -> Status | None: ...
+    @abstractmethod
+    def stop(self) -> None: ...
+    @abstractmethod
+    def close(self) -> None: ...
     @abstractmethod
     def _begin_move(self, target: Target, feed_mm_min: float | None) -> None: ...
 
     @abstractmethod
     def _begin_jog(self, way: Target, feed_mm_min: float | None) -> None: ...
+
+    def safe(self) -> None:
+        """As ``stop``."""
+        self.stop()
 
     @property
     def _letters(self) -> str:

@@ -222,8 +222,6 @@ class Stage(StageCalls):
                     what = f"can't be stopped: {worse.what}"
                     raise LinkError(self.who, what, hint="Cut its power.") from error
 
-    safe = stop
-
     def reconnect(self) -> StageIdentity:
         """Open the link again and identify the controller; it has to be homed then. Raises
         LinkError, else as ``connect``.
