@@ -4,6 +4,7 @@ says how either is made again.
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -67,6 +68,14 @@ def test_sentences_on_the_path_traced_frames() -> None:
         f"{ours['found']} of {ours['visible']}, nothing false, {ours['mean_mm']} in the mean,"
         f" p95 {ours['p95_mm']}, {ours['max_mm']} at most"
     )
+    assert note in page("docs/detectors.md")
+
+
+def test_sentence_on_families_left_out() -> None:
+    learned = json.loads((ROOT / "detector/fused/learned.json").read_text(encoding="utf-8"))
+    each, made = learned["families left out"].values(), learned["made"]
+    visible, found, false = (sum(one[key] for one in each) for key in ("visible", "found", "false"))
+    note = f"{found} of {visible} ends, {false} false, of {made['scenes']} scenes"
     assert note in page("docs/detectors.md")
 
 
