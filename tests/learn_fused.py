@@ -52,7 +52,7 @@ EXACT = ParameterCovariance((), np.zeros((0, 0)))
 RIDGE, NOT_SURE_MM, LESS = 5e-3, (2.5, 6.0), 0.3
 AGAIN, WITHIN = 2, 0.2
 # a false end counts as so many that are missed
-FALSE, LEASTS, POWERS = 10, (-1.2, -0.9, -0.6, -0.3, 0.0, 0.3), (0.5, 1.0, 2.0, 4.0)
+FALSE, LEASTS, POWERS = 4, (-1.2, -0.9, -0.6, -0.3, 0.0, 0.3), (0.5, 1.0, 2.0, 4.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -187,11 +187,14 @@ def measures(teats: Array, evidence: Evidence, prior: Prior) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decision:
-    """Log odds (m,), the reason against each or None, and which only a witness speaks against."""
+    """Log odds (m,), the reason against each or None, and which only a witness speaks against, or
+    only an unsure place.
+    """
 
     odds: Array
     reasons: list[str | None]
     by_witness: NDArray[np.bool_]
+    by_place: NDArray[np.bool_]
 
     @property
     def accepted(self) -> list[int]:
@@ -223,9 +226,10 @@ def decide(teats: Array, evidence: Evidence, learned: Learned, prior: Prior) -> 
         else:
             reasons[i] = None
             kept.append(place)
-    rejected = np.array([reason is not None for reason in reasons], dtype=bool)
-    by_witness = rejected & (odds + witness > learned.least) & (odds <= learned.least)
-    return Decision(odds, reasons, by_witness)
+    unlikely = odds <= learned.least
+    unsure = short[:, [kind.lacking == UNSURE for kind in kinds]].sum(axis=1)
+    by_witness, by_place = (unlikely & (odds + less > learned.least) for less in (witness, unsure))
+    return Decision(odds, reasons, by_witness, by_place)
 
 
 NEAR_MM = 4.0  # a fit whose end is so near to a teat's is right

@@ -82,7 +82,7 @@ from detector.protocol import Context, Detection, Frames, Stage, Teat
 _SAME_MM, _CHI2_99 = 15.0, 11.345  # two answers on one end; 99 % of three degrees of freedom
 _BESIDE_PX = np.array([-1.0, 0.0, 1.0])  # disparities about an expected end
 _OPTICAL_BLUR_PX, _THERMAL_BLUR_PX = 1.5, 0.8  # as much as a start may be off
-# log odds above what is accepted: beyond doubt; below, of what may be an end
+# log odds above what is accepted: beyond doubt; below, of what has a sentence
 _SURE, _MAYBE_END = 3.0, 4.0
 LEARNED = learned()
 _ROOM_ABOVE_MM = 110.0  # how far above a bar's visible part its end may be
@@ -232,7 +232,8 @@ def _said(
     size = thermal.px_a_sensor_px
     thermal_px = thermal.lens.project(thermal.view.camera_from_teats.apply(apexes(teats)))
     warm_px = (unexplained_px + 0.5) * size - 0.5
-    more = left_out(teats, decision, _maybe(judged), thermal_px, warm_px, size, calibration)
+    doubtful = decision.odds > LEARNED.least - _MAYBE_END
+    more = left_out(teats, decision, doubtful, thermal_px, warm_px, size, calibration)
     return [*outside(given), *more]
 
 
@@ -307,16 +308,11 @@ def _fit(
         usual = np.delete(np.arange(len(judged.fitted.teats)), unlike)
         again = weighed(shaped_again(judged.fitted.take(unlike), views, p))
         judged = judge(judged.candidates.take(usual) + again)
-    rows = unsure(judged.fitted.teats, judged.evidence, judged.decision, _maybe(judged), p)
+    rows = unsure(judged.fitted.teats, judged.evidence, judged.decision, p)
     if rows:
         beside = refine_beside(judged.fitted.take(rows), views, p, calibration)
         judged = judge(judged.candidates + weighed(beside))
     return judged
-
-
-def _maybe(judged: _Judged) -> NDArray[np.bool_]:
-    """Which fits may be ends, given or not."""
-    return np.asarray(judged.decision.odds > LEARNED.least - _MAYBE_END)
 
 
 def _from_starts(

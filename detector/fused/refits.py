@@ -58,20 +58,13 @@ def shapes(teats: Array, evidence: Evidence, decision: Decision, p: Parameters) 
     return kept[: p.most_shapes]
 
 
-def unsure(
-    teats: Array,
-    evidence: Evidence,
-    decision: Decision,
-    maybe: NDArray[np.bool_],
-    p: Parameters,
-) -> list[int]:
-    """Of teats (m, 8), those of an unsure place: the accepted ones, and a few that may be ends,
-    one a place, the likeliest first.
+def unsure(teats: Array, evidence: Evidence, decision: Decision, p: Parameters) -> list[int]:
+    """Of teats (m, 8), those of an unsure place: the accepted ones, and a few that only this speaks
+    against, one a place, the likeliest first.
     """
-    wide = evidence.sd_mm > _UNSURE_MM
     accepted = decision.accepted
     inside = np.asarray(pass_through(teats, teats[accepted]).any(axis=1))
     order = np.argsort(-decision.odds, kind="stable").tolist()
-    open_ = [i for i in order if wide[i] and maybe[i] and not inside[i]]
+    open_ = [i for i in order if decision.by_place[i] and not inside[i]]
     more = _one_each(open_, on_one_bar(teats))[: p.most_unsure]
-    return [i for i in accepted if wide[i]] + more
+    return [i for i in accepted if evidence.sd_mm[i] > _UNSURE_MM] + more
