@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from detector.calibration import Calibration
-from detector.fused.decide import Fits, aside
+from detector.fused.decide import Fits, aside, one_sided
 from detector.fused.learned import Learned, in_order
 from detector.fused.parameters import Parameters
 from detector.fused.refine import any_shape
@@ -194,10 +194,6 @@ def _unseen(f: Fits) -> Array:
     return np.asarray(1.0 - f.of.end[:, :2].mean(axis=1))
 
 
-def _one_sided(f: Fits) -> Array:
-    return np.asarray(1.0 - f.of.both[:, :2].min(axis=1))
-
-
 def _beyond(f: Fits) -> Array:
     return np.asarray(np.maximum(f.thermal[:, [SIDE_A, SIDE_B]].max(axis=1), 0.0))
 
@@ -235,12 +231,12 @@ TERMS: dict[str, Term] = {
     "across, unlike a ball": Term(
         "across", lambda f: f.teats[:, RADIUS] * np.abs(f.teats[:, HEIGHT] - 1)
     ),
-    "across, one side and misfit": Term("across", lambda f: _one_sided(f) * f.of.misfit_px),
-    "across, one side and warmth beyond": Term("across", lambda f: _one_sided(f) * _beyond(f)),
-    "across, one side, of any shape": Term("across", lambda f: _one_sided(f) * f.of.shaped),
+    "across, one side and misfit": Term("across", lambda f: one_sided(f) * f.of.misfit_px),
+    "across, one side and warmth beyond": Term("across", lambda f: one_sided(f) * _beyond(f)),
+    "across, one side, of any shape": Term("across", lambda f: one_sided(f) * f.of.shaped),
     "across, of any shape": Term("across", lambda f: f.of.shaped.astype(float)),
     "sight, misfit squared": Term("sight", lambda f: f.of.misfit_px**2),
-    "sight, one side and misfit": Term("sight", lambda f: _one_sided(f) * f.of.misfit_px),
+    "sight, one side and misfit": Term("sight", lambda f: one_sided(f) * f.of.misfit_px),
     "sight, widths unlike": Term("sight", lambda f: np.minimum(f.of.width_px, 1.0)),
     "sight, thermal outline aside": Term("sight", aside),
     "sight, short sides": Term("sight", _short),

@@ -110,6 +110,11 @@ def aside(f: Fits) -> Array:
     return np.asarray(0.5 * np.abs(np.nan_to_num(sides[:, 0] - sides[:, 1])))
 
 
+def one_sided(f: Fits) -> Array:
+    """The share of its worse side that isn't seen, in the picture that shows less."""
+    return np.asarray(1.0 - f.of.both[:, :2].min(axis=1))
+
+
 def _all_beyond(f: Fits) -> Array:
     """How far the thermal outline lies beyond the fit on all sides that it shows, sensor px."""
     known = np.isfinite(f.of.thermal_px)
@@ -134,6 +139,9 @@ MEASURES: dict[str, Measure] = {
     "width, one less the other, px": Measure(0, 1, UNLIKE, lambda f: f.of.width_px),
     "rows, right less left, px": Measure(0, 0.5, OUTLINE, lambda f: np.abs(f.of.rows_px)),
     "ln of the end's sd, mm": Measure(-2.5, 3, UNSURE, lambda f: np.log(f.of.sd_mm)),
+    "unsure and one-sided": Measure(
+        0, 3.5, UNSURE, lambda f: one_sided(f) * np.maximum(np.log(f.of.sd_mm) + 0.5, 0.0)
+    ),
     "both sides stop and bend": Measure(0, 1, END_UNSEEN, lambda f: f.of.stops.astype(float)),
     "sides go on beyond, mm": Measure(0, 15, GOES_ON, lambda f: f.of.goes_on_mm),
     "sides go on, end in part, mm": Measure(
