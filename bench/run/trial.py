@@ -29,6 +29,7 @@ from bench.rig.urls import PEOPLE
 from bench.run.cameras_so_far import CamerasSoFar
 from bench.run.context import RunContext
 from bench.run.events import RunState
+from bench.run.interruptions import diagnosis
 from bench.run.recordings import Recorder
 from bench.run.rows import detection_tables, stage_pictures
 from bench.run.set_up_picture import write_set_up_picture
@@ -60,11 +61,12 @@ from detector.protocol import Detector, Served
 from instruments.camera.frame import FrameSet
 from instruments.clock import wall_time
 from instruments.drivers.protocols import Stage
-from instruments.errors import DeviceError, LimitError
+from instruments.errors import DeviceError, InstrumentError, LimitError
 from instruments.operators.operator import Arrangement, NextTrial, OperatorRepeat, OperatorSkip
 from instruments.world.phantom import PlatePose
 
 REGISTRATION_FILE = "stage-registration.toml"  # in the run's folder, where it was made at its start
+LEAVE_TOUCHES = ("stage", "bath", "cameras")  # where they drop out, touches may still count
 URGENT = ("invalid", "registration")  # what the operator has to see, not only the record
 Settled = Callable[[Sequence[str], bool], None]
 
@@ -288,7 +290,19 @@ class TrialRun:
         self.frames_looked_at = self._taker.looked
 
     def run(self, trial: PlannedTrial) -> None:
-        """From settling to the trial's rows; where anything raises, nothing is stored."""
+        """From settling to the trial's rows; where anything raises, nothing is stored. Touches are
+        kept for the next try where neither the arm nor a person has interrupted it.
+        """
+        try:
+            self._run(trial)
+        except BaseException as why:
+            if not isinstance(why, InstrumentError) or diagnosis(why)[0] not in LEAVE_TOUCHES:
+                self._truth.forget()
+            elif count := self._truth.touched:
+                self._ctx.event("touches", f"{trial.id}: {count} so far are kept")
+            raise
+
+    def _run(self, trial: PlannedTrial) -> None:
         ctx, there = self._ctx, shown(trial, self._axes)
         ctx.store.refuse_gone()
         ctx.live.expect(there.ends)

@@ -58,6 +58,7 @@ SAME_SHARE = 0.25
 
 # of an end from where the script has it: no phantom is set up worse
 ASTRAY_MM = 150.0
+Taken = list[tuple[Floats, dict[str, Any]]]  # of touches of one end: where it is, (3,), and the row
 
 
 class NoTruthError(DeviceError):
@@ -160,29 +161,78 @@ class Toucher:
         self.tip = tip
         self.readings = readings or arm.touches
 
-    def touch_all(self, ends: Ends) -> tuple[list[TruthPoint], list[Row]]:
-        """A truth for each end, and a row for each touch. Raises NoTruthError."""
+    def touch_all(
+        self, ends: Ends, so_far: dict[int, Taken] | None = None
+    ) -> tuple[list[TruthPoint], list[Row]]:
+        """A truth for each end, and a row for each touch. ``so_far`` gets each touch, by teat; what
+        an attempt before left in it counts where one more touch agrees. Raises NoTruthError.
+        """
         done: dict[int, TruthPoint] = {}
         rows: list[Row] = []
+        so_far = {} if so_far is None else so_far
+        again = self._compared(ends, so_far) if any(map(_kept, so_far.values())) else ""
         for teat in range(1, len(ends.expected_mm) + 1):
             places = {other: np.array(point.point_mm) for other, point in done.items()}
-            done[teat], touches = self._touch_end(teat, ends, places)
+            taken = so_far.setdefault(teat, [])
+            done[teat], touches = self._touch_end(teat, ends, places, taken, again)
             rows += touches
+            again = ""
         self._ask(Release())
         return list(done.values()), rows
 
     def touch_one(self, teat: int, ends: Ends) -> tuple[TruthPoint, list[Row]]:
         """The same for one end alone."""
-        point, rows = self._touch_end(teat, ends, {})
+        point, rows = self._touch_end(teat, ends, {}, [])
         self._ask(Release())
         return point, rows
 
+    def _compared(self, ends: Ends, so_far: dict[int, Taken]) -> str:
+        """Have one end touched once more, and forget all touches where it isn't where it was; gives
+        back what to say then.
+        """
+        teat, kept = next((teat, kept) for teat, one in so_far.items() if (kept := _kept(one)))
+        count, who = sum(map(len, so_far.values())), ends.called(teat)
+        again = f"One touch of {who} shows whether the {count} of this pose so far still count."
+        found = f"{who} could not be touched once more"
+        for _ in range(1 + SPARE):
+            self._check()
+            if not self.tip.goes(ends.expected_mm[teat - 1], ends.axes[teat - 1]):
+                self._ask(Touch(teat, len(ends.expected_mm), again=again))
+            try:
+                end, row = self._reading(teat, ends, len(so_far[teat]) + 1)
+            except TouchAgainError as error:
+                again = str(error)
+                continue
+            off_mm = float(np.linalg.norm(end - np.mean([one for one, _ in kept], axis=0)))
+            if off_mm <= FAR * reading_u_mm(self._arm) * sqrt(1.0 + 1.0 / len(kept)):
+                so_far[teat].append((end, row))
+                return ""
+            found = f"{who} is {off_mm:.1f} mm from where it was"
+            break
+        so_far.clear()
+        return f"{found}: all ends of this pose are touched anew."
+
+    def _reading(self, teat: int, ends: Ends, touch: int) -> tuple[Floats, dict[str, Any]]:
+        """The end (3,) as it is touched now, and its row. Raises TouchAgainError."""
+        seen = self.tip.read()
+        row = {
+            "teat": str(teat),
+            "touch": touch,
+            "t_s": self._clock.now(),
+            "wall_time": wall_time().isoformat(timespec="milliseconds"),
+            **dict(zip(("x_mm", "y_mm", "z_mm"), map(float, seen.tip_mm), strict=True)),
+            "spread_mm": float(seen.spread_mm),
+            "packets": seen.n,
+            "counts": json.dumps(seen.evidence),
+            "refused": None,
+        }
+        # the arm reads the centre of the ball, which stands on the end
+        return seen.tip_mm - self._arm.tip_radius_mm * ends.axes[teat - 1], row
+
     def _touch_end(
-        self, teat: int, ends: Ends, done: Mapping[int, Floats]
+        self, teat: int, ends: Ends, done: Mapping[int, Floats], taken: Taken, again: str = ""
     ) -> tuple[TruthPoint, list[Row]]:
-        taken: list[tuple[Floats, dict[str, Any]]] = []  # each reading's end (3,), and its row
         moves: list[str] = []
-        again = ""
         while (missing := self.readings - len(kept := _kept(taken))) > 0:
             if len(taken) + len(moves) >= (most := self.readings + SPARE):
                 reasons = [str(row["refused"]) for _, row in taken if row["refused"]] + moves
@@ -198,26 +248,13 @@ class Toucher:
             if not self.tip.goes(ends.expected_mm[teat - 1], ends.axes[teat - 1]):
                 self._ask(Touch(teat, len(ends.expected_mm), number, self.readings, again))
             try:
-                seen = self.tip.read()
+                end, row = self._reading(teat, ends, len(taken) + 1)
             except TouchAgainError as error:
                 moves.append(str(error))
                 again = f"{error} Touch {ends.called(teat)}, once more."
                 continue
-            # the arm reads the centre of the ball, which stands on the end
-            end = seen.tip_mm - self._arm.tip_radius_mm * ends.axes[teat - 1]
-            refused = mistaken(end, teat, ends, done)
+            row["refused"] = refused = mistaken(end, teat, ends, done)
             again = f"{refused} Touch {ends.called(teat)}." if refused else ""
-            row = {
-                "teat": str(teat),
-                "touch": len(taken) + 1,
-                "t_s": self._clock.now(),
-                "wall_time": wall_time().isoformat(timespec="milliseconds"),
-                **dict(zip(("x_mm", "y_mm", "z_mm"), map(float, seen.tip_mm), strict=True)),
-                "spread_mm": float(seen.spread_mm),
-                "packets": seen.n,
-                "counts": json.dumps(seen.evidence),
-                "refused": refused,
-            }
             taken.append((end, row))
             kept = _kept(taken)
             if not again and len(kept) >= min(self.readings, 3):
@@ -281,7 +318,7 @@ def tip_radius_u_mm(arm: Arm) -> float:
     return hypot(turned_mm, arm.tip_radius_u_mm) if arm.tip_radius_mm else 0.0
 
 
-def _kept(taken: list[tuple[Floats, dict[str, Any]]]) -> list[tuple[Floats, dict[str, Any]]]:
+def _kept(taken: Taken) -> Taken:
     return [one for one in taken if one[1]["refused"] is None]
 
 
@@ -395,6 +432,7 @@ class TouchedTruth:
     def __init__(self, toucher: Toucher, stage_mm: Callable[[], Triple | None]) -> None:
         self._toucher = toucher
         self._stage_mm = stage_mm
+        self._so_far: tuple[str, dict[int, Taken]] = "", {}  # of which trial, touches by teat
 
     def begin(self) -> None:
         """All is homed; nothing has been shown yet."""
@@ -408,9 +446,21 @@ class TouchedTruth:
 
     def of_trial(self, shown: ExpectedScene) -> TrialTruth:
         """The truth of the phantom that stands there. Raises NoTruthError."""
-        points, rows = self._toucher.touch_all(shown.ends)
+        if self._so_far[0] != shown.trial:
+            self._so_far = shown.trial, {}
+        points, rows = self._toucher.touch_all(shown.ends, self._so_far[1])
+        self.forget()
         touches = tuple({"trial": shown.trial, **row} for row in rows)
         return TrialTruth(tuple(points), touches, self._stage_mm())
+
+    @property
+    def touched(self) -> int:
+        """How many touches there are of a trial that was interrupted amid them."""
+        return sum(map(len, self._so_far[1].values()))
+
+    def forget(self) -> None:
+        """The touches of a trial that was interrupted don't count."""
+        self._so_far = "", {}
 
     def stored(self, trial: str, truth: TrialTruth) -> None:
         """The trial is in the store."""

@@ -93,6 +93,32 @@ def test_who_skips_the_trial_that_waits_finds_the_next_one_waiting_too(tmp_path:
 
 
 @pytest.mark.slow
+def test_a_stage_that_drops_out_while_ends_are_touched_is_noticed_and_costs_no_touch(
+    tmp_path: Path,
+) -> None:
+    class Amid(Bringer):
+        def state(self, text: str) -> None:
+            if "taking the truth" in text and self.twin and not planned:
+                clock = self.twin._clock
+                planned.append(clock.now() + 12.0)
+                clock.call_at(planned[0], self.bring)
+
+    planned = list[float]()
+    files(tmp_path, stage=STAGE, emulation="prompt_s = 5.0")
+    bringer = Amid("", EmulatedFault(instrument="stage", name="silent", for_s=15.0))
+    with known_to(bringer):
+        record = read_run(start(tmp_path, progress=bringer)[0])
+    assert record.ending == "finished", texts(record, "fault")
+    (lost_s,) = [one["t_s"] for one in record.events if one["kind"] == "dropped out"]
+    trial = next(one for one in record.trials if texts(record, "touches")[0].startswith(one.id))
+    touched_s = [touch["t_s"] for touch in trial.touches]
+    assert texts(record, "touches") == [f"{trial.id}: 2 so far are kept"]
+    assert sum(t_s < lost_s for t_s in touched_s) == 2
+    assert 0.0 < lost_s - planned[0] < 4.0, "at once"
+    assert [touch["teat"] for touch in trial.touches] == ["1", "1", "2", "3", "4"]
+
+
+@pytest.mark.slow
 def test_an_abort_is_taken_while_preparing_waits_for_an_instrument(tmp_path: Path) -> None:
     record = given("abort", tmp_path, fault("arm", "silent", 0.1))
     assert (record.ending, len(record.trials)) == ("aborted", 0)
