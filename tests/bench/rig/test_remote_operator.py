@@ -69,6 +69,22 @@ def test_every_situation_arrives_as_it_was_sent(twin: EmulatedRig, port: Listene
             assert placed.visible == tuple(bool(row.all()) for row in np.asarray(seen))
 
 
+def test_an_answer_to_what_was_given_up_is_not_taken_for_the_next_ones(
+    twin: EmulatedRig, port: Listener
+) -> None:
+    def give_up() -> None:
+        if begun:
+            raise LinkError("stage", "gone")
+        begun.append(True)
+
+    begun: list[bool] = []
+    with closing(RealClock()) as clock, closing(RemoteOperator(port.url, clock)) as operator:
+        with pytest.raises(LinkError, match="stage"):
+            operator.ask(Touch(1, 4), give_up)
+        placed = operator.ask(Arrangement("ideal", shipped_phantom("table-5-1"), (), ""))
+        assert len(placed.visible) == 4
+
+
 def test_the_hand_and_the_boards_do_as_they_are_asked(twin: EmulatedRig, port: Listener) -> None:
     with closing(RealClock()) as clock, closing(RemoteOperator(port.url, clock)) as operator:
         operator.ask(Arrangement("ideal", shipped_phantom("table-5-1"), (), ""))
