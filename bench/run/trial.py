@@ -213,6 +213,7 @@ class Attempts:
             self._skipped(trial, skip.reason, f"{by} skipped it: ")
         except NoTruthError as none:
             self._skipped(trial, str(none))
+            self._ctx.events.warn(f"Trial {trial.id} is skipped. {none}")
         self.done += 1
         self._started_s = None
         self._timed += worked

@@ -240,8 +240,9 @@ class Toucher:
                     "truth",
                     f"{ends.called(teat)}: {len(reasons)} of {most} touches could not be used; the"
                     f" last one: {reasons[-1]}",
-                    hint="Is the teat loose, does the phantom stand where the script says, and are"
-                    " its teats counted as the layout counts them?",
+                    hint="Is the teat loose, does the phantom stand where the script says (a stage"
+                    " that was in something's way has lost its place: home it), and are its teats"
+                    " counted as the layout counts them?",
                 )
             self._check()
             number = self.readings - missing + 1
