@@ -239,7 +239,7 @@ class Toucher:
                 raise NoTruthError(
                     "truth",
                     f"{ends.called(teat)}: {len(reasons)} of {most} touches could not be used; the"
-                    f" last one: {reasons[-1]}",
+                    f" last one: {reasons[-1].rstrip('.')}",
                     hint="Is the teat loose, does the phantom stand where the script says (a stage"
                     " that was in something's way has lost its place: home it), and are its teats"
                     " counted as the layout counts them?",
