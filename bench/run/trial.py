@@ -47,6 +47,7 @@ from bench.truth.registration import (
 from bench.truth.stage_registration import around, ends_of, register, stands_at
 from bench.truth.touching import (
     ASTRAY_MM,
+    AstrayError,
     ExpectedScene,
     NoTruthError,
     TouchedTruth,
@@ -272,6 +273,7 @@ class TrialRun:
         self._recorder = recorder
         self.rehearsing = False
         self._teats_unknown = ""
+        self._homed_in_vain = False
         self._teats_first_c: float | None = None  # as the thermal camera saw them
         self._before: Arrangement | None = None  # with a picture
         # what of a pose the stage does; the operator does the rest
@@ -297,7 +299,9 @@ class TrialRun:
         try:
             self._run(trial)
         except BaseException as why:
-            if not isinstance(why, InstrumentError) or diagnosis(why)[0] not in LEAVE_TOUCHES:
+            astray = isinstance(why.__cause__, AstrayError)
+            kept = isinstance(why, InstrumentError) and diagnosis(why)[0] in LEAVE_TOUCHES
+            if astray or not kept:
                 self._truth.forget()
             elif count := self._truth.touched:
                 self._ctx.event("touches", f"{trial.id}: {count} so far are kept")
@@ -323,7 +327,7 @@ class TrialRun:
                 ctx.live.frames(frames)
             bath, bath_state = ctx.watch.last, ctx.watch.state
             ctx.events.state("taking the truth")
-            truth = self._truth.of_trial(there)
+            truth = self._of_trial(there)
             ctx.check()
             if self._bath_lived(captured_s):
                 break
@@ -352,6 +356,22 @@ class TrialRun:
         self._truth.stored(trial.id, truth)
         if self._recorder and not self.rehearsing:
             self._recorder.trial(trial.id, frames, rows, confirmed=truth.how is How.TOUCHED)
+
+    def _of_trial(self, there: ExpectedScene) -> TrialTruth:
+        """The truth; DeviceError, once until there is one again, where the stage may have lost its
+        place: a carriage that something blocks goes unnoticed by its controller.
+        """
+        try:
+            truth = self._truth.of_trial(there)
+        except AstrayError as astray:
+            stage, again = self._ctx.devices.stage, self._homed_in_vain
+            self._homed_in_vain = True
+            if stage is None or again:
+                raise
+            what = f"the phantom is not where the stage should have it: {astray.what}"
+            raise DeviceError(stage.who, what, hint="It is homed again.") from astray
+        self._homed_in_vain = False
+        return truth
 
     def _refuse_astray(self, there: ExpectedScene, rows: Sequence[TruthRow]) -> None:
         """Raises NoTruthError for an end that is nowhere near the script's place, or is called

@@ -65,6 +65,10 @@ class NoTruthError(DeviceError):
     """A teat end could not be touched well, or is where none can be; the trial has no truth."""
 
 
+class AstrayError(NoTruthError):
+    """What was touched is nowhere near the script's place, as where a stage has lost its own."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Ends:
     """What is to be touched: expected places (n, 3), ``axes`` (n, 3) from base to end, ``names``.
@@ -236,13 +240,14 @@ class Toucher:
         while (missing := self.readings - len(kept := _kept(taken))) > 0:
             if len(taken) + len(moves) >= (most := self.readings + SPARE):
                 reasons = [str(row["refused"]) for _, row in taken if row["refused"]] + moves
-                raise NoTruthError(
+                at_mm = ends.expected_mm[teat - 1]
+                off_mm = np.linalg.norm(taken[-1][0] - at_mm) if taken and ends.known else 0.0
+                raise (AstrayError if off_mm > ASTRAY_MM else NoTruthError)(
                     "truth",
                     f"{ends.called(teat)}: {len(reasons)} of {most} touches could not be used; the"
                     f" last one: {reasons[-1].rstrip('.')}",
-                    hint="Is the teat loose, does the phantom stand where the script says (a stage"
-                    " that was in something's way has lost its place: home it), and are its teats"
-                    " counted as the layout counts them?",
+                    hint="Is the teat loose, does the phantom stand where the script says, and are"
+                    " its teats counted as the layout counts them?",
                 )
             self._check()
             number = self.readings - missing + 1

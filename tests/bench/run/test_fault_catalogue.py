@@ -30,6 +30,7 @@ SOME = (
     ("bath", "sensor break", "settling"),
     ("cameras", "black", "running"),
     ("stage", "disconnect", "preparing"),
+    ("stage", "stall", "running"),
     ("arm", "disconnect", "safing"),
 )
 
