@@ -36,9 +36,8 @@ from bench.truth.uncertainty import (
     Component,
     How,
     Triple,
-    TruthPoint,
+    TrueEnd,
     TruthUncertainty,
-    triple,
 )
 from detector.outline.known_ends import EndOffsets
 from instruments.clock import Clock, wall_time
@@ -54,7 +53,6 @@ MEDIAN_LENGTH = 1.5382
 TELL_MM = 2.0  # nearer to the other teat by this, or the two are taken to be equally near
 # of the expected distance between two ends: nearer than that, the tip stands at one of them twice
 SAME_SHARE = 0.25
-
 
 # of an end from where the script has it: no phantom is set up worse
 ASTRAY_MM = 150.0
@@ -167,24 +165,22 @@ class Toucher:
 
     def touch_all(
         self, ends: Ends, so_far: dict[int, Taken] | None = None
-    ) -> tuple[list[TruthPoint], list[Row]]:
+    ) -> tuple[list[TrueEnd], list[Row]]:
         """A truth for each end, and a row for each touch. ``so_far`` gets each touch, by teat; what
         an attempt before left in it counts where one more touch agrees. Raises NoTruthError.
         """
-        done: dict[int, TruthPoint] = {}
-        rows: list[Row] = []
+        done, rows = dict[int, TrueEnd](), list[Row]()
         so_far = {} if so_far is None else so_far
         again = self._compared(ends, so_far) if any(map(_kept, so_far.values())) else ""
         for teat in range(1, len(ends.expected_mm) + 1):
-            places = {other: np.array(point.point_mm) for other, point in done.items()}
+            places = {other: np.array(point.xyz_mm) for other, point in done.items()}
             taken = so_far.setdefault(teat, [])
             done[teat], touches = self._touch_end(teat, ends, places, taken, again)
-            rows += touches
-            again = ""
+            rows, again = rows + touches, ""
         self._ask(Release())
         return list(done.values()), rows
 
-    def touch_one(self, teat: int, ends: Ends) -> tuple[TruthPoint, list[Row]]:
+    def touch_one(self, teat: int, ends: Ends) -> tuple[TrueEnd, list[Row]]:
         """The same for one end alone."""
         point, rows = self._touch_end(teat, ends, {}, [])
         self._ask(Release())
@@ -195,50 +191,30 @@ class Toucher:
         back what to say then.
         """
         teat, kept = next((teat, kept) for teat, one in so_far.items() if (kept := _kept(one)))
-        count, who = sum(map(len, so_far.values())), ends.called(teat)
+        count, who, one = sum(map(len, so_far.values())), ends.called(teat), Taken()
         again = f"One touch of {who} shows whether the {count} of this pose so far still count."
-        found = f"{who} could not be touched once more"
-        for _ in range(1 + SPARE):
-            self._check()
-            if not self.tip.goes(ends.expected_mm[teat - 1], ends.axes[teat - 1]):
-                self._ask(Touch(teat, len(ends.expected_mm), again=again))
-            try:
-                end, row = self._reading(teat, ends, len(so_far[teat]) + 1)
-            except TouchAgainError as error:
-                again = str(error)
-                continue
-            off_mm = float(np.linalg.norm(end - np.mean([one for one, _ in kept], axis=0)))
-            if off_mm <= FAR * reading_u_mm(self._arm) * sqrt(1.0 + 1.0 / len(kept)):
-                so_far[teat].append((end, row))
-                return ""
-            found = f"{who} is {off_mm:.1f} mm from where it was"
-            break
+        self._touch_end(teat, ends, {}, one, again, readings=1)
+        off_mm = np.linalg.norm(_kept(one)[0][0] - np.mean([end for end, _ in kept], axis=0))
+        if off_mm <= FAR * reading_u_mm(self._arm) * sqrt(1.0 + 1.0 / len(kept)):
+            so_far[teat] += one
+            for number, (_, row) in enumerate(so_far[teat], 1):
+                row["touch"] = number
+            return ""
         so_far.clear()
-        return f"{found}: all ends of this pose are touched anew."
-
-    def _reading(self, teat: int, ends: Ends, touch: int) -> tuple[Floats, dict[str, Any]]:
-        """The end (3,) as it is touched now, and its row. Raises TouchAgainError."""
-        seen = self.tip.read()
-        row = {
-            "teat": str(teat),
-            "touch": touch,
-            "t_s": self._clock.now(),
-            "wall_time": wall_time().isoformat(timespec="milliseconds"),
-            **dict(zip(("x_mm", "y_mm", "z_mm"), map(float, seen.tip_mm), strict=True)),
-            "spread_mm": float(seen.spread_mm),
-            "packets": seen.n,
-            "counts": json.dumps(seen.evidence),
-            "refused": None,
-        }
-        # the arm reads the centre of the ball, which stands on the end
-        return seen.tip_mm - self._arm.tip_radius_mm * ends.axes[teat - 1], row
+        return f"{who} is {off_mm:.1f} mm from where it was: all ends are touched anew."
 
     def _touch_end(
-        self, teat: int, ends: Ends, done: Mapping[int, Floats], taken: Taken, again: str = ""
-    ) -> tuple[TruthPoint, list[Row]]:
-        moves: list[str] = []
-        while (missing := self.readings - len(kept := _kept(taken))) > 0:
-            if len(taken) + len(moves) >= (most := self.readings + SPARE):
+        self,
+        teat: int,
+        ends: Ends,
+        done: Mapping[int, Floats],
+        taken: Taken,
+        again: str = "",
+        readings: int | None = None,
+    ) -> tuple[TrueEnd, list[Row]]:
+        moves, readings = list[str](), readings or self.readings
+        while (missing := readings - len(kept := _kept(taken))) > 0:
+            if len(taken) + len(moves) >= (most := readings + SPARE):
                 reasons = [str(row["refused"]) for _, row in taken if row["refused"]] + moves
                 at_mm = ends.expected_mm[teat - 1]
                 off_mm = np.linalg.norm(taken[-1][0] - at_mm) if taken and ends.known else 0.0
@@ -250,20 +226,33 @@ class Toucher:
                     " its teats counted as the layout counts them?",
                 )
             self._check()
-            number = self.readings - missing + 1
+            number = readings - missing + 1
             if not self.tip.goes(ends.expected_mm[teat - 1], ends.axes[teat - 1]):
-                self._ask(Touch(teat, len(ends.expected_mm), number, self.readings, again))
+                self._ask(Touch(teat, len(ends.expected_mm), number, readings, again))
             try:
-                end, row = self._reading(teat, ends, len(taken) + 1)
+                seen = self.tip.read()
             except TouchAgainError as error:
                 moves.append(str(error))
                 again = f"{error} Touch {ends.called(teat)}, once more."
                 continue
-            row["refused"] = refused = mistaken(end, teat, ends, done)
+            # the arm reads the centre of the ball, which stands on the end
+            end = seen.tip_mm - self._arm.tip_radius_mm * ends.axes[teat - 1]
+            refused = mistaken(end, teat, ends, done)
             again = f"{refused} Touch {ends.called(teat)}." if refused else ""
+            row = {
+                "teat": str(teat),
+                "touch": len(taken) + 1,
+                "t_s": self._clock.now(),
+                "wall_time": wall_time().isoformat(timespec="milliseconds"),
+                **dict(zip(("x_mm", "y_mm", "z_mm"), map(float, seen.tip_mm), strict=True)),
+                "spread_mm": float(seen.spread_mm),
+                "packets": seen.n,
+                "counts": json.dumps(seen.evidence),
+                "refused": refused,
+            }
             taken.append((end, row))
             kept = _kept(taken)
-            if not again and len(kept) >= min(self.readings, 3):
+            if not again and len(kept) >= min(readings, 3):
                 far = outliers(np.array([end for end, _ in kept]), reading_u_mm(self._arm))
                 for at, reason in far.items():
                     kept[at][1]["refused"] = reason
@@ -274,7 +263,7 @@ class Toucher:
         return touched(points, self._arm, registration_mm=u_mm), [row for _, row in taken]
 
 
-def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) -> TruthPoint:
+def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) -> TrueEnd:
     """The mean of readings (n, 3), tip radius taken off, with its budget; ``registration_mm`` is
     the table frame's part. Raises ValueError without a reading.
     """
@@ -298,7 +287,7 @@ def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) 
         ("scatter", scatter, f"standard deviation of the mean of {n} touches"),
     ]
     budget = tuple(Component(name, u, source) for name, u, source in lines if u is not None)
-    return TruthPoint(triple(tips.mean(axis=0)), TruthUncertainty(budget))
+    return TrueEnd.at(tips.mean(axis=0), TruthUncertainty(budget))
 
 
 def reading_u_mm(arm: Arm) -> float:
@@ -391,7 +380,7 @@ class ExpectedScene:
 class TrialTruth:
     """The truth of one trial: a point a teat, a row a touch, the stage's position."""
 
-    points: tuple[TruthPoint, ...]
+    points: tuple[TrueEnd, ...]
     touches: tuple[Row, ...]
     stage_mm: Triple | None = None
 
@@ -405,10 +394,9 @@ def truth_row(
     trial_id: str,
     row: TruthRow,
     exact: Floats | None = None,
-    point: TruthPoint | None = None,
     seen: EndOffsets | None = None,
 ) -> Row:
-    """The row of the table ``truth``; ``point`` has the budget of a truth of the bench's own,
+    """The row of the table ``truth``, with the budget of a truth of the bench's own, and in
     ``seen`` where the cameras show it.
     """
     found: dict[str, Any] = {
@@ -421,11 +409,11 @@ def truth_row(
         "covariance_mm2": None,
         "cameras": None if seen is None else json.dumps(asdict(seen)),
     }
-    if point is not None:
+    if isinstance(row, TrueEnd):
         found |= {
-            "covariance_mm2": json.dumps(point.covariance_mm2.tolist()),
-            "how": point.how.value,
-            "budget": json.dumps(point.uncertainty.as_dict()),
+            "covariance_mm2": json.dumps(row.covariance_mm2.tolist()),
+            "how": row.how.value,
+            "budget": json.dumps(row.uncertainty.as_dict()),
         }
     return found
 
@@ -438,7 +426,7 @@ class TouchedTruth:
     def __init__(self, toucher: Toucher, stage_mm: Callable[[], Triple | None]) -> None:
         self._toucher = toucher
         self._stage_mm = stage_mm
-        self._so_far: tuple[str, dict[int, Taken]] = "", {}  # of which trial, touches by teat
+        self.so_far: dict[int, Taken] = {}  # of a trial that was interrupted amid its touches
 
     def begin(self) -> None:
         """All is homed; nothing has been shown yet."""
@@ -452,21 +440,10 @@ class TouchedTruth:
 
     def of_trial(self, shown: ExpectedScene) -> TrialTruth:
         """The truth of the phantom that stands there. Raises NoTruthError."""
-        if self._so_far[0] != shown.trial:
-            self._so_far = shown.trial, {}
-        points, rows = self._toucher.touch_all(shown.ends, self._so_far[1])
-        self.forget()
+        points, rows = self._toucher.touch_all(shown.ends, self.so_far)
+        self.so_far.clear()
         touches = tuple({"trial": shown.trial, **row} for row in rows)
         return TrialTruth(tuple(points), touches, self._stage_mm())
-
-    @property
-    def touched(self) -> int:
-        """How many touches there are of a trial that was interrupted amid them."""
-        return sum(map(len, self._so_far[1].values()))
-
-    def forget(self) -> None:
-        """The touches of a trial that was interrupted don't count."""
-        self._so_far = "", {}
 
     def stored(self, trial: str, truth: TrialTruth) -> None:
         """The trial is in the store."""

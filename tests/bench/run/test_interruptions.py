@@ -55,25 +55,6 @@ def fault(instrument: str, name: str, at_s: float, for_s: float | None = None) -
     return f"prompt_s = 5.0\n[[emulation.faults]]\n{whose}\nat_s = {at_s}\n{lasts}"
 
 
-def faulty(folder: Path, emulation: str) -> RunRecord:
-    return record_of(folder, stage=STAGE, emulation=emulation)
-
-
-@pytest.mark.slow
-def test_it_goes_on_when_the_instrument_is_back(tmp_path: Path) -> None:
-    """The others' are in the tables: `fault_catalogue`, `test_kills`."""
-    record = faulty(tmp_path, fault("arm", "power loss", 60.0, 40.0))
-    assert record.ending == "finished", texts(record, "fault")
-    assert [trial.id for trial in record.trials] == TRIALS
-    assert any("the arm is back after" in text for text in texts(record, "back"))
-    states = texts(record, EVENT)
-    assert states[states.index("paused") + 1] == "running"
-    assert sum(record.facts["retries"].values()) >= 1
-    assert all(len(trial.touches) == 4 for trial in record.trials), (
-        "a trial done again has one set of touches"
-    )
-
-
 def given(words: str, folder: Path, emulation: str) -> RunRecord:
     """A run whose operator types ``words`` while an instrument is away."""
     person = Person("The run is paused", [words])
@@ -210,7 +191,7 @@ def test_nothing_moves_in_a_trial_once_an_interlock_has_tripped(
 @pytest.mark.slow
 def test_one_that_stays_away_ends_the_run_after_the_rigs_patience(tmp_path: Path) -> None:
     lost = fault("arm", "power loss", 60.0)
-    record = faulty(tmp_path, f"{lost}[limits]\naway_s = 90.0")
+    record = record_of(tmp_path, stage=STAGE, emulation=f"{lost}[limits]\naway_s = 90.0")
     assert record.ending == "faulted"
     (paused_s,) = [e["t_s"] for e in record.events if (e["kind"], e["text"]) == (EVENT, "paused")]
     (given_up_s,) = [event["t_s"] for event in record.events if event["kind"] == "given up"]
