@@ -29,7 +29,6 @@ SOME = (
     ("arm", "power loss", "running"),
     ("bath", "sensor break", "settling"),
     ("cameras", "black", "running"),
-    ("stage", "disconnect", "preparing"),
     ("stage", "stall", "running"),
     ("arm", "disconnect", "safing"),
 )

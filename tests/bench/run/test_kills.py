@@ -23,6 +23,7 @@ import pytest
 from bench.cli.terminal import Terminal
 from bench.cli.verdict import show_verdict
 from bench.console import watching
+from bench.record.reader import read_run
 from bench.report import summary
 from bench.report.page import write_run_report
 from bench.report.runs import list_runs, write_queue_page
@@ -236,6 +237,9 @@ def test_all_surfaces_say_the_same_and_what_the_wire_says(
     if way == "returning" and at != "safing":  # where it is too late
         assert status.state == "finished", status.why
         assert not status.unsafe
+    at_s = {event["kind"]: event["t_s"] for event in read_run(run).events}
+    if "given up" in at_s:
+        assert 40.0 <= at_s["given up"] - at_s["dropped out"] <= 60.0, "the rig's patience"
     assert bool(of_bath.by_hand) >= watch.rig.world.plant.running, of_bath
     assert watch.rig.stage
     assert bool(of_stage.by_hand) >= bool(watch.rig.stage.velocity().any()), of_stage
