@@ -50,6 +50,7 @@ from bench.truth.touching import (
     AstrayError,
     ExpectedScene,
     NoTruthError,
+    SoFar,
     TouchedTruth,
     Toucher,
     TrialTruth,
@@ -274,7 +275,7 @@ class TrialRun:
         self.rehearsing = False
         self._teats_unknown = ""
         self._homed_in_vain = False
-        self._begun = ""
+        self._begun, self._so_far = "", SoFar()  # touches of a trial that was interrupted amid them
         self._teats_first_c: float | None = None  # as the thermal camera saw them
         self._before: Arrangement | None = None  # with a picture
         # what of a pose the stage does; the operator does the rest
@@ -297,7 +298,7 @@ class TrialRun:
         """From settling to the trial's rows; where anything raises, nothing is stored. Touches are
         kept for the next try where neither the arm nor a person has interrupted it.
         """
-        so_far = self._truth.so_far
+        so_far = self._so_far
         if self._begun != trial.id:
             so_far.clear()
         self._begun = trial.id
@@ -310,6 +311,7 @@ class TrialRun:
             elif count := sum(map(len, so_far.values())):
                 self._ctx.event("touches", f"{trial.id}: {count} so far are kept")
             raise
+        so_far.clear()
 
     def _run(self, trial: PlannedTrial) -> None:
         ctx, there = self._ctx, shown(trial, self._axes)
@@ -376,7 +378,7 @@ class TrialRun:
         place: a carriage that something blocks goes unnoticed by its controller.
         """
         try:
-            truth = self._truth.of_trial(there)
+            truth = self._truth.of_trial(there, self._so_far)
         except AstrayError as astray:
             stage, again = self._ctx.devices.stage, self._homed_in_vain
             self._homed_in_vain = True

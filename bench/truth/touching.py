@@ -57,6 +57,7 @@ SAME_SHARE = 0.25
 # of an end from where the script has it: no phantom is set up worse
 ASTRAY_MM = 150.0
 Taken = list[tuple[Floats, dict[str, Any]]]  # of touches of one end: where it is, (3,), and the row
+SoFar = dict[int, Taken]  # by teat
 
 
 class NoTruthError(DeviceError):
@@ -163,9 +164,7 @@ class Toucher:
         self.tip = tip
         self.readings = readings or arm.touches
 
-    def touch_all(
-        self, ends: Ends, so_far: dict[int, Taken] | None = None
-    ) -> tuple[list[TrueEnd], list[Row]]:
+    def touch_all(self, ends: Ends, so_far: SoFar | None = None) -> tuple[list[TrueEnd], list[Row]]:
         """A truth for each end, and a row for each touch. ``so_far`` gets each touch, by teat; what
         an attempt before left in it counts where one more touch agrees. Raises NoTruthError.
         """
@@ -186,7 +185,7 @@ class Toucher:
         self._ask(Release())
         return point, rows
 
-    def _compared(self, ends: Ends, so_far: dict[int, Taken]) -> str:
+    def _compared(self, ends: Ends, so_far: SoFar) -> str:
         """Have one end touched once more, and forget all touches where it isn't where it was; gives
         back what to say then.
         """
@@ -426,7 +425,6 @@ class TouchedTruth:
     def __init__(self, toucher: Toucher, stage_mm: Callable[[], Triple | None]) -> None:
         self._toucher = toucher
         self._stage_mm = stage_mm
-        self.so_far: dict[int, Taken] = {}  # of a trial that was interrupted amid its touches
 
     def begin(self) -> None:
         """All is homed; nothing has been shown yet."""
@@ -438,10 +436,9 @@ class TouchedTruth:
         """Whether no person has been or will be at the phantom for this trial."""
         return False
 
-    def of_trial(self, shown: ExpectedScene) -> TrialTruth:
-        """The truth of the phantom that stands there. Raises NoTruthError."""
-        points, rows = self._toucher.touch_all(shown.ends, self.so_far)
-        self.so_far.clear()
+    def of_trial(self, shown: ExpectedScene, so_far: SoFar | None = None) -> TrialTruth:
+        """The truth of what stands there; ``so_far`` as of `touch_all`. Raises NoTruthError."""
+        points, rows = self._toucher.touch_all(shown.ends, so_far)
         touches = tuple({"trial": shown.trial, **row} for row in rows)
         return TrialTruth(tuple(points), touches, self._stage_mm())
 

@@ -19,6 +19,7 @@ from bench.truth.touching import (
     Ends,
     ExpectedScene,
     NoTruthError,
+    SoFar,
     TouchedTruth,
     mistaken,
     outliers,
@@ -58,11 +59,10 @@ def test_touches_of_an_interrupted_pose_count_where_one_more_agrees(shift_mm: fl
     truth = TouchedTruth(toucher(hand, readings=2), lambda: None)
     there = ExpectedScene("001-place-1-1", table_5_1(), "")
     with pytest.raises(LinkError):
-        truth.of_trial(there)
-    assert sum(map(len, truth.so_far.values())) == 3
+        truth.of_trial(there, so_far := SoFar())
+    assert sum(map(len, so_far.values())) == 3
     hand.ends, hand.asked[:] = ENDS_MM + np.array([shift_mm, 0.0, 0.0]), []
-    found = truth.of_trial(there)
-    assert not truth.so_far
+    found = truth.of_trial(there, so_far)
     anew = shift_mm > 1.0
     asked = [(2, 2, 2), *((teat, n, 2) for teat in (3, 4) for n in (1, 2))]
     all_ends = [(teat, n, 2) for teat in (1, 2, 3, 4) for n in (1, 2)]
