@@ -54,13 +54,11 @@ class Hand:
     """Operator and arm: each touch that is asked for lands at the next of ``places``, or on the
     asked end when they are used up.
 
-    The next ``skips`` prompts are answered with a skip; once ``places`` are used up, the next ones
-    raise ``faults``.
+    The next ``skips`` prompts are answered with a skip.
     """
 
     ends: Floats
     places: Sequence[Floats | None] = ()  # None: the arm moves while it is read
-    faults: list[Exception] = field(default_factory=list)
     asked: list[tuple[int, int, int]] = field(default_factory=list)
     again: list[str] = field(default_factory=list)
     released: int = 0
@@ -83,10 +81,7 @@ class Hand:
         if asked.again:
             self.again.append(asked.again)
         self._next = iter(self.places) if self._next is None else self._next
-        at_end = self.ends[asked.teat - 1]
-        self._at = next(self._next, at_end)
-        if self._at is at_end and self.faults:
-            raise self.faults.pop()
+        self._at = next(self._next, self.ends[asked.teat - 1])
 
     @property
     def identity(self) -> Identity:
