@@ -37,7 +37,7 @@ from bench.script.model import LoadedScript
 from bench.truth.stage_registration import stands_at
 from bench.truth.touching import TipReader
 from bench.truth.uncertainty import Triple
-from instruments.clock import VirtualClock, stopwatch_s, wall_time
+from instruments.clock import VirtualClock, sleep_looking, stopwatch_s, wall_time
 from instruments.errors import DeviceError
 from instruments.operators.operator import KIND_OF, Answer, BoardTouch, Release, Request, Touch
 from instruments.stage.driver import TOLERANCE_MM
@@ -125,11 +125,7 @@ class RunContext:
 
     def wait(self, seconds: float) -> None:
         """Let time pass. Raises InterlockTrip."""
-        end_s = self.clock.now() + seconds
-        self.check()
-        while (left_s := end_s - self.clock.now()) > 0.0:
-            self.clock.sleep(min(LOOK_S, left_s))
-            self.check()
+        sleep_looking(self.clock, seconds, self.check, LOOK_S)
 
     def check(self) -> None:
         """A sign of life, and a look."""
