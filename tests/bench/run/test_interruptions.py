@@ -77,21 +77,14 @@ def test_who_skips_the_trial_that_waits_finds_the_next_one_waiting_too(tmp_path:
 def test_a_stage_that_drops_out_while_ends_are_touched_is_noticed_and_costs_no_touch(
     tmp_path: Path,
 ) -> None:
-    class Amid(Bringer):
-        def state(self, text: str) -> None:
-            if "taking the truth" in text and self.twin and not planned:
-                clock = self.twin._clock
-                planned.append(clock.now() + 12.0)
-                clock.call_at(planned[0], self.bring)
-
-    planned = list[float]()
     files(tmp_path, stage=STAGE, emulation="prompt_s = 5.0")
-    bringer = Amid("", EmulatedFault(instrument="stage", name="silent", for_s=15.0))
+    silent = EmulatedFault(instrument="stage", name="silent", for_s=15.0)
+    bringer = When("taking the truth", 12.0, silent)
     with known_to(bringer):
         record = read_run(start(tmp_path, progress=bringer)[0])
     assert record.ending == "finished", texts(record, "fault")
     (lost_s,) = [one["t_s"] for one in record.events if one["kind"] == "dropped out"]
-    assert 0.0 < lost_s - planned[0] < 4.0, "at once"
+    assert 0.0 < lost_s - bringer.at_s < 4.0, "at once"
     assert texts(record, "touches") == [f"{TRIALS[0]}: 2 so far are kept"]
     touches = record.trials[0].touches
     assert [touch["teat"] for touch in touches] == ["1", "1", "2", "3", "4"]
@@ -105,17 +98,25 @@ def test_an_abort_is_taken_while_preparing_waits_for_an_instrument(tmp_path: Pat
     assert texts(record, EVENT) == ["preparing", "paused", "safing", "aborted"]
 
 
+class When(Bringer):
+    """Brings the fault once ``words`` are shown, ``after_s`` later."""
+
+    def __init__(self, words: str, after_s: float, fault: EmulatedFault) -> None:
+        super().__init__("", fault)
+        self.words, self.after_s, self.at_s = words, after_s, 0.0
+
+    def state(self, text: str) -> None:
+        if self.words in text and self.twin and not self.at_s:
+            self.at_s = self.twin._clock.now() + self.after_s
+            self.twin._clock.call_at(self.at_s, self.bring)
+
+
 @pytest.mark.slow
 def test_an_arm_that_drops_out_in_its_last_check_is_waited_for_too(tmp_path: Path) -> None:
     """What comes behind the last trial is done again like a trial is."""
-
-    class AtTheEnd(Bringer):
-        def state(self, text: str) -> None:
-            if "checking the arm after" in text:
-                self.bring()
-
     files(tmp_path, check_point=CHECK_POINT, emulation="prompt_s = 2.0")
-    bringer = AtTheEnd("", EmulatedFault(instrument="arm", name="power loss", for_s=15.0))
+    loss = EmulatedFault(instrument="arm", name="power loss", for_s=15.0)
+    bringer = When("checking the arm after", 0.0, loss)
     with known_to(bringer):
         record = read_run(start(tmp_path, progress=bringer)[0])
     assert record.ending == "finished", texts(record, "fault")
