@@ -22,8 +22,9 @@ KETTLE = """
 import os
 import threading
 
-from instruments import BathState
-from lab_drivers import Tank, TankEmulator
+import bench
+from instruments import BathState, MakersCalibration, MakersLens
+from lab_drivers import Eyes, EyesEmulator, Tank, TankEmulator
 
 OVER = threading.Event()  # ends what hangs
 
@@ -70,12 +71,25 @@ class Kettle(Tank):
         if self.mode == "standby hangs":
             OVER.wait(60.0)
         super().standby()
+
+
+class Calibrated(Eyes):
+    def makers_calibration(self):
+        found = bench.load_rig("calibrated.toml").calibration
+        way = found.right_from_left
+        left = MakersLens(found.left.image_size, found.left.matrix, found.left.kc)
+        right = MakersLens(found.right.image_size, found.right.matrix, found.right.kc, way.R, way.T)
+        return MakersCalibration({"left": left, "right": right}, {"stereo T1": 0.02})
 """
 POINTS = """
 [teatbench.baths]
 kettle = kettle:Kettle
 [teatbench.emulators.baths]
 kettle = kettle:TankEmulator
+[teatbench.cameras]
+calibrated = kettle:Calibrated
+[teatbench.emulators.cameras]
+calibrated = kettle:EyesEmulator
 """
 
 

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+import bench
 from bench.calibrate import exchange
 from bench.calibrate.cameras import (
     LEAST_LOOKED_AT,
@@ -486,10 +487,38 @@ def export(given: argparse.Namespace) -> None:
 
 
 def take_over(given: argparse.Namespace) -> None:
-    part = exchange.read_foreign(given.file, given.format, given.image_size)
-    _write_step(given, replace(part, record=_record(given, given.file)), None)
+    _one_source(given, given.file, "the other tool's files")
+    if given.rig:
+        part, record = _makers(given)
+    elif given.format is None:
+        raise ConfigError.plain("which tool's files are they? Name it with --format")
+    else:
+        part = exchange.read_foreign(given.file, given.format, given.image_size)
+        record = _record(given, given.file)
+    _write_step(given, replace(part, record=record), None)
     for fault in pair_faults(part.right_from_left) if part.right_from_left else ():
         complain(f"look at T before you go on: {fault}", CODES.met)
+
+
+def _makers(given: argparse.Namespace) -> tuple[Part, Record]:
+    """What the maker of the rig's cameras states of them."""
+    with bench.open_rig(given.rig, ("cameras",)) as rig:
+        ask = getattr(rig.cameras, "makers_calibration", None)
+        stated = ask() if ask else None
+        if stated is None:
+            raise ConfigError.plain(
+                f"{given.rig}: its cameras' driver has no calibration of their maker; calibrate"
+                " them with a board ('teatbench calibrate cameras')"
+            )
+        identity, shown = rig.cameras.identity, rig.cameras.capture()
+    sizes = {"left": shown.left.shape[::-1], "right": shown.right.shape[::-1]}
+    if shown.depth_dmm is not None:
+        sizes["depth"] = shown.depth_dmm.shape[::-1]
+    part = exchange.read_maker(stated, sizes, f"the calibration of {identity['left']}'s maker")
+    said = "stated with standard deviations" if part.covariance else "WITHOUT any uncertainty"
+    print(f"the maker's calibration of {identity['left']}, {said}")
+    record = _record(given, (), identity)
+    return part, replace(record, with_what=f"the maker's own, read by {record.with_what}")
 
 
 def stage(given: argparse.Namespace) -> int:

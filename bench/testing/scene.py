@@ -67,6 +67,16 @@ class _Differences:
         """How many of its numbers are not plain."""
         return sum(getattr(self, name) != 0 for name in self.STEPS)
 
+    def nearer(self, share: float) -> Self:
+        """Its numbers at a share of what they are, in whole steps."""
+        return replace(
+            self,
+            **{
+                name: steps.value(round(share * getattr(self, name) / steps.size))
+                for name, steps in self.STEPS.items()
+            },
+        )
+
     def one_step_away(self) -> Iterator[Self]:
         """Each number a step up and down, within what it may be."""
         for name, steps in self.STEPS.items():

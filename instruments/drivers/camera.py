@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from instruments.camera.cameras import CAN_GIVE, Camera, CameraGroup
+from instruments.camera.cameras import CAN_GIVE, Camera, CameraGroup, MakersCalibration
 from instruments.camera.frame import FrameError, FrameFault, RawFrame
 from instruments.clock import Clock
 from instruments.drivers.border import Border
@@ -73,9 +73,21 @@ class PluggedGroup:
                 raise FrameError(FrameFault.DROPPED, part, self.who, "it gave no frame")
         return {part: checked(self._border, given[part]) for part in self.parts}
 
+    def makers_calibration(self) -> MakersCalibration | None:
+        """What its maker states; None without such a method. Raises ProtocolError, LinkError."""
+        given = self._border.call("makers_calibration", _asked)
+        if given is not None and not isinstance(given, MakersCalibration):
+            raise self._border.broken("its maker's calibration is no MakersCalibration", given)
+        return given
+
     def close(self) -> None:
         with suppress(InstrumentError):
             self._border.close()
+
+
+def _asked(group: CameraGroup) -> object:
+    ask = getattr(group, "makers_calibration", None)
+    return ask() if ask else None
 
 
 def checked(border: Border[Camera] | Border[CameraGroup], frame: object) -> RawFrame:

@@ -11,12 +11,15 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import bench
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import find_rig, load_rig
 from bench.testing.conformance import conform
 from bench.testing.plugins import OnEmulator, subject_of
+from detector.calibration import load_part
 from instruments.clock import RealClock, VirtualClock
 from instruments.drivers import border
 from instruments.drivers.bath import PluggedBath
@@ -195,3 +198,33 @@ def test_an_unknown_driver_is_wrong_use_and_those_that_are_there_are_listed(
     assert "none is installed" in said(2, "plugin check nothing").err
     listed = said(0, "plugin").out
     assert "bath tank: lab-drivers 1.0 (lab_drivers:Tank), with an emulator" in listed
+
+
+def test_a_makers_calibration_becomes_the_cameras_part(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    said = Said(capsys)
+    write_calibration(tmp_path)
+    for name in ("calibrated", "eyes"):
+        text = 'name = "lab"\ncalibration = "calibration.toml"\n'
+        text += 'bath = { url = "emulator:", profile = "julabo-presto" }\n'
+        text += 'operator.url = "emulator:"\narm.url = "emulator:"\n'
+        text += f'cameras.url = "emulator:{name}"\n'
+        (tmp_path / f"{name}.toml").write_text(text, encoding="utf-8")
+    told = said(0, "calibrate import --rig calibrated.toml --out cameras.toml").out
+    assert "stated with standard deviations" in told
+    part, exact = load_part(tmp_path / "cameras.toml"), bench.load_rig("eyes.toml").calibration
+    assert part.left
+    assert part.right_from_left
+    assert part.record
+    assert part.covariance
+    np.testing.assert_allclose(part.left.matrix, exact.left.matrix, rtol=1e-9)
+    np.testing.assert_allclose(part.right_from_left.T, exact.right_from_left.T, rtol=1e-9)
+    assert part.covariance.sds == {("stereo", "T1"): 0.02}
+    assert part.record.with_what.startswith("the maker's own, read by teatbench")
+    assert part.record.cameras["left"].startswith("EyesEmulator 1 (the plug-in calibrated")
+    none = said(2, "calibrate import --rig eyes.toml --out again.toml").err
+    assert "has no calibration of their maker" in none
+    assert "give either" in said(2, "calibrate import --out again.toml").err
+    assert "Name it with --format" in said(2, "calibrate import a.yml --out again.toml").err
