@@ -56,11 +56,8 @@ from bench.cli.terminal import working
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
 from bench.rig.alone import TakePictures, pictures, with_retries
-from bench.rig.devices import Devices
-from bench.rig.loading import LoadedRig, find_board, find_rig, load_rig
-from bench.rig.opening import open_instruments
+from bench.rig.loading import find_board
 from bench.script.calibration_age import refuse_other_cameras
-from bench.truth.touching import TipReader
 from bench.version import __version__
 from detector.calibration import (
     DEFAULT_PLANE_DEPTH_MM,
@@ -75,7 +72,7 @@ from detector.calibration import (
 from detector.calibration.bundle import BundleError
 from detector.calibration.gate import pair_faults
 from instruments.clock import wall_time
-from instruments.operators.operator import Finish, Homing
+from instruments.operators.operator import Finish
 from instruments.world.boards import NoPlaceError
 
 if TYPE_CHECKING:
@@ -164,7 +161,7 @@ def _delivered(given: argparse.Namespace) -> Delivered:
     """How thermal pictures come, by command, by the rig's calibration or by its file."""
     size, mirrored, polarity = (160, 120), False, None
     if given.rig:
-        rig = load_rig(find_rig(given.rig))
+        rig = bench.load_rig(given.rig)
         known, table = rig.made_calibration, rig.rig.cameras.thermal
         if known is not None:
             thermal = known.thermal
@@ -274,10 +271,10 @@ def _check_ends(given: argparse.Namespace, part: Part) -> int:
     anew: list[FrameSet] = []
     if given.rig:
         tell(f"The phantom has to stand as in the last trial of {given.ends}.")
-        with _opened(given, part, arm=False) as (parts, rig, _):
+        with _opened(given, part, arm=False) as (rig, _):
             for _ in range(CHECK_VIEWS):
-                parts.clock.sleep(rig.rig.cameras.settle_s)
-                anew.append(with_retries(parts.cameras.capture)())
+                rig.clock.sleep(rig.loaded.rig.cameras.settle_s)
+                anew.append(with_retries(rig.cameras.capture)())
     with working("looking for the ends in the pictures"):
         found = check_folder(given.ends, calibration, anew)
     if anew and not found.thermal:
@@ -414,13 +411,13 @@ def _gather_views(
     """
     board, _ = find_board(given.board)
     folder = free_folder(given.out)
-    with _opened(given, known, arm=False) as (parts, _, look):
+    with _opened(given, known, arm=False) as (rig, look):
         try:
-            kept = gather(look, parts.operator, board, request, folder, tell)
+            kept = gather(look, rig.operator, board, request, folder, tell)
         except NoPlaceError as error:  # of the emulated operator
             raise ConfigError.plain(f"--board {given.board}: {error}") from error
-        parts.operator.ask(Finish())
-        identity = dict(parts.cameras.identity)
+        rig.operator.ask(Finish())
+        identity = dict(rig.cameras.identity)
     tell(f"{kept} views in {folder}")
     given.frames = [folder]
     return {camera: str(who) for camera, who in identity.items() if camera in request.cameras}
@@ -430,39 +427,32 @@ def _gather_world(given: argparse.Namespace, known: Part) -> Path:
     """A table of points of the board that the rig's arm touched and its cameras saw."""
     board, _ = find_board(given.board)
     folder = free_folder(given.out)
-    with _opened(given, known, arm=True) as (parts, rig, look):
-        arm = parts.arm
+    with _opened(given, known, arm=True) as (rig, look):
         try:
-            arm.sign_on()
-            tip = TipReader(arm, rig.rig.arm, rig.frame)
-            tip.refuse_other_arm()
-            parts.operator.ask(Homing(arm.homing))
-            arm.confirm_homed()
-            asking = Asking(look, parts.operator, tip, rig.rig.arm.tip_radius_mm, tell)
-            gather_points(asking, board, folder)
-            parts.operator.ask(Finish())
+            rig.home()
+            radius_mm = rig.loaded.rig.arm.tip_radius_mm
+            gather_points(Asking(look, rig.operator, rig.tip, radius_mm, tell), board, folder)
+            rig.operator.ask(Finish())
         finally:
-            arm.safe()
+            rig.arm.safe()
     return folder / POINTS_FILE
 
 
 @contextmanager
 def _opened(
     given: argparse.Namespace, known: Part | None, *, arm: bool
-) -> Iterator[tuple[Devices, LoadedRig, TakePictures]]:
+) -> Iterator[tuple[bench.OpenRig, TakePictures]]:
     """The rig's instruments, and what takes each camera's picture once all has come to rest."""
-    rig = load_rig(find_rig(given.rig))
-    seed = rig.rig.seed if given.seed is None else given.seed
     names = ("arm", "operator", "cameras") if arm else ("operator", "cameras")
-    with open_instruments(rig, names, seed=seed, capture=given.capture) as parts:
-        refuse_other_cameras(known.record if known else None, parts.cameras.identity)
-        taken = with_retries(lambda: pictures(parts.cameras.capture()))
+    with bench.open_rig(given.rig, names, seed=given.seed, capture=given.capture) as rig:
+        refuse_other_cameras(known.record if known else None, rig.cameras.identity)
+        taken = with_retries(lambda: pictures(rig.cameras.capture()))
 
         def look() -> Mapping[str, Grey]:
-            parts.clock.sleep(rig.rig.cameras.settle_s)
+            rig.clock.sleep(rig.loaded.rig.cameras.settle_s)
             return taken()
 
-        yield parts, rig, look
+        yield rig, look
 
 
 # Boards, other tools, the stage
@@ -524,7 +514,7 @@ def _makers(given: argparse.Namespace) -> tuple[Part, Record]:
 def stage(given: argparse.Namespace) -> int:
     from bench.truth.registration import write_registration
 
-    rig = load_rig(find_rig(given.rig))
+    rig = bench.load_rig(given.rig)
     found = calibrate_stage(
         rig,
         wall_time().replace(microsecond=0),
