@@ -10,7 +10,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -111,8 +111,7 @@ def look(
     detector: str | Detector, scene: Scene, limit_mm: float = LIMIT_MM, *, rig: str = "emulated"
 ) -> Look:
     """As `check`, without raising for a failure of the detector."""
-    asked_one: Any = detector
-    return _look(asked_one, scene, limit_mm, rig)
+    return _look(cast(Any, detector), scene, limit_mm, rig)
 
 
 @lru_cache(maxsize=MOST_KEPT)

@@ -8,8 +8,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from bench.calibrate.exchange import read_maker
-from bench.config import ConfigError
 from bench.testing.conformance import NotCheckedError, Subject, Wired
 from instruments.clock import Clock
 from instruments.drivers.arm import PluggedArm
@@ -58,22 +56,15 @@ class OfPlugin(Subject):
         if self.kind == "arm":
             return tuple(self.driver.glance().tip_mm.round(0))
         if isinstance(self.driver, PluggedGroup):
-            return self._shapes(self.driver)
+            shapes = {part: one.pixels.shape for part, one in self.driver.capture().items()}
+            if stated := self.driver.makers_calibration():
+                sizes = {part: shapes[part][1::-1] for part in stated.lenses if part in shapes}
+                wanted = {part: lens.size_px for part, lens in stated.lenses.items()}
+                assert sizes == wanted, f"its maker's lenses are of {wanted}, pictures {sizes}"  # noqa: S101
+            return shapes
         self.driver.prepare()
         self.driver.begin()
         return self.driver.take().pixels.shape
-
-    @staticmethod
-    def _shapes(group: PluggedGroup) -> dict[str, tuple[int, ...]]:
-        """Of its pictures, which its maker's calibration has to fit, where it gives one."""
-        shapes = {part: frame.pixels.shape for part, frame in group.capture().items()}
-        if stated := group.makers_calibration():
-            sizes = {part: (shape[1], shape[0]) for part, shape in shapes.items()}
-            try:
-                read_maker(stated, sizes, "its maker's calibration")
-            except ConfigError as error:
-                raise AssertionError(str(error)) from error
-        return shapes
 
     def work(self) -> None:
         if self.kind not in ("bath", "stage"):

@@ -69,13 +69,8 @@ class _Differences:
 
     def nearer(self, share: float) -> Self:
         """Its numbers at a share of what they are, in whole steps."""
-        return replace(
-            self,
-            **{
-                name: steps.value(round(share * getattr(self, name) / steps.size))
-                for name, steps in self.STEPS.items()
-            },
-        )
+        kept = {name: share * getattr(self, name) / one.size for name, one in self.STEPS.items()}
+        return replace(self, **{name: self.STEPS[name].value(round(n)) for name, n in kept.items()})
 
     def one_step_away(self) -> Iterator[Self]:
         """Each number a step up and down, within what it may be."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache, partial
+from operator import attrgetter
 from typing import Any, TypeVar
 
 from hypothesis import strategies as st
@@ -30,6 +31,7 @@ from instruments.world.objects import KINDS
 
 T = TypeVar("T", Teat, Pose, Object, Scene)
 P = TypeVar("P", Teat, Pose, Object)
+S = TypeVar("S", Object, Applied)
 SHARES = (1.0, 0.5, 0.25, 0.0)  # most of what is drawn at once has one teat before another
 
 
@@ -76,9 +78,8 @@ def scenes(
     most_objects: int = 3,
     most_perturbations: int = 1,
 ) -> Scene:
-    """A scene that can be set up; its parts by strategies of their own where these are given. A
-    pose out of reach, or an object that can't stand there, comes nearer to its usual place; an
-    object that can't stand there either is left out.
+    """A scene that can be set up; its parts by strategies of their own where these are given. What
+    can't stand, or is out of reach, comes nearer to its plain place, or is left out.
     """
     of_layouts, of_poses, of_objects, of_perturbations = _usual(published)
     found = Scene(draw(of_layouts if layouts is None else layouts))
@@ -86,12 +87,12 @@ def scenes(
         most_objects, most_perturbations = min(most_objects, 1), 0
     else:
         pose = draw(of_poses if poses is None else poses)
-        found = _nearest(found, pose, lambda scene, near: replace(scene, pose=near))
+        found = _nearest(found, pose, lambda near, scene: replace(scene, pose=near))
     found = replace(found, paint=draw(_PAINTS), **draw(_steps(_OF_A_SCENE, published)))
     for one in draw(_several(of_objects if objects is None else objects, most_objects)):
-        found = _nearest(found, one, _beside)
-    once = of_perturbations if perturbations is None else perturbations
-    return replace(found, perturbations=tuple(draw(_once(once, most_perturbations))))
+        found = _nearest(found, one, lambda near, at: replace(at, objects=(*at.objects, near)))
+    done = of_perturbations if perturbations is None else perturbations
+    return replace(found, perturbations=tuple(draw(_several(done, most_perturbations, "name"))))
 
 
 _OF_A_SCENE = tuple(Scene.STEPS.items())
@@ -108,13 +109,9 @@ def _usual(published: bool) -> tuple[SearchStrategy[Any], ...]:
 
 
 @lru_cache(maxsize=64)
-def _several(of: SearchStrategy[Object], most: int) -> SearchStrategy[list[Object]]:
-    return st.lists(of, max_size=most)
-
-
-@lru_cache(maxsize=64)
-def _once(of: SearchStrategy[Applied], most: int) -> SearchStrategy[list[Applied]]:
-    return st.lists(of, max_size=most, unique_by=lambda one: one.name)
+def _several(of: SearchStrategy[S], most: int, once: str = "") -> SearchStrategy[list[S]]:
+    """``once``: what differs between them."""
+    return st.lists(of, max_size=most, unique_by=attrgetter(once) if once else None)
 
 
 def _standing(teats: Sequence[Teat]) -> tuple[Teat, ...]:
@@ -126,18 +123,14 @@ def _standing(teats: Sequence[Teat]) -> tuple[Teat, ...]:
     return found.teats
 
 
-def _nearest(found: Scene, part: P, put: Callable[[Scene, P], Scene]) -> Scene:
+def _nearest(found: Scene, part: P, put: Callable[[P, Scene], Scene]) -> Scene:
     """With ``part`` put as near to its plain place as it must be; without it if it can't stand."""
-    tried = (put(found, part.nearer(share)) for share in SHARES)
+    tried = (put(part.nearer(share), found) for share in SHARES)
     return next((one for one in tried if not one.faults()), found)
 
 
-def _at(i: int, scene: Scene, teat: Teat) -> Scene:
+def _at(i: int, teat: Teat, scene: Scene) -> Scene:
     return replace(scene, teats=(*scene.teats[:i], teat, *scene.teats[i + 1 :]))
-
-
-def _beside(scene: Scene, one: Object) -> Scene:
-    return replace(scene, objects=(*scene.objects, one))
 
 
 def _numbers(plain: T, *, published: bool = False) -> SearchStrategy[T]:
