@@ -29,7 +29,6 @@ from instruments.errors import (
     InstrumentError,
     LimitError,
     LinkError,
-    ProtocolError,
 )
 from instruments.listener import Listener
 from instruments.world.world import World
@@ -119,12 +118,7 @@ def kettle(world: tuple[World, VirtualClock], monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.parametrize(
     ("mode", "kind", "says"),
-    [
-        ("says what it likes", ProtocolError, "no BathState"),
-        ("no number", ProtocolError, "no number"),
-        ("exits", DeviceError, "SystemExit: bye"),
-        ("hangs in read", LinkError, "hangs"),
-    ],
+    [("exits", DeviceError, "SystemExit: bye"), ("hangs in read", LinkError, "hangs")],
 )
 def test_whatever_it_does_is_an_error_of_an_instrument(
     mode: str, kind: type[InstrumentError], says: str, kettle: object
