@@ -182,5 +182,4 @@ def marked(shot: Shot, answer: Answer, rig: str) -> NDArray[np.uint8]:
 
 
 def _places(px: NDArray[np.float64]) -> Sequence[tuple[int, int]]:
-    whole = np.clip(np.nan_to_num(px), -1e4, 1e4).round().astype(int).tolist()
-    return [(u, v) for u, v in whole]
+    return [(u, v) for u, v in np.clip(np.nan_to_num(px), -1e4, 1e4).round().astype(int).tolist()]

@@ -42,8 +42,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    line = f'{MARK}("NAME"): decided by the trials that the test records'
-    config.addinivalue_line("markers", line)
+    config.addinivalue_line("markers", f'{MARK}("NAME"): decided by trials that the test records')
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

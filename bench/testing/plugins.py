@@ -4,7 +4,6 @@ package has one, else on the device itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -13,7 +12,14 @@ from instruments.clock import Clock
 from instruments.drivers.arm import PluggedArm
 from instruments.drivers.bath import PluggedBath
 from instruments.drivers.camera import PluggedCamera, PluggedGroup
-from instruments.drivers.entry_points import EMULATORS, Kind, Plugged, PluginUrl, available, load
+from instruments.drivers.entry_points import (
+    EMULATORS,
+    Kind,
+    PluginDriver,
+    PluginUrl,
+    available,
+    load,
+)
 from instruments.drivers.stage import PluggedStage
 from instruments.errors import InstrumentError
 
@@ -24,7 +30,7 @@ SET_POINT_C = 30.0
 class OfPlugin(Subject):
     """``plugged`` as it is; ``works``: it may heat and move."""
 
-    def __init__(self, kind: Kind, plugged: Plugged, clock: Clock, *, works: bool) -> None:
+    def __init__(self, kind: Kind, plugged: PluginDriver, clock: Clock, *, works: bool) -> None:
         self.kind, self.plugged, self.clock, self.works = kind, plugged, clock, works
 
     def open(self) -> None:
@@ -41,11 +47,8 @@ class OfPlugin(Subject):
             self.driver = PluggedCamera(self.plugged, "left", self.clock)
 
     def identify(self) -> str:
-        names: dict[Kind, Callable[[], Any]] = {
-            "stage": lambda: self.driver.connect(),
-            "arm": lambda: self.driver.sign_on(),
-        }
-        return str(names.get(self.kind, lambda: self.driver.identity)())
+        ask = {"stage": "connect", "arm": "sign_on"}.get(self.kind)
+        return str(getattr(self.driver, ask)() if ask else self.driver.identity)
 
     def read(self) -> object:
         """What it measures, as steady as such a device is."""
@@ -77,9 +80,8 @@ class OfPlugin(Subject):
             return
         self.driver.connect()
         self.driver.home()
-        ends = {axis: at.high_mm for axis, at in self.driver.limits.items()}
-        far = {"x_mm": ends["X"], "y_mm": ends["Y"]}
-        self.driver.begin_move(**{key: value - 1.0 for key, value in far.items()})
+        limits = self.driver.limits
+        self.driver.begin_move(limits["X"].high_mm - 1.0, limits["Y"].high_mm - 1.0)
 
     def recover(self) -> None:
         if self.kind == "stage":
@@ -110,7 +112,7 @@ class OnEmulator(OfPlugin, Wired):
     """The same on its package's emulator, whose ``is_safe``, where it has one, is asked."""
 
     def __init__(
-        self, kind: Kind, plugged: Plugged, clock: Clock, emulator: Any, late_s: float = LATE_S
+        self, kind: Kind, plugged: PluginDriver, clock: Clock, emulator: Any, late_s: float = LATE_S
     ) -> None:
         Wired.__init__(self, clock, emulator, kind, late_s)
         self.emulator = emulator
