@@ -29,7 +29,7 @@ from instruments.drivers import border
 from instruments.drivers.arm import PluggedArm
 from instruments.drivers.bath import PluggedBath
 from instruments.drivers.camera import PluggedCamera, PluggedGroup
-from instruments.drivers.entry_points import Plugged
+from instruments.drivers.entry_points import PluginDriver
 from instruments.drivers.stage import PluggedStage
 from instruments.errors import InstrumentError
 
@@ -80,7 +80,7 @@ GIVEN: tuple[Any, ...] = (
     *(SystemExit("bye"), KeyError("k"), MemoryError(), GeneratorExit(), OwnError(), OSError()),
     *(StopIteration(), LinkError("me", "gone"), UnicodeDecodeError("utf8", b"x", 0, 1, "r")),
 )
-MAKES: dict[str, Callable[[Plugged, Any], Any]] = {
+MAKES: dict[str, Callable[[PluginDriver, Any], Any]] = {
     "bath": PluggedBath,
     "stage": lambda plugged, clock: PluggedStage(plugged, clock, "XY"),
     "arm": PluggedArm,
@@ -191,7 +191,7 @@ def test_nothing_but_an_error_of_an_instrument_comes_out(kind: str) -> None:
         """How many calls did what they should."""
         done = 0
         with suppress(InstrumentError):
-            device = MAKES[kind](Plugged("d", "pkg 1", maker), clock)
+            device = MAKES[kind](PluginDriver("d", "pkg 1", maker), clock)
             for call in (*CALLS[kind](device), device.close, device.close):
                 with suppress(InstrumentError):
                     call()
@@ -215,7 +215,7 @@ def test_a_close_that_never_ends_costs_two_seconds(
     monkeypatch.setattr(border, "CLOSE_S", 0.2)
     made = driver(kind, "", None)
     made.close = lambda _: over.wait(60.0)  # type: ignore[attr-defined]
-    device = MAKES[kind](Plugged("d", "pkg 1", made), clock)
+    device = MAKES[kind](PluginDriver("d", "pkg 1", made), clock)
     CALLS[kind](device)[0]()  # opens it
     began_s = clock.now()
     device.close()
