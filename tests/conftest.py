@@ -175,8 +175,7 @@ def bounded_memory(trimmed_mib: list[float]) -> Iterator[None]:
         _forget_what_is_kept()
     if mib > MOST_MIB or mib > max(TRIM_MIB, trimmed_mib[0] + GROWN_MIB):
         gc.collect()
-        with contextlib.suppress(OSError, AttributeError):  # glibc only
-            ctypes.CDLL(None).malloc_trim(0)
+        release_memory()
         trimmed_mib[0] = mib = _resident_mib()
     assert mib < MOST_MIB, f"this worker holds {mib:.0f} MiB"
 
