@@ -11,12 +11,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import compress
 from operator import itemgetter
+from pathlib import Path
 
 import numpy as np
 
-from bench.config import read_config
+from bench.config import parse_config, read_text
 from bench.record.reader import RunRecord
 from bench.record.schema import SCRIPT
 from bench.results.verdicts import scored_trials
@@ -282,11 +284,14 @@ def planned_ends_mm(run: RunRecord) -> dict[tuple[str, str], Floats]:
 
 def _planned(run: RunRecord) -> tuple[PlannedTrial, ...]:
     path = run.folder / SCRIPT
-    if not path.is_file():
-        return ()
+    return _planned_in(path, read_text(path)) if path.is_file() else ()
+
+
+@lru_cache(maxsize=2)  # of runs: each detector's tables ask, and each drawn scene takes milliseconds
+def _planned_in(path: Path, text: str) -> tuple[PlannedTrial, ...]:
     # a detector that isn't at hand any more is no hindrance
-    script = read_config(path, Script, stored=True)
-    return planned_of(script, layouts_of(script, run.folder))
+    script = parse_config(path, text, Script, stored=True)
+    return planned_of(script, layouts_of(script, path.parent))
 
 
 Part = tuple[str, str]
