@@ -155,6 +155,7 @@ class Bias:
     common_mm2: Floats | None = None
 
 
+@lru_cache(maxsize=4)  # of two runs' two detectors: several tables and figures are made of each
 def error_rows(run: RunRecord, detector: str, situation: str | None = None) -> ErrorRows:
     """The rows of one detector, of trials that count; of one situation where named."""
     tilts, planned = teat_tilts_deg(run), planned_ends_mm(run)
@@ -287,7 +288,7 @@ def _planned(run: RunRecord) -> tuple[PlannedTrial, ...]:
     return _planned_in(path, read_text(path)) if path.is_file() else ()
 
 
-@lru_cache(maxsize=2)  # of runs: each detector's tables ask, and each drawn scene takes milliseconds
+@lru_cache(maxsize=2)  # each detector's tables ask, and a drawn scene takes milliseconds
 def _planned_in(path: Path, text: str) -> tuple[PlannedTrial, ...]:
     # a detector that isn't at hand any more is no hindrance
     script = parse_config(path, text, Script, stored=True)
