@@ -10,10 +10,10 @@ that is much nearer to it.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import combinations, starmap
 from math import dist, inf, sqrt
-from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -28,8 +28,7 @@ LEAST_SPACING_MM = 5.0
 Points = list[list[float]]
 
 
-@dataclass(frozen=True, slots=True)
-class Counts:
+class Counts(NamedTuple):
     """What a match counted."""
 
     visible: int = 0
@@ -55,13 +54,9 @@ class Counts:
         return Rate(self.matched, self.matched + self.false)
 
 
-_numbers = attrgetter(*(field.name for field in fields(Counts)))
-
-
 def added(parts: Iterable[Counts]) -> Counts:
     """The sum of many, field by field; nothing of none."""
-    rows = [_numbers(part) for part in parts]
-    return Counts(*(sum(column) for column in zip(*rows, strict=True)))
+    return Counts(*map(sum, zip(*parts, strict=True)))
 
 
 @dataclass(frozen=True, slots=True)
