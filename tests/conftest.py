@@ -5,7 +5,6 @@ shared where they may be.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import gc
 import os
 import signal
@@ -19,6 +18,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from bench.run.trial import release_memory
 from bench.script.model import TRIALS
 from tests.examples import examples
 from tests.undrawn import bare, undrawn, without_figures

@@ -23,7 +23,7 @@ from instruments.world.compositing import Cover, Layer, cover, cover_outlines, l
 from instruments.world.objects import SceneObject
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.sensor import (
-    Expected,
+    ExpectedFrame,
     Grey,
     Image,
     OpticalReadout,
@@ -193,8 +193,8 @@ class OpticalCamera:
         self.readout = OpticalReadout(sensor, self.view.rays, seed)
         self._focal_px = float(camera.fc.mean())
         self._layers = KeptLayers()
-        self._latest: tuple[object, Expected] | None = None
-        self._empty: tuple[object, Expected] | None = None
+        self._latest: tuple[object, ExpectedFrame] | None = None
+        self._empty: tuple[object, ExpectedFrame] | None = None
 
     def expose(
         self, state: SceneState, shadows: ShadowMap | None, rng: np.random.Generator
@@ -206,7 +206,7 @@ class OpticalCamera:
         """Mean grey level of each pixel before noise and rounding, (height, width)."""
         return self._expected(state, shadows).mean.copy()
 
-    def _expected(self, state: SceneState, shadows: ShadowMap | None) -> Expected:
+    def _expected(self, state: SceneState, shadows: ShadowMap | None) -> ExpectedFrame:
         """The frame before noise; kept while nothing changes."""
         looks = tuple((thing.hulls, thing.paint) for thing in state.everything())
         fixed = state.boards, state.lighting, state.backdrop, state.exposure, state.velocity_mm_s
@@ -220,7 +220,7 @@ class OpticalCamera:
             self._latest = key, expected
         return self._latest[1]
 
-    def _still(self, state: SceneState) -> Expected:
+    def _still(self, state: SceneState) -> ExpectedFrame:
         """The same of the empty scene; kept while light and exposure stay."""
         key = state.backdrop, state.lighting, state.exposure
         if self._empty is None or self._empty[0] != key:

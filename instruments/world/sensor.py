@@ -146,7 +146,7 @@ class OpticalSensor:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Expected:
+class ExpectedFrame:
     """A frame before noise: mean grey level and its standard deviation."""
 
     mean: Image
@@ -170,7 +170,7 @@ class OpticalReadout:
 
     def expected(
         self, light: Image, exposure: Exposure | None = None, part: Part = WHOLE
-    ) -> Expected:
+    ) -> ExpectedFrame:
         """What light on the sensor gives in that ``part`` of it, (h, w). Variance: K^2 (electrons +
         read noise^2), EMVA 1288; a full well holds no more.
         """
@@ -193,9 +193,9 @@ class OpticalReadout:
             electrons += dark_e[rows]
             electrons *= np.float32(gain)
             electrons += np.float32(sensor.offset_dn)
-        return Expected(mean, spread)
+        return ExpectedFrame(mean, spread)
 
-    def expose(self, expected: Expected, rng: np.random.Generator) -> Grey:
+    def expose(self, expected: ExpectedFrame, rng: np.random.Generator) -> Grey:
         """One exposure with fresh noise, uint8 (uint16 above 8 bits)."""
         mean, spread = expected.mean, expected.spread
         noise = normal_noise(rng, (mean.shape[0], mean.shape[1]))
