@@ -10,10 +10,10 @@ that is much nearer to it.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import combinations, starmap
 from math import dist, inf, sqrt
-from typing import NamedTuple
+from operator import attrgetter
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +28,8 @@ LEAST_SPACING_MM = 5.0
 Points = list[list[float]]
 
 
-class Counts(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Counts:
     """What a match counted."""
 
     visible: int = 0
@@ -54,9 +55,13 @@ class Counts(NamedTuple):
         return Rate(self.matched, self.matched + self.false)
 
 
+_numbers = attrgetter(*(field.name for field in fields(Counts)))
+
+
 def added(parts: Iterable[Counts]) -> Counts:
     """The sum of many, field by field; nothing of none."""
-    return Counts(*map(sum, zip(*parts, strict=True)))
+    rows = [_numbers(part) for part in parts]
+    return Counts(*(sum(column) for column in zip(*rows, strict=True)))
 
 
 @dataclass(frozen=True, slots=True)
