@@ -136,8 +136,9 @@ class Overlay:
 
     def __post_init__(self) -> None:
         for shape in self.shapes:
+            numbers: Iterable[float]
             if isinstance(shape, Polyline):
-                numbers = chain.from_iterable(shape.points_px)
+                numbers = chain(*shape.points_px)
             else:
                 numbers = _NUMBERS[type(shape)](shape)
             if not all(map(math.isfinite, numbers)):

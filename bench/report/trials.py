@@ -545,7 +545,7 @@ def _models(
     turned = _rows(decided.get("right_from_teats"), 3)
     from_teats = from_right @ Motion(turned, np.zeros(3)) if len(turned) else from_right
     lines, _, _ = outlines(teats, numbers_of(lens, from_teats)[None], OUTLINE)
-    whole = np.isfinite(lines).all(axis=(1, 2)).tolist()
+    whole = np.asarray(np.isfinite(lines).all(axis=(1, 2)))
     for line, is_whole, reason in zip(lines.tolist(), whole, reasons, strict=False):
         if is_whole:
             text = f"{detector}: rejected, {reason}" if reason else f"{detector}: fitted teat"
@@ -563,7 +563,7 @@ def _spreads(found: Sequence[Row], camera: str, calibration: Calibration) -> dic
     if seen is None or not rows:
         return {}
     seen = seen.reshape(-1, 7, 2)
-    whole = np.isfinite(seen).all(axis=(1, 2))
+    whole = np.asarray(np.isfinite(seen).all(axis=(1, 2)))
     slope = (seen[whole, 1:4] - seen[whole, 4:7]).swapaxes(1, 2) / (2 * STEP_MM)  # px / mm
     covariances = np.array([*stated.values()])[whole]
     sizes, directions = np.linalg.eigh(slope @ covariances @ slope.swapaxes(1, 2))
