@@ -170,13 +170,13 @@ def bounded_memory(trimmed_mib: list[float]) -> Iterator[None]:
     a second, so it comes again only when the worker has grown by `GROWN_MIB` since.
     """
     yield
-    mib = _resident_mib()
+    mib = resident_mib()
     if mib > MOST_MIB:
         _forget_what_is_kept()
     if mib > MOST_MIB or mib > max(TRIM_MIB, trimmed_mib[0] + GROWN_MIB):
         gc.collect()
         release_memory()
-        trimmed_mib[0] = mib = _resident_mib()
+        trimmed_mib[0] = mib = resident_mib()
     assert mib < MOST_MIB, f"this worker holds {mib:.0f} MiB"
 
 
@@ -191,7 +191,7 @@ def _forget_what_is_kept() -> None:
                     thing.cache_clear()
 
 
-def _resident_mib() -> float:
+def resident_mib() -> float:
     """Resident memory of this process; 0 where only Linux tells."""
     status = Path("/proc/self/statm")
     if not status.exists():
