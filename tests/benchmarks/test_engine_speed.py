@@ -92,6 +92,4 @@ def test_memory_of_the_demo(
 
     monkeypatch.setattr(TrialRun, "run", watched)
     benchmark.pedantic(main, (["run", "demo", "--out", str(tmp_path)],), rounds=1)
-    assert len(after_mib) == 60
-    figure(benchmark, "MiB after the tenth trial of the demo", after_mib[9], "none")
     figure(benchmark, "MiB more after its last", after_mib[-1] - after_mib[9], "0")
