@@ -165,10 +165,17 @@ def intersect(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats
     """Ray (x, y, 1) with solid ``which``, each (n,), ascending: depth (n,) mm, outward normal
     (3, n), truly hit (n,). ``solids`` are in the frame of the camera, which is outside of them.
     """
-    columns = _columns(solids)
+    columns, counts = _columns(solids), np.bincount(which, minlength=len(solids))
     depth, hit, normal = np.empty(len(x)), np.empty(len(x), dtype=np.bool_), np.empty((3, len(x)))
-    for start in range(0, len(x), BLOCK):
-        part = slice(start, start + BLOCK)
+    ends, long = np.cumsum(counts), counts > BLOCK // 4  # these have blocks of their own
+    bounds = {
+        len(x),
+        *ends[long].tolist(),
+        *(ends - counts)[long].tolist(),
+        *range(0, len(x), BLOCK),
+    }
+    for start, end in pairwise(sorted(bounds)):
+        part = slice(start, end)
         depth[part], normal[:, part], hit[part] = _meet_block(
             solids, columns, which[part], x[part], y[part]
         )
@@ -193,11 +200,14 @@ def _columns(solids: Solids) -> Floats:
 def _meet_block(
     solids: Solids, columns: Floats, which: Ints, x: Floats, y: Floats
 ) -> tuple[Floats, Floats, Bools]:
-    counts = np.bincount(which, minlength=len(solids))
+    if which[0] == which[-1]:
+        spread = np.broadcast_to(columns[:, which[:1]], (len(columns), len(which)))
+    else:
+        spread = np.repeat(columns, np.bincount(which, minlength=len(solids)), axis=1)
     (
         axis_x, axis_y, axis_z, b_x, b_y, b_z, bend, h0, qc,
         slope, radius_0, a_x, a_y, a_z, low, high, flat_ends,
-    ) = (np.repeat(column, counts) for column in columns)  # fmt: skip
+    ) = spread  # fmt: skip
     dh = x * axis_x + y * axis_y + axis_z
     qb = x * b_x + y * b_y + b_z
     # a ray along the axis meets an end, never the body
