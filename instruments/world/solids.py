@@ -200,7 +200,8 @@ def _columns(solids: Solids) -> Floats:
 def _meet_block(
     solids: Solids, columns: Floats, which: Ints, x: Floats, y: Floats
 ) -> tuple[Floats, Floats, Bools]:
-    if which[0] == which[-1]:
+    alone = which[0] == which[-1]
+    if alone:
         spread = np.broadcast_to(columns[:, which[:1]], (len(columns), len(which)))
     else:
         spread = np.repeat(columns, np.bincount(which, minlength=len(solids)), axis=1)
@@ -232,7 +233,9 @@ def _meet_block(
         for solve, at in ((_intersect_disc, beyond[flat]), (_intersect_ball, beyond[~flat])):
             if len(at):
                 rays = np.stack([x[at], y[at], np.ones(len(at))])
-                there, outward, found, keep = solve(solids, which[at], rays, below)
+                there, outward, found, keep = solve(
+                    solids, which[:1] if alone else which[at], rays, below
+                )
                 hit[at] = found
                 depth[at[keep]], normal[:, at[keep]] = there[keep], outward[:, keep]
     normal /= np.sqrt(dot(normal, normal))
@@ -264,7 +267,7 @@ def _intersect_disc(solids: Solids, which: Ints, rays: Floats, below: bool) -> M
     off = depth * rays - centre
     hit = facing & (dot(off, off) <= radius * radius)
     # A ray that misses keeps the rim's depth and normal from the cone.
-    return depth, outward, hit, hit
+    return depth, np.broadcast_to(outward, rays.shape), hit, hit
 
 
 def clearance_mm(one: Hull, other: Hull) -> float:
