@@ -19,8 +19,10 @@ from detector.geometry import Array
 from detector.protocol import Context, Teat
 
 FILLING_H = 8.0  # after so long, an udder has 63 % of what it gets
-SHRINKS, SHRINKS_SD = 0.35, 0.15  # share of a distance from the middle that milking takes
-OWN_MM, OWN_VISITS = 1.0, 6.0  # a teat's own variation, and how many visits that is worth
+# share of a distance from the middle that milking takes, and its standard deviation
+SHRINKS, SHRINKS_SD = 0.35, 0.15
+OWN_MM = 1.0  # a teat's own variation
+OWN_VISITS = 6.0  # how many visits that is worth
 DRIFT_MM2_PER_DAY = 0.15  # of variance, of a visit long ago
 LEAST_VISITS = 2
 ABSENT = 2  # last visits: a teat that was in none of them may be gone

@@ -193,7 +193,7 @@ class DetectionFailure(Exception):  # noqa: N818 - a failure of the detector, no
 
 
 @runtime_checkable
-class Served(Protocol):
+class DetectorProcess(Protocol):
     """A detector in another process: `Detector`, and what happens around a call.
 
     patience_s: the longest `prepare` and `detect` together. start_up_s: of the last `prepare`, None

@@ -50,7 +50,7 @@ class BrokenDetectorError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Plugged:
+class PluginDetector:
     """An object of another package as a detector: what it doesn't say of itself is filled in."""
 
     name: str
@@ -130,7 +130,7 @@ def _plugs(plugs: Iterable[EntryPoint] | None) -> list[EntryPoint]:
     return list(entry_points(group=GROUP) if plugs is None else plugs)
 
 
-def _plugged(plug: EntryPoint) -> Plugged:
+def _plugged(plug: EntryPoint) -> PluginDetector:
     from detector.protocol import trained_on_of  # numpy: not for a list of names
 
     who = f"detector {plug.name!r} of {_source(plug)}"
@@ -154,7 +154,7 @@ def _plugged(plug: EntryPoint) -> Plugged:
     if not callable(getattr(made, "detect", None)):
         what = f"is a {type(made).__name__}, which has no detect(frame_set, calibration)"
         raise BrokenDetectorError(f"{who} {what}")
-    return Plugged(plug.name, version, parameters, made, trained_on, **phrases)
+    return PluginDetector(plug.name, version, parameters, made, trained_on, **phrases)
 
 
 def _source(plug: EntryPoint) -> str:

@@ -77,7 +77,7 @@ class PtyListener:
         return self._terminal.path
 
     def pull(self, *, out: bool) -> None:
-        """As `Listener.pull`: a host that opens the terminal while it is out hears nothing."""
+        """As `Listener.pull`: a host that opens the terminal while it is out gets nothing."""
         with self._lock:
             self.pulled = out
             if out and self._connection:

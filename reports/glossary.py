@@ -27,7 +27,7 @@ class Term:
         return f"term-{re.sub(r'[^a-z0-9]+', '-', self.name.lower()).strip('-')}"
 
 
-class Explained:
+class GlossaryLinks:
     """Texts with links to the terms in the file `base`; one of `names` is no term."""
 
     def __init__(self, terms: Sequence[Term], base: str = "", names: Sequence[str] = ()) -> None:

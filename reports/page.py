@@ -220,7 +220,7 @@ class Result:
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class Highlight:
     """A trial to look at: why it was chosen, what came out, its views cut to what matters."""
 
     trial: str
@@ -231,10 +231,10 @@ class Look:
 
 
 @dataclass(frozen=True, slots=True)
-class Looks:
+class Highlights:
     """A strip of pictures; a click on one opens its trial."""
 
-    looks: tuple[Look, ...]
+    looks: tuple[Highlight, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,7 +265,7 @@ P = TypeVar("P")
 Part = (
     Requirements
     | Scoreboard
-    | Looks
+    | Highlights
     | Fold
     | Section
     | Table
@@ -412,13 +412,13 @@ class Page:
         """Every part of that class, in order."""
         return (part for part in self.parts() if isinstance(part, kind))
 
-    def looks(self) -> Iterator[Look]:
+    def looks(self) -> Iterator[Highlight]:
         """Every trial of the strips of pictures."""
-        return (look for strip in self.parts_of(Looks) for look in strip.looks)
+        return (look for strip in self.parts_of(Highlights) for look in strip.looks)
 
     def images(self) -> Iterator[ImageView]:
         """Every image, in order."""
-        shown: Iterator[Look | TrialPart] = chain(self.looks(), self.trials)
+        shown: Iterator[Highlight | TrialPart] = chain(self.looks(), self.trials)
         return (image for one in shown for image in one.images)
 
     def _cells(self) -> Iterator[Cell]:

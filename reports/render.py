@@ -33,7 +33,7 @@ from reports.frames import (
     layers,
     places_of,
 )
-from reports.glossary import Explained, style_rules
+from reports.glossary import GlossaryLinks, style_rules
 from reports.page import Cell, Column, Figure, Page, Part, Section, Table, TrialPart, Verdict
 from reports.sanitize import sanitized
 from reports.trust import PageError, address
@@ -92,7 +92,7 @@ class Press:
                 f".who-{who}{{color:var(--who-{(who - 1) % len(MARKS) + 1})}}\n"
                 f"body:has(#who-{who}:not(:checked)) .pane .who-{who}{{display:none}}\n"
             )
-        self._explained: dict[str, Explained] = {}
+        self._explained: dict[str, GlossaryLinks] = {}
         self._script = assets("frames.js", "script.js")
         self._environment = environment()
 
@@ -138,7 +138,12 @@ class Press:
             return name
 
         def to(href: str) -> str:
-            return _link(href, place, away)
+            file = place.apart.get(href[1:], place.file) if href.startswith("#") else place.file
+            if file != place.file:
+                return f"{place.base}{file}{href}"
+            if href.startswith("#") and href[1:] in away:
+                return f"{place.base}{TRIALS}/{href[1:]}.html"
+            return address(href, "link")
 
         different = dict.fromkeys(map(_view, (*cut, *shown)))
         views = {view: f"v{number}" for number, view in enumerate(different)}
@@ -174,11 +179,11 @@ class Press:
             **{"only": None, "named": "", **values},
         )
 
-    def _terms(self, place: Place) -> Explained:
+    def _terms(self, place: Place) -> GlossaryLinks:
         file = place.apart.get("glossary", "index.html")
         base = "" if file == place.file else place.base + file
         if base not in self._explained:
-            self._explained[base] = Explained(self._page.glossary, base, self._page.detectors)
+            self._explained[base] = GlossaryLinks(self._page.glossary, base, self._page.detectors)
         return self._explained[base]
 
 
@@ -259,15 +264,6 @@ def refuse_missing(images: Iterable[ImageView], folder: Path) -> None:
             f"report in {folder}: {len(missing)} images are not there: {', '.join(missing[:5])}"
             f"{more}; write the images before the page"
         )
-
-
-def _link(href: str, place: Place, away: set[str]) -> str:
-    file = place.apart.get(href[1:], place.file) if href.startswith("#") else place.file
-    if file != place.file:
-        return f"{place.base}{file}{href}"
-    if href.startswith("#") and href[1:] in away:
-        return f"{place.base}{TRIALS}/{href[1:]}.html"
-    return address(href, "link")
 
 
 def _own(page: Page) -> Place:

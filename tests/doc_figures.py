@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from bench.campaign.numbers import family_rates
-from bench.campaign.plan import Plan, read_plan
+from bench.campaign.plan import CampaignPlan, read_plan
 from bench.campaign.run import PLAN
 from bench.campaign.shards import Shards
 from bench.record.reader import read_run
@@ -95,7 +95,7 @@ def campaign_rows(folder: Path) -> Iterator[dict[str, str]]:
         }
 
 
-def _sets(plan: Plan) -> list[tuple[str, tuple[str, ...]]]:
+def _sets(plan: CampaignPlan) -> list[tuple[str, tuple[str, ...]]]:
     first = tuple(name for name in plan.families if name in ELEVEN)
     return [
         *((name, (name,)) for name in plan.families),

@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 
 from bench.rig.loading import RIGS
 from detector.calibration import load_calibration
-from detector.external.lines import BadAnswer, Garbled, check_ready, parse_answer
+from detector.external.lines import BadAnswer, GarbledLine, check_ready, parse_answer
 from instruments.bath import protocol as modbus
 from instruments.bath.line_access import LONGEST as LONGEST_LINE
 from instruments.bath.line_access import Lines
@@ -147,7 +147,7 @@ def modbus_server(data: bytes) -> None:
     for reader in (modbus.FrameReader(), modbus.RtuReader()):
         with contextlib.suppress(modbus.UnframedError):
             for frame in reader.feed(data, 0.0):
-                with contextlib.suppress(modbus.Refused):
+                with contextlib.suppress(modbus.ModbusException):
                     modbus.parse(frame.pdu)
         assert len(reader._buffer) <= max(len(data), modbus.LONGEST_RTU)
 
@@ -346,8 +346,10 @@ def codecs(folder: Path) -> dict[str, Codec]:
             (b'{"done": {"visible": []}}', b'{"enough": "x"}', b'{"refused": "no"}'),
             (InstrumentError, OperatorEnough),
         ),
-        Codec(check_ready, (READY,), (Garbled,)),
-        Codec(lambda data: parse_answer(data, "7", calibration), (ANSWER,), (Garbled, BadAnswer)),
+        Codec(check_ready, (READY,), (GarbledLine,)),
+        Codec(
+            lambda data: parse_answer(data, "7", calibration), (ANSWER,), (GarbledLine, BadAnswer)
+        ),
         Codec(pictures("p.png"), (encoded(".png"),), (InstrumentError,), 0.1),
         Codec(pictures("p.tiff"), (encoded(".tiff"),), (InstrumentError,), 0.1),
         Codec(films("f.avi"), (encoded_video(folder, "MJPG", "avi"),), (InstrumentError,), 0.02),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from bench.campaign.plan import Plan, read_plan, with_whole_paths
+from bench.campaign.plan import CampaignPlan, read_plan, with_whole_paths
 from bench.campaign.run import Campaign, Executor, Status, locked
 from bench.config import ConfigError
 
@@ -37,14 +37,14 @@ class CampaignResult:
     page: Path
 
 
-def plan_of(plan: Plan | Path | str | Mapping[str, Any]) -> Plan:
+def plan_of(plan: CampaignPlan | Path | str | Mapping[str, Any]) -> CampaignPlan:
     """A plan of its file, or of its keys (docs/campaigns.md). Raises ConfigError."""
-    if isinstance(plan, Plan):
+    if isinstance(plan, CampaignPlan):
         return plan
     if isinstance(plan, str | Path):
         return read_plan(Path(plan))
     try:
-        return with_whole_paths(Plan.model_validate(plan), Path())
+        return with_whole_paths(CampaignPlan.model_validate(plan), Path())
     except ValidationError as error:
         why = "; ".join(str(one["msg"]).removeprefix("Value error, ") for one in error.errors())
         raise ConfigError.plain(why) from error
@@ -87,7 +87,7 @@ def finish(
 
 
 def run_campaign(
-    plan: Plan | Path | str | Mapping[str, Any],
+    plan: CampaignPlan | Path | str | Mapping[str, Any],
     out: Path | str,
     *,
     workers: int | None = None,

@@ -231,7 +231,7 @@ class OpenRig:
         else:
             points, teats = [toucher.touch_one(teat, ends)[0]], [teat]
         return tuple(
-            TruthRow(stands.situation, str(i), p.point_mm, self._visible[i - 1], p.uncertainty.u_mm)
+            TruthRow(stands.situation, str(i), p.xyz_mm, self._visible[i - 1], p.u_mm)
             for i, p in zip(teats, points, strict=True)
         )
 

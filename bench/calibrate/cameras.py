@@ -30,7 +30,7 @@ from detector.calibration.boards import Board
 from detector.calibration.bundle import POSE
 from detector.calibration.cameras import (
     DISTANCE_RATIO,
-    Calibrated,
+    CameraFit,
     Coverage,
     Halves,
     TooFewViewsError,
@@ -43,7 +43,7 @@ from detector.calibration.cameras import (
 )
 from detector.calibration.diagnosis import (
     Finding,
-    Remeasured,
+    MeasuredBoard,
     bent,
     measured_again,
     outlier_views,
@@ -70,12 +70,12 @@ class CamerasResult:
     """Everything found. ``halves``, ``held_out`` are None where there were too few views."""
 
     views: BoardViews
-    alone: Mapping[str, Calibrated]
-    fixed: Calibrated
-    joint: Calibrated
+    alone: Mapping[str, CameraFit]
+    fixed: CameraFit
+    joint: CameraFit
     coverage: Mapping[str, Coverage]
     halves: Halves | None
-    held_out: Remeasured | None
+    held_out: MeasuredBoard | None
     findings: tuple[Finding, ...]
 
     @property
@@ -154,7 +154,7 @@ def _rms_interval(view_rms_px: Sequence[float]) -> tuple[float, float]:
     return float(np.sqrt(max(mean - half, 0.0))), float(np.sqrt(mean + half))
 
 
-def _covariance(found: Calibrated, pose: str) -> ParameterCovariance:
+def _covariance(found: CameraFit, pose: str) -> ParameterCovariance:
     """As a calibration file names the parameters; ``pose`` is the name of the motion's."""
     fit = found.fit
     names = tuple((pose, name) if name in POSE else (owner, name) for owner, name in fit.names)
@@ -188,7 +188,7 @@ def calibrate_pair(
             first, second = (
                 remeasure(halves.pairs[1 - start], views.board, pairs[start::2]) for start in (0, 1)
             )
-            held_out = Remeasured(views.board, (*first.views, *second.views))
+            held_out = MeasuredBoard(views.board, (*first.views, *second.views))
     found = _units(views.board, shown, pair.right_from_left)
     found += swapped(pair.right_from_left)
     if not found:
@@ -217,12 +217,12 @@ def _units(board: Board, shown: Mapping[str, Coverage], right_from_left: Motion)
     return [Finding("wrong unit", said)]
 
 
-def _shown(views: BoardViews, camera: str, alone: Calibrated) -> Coverage:
+def _shown(views: BoardViews, camera: str, alone: CameraFit) -> Coverage:
     pixels = [view.pixels_px for view in views.views(camera)]
     return coverage(pixels, views.image_size[camera], alone.fit.poses)
 
 
-def check_pair(part: Part, views: BoardViews) -> tuple[Remeasured, tuple[Finding, ...]]:
+def check_pair(part: Part, views: BoardViews) -> tuple[MeasuredBoard, tuple[Finding, ...]]:
     """The board measured with the pair, and findings. Raises ConfigError without pair or view."""
     pair = replace(pair_of_part(part), world_from_right=Motion.identity())
     for camera, lens in (("left", pair.left), ("right", pair.right)):
@@ -244,8 +244,8 @@ def check_pair(part: Part, views: BoardViews) -> tuple[Remeasured, tuple[Finding
 
 
 @dataclass(frozen=True, slots=True)
-class Delivered:
-    """How the thermal camera's picture comes: what a picture alone doesn't tell."""
+class ThermalFormat:
+    """How the thermal camera's picture comes: what a picture alone doesn't show."""
 
     sensor_size: tuple[int, int]
     mirrored: bool
@@ -264,8 +264,8 @@ class ThermalResult:
     camera: ThermalCamera
     thermal_from_left: Motion
     homographies: Homographies
-    alone: Calibrated
-    joint: Calibrated
+    alone: CameraFit
+    joint: CameraFit
     coverage: Coverage
 
     def part(self, record: Record) -> Part:
@@ -279,7 +279,7 @@ class ThermalResult:
 
 
 def calibrate_thermal(
-    views: BoardViews, cameras: Part, delivered: Delivered, plane_depth_mm: float
+    views: BoardViews, cameras: Part, delivered: ThermalFormat, plane_depth_mm: float
 ) -> ThermalResult:
     """The third camera against a pair, by un-mirrored pictures. Raises BundleError."""
     pair = pair_of_part(cameras)
@@ -301,7 +301,7 @@ class PairsResult:
     left: MappedPairs
     right: MappedPairs
 
-    def part(self, image_size: tuple[int, int], delivered: Delivered, record: Record) -> Part:
+    def part(self, image_size: tuple[int, int], delivered: ThermalFormat, record: Record) -> Part:
         return Part(
             thermal=delivered.camera(image_size, None),
             homographies=Homographies(self.left.H, self.right.H, None),

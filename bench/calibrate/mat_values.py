@@ -54,12 +54,10 @@ def _plain(value: Any, depth: int) -> Any:
         return "".join(map(str, value.ravel().tolist()))
     if value.dtype.kind not in "biuf":
         return f"{value.dtype.name} numbers" if value.dtype.kind == "c" else None
-    return [_finite(one) for one in value.astype(np.float64).ravel().tolist()]
-
-
-def _finite(value: float) -> float | str:
-    """JSON has no word for the others."""
-    return value if math.isfinite(value) else str(value)
+    return [
+        (one if math.isfinite(one) else str(one))
+        for one in value.astype(np.float64).ravel().tolist()
+    ]
 
 
 def _limit_memory() -> None:

@@ -87,15 +87,6 @@ def merge(files: Sequence[PartFile], record: Record) -> Calibration:
                 f"[{block}] is in none of the files: add the file that 'teatbench calibrate {step}'"
                 " wrote"
             )
-    _refuse_other_pair(found)
-    values = {name: getattr(file.part, name) for name, file in found.items()}
-    values.setdefault("thermal_from_left", None)
-    return Calibration(
-        **values, covariance=_together(files, found), record=_whole_record(files, record)
-    )
-
-
-def _refuse_other_pair(found: Mapping[str, PartFile]) -> None:
     cameras = found["left"]
     for file in (found["thermal"], found["world_from_right"]):
         made_with = file.part.record.inputs.get(CAMERAS_INPUT) if file.part.record else None
@@ -104,6 +95,11 @@ def _refuse_other_pair(found: Mapping[str, PartFile]) -> None:
                 f"{file.path} was made with another cameras' file than {cameras.path}: make that"
                 " step again with this one"
             )
+    values = {name: getattr(file.part, name) for name, file in found.items()}
+    values.setdefault("thermal_from_left", None)
+    return Calibration(
+        **values, covariance=_together(files, found), record=_whole_record(files, record)
+    )
 
 
 def _together(

@@ -84,7 +84,7 @@ def calibrate_stage(
                 u_mm=hypot(end_u_mm(rig.rig.arm, toucher.readings), settings.repeatability_mm),
                 made=made,
                 serial_number=arm.identity.serial_number,
-                tell=report,
+                report=report,
             )
         except RegistrationError as error:
             raise ConfigError.plain(f"no registration: {error}") from error

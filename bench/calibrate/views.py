@@ -41,7 +41,7 @@ from detector.calibration.corners import (
 )
 from detector.calibration.diagnosis import PairView
 from instruments.camera.frame import Grey
-from instruments.operators.operator import BoardAsked, Operator, OperatorEnough
+from instruments.operators.operator import BoardPose, Operator, OperatorEnough
 from instruments.world.boards import Pattern
 
 CAMERAS = ("left", "right", "thermal")
@@ -109,7 +109,7 @@ def _pictures(folder: Path) -> list[Path]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Refused:
+class RefusedPicture:
     camera: str
     view: str
     reason: str
@@ -122,7 +122,7 @@ class BoardViews:
     board: Board
     found: Mapping[str, Mapping[str, DetectedBoard]]
     image_size: Mapping[str, tuple[int, int]]
-    refused: tuple[Refused, ...]
+    refused: tuple[RefusedPicture, ...]
 
     def views(self, camera: str) -> list[BoardView]:
         """What the solver wants of one camera."""
@@ -159,7 +159,7 @@ def find_views(
     done, total = count(), sum(map(len, chosen_views.values()))
     found: dict[str, dict[str, DetectedBoard]] = {}
     sizes: dict[str, tuple[int, int]] = {}
-    refused: list[Refused] = []
+    refused: list[RefusedPicture] = []
 
     def look(path: Path, turn: bool) -> tuple[tuple[int, int], DetectedBoard | ViewRefusedError]:
         image = _picture(path, turn=turn)
@@ -180,7 +180,7 @@ def find_views(
                 if sizes.setdefault(camera, size) != size:
                     raise _other_size(camera, chosen)
                 if isinstance(seen, ViewRefusedError):
-                    refused.append(Refused(camera, name, str(seen)))
+                    refused.append(RefusedPicture(camera, name, str(seen)))
                 else:
                     found[camera][name] = seen
                 if len(found[camera]) == 0 and name == [*chosen][:LOOKED_AT][-1]:
@@ -212,13 +212,13 @@ def _order_alike(found: dict[str, dict[str, DetectedBoard]], board: Board) -> No
 
 def _alone(
     found: Mapping[str, Mapping[str, DetectedBoard]], pictures: Pictures
-) -> Iterator[Refused]:
+) -> Iterator[RefusedPicture]:
     """Views of one camera that the other has no picture of."""
     for camera, views in found.items():
         for other, theirs in pictures.items():
             for view in views.keys() - theirs.keys():
                 why = f"it has no partner {other} {view}, so it is no pair"
-                yield Refused(camera, view, why)
+                yield RefusedPicture(camera, view, why)
 
 
 def _other_size(camera: str, pictures: Mapping[str, Path]) -> ConfigError:
@@ -312,7 +312,7 @@ def gather(
             report("Nothing is missing any more.")
             return number - 1
         text = _instruction(wanted, missing)
-        asked = BoardAsked(pattern, text, number, wanted.cameras, wanted.heated)
+        asked = BoardPose(pattern, text, number, wanted.cameras, wanted.heated)
         try:
             operator.ask(asked)
         except OperatorEnough as enough:

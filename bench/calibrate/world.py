@@ -30,7 +30,7 @@ from detector.geometry import Array
 from instruments.camera.frame import Grey
 from instruments.errors import DeviceError, TouchAgainError
 from instruments.microscribe.driver import Reading
-from instruments.operators.operator import BoardAsked, BoardTouch, Operator, Release
+from instruments.operators.operator import BoardPose, BoardTouch, Operator, Release
 from textfiles import tables
 
 
@@ -184,7 +184,7 @@ COLOUR = (0, 200, 255)
 
 
 @dataclass(frozen=True, slots=True)
-class Asking:
+class TouchSession:
     """Cameras, operator and arm; ``tip_radius_mm`` of a ball tip, 0 for a point."""
 
     look: Callable[[], Mapping[str, Grey]]
@@ -194,7 +194,7 @@ class Asking:
     report: Callable[[str], None]
 
 
-def gather_points(asking: Asking, board: Board, folder: Path) -> TouchedPoints:
+def gather_points(asking: TouchSession, board: Board, folder: Path) -> TouchedPoints:
     """All points; pictures and table are kept in ``folder``. Raises OperatorAbort, DeviceError."""
     parts = []
     for position in range(1, POSITIONS + 1):
@@ -219,7 +219,7 @@ def nine(board: Board) -> tuple[int, ...]:
     return tuple(row * board.columns + column for row in rows for column in columns)
 
 
-def _fixed(asking: Asking, board: Board, position: int, folder: Path) -> tuple[Array, Array]:
+def _fixed(asking: TouchSession, board: Board, position: int, folder: Path) -> tuple[Array, Array]:
     """The board fixed where both cameras see all of it: the nine points' pixels, (9, 2) each."""
     again = ""
     for _ in range(TRIES):
@@ -229,7 +229,7 @@ def _fixed(asking: Asking, board: Board, position: int, folder: Path) -> tuple[A
             " see all of it and the arm reaches all of it, so that a touch can't move it. Take"
             " hands and arm out of the pictures."
         )
-        asking.operator.ask(BoardAsked(pattern_of(board), text, position, fixed=True))
+        asking.operator.ask(BoardPose(pattern_of(board), text, position, fixed=True))
         pictures = asking.look()
         try:
             pixels = _looked(pictures, board)
@@ -270,7 +270,7 @@ def _looked(pictures: Mapping[str, Grey], board: Board) -> tuple[Array, Array]:
     return left.pixels_px[in_left], right.pixels_px[in_right]
 
 
-def _touched(asking: Asking, board: Board, at: int, before: list[Reading]) -> Reading:
+def _touched(asking: TouchSession, board: Board, at: int, before: list[Reading]) -> Reading:
     """One point, read; again where the arm moved or its distances fit another point."""
     which, corners, again = f"{ROWS[at // 3]} {COLUMNS[at % 3]}", nine(board), ""
     text = (

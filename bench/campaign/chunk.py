@@ -33,8 +33,9 @@ LIMIT_MM = 5.0  # of the error of each teat end; thesis, section 1.4.3
 ASIDE = "set aside"  # no failure of the detector: the bench could not do the scene
 WRONG = ("false", "missed", "error")  # failures of an answer, the gravest first
 DIGEST_BYTES = 8  # of SHA-256: a million scenes have the same one with a chance of 3e-8
-# sure and wrong: beyond both of a true end, or a false one that states no more
-WRONG_MM, WRONG_SD, FALSE_SD_MM = 3.0, 4.0, 1.0
+# an answer is sure and wrong where it is farther than both of these from a true end
+WRONG_MM, WRONG_SD = 3.0, 4.0
+FALSE_SD_MM = 1.0  # a false answer is sure where it states no more
 CHI2_95_OF_3 = 7.815  # 95 % of true statements have a NEES below
 EXACT = ParameterCovariance((), np.zeros((0, 0)))
 SHARES = 255  # a parameter's share of its range is kept in so many steps

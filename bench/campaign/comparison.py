@@ -17,7 +17,7 @@ import numpy as np
 
 from bench.campaign.chunk import ASIDE, Scene
 from bench.campaign.ledger import Ledger
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.run import plan_of
 from bench.campaign.shards import Shards
 from bench.config import ConfigError
@@ -122,7 +122,7 @@ def _written(one: Comparison) -> Comparison:
     return one
 
 
-def _as_run(folder: Path, plan: Plan) -> RunRecord:
+def _as_run(folder: Path, plan: CampaignPlan) -> RunRecord:
     """What a comparison says of a campaign: its folder, detectors, and what made its rows."""
     made = plan.made_by
     items = {}
@@ -164,7 +164,7 @@ def _refuse_unexplained(old: RunRecord, new: RunRecord, scene: Scene, count: int
     )
 
 
-def _scores(side: Side, plan: Plan) -> Scores:
+def _scores(side: Side, plan: CampaignPlan) -> Scores:
     with Shards(side.run.folder).connect() as db:
         rows = db.execute(SCORES, [side.detector, ASIDE]).fetchall()
     return {

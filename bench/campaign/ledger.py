@@ -108,7 +108,8 @@ class Ledger:
             changed=tuple(
                 name
                 for name in ours
-                if name in named & there and _digest(self.folder / name) != lines[name]
+                if name in named & there
+                and hashlib.sha256(_read(self.folder / name)).hexdigest() != lines[name]
             ),
             missing=tuple(name for name in ours if name not in there),
             unknown=tuple(name for name in ours if name not in lines),
@@ -173,7 +174,3 @@ def _read(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise ConfigError.plain(f"{path} can't be read: {error.strerror or error}") from error
-
-
-def _digest(path: Path) -> str:
-    return hashlib.sha256(_read(path)).hexdigest()

@@ -13,7 +13,7 @@ import duckdb
 from scipy.special import chdtrc
 
 from bench.campaign.chunk import ASIDE, SHARES, Scene
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.shards import Shards
 from bench.scoring.comparison import ALPHA, holm
 
@@ -150,7 +150,7 @@ def scenes_aside(db: duckdb.DuckDBPyConnection) -> dict[str, str]:
     return {f"{family}-{member:04d}": why for family, member, why in found.fetchall()}
 
 
-def campaign_numbers(folder: Path, plan: Plan, detectors: Sequence[str] = ()) -> Numbers:
+def campaign_numbers(folder: Path, plan: CampaignPlan, detectors: Sequence[str] = ()) -> Numbers:
     """Of the shards in ``folder``; ``detectors`` are their names in the order of the page."""
     with Shards(folder).connect() as db:
         db.execute("SET parquet_metadata_cache = true")
@@ -178,7 +178,7 @@ def _typical(
     return Scene(*found) if found else None
 
 
-def _parameters(db: duckdb.DuckDBPyConnection, plan: Plan) -> list[Parameter]:
+def _parameters(db: duckdb.DuckDBPyConnection, plan: CampaignPlan) -> list[Parameter]:
     counts: dict[tuple[str, str, str], dict[int, tuple[int, int]]] = defaultdict(dict)
     for family, detector, name, quarter, scenes, failures in db.execute(
         QUARTERS, [plan.first + MAPPED]
@@ -203,7 +203,10 @@ def _parameters(db: duckdb.DuckDBPyConnection, plan: Plan) -> list[Parameter]:
 
 
 def _map(
-    db: duckdb.DuckDBPyConnection, plan: Plan, detector: str, parameters: Sequence[Parameter]
+    db: duckdb.DuckDBPyConnection,
+    plan: CampaignPlan,
+    detector: str,
+    parameters: Sequence[Parameter],
 ) -> Iterator[Map]:
     """The family whose failures depend most on a parameter; none where it may be chance."""
     mine = [one for one in parameters if one.detector == detector and one.p_value < ALPHA]

@@ -39,8 +39,10 @@ from detector.calibration import Calibration
 from detector.protocol import Detector
 from instruments.world.scene import Renderer
 
-SCENES, MOST_SCENES = 100, 20_000  # a family: without and with a width to be reached
-CHUNK_SCENES, LEAST_CHUNKS = 50, 4  # 9 s of fused; of a small plan so many chunks
+SCENES = 100  # of a family, where no width is to be reached
+MOST_SCENES = 20_000  # of a family, where one is
+CHUNK_SCENES = 50  # some 9 s of fused
+LEAST_CHUNKS = 4  # of a small plan
 DETECTORS = ("fused",)
 LIBRARIES = ("numba", "numpy", "opencv-python-headless", "scipy")
 # what makes a scene's rows, beside the libraries
@@ -57,10 +59,10 @@ MAKES_ROWS = (
 )
 
 
-SomePlan = TypeVar("SomePlan", bound="Plan")
+SomePlan = TypeVar("SomePlan", bound="CampaignPlan")
 
 
-class Plan(Section):
+class CampaignPlan(Section):
     """A file of a campaign. ``scenes`` are of each family, with ``half_width`` at most so many.
     Files are named from the plan's folder; 0 ``chunk_scenes`` suit the number of scenes.
     """
@@ -166,7 +168,7 @@ class Job:
     the detectors' calibration (``exact``: the same); the plan's sensors are whole.
     """
 
-    plan: Plan
+    plan: CampaignPlan
     cameras: Mapping[str, Any]
     stated: Calibration
     detector_names: tuple[str, ...]
@@ -187,7 +189,7 @@ class Job:
         )
 
 
-def read_plan(path: Path, kind: type[Plan] = Plan) -> Plan:
+def read_plan(path: Path, kind: type[CampaignPlan] = CampaignPlan) -> CampaignPlan:
     """The plan at ``path``, with whole paths. Raises ConfigError with all its faults."""
     return with_whole_paths(read_config(path, kind), path.parent)
 
@@ -206,7 +208,7 @@ def with_whole_paths(plan: SomePlan, folder: Path) -> SomePlan:
     return plan.model_copy(update=changed)
 
 
-def open_plan(plan: Plan) -> tuple[Job, dict[str, str]]:
+def open_plan(plan: CampaignPlan) -> tuple[Job, dict[str, str]]:
     """The plan's job, and the identity of the rows that it makes, for so many ``members`` of a
     family. Raises ConfigError, also for scenes that a detector was trained on.
     """
@@ -250,7 +252,7 @@ def open_plan(plan: Plan) -> tuple[Job, dict[str, str]]:
     return job, same
 
 
-def _asked(plan: Plan) -> list[tuple[str, Any]]:
+def _asked(plan: CampaignPlan) -> list[tuple[str, Any]]:
     """What a plan asks for, beyond what is in its files and how it is worked on."""
     left_out = {"title", "rig", "calibration", "optical", "thermal", "depth", "chunk_limit_s"}
     left_out |= {"made_by"}
@@ -281,9 +283,9 @@ def digest_of(*texts: str) -> str:
     return whole.hexdigest()[:16]
 
 
-def plan_text(plan: Plan, made_by: Mapping[str, str]) -> str:
+def plan_text(plan: CampaignPlan, made_by: Mapping[str, str]) -> str:
     """The plan as a file, with what makes its rows."""
-    usual = Plan().model_dump(mode="json", exclude={"families", "seed", "detectors"})
+    usual = CampaignPlan().model_dump(mode="json", exclude={"families", "seed", "detectors"})
     table = plan.model_dump(mode="json", exclude={"made_by"}, exclude_none=True)
     del usual["chunk_scenes"]  # chosen by other keys
     kept = {key: value for key, value in table.items() if value != usual.get(key)}
@@ -295,7 +297,9 @@ def plan_text(plan: Plan, made_by: Mapping[str, str]) -> str:
     return toml_text({**kept, "scenes": plan.most_scenes, "made_by": dict(made_by)}, heading)
 
 
-def differences(kept: Plan, kept_by: Mapping[str, str], plan: Plan, by: Mapping[str, str]) -> str:
+def differences(
+    kept: CampaignPlan, kept_by: Mapping[str, str], plan: CampaignPlan, by: Mapping[str, str]
+) -> str:
     """What differs between a stored plan and one, a line each; empty where rows go together."""
     lines = []
     if kept_by.get("plan") != by["plan"]:

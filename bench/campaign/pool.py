@@ -22,7 +22,7 @@ from contextlib import suppress
 from typing import IO, Any, cast
 
 from bench.campaign.chunk import Rows, Scene, set_aside
-from bench.campaign.plan import Chunk, Job, Plan
+from bench.campaign.plan import CampaignPlan, Chunk, Job
 from bench.campaign.worker import ONE_THREAD
 from instruments.clock import stopwatch_s
 
@@ -31,7 +31,8 @@ DEATHS = 3  # of processes at one scene, the last of them alone
 START_DEATHS = 3  # of workers one after the other that never began, where none ever did
 MORE_START_DEATHS = 30  # where one did: a machine that is short of memory for a while
 USUAL_TIMES = 10  # a worker may take so many usual chunk times without a word
-LEAST_LIMIT_S, FIRST_LIMIT_S = 60.0, 600.0  # of silence: at least, and while nothing is known
+LEAST_LIMIT_S = 60.0  # of silence
+FIRST_LIMIT_S = 600.0  # of silence, while no chunk time is known
 START_LIMIT_S = 120.0  # until a worker is ready, which takes 2 s on an idle machine
 REMEMBERED = 400  # times that are kept
 CLOSING_S = 5.0
@@ -43,7 +44,7 @@ class PoolError(Exception):
     """No worker can be started; the message says why."""
 
 
-def silence_limit_s(plan: Plan, chunk_s: Sequence[float]) -> float:
+def silence_limit_s(plan: CampaignPlan, chunk_s: Sequence[float]) -> float:
     """The plan's ``chunk_limit_s``; where that is 0, ten times what a chunk took."""
     if plan.chunk_limit_s or not chunk_s:
         return plan.chunk_limit_s or FIRST_LIMIT_S

@@ -19,7 +19,7 @@ from filelock import FileLock, Timeout
 
 from bench.campaign.chunk import ASIDE, Rows
 from bench.campaign.ledger import Ledger
-from bench.campaign.plan import Chunk, Plan, differences, open_plan, plan_text, read_plan
+from bench.campaign.plan import CampaignPlan, Chunk, differences, open_plan, plan_text, read_plan
 from bench.campaign.shards import SHARDS, Shards, no_campaign
 from bench.config import ConfigError, writing
 from bench.files import write_synced
@@ -29,7 +29,7 @@ from bench.scoring.sequential import tight_enough
 PLAN, LOCK = "plan.toml", "campaign.lock"
 
 
-def plan_of(folder: Path) -> Plan:
+def plan_of(folder: Path) -> CampaignPlan:
     """The plan of the campaign in ``folder``. Raises ConfigError where there is none."""
     if not (folder / PLAN).is_file():
         raise no_campaign(folder)
@@ -82,7 +82,7 @@ def _add(sums: dict[str, Rate], rates: Mapping[str, Rate]) -> None:
 class Campaign:
     """A campaign in ``folder``, new or continued. Raises ConfigError for another one's rows."""
 
-    def __init__(self, plan: Plan, folder: Path) -> None:
+    def __init__(self, plan: CampaignPlan, folder: Path) -> None:
         self.plan, self.folder = plan, folder
         self.job, self.made_by = open_plan(plan)
         self.shards = Shards(folder)

@@ -101,7 +101,18 @@ class Shards:
     def write(self, family: str, number: int, rows: Rows) -> None:
         """Add a chunk; its rows are sorted first."""
         self._writer.execute(f"CREATE OR REPLACE TABLE rows ({TABLE})")
-        lines = _lines(rows)
+        teats: dict[tuple[str, int, str], list[dict[str, Any]]] = {}
+        for teat in rows.teats:
+            plain = {name: getattr(teat, name) for name in OF_TEAT}
+            teats.setdefault((teat.family, teat.member, teat.detector), []).append(plain)
+        lines = [
+            (
+                *astuple(scene),
+                *astuple(taken),
+                teats.get((scene.family, scene.member, scene.detector), []),
+            )
+            for scene, taken in zip(rows.scenes, rows.taken, strict=True)
+        ]
         for start in range(0, len(lines), INSERTED):
             part = lines[start : start + INSERTED]
             places = ", ".join([f"({', '.join('?' * WIDTH)})"] * len(part))
@@ -218,21 +229,6 @@ class Shards:
     def _name(path: Path) -> str:
         """As the ledger has it."""
         return f"{SHARDS}/{path.name}"
-
-
-def _lines(rows: Rows) -> list[tuple[Any, ...]]:
-    teats: dict[tuple[str, int, str], list[dict[str, Any]]] = {}
-    for teat in rows.teats:
-        plain = {name: getattr(teat, name) for name in OF_TEAT}
-        teats.setdefault((teat.family, teat.member, teat.detector), []).append(plain)
-    return [
-        (
-            *astuple(scene),
-            *astuple(taken),
-            teats.get((scene.family, scene.member, scene.detector), []),
-        )
-        for scene, taken in zip(rows.scenes, rows.taken, strict=True)
-    ]
 
 
 def _read(paths: Sequence[Path]) -> str:

@@ -23,7 +23,7 @@ import numpy as np
 from bench.calibrate import exchange
 from bench.calibrate.cameras import (
     LEAST_LOOKED_AT,
-    Delivered,
+    ThermalFormat,
     calibrate_pair,
     calibrate_thermal,
     check_pair,
@@ -44,7 +44,7 @@ from bench.calibrate.views import (
 )
 from bench.calibrate.world import (
     POINTS_FILE,
-    Asking,
+    TouchSession,
     calibrate_world,
     check_points,
     gather_points,
@@ -78,13 +78,14 @@ from instruments.operators.operator import Finish, Homing
 from instruments.world.boards import NoPlaceError
 
 if TYPE_CHECKING:
+    from detector.calibration.boards import Board
     from detector.calibration.diagnosis import Finding
     from instruments.camera.frame import FrameSet, Grey
     from reports.page import Page
 
 CHECK_VIEWS = 5
 SHOWN = 3  # pictures that are left out
-tell = partial(print, flush=True)  # for the person at the rig
+say = partial(print, flush=True)  # for the person at the rig
 STEREO = ViewsRequest()
 FOLDERS = "folders of pictures (FRAMES)"
 
@@ -95,20 +96,16 @@ FOLDERS = "folders of pictures (FRAMES)"
 def cameras(given: argparse.Namespace) -> int:
     from bench.report.calibration import cameras_page, cameras_sentence
 
-    _one_source(given, given.frames, FOLDERS)
-    identity = dict(text.partition("=")[::2] for text in given.identity)
-    for camera, serial in identity.items():
+    named = dict(text.partition("=")[::2] for text in given.identity)
+    for camera, serial in named.items():
         if camera not in CAMERAS or not serial:
             raise ConfigError.plain(
                 f"--identity {camera}={serial}: say left=SERIAL, right=SERIAL or thermal=SERIAL"
             )
-    if given.rig:
-        identity = _gather_views(given) | identity
-    views, paths = _views_of(given, "left", "right")
+    views, paths, identity = _views_of(given)
     with _fitting("the cameras"):
         result = calibrate_pair(views, model=given.model, square_pixels=given.square_pixels)
-    record = _record(given, paths, identity)
-    at_mm = given.distance
+    at_mm, record = given.distance, _record(given, paths, identity | named)
     _write_step(given, result.part(record), cameras_page(result, record, command_line(), at_mm))
     for camera, coverage in result.coverage.items():
         if coverage.missing:
@@ -142,13 +139,9 @@ def thermal(given: argparse.Namespace) -> None:
         raise ConfigError.plain(
             "give folders of pictures or --rig with --board and --cameras, or a table with --pairs"
         )
-    _one_source(given, given.frames, FOLDERS)
-    pair, identity = read_part(given.cameras), {}
-    both, mirrored = ("left", "thermal"), frozenset({"thermal"} if delivered.mirrored else ())
-    if given.rig:
-        how = ViewsRequest(both, guided=("thermal",), heated=True, mirrored=mirrored)
-        identity = _gather_views(given, pair.part, how)
-    views, paths = _views_of(given, *both, mirrored=mirrored)
+    pair, mirrored = read_part(given.cameras), frozenset({"thermal"} if delivered.mirrored else ())
+    how = ViewsRequest(("left", "thermal"), guided=("thermal",), heated=True, mirrored=mirrored)
+    views, paths, identity = _views_of(given, pair.part, how)
     with _fitting("the thermal camera"):
         plane_mm = given.plane or DEFAULT_PLANE_DEPTH_MM
         result = calibrate_thermal(views, pair.part, delivered, plane_mm)
@@ -159,7 +152,7 @@ def thermal(given: argparse.Namespace) -> None:
     print(f"thermal camera: {rms:.3f} px rms over {len(of_views)} views")
 
 
-def _delivered(given: argparse.Namespace) -> Delivered:
+def _delivered(given: argparse.Namespace) -> ThermalFormat:
     """How thermal pictures come, by command, by the rig's calibration or by its file."""
     size, mirrored, polarity = (160, 120), False, None
     if given.rig:
@@ -170,7 +163,7 @@ def _delivered(given: argparse.Namespace) -> Delivered:
             size, mirrored, polarity = thermal.sensor_size, thermal.mirrored, thermal.polarity
         elif table is not None:
             mirrored, polarity = bool(table.mirrored), table.polarity
-    return Delivered(
+    return ThermalFormat(
         given.sensor_size or size,
         given.mirrored or mirrored,
         given.polarity or polarity or "hot_is_white",
@@ -188,7 +181,23 @@ def world(given: argparse.Namespace) -> int:
             raise ConfigError.plain(
                 "--rig needs --board: what both cameras see and the arm touches"
             )
-        given.points = _gather_world(given, pair.part)
+        # A table of points of the board that the rig's arm touched and its cameras saw
+        board, _ = find_board(given.board)
+        folder = free_folder(given.out)
+        with _opened(given, pair.part, arm=True) as (parts, rig, look):
+            arm = parts.arm
+            try:
+                arm.sign_on()
+                tip = TipReader(arm, rig.rig.arm, rig.frame)
+                tip.refuse_other_arm()
+                parts.operator.ask(Homing(arm.homing))
+                arm.confirm_homed()
+                asking = TouchSession(look, parts.operator, tip, rig.rig.arm.tip_radius_mm, say)
+                gather_points(asking, board, folder)
+                parts.operator.ask(Finish())
+            finally:
+                arm.safe()
+        given.points = folder / POINTS_FILE
     result = calibrate_world(
         read_points(given.points), pair.part, pixel_sd_px=given.pixel_sd, touch_sd_mm=given.touch_sd
     )
@@ -228,10 +237,7 @@ def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Findin
     from bench.report.calibration import check_page
 
     others = ", touched points (--points CSV), touched ends (--ends DIR),"
-    _one_source(given, given.frames, FOLDERS + others)
-    if given.rig:
-        _gather_views(given, part, ViewsRequest(guided=(), most=CHECK_VIEWS))
-    views, paths = _views_of(given, "left", "right")
+    views, paths, _ = _views_of(given, part, ViewsRequest(guided=(), most=CHECK_VIEWS), others)
     again, findings = check_pair(part, views)
     scale, sd = again.scale
     print(
@@ -272,7 +278,7 @@ def _check_ends(given: argparse.Namespace, part: Part) -> int:
     calibration = read_calibration(given.calibration)
     anew: list[FrameSet] = []
     if given.rig:
-        tell(f"The phantom has to stand as in the last trial of {given.ends}.")
+        say(f"The phantom has to stand as in the last trial of {given.ends}.")
         with _opened(given, part, arm=False) as (parts, rig, _):
             for _ in range(CHECK_VIEWS):
                 parts.clock.sleep(rig.rig.cameras.settle_s)
@@ -305,20 +311,25 @@ def _one_source(given: argparse.Namespace, files: object, what: str) -> None:
 
 
 def _views_of(
-    given: argparse.Namespace, *wanted: str, mirrored: frozenset[str] = frozenset()
-) -> tuple[BoardViews, tuple[Path, ...]]:
-    """The board in the pictures of these cameras, and the files they were."""
+    given: argparse.Namespace,
+    known: Part | None = None,
+    request: ViewsRequest = STEREO,
+    others: str = "",
+) -> tuple[BoardViews, tuple[Path, ...], dict[str, str]]:
+    """The board as the cameras of ``request`` see it, in the pictures named or taken live; the
+    files that this came from; and of a rig the cameras' identities. Raises ConfigError,
+    InstrumentError, OperatorAbort.
+    """
+    _one_source(given, given.frames, FOLDERS + others)
     board, files = find_board(given.board)
-    found = find_pictures(given.frames, wanted)
-    alone = [
+    identity = _gather_views(given, board, known, request) if given.rig else {}
+    found = find_pictures(given.frames, request.cameras)
+    alone = sorted(
         f"{camera} {view}: no picture of the {other} camera"
-        for camera, other in permutations(wanted, 2)
+        for camera, other in permutations(request.cameras, 2)
         for view in found[camera].keys() - found[other].keys()
-    ]
-    for text in sorted(alone)[:SHOWN]:
-        print(f"without its partner: {text}")
-    if (more := len(alone) - SHOWN) > 0:
-        print(f"without its partner: {more} more")
+    )
+    _print_some("without its partner", alone)
     with working("finding the board in the pictures") as report:
         views = find_views(
             found,
@@ -326,13 +337,18 @@ def _views_of(
             report=report,
             window_px=given.window,
             max_views=given.max_views,
-            mirrored=mirrored,
+            mirrored=request.mirrored,
         )
-    for one in views.refused[:SHOWN]:
-        print(f"left out: {one.camera} {one.view}: {one.reason}")
-    if (more := len(views.refused) - SHOWN) > 0:
-        print(f"left out: {more} more")
-    return views, (*files, *(path for views_of in found.values() for path in views_of.values()))
+    _print_some("left out", [f"{one.camera} {one.view}: {one.reason}" for one in views.refused])
+    paths = (*files, *(path for views_of in found.values() for path in views_of.values()))
+    return views, paths, identity
+
+
+def _print_some(what: str, lines: Sequence[str]) -> None:
+    for text in lines[:SHOWN]:
+        print(f"{what}: {text}")
+    if (more := len(lines) - SHOWN) > 0:
+        print(f"{what}: {more} more")
 
 
 @contextmanager
@@ -406,43 +422,20 @@ def _say(findings: Sequence[Finding], *, on_page: bool = False) -> int:
 
 
 def _gather_views(
-    given: argparse.Namespace, known: Part | None = None, request: ViewsRequest = STEREO
+    given: argparse.Namespace, board: Board, known: Part | None, request: ViewsRequest
 ) -> dict[str, str]:
-    """Take views of ``given.board`` as ``given.frames``; gives back the cameras' identities. Raises
-    ConfigError, InstrumentError, OperatorAbort.
-    """
-    board, _ = find_board(given.board)
+    """Take views of ``board`` as ``given.frames``; gives back the cameras' identities."""
     folder = free_folder(given.out)
     with _opened(given, known, arm=False) as (parts, _, look):
         try:
-            kept = gather(look, parts.operator, board, request, folder, tell)
+            kept = gather(look, parts.operator, board, request, folder, say)
         except NoPlaceError as error:  # of the emulated operator
             raise ConfigError.plain(f"--board {given.board}: {error}") from error
         parts.operator.ask(Finish())
         identity = dict(parts.cameras.identity)
-    tell(f"{kept} views in {folder}")
+    say(f"{kept} views in {folder}")
     given.frames = [folder]
     return {camera: str(who) for camera, who in identity.items() if camera in request.cameras}
-
-
-def _gather_world(given: argparse.Namespace, known: Part) -> Path:
-    """A table of points of the board that the rig's arm touched and its cameras saw."""
-    board, _ = find_board(given.board)
-    folder = free_folder(given.out)
-    with _opened(given, known, arm=True) as (parts, rig, look):
-        arm = parts.arm
-        try:
-            arm.sign_on()
-            tip = TipReader(arm, rig.rig.arm, rig.frame)
-            tip.refuse_other_arm()
-            parts.operator.ask(Homing(arm.homing))
-            arm.confirm_homed()
-            asking = Asking(look, parts.operator, tip, rig.rig.arm.tip_radius_mm, tell)
-            gather_points(asking, board, folder)
-            parts.operator.ask(Finish())
-        finally:
-            arm.safe()
-    return folder / POINTS_FILE
 
 
 @contextmanager
@@ -499,7 +492,7 @@ def stage(given: argparse.Namespace) -> int:
     found = calibrate_stage(
         rig,
         wall_time().replace(microsecond=0),
-        tell,
+        say,
         layout=given.layout,
         teat=given.teat,
         at_mm=given.at,

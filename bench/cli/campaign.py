@@ -12,7 +12,7 @@ from bench.config import ConfigError
 
 if TYPE_CHECKING:
     from bench.api.campaigns import CampaignResult
-    from bench.campaign.plan import Plan
+    from bench.campaign.plan import CampaignPlan
     from bench.campaign.run import Status
 
 # flag -> key of a plan, in its order
@@ -32,7 +32,7 @@ def run(given: argparse.Namespace) -> int:
 
 @contextmanager
 def working_on(what: str) -> Iterator[dict[str, Any]]:
-    """Arguments of `run_campaign` that show on a bar how far it is. What stops it is told."""
+    """Arguments of `run_campaign` that show on a bar how far it is. What stops it is printed."""
     from bench.campaign.pool import PoolError
     from bench.cli.terminal import working
 
@@ -137,7 +137,7 @@ def plain_table(names: list[str], rows: list[list[str]]) -> str:
     return "\n".join(lines)
 
 
-def _plan(given: argparse.Namespace) -> Plan:
+def _plan(given: argparse.Namespace) -> CampaignPlan:
     """Of the file, or of the flags. Raises ConfigError."""
     from bench.api.campaigns import plan_of
 

@@ -165,9 +165,26 @@ def try_out(given: argparse.Namespace) -> int:
     print(f"detector {answers[0].detector}{device}, frame {frame} of {where}")
     for number, answer in enumerate(answers, 1):
         if why := _fault(answer):
-            _explain(answer, number, why)
+            for line in answer.stderr.splitlines():
+                print(f"  standard error: {line}")
+            sys.stdout.flush()
+            asked = "" if number == 1 else ", the second time that it was asked"
+            complain(f"no answer{asked}: {why}.", CODES.not_met)
+            cure = next((cure for words, cure in CURES.items() if words in why), "")
+            otherwise = "'teatbench help detectors' has what is asked for"
+            complain(f"what to do: {cure or otherwise}", CODES.not_met)
             return CODES.not_met
-    _tell(answers, truth)
+    first, again = answers
+    started = f", started in {first.start_up_s:.2f} s" if first.start_up_s is not None else ""
+    print(f"answered in {first.seconds:.3f} s, again in {again.seconds:.3f} s{started}")
+    found = first.detection
+    visible = f"; {sum(row.visible for row in truth)} can be seen" if truth else ""
+    print(f"teats found: {len(found.teats)}, said to be hidden: {found.hidden}{visible}")
+    for number, teat in enumerate(found.teats, 1):
+        print(f"  {number}: {', '.join(f'{v:.1f}' for v in teat.world_mm)} mm", end="")
+        print(_nearest(teat, truth))
+    if found.reason:
+        print(f"its reason: {found.reason}")
     word = shlex.quote(given.word)
     print(f"The format is right. Score it: teatbench score RECORDING --detector {word}")
     return CODES.met
@@ -175,9 +192,9 @@ def try_out(given: argparse.Namespace) -> int:
 
 def _unseen(detector: Detector) -> int:
     """The first member that it doesn't say it was trained on."""
-    from detector.protocol import Served
+    from detector.protocol import DetectorProcess
 
-    if isinstance(detector, Served):
+    if isinstance(detector, DetectorProcess):
         detector.introduce()
     member = 0
     for first, last in sorted(getattr(detector, "trained_on", {}).get(SITUATION, ())):
@@ -199,31 +216,6 @@ def _fault(answer: Answer) -> str:
     if answer.outcome is Outcome.ANSWERED:
         return ""
     return (answer.detection.reason or "").removeprefix("the detector failed: ")
-
-
-def _explain(answer: Answer, number: int, why: str) -> None:
-    for line in answer.stderr.splitlines():
-        print(f"  standard error: {line}")
-    sys.stdout.flush()
-    asked = "" if number == 1 else ", the second time that it was asked"
-    complain(f"no answer{asked}: {why}.", CODES.not_met)
-    cure = next((cure for words, cure in CURES.items() if words in why), "")
-    otherwise = "'teatbench help detectors' has what is asked for"
-    complain(f"what to do: {cure or otherwise}", CODES.not_met)
-
-
-def _tell(answers: Sequence[Answer], truth: Sequence[TruthRow]) -> None:
-    first, again = answers
-    started = f", started in {first.start_up_s:.2f} s" if first.start_up_s is not None else ""
-    print(f"answered in {first.seconds:.3f} s, again in {again.seconds:.3f} s{started}")
-    found = first.detection
-    visible = f"; {sum(row.visible for row in truth)} can be seen" if truth else ""
-    print(f"teats found: {len(found.teats)}, said to be hidden: {found.hidden}{visible}")
-    for number, teat in enumerate(found.teats, 1):
-        print(f"  {number}: {', '.join(f'{v:.1f}' for v in teat.world_mm)} mm", end="")
-        print(_nearest(teat, truth))
-    if found.reason:
-        print(f"its reason: {found.reason}")
 
 
 def _nearest(teat: Teat, truth: Sequence[TruthRow]) -> str:

@@ -87,20 +87,7 @@ def look_ahead(
     for what in (*unchecked, *why_not):
         print(f"not checked: {what}")
     if rehearsal:
-        rendered = (
-            f"; frames of {rehearsal.rendered} were rendered and checked, and each detector was"
-            " asked about one set"
-            if rehearsal.rendered
-            else ""
-        )
-        print(
-            f"gone through on emulators, in virtual time: {rehearsal.trials} of"
-            f" {plural(trials, 'trial')}{rendered}"
-        )
-        for what, times in rehearsal.recovered.items():
-            print(f"met and got over: {what} ({times} times)")
-        if left := trials - rehearsal.trials:
-            print(f"not gone through: {plural(left, 'trial')}, for what is said above")
+        print(*_gone_through(rehearsal, trials), sep="\n")
     many = f"{plural(trials, 'trial')} at {plural(poses, 'pose')}"
     if findings:
         problems = "problem" if len(findings) == 1 else "problems"
@@ -109,6 +96,20 @@ def look_ahead(
     print(f"{many}: nothing wrong. Nothing was moved.")
     print(*wanted, sep="\n")
     return CODES.met
+
+
+def _gone_through(rehearsal: Rehearsal, trials: int) -> Iterator[str]:
+    """How far the rehearsal came, and what it recovered from."""
+    rendered = ""
+    if rehearsal.rendered:
+        rendered = f"; frames of {rehearsal.rendered} were rendered and checked, and each detector"
+        rendered += " was asked about one set"
+    done = f"{rehearsal.trials} of {plural(trials, 'trial')}{rendered}"
+    yield f"gone through on emulators, in virtual time: {done}"
+    for what, times in rehearsal.recovered.items():
+        yield f"met and got over: {what} ({times} times)"
+    if left := trials - rehearsal.trials:
+        yield f"not gone through: {plural(left, 'trial')}, for what is said above"
 
 
 def _rehearsed(

@@ -7,7 +7,7 @@ from __future__ import annotations
 import argparse
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -60,37 +60,26 @@ def emulate(given: argparse.Namespace) -> int:
     clock, base = RealClock(), given.port_base
     valid = f"while it runs with --port-base {base}" if base else "while this runs"
     try:
-        with (
-            EmulatedRig(
-                rig,
+        with ExitStack() as stack:
+            serial = {"pty": given.pty, "paced": given.paced, "port_base": base}
+            twin = stack.enter_context(
+                EmulatedRig(rig, clock, rig.rig.seed, host=given.listen, **serial)
+            )
+            streams = StreamServer(
+                twin.cameras,
                 clock,
-                rig.rig.seed,
                 host=given.listen,
-                pty=given.pty,
-                paced=given.paced,
-                port_base=base,
-            ) as twin,
-            closing(
-                StreamServer(
-                    twin.cameras,
-                    clock,
-                    host=given.listen,
-                    port=port_of("cameras", base),
-                    page=lambda: page_of(practice),
-                    act=lambda words: practice.do(words),
-                )
-            ) as streams,
-            closing(
-                Listener(
-                    OperatorPort(twin.operator),
-                    clock,
-                    lock=threading.RLock(),
-                    name="operator",
-                    host=given.listen,
-                    port=port_of("operator", base),
-                )
-            ) as hands,
-        ):
+                port=port_of("cameras", base),
+                page=lambda: page_of(practice),
+                act=lambda words: practice.do(words),
+            )
+            stack.enter_context(closing(streams))
+            lock, port = threading.RLock(), port_of("operator", base)
+            operator = OperatorPort(twin.operator)
+            hands = Listener(
+                operator, clock, lock=lock, name="operator", host=given.listen, port=port
+            )
+            stack.enter_context(closing(hands))
             practice = Practice(
                 twin, lambda one, out: (streams.pulled.add if out else streams.pulled.discard)(one)
             )

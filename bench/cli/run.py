@@ -9,7 +9,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -59,15 +59,23 @@ def run(given: argparse.Namespace) -> int:
     return _run(given, rig, scripts)
 
 
+Word = Callable[[Sequence["RunStatus"]], None]
+
+
+@contextmanager
+def _followed(
+    given: argparse.Namespace, console: Terminal, rig: LoadedRig
+) -> Iterator[tuple[Events, TerminalProgress, Word]]:
+    """What shows a run's events on the terminal, in the file of events and to who gets word."""
+    with event_lines(given.events) as lines, TerminalProgress(console) as shown:
+        progress = Events(shown, lines)
+        with _words(given, rig, progress) as word:
+            yield progress, shown, word
+
+
 def _run(given: argparse.Namespace, rig: LoadedRig, scripts: Sequence[LoadedScript]) -> int:
     console = Terminal()
-    with (
-        ExitStack() as stack,
-        event_lines(given.events) as lines,
-        TerminalProgress(console) as shown,
-    ):
-        progress = Events(shown, lines)
-        word = stack.enter_context(_words(given, rig, progress))
+    with _followed(given, console, rig) as (progress, shown, word):
         reports = bench.run_queue(
             scripts,
             rig,
@@ -94,9 +102,7 @@ def _summarize(given: argparse.Namespace, found: Reported) -> None:
 
 
 @contextmanager
-def _words(
-    given: argparse.Namespace, rig: LoadedRig, events: Events
-) -> Iterator[Callable[[Sequence[RunStatus]], None]]:
+def _words(given: argparse.Namespace, rig: LoadedRig, events: Events) -> Iterator[Word]:
     """Sends word of what happens; gives what sends the last one, of all runs as they ended."""
     from bench.run.notify import notifying, text_of
 
@@ -167,13 +173,7 @@ def resume(given: argparse.Namespace) -> int:
             print(f"{given.run}: every trial is done, the bench died before it wrote the report")
             return show_verdict(console, bench.write_report(given.run, damage=damage))
         rig = files_of(record)[0]
-        with (
-            ExitStack() as stack,
-            event_lines(given.events) as lines,
-            TerminalProgress(console) as shown,
-        ):
-            progress = Events(shown, lines)
-            word = stack.enter_context(_words(given, rig, progress))
+        with _followed(given, console, rig) as (progress, shown, word):
             found = bench.resume_run(
                 given.run,
                 capture=given.capture,

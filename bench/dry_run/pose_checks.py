@@ -20,7 +20,6 @@ from bench.scoring.errors import Floats
 from bench.script.model import FIRST, LoadedScript
 from bench.script.planned_trials import PlannedTrial, pose_text, shared
 from bench.truth.stage_registration import around
-from detector.calibration import Calibration
 from detector.geometry import Camera, Motion
 from instruments.microscribe.kinematics import OutOfReachError, inverse
 from instruments.microscribe.unit import ArmIdentity, shipped_unit
@@ -55,7 +54,12 @@ def dry_run(
 ) -> tuple[tuple[Finding, ...], tuple[str, ...]]:
     """What is wrong with the poses, and what can't be checked (``travel`` None: unknown)."""
     distinct = {(one.name, one.side): one for one in script.planned}.values()
-    views = _views_of(rig.calibration)
+    # Left, right, and thermal where its lens and its place are calibrated
+    c, right_from_world = rig.calibration, rig.calibration.world_from_right.inverse()
+    left_from_world = c.right_from_left.inverse() @ right_from_world
+    views = [("left", c.left, left_from_world), ("right", c.right, right_from_world)]
+    if c.thermal.lens is not None and c.thermal_from_left is not None:
+        views.append(("thermal", c.thermal.lens, c.thermal_from_left @ left_from_world))
     places = [(one.name, pose) for one in distinct for pose in (one.approach, one.pose) if pose]
     places += [(f"registration at {pose_text(pose)}", pose) for pose in registered_at(rig, script)]
     findings = (
@@ -74,16 +78,6 @@ def dry_run(
         ),
     }
     return findings, tuple(what for what, missing in unchecked.items() if missing)
-
-
-def _views_of(calibration: Calibration) -> list[NamedCamera]:
-    """Left, right, and thermal where its lens and its place are calibrated."""
-    c, right_from_world = calibration, calibration.world_from_right.inverse()
-    left_from_world = c.right_from_left.inverse() @ right_from_world
-    views = [("left", c.left, left_from_world), ("right", c.right, right_from_world)]
-    if c.thermal.lens is not None and c.thermal_from_left is not None:
-        views.append(("thermal", c.thermal.lens, c.thermal_from_left @ left_from_world))
-    return views
 
 
 def registered_at(rig: LoadedRig, script: LoadedScript) -> tuple[PlatePose, ...]:

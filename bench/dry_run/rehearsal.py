@@ -36,7 +36,7 @@ from bench.rig.model import (
     EmulatedStage,
     Emulation,
     FocusTable,
-    Placed,
+    Placement,
     Stage,
     usual_stage,
 )
@@ -284,7 +284,7 @@ def _world(rig: LoadedRig, script: LoadedScript, stage: StageSettings | None) ->
     if rig.frame is not None:
         motion = rig.frame.world_from_arm
         place = {"om": tuple(motion.om.tolist()), "T": tuple(motion.T.tolist())}
-        update["arm_placed"] = Placed().model_copy(update=place)
+        update["arm_placed"] = Placement().model_copy(update=place)
     if rig.rig.stage is not None:
         settings, high_mm = _stage_settings(rig, script, rig.rig.stage, stage)
         turned = script.registration.world_from_stage.R if script.registration else np.eye(3)
@@ -421,7 +421,9 @@ class ReachingHands:
     too far hangs up, as if it had lost its cable. A person ``leans`` the stylus where that helps.
     """
 
-    def __init__(self, twin: EmulatedRig, placed: Placed, events: Events, *, leans: bool) -> None:
+    def __init__(
+        self, twin: EmulatedRig, placed: Placement, events: Events, *, leans: bool
+    ) -> None:
         self._twin, self._events, self._leans = twin, events, leans
         self._arm_from_world = Motion.from_vectors(placed.om, placed.T).inverse()
         # by place to within a millimetre, how the stylus was held: no pose is solved twice

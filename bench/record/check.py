@@ -46,7 +46,7 @@ _damage, _note = partial(Finding, Weight.DAMAGE), partial(Finding, Weight.NOTE)
 
 
 @dataclass(frozen=True, slots=True)
-class Checked:
+class CheckResult:
     """What was looked at (counts by name), what was found, and the chain's last link as it is."""
 
     counts: Mapping[str, int]
@@ -66,7 +66,7 @@ class Checked:
         return f"not checked: whether the record's rows are as they were written ({looked})"
 
 
-def check_run(folder: Path, digest: str | None = None) -> Checked:
+def check_run(folder: Path, digest: str | None = None) -> CheckResult:
     """Check all; ``digest`` is one that a report names. Raises ConfigError where it is no run."""
     with opened(folder) as db:
         findings: list[Finding] = []  # what was found before something fails is kept
@@ -89,7 +89,7 @@ def check_run(folder: Path, digest: str | None = None) -> Checked:
         except (sqlite3.Error, ValueError, TypeError, RecursionError) as error:
             findings.append(_damage(f"{DATABASE} can't be read to its end: {error}"))
     head = Head(links[-1][0], links[-1][2], links[-1][4]) if links else Head()
-    return Checked({**counts, "links": head.number}, tuple(findings), head)
+    return CheckResult({**counts, "links": head.number}, tuple(findings), head)
 
 
 @contextmanager
@@ -137,7 +137,19 @@ def _provenance(
     yield from _chain(db, links)
     for name, sha256 in db.execute("SELECT name, sha256 FROM files"):
         yield from _file(folder, name, sha256)
-    yield from _printed(folder, links, digest)
+    # The chain has to pass through the link that a report named.
+    known = {value: row[0] for row in links for value in (row[2], row[4])}
+    why = "the record was cut off or made anew since"
+    if digest is not None and digest.lower() not in known:
+        yield _damage(f"the chain doesn't pass through {digest}: {why} that was printed")
+    name = PRINTED.as_posix()
+    try:
+        printed = printed_chain(folder)
+        if printed and known.get(printed["wall_digest"]) != printed["links"]:
+            yield _damage(f"the chain doesn't pass through the digest of {name}: {why}")
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        hint = "Without the folder report, 'teatbench report' makes it anew"
+        yield _damage(f"{name} can't be read: {error!r}. {hint}")
 
 
 def _frames(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
@@ -208,7 +220,14 @@ def _chain(db: sqlite3.Connection, links: list[tuple[Any, ...]]) -> Iterator[Fin
             yield from _rows(db, number, plain, whole, ends)
         except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
             yield _damage(f"link {number} of the chain can't be read: {error!r}")
-    yield from _facts(db, facts)
+    there = {row[0] for row in db.execute("SELECT key FROM facts")}
+    for key in sorted(there - facts.keys(), key=repr):
+        yield _damage(f"fact {key!r} is in no link of the chain: it was added later")
+    for key, whole in facts.items():
+        if key not in there:
+            yield _damage(f"fact {key!r} is missing")
+        elif fact_fingerprint(db, key)[1] != whole:
+            yield _damage(f"fact {key!r} is not as written")
     for table, end in ends.items():
         (last,) = db.execute(f"SELECT coalesce(max(rowid), 0) FROM {table}").fetchone()  # noqa: S608 - our names
         if last > end:
@@ -233,33 +252,6 @@ def _rows(
             where = f"link {number}{_whose(db, table, first)}"
             why = "changed, added or removed"
             yield _damage(f"table {table}, {rows} not as written ({where}): {why}")
-
-
-def _facts(db: sqlite3.Connection, said: Mapping[str, str]) -> Iterator[Finding]:
-    there = {row[0] for row in db.execute("SELECT key FROM facts")}
-    for key in sorted(there - said.keys(), key=repr):
-        yield _damage(f"fact {key!r} is in no link of the chain: it was added later")
-    for key, whole in said.items():
-        if key not in there:
-            yield _damage(f"fact {key!r} is missing")
-        elif fact_fingerprint(db, key)[1] != whole:
-            yield _damage(f"fact {key!r} is not as written")
-
-
-def _printed(folder: Path, links: list[tuple[Any, ...]], digest: str | None) -> Iterator[Finding]:
-    """The chain has to pass through the link that a report named."""
-    known = {value: row[0] for row in links for value in (row[2], row[4])}
-    why = "the record was cut off or made anew since"
-    if digest is not None and digest.lower() not in known:
-        yield _damage(f"the chain doesn't pass through {digest}: {why} that was printed")
-    name = PRINTED.as_posix()
-    try:
-        printed = printed_chain(folder)
-        if printed and known.get(printed["wall_digest"]) != printed["links"]:
-            yield _damage(f"the chain doesn't pass through the digest of {name}: {why}")
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        hint = "Without the folder report, 'teatbench report' makes it anew"
-        yield _damage(f"{name} can't be read: {error!r}. {hint}")
 
 
 def printed_chain(folder: Path) -> Any:

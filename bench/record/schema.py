@@ -16,7 +16,8 @@ Row = Mapping[str, Any]
 SCHEMA_VERSION = 5
 DATABASE, SCRIPT, RULES = "run.sqlite", "script.toml", "rules.toml"
 GUARDIAN = "guardian-{}"  # .json of a session: its guardian had to act; .log: what that one said
-GUARDIAN_FILES, GUARDIAN_FACT = "guardian*.json", "wall {}"  # by name, once a session follows
+GUARDIAN_FILES = "guardian*.json"
+GUARDIAN_FACT = "wall {}"  # by the file's name, once a session follows
 
 OF_A_TRIAL = ("frames", "touches", "truth", "detections", "found", "scores")
 LATER_WORD = "facts"  # the one table whose rows are written over

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from bench.files import Picture, make_folder, sync_folder, write_pictures, write_synced
-from bench.record.chain import Spans, add_link
+from bench.record.chain import add_link
 from bench.record.reader import TrialRecord, check_version, database_in
 from bench.record.schema import (
     DATABASE,
@@ -266,7 +266,19 @@ class Store:
         try:
             self._db.execute("BEGIN IMMEDIATE")
             begun = True
-            add_link(self._db, *self._inserted(tables))
+            spans: dict[str, tuple[int, int]] = {}  # first and last rowid by table
+            facts: dict[str, None] = {}  # in order, so that the same seed gives the same link
+            for table, rows in tables:
+                verb = "REPLACE" if table == LATER_WORD else "INSERT"
+                for row in rows:
+                    marks = ", ".join("?" * len(row))
+                    command = f"{verb} INTO {table} ({', '.join(row)}) VALUES ({marks})"
+                    at = self._db.execute(command, tuple(row.values())).lastrowid or 0
+                    if table == LATER_WORD:
+                        facts[row["key"]] = None
+                    else:
+                        spans[table] = (spans.get(table, (at, at))[0], at)
+            add_link(self._db, spans, list(facts))
             self._db.execute("COMMIT")
             self._waiting = []
         # Ctrl-C too: an open transaction would keep the run's end from being written
@@ -277,22 +289,6 @@ class Store:
             elif begun and not isinstance(why, sqlite3.Error):
                 self._waiting = []
             raise
-
-    def _inserted(self, tables: Tables) -> tuple[Spans, list[str]]:
-        """Insert all rows; first and last rowid by table, and the facts' keys in order."""
-        spans: dict[str, tuple[int, int]] = {}
-        facts: dict[str, None] = {}  # in order, so that the same seed gives the same link
-        for table, rows in tables:
-            verb = "REPLACE" if table == LATER_WORD else "INSERT"
-            for row in rows:
-                marks = ", ".join("?" * len(row))
-                command = f"{verb} INTO {table} ({', '.join(row)}) VALUES ({marks})"
-                at = self._db.execute(command, tuple(row.values())).lastrowid or 0
-                if table == LATER_WORD:
-                    facts[row["key"]] = None
-                else:
-                    spans[table] = (spans.get(table, (at, at))[0], at)
-        return spans, list(facts)
 
 
 def new_run_folder(out: Path, name: str, wall_time: datetime) -> Path:

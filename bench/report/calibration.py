@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import count
 from typing import Any
 
@@ -21,14 +21,14 @@ from bench.calibrate.cameras import (
 )
 from bench.calibrate.views import BoardViews
 from bench.calibrate.world import PointsAgain, WorldResult
-from bench.report.glossary import terms
+from bench.report.chapters import Chapters, page_of
 from bench.report.wording import NOT_MEASURED, key_values, listed, spanned, table
 from bench.results.cameras_agree import NEXT_UNSEEN, CamerasCheck
 from bench.scoring.decisions import Decision, Verdict
 from detector.calibration import Record
 from detector.calibration.bundle import LENS, POSE
-from detector.calibration.cameras import SIDES, Calibrated, Coverage
-from detector.calibration.diagnosis import Finding, Remeasured
+from detector.calibration.cameras import SIDES, CameraFit, Coverage
+from detector.calibration.diagnosis import Finding, MeasuredBoard
 from detector.geometry import Array
 from reports.figures.errors import per_axis_errors
 from reports.figures.precision import precision_by_distance, residual_field
@@ -43,7 +43,6 @@ from reports.page import (
     Part,
     Score,
     Scoreboard,
-    Section,
     Table,
 )
 from reports.page import Verdict as PageVerdict
@@ -69,7 +68,6 @@ HINTS = {
     " side.",
 }
 Row = tuple[str, str, tuple[Score | None, ...]]
-Chapters = Mapping[str, tuple[str, Iterable[Part]]]  # title and parts by anchor
 
 
 def _page(
@@ -112,20 +110,14 @@ def _page(
         table("Inputs", "file | SHA-256", files),
         Code("The command that repeats it", command),
     )
-    every: dict[str, tuple[str, Iterable[Part]]] = {
-        "findings": ("What came out", (board, *wrong)),
-        **({first: chapters[first]} if first else {}),
-        **{anchor: chapter for anchor, chapter in chapters.items() if anchor != first},
-        "provenance": ("Provenance", made),
-    }
-    sections = tuple(
-        Section(anchor, head, tuple(parts), folded=anchor not in ("findings", first))
-        for anchor, (head, parts) in every.items()
-    )
+    out = {"findings": ("What came out", (board, *wrong))}
+    shown = out | ({first: chapters[first]} if first else {})
+    behind = {anchor: chapter for anchor, chapter in chapters.items() if anchor != first}
+    folded = {**behind, "provenance": ("Provenance", made)}
     failed = any(score and score.verdict == "not met" for *_, found in rows for score in found)
     banner = {"verdict": "not met" if failed else "no verdict", **banner}
     day = f"{'checked' if title == CHECK else 'made'} {record.made}"
-    return Page(title, day, Banner(kind="computed", **banner), sections, glossary=terms())
+    return page_of(title, day, Banner(kind="computed", **banner), shown, folded)
 
 
 def _enough(name: str, mm: float, value: str, shows: str = "") -> Row:
@@ -356,7 +348,7 @@ def _touched(
 
 
 def check_page(
-    again: Remeasured, findings: Sequence[Finding], record: Record, command: str
+    again: MeasuredBoard, findings: Sequence[Finding], record: Record, command: str
 ) -> Page:
     """Of `calibrate check`: an existing calibration against a board seen today."""
     return _check(
@@ -492,7 +484,7 @@ def _parameters(result: CamerasResult) -> Iterator[Part]:
     yield table("Right camera against left: X_right = R(om) X_left + T", heads, rows, note)
 
 
-def _lens(fit: Calibrated, camera: str, alone: Calibrated | None = None) -> Table:
+def _lens(fit: CameraFit, camera: str, alone: CameraFit | None = None) -> Table:
     """One camera's lens; beside it what the camera alone gave, where that is known."""
 
     lenses = [of.fit.rig.cameras[camera] for of in (fit, alone) if of is not None]
@@ -514,7 +506,7 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _residuals(fits: Mapping[str, Calibrated], views: BoardViews) -> Iterator[Part]:
+def _residuals(fits: Mapping[str, CameraFit], views: BoardViews) -> Iterator[Part]:
     """Where the corners lie, and which way they miss."""
     for camera, fit in fits.items():
         pairs = [
@@ -559,7 +551,7 @@ def _held_out(result: CamerasResult) -> Iterator[Part]:
     yield _measured_table(again)
 
 
-def _measured_table(again: Remeasured) -> Table:
+def _measured_table(again: MeasuredBoard) -> Table:
     """A board measured again, view by view."""
     heads = (
         "view | >distance [mm] ~.0f | >scale ~.5f | >spacing [mm rms] ~.3f"
@@ -603,7 +595,7 @@ def _coverage(shown: Mapping[str, Coverage]) -> Iterator[Part]:
         yield table(caption, heads, coverage.corners, f"{note} {tilts}.")
 
 
-def _pictures(views: BoardViews, fit: Calibrated) -> Iterator[Part]:
+def _pictures(views: BoardViews, fit: CameraFit) -> Iterator[Part]:
     """Views used, and what was left out with its reason."""
     rows = []
     for camera in views.found:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import shlex
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from math import ceil, floor
 from pathlib import Path
@@ -22,8 +22,8 @@ from bench.campaign.numbers import (
     Parameter,
     campaign_numbers,
 )
-from bench.campaign.plan import Plan
-from bench.report.glossary import terms
+from bench.campaign.plan import CampaignPlan
+from bench.report.chapters import Chapters, page_of
 from bench.report.scenes import draw_again, scene_parts
 from bench.report.trials import look_at
 from bench.report.wording import NOT_MEASURED, key_values, p_text, table
@@ -35,14 +35,13 @@ from reports.page import (
     Banner,
     Cell,
     Figure,
-    Look,
-    Looks,
+    Highlight,
+    Highlights,
     Page,
     Paragraph,
     Part,
     Score,
     Scoreboard,
-    Section,
     TrialPart,
 )
 from reports.render import write_report
@@ -60,7 +59,7 @@ UNITS = ("mm", "deg", "rad", "k")
 
 
 def write_campaign_page(
-    folder: Path, plan: Plan, made_by: Mapping[str, str], bench: Bench | None = None
+    folder: Path, plan: CampaignPlan, made_by: Mapping[str, str], bench: Bench | None = None
 ) -> Path:
     """Write the campaign's page; ``bench`` draws the scenes to look at. Raises OSError."""
     names = [one.name for one in bench.detectors] if bench else []
@@ -72,10 +71,10 @@ def write_campaign_page(
 
 def campaign_page(
     folder: Path,
-    plan: Plan,
+    plan: CampaignPlan,
     made_by: Mapping[str, str],
     numbers: Numbers,
-    looks: tuple[Look, ...] = (),
+    looks: tuple[Highlight, ...] = (),
     parts: tuple[TrialPart, ...] = (),
 ) -> Page:
     """What came out first, then where to look and the figures; the tables behind folds."""
@@ -86,41 +85,35 @@ def campaign_page(
         done = ", ".join(f"{one.name} {one.amount:g}" for one in plan.perturbations)
         asked["perturbations"] = done
     aside = table("Scenes set aside: no detector's failure", "scene | why", numbers.aside.items())
-    first: dict[str, tuple[str, Iterable[Part]]] = {
+    shown: Chapters = {
         "families": ("What each detector shows", [_scoreboard(numbers, plan)]),
         "aside": ("Scenes set aside", [aside] if numbers.aside else []),
-        "looks": ("Where to look first", [Looks(looks)] if looks else []),
+        "looks": ("Where to look first", [Highlights(looks)] if looks else []),
         "figures": ("Figures", _figures(numbers, plan) if numbers.rates else []),
     }
-    behind = (
-        ("rates", "Failures by family", _rates(numbers, plan)),
-        ("worst", "Worst scenes", _worst(numbers, folder, drawn)),
-        ("depends", "Failures and parameters", _depends(numbers)),
-        ("sure", "How sure they are", _sure(numbers)),
-        ("made", "Made with", key_values("Plan and program", {**asked, **made_by})),
-    )
-    shown = ((anchor, title, tuple(each)) for anchor, (title, each) in first.items())
-    return Page(
+    folded: Chapters = {
+        "rates": ("Failures by family", [_rates(numbers, plan)]),
+        "worst": ("Worst scenes", [_worst(numbers, folder, drawn)]),
+        "depends": ("Failures and parameters", [_depends(numbers)]),
+        "sure": ("How sure they are", [_sure(numbers)]),
+        "made": ("Made with", [key_values("Plan and program", {**asked, **made_by})]),
+    }
+    return page_of(
         plan.title or "Campaign",
         "Simulated scenes, scored without instruments",
         _banner(folder, plan, numbers),
-        (
-            *(Section(*chapter) for chapter in shown if chapter[-1]),
-            *(
-                Section(anchor, title, (part,), folded=True, about=ABOUT[anchor])
-                for anchor, title, part in behind
-            ),
-        ),
+        shown,
+        folded,
+        ABOUT,
         trials=parts,
         trials_in="worst" if parts else "",
         trials_note="Truth is drawn as the cameras see it by the calibration that detectors got.",
         detectors=tuple(numbers.detectors),
         worst=tuple(part.id for part in parts[:LOOKED_AT]),
-        glossary=terms(),
     )
 
 
-def _banner(folder: Path, plan: Plan, numbers: Numbers) -> Banner:
+def _banner(folder: Path, plan: CampaignPlan, numbers: Numbers) -> Banner:
     lines = []
     for name in numbers.detectors:
         rates = list(numbers.of(name).values())
@@ -163,7 +156,7 @@ def _quoted(folder: Path) -> str:
     return shlex.quote(folder.as_posix())
 
 
-def _scoreboard(numbers: Numbers, plan: Plan) -> Scoreboard | Paragraph:
+def _scoreboard(numbers: Numbers, plan: CampaignPlan) -> Scoreboard | Paragraph:
     if not numbers.rates:
         return Paragraph("No scene was scored.", "warn")
     rows: list[tuple[str, str, tuple[Score | None, ...]]] = []
@@ -184,7 +177,7 @@ def _scoreboard(numbers: Numbers, plan: Plan) -> Scoreboard | Paragraph:
     )
 
 
-def _score(one: FamilyRate, plan: Plan) -> Score:
+def _score(one: FamilyRate, plan: CampaignPlan) -> Score:
     low, high = plan.interval(one.failures, one.scenes) or (0.0, 1.0)
     good = percent(1.0 - one.failures / one.scenes)
     # in per cent: never more than it is, or never less
@@ -203,7 +196,7 @@ def _score(one: FamilyRate, plan: Plan) -> Score:
     return Score("no verdict", good, ", ".join([shown, ends, *words]))
 
 
-def _figures(numbers: Numbers, plan: Plan) -> Iterator[Figure]:
+def _figures(numbers: Numbers, plan: CampaignPlan) -> Iterator[Figure]:
     names = [spoken(name) for name in numbers.families]
     by_name = {name: numbers.of(name) for name in numbers.detectors}
 
@@ -242,7 +235,7 @@ def _figures(numbers: Numbers, plan: Plan) -> Iterator[Figure]:
         yield _map_figure(each, number, plan)
 
 
-def _map_figure(one: Map, number: int, plan: Plan) -> Figure:
+def _map_figure(one: Map, number: int, plan: CampaignPlan) -> Figure:
     first, second = one.parameters
     ranges = [_range(each, plan.first) for each in one.parameters]
     labels = (_label(first.name, ranges[0]), _label(second.name, ranges[1]))
@@ -284,8 +277,8 @@ def _label(name: str, known: tuple[float, float] | None) -> str:
 
 
 def _looked_at(
-    folder: Path, numbers: Numbers, plan: Plan, bench: Bench
-) -> tuple[tuple[Look, ...], tuple[TrialPart, ...]]:
+    folder: Path, numbers: Numbers, plan: CampaignPlan, bench: Bench
+) -> tuple[tuple[Highlight, ...], tuple[TrialPart, ...]]:
     """The worst scenes, each detector's in turn, and a typical one of the first, drawn again."""
     why: dict[Scene, str] = {}
     several = len(numbers.detectors) > 1
@@ -307,7 +300,7 @@ def _looked_at(
     return looks, parts
 
 
-def _rates(numbers: Numbers, plan: Plan) -> Part:
+def _rates(numbers: Numbers, plan: CampaignPlan) -> Part:
     rows = []
     for rate in numbers.rates:
         span = plan.interval(rate.failures, rate.scenes)

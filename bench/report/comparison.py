@@ -18,6 +18,7 @@ from bench.config import writing
 from bench.files import write_synced
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
+from bench.report.chapters import page_of
 from bench.report.glossary import terms
 from bench.report.wording import NOT_MEASURED, key_values, listed, p_text, table
 from bench.results.comparison import Comparison, Side, compare_folders, compare_sides
@@ -308,16 +309,29 @@ def comparison_page(found: Sequence[Comparison]) -> Page:
         next_action="\n".join(then),
         each=each if len(each) > 1 else (),
     )
-    sections = tuple(
-        section for number, one in enumerate(found, 1) for section in _chapters(one, number, found)
-    )
+    # what came out of all comparisons comes before what folds
+    shown: dict[str, tuple[str, Sequence[Part]]] = {}
+    folded: dict[str, tuple[str, Sequence[Part]]] = {}
+    for number, one in enumerate(found, 1):
+        whose = f": {_matter(one)}" if len(found) > 1 else ""
+        came_out = (_scoreboard(one), _by_situation(one, number))
+        shown |= {f"comparison-{number}": (f"What came out{whose}", came_out)}
+        sentence, success, distance, how, changed, compared = comparison_parts(one)
+        reasons = gate_reasons(one)
+        more = [Notes("All reasons", reasons)] if len(reasons) > MOST_REASONS else []
+        why = "Why this verdict, and how it was compared"
+        folded |= {
+            f"changed-{number}": (f"Scenes that changed{whose}", [changed]),
+            f"tables-{number}": (f"Each situation in figures{whose}", [success, distance]),
+            f"how-{number}": (f"{why}{whose}", [sentence, *more, how, compared]),
+        }
     damaged = any(run.damage for run in runs)
-    page = Page(
+    page = page_of(
         "Comparison of detectors",
         "Paired differences on the same scenes",
         banner,
-        # what came out of all comparisons comes before what folds
-        tuple(sorted(sections, key=lambda section: section.folded)),
+        shown,
+        folded,
         alarm=f"{NOT_AS_WRITTEN}: no figure below holds." if damaged else "",
     )
     said = {term: f"{term.name} {term.meaning}" for term in terms()}
@@ -345,21 +359,6 @@ def _of_scenes(value: Any) -> Any:
         changed = {name: new for name, old in parts.items() if (new := _of_scenes(old)) != old}
         return replace(value, **changed) if changed else value
     return value
-
-
-def _chapters(one: Comparison, number: int, found: Sequence[Comparison]) -> Iterator[Section]:
-    whose = f": {_matter(one)}" if len(found) > 1 else ""
-    first = (_scoreboard(one), _by_situation(one, number))
-    yield Section(f"comparison-{number}", f"What came out{whose}", first)
-    sentence, success, distance, how, changed, runs = comparison_parts(one)
-    reasons = gate_reasons(one)
-    more = [Notes("All reasons", reasons)] if len(reasons) > MOST_REASONS else []
-    for anchor, title, parts in (
-        ("changed", "Scenes that changed", (changed,)),
-        ("tables", "Each situation in figures", (success, distance)),
-        ("how", "Why this verdict, and how it was compared", (sentence, *more, how, runs)),
-    ):
-        yield Section(f"{anchor}-{number}", f"{title}{whose}", parts, folded=True)
 
 
 def gate_reasons(one: Comparison) -> tuple[str, ...]:
@@ -577,16 +576,14 @@ def _by_situation(comparison: Comparison, number: int) -> Figure:
     return Figure(svg, caption, alt, wide=True)
 
 
-def _sentence(comparison: Comparison, most: int = MOST_REASONS) -> str:
-    reasons = gate_reasons(comparison)
-    more = f"; and {len(reasons) - most} more" if len(reasons) > most else ""
-    return f"{verdict_text(comparison)} {'; '.join(reasons[:most])}{more}."
-
-
 def comparison_parts(comparison: Comparison) -> Iterator[Part]:
     """What a page says of one comparison; a run's report can take the same."""
     tone = GATE[comparison.compared.gate.verdict][3]
-    yield Paragraph(_sentence(comparison), tone=tone)
+    reasons = gate_reasons(comparison)
+    more = f"; and {len(reasons) - MOST_REASONS} more" if len(reasons) > MOST_REASONS else ""
+    yield Paragraph(
+        f"{verdict_text(comparison)} {'; '.join(reasons[:MOST_REASONS])}{more}.", tone=tone
+    )
     yield success_table(comparison)
     yield distance_table(comparison, wide=True)
     yield Notes("Of this comparison", tuple(notes(comparison)))

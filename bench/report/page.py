@@ -69,7 +69,7 @@ from reports.page import (
     Code,
     Figure,
     Fold,
-    Looks,
+    Highlights,
     Notes,
     Page,
     Paragraph,
@@ -147,13 +147,13 @@ def build_page(
     drawn = tuple(_figures(run, rules, calibration)) if run.trials and judgements else ()
     made = tuple(trial_parts(run, calibration, folder, copied=None if few else looked))
     if judgements:
-        told = note_on_statements((requirements, behind), rules, len(judgements))
-        with_note = replace(folded, parts=(*folded.parts, told))
+        statements = note_on_statements((requirements, behind), rules, len(judgements))
+        with_note = replace(folded, parts=(*folded.parts, statements))
         sections[0] = replace(sections[0], parts=(requirements[0], with_note))
     if looked:
         by_id = {part.id: part for part in made}
         looks = (look_at(*one, by_id[trial_id(one[0])], calibration) for one in looked.values())
-        sections.append(Section("looks", "Where to look first", (Looks(tuple(looks)),)))
+        sections.append(Section("looks", "Where to look first", (Highlights(tuple(looks)),)))
         sections.append(Section("figures", "Figures", drawn))
     alarm = f"{NOT_AS_WRITTEN}: no figure below holds. {shortened(run.damage)}"
     return Page(

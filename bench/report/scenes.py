@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from bench.campaign.chunk import Bench, Scene, digest_of_frames, draw_scene
-from bench.campaign.plan import Plan, differences, open_plan
+from bench.campaign.plan import CampaignPlan, differences, open_plan
 from bench.campaign.run import plan_of
 from bench.campaign.shards import Shards
 from bench.config import ConfigError, writing
@@ -75,7 +75,18 @@ def show_scenes(folder: Path, names: Sequence[str]) -> tuple[Path, list[tuple[st
     """Write a page of scenes of a campaign; gives back its path, and scene, detector and outcome of
     each answer. Raises ConfigError, also where this version draws other pictures.
     """
-    plan, scenes = _asked(folder, names)
+    plan, scenes = plan_of(folder), []
+    for name in dict.fromkeys(names):
+        family, _, number = name.rpartition("-")
+        last = plan.first + plan.most_scenes - 1
+        inside = number.isdecimal() and plan.first <= int(number) <= last
+        if family not in plan.families or not inside:
+            example = Scene(plan.families[0], plan.first).name
+            raise ConfigError.plain(
+                f"{folder} has no scene {name!r}; it has members {plan.first} to {last} of"
+                f" {', '.join(plan.families)}, named as {example}"
+            )
+        scenes.append(Scene(family, int(number)))
     job, made_by = open_plan(plan)
     detectors = job.make_detectors()
     title = plan.title or "Campaign"
@@ -97,22 +108,6 @@ def show_scenes(folder: Path, names: Sequence[str]) -> tuple[Path, list[tuple[st
     return path, outcomes
 
 
-def _asked(folder: Path, names: Sequence[str]) -> tuple[Plan, list[Scene]]:
-    plan, found = plan_of(folder), []
-    for name in dict.fromkeys(names):
-        family, _, number = name.rpartition("-")
-        last = plan.first + plan.most_scenes - 1
-        inside = number.isdecimal() and plan.first <= int(number) <= last
-        if family not in plan.families or not inside:
-            example = Scene(plan.families[0], plan.first).name
-            raise ConfigError.plain(
-                f"{folder} has no scene {name!r}; it has members {plan.first} to {last} of"
-                f" {', '.join(plan.families)}, named as {example}"
-            )
-        found.append(Scene(family, int(number)))
-    return plan, found
-
-
 def _refuse_changed(folder: Path, run: RunRecord, why: str) -> None:
     """Raises ConfigError for frames that differ from those that were scored."""
     with Shards(folder).connect() as db:
@@ -129,7 +124,7 @@ def _refuse_changed(folder: Path, run: RunRecord, why: str) -> None:
 
 
 def _page(
-    plan: Plan,
+    plan: CampaignPlan,
     run: RunRecord,
     parts: tuple[TrialPart, ...],
     outcomes: Sequence[tuple[str, str, str]],

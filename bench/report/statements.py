@@ -30,12 +30,12 @@ def note_on_statements(parts: Sequence[Any], rules: Rules, detectors: int) -> No
     ] * detectors
     intervals, p_values = (_cells(parts, wanted) for wanted in (_is_interval, _is_p))
     decided = f"{len(chances)} decision{'' if len(chances) == 1 else 's'} and bounds, one-sided"
-    told = f"{decided}, {plural(intervals, 'interval')}, two-sided, {plural(p_values, 'p-value')}"
+    sums = f"{decided}, {plural(intervals, 'interval')}, two-sided, {plural(p_values, 'p-value')}"
     wrong = sum(chances) + CHANCE * (intervals + p_values)
     made = (
         f"This page makes {plural(len(chances) + intervals + p_values, 'statement')} that chance"
         f" makes wrong in at most {100 * CHANCE:g} % of cases each (a requirement: 1 - its"
-        f" confidence): {told}. Each holds by itself; of all of them some {wrong:.1f} may be wrong."
+        f" confidence): {sums}. Each holds by itself; of all of them some {wrong:.1f} may be wrong."
     )
     planned = f"of {rules.looks} planned" if rules.looks > 1 else "the only one planned"
     first = (

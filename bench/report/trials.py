@@ -50,7 +50,7 @@ from reports.frames import (
     answer_mark,
     places_of,
 )
-from reports.page import Cell, KeyValues, Look, Result, Table, Tone, TrialPart
+from reports.page import Cell, Highlight, KeyValues, Result, Table, Tone, TrialPart
 
 DECIDED = (Verdict.MET, Verdict.NOT_MET)
 MOST_WORST = 60
@@ -136,7 +136,7 @@ def first_trials(
     return chosen
 
 
-def look_at(trial: TrialRecord, why: str, part: TrialPart, calibration: Calibration) -> Look:
+def look_at(trial: TrialRecord, why: str, part: TrialPart, calibration: Calibration) -> Highlight:
     """Its views cut to the teats, with truth and answers drawn in."""
     images, there = [], {image.camera: image for image in part.images}
     for camera, truth_px in project_all(calibration, points_mm(trial.truth)).items():
@@ -162,7 +162,7 @@ def look_at(trial: TrialRecord, why: str, part: TrialPart, calibration: Calibrat
         images.append(replace(image, label=camera, alt=alt, overlays=layers, view_box=box))
     images.sort(key=lambda image: image.camera != "left")
     heading = f"{part.situation}, trial {trial.head['number']}"
-    return Look(part.id, heading, why, _results(trial, farthest=True), tuple(images))
+    return Highlight(part.id, heading, why, _results(trial, farthest=True), tuple(images))
 
 
 def _places(trial: TrialRecord) -> dict[str, int]:

@@ -25,9 +25,9 @@ from detector.protocol import (
     Detection,
     DetectionFailure,
     Detector,
+    DetectorProcess,
     Frames,
     Outcome,
-    Served,
     Stage,
     Teat,
     WithContext,
@@ -238,8 +238,8 @@ def examine(
     context: Context | None = None,
 ) -> Answer:
     """Detect, timed. Any failure becomes an answer without teats that gives the reason."""
-    served = detector if isinstance(detector, Served) else None
-    shown = _Shown(frames)
+    served = detector if isinstance(detector, DetectorProcess) else None
+    shown = _ReadOnlyFrames(frames)
     seconds, used_s, outcome = 0.0, 0.0, Outcome.ANSWERED
     try:
         if served:
@@ -288,7 +288,7 @@ def examine(
 def close_detectors(detectors: Iterable[Detector]) -> None:
     """End what detectors hold outside of the bench's process."""
     for detector in detectors:
-        if isinstance(detector, Served):
+        if isinstance(detector, DetectorProcess):
             detector.close()
 
 
@@ -332,7 +332,7 @@ def _nothing(why: str) -> Detection:
     return Detection((), 0, f"the detector failed: {one_line(why)}"[:LONGEST_REASON], ())
 
 
-class _Shown:
+class _ReadOnlyFrames:
     """A frame set for one detector: read-only, so that it can't change what others see."""
 
     def __init__(self, frames: Frames) -> None:

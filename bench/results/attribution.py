@@ -42,7 +42,7 @@ class What(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Attributed:
+class AttributedFault:
     """One fault; ``teat`` is empty for a false finding or a trial."""
 
     trial: str
@@ -55,7 +55,7 @@ class Attributed:
 
 def attributed(
     run: RunRecord, detector: str, calibration: Calibration | None = None
-) -> tuple[Attributed, ...]:
+) -> tuple[AttributedFault, ...]:
     """The faults of ``detector`` in the order of the trials, then the trials that were not judged.
     An answer that doesn't share the cameras' shift stays the detector's.
     """
@@ -79,15 +79,15 @@ def attributed(
                 why += f"; but the cameras put every end some {depth_mm:.1f} mm off in depth"
             elif cause is Cause.DETECTOR and off and not trial.scores[detector].counts.found:
                 cause, why = Cause.CALIBRATION, f"{why}; but the cameras have their {off}"
-            found.append(Attributed(trial.id, detector, teat, what, cause, why))
+            found.append(AttributedFault(trial.id, detector, teat, what, cause, why))
     judged_not = (
-        Attributed(trial, detector, "", What.NOT_JUDGED, cause, why)
+        AttributedFault(trial, detector, "", What.NOT_JUDGED, cause, why)
         for trial, cause, why in _not_judged(run)
     )
     return (*found, *judged_not)
 
 
-def counted(found: tuple[Attributed, ...]) -> Counter[tuple[What, Cause]]:
+def counted(found: tuple[AttributedFault, ...]) -> Counter[tuple[What, Cause]]:
     """How many of each kind, by cause."""
     return Counter((one.what, one.cause) for one in found)
 

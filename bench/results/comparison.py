@@ -44,7 +44,7 @@ from bench.results.verdicts import (
     stored_rules,
     truth_u_mm,
 )
-from bench.scoring.comparison import Compared, Gate, ScenePair, compare
+from bench.scoring.comparison import Gate, PairedComparison, ScenePair, compare
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.looks import FIRST, Looks
 from bench.scoring.scene import Pool, pool
@@ -87,7 +87,7 @@ class Comparison:
     same_frames: int
     only_old: int
     only_new: int
-    compared: Compared
+    compared: PairedComparison
     elsewhere: int = 0
     look: InterimLook | None = None
 

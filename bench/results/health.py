@@ -26,13 +26,14 @@ from bench.record.state import State, holder_of
 from bench.results.cameras_agree import cameras_of
 from bench.results.stated_arm import STATED_FACT, check_touches
 from bench.results.verdicts import scored
-from bench.scoring.control_chart import FAR, Limits, Trend, broken, limits_of, trend
+from bench.scoring.control_chart import FAR, ControlLimits, Trend, broken, limits_of, trend
 from bench.scoring.rates import plural
 from bench.script.calibration_age import CALIBRATION_FACT
 from bench.truth.arm_check import BEFORE, CHECK_FACT, location_of, shift_mm
 from instruments.camera.quality import edge_blur_px, level_dn
 
-KEPT, VERSION = ".health.json", 1  # in the folder of runs; of what is measured
+KEPT = ".health.json"  # in the folder of runs
+VERSION = 1  # of what is measured
 MOST_NEW = 20  # runs that are read before a run begins
 LOOKED_AT = 3  # trials whose pictures are looked at
 BRIGHTEST = 0.995  # share of the pixels that are darker
@@ -70,7 +71,7 @@ RATE = Quantity("", "%", 0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class RunHealth:
     """One run's ``values`` by quantity. ``stamp``: of the record that they were measured of."""
 
     run: str
@@ -95,7 +96,7 @@ class Chart:
     digits: int
     dates: tuple[str, ...]
     values: tuple[float, ...]
-    limits: Limits | None
+    limits: ControlLimits | None
     rules: tuple[str, ...]
     trend: Trend | None
 
@@ -120,16 +121,16 @@ class Chart:
         return ""
 
 
-def history(folder: Path, most: int | None = None) -> list[Measured]:
+def history(folder: Path, most: int | None = None) -> list[RunHealth]:
     """What each ended run on a rig in ``folder`` says, oldest first; of those that were never read
     only the last ``most``. Raises nothing.
     """
-    kept: dict[str, Measured] = {}
+    kept: dict[str, RunHealth] = {}
     with suppress(OSError, ValueError, TypeError, KeyError):
         text = json.loads((folder / KEPT).read_text(encoding="utf-8"))
         if text["version"] == VERSION:
-            kept = {row["run"]: Measured(**row) for row in text["runs"]}
-    found: dict[str, Measured] = {}
+            kept = {row["run"]: RunHealth(**row) for row in text["runs"]}
+    found: dict[str, RunHealth] = {}
     with suppress(OSError):
         there_are = sorted(folder.glob(f"*/{DATABASE}"))
         late = {*there_are[-most:]} if most else {*there_are}
@@ -148,11 +149,11 @@ def history(folder: Path, most: int | None = None) -> list[Measured]:
     return sorted((one for one in found.values() if one.rig), key=lambda one: one.day)
 
 
-def _of_run(run: RunRecord, stamp: int) -> Measured:
+def _of_run(run: RunRecord, stamp: int) -> RunHealth:
     facts = run.facts
     values = {key: round(value, 4) for key, value in _values(run) if np.isfinite(value)}
     started, rig = str(facts["wall_started"]), str(facts.get("rig", ""))
-    return Measured(run.folder.name, started, rig, str(facts["kind"]), values, stamp)
+    return RunHealth(run.folder.name, started, rig, str(facts["kind"]), values, stamp)
 
 
 def _values(run: RunRecord) -> Iterator[tuple[str, float]]:
@@ -166,7 +167,17 @@ def _values(run: RunRecord) -> Iterator[tuple[str, float]]:
     yield from _of_bath(run)
     if disparity := cameras_of(run).disparity:
         yield "disparity_px", disparity.value
-    yield from _of_pictures(run)
+    # Medians over the first trials, whose set-up a script repeats
+    seen: dict[str, list[float]] = {}
+    with suppress(RecordingError, ConfigError, OSError):
+        recording = Recording(run.folder)
+        for frame in recording.frames[:LOOKED_AT]:
+            frames = recording.load(frame)
+            for camera, picture in (("left", frames.left), ("right", frames.right)):
+                if (blur_px := edge_blur_px(picture)) is not None:
+                    seen.setdefault(f"{camera}_blur_px", []).append(blur_px)
+                seen.setdefault(f"{camera}_level", []).append(level_dn(picture, BRIGHTEST))
+    yield from ((key, float(np.median(values))) for key, values in seen.items())
     age_days = facts.get(CALIBRATION_FACT, {}).get("age_days")
     if age_days is not None:
         yield "calibration_days", float(age_days)
@@ -187,21 +198,7 @@ def _of_bath(run: RunRecord) -> Iterator[tuple[str, float]]:
         yield "overshoot_k", float(np.nanmax(temp_c)) - set_point_c
 
 
-def _of_pictures(run: RunRecord) -> Iterator[tuple[str, float]]:
-    """Medians over the first trials, whose set-up a script repeats."""
-    seen: dict[str, list[float]] = {}
-    with suppress(RecordingError, ConfigError, OSError):
-        recording = Recording(run.folder)
-        for frame in recording.frames[:LOOKED_AT]:
-            frames = recording.load(frame)
-            for camera, picture in (("left", frames.left), ("right", frames.right)):
-                if (blur_px := edge_blur_px(picture)) is not None:
-                    seen.setdefault(f"{camera}_blur_px", []).append(blur_px)
-                seen.setdefault(f"{camera}_level", []).append(level_dn(picture, BRIGHTEST))
-    yield from ((key, float(np.median(values))) for key, values in seen.items())
-
-
-def charts(runs: Sequence[Measured]) -> Iterator[Chart]:
+def charts(runs: Sequence[RunHealth]) -> Iterator[Chart]:
     """A chart for each quantity of each rig that at least two runs measured."""
     by_rig = sorted(runs, key=lambda one: (one.rig, one.kind, one.day))
     for (rig, kind), of in groupby(by_rig, key=lambda one: (one.rig, one.kind)):
@@ -214,7 +211,7 @@ def charts(runs: Sequence[Measured]) -> Iterator[Chart]:
                 yield _chart(f"{rig} ({kind})", key, having)
 
 
-def _chart(rig: str, key: str, runs: Sequence[Measured]) -> Chart:
+def _chart(rig: str, key: str, runs: Sequence[RunHealth]) -> Chart:
     quantity = QUANTITIES.get(key, RATE)
     values = tuple(one.values[key] for one in runs)
     limits = limits_of(values, quantity.least) if quantity.limits else None

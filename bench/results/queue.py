@@ -27,7 +27,7 @@ DIED = "the bench died"
 
 
 @dataclass(frozen=True, slots=True)
-class Queued:
+class QueueEntry:
     """One script, with its run and that one's status once it has begun."""
 
     script: str
@@ -47,7 +47,7 @@ class QueueStatus:
     name: str
     rig: str
     started: str
-    scripts: tuple[Queued, ...]
+    scripts: tuple[QueueEntry, ...]
     ended: str
 
     @property
@@ -124,7 +124,7 @@ def read_queue(path: Path) -> QueueStatus:
     try:
         runs = [*found["runs"], *[""] * (len(found["scripts"]) - len(found["runs"]))]
         scripts = tuple(
-            Queued(script, run, _status(path.parent / run) if run else None)
+            QueueEntry(script, run, _status(path.parent / run) if run else None)
             for script, run in zip(found["scripts"], runs, strict=True)
         )
         ended = found["ended"]

@@ -113,7 +113,7 @@ SAFE_WORDS: Mapping[Safe, str] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class OpenPrompt:
     """What a person is asked: its kind (`operator.Kind`), and the prompt's words where a browser
     answers too, with its number.
     """
@@ -144,7 +144,7 @@ class RunStatus:
     planned: int | None = None
     left_s: float | None = None
     paused: bool = False
-    asked: Asked | None = None
+    asked: OpenPrompt | None = None
     instruments: tuple[InstrumentStatus, ...] = ()
     tripped: str = ""
     last_error: str = ""
@@ -357,7 +357,7 @@ def _as_asked(status: RunStatus, folder: Path) -> RunStatus:
     prompt = read_prompt(folder)
     if not prompt or not prompt["open"] or status.step == GOING_TO_SAFE:
         return status
-    asked = Asked(prompt["kind"], prompt["text"], prompt["number"])
+    asked = OpenPrompt(prompt["kind"], prompt["text"], prompt["number"])
     return replace(status, asked=asked)
 
 

@@ -88,7 +88,16 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
     tests = {
         when: location_of(fact, f"the check {when} the trials") for when, fact in checks.items()
     }
-    limits = _limits(rule, checks, tests, dated, facts)
+    # The rule's, and where it leaves one out that which follows from the arm's statement
+    stated, usual = facts.get(STATED_FACT), (rule.least_touches, rule.least_touches)
+    touches = [*map(new_touches, checks.values())]
+    of_run = [test.n for test in tests.values()]
+    sizes = [*of_run, *(test.n for test in (dated.locations if dated else ()))]
+    limits = _ArmLimits(
+        location_limit_mm(rule, stated, sizes or usual),
+        length_limit_mm(rule, stated, dated.lengths if dated else ()),
+        drift_limit_mm(rule, stated, touches if len(touches) == len(usual) else usual),
+    )
     limit = limits.location_mm
     nothing = Decision(
         name=rule.name,
@@ -102,8 +111,8 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
         return nothing
     against = [*_against(rule, limits, checks, tests, dated, facts)]
     missing = [*_missing(rule, limits, tests, dated, facts)]
-    told = _contradictions(rule, tests, dated, facts) if against else []
-    reasons = "; ".join([*against, *missing, *told]) or _in_order(tests, dated, facts)
+    contradicted = _contradictions(rule, tests, dated, facts) if against else []
+    reasons = "; ".join([*against, *missing, *contradicted]) or _in_order(tests, dated, facts)
     figures = [test.largest_mm for test in tests.values()]
     largest = max([*figures, dated.location_mm] if dated else figures)
     return replace(
@@ -121,25 +130,6 @@ class _ArmLimits(VerificationLimits):
     """With that on the check point's move between before and after."""
 
     drift_mm: float = float("inf")
-
-
-def _limits(
-    rule: ArmRequirement,
-    checks: Mapping[str, Mapping[str, Any]],
-    tests: Mapping[str, LocationTest],
-    dated: Verification | None,
-    facts: Mapping[str, Any],
-) -> _ArmLimits:
-    """The rule's, and where it leaves one out that which follows from the arm's statement."""
-    stated, usual = facts.get(STATED_FACT), (rule.least_touches, rule.least_touches)
-    touches = [*map(new_touches, checks.values())]
-    of_run = [test.n for test in tests.values()]
-    sizes = [*of_run, *(test.n for test in (dated.locations if dated else ()))]
-    return _ArmLimits(
-        location_limit_mm(rule, stated, sizes or usual),
-        length_limit_mm(rule, stated, dated.lengths if dated else ()),
-        drift_limit_mm(rule, stated, touches if len(touches) == len(usual) else usual),
-    )
 
 
 def _contradictions(
@@ -179,7 +169,14 @@ def _against(
             )
     if dated:
         yield from (f"in the dated verification, {text}" for text in dated.broken(limits))
-        yield from _dated_faults(rule, dated, facts)
+        serial = facts.get("identities", {}).get("arm", {}).get("serial_number")
+        if serial is not None and dated.serial_number != serial:
+            yield f"the verification is of the arm {dated.serial_number}, but the run used {serial}"
+        age = age_of(dated, facts)
+        if age > timedelta(days=rule.max_age_days):
+            yield f"the verification was {age.days} days old, limit {rule.max_age_days:g} days"
+        if age < timedelta(0):
+            yield "the verification is dated after the run began: look at the computer's clock"
     if wrong := too_small(facts):
         yield f"{wrong}: state what the arm shows (accuracy_mm), or have it put right"
 
@@ -245,19 +242,6 @@ def _rule(rule: ArmRequirement, limits: _ArmLimits) -> str:
         f" a dated verification ({dated}) of this arm at most {rule.max_age_days:g} days"
         f" old{lengths}; the stated uncertainty not refuted by chi-square, 5 % false alarms"
     )
-
-
-def _dated_faults(
-    rule: ArmRequirement, dated: Verification, facts: Mapping[str, Any]
-) -> Iterator[str]:
-    serial = facts.get("identities", {}).get("arm", {}).get("serial_number")
-    if serial is not None and dated.serial_number != serial:
-        yield f"the verification is of the arm {dated.serial_number}, but the run used {serial}"
-    age = age_of(dated, facts)
-    if age > timedelta(days=rule.max_age_days):
-        yield f"the verification was {age.days} days old, limit {rule.max_age_days:g} days"
-    if age < timedelta(0):
-        yield "the verification is dated after the run began: look at the computer's clock"
 
 
 def age_of(dated: Verification, facts: Mapping[str, Any]) -> timedelta:
@@ -375,7 +359,14 @@ def _decide(
             held = sum(abs(temp - set_point_c) <= rule.band_k for temp in temps)
             what = f"bath within {rule.band_k:g} K of the set point at every capture"
             decision = decide_condition(rule.name, what, held=held, of=len(temps))
-            return _teats_measured(decision, run.facts)
+            # The bath's decision; inconclusive where nothing showed that the teats are as warm
+            why = run.facts.get(TEATS_FACT)
+            if why is None:
+                return decision
+            sentence = f"{decision.sentence} The temperature at the teats was not measured: {why}."
+            met = decision.verdict is Verdict.MET
+            verdict = Verdict.INCONCLUSIVE if met else decision.verdict
+            return replace(decision, verdict=verdict, sentence=sentence)
         case ArmRequirement():
             return decide_arm(rule, run.facts)
         case CalibrationRequirement():
@@ -385,17 +376,6 @@ def _decide(
     u_mm = truth_u_mm([run], scores, detector)
     looks = Looks(planned)
     return decide_detector(rule, scores, latency_of(run, detector), u_mm, looks)
-
-
-def _teats_measured(decision: Decision, facts: Mapping[str, Any]) -> Decision:
-    """The bath's decision; inconclusive where nothing showed that the teats are as warm."""
-    why = facts.get(TEATS_FACT)
-    if why is None:
-        return decision
-    sentence = f"{decision.sentence} The temperature at the teats was not measured: {why}."
-    met = decision.verdict is Verdict.MET
-    verdict = Verdict.INCONCLUSIVE if met else decision.verdict
-    return replace(decision, verdict=verdict, sentence=sentence)
 
 
 def decide_detector(

@@ -426,7 +426,7 @@ class _Length(Section):
     ends_mm2: tuple[Three, Three, Three] | None = None
 
 
-class _Limits(Section):
+class _LimitsTable(Section):
     location_mm: Annotated[float, Field(gt=0)]
     length_mm: Annotated[float, Field(gt=0)] | None = None
 
@@ -437,7 +437,7 @@ class _VerificationFile(_ArmFile):
     location_mm: NotNegative
     length_mm: NotNegative | None = None
     length_two_rms_mm: NotNegative | None = None
-    limits: _Limits
+    limits: _LimitsTable
     location: Annotated[tuple[_Location, ...], Field(min_length=1)]
     length: tuple[_Length, ...] = ()
 

@@ -111,16 +111,7 @@ class EmulatedRig:
             tremor_mm=emulation.hand_tremor_mm,
         )
         plant, r, relay = self.world.plant, rig.rig, rig.relay
-        self._bath: BathEmulator | LineEmulator | None = None
-        if isinstance(known := rig.profile, LineProfile):
-            try:
-                self._bath = LineEmulator(plant, known, clock)
-            except ValueError as error:
-                if "bath" in r.emulated or not r.emulated:
-                    said = (("bath", "profile"), str(error), False)
-                    raise located(rig.path, rig.text, [said]) from error
-        elif isinstance(known, RegisterProfile):
-            self._bath = BathEmulator(plant, known, clock, framing=self._framing(known))
+        self._bath = self._bath_controller(rig)
         # on a port of its own; without one, and with a controller that turns none, the pump stands
         framing = self._framing(relay) if relay else None
         self.pump = RelayEmulator(plant, relay, clock, framing=framing) if relay else None
@@ -137,6 +128,21 @@ class EmulatedRig:
         except BaseException:
             self.close()
             raise
+
+    def _bath_controller(self, rig: LoadedRig) -> BathEmulator | LineEmulator | None:
+        """By the rig's profile; None where no emulator speaks it and another bath is used."""
+        known, plant = rig.profile, self.world.plant
+        if isinstance(known, RegisterProfile):
+            return BathEmulator(plant, known, self._clock, framing=self._framing(known))
+        if not isinstance(known, LineProfile):
+            return None
+        try:
+            return LineEmulator(plant, known, self._clock)
+        except ValueError as error:
+            if "bath" not in rig.rig.emulated and rig.rig.emulated:
+                return None
+            said = (("bath", "profile"), str(error), False)
+            raise located(rig.path, rig.text, [said]) from error
 
     def _serve(self, rig: LoadedRig) -> None:
         """Listen for each instrument, at the rate of its serial port; a network has none."""

@@ -130,7 +130,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Guard one bath, one stage or both; 0 when they are safe or nothing was needed, 1 when one was
     not reached.
     """
-    given = _parser().parse_args(arguments)
+    about = "Puts a bath into standby when the bench that started it dies."
+    parser = argparse.ArgumentParser(prog="bench.rig.guardian", description=about)
+    add = parser.add_argument
+    add("--url", default="", help="the bath; none: only a stage is guarded")
+    add("--profile", default="")
+    add("--pump-url", default="", help="the relay of a pump that the controller doesn't turn")
+    add("--pump-profile", default="")
+    add("--allow-inferred", action="store_true")
+    add_arguments(parser)
+    add("--overrun-s", type=float, default=OVERRUN_S, help="how long the pump runs on")
+    add("--record", required=True, type=Path)
+    add("--bench", required=True, type=int, help="the bench's process id")
+    given = parser.parse_args(arguments)
     for name in IGNORED:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
@@ -314,22 +326,6 @@ def _kill(bench: int) -> bool:
 
 def _text(when: datetime) -> str:
     return when.isoformat(timespec="milliseconds")
-
-
-def _parser() -> argparse.ArgumentParser:
-    about = "Puts a bath into standby when the bench that started it dies."
-    parser = argparse.ArgumentParser(prog="bench.rig.guardian", description=about)
-    add = parser.add_argument
-    add("--url", default="", help="the bath; none: only a stage is guarded")
-    add("--profile", default="")
-    add("--pump-url", default="", help="the relay of a pump that the controller doesn't turn")
-    add("--pump-profile", default="")
-    add("--allow-inferred", action="store_true")
-    add_arguments(parser)
-    add("--overrun-s", type=float, default=OVERRUN_S, help="how long the pump runs on")
-    add("--record", required=True, type=Path)
-    add("--bench", required=True, type=int, help="the bench's process id")
-    return parser
 
 
 if __name__ == "__main__":

@@ -133,7 +133,11 @@ class BathLock:
             raise self._kept("a process that doesn't say who it is holds it")
         if not holder.get("acting") and _lives(int(holder["bench"])):
             raise self._kept(f"{_named(holder)} guards it for a bench that lives")
-        _end(int(holder["pid"]))
+        pid = int(holder["pid"])
+        import psutil
+
+        with suppress(psutil.Error):
+            psutil.Process(pid).kill()
         with suppress(Timeout):
             self._owner.acquire(timeout=HAND_OVER_S, poll_interval=POLL_S)
             return f"{_named(holder)} did not answer for {HAND_OVER_S:g} s and was ended"
@@ -181,10 +185,3 @@ def _lives(pid: int) -> bool:
     with suppress(psutil.NoSuchProcess):
         return bool(psutil.Process(pid).status() != psutil.STATUS_ZOMBIE)
     return False
-
-
-def _end(pid: int) -> None:
-    import psutil
-
-    with suppress(psutil.Error):
-        psutil.Process(pid).kill()

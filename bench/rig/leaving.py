@@ -184,7 +184,7 @@ def _shown(bath: Bath, reading: BathReading) -> dict[str, object]:
     return {"running": reading.running, "set_point_c": reading.set_point_c, **pump}
 
 
-class Opened(AbstractContextManager[Devices]):
+class OpenInstruments(AbstractContextManager[Devices]):
     """Open instruments that are left safe: at the context's end, and else at the interpreter's,
     where the context was entered and never left.
     """

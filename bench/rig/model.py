@@ -647,7 +647,7 @@ def usual_stage() -> dict[int, float]:
     return DEFAULTS | ROTARY_DEFAULTS
 
 
-class Placed(Section):
+class Placement(Section):
     """Where something stands: X_world = R(om) X + T, a rotation vector in rad and mm."""
 
     om: tuple[Radians, Radians, Radians] = (0.0, 0.0, 0.0)
@@ -729,7 +729,7 @@ class Emulation(Section):
     placement_error_deg: Annotated[float, Field(ge=0, le=20)] = 0.0
     prompt_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
     mistakes: tuple[Mistake, ...] = ()
-    arm_placed: Placed = Placed()
+    arm_placed: Placement = Placement()
     arm_unit: Annotated[str, AfterValidator(beside_if_named)] = ""
     optical: EmulatedOptical = EmulatedOptical()
     thermal: EmulatedThermal = EmulatedThermal()

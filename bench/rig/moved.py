@@ -53,7 +53,9 @@ def away(calibration: Calibration, mm: float) -> Calibration:
     pose = calibration.world_from_right
     moved = replace(calibration, world_from_right=Motion(pose.R, pose.T + (1 - mm / was) * sight))
     share = min(mm / was, 1.0)
-    lens = _thermal_lens(calibration)
+    lens = calibration.thermal.lens
+    if lens is None:
+        raise ValueError("the calibration has no lens of the thermal camera")
     wider = replace(lens, fc=(share * lens.fc[0], share * lens.fc[1]))
     return replace(moved, thermal=replace(calibration.thermal, lens=wider))
 
@@ -121,12 +123,6 @@ def _turned(calibration: Calibration, om_rad: Array, about_mm: Array = LOOKED_AT
     turn = Motion.from_vectors(om_rad, np.zeros(3))
     about = Motion(turn.R, about_mm - turn.R @ about_mm)
     return replace(calibration, world_from_right=about @ calibration.world_from_right)
-
-
-def _thermal_lens(calibration: Calibration) -> Camera:
-    if calibration.thermal.lens is None:
-        raise ValueError("the calibration has no lens of the thermal camera")
-    return calibration.thermal.lens
 
 
 def _thermal_mm(calibration: Calibration) -> Array:

@@ -22,7 +22,7 @@ from typing import Any, cast
 from bench.record.recording import Recording, RecordingCameras
 from bench.rig.devices import Devices
 from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.leaving import Leaving, Opened, to_stderr
+from bench.rig.leaving import Leaving, OpenInstruments, to_stderr
 from bench.rig.loading import LoadedRig, find_rig, load_rig
 from bench.rig.model import Emulation, OneCamera, Operator, Rig, ThermalTable
 from bench.rig.model import Stage as StageTable
@@ -43,7 +43,7 @@ from instruments.clock import Clock, PacedClock, RealClock, VirtualClock
 from instruments.drivers.arm import PluggedArm
 from instruments.drivers.bath import PluggedBath
 from instruments.drivers.camera import PluggedCamera, PluggedGroup
-from instruments.drivers.entry_points import Kind, Plugged, load, plugin_url
+from instruments.drivers.entry_points import Kind, PluginDriver, load, plugin_url
 from instruments.drivers.protocols import Arm, Bath, Cameras, Stage
 from instruments.drivers.stage import PluggedStage
 from instruments.errors import DeviceError, InstrumentError
@@ -164,7 +164,7 @@ def open_instruments(
                 together = replace(together, practice=practice)
             yield together
 
-    return Opened(opened(), None if supervised else leaving)
+    return OpenInstruments(opened(), None if supervised else leaving)
 
 
 def _opened(
@@ -205,25 +205,21 @@ def _together(
     if arm:
         arm.asked_of(answerer or hands)
     if twin:
-        _follow(rig.rig, twin, bath, stage)
+        # The emulated world follows what isn't emulated
+        if bath and "bath" not in rig.rig.emulated:
+            bath.on_reading = twin.follow_bath
+        if stage and "stage" not in rig.rig.emulated:
+            last = [0.0] * 4
+
+            def place() -> list[float]:
+                with suppress(InstrumentError):  # not connected yet, or lost: as it was
+                    last[: len(stage.axes)] = stage.position().tolist()
+                return last
+
+            twin.follow_stage(rig.rig, place)
     exact = twin and {"arm", "cameras"} <= set(rig.rig.emulated)
     exact_ends = twin.world.ends_mm if twin and exact else None
     return Devices(clock, arm, bath, stage, cameras, answerer or hands, exact_ends, heard)
-
-
-def _follow(rig: Rig, twin: EmulatedRig, bath: Bath | None, stage: Stage | None) -> None:
-    """Have the emulated world follow what isn't emulated."""
-    if bath and "bath" not in rig.emulated:
-        bath.on_reading = twin.follow_bath
-    if stage and "stage" not in rig.emulated:
-        last = [0.0] * 4
-
-        def place() -> list[float]:
-            with suppress(InstrumentError):  # not connected yet, or lost: as it was
-                last[: len(stage.axes)] = stage.position().tolist()
-            return last
-
-        twin.follow_stage(rig, place)
 
 
 @contextmanager
@@ -315,7 +311,7 @@ def _open_cameras(rig: LoadedRig, clock: Clock, emulator: str = "") -> Cameras:
     return CameraSet(openers, conversions, group)
 
 
-def _at(plugged: Plugged, emulator: str) -> Plugged:
+def _at(plugged: PluginDriver, emulator: str) -> PluginDriver:
     return plugged.with_keys(url=emulator) if emulator else plugged
 
 
@@ -375,7 +371,7 @@ class _Openers:
             found["operator"] = lambda: RemoteOperator(port, self._clock)
         return found
 
-    def _driver(self, kind: Kind, url: str) -> Plugged | None:
+    def _driver(self, kind: Kind, url: str) -> PluginDriver | None:
         """The plug-in of ``url``, with its emulator's port; None where it names none."""
         plug = plugin_url(url)
         port = self._ports[kind] if plug and plug.emulated else ""

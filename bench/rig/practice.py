@@ -50,7 +50,7 @@ BUTTON = '<button name="words" value="{0}" aria-label="{0}">{1}</button>'
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class PracticeState:
     """How the rig stands: ``cables`` True where plugged in; ``jammed`` None without a stage."""
 
     cables: Mapping[str, bool]
@@ -80,12 +80,12 @@ class Practice:
     _jammed: bool = False
 
     @property
-    def shown(self) -> Shown:
+    def shown(self) -> PracticeState:
         names = (*self.twin.listeners, *map(CAMERA.format, KNOWN))
         jammed = self._jammed if self.twin.stage else None
         world = self.twin.world
         cables = {name: name not in self._out for name in names}
-        return Shown(cables, world.ambient_c, round(world.plant.bath_c, 1), jammed)
+        return PracticeState(cables, world.ambient_c, round(world.plant.bath_c, 1), jammed)
 
     def do(self, words: str) -> None:
         """Raises ValueError for words that this rig has no meaning for."""

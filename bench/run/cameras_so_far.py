@@ -16,7 +16,7 @@ from detector.protocol import CamerasOff, Context
 
 
 class CamerasSoFar:
-    """What the known ends of a run say of its cameras up to now, for the detectors to be told: from
+    """What the known ends of a run say of its cameras up to now, for the detectors' context: from
     ``trials`` of its earlier sessions on.
     """
 

@@ -18,9 +18,9 @@ from bench.record.writer import Store
 from bench.results.headline import AFTER_RUN
 from bench.results.status import (
     GOING_TO_SAFE,
-    Asked,
     InstrumentStatus,
     Link,
+    OpenPrompt,
     RunStatus,
     Safe,
 )
@@ -173,7 +173,7 @@ class RunContext:
             planned=len(self.script.planned),
             left_s=None if tripped else left_s,
             paused=bool(progress.get("paused")),
-            asked=Asked(self._asked) if self._asked and not safing else None,
+            asked=OpenPrompt(self._asked) if self._asked and not safing else None,
             instruments=instruments,
             tripped=tripped,
             last_error=events.error,

@@ -32,7 +32,6 @@ from bench.run.trial import Attempts, TrialRun, choose_truth
 from bench.safety.interlocks import InterlockTrip
 from bench.safety.signals import current, undisturbed
 from bench.scoring.rates import plural
-from bench.script.planned_trials import PlannedTrial
 from bench.truth.arm_check import AFTER, BEFORE, CHECK_FACT, check_arm, check_text
 from detector.protocol import Detector
 from instruments.bath.sequence import start_bath
@@ -179,7 +178,17 @@ class Engine:
             if self._left and trial.id not in self._left.done:
                 self._go_live()
             ctx.events.trial(trial.number - 1, len(planned), trial.name)
-            self._one(trial)
+            # A trial that has its result is gone through again or passed over.
+            if not self._left:
+                self._requests.pause_if_asked(self._ctx)
+                self._ctx.check_interrupts = self._requests.look
+                self._attempts.run(trial)
+                self._ctx.check_interrupts = self._requests.look_between
+            elif self._rehearsed and trial.id not in self._left.poison:
+                self._trials.rehearsing = True
+                self._attempts.run(trial)
+            elif self._rehearsed:
+                self._attempts.done += 1
         self._go_live()  # where all trials had their result, and only the end was missing
         ctx.events.trial(len(planned), len(planned), "")
         again("confirming the truth", self._truth.end)
@@ -244,19 +253,6 @@ class Engine:
         self._ctx.look()  # not check: what was announced goes on
         stage.home()
         self._ctx.check()
-
-    def _one(self, trial: PlannedTrial) -> None:
-        """Run a trial, go through it again, or pass over it since it has its result."""
-        if not self._left:
-            self._requests.pause_if_asked(self._ctx)
-            self._ctx.check_interrupts = self._requests.look
-            self._attempts.run(trial)
-            self._ctx.check_interrupts = self._requests.look_between
-        elif self._rehearsed and trial.id not in self._left.poison:
-            self._trials.rehearsing = True
-            self._attempts.run(trial)
-        elif self._rehearsed:
-            self._attempts.done += 1
 
     def _go_live(self) -> None:
         """The first trial without a result is next: from here on all is new, and on record."""

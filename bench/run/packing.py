@@ -126,7 +126,18 @@ def pack_run(run: Path, out: Path, title: str = "", licence: str = "") -> Path:
         title = title or f"{record.facts.get('title') or run.name}, {record.facts.get('rig', '')}"
         card = _card(record, recording, title, licence, budgets)
         write_synced(making / CARD, card.encode("utf-8"))
-        described = _description(record, making, title, licence)
+        digest = record.head.wall_digest if record.head else None
+        package: dict[str, Any] = {
+            "profile": "data-package",
+            "name": "".join(c if c.isalnum() else "-" for c in record.folder.name.lower()),
+            "title": title,
+            "created": record.facts.get("wall_started"),
+            "licenses": [{"name": licence}] if licence else [],
+            "emulated": record.facts.get("kind") == "emulated",
+            "sources": [{"title": record.folder.name, "wall_digest": digest}],
+            "resources": [_resource(making, name) for name in _files(making)],
+        }
+        described = json.dumps(package, indent=1, ensure_ascii=False) + "\n"
         write_synced(making / DESCRIPTION, described.encode("utf-8"))
         sums = "".join(f"{sha256_of(making / name)}  {name}\n" for name in _files(making))
         write_synced(making / SUMS, sums.encode("utf-8"))
@@ -222,21 +233,6 @@ def _card(
         left_out="\n".join(left_out or ["nothing"]),
         licence=licence or NO_LICENCE,
     )
-
-
-def _description(record: RunRecord, folder: Path, title: str, licence: str) -> str:
-    digest = record.head.wall_digest if record.head else None
-    package: dict[str, Any] = {
-        "profile": "data-package",
-        "name": "".join(c if c.isalnum() else "-" for c in record.folder.name.lower()),
-        "title": title,
-        "created": record.facts.get("wall_started"),
-        "licenses": [{"name": licence}] if licence else [],
-        "emulated": record.facts.get("kind") == "emulated",
-        "sources": [{"title": record.folder.name, "wall_digest": digest}],
-        "resources": [_resource(folder, name) for name in _files(folder)],
-    }
-    return json.dumps(package, indent=1, ensure_ascii=False) + "\n"
 
 
 def _resource(folder: Path, name: str) -> Mapping[str, Any]:

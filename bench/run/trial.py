@@ -50,13 +50,12 @@ from bench.truth.touching import (
     NoTruthError,
     TouchedTruth,
     Toucher,
-    TrialTruth,
     astray_text,
     end_u_mm,
     truth_row,
 )
-from bench.truth.uncertainty import How
-from detector.protocol import Detector, Served
+from bench.truth.uncertainty import How, TrueEnd
+from detector.protocol import Detector, DetectorProcess
 from instruments.camera.frame import FrameSet
 from instruments.clock import wall_time
 from instruments.drivers.protocols import Stage
@@ -162,7 +161,7 @@ def _made(ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Touch
             u_mm=hypot(end_u_mm(ctx.rig.rig.arm, toucher.readings), settings.repeatability_mm),
             made=wall_time().replace(microsecond=0),
             serial_number=ctx.devices.arm.identity.serial_number,
-            tell=report,
+            report=report,
         )
     except RegistrationError as error:
         hint = "Name other places in the script's registration_at_mm."
@@ -310,15 +309,22 @@ class TrialRun:
             ctx.events.state("taking the truth")
             truth = self._truth.of_trial(there)
             ctx.check()
-            if self._bath_lived(captured_s):
+            # Wait for a sign of life of the bath's reading after the capture: the last value of a
+            # sensor that stopped says nothing of the teats.
+            watch = self._ctx.watch
+            while not (lived := watch.lived_since(captured_s)) and self._stable():
+                self._ctx.events.state("waiting for a sign of life of the bath's sensor")
+                self._ctx.wait(1.0)
+            if lived or self._rig.cameras.recorded:
                 break
-        rows = [
-            TruthRow(trial.situation, str(i), t.point_mm, visible[i - 1], t.uncertainty.u_mm)
-            for i, t in enumerate(truth.points, 1)
+        ends = [
+            replace(end, situation=trial.situation, teat=str(teat), visible=visible[teat - 1])
+            for teat, end in enumerate(truth.points, 1)
         ]
-        self._refuse_astray(there, rows)
+        self._refuse_astray(there, ends)
         if bath is not None and bath.external_c is None and not self._rig.cameras.recorded:
-            self._look_at_teats(trial, frames, rows, bath.temp_c)
+            self._look_at_teats(trial, frames, ends, bath.temp_c)
+        truth_rows = self._truth_rows(trial.id, frames, ends)
         answers = self._detect(frames)
         away_s = ctx.states.away_s - settled_s
         note = f"suspended for {away_s:.1f} s: the bath had left its band"
@@ -333,49 +339,42 @@ class TrialRun:
             "stage_mm": None if truth.stage_mm is None else json.dumps(truth.stage_mm),
             "wall_time": wall_time().isoformat(timespec="milliseconds"),
         }
-        self._store_trial(head, frames, rows, truth, answers)
+        self._cameras.add(trial.name, truth_rows)
+        ctx.long("writing the trial", 60.0, silent=True)
+        script = ctx.script.script
+        write_trial(ctx.store, script, head, frames, answers, ends, truth_rows, truth.touches)
         self._truth.stored(trial.id, truth)
         if self._recorder and not self.rehearsing:
-            self._recorder.trial(trial.id, frames, rows, confirmed=truth.how is How.TOUCHED)
+            self._recorder.trial(trial.id, frames, ends, confirmed=truth.how is How.TOUCHED)
 
-    def _refuse_astray(self, there: ExpectedScene, rows: Sequence[TruthRow]) -> None:
+    def _refuse_astray(self, there: ExpectedScene, ends: Sequence[TrueEnd]) -> None:
         """Raises NoTruthError for an end that is nowhere near the script's place, or is called
         visible where no camera can show it: no detector is charged with it.
         """
-        places = np.array([row.xyz_mm for row in rows]).reshape(-1, 3)
+        places = np.array([row.xyz_mm for row in ends]).reshape(-1, 3)
         off_mm = np.linalg.norm(places - there.ends.expected_mm, axis=1)
         found = [
             astray_text(there.ends.called(teat), off)
             for teat, off in enumerate(off_mm.tolist(), 1)
             if off > ASTRAY_MM
         ]
-        named = ((there.trial, row) for row in rows)
+        named = ((there.trial, end) for end in ends)
         if why := next(iter(found or out_of_sight(named, self._ctx.rig.calibration)), None):
             raise NoTruthError("truth", why, hint="Is the rig's calibration of this table's frame?")
 
     def _stable(self) -> bool:
         return self._ctx.watch.state == State.STABLE
 
-    def _bath_lived(self, captured_s: float) -> bool:
-        """Wait for a sign of life of the bath's reading after the capture: the last value of a
-        sensor that stopped says nothing of the teats. False where none comes.
-        """
-        watch = self._ctx.watch
-        while not (lived := watch.lived_since(captured_s)) and self._stable():
-            self._ctx.events.state("waiting for a sign of life of the bath's sensor")
-            self._ctx.wait(1.0)
-        return lived or self._rig.cameras.recorded
-
     def _look_at_teats(
-        self, trial: PlannedTrial, frames: FrameSet, rows: list[TruthRow], bath_c: float
+        self, trial: PlannedTrial, frames: FrameSet, ends: Sequence[TrueEnd], bath_c: float
     ) -> None:
-        """Where no sensor is at the teats, the thermal camera tells. Raises DeviceError for cold
-        ones; what can't be told is a fact of the run.
+        """Where no sensor is at the teats, the thermal camera measures. Raises DeviceError for
+        cold ones; why it can't is a fact of the run.
         """
         ctx, emulation = self._ctx, self._rig.emulation
         room_c = emulation.ambient_c if "cameras" in self._rig.emulated else self._rig.bath.room_c
-        shown = [k for k, row in enumerate(rows) if row.visible]
-        ends_mm = np.array([rows[k].xyz_mm for k in shown]).reshape(-1, 3)
+        shown = [k for k, end in enumerate(ends) if end.visible]
+        ends_mm = np.array([ends[k].xyz_mm for k in shown]).reshape(-1, 3)
         axes = trial.phantom.moved(trial.pose).axes[shown]
         seen = teats_seen(frames, ctx.rig.calibration, ends_mm, axes, bath_c=bath_c, room_c=room_c)
         if why := seen.cold(bath_c, room_c, self._teats_first_c):
@@ -462,32 +461,23 @@ class TrialRun:
             what = f"detecting with {detector.name}"
             self._ctx.events.state(what)
             patience_s = 2.0 * self._rig.limits.detection_timeout_s
-            if isinstance(detector, Served):
+            if isinstance(detector, DetectorProcess):
                 patience_s = detector.patience_s
             self._ctx.long(what, 10.0 + patience_s, silent=True)
             answers.append(self._examiner.ask(detector, frames, known))
         return answers
 
-    def _store_trial(
-        self,
-        head: Row,
-        frames: FrameSet,
-        rows: list[TruthRow],
-        truth: TrialTruth,
-        answers: list[Answer],
-    ) -> None:
-        self._ctx.long("writing the trial", 60.0, silent=True)
-        script, store, trial_id = self._ctx.script.script, self._ctx.store, str(head["id"])
+    def _truth_rows(self, trial_id: str, frames: FrameSet, ends: Sequence[TrueEnd]) -> list[Row]:
+        """What is stored of the true ends, with where the cameras show them."""
+        self._ctx.long("looking for the true ends in the pictures", 60.0, silent=True)
         exact = self._exact_ends() if self._exact_ends else None
-        ends = [None] * len(rows) if exact is None else list(exact)
-        looked = store.keeps_pictures and not self.rehearsing
-        seen = where_seen(frames, self._ctx.rig.calibration, rows) if looked else {}
-        truth_rows = [
-            truth_row(trial_id, row, end, point, seen.get(row.teat))
-            for row, end, point in zip(rows, ends, truth.points, strict=True)
+        places = [None] * len(ends) if exact is None else list(exact)
+        looked = self._ctx.store.keeps_pictures and not self.rehearsing
+        seen = where_seen(frames, self._ctx.rig.calibration, ends) if looked else {}
+        return [
+            truth_row(trial_id, end, place, seen.get(end.teat))
+            for end, place in zip(ends, places, strict=True)
         ]
-        self._cameras.add(str(head["name"]), truth_rows)
-        write_trial(store, script, head, frames, answers, rows, truth_rows, truth.touches)
 
 
 def write_trial(

@@ -360,7 +360,11 @@ class Interlocks:
         # a coarse reading may stand while a bath without heat cools by a tenth
         rests = self._liveness.coarse and now.power_percent == 0.0
         lived = rests or before != self._sign
-        earlier = self._earlier(now)
+        self._recent.append(now)
+        while len(self._recent) > 1 and now.t_s - self._recent[1].t_s >= RATE_SPAN_S:
+            self._recent.popleft()
+        oldest = self._recent[0]
+        earlier = oldest if now.t_s - oldest.t_s >= RATE_SPAN_S else None
         for rule in self._active:
             since = self._since.setdefault(rule.name, now)
             seen = (now, since, earlier, self._asked_c, pump_on, settled, lived)
@@ -392,13 +396,6 @@ class Interlocks:
             {name: getattr(one, name) for name in PLAIN} | {"raw": list(one.raw)}
             for _, one in sorted(by_time.items())
         )
-
-    def _earlier(self, now: BathReading) -> BathReading | None:
-        self._recent.append(now)
-        while len(self._recent) > 1 and now.t_s - self._recent[1].t_s >= RATE_SPAN_S:
-            self._recent.popleft()
-        oldest = self._recent[0]
-        return oldest if now.t_s - oldest.t_s >= RATE_SPAN_S else None
 
     def _has_settled(self, now: BathReading) -> bool:
         """Once settled it stays so: a bath driven off its set point has to trip."""

@@ -107,7 +107,7 @@ def refuse_untested_cut_out(rig: LoadedRig, today: date) -> None:
 
 
 def refuse_unknown_unit(rig: LoadedRig, today: date) -> None:
-    """Raises ConfigError where nothing tells the unit of the bath's numbers, and no person has."""
+    """Raises ConfigError where nothing states the unit of the bath's numbers, and no person has."""
     if rig.profile.number_unit.known or rig.rig.bath.unit_confirmed or rig.rig.bath_emulated:
         return
     why = (

@@ -95,7 +95,16 @@ class Exits:
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         if _amid_a_lock(frame):
-            _come_again(number)
+            # The signal comes once more, in a moment
+            def later() -> None:
+                RealClock().sleep(MOMENT_S)
+                if sys.platform == "win32":
+                    _thread.interrupt_main(number)
+                else:
+                    # also out of a call that waits
+                    signal.pthread_kill(threading.main_thread().ident or 0, number)
+
+            threading.Thread(target=later, name="signal", daemon=True).start()
             return
         name = signal.Signals(number).name
         self.asked.append(name)
@@ -197,20 +206,6 @@ def _amid_a_lock(frame: FrameType | None) -> bool:
             return True
         frame = frame.f_back
     return False
-
-
-def _come_again(number: int) -> None:
-    """Have the signal come once more, in a moment."""
-
-    def later() -> None:
-        RealClock().sleep(MOMENT_S)
-        if sys.platform == "win32":
-            _thread.interrupt_main(number)
-        else:
-            # also out of a call that waits
-            signal.pthread_kill(threading.main_thread().ident or 0, number)
-
-    threading.Thread(target=later, name="signal", daemon=True).start()
 
 
 def _is_terminal(number: int) -> bool:

@@ -314,7 +314,7 @@ class Gate:
 
 
 @dataclass(frozen=True, slots=True)
-class Compared:
+class PairedComparison:
     """The whole comparison: pooled, by situation, and the gate."""
 
     pooled: Row
@@ -352,7 +352,7 @@ def compare(
     seed: int = 0,
     unpaired: int = 0,
     again: int = 0,
-) -> Compared:
+) -> PairedComparison:
     """Compare on `pairs`. `margin_mm` is by default a twentieth of the limit; without `margin_rate`
     each scene lost counts. ``again``: earlier looks of the gate. Raises ValueError.
     """
@@ -388,7 +388,7 @@ def compare(
         # a margin of the rate says itself what scenes that were not run may hide
         reasons = (same,) if margin_rate is None else (same, *verdict.reasons)
         verdict = replace(verdict, reasons=reasons)
-    return Compared(pooled, situations, verdict, confidence, identical)
+    return PairedComparison(pooled, situations, verdict, confidence, identical)
 
 
 def gate(

@@ -22,7 +22,7 @@ RULES = ((1, 1, 3.0), (3, 2, 2.0), (5, 4, 1.0), (8, 8, 0.0))
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class ControlLimits:
     """Mean and standard deviation of the first `BASE` values; nearer than ``least`` to the mean is
     on it.
     """
@@ -43,7 +43,7 @@ class Trend:
     values: int
 
 
-def limits_of(values: ArrayLike, least: float) -> Limits | None:
+def limits_of(values: ArrayLike, least: float) -> ControlLimits | None:
     """From the first `BASE` values and their moving ranges; None where there are fewer. ``least``:
     the resolution of what was measured.
     """
@@ -51,10 +51,10 @@ def limits_of(values: ArrayLike, least: float) -> Limits | None:
     if len(first) < BASE:
         return None
     sigma = float(np.abs(np.diff(first)).mean()) / D2
-    return Limits(float(first.mean()), max(sigma, least), least)
+    return ControlLimits(float(first.mean()), max(sigma, least), least)
 
 
-def broken(values: ArrayLike, limits: Limits) -> list[str]:
+def broken(values: ArrayLike, limits: ControlLimits) -> list[str]:
     """For each value the rule that it breaks with those before it, "" for none."""
     off = np.asarray(values, dtype=np.float64) - limits.centre
     off = np.where(np.abs(off) < limits.least, 0.0, off / limits.sigma)

@@ -264,14 +264,13 @@ def decide_error(
     sure = confidence if looks.again else looks.first_confidence(confidence)
     least, counted = zero_failure_n(rate, sure), looks.fewest_poses(n, rate, confidence)
     accepted = "nothing" if accept is None else f"{accept:.3f} mm"
-    stated = "u not stated" if u_mm is None else f"u = {u_mm:.3g} mm"
     nothing = Decision(
         name=name,
-        rule=f"largest distance of the found teats: accepted up to {accepted}, refused from"
-        f" {refuse:.3f} mm (T = {limit_mm:g} mm, {stated}, 5 % false acceptance); at least {least}"
-        f" poses show it for {share} of poses with {exact_percent(sure)} confidence"
-        " (one-sided)"
-        f"{', more near the acceptance limit' if u_mm else ''}",
+        rule=(
+            f"{_guard_band(limit_mm, u_mm, accepted, refuse)}; at least {least} poses show it for"
+            f" {share} of poses with {exact_percent(sure)} confidence (one-sided)"
+            f"{', more near the acceptance limit' if u_mm else ''}"
+        ),
         unit="mm",
         limit=limit_mm,
         sentence="No teat was found, so no error was measured.",
@@ -283,13 +282,8 @@ def decide_error(
     if measured >= refuse:
         verdict = Verdict.NOT_MET
         reason = f"at or beyond the refusal limit of {refuse:.3f} mm"
-    elif u_mm is None:
-        reason = (
-            f"but the truth states no uncertainty, so no error is accepted under {limit_mm:g} mm;"
-            " state it (0 for an exact truth)"
-        )
-    elif accept is None:
-        reason = f"but the truth is too uncertain to accept any error under {limit_mm:g} mm"
+    elif u_mm is None or accept is None:
+        reason = _nothing_accepted(limit_mm, u_mm)
     elif measured > accept:
         reason = (
             f"above the acceptance limit of {accepted} and not shown to be beyond {limit_mm:g} mm"
@@ -321,6 +315,24 @@ def decide_error(
         f" {reason}.{without}",
         missing=missing,
     )
+
+
+def _guard_band(limit_mm: float, u_mm: float | None, accepted: str, refuse_mm: float) -> str:
+    """The rule's first half: what is accepted and refused, by the truth's uncertainty."""
+    stated = "u not stated" if u_mm is None else f"u = {u_mm:.3g} mm"
+    return (
+        f"largest distance of the found teats: accepted up to {accepted}, refused from"
+        f" {refuse_mm:.3f} mm (T = {limit_mm:g} mm, {stated}, 5 % false acceptance)"
+    )
+
+
+def _nothing_accepted(limit_mm: float, u_mm: float | None) -> str:
+    if u_mm is None:
+        return (
+            f"but the truth states no uncertainty, so no error is accepted under {limit_mm:g} mm;"
+            " state it (0 for an exact truth)"
+        )
+    return f"but the truth is too uncertain to accept any error under {limit_mm:g} mm"
 
 
 def _more(more: int | None, would: str, share: str) -> str:

@@ -31,9 +31,8 @@ from bench.scoring.sample_size import failures_allowed
 from bench.scoring.sequential import least_rate, shows_mean
 
 NOTHING = 1e-9  # a chance so small is none
-# of bad poses, those that the truth's error may show as good; and the share of the chance that is
-# left that more of them do
-LEAKED, LEAKED_SHARE = 0.1, 0.5
+LEAKED = 0.1  # share of the bad poses that the truth's error may show as good
+LEAKED_SHARE = 0.5  # of the chance that is left, for more of them to be shown so
 MOST_POSES = 10_000_000
 
 

@@ -13,9 +13,8 @@ from math import exp, inf, log1p, prod, sqrt
 
 from scipy.special import chdtr, chdtrc, chdtri, fdtr, fdtrc, fdtri
 
-# of sound statements are accused: in all, and of that by each of the three limits on a largest
-# deviation that follow from one
-LEVEL, LIMIT_LEVEL = 0.05, 0.005
+LEVEL = 0.05  # share of sound statements that are accused
+LIMIT_LEVEL = 0.005  # the part of it by each of the three limits on a largest deviation
 
 
 @dataclass(frozen=True, slots=True)

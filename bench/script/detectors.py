@@ -25,7 +25,7 @@ from bench.config import ConfigError, Positive, Section, did_you_mean, read_conf
 from detector import registry
 from detector.calibration import Calibration
 from detector.external import ExternalDetector, ProcessLimits
-from detector.protocol import Detector, Served, TrainedOn
+from detector.protocol import Detector, DetectorProcess, TrainedOn
 from instruments.clock import stopwatch_s
 
 EXEC, FILE = "exec:", ".toml"
@@ -77,7 +77,7 @@ def introduced(
     that it was trained on some of ``scenes`` (families and members, scripts and seeds), or refuses
     the rig of ``calibration``.
     """
-    served = [detector for detector in detectors if isinstance(detector, Served)]
+    served = [detector for detector in detectors if isinstance(detector, DetectorProcess)]
     try:
         for detector in served:
             detector.introduce()

@@ -30,7 +30,7 @@ from bench.config import (
 from bench.rig.loading import find_shipped
 from bench.script.detectors import check_named
 from bench.script.phantom import Layout, find_layout, load_layout
-from bench.script.planned_trials import PlannedTrial, Published, Trial, plan
+from bench.script.planned_trials import PlannedTrial, PublishedRate, Trial, plan
 from bench.toml import toml_text
 from bench.truth.registration import Registration, load_registration
 
@@ -283,7 +283,7 @@ class Rules(Section):
     _requirements_differ = field_validator("requirements")(_names_differ)
 
     @property
-    def published(self) -> dict[str, Published]:
+    def published(self) -> dict[str, PublishedRate]:
         return {}
 
 
@@ -301,7 +301,7 @@ class Script(Rules):
     _trials_differ = field_validator("trials")(_names_differ)
 
     @property
-    def published(self) -> dict[str, Published]:
+    def published(self) -> dict[str, PublishedRate]:
         return {trial.situation: trial.published for trial in self.trials if trial.published}
 
 

@@ -134,7 +134,7 @@ class Draw(Section):
         return [PlatePose(x, y, z, float(np.radians(yaw))) for x, y, z, yaw in drawn.tolist()]
 
 
-class Published(Section):
+class PublishedRate(Section):
     """What the thesis's own detector found in this situation, to print beside ours."""
 
     found: Annotated[int, Field(ge=0)]
@@ -164,7 +164,7 @@ class Trial(Section):
     objects: tuple[dict[str, Any], ...] = ()
     repeats: Count | None = None
     cycles: Count = 1
-    published: Published | None = None
+    published: PublishedRate | None = None
 
     @field_validator("objects")
     @classmethod

@@ -38,7 +38,7 @@ from bench.truth.uncertainty import (
     Component,
     How,
     Triple,
-    TruthPoint,
+    TrueEnd,
     TruthUncertainty,
     triple,
 )
@@ -55,21 +55,21 @@ class Reference:
     trial: str
     fixed: str
     stage_mm: Triple
-    points: tuple[TruthPoint, ...]
+    points: tuple[TrueEnd, ...]
     axes: tuple[Triple, ...]
     names: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and text, for the store; `reference_from_dict` reads it back."""
-        ends = [{"point_mm": list(p.point_mm), **p.uncertainty.as_dict()} for p in self.points]
+        ends = [{"point_mm": list(p.xyz_mm), **p.uncertainty.as_dict()} for p in self.points]
         plain = {"trial": self.trial, "fixed": self.fixed, "stage_mm": list(self.stage_mm)}
         return {**plain, "axes": self.axes, "names": self.names, "ends": ends}
 
 
 def reference_from_dict(stored: Mapping[str, Any]) -> Reference:
     points = tuple(
-        TruthPoint(
-            triple(end["point_mm"]),
+        TrueEnd.at(
+            end["point_mm"],
             TruthUncertainty(tuple(Component(**line) for line in end["components"])),
         )
         for end in stored["ends"]
@@ -90,7 +90,7 @@ def carried(
     registration: Registration,
     stage_mm: Triple,
     u_registration_mm: Callable[[Floats], float | None],
-) -> list[TruthPoint]:
+) -> list[TrueEnd]:
     """The ends with the stage at ``stage_mm``; ``u_registration_mm`` is the table frame's part."""
     way = registration.carry_mm(reference.stage_mm, stage_mm)
     covariance = registration.carry_covariance_mm2(reference.stage_mm, stage_mm)
@@ -98,7 +98,7 @@ def carried(
         f"carried {np.linalg.norm(way):.0f} mm from the touches of {reference.trial}: registration"
         f" of {len(registration.stations)} positions, the stage's axes and repeatability"
     )
-    places = [np.array(point.point_mm) + way for point in reference.points]
+    places = [np.array(point.xyz_mm) + way for point in reference.points]
     return [
         moved(point, there, covariance, source, u_registration_mm(there))
         for point, there in zip(reference.points, places, strict=True)
@@ -106,8 +106,8 @@ def carried(
 
 
 def moved(
-    point: TruthPoint, to_mm: Floats, carry_mm2: Floats, source: str, registration_mm: float | None
-) -> TruthPoint:
+    point: TrueEnd, to_mm: Floats, carry_mm2: Floats, source: str, registration_mm: float | None
+) -> TrueEnd:
     """``point`` carried to (3,), with a line for the carry in its budget."""
     kept = [
         c if c.name != REGISTRATION or registration_mm is None else replace(c, u_mm=registration_mm)
@@ -115,7 +115,8 @@ def moved(
     ]
     worst = float(np.sqrt(max(np.linalg.eigvalsh(carry_mm2)[-1], 0.0)))
     budget = TruthUncertainty((*kept, Component(CARRY, worst, source)))
-    return TruthPoint(triple(to_mm), budget, How.CARRIED, tuple(triple(row) for row in carry_mm2))
+    there, carry = TrueEnd.at(to_mm, budget), tuple(triple(row) for row in carry_mm2)
+    return replace(there, how=How.CARRIED, carry_mm2=carry)
 
 
 REFERENCE_FACT, UNCONFIRMED_FACT = "truth reference", "truth unconfirmed"
@@ -146,7 +147,7 @@ class CarriedTruth(TouchedTruth):
         stage_mm: Callable[[], Triple],
         store: Store,
         settled: Callable[[Sequence[str], bool], None],
-        tell: Callable[[str, str], None],
+        report: Callable[[str, str], None],
         now_s: Callable[[], float],
         *,
         every: int,
@@ -158,7 +159,7 @@ class CarriedTruth(TouchedTruth):
         self._stands_at = stage_mm
         self._store = store
         self._settled = settled
-        self._tell = tell
+        self._report = report
         self._now_s = now_s
         self._every = every
         self._limit_mm = limit_mm
@@ -171,7 +172,7 @@ class CarriedTruth(TouchedTruth):
         """Have the registration, and its faults for the operator."""
         self._registration = self._register()
         for fault in self._registration.faults:
-            self._tell("registration", fault)
+            self._report("registration", fault)
 
     def before(self, shown: ExpectedScene) -> None:
         """Check the carried trials so far where it is time, or before the phantom is changed."""
@@ -189,7 +190,7 @@ class CarriedTruth(TouchedTruth):
                 if again
                 else "has other teats, a turn or a shift by hand, and only the stage's shifts carry"
             )
-            self._tell("state", f"{shown.trial} {why}: its ends are touched anew")
+            self._report("state", f"{shown.trial} {why}: its ends are touched anew")
             self._refer(None)
 
     def unattended(self, shown: ExpectedScene) -> bool:
@@ -227,15 +228,15 @@ class CarriedTruth(TouchedTruth):
         state, number = self._state, self._state.checks + 1
         after = state.since[-1]
         self._away = False
-        self._tell("state", f"check touch {number} of the carried truth, after trial {after}")
+        self._report("state", f"check touch {number} of the carried truth, after trial {after}")
         stage_mm = self._stands_at()
         expected = self._carried(reference, stage_mm)
-        places = np.array([point.point_mm for point in expected])
+        places = np.array([point.xyz_mm for point in expected])
         ends = Ends(places, np.array(reference.axes), names=reference.names)
         try:
             seen, _ = self._toucher.touch_all(ends)
         except OperatorSkip as skip:  # a wish about this check, not about the trial to come
-            self._tell(
+            self._report(
                 "check touch",
                 f"check touch {number} was skipped: {skip.reason}. {counted(len(state.since))}"
                 " unconfirmed so far",
@@ -245,7 +246,7 @@ class CarriedTruth(TouchedTruth):
             self._failed(number, (), f"check touch {number}: {none}")
             self._refer(None)
             return
-        touches = np.array([point.point_mm for point in seen])
+        touches = np.array([point.xyz_mm for point in seen])
         off_mm, limit_mm = np.linalg.norm(touches - places, axis=1), self._limit_mm
         names = ("x_mm", "y_mm", "z_mm", "carried_x_mm", "carried_y_mm", "carried_z_mm")
         rows = [
@@ -274,7 +275,7 @@ class CarriedTruth(TouchedTruth):
         since = tuple(state.since)
         self._store.checked(rows, (), "")
         self._settled(since, True)
-        self._tell("check touch", f"{found}: {counted(len(since))} confirmed")
+        self._report("check touch", f"{found}: {counted(len(since))} confirmed")
         state.checks = number
         state.since.clear()
 
@@ -283,7 +284,7 @@ class CarriedTruth(TouchedTruth):
         since = tuple(self._state.since)
         self._store.checked(rows, since, f"{found}; carried since the last good check. {LOST}")
         self._settled(since, False)
-        self._tell(
+        self._report(
             "invalid",
             f"{found}. Invalidated, as carried since the last good check: {', '.join(since)}."
             f" {LOST}",
@@ -302,7 +303,7 @@ class CarriedTruth(TouchedTruth):
         self._state.reference = reference
         self._store.fact(REFERENCE_FACT, None if reference is None else reference.as_dict())
 
-    def _carried(self, reference: Reference, stage_mm: Triple) -> list[TruthPoint]:
+    def _carried(self, reference: Reference, stage_mm: Triple) -> list[TrueEnd]:
         if self._registration is None:
             raise ValueError("a carried truth has to begin before the first trial")
         return carried(reference, self._registration, stage_mm, self._toucher.tip.u_registration_mm)

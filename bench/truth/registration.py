@@ -116,8 +116,9 @@ def bent_mm(q: Floats, way_mm: Floats) -> Floats:
 DOUBT, ALPHA = 0.4, 0.01
 # rms extent across; nearer together, an arm of 0.23 mm turns the fit by more than 3 mrad
 SPREAD_MM = 40.0
-# no stage is so crooked, and no touch so bad: another teat, or something slipped
-GROSS_MM, GROSS_U = 5.0, 15.0
+# farther off than both, it was another teat, or something slipped: no stage is so crooked
+GROSS_MM = 5.0
+GROSS_U = 15.0  # in stated uncertainties
 
 
 class RegistrationError(ValueError):

@@ -53,7 +53,7 @@ def register(
     u_mm: float,
     made: datetime,
     serial_number: str,
-    tell: Callable[[str], None],
+    report: Callable[[str], None],
 ) -> Registration:
     """Touch ``teat`` of ``phantom`` (as at its reference place) at each of ``poses``; ``u_mm`` is
     that of one end's mean. Raises RegistrationError, and as stage, operator and arm do.
@@ -61,10 +61,10 @@ def register(
     stations = []
     for number, pose in enumerate(poses, 1):
         there = replace(pose, yaw_rad=phantom.pose.yaw_rad)
-        tell(f"registering the stage: position {number} of {len(poses)}")
+        report(f"registering the stage: position {number} of {len(poses)}")
         stage.move_to(**settings.machine(there), feed_mm_min=settings.feed_mm_per_min)
         point, _ = toucher.touch_one(teat, ends_of(phantom.moved(there), known=False))
-        stations.append(Station(stands_at(stage), point.point_mm, u_mm))
+        stations.append(Station(stands_at(stage), point.xyz_mm, u_mm))
     identity = " ".join(str(part) for part in asdict(stage.identity).values() if part)
     stated = StageAccuracy.model_validate(settings, from_attributes=True)
     return Registration(made, serial_number, identity, teat, tuple(stations), stated)

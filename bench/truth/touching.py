@@ -36,9 +36,8 @@ from bench.truth.uncertainty import (
     Component,
     How,
     Triple,
-    TruthPoint,
+    TrueEnd,
     TruthUncertainty,
-    triple,
 )
 from detector.outline.known_ends import EndOffsets
 from instruments.clock import Clock, wall_time
@@ -160,18 +159,18 @@ class Toucher:
         self.tip = tip
         self.readings = readings or arm.touches
 
-    def touch_all(self, ends: Ends) -> tuple[list[TruthPoint], list[Row]]:
+    def touch_all(self, ends: Ends) -> tuple[list[TrueEnd], list[Row]]:
         """A truth for each end, and a row for each touch. Raises NoTruthError."""
-        done: dict[int, TruthPoint] = {}
+        done: dict[int, TrueEnd] = {}
         rows: list[Row] = []
         for teat in range(1, len(ends.expected_mm) + 1):
-            places = {other: np.array(point.point_mm) for other, point in done.items()}
+            places = {other: np.array(point.xyz_mm) for other, point in done.items()}
             done[teat], touches = self._touch_end(teat, ends, places)
             rows += touches
         self._ask(Release())
         return list(done.values()), rows
 
-    def touch_one(self, teat: int, ends: Ends) -> tuple[TruthPoint, list[Row]]:
+    def touch_one(self, teat: int, ends: Ends) -> tuple[TrueEnd, list[Row]]:
         """The same for one end alone."""
         point, rows = self._touch_end(teat, ends, {})
         self._ask(Release())
@@ -179,7 +178,7 @@ class Toucher:
 
     def _touch_end(
         self, teat: int, ends: Ends, done: Mapping[int, Floats]
-    ) -> tuple[TruthPoint, list[Row]]:
+    ) -> tuple[TrueEnd, list[Row]]:
         taken: list[tuple[Floats, dict[str, Any]]] = []  # each reading's end (3,), and its row
         moves: list[str] = []
         again = ""
@@ -231,7 +230,7 @@ class Toucher:
         return touched(points, self._arm, registration_mm=u_mm), [row for _, row in taken]
 
 
-def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) -> TruthPoint:
+def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) -> TrueEnd:
     """The mean of readings (n, 3), tip radius taken off, with its budget; ``registration_mm`` is
     the table frame's part. Raises ValueError without a reading.
     """
@@ -255,7 +254,7 @@ def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) 
         ("scatter", scatter, f"standard deviation of the mean of {n} touches"),
     ]
     budget = tuple(Component(name, u, source) for name, u, source in lines if u is not None)
-    return TruthPoint(triple(tips.mean(axis=0)), TruthUncertainty(budget))
+    return TrueEnd.at(tips.mean(axis=0), TruthUncertainty(budget))
 
 
 def reading_u_mm(arm: Arm) -> float:
@@ -348,7 +347,7 @@ class ExpectedScene:
 class TrialTruth:
     """The truth of one trial: a point a teat, a row a touch, the stage's position."""
 
-    points: tuple[TruthPoint, ...]
+    points: tuple[TrueEnd, ...]
     touches: tuple[Row, ...]
     stage_mm: Triple | None = None
 
@@ -362,10 +361,9 @@ def truth_row(
     trial_id: str,
     row: TruthRow,
     exact: Floats | None = None,
-    point: TruthPoint | None = None,
     seen: EndOffsets | None = None,
 ) -> Row:
-    """The row of the table ``truth``; ``point`` has the budget of a truth of the bench's own,
+    """The row of the table ``truth``, with the budget of a truth of the bench's own, and in
     ``seen`` where the cameras show it.
     """
     found: dict[str, Any] = {
@@ -378,11 +376,11 @@ def truth_row(
         "covariance_mm2": None,
         "cameras": None if seen is None else json.dumps(asdict(seen)),
     }
-    if point is not None:
+    if isinstance(row, TrueEnd):
         found |= {
-            "covariance_mm2": json.dumps(point.covariance_mm2.tolist()),
-            "how": point.how.value,
-            "budget": json.dumps(point.uncertainty.as_dict()),
+            "covariance_mm2": json.dumps(row.covariance_mm2.tolist()),
+            "how": row.how.value,
+            "budget": json.dumps(row.uncertainty.as_dict()),
         }
     return found
 

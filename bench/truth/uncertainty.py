@@ -13,6 +13,7 @@ from math import isfinite, sqrt
 
 import numpy as np
 
+from bench.record.recording import TruthRow
 from bench.scoring.errors import Floats
 
 
@@ -74,16 +75,22 @@ class How(StrEnum):
     CARRIED = "carried"
 
 
-@dataclass(frozen=True, slots=True)
-class TruthPoint:
-    """A teat end: ``point_mm`` in the world frame, and its budget along one axis. ``carry_mm2`` is
-    the covariance that the carry added (None for touched), in the budget by its worst direction.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrueEnd(TruthRow):
+    """A teat end of the bench's own truth, from its touches to its scores, with its budget along
+    one axis. ``carry_mm2`` is the covariance that the carry added (None for touched), in the budget
+    by its worst direction.
     """
 
-    point_mm: Triple
     uncertainty: TruthUncertainty
     how: How = How.TOUCHED
     carry_mm2: tuple[Triple, ...] | None = None
+
+    @classmethod
+    def at(cls, xyz_mm: Iterable[float], uncertainty: TruthUncertainty) -> TrueEnd:
+        """Touched there; which teat it is, and whether it is seen, is for the trial to say."""
+        place = triple(xyz_mm)
+        return cls("", "", place, True, uncertainty.u_mm, uncertainty=uncertainty)
 
     @property
     def covariance_mm2(self) -> Floats:

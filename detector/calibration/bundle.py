@@ -58,7 +58,7 @@ class BundleError(ValueError):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Adjusted:
+class Adjustment:
     """The fit; poses are reference_from_board. ``covariance`` (k, k) px, rad, mm of ``names`` such
     as ("left", "fx"), poses integrated out. ``residuals_px`` (n, 2) by sighting: seen minus
     predicted.
@@ -151,7 +151,7 @@ SINGULAR = 1e-14  # of the largest eigenvalue: less is rounding
 
 def adjust(
     start: Rig, poses: Sequence[Motion], sightings: Sequence[Sighting], freedom: Freedom
-) -> Adjusted:
+) -> Adjustment:
     """The least-squares fit, with equal, independent noise of all corners. Raises BundleError."""
     layout = _Layout.of(start, len(poses), freedom)
     rows = sum(2 * len(s.board_mm) for s in sightings)
@@ -170,7 +170,7 @@ def adjust(
         raise BundleError(f"{what}: tilt the board more, or hold it fixed")
     covariance = np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale)) * variance
     sigma_px = float(np.sqrt(variance))
-    return Adjusted(*state, layout.shared, covariance, sigma_px, normal.residuals_px)
+    return Adjustment(*state, layout.shared, covariance, sigma_px, normal.residuals_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -52,10 +52,10 @@ class BoardView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Calibrated:
+class CameraFit:
     """One adjustment: views in the order of their poses, and the sightings of each."""
 
-    fit: bundle.Adjusted
+    fit: bundle.Adjustment
     views: tuple[str, ...]
     sightings: tuple[Sighting, ...]
 
@@ -76,7 +76,7 @@ def calibrate_camera(
     *,
     model: str = "k1 k2 p1 p2",
     square_pixels: bool = False,
-) -> Calibrated:
+) -> CameraFit:
     """A camera from its own views. ``model``: one of `LENS_MODELS`; ``square_pixels``: fx = fy.
     Raises TooFewViewsError, BundleError.
     """
@@ -103,7 +103,7 @@ def calibrate_camera(
     return _alone(name, views, camera, poses, Freedom({name: free}, aspect, motions=False))
 
 
-def place_board(name: str, views: Sequence[BoardView], lens: Camera) -> Calibrated:
+def place_board(name: str, views: Sequence[BoardView], lens: Camera) -> CameraFit:
     """Where the board was before a camera whose lens is known and held. Raises TooFewViewsError."""
     _refuse_too_few(name, views)
     poses = [flat_pose(view.board_mm, view.pixels_px, lens) for view in views]
@@ -125,19 +125,19 @@ def _refuse_too_few(name: str, views: Sequence[BoardView]) -> None:
 
 def _alone(
     name: str, views: Sequence[BoardView], camera: Camera, poses: Sequence[Motion], freedom: Freedom
-) -> Calibrated:
+) -> CameraFit:
     sightings = tuple(Sighting(name, i, v.board_mm, v.pixels_px) for i, v in enumerate(views))
     fit = bundle.adjust(Rig({name: camera}, {name: Motion.identity()}), poses, sightings, freedom)
-    return Calibrated(fit, tuple(view.name for view in views), sightings)
+    return CameraFit(fit, tuple(view.name for view in views), sightings)
 
 
 def join_cameras(
-    alone: Mapping[str, Calibrated],
+    alone: Mapping[str, CameraFit],
     *,
     joint_lenses: Sequence[str] = (),
     model: str = "k1 k2 p1 p2",
     square_pixels: bool = False,
-) -> Calibrated:
+) -> CameraFit:
     """The cameras of ``alone`` in the first one's frame; ``joint_lenses`` are fitted again, others
     held. All views take part; shared ones move a camera. Raises TooFewViewsError.
     """
@@ -173,10 +173,11 @@ def join_cameras(
     aspect = frozenset(joint_lenses) if square_pixels else frozenset()
     freedom = Freedom(dict.fromkeys(joint_lenses, LENS_MODELS[model]), aspect)
     fit = bundle.adjust(rig, list(poses.values()), sightings, freedom)
-    return Calibrated(fit, tuple(poses), sightings)
+    return CameraFit(fit, tuple(poses), sightings)
 
 
-# of a view's motion between two cameras from that of most: beyond what a pose is known to
+# a view is odd whose motion between two cameras is farther from that of most than this turn, and
+# than these shares of the motion and of the board's distance: no pose is known worse
 ODD_DEG, ODD_OF_MOTION, ODD_OF_DISTANCE = 8.0, 0.5, 0.05
 
 
@@ -185,7 +186,7 @@ class OddPairError(BundleError):
 
 
 def _refuse_odd_pairs(
-    alone: Mapping[str, Calibrated],
+    alone: Mapping[str, CameraFit],
     first: str,
     other: str,
     moves: Mapping[str, Motion],
@@ -228,7 +229,7 @@ def _refuse_odd_pairs(
     raise OddPairError("; ".join(sentences))
 
 
-def _turned_poses(alone: Calibrated, camera: str, view: str) -> Iterator[Motion]:
+def _turned_poses(alone: CameraFit, camera: str, view: str) -> Iterator[Motion]:
     """Of the board, had the picture been turned by half a turn; counted from either end."""
     lens = alone.fit.rig.cameras[camera]
     seen = next(s for s in alone.sightings if alone.views[s.pose] == view)
@@ -246,7 +247,7 @@ def _named(views: Mapping[str, object]) -> str:
     return ", ".join(names[:3]) + (f" to {names[-1]}" if len(names) > 3 else "") or "none"
 
 
-def pair_of(joined: Calibrated) -> Pair:
+def pair_of(joined: CameraFit) -> Pair:
     """The pair of an adjustment of left and right; its world is the right camera's frame."""
     cameras, motions = joined.fit.rig.cameras, joined.fit.rig.from_reference
     right_from_left = motions["right"] @ motions["left"].inverse()

@@ -50,7 +50,8 @@ LEAST_CHARUCO = 8  # points of a partly hidden board that make a view
 # of the picture's width: the neighbourhoods that a circle may be darker than
 AROUND = (0.02, 0.04, 0.08)
 LEAST_STEP = 0.06  # of the picture's range, by which it is
-LEAST_FILL, MOST_OBLONG = 0.5, 4.0  # of a circle's box, and its longer side over its shorter
+LEAST_FILL = 0.5  # of a circle's box
+MOST_OBLONG = 4.0  # the longer side of that box over the shorter
 MOST_UNLIKE = 3.0  # one circle's area over another's
 MOST_BLOBS = 4  # times the board's circles: more is texture
 

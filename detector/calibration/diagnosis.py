@@ -35,7 +35,7 @@ class PairView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measured:
+class MeasuredView:
     """One view, mm and px. ``scale``: over printed lengths; ``off_plane_mm`` (n,): towards the
     cameras; ``epipolar_px`` (n,): positive downwards; ``spacing_mm`` (m,): neighbours' less the
     pitch.
@@ -51,9 +51,9 @@ class Measured:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Remeasured:
+class MeasuredBoard:
     board: Board
-    views: tuple[Measured, ...]
+    views: tuple[MeasuredView, ...]
 
     @property
     def scale(self) -> tuple[float, float]:
@@ -92,14 +92,14 @@ class Remeasured:
         return _mean([_bend_mm(self.board, view) for view in self.views])
 
 
-def remeasure(pair: Pair, board: Board, views: Sequence[PairView]) -> Remeasured:
+def remeasure(pair: Pair, board: Board, views: Sequence[PairView]) -> MeasuredBoard:
     """The board of each view in space. Raises ValueError where there is no view."""
     if not views:
         raise ValueError("there is no view of the board that both cameras saw")
-    return Remeasured(board, tuple(_measured(pair, board, view) for view in views))
+    return MeasuredBoard(board, tuple(_measured(pair, board, view) for view in views))
 
 
-def _measured(pair: Pair, board: Board, view: PairView) -> Measured:
+def _measured(pair: Pair, board: Board, view: PairView) -> MeasuredView:
     points, printed = pair.in_right_mm(view.left_px, view.right_px), board.points_mm[view.ids]
     # distances to the next point in a row and in a column, where both were seen
     grid = np.full((board.rows, board.columns, 3), np.nan)
@@ -112,7 +112,7 @@ def _measured(pair: Pair, board: Board, view: PairView) -> Measured:
     normal = np.linalg.svd(centred, full_matrices=False)[2][2]
     off_plane = centred @ (normal if normal[2] < 0 else -normal)
     depth, epipolar = float(points[:, 2].mean()), epipolar_px(pair, view)
-    return Measured(view.name, view.ids, depth, scale, spacing, off_plane, epipolar)
+    return MeasuredView(view.name, view.ids, depth, scale, spacing, off_plane, epipolar)
 
 
 def epipolar_px(pair: Pair, view: PairView) -> Array:
@@ -128,7 +128,7 @@ def epipolar_px(pair: Pair, view: PairView) -> Array:
     return np.asarray(off * pair.right.fc[1])
 
 
-def _bend_mm(board: Board, view: Measured) -> float:
+def _bend_mm(board: Board, view: MeasuredView) -> float:
     printed = board.points_mm[view.ids, :2]
     half = 0.5 * np.array([board.columns - 1, board.rows - 1]) * board.pitch_mm
     x, y = ((printed - half) / np.linalg.norm(half)).T
@@ -153,7 +153,8 @@ def _rms(parts: Sequence[Array]) -> float:
 SIGNIFICANT = 4.0
 SCALE_MATTERS = 0.002  # 2 mm a metre
 ROWS_MATTER_PX = 0.2
-TIMES, UNIT_NEAR = 1.5, 0.05  # from here on it is a unit; and so near to one
+TIMES = 1.5  # by so much or more too long, or too short, it is a wrong unit
+UNIT_NEAR = 0.05  # share by which a scale may be off a unit's
 BEND_MATTERS = 0.002  # of the board's diagonal
 OUTLIER_RATIO = 2.5  # of a view's error to the median of all
 
@@ -185,7 +186,7 @@ def outlier_views(rms_px: Mapping[str, float], camera: str) -> list[Finding]:
     ]
 
 
-def measured_again(again: Remeasured, pair: Pair) -> list[Finding]:
+def measured_again(again: MeasuredBoard, pair: Pair) -> list[Finding]:
     """What a board measured again says of the calibration, or of the board."""
     if any(view.depth_mm <= 0 for view in again.views):
         said = "the board is measured behind the cameras: left and right pictures are swapped"
@@ -226,7 +227,7 @@ def _unit_sentence(scale: float) -> str:
     return f"{said}: the baseline, or the board's squares, are in {UNITS[near[0]]} and not in mm"
 
 
-def _matters(mean: tuple[float, float], least: float, again: Remeasured) -> bool:
+def _matters(mean: tuple[float, float], least: float, again: MeasuredBoard) -> bool:
     """Whether a mean, with its sd, is above ``least`` and differs from 0 at `SIGNIFICANT`."""
     (value, sd), freedom = mean, len(again.views) - 1
     if freedom < 1 or not abs(value) > least:
@@ -234,7 +235,7 @@ def _matters(mean: tuple[float, float], least: float, again: Remeasured) -> bool
     return abs(value) > -float(stdtrit(freedom, ndtr(-SIGNIFICANT))) * sd
 
 
-def _scale(again: Remeasured, pair: Pair) -> list[Finding]:
+def _scale(again: MeasuredBoard, pair: Pair) -> list[Finding]:
     scale, sd = again.scale
     off = scale - 1.0
     if not _matters((off, sd), SCALE_MATTERS, again):
@@ -253,7 +254,7 @@ def _scale(again: Remeasured, pair: Pair) -> list[Finding]:
     return [Finding("shifted columns", said)]
 
 
-def bent(again: Remeasured) -> list[Finding]:
+def bent(again: MeasuredBoard) -> list[Finding]:
     """Whether the middle stands off the rim, beyond what the calibration's lenses took up."""
     bend, least = again.bend[0], BEND_MATTERS * float(np.hypot(*again.board.size_mm))
     side = "before" if bend > 0 else "behind"

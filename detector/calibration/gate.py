@@ -20,7 +20,9 @@ MOST_SKEW = 0.1
 MOST_TURN_DEG = 90.0  # between two cameras that see the same
 BASELINE_MM = (3.0, 5000.0)
 UNITS = {1000.0: "metres", 10.0: "centimetres", 25.4: "inches", 304.8: "feet", 0.001: "micrometres"}
-_DIRECTIONS, _STEPS, _FARTHEST = 13, 400, 10.0  # a side;  # tangent of the angle from the axis
+_DIRECTIONS = 13  # a side
+_STEPS = 400  # from the axis outwards
+_FARTHEST = 10.0  # tangent of the angle from the axis
 
 
 def lens_faults(camera: Camera) -> Iterator[tuple[str, str]]:

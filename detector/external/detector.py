@@ -193,7 +193,7 @@ class ExternalDetector:
             raise self._fault(f"it {late}{silent}", Outcome.TIMEOUT) from None
         except ChildFault as fault:
             raise self._fault(f"it {fault}{when}") from None
-        except lines.Garbled as fault:
+        except lines.GarbledLine as fault:
             raise self._fault(str(fault)) from None
 
     def _fault(self, reason: str, outcome: Outcome = Outcome.FAILED) -> DetectionFailure:

@@ -1,6 +1,6 @@
 """JSON lines between the bench and an external detector.
 
-After a `Garbled` line nothing can be trusted; `BadAnswer` is only that answer. Figures are checked
+After a `GarbledLine` nothing can be trusted; `BadAnswer` is only that answer. Figures are checked
 where all detectors' answers are.
 """
 
@@ -32,7 +32,7 @@ PICTURES = ("left", "right", "thermal", "thermal_radiometric", "depth", "depth_a
 _SHOWN = 80
 
 
-class Garbled(ValueError):  # noqa: N818 - the line is garbled
+class GarbledLine(ValueError):  # noqa: N818 - the line is garbled
     """Not a line of this protocol."""
 
 
@@ -99,17 +99,17 @@ def check_ready(line: bytes) -> Ready:
     wanted = f"its first line must be {json.dumps(READY)}"
     try:
         said = _object(line)
-    except Garbled as fault:
-        raise Garbled(f"{wanted}, but {fault}") from None
+    except GarbledLine as fault:
+        raise GarbledLine(f"{wanted}, but {fault}") from None
     if said.get("ready") is not True:
-        raise Garbled(f'{wanted}, is "{shown(line)}"')
+        raise GarbledLine(f'{wanted}, is "{shown(line)}"')
     device = said.get("device", "")
     if not isinstance(device, str):
-        raise Garbled(f'"device" of its first line is {json.dumps(device)[:_SHOWN]}, not text')
+        raise GarbledLine(f'"device" of its first line is {json.dumps(device)[:_SHOWN]}, not text')
     try:
         return Ready(trained_on_of(said.get("trained_on", {})), device)
     except ValueError as fault:
-        raise Garbled(f"{fault}, in its first line") from None
+        raise GarbledLine(f"{fault}, in its first line") from None
 
 
 def parse_answer(line: bytes, frame: str, calibration: Calibration) -> Detection:
@@ -122,7 +122,7 @@ def parse_answer(line: bytes, frame: str, calibration: Calibration) -> Detection
     answer = _object(line)
     if answer.get("frame") != frame:
         hint = "; a frame's name is text" if str(answer.get("frame")) == frame else ""
-        raise Garbled(f'it was asked about frame "{frame}" and answered "{shown(line)}"{hint}')
+        raise GarbledLine(f'it was asked about frame "{frame}" and answered "{shown(line)}"{hint}')
     teats, hidden, reason = answer.get("teats"), answer.get("hidden", 0), answer.get("reason")
     if not isinstance(teats, list):
         raise BadAnswer('its answer has no list "teats"; an empty list says that there are none')
@@ -151,9 +151,9 @@ def _object(line: bytes) -> dict[str, Any]:
     try:
         found = json.loads(line)
     except (ValueError, RecursionError):  # neither JSON nor UTF-8, or nested without end
-        raise Garbled(f'its line is not JSON: "{shown(line)}"') from None
+        raise GarbledLine(f'its line is not JSON: "{shown(line)}"') from None
     if not isinstance(found, dict):
-        raise Garbled(f'its line is no JSON object: "{shown(line)}"')
+        raise GarbledLine(f'its line is no JSON object: "{shown(line)}"')
     return found
 
 

@@ -138,20 +138,7 @@ class Child:
             self._hold = None
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(_END_S)
-        self._kill()
-        self._process.wait()
-        with contextlib.suppress(OSError):  # what was never sent can't be sent now
-            self._in.close()
-        pipes = self._process.stdout, self._process.stderr
-        for reader, pipe in zip(self._readers, pipes, strict=True):
-            reader.join(_END_S)
-            # else some process that got away holds the other end: its number must not be given to
-            # another file
-            if pipe and not reader.is_alive():
-                pipe.close()
-
-    def _kill(self) -> None:
-        """What is left where the supervisor didn't do it, was ended itself, or there is none."""
+        # What is left where the supervisor didn't do it, was ended itself, or there is none
         until_s = self._stopwatch() + _END_S
         while sys.platform == "linux" and self._stopwatch() < until_s:
             left = process_supervisor.descendants(self._process.pid, self._mark.encode())
@@ -163,6 +150,16 @@ class Child:
             select.select([], [], [], 0.005)
         if self._process.poll() is None:
             self._process.kill()
+        self._process.wait()
+        with contextlib.suppress(OSError):  # what was never sent can't be sent now
+            self._in.close()
+        pipes = self._process.stdout, self._process.stderr
+        for reader, pipe in zip(self._readers, pipes, strict=True):
+            reader.join(_END_S)
+            # else some process that got away holds the other end: its number must not be given to
+            # another file
+            if pipe and not reader.is_alive():
+                pipe.close()
 
     def _ending(self) -> str:
         """How it ended; it has closed its output."""

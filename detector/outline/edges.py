@@ -25,13 +25,14 @@ from detector.outline import kernels
 
 Field = NDArray[np.float32]
 _NEIGHBOURS = 7  # lines that may be taken together where one alone is too faint
-# of an edge beyond doubt, and of one that may count: 7.7 and 4.2 standard deviations
-CLEAR, LEAST_CLEAR = 60.0, 18.0
+CLEAR = 60.0  # of an edge beyond doubt: 7.7 standard deviations
+LEAST_CLEAR = 18.0  # of an edge that may count: 4.2 standard deviations
 _DOUBT = 0.45  # neighbours share shadows and texture too: together they must be the clearer
 _MOST_LIMB_PX = 0.8
 _FINE = 0.05  # px, the grid on which the bases are blurred
-# steps of a noise's standard deviation, and of the bases: products of both add up within 53 bits
-_LEVELS, _BASES = 11, 2.0**24
+# products of steps of both kinds add up within 53 bits
+_LEVELS = 11  # steps of a noise's standard deviation
+_BASES = 2.0**24  # steps of the bases
 
 
 @dataclass(frozen=True)
@@ -161,6 +162,6 @@ def find_edges(
 _LIMB_NEIGHBOURS = 9  # points along an outline that are lit alike: some 20 mm
 # how far one line's own may be from that of its neighbours (standard deviation), as a share of it
 _UNLIKE = 0.5
-# how sure a step is found without a fall of brightness and with one (standard deviation)
-_PLAIN_PX, _SHADED_PX = 0.02, 0.06
+_PLAIN_PX = 0.02  # standard deviation of a step's place without a fall of brightness
+_SHADED_PX = 0.06  # the same with one
 LIGHT = np.array([_MOST_LIMB_PX, _LIMB_NEIGHBOURS, _UNLIKE, _PLAIN_PX, _SHADED_PX])

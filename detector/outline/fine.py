@@ -19,8 +19,10 @@ ROUGH_OUTLINE, FINE_OUTLINE = Outline.of(55.0, 8, 12), Outline.of(Prior().length
 FINE_STEPS = 4
 # floors beyond which an edge counts for less
 ROUGH_SCALE, _FINE_SCALE = 20.0, 3.0
-_LEAST_SIDE, _CLOSE = 0.4, 12.0  # of a side's edges, within so many floors, or it isn't seen
-# seen so well in one picture, and so badly in the other, it is no teat's side
+_LEAST_SIDE = 0.4  # share of a side's edges that are `_CLOSE`, or the side isn't seen
+_CLOSE = 12.0  # in floors
+# a side is no teat's where at least the first share is seen in one picture, and at most the second
+# in the other
 _LEAST_ALONE, _MOST_OTHER = 0.7, 0.15
 _LIMITS = np.array([_CLOSE, _LEAST_SIDE, _LEAST_ALONE, _MOST_OTHER])
 _STILL_PX = 0.02  # an outline that moves by less needs no new look

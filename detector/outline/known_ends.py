@@ -33,7 +33,8 @@ from detector.protocol import Frames
 
 _BESIDE_PX = np.arange(-7.5, 7.6, 2.5)  # disparities about the known one
 _ROUGH_STEPS, _ROUGH_SCALE = 4, 20.0
-_CLOSE_PX, _LEAST_SEEN = 0.3, 0.6  # of an outline's edges, near the fitted outline
+_CLOSE_PX = 0.3  # of an edge to the fitted outline
+_LEAST_SEEN = 0.6  # share of an outline's edges that are close
 _NEAR_MM = 8.0  # across the line of sight; farther off it is another thing
 _LEAST_INFORMATION = 15.0  # of a thermal outline: sd 0.26 px; one far off counts for less anyway
 REACH_PX = (25.0, 10.0)  # of the right picture, columns and rows

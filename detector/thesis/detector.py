@@ -19,7 +19,7 @@ from detector.calibration import thesis_rig as printed
 from detector.geometry import Array, triangulate
 from detector.protocol import Detection, Frames, Stage, Teat
 from detector.thesis import lines
-from detector.thesis.optical import Refined, nominate, refine
+from detector.thesis.optical import RefinedEnd, nominate, refine
 from detector.thesis.parameters import Parameters
 from detector.thesis.thermal import (
     Grey,
@@ -158,7 +158,7 @@ def _locate(
     }
     seen = {
         name: {side: np.array([getattr(r, name) for r in found]) for side, found in refined.items()}
-        for name in Refined.__slots__
+        for name in RefinedEnd.__slots__
     }
     bright = {f"{side}_bright": mask for side, mask in seen["bright"].items()}
     trace.append(Stage("regions", {**seen["region"], **bright}))

@@ -34,7 +34,7 @@ _REGION_SLIP_PX = 1  # see above
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Refined:
+class RefinedEnd:
     """One teat's end (2,) px in an optical picture, and whether the picture moved it. region,
     bright (41, 41): the cut-out and its bright part after both dilations; zeros beyond the picture.
     """
@@ -50,17 +50,19 @@ def nominate(homography: Array, teats_px: Array) -> Array:
     return np.asarray(np.floor(apply_homography(homography, teats_px) + 0.5))
 
 
-def refine(picture: Grey, nomination_px: Array, p: Parameters) -> Refined:
+def refine(picture: Grey, nomination_px: Array, p: Parameters) -> RefinedEnd:
     """Look for the end around a nomination (2,), which stays where there is none."""
     region = cut_region(picture, nomination_px, p.region_reach_px)
     if region is None:  # beyond the picture
         blank = np.zeros((2 * p.region_reach_px + 1,) * 2, dtype=np.uint8)
-        return Refined(nomination_px, False, blank, blank.astype(np.bool_))
+        return RefinedEnd(nomination_px, False, blank, blank.astype(np.bool_))
     bright = binary_dilation(grey_dilation(region, p) > p.binary_level * 255, p)
     end = locate_end(~bright, p) if np.count_nonzero(bright) >= p.least_bright_px else None
     if end is None:
-        return Refined(nomination_px, False, region, bright)
-    return Refined(nomination_px - p.region_reach_px + end + _REGION_SLIP_PX, True, region, bright)
+        return RefinedEnd(nomination_px, False, region, bright)
+    return RefinedEnd(
+        nomination_px - p.region_reach_px + end + _REGION_SLIP_PX, True, region, bright
+    )
 
 
 def cut_region(picture: Grey, centre_px: Array, reach_px: int) -> Grey | None:

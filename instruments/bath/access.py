@@ -348,7 +348,7 @@ class Access(ABC, Generic[R]):
 
     @property
     def unit_unknown(self) -> bool:
-        """Whether nothing tells the unit of its numbers."""
+        """Whether nothing states the unit of its numbers."""
         profile = self.profile
         if not isinstance(profile, Profile) or profile.number_unit.fixed:
             return False

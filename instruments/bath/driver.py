@@ -56,7 +56,7 @@ class Bath:
     LinkError, ProtocolError, DeviceError, LimitError. The next call opens a broken link again, and
     identifies the controller. ``identify`` False: identified by the first call but ``safe``.
     ``allow_inferred``: rows whose evidence is INFERRED are polled and written. ``unit_confirmed``:
-    where nothing tells the unit of its numbers, a person has seen that they are degC.
+    where nothing states the unit of its numbers, a person has seen that they are degC.
     ``before_heating`` is called before anything is written that may heat; what it raises keeps that
     from being sent.
     """
@@ -364,19 +364,16 @@ class Bath:
         self._connect()
         try:
             reading, self._identity = self._rows.identify()
-            self.profile = self._offered()
+            # The profile with the rows that this model offers, and its pump's relay
+            known, absent = self._rows.family, self._rows.absent
+            rows = tuple(row for row in known.rows if row.name not in absent)
+            offered = known.model_copy(update={"rows": rows})
+            self.profile = _with_pump(offered, self._pump.profile) if self._pump else offered
             self._check_running(reading)
         except BaseException:
             self._rows.known = False
             self._wire.close()
             raise
-
-    def _offered(self) -> Profile:
-        """The profile with the rows that this model offers, and its pump's relay."""
-        known, absent = self._rows.family, self._rows.absent
-        rows = tuple(row for row in known.rows if row.name not in absent)
-        offered = known.model_copy(update={"rows": rows})
-        return _with_pump(offered, self._pump.profile) if self._pump else offered
 
     def _read(self) -> BathReading:
         reading = self._rows.poll()

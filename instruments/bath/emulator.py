@@ -15,7 +15,7 @@ from typing import ClassVar, Literal, get_args
 from instruments.bath import protocol
 from instruments.bath.line_dialects import Dialect
 from instruments.bath.profile import PUMP, RegisterProfile, RelayProfile, Wiring
-from instruments.bath.protocol import Exchange, Frame, Plain, Read, Refused, Write
+from instruments.bath.protocol import Exchange, Frame, ModbusException, Plain, Read, Write
 from instruments.bath.register_semantics import Behaviour, Cells, Controller, Values, behaviour_of
 from instruments.bath.rows import Row
 from instruments.bath.witness import device_of
@@ -193,7 +193,7 @@ class Server(Emulator):
 
     def plain(self, request: Plain) -> bytes:  # noqa: ARG002 - for families that have these functions
         """The PDU that answers functions 7 and 8. Raises Refused."""
-        raise Refused(protocol.ILLEGAL_FUNCTION)
+        raise ModbusException(protocol.ILLEGAL_FUNCTION)
 
     def _serve(self, connection: Connection, frame: Frame) -> None:
         to_all = self.framing == "rtu" and frame.unit == protocol.BROADCAST
@@ -217,9 +217,9 @@ class Server(Emulator):
             return protocol.answer_refusal(function, protocol.BUSY) if behaviour.says_busy else b""
         try:
             if function not in behaviour.functions:
-                raise Refused(protocol.ILLEGAL_FUNCTION)
+                raise ModbusException(protocol.ILLEGAL_FUNCTION)
             return self._execute(pdu)
-        except Refused as refused:
+        except ModbusException as refused:
             if (
                 refused.code == protocol.ILLEGAL_FUNCTION
                 and behaviour.unknown_function == "silence"
@@ -282,7 +282,7 @@ class BathEmulator(Server):
         """The status byte, or the loopback's echo."""
         if request.function == protocol.LOOPBACK:
             if len(request.body) != 4 or request.body[:2] != b"\0\0":
-                raise Refused(protocol.ILLEGAL_VALUE)
+                raise ModbusException(protocol.ILLEGAL_VALUE)
             return bytes((request.function,)) + request.body
         status = self.panel.profile.find("status")
         return bytes((request.function, self.panel.words(status)[0] & 0xFF if status else 0))

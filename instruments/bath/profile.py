@@ -196,7 +196,7 @@ class Capabilities(Strict):
 
 class NumberUnit(Strict):
     """The unit of the numbers on the wire: what ``rows`` show, each of which has to be degC, or
-    ``fixed`` by the protocol. Neither: nothing tells it, and ``note`` says what is known.
+    ``fixed`` by the protocol. Neither: nothing states it, and ``note`` says what is known.
     """
 
     rows: tuple[str, ...] = ()
@@ -205,7 +205,7 @@ class NumberUnit(Strict):
 
     @property
     def known(self) -> bool:
-        """Whether rows or the protocol tell it."""
+        """Whether rows or the protocol state it."""
         return bool(self.rows or self.fixed)
 
 
@@ -436,8 +436,8 @@ class LineProfile(Profile):
         for row in self.rows:
             gone = row.name in known.lacks or (row.by_model and row.name not in offered)
             if not gone:
-                told = row.model_dump(exclude_unset=True) | known.rows.get(row.name, {})
-                rows.append(LineRow.model_validate(told))
+                merged = row.model_dump(exclude_unset=True) | known.rows.get(row.name, {})
+                rows.append(LineRow.model_validate(merged))
         return self.model_copy(update={"rows": tuple(rows)})
 
     def faults(self) -> Faults:

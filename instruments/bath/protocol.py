@@ -92,7 +92,7 @@ class Plain:
 Request = Read | Write | Exchange | Plain
 
 
-class Refused(Exception):  # noqa: N818 - it is an answer, not a fault
+class ModbusException(Exception):  # noqa: N818 - it is an answer, not a fault
     """The request gets the exception ``code`` for an answer."""
 
     def __init__(self, code: int) -> None:
@@ -110,7 +110,7 @@ def parse(pdu: bytes) -> Request:
     if function in (STATUS, LOOPBACK):
         return Plain(function, body)
     if function not in (*READS, WRITE_COIL, WRITE_ONE, WRITE_COILS, WRITE_MANY, EXCHANGE):
-        raise Refused(ILLEGAL_FUNCTION)
+        raise ModbusException(ILLEGAL_FUNCTION)
     numbers, head = (4, 8) if function == EXCHANGE else (2, 4)
     data = body[head:]
     _demand(len(body) >= head and (function in COUNTED or not data))
@@ -168,7 +168,7 @@ def _counted(counted: bytes, length: int) -> bytes:
 
 def _demand(condition: bool) -> None:
     if not condition:
-        raise Refused(ILLEGAL_VALUE)
+        raise ModbusException(ILLEGAL_VALUE)
 
 
 class FrameReader:

@@ -115,20 +115,17 @@ class RegisterAccess(Access[Row]):
         one and the same word in every register.
         """
         profile = cast(RegisterProfile, self.profile)
-        self._refuse_constant(raw)
+        self.doubt = constant([int(word) for some in raw.values() for word in some])
+        if self.doubt:
+            hint = "Is this the controller's address and unit, and has it started?"
+            asked = f"{len(raw)} rows of a poll"
+            raise ProtocolError(self.who, f"no controller: {self.doubt}", asked=asked, hint=hint)
         if (source := profile.order_from) and source.row in raw:
             code = self.decode(self.row(source.row), raw[source.row])
             if profile.order_for(int(code)) != self.order:
                 what, seen = "its order of bytes has changed", f"{code:g}"
                 raise ChangedError(self.who, what, asked=source.row, seen=seen, hint="Ask again.")
         return super().reading(t_s, raw)
-
-    def _refuse_constant(self, raw: Mapping[str, Raw]) -> None:
-        self.doubt = constant([int(word) for some in raw.values() for word in some])
-        if self.doubt:
-            hint = "Is this the controller's address and unit, and has it started?"
-            asked = f"{len(raw)} rows of a poll"
-            raise ProtocolError(self.who, f"no controller: {self.doubt}", asked=asked, hint=hint)
 
     def alarm_of(self, row: Row, value: float, raw: Raw) -> int:
         if row.no_value:  # an error code stands where the number would

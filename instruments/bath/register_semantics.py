@@ -16,7 +16,7 @@ from typing import Literal
 
 from instruments.bath import protocol
 from instruments.bath.profile import RegisterProfile, Wiring
-from instruments.bath.protocol import Read, Refused, Write
+from instruments.bath.protocol import ModbusException, Read, Write
 from instruments.bath.rows import Order, Row, Table
 from instruments.bath.witness import IEEE_AREA
 from instruments.world.plant import Plant
@@ -497,7 +497,7 @@ class Cells:
         self._check_pairs(request.address, request.count, request.function)
         ends = {(table, request.address), (table, end - 1)}
         if end > 0x10000 or (self._behaviour.gaps != "undefined" and not ends <= set(self._at)):
-            raise Refused(protocol.ILLEGAL_ADDRESS)
+            raise ModbusException(protocol.ILLEGAL_ADDRESS)
         return [self._word(table, address) for address in range(request.address, end)]
 
     def write(self, request: Write) -> None:
@@ -506,7 +506,7 @@ class Cells:
         for cell, words in self._targets(request):
             value = cell.decode(words, self._values)
             if not math.isfinite(value) or self._values.refuses(cell.row, value):
-                raise Refused(protocol.ILLEGAL_VALUE)
+                raise ModbusException(protocol.ILLEGAL_VALUE)
             wanted.append((cell.row, value))
         for row, value in wanted:
             self._values.take(row, value)
@@ -527,7 +527,7 @@ class Cells:
                 or cell.end > end
                 or (cell.count > 1 and request.function == protocol.WRITE_ONE)
             ):
-                raise Refused(protocol.ILLEGAL_ADDRESS)
+                raise ModbusException(protocol.ILLEGAL_ADDRESS)
             yield cell, request.values[address - request.address :][: cell.count]
             address = cell.end
 
@@ -538,7 +538,7 @@ class Cells:
         if self._behaviour.gaps == "undefined":
             return (address * 40503 & 0xFFFF) if table == "holding" else address & 1
         if "gaps refused" in self._faults or self._behaviour.gaps == "refused":
-            raise Refused(protocol.ILLEGAL_ADDRESS)
+            raise ModbusException(protocol.ILLEGAL_ADDRESS)
         return 0
 
     def _check_pairs(self, address: int, count: int, function: int) -> None:
@@ -546,7 +546,7 @@ class Cells:
         if not self._behaviour.areas or address < IEEE_AREA or function in protocol.BITS:
             return
         if address % 2 or count % 2 or function == protocol.WRITE_ONE:
-            raise Refused(protocol.ILLEGAL_ADDRESS)
+            raise ModbusException(protocol.ILLEGAL_ADDRESS)
 
     def _alike(self, table: Table) -> Table:
         return ALIKE.get(table, table) if self._behaviour.alike else table

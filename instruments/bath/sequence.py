@@ -43,7 +43,7 @@ def pump_text(bath: Bath) -> str:
 
 
 def pump_on(bath: Bath, reading: BathReading) -> bool | None:
-    """Whether the pump is switched on (not: turns); None where the family doesn't tell."""
+    """Whether the pump is switched on (not: turns); None where the family doesn't report it."""
     if bath.pump == "own":
         return bath.get(PUMP) == bath.profile.row(PUMP).values[ON]
     return reading.running if bath.pump == "with run" else None

@@ -28,12 +28,12 @@ class WitnessRow(Row):
 
     @model_validator(mode="before")
     @classmethod
-    def _addressed(cls, told: dict[str, Any]) -> dict[str, Any]:
-        if "parameter" not in told:
-            return told
-        number = told["parameter"]
-        address = IEEE_AREA + 2 * number if told["type"] == "f32" else number
-        rest = {key: value for key, value in told.items() if key != "parameter"}
+    def _addressed(cls, given: dict[str, Any]) -> dict[str, Any]:
+        if "parameter" not in given:
+            return given
+        number = given["parameter"]
+        address = IEEE_AREA + 2 * number if given["type"] == "f32" else number
+        rest = {key: value for key, value in given.items() if key != "parameter"}
         return {"table": "holding", "address": address, **rest}
 
 
@@ -68,8 +68,8 @@ class Witness(Strict):
             for one in self.alarms
         ]
         codes = OrderFrom(row="encoding", codes=self.order_codes) if self.order_codes else None
-        told = {"rows": (*self.rows, *others), "order": self.order, "order_from": codes}
-        return profile.model_copy(update=told | ({"alarms": tuple(alarms)} if alarms else {}))
+        laid_out = {"rows": (*self.rows, *others), "order": self.order, "order_from": codes}
+        return profile.model_copy(update=laid_out | ({"alarms": tuple(alarms)} if alarms else {}))
 
 
 @lru_cache

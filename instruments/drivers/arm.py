@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from instruments.clock import Clock
 from instruments.drivers.border import Border
-from instruments.drivers.entry_points import Plugged
+from instruments.drivers.entry_points import PluginDriver
 from instruments.drivers.plugin import ArmDriver, ArmPoint
 from instruments.errors import DeviceError, InstrumentError, LimitError, TouchAgainError
 from instruments.microscribe.configuration import Identity
@@ -31,7 +31,7 @@ class PluggedArm:
     pedals = False
     warnings: tuple[str, ...] = ()
 
-    def __init__(self, plugged: Plugged, clock: Clock) -> None:
+    def __init__(self, plugged: PluginDriver, clock: Clock) -> None:
         self.who = f"arm {plugged.name}"
         self.moves = False
         self._clock = clock

@@ -11,7 +11,7 @@ from instruments.bath.reading import BathReading
 from instruments.bath.rows import Quantity
 from instruments.clock import Clock
 from instruments.drivers.border import Border
-from instruments.drivers.entry_points import Plugged
+from instruments.drivers.entry_points import PluginDriver
 from instruments.drivers.plugin import BathDriver, BathState
 from instruments.errors import DeviceError, InstrumentError, LimitError
 
@@ -20,7 +20,7 @@ SAME_K = 0.051  # a set point that is read back: half a step of a tenth, and rou
 ALARM = 1  # the code of whatever its alarm says in words
 
 
-def profile_of(plugged: Plugged) -> Profile:
+def profile_of(plugged: PluginDriver) -> Profile:
     """What the bench knows of such a bath before it is opened. Raises LimitError where its class
     doesn't say it.
     """
@@ -63,7 +63,7 @@ class PluggedBath:
     pump_on = False
     watchdog_s: float | None = None
 
-    def __init__(self, plugged: Plugged, clock: Clock, *, identify: bool = True) -> None:
+    def __init__(self, plugged: PluginDriver, clock: Clock, *, identify: bool = True) -> None:
         self.url, self.who = plugged.url, f"bath {plugged.name}"
         self.profile = profile_of(plugged)
         self.before_heating: Callable[[], None] = lambda: None

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from instruments.clock import Clock, VirtualClock
-from instruments.drivers.entry_points import Plugged
+from instruments.drivers.entry_points import PluginDriver
 from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
 
 CALL_S, OPEN_S, CLOSE_S = 10.0, 10.0, 2.0
@@ -39,7 +39,7 @@ class Border(Generic[Made]):
     link. `calling` gives it, for one thread at a time.
     """
 
-    def __init__(self, plugged: Plugged, who: str, clock: Clock) -> None:
+    def __init__(self, plugged: PluginDriver, who: str, clock: Clock) -> None:
         self.who, self.plugged = who, plugged
         self._clock = clock
         self._made: Made | None = None

@@ -11,7 +11,7 @@ from instruments.camera.cameras import CAN_GIVE, Camera, CameraGroup
 from instruments.camera.frame import FrameError, FrameFault, RawFrame
 from instruments.clock import Clock
 from instruments.drivers.border import Border
-from instruments.drivers.entry_points import Plugged
+from instruments.drivers.entry_points import PluginDriver
 from instruments.errors import DeviceError, InstrumentError, LimitError
 
 CAPTURE_S = 30.0  # a long exposure, and a slow link
@@ -20,7 +20,7 @@ CAPTURE_S = 30.0  # a long exposure, and a slow link
 class PluggedCamera:
     """As `instruments.camera.cameras.Camera`; whatever it raises but a lost link costs a frame."""
 
-    def __init__(self, plugged: Plugged, name: str, clock: Clock) -> None:
+    def __init__(self, plugged: PluginDriver, name: str, clock: Clock) -> None:
         self.who, self._name = f"{name} camera {plugged.name}", name
         self._border: Border[Camera] = Border(plugged, self.who, clock)
         with self._border.opening():
@@ -50,7 +50,7 @@ class PluggedCamera:
 class PluggedGroup:
     """As `instruments.camera.cameras.CameraGroup`."""
 
-    def __init__(self, plugged: Plugged, clock: Clock) -> None:
+    def __init__(self, plugged: PluginDriver, clock: Clock) -> None:
         self.who = f"cameras {plugged.name}"
         self._border: Border[CameraGroup] = Border(plugged, self.who, clock)
         with self._border.opening():

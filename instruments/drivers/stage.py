@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from instruments.clock import Clock
 from instruments.drivers.border import Border
-from instruments.drivers.entry_points import Plugged
+from instruments.drivers.entry_points import PluginDriver
 from instruments.drivers.plugin import StageDriver, StageState
 from instruments.errors import DeviceError, InstrumentError, LimitError
 from instruments.stage.protocol import AXES, Status
@@ -44,7 +44,7 @@ class PluggedStage:
 
     safe_state = "at a stand, as it reads back itself"
 
-    def __init__(self, plugged: Plugged, clock: Clock, axes: str) -> None:
+    def __init__(self, plugged: PluginDriver, clock: Clock, axes: str) -> None:
         self.url, self.who, self.axes = plugged.url, f"stage {plugged.name}", axes
         self.before_moving: Callable[[], None] = lambda: None
         self.moves = False

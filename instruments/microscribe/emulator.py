@@ -306,7 +306,21 @@ class ArmEmulator:
                 self._command = command
                 return b""
         self._command = b""
-        return self._execute(command)
+        # In a session: one whole command. Whatever it is, it ends a stream, but for the marker.
+        event = wire.event_of(command[0])
+        state = wire.next_state(self.state, event)
+        if event is Event.MARKER:
+            return bytes([Code.MARKER]) + command[1:]
+        self._enter(state)
+        if event is Event.POLL:
+            return self._packet(command[0] & ~wire.MARK, self._look())
+        if event is Event.STREAM:
+            request = conf.decode_stream(bytes([Code.STREAM]) + command[1:])
+            self._stream = Stream(request, None if request.fixed_rate else self._look())
+            return bytes([Code.STREAM])
+        if event is Event.END:
+            return bytes([Code.END])
+        return self._configure(command)
 
     def _packet(self, command: int, look: EncoderSample) -> bytes:
         """The answer to a data command; nothing for what isn't one."""
@@ -341,23 +355,6 @@ class ArmEmulator:
             box = faults.strikes(ArmFault.INTERFACE_BOX)
             return (wire.INTERFACE_BOX if box else wire.PRODUCT_ID) + b"\0"
         return b""
-
-    def _execute(self, command: bytes) -> bytes:
-        """In a session: one whole command. Whatever it is, it ends a stream, but for the marker."""
-        event = wire.event_of(command[0])
-        state = wire.next_state(self.state, event)
-        if event is Event.MARKER:
-            return bytes([Code.MARKER]) + command[1:]
-        self._enter(state)
-        if event is Event.POLL:
-            return self._packet(command[0] & ~wire.MARK, self._look())
-        if event is Event.STREAM:
-            request = conf.decode_stream(bytes([Code.STREAM]) + command[1:])
-            self._stream = Stream(request, None if request.fixed_rate else self._look())
-            return bytes([Code.STREAM])
-        if event is Event.END:
-            return bytes([Code.END])
-        return self._configure(command)
 
     def _configure(self, command: bytes) -> bytes:
         """The reply to a configuration command; silence for what is not supported."""

@@ -185,16 +185,13 @@ class Console(PromptedOperator):
                 if self._mailbox:
                     self._mailbox.close(ended, BENCH)
                 raise
-            return self._settled(words)
-
-    def _settled(self, words: str) -> str:
-        """The words that hold: a browser's where those came first."""
-        if not self._mailbox:
-            return words
-        given = self._mailbox.close(words.strip(), TERMINAL)
-        if given.by != TERMINAL:
-            self._write(f"Answered by {given.by}: {given.words or 'go'}\n")
-        return given.words
+            # The words that hold: a browser's where those came first
+            if not self._mailbox:
+                return words
+            given = self._mailbox.close(words.strip(), TERMINAL)
+            if given.by != TERMINAL:
+                self._write(f"Answered by {given.by}: {given.words or 'go'}\n")
+            return given.words
 
     def _words(self, prompt: op.Prompt, check: Callable[[], None]) -> str:
         """Words that ``prompt`` understands."""

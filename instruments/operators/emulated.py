@@ -65,7 +65,12 @@ class EmulatedOperator:
         if isinstance(request, op.Task | op.NextTrial | op.Finish):
             return op.DONE
         if not isinstance(request, op.Release):
-            self._take_time(check)
+            clock = self._world.clock
+            end_s = clock.now() + self._prompt_s
+            check()
+            while (left_s := end_s - clock.now()) > 0.0:
+                clock.sleep(min(LOOK_S, left_s))
+                check()
         match request:
             case op.Arrangement():
                 return self._set_up(request)
@@ -82,7 +87,7 @@ class EmulatedOperator:
                 self._hold(*self._boards.tip(corner, self._tip_radius_mm))
             case _:
                 self._world.hold(None)
-                if isinstance(request, op.BoardAsked):
+                if isinstance(request, op.BoardPose):
                     self._world.show(self._boards.held(request))
         return op.DONE
 
@@ -124,14 +129,6 @@ class EmulatedOperator:
         self._to_make.remove(mistake)
         return True
 
-    def _take_time(self, check: Callable[[], None]) -> None:
-        clock = self._world.clock
-        end_s = clock.now() + self._prompt_s
-        check()
-        while (left_s := end_s - clock.now()) > 0.0:
-            clock.sleep(min(LOOK_S, left_s))
-            check()
-
 
 _views = lru_cache(maxsize=4)(poses)
 
@@ -143,7 +140,7 @@ class BoardHands:
         self._world = world
         self._board: Board | None = None
 
-    def held(self, asked: op.BoardAsked) -> Board:
+    def held(self, asked: op.BoardPose) -> Board:
         """The board as it is held for ``asked``. Raises OperatorEnough after `SHOWN` views."""
         if not asked.fixed and asked.number > SHOWN:
             raise op.OperatorEnough(f"the emulated operator has shown the board {SHOWN} times")
@@ -165,7 +162,7 @@ class BoardHands:
         axis = 0.5 * normal + np.array([0.0, 0.0, 1.0])
         return self._board.corners_mm[corner] + tip_radius_mm * normal, axis / np.linalg.norm(axis)
 
-    def _fixed(self, asked: op.BoardAsked, cameras: Sequence[CameraModel]) -> Board:
+    def _fixed(self, asked: op.BoardPose, cameras: Sequence[CameraModel]) -> Board:
         """Near the teat ends, within the arm's reach, tilted towards the middle of the cameras."""
         turn = (asked.number - 1) % len(FIXED_TURNS_RAD)
         middle = self._world.ends_mm().mean(axis=0) + np.array(FIXED_SHIFTS_MM[turn])

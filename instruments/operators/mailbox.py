@@ -97,7 +97,7 @@ class Mailbox:
         part.replace(self._folder / PROMPT)
 
 
-class _Published(BaseModel):
+class _PromptFile(BaseModel):
     """`PROMPT` as the run writes it; further keys are for the browser."""
 
     model_config = ConfigDict(strict=True, extra="allow")
@@ -127,7 +127,7 @@ def read_prompt(folder: Path) -> dict[str, Any] | None:
     ``open`` says whether it waits for an answer.
     """
     try:
-        return _Published.model_validate_json(_read(folder / FOLDER / PROMPT)).model_dump()
+        return _PromptFile.model_validate_json(_read(folder / FOLDER / PROMPT)).model_dump()
     except (OSError, ValueError):
         return None
 

@@ -37,7 +37,7 @@ class OperatorRepeat(Exception):  # noqa: N818 - a request, not a fault
 
 
 class OperatorEnough(Exception):  # noqa: N818 - a request, not a fault
-    """No more boards. Answers a `BoardAsked` only, where the board need not be ``fixed``."""
+    """No more boards. Answers a `BoardPose` only, where the board need not be ``fixed``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ class Touch:
 
 
 @dataclass(frozen=True, slots=True)
-class BoardAsked:
+class BoardPose:
     """Show a calibration board, without the phantom, to all ``cameras``; ``heated``: its dark parts
     are warmer; ``fixed``: it stays, for the arm to touch.
     """
@@ -161,7 +161,7 @@ class Finish:
     """Nothing more will be asked. Raises ProtocolError where answers are left over."""
 
 
-Awaited = Homing | CheckPoint | Arrangement | Touch | BoardAsked | BoardTouch | Task | Coordinates
+Awaited = Homing | CheckPoint | Arrangement | Touch | BoardPose | BoardTouch | Task | Coordinates
 Notice = NextTrial | Release | Finish  # the bench waits for no answer to these
 Request = Awaited | Notice
 
@@ -196,7 +196,7 @@ KIND_OF: Mapping[type, Kind] = {
     CheckPoint: "check point",
     Arrangement: "set up",
     Touch: "touch",
-    BoardAsked: "board",
+    BoardPose: "board",
     BoardTouch: "corner",
     Task: "task",
     Coordinates: "coordinates",

@@ -108,7 +108,7 @@ class PromptedOperator(ABC):
                 return self._set_up_prompt(request)
             case op.Touch():
                 return self._touch_prompt(request)
-            case op.BoardAsked():
+            case op.BoardPose():
                 at = f"{'position' if request.fixed else 'view'} {request.number}"
                 text, enough = request.instruction, not request.fixed
                 return op.Prompt("board", text, progress=at, pedal=True, enough=enough)

@@ -26,7 +26,7 @@ ASKED: dict[str, type[op.Request]] = {
     "touch_check_point": op.CheckPoint,
     "set_up": op.Arrangement,
     "touch": op.Touch,
-    "hold_board": op.BoardAsked,
+    "hold_board": op.BoardPose,
     "touch_board": op.BoardTouch,
     "release": op.Release,
 }

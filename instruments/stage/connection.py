@@ -3,7 +3,7 @@
 Nothing is sent while an answer is outstanding. An alarm is kept until a restart; each alarm, locked
 report, restart, broken link or answer that makes no sense counts as an upset, by which the driver
 knows that homing is lost. `Dialogue` is the conversation with Grbl, grblHAL and FluidNC; those
-with other firmwares are its subclasses. What none of them can tell is in docs/rig.md.
+with other firmwares are its subclasses. What none of them reports is in docs/rig.md.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from instruments.stage.protocol import (
     Alarm,
     Decoder,
     ErrorReply,
-    Malformed,
+    MalformedLine,
     Message,
     Ok,
     Position,
@@ -207,7 +207,7 @@ class Dialogue:
 
     @property
     def homing(self) -> bool:
-        """Whether it homes, as far as its answers tell."""
+        """Whether it homes, as far as its answers show."""
         return self.outstanding == "$H"
 
     def home(self, axes: str, bound_s: float) -> None:  # noqa: ARG002 - its settings say which
@@ -338,7 +338,7 @@ class Dialogue:
         return self._judge(self._inbox.popleft())
 
     def _judge(self, answer: Response) -> Response:
-        if isinstance(answer, Malformed):
+        if isinstance(answer, MalformedLine):
             self.upsets += 1
             what, asked, seen = f"malformed answer: {answer.why}", self.outstanding, answer.raw[:60]
             hint = "Check cable and earthing."

@@ -20,9 +20,9 @@ from instruments.link import Link
 from instruments.stage.connection import ANSWER_S, QUIET_S, START_S, STATUS_S, Dialogue, whole
 from instruments.stage.protocol import (
     Alarm,
-    Counted,
     ErrorReply,
-    Malformed,
+    MalformedLine,
+    MarlinPosition,
     Message,
     Ok,
     Position,
@@ -65,20 +65,27 @@ _NO_KINEMATICS = "Only machines whose motors are X, Y and Z (Cartesian) can be d
 def parse(line: bytes) -> Response:
     """The value of one line, without its end. Never raises.
 
-    Builds differ in blanks, in ``echo:`` and in what they tell beside: readable text that is no
+    Builds differ in blanks, in ``echo:`` and in what else they report: readable text that is no
     answer is a message. A damaged answer is malformed.
     """
     text = line.decode("ascii", "replace").strip()
     if not all(" " <= sign <= "~" or sign == "\t" for sign in text):
-        return Malformed(line, "bytes that are not ASCII text")
+        return MalformedLine(line, "bytes that are not ASCII text")
     if _OK.fullmatch(text):
         return Ok()
     if text == "start":
         return Welcome("", "Marlin")
     if text.startswith("X:") and "Count" in text:
-        return _counted(line, text)
+        sent, *counts = text.split("Count")
+        parts = [_COUNT.findall(part) for part in (sent, *counts)]
+        places = [{letter: float(number) for letter, number in part} for part in parts]
+        whole = all(_COUNTS.fullmatch(part.strip()) for part in (sent, *counts))
+        once = [len(part) for part in parts] == [len(place) for place in places]
+        if len(counts) != 1 or not (whole and once):
+            return MalformedLine(line, "places and counts that are not one number a letter")
+        return MarlinPosition(*places)
     if text.startswith("ok"):
-        return Malformed(line, "an ok with something else in it")
+        return MalformedLine(line, "an ok with something else in it")
     while text.startswith("echo:"):  # some lines have it twice
         text = text.removeprefix("echo:").strip()
     if _STOPPED.fullmatch(text):
@@ -86,17 +93,6 @@ def parse(line: bytes) -> Response:
     if _REFUSED.fullmatch(text):
         return ErrorReply(text)
     return Message("echo", text)
-
-
-def _counted(raw: bytes, text: str) -> Counted | Malformed:
-    sent, *counts = text.split("Count")
-    parts = [_COUNT.findall(part) for part in (sent, *counts)]
-    places = [{letter: float(number) for letter, number in part} for part in parts]
-    whole = all(_COUNTS.fullmatch(part.strip()) for part in (sent, *counts))
-    once = [len(part) for part in parts] == [len(place) for place in places]
-    if len(counts) != 1 or not (whole and once):
-        return Malformed(raw, "places and counts that are not one number a letter")
-    return Counted(*places)
 
 
 def read_marlin(lines: list[str], axes: str, *, who: str) -> StageSettings:
@@ -239,12 +235,12 @@ class MarlinDialogue(Dialogue):
         )
         return Status("Run" if moving else "Idle", None, at, None, None, {})
 
-    def _counts(self) -> Counted:
+    def _counts(self) -> MarlinPosition:
         """The answer to M114. Raises ProtocolError without step counts, DeviceError for those of
         motors that are not the axes.
         """
         said = self.command("M114", STATUS_S)
-        counted = next((one for one in said if isinstance(one, Counted)), None)
+        counted = next((one for one in said if isinstance(one, MarlinPosition)), None)
         if counted is None:
             self.upsets += 1
             hint = "Use a build of Marlin whose M114 reports them (Count X: Y: Z:)."

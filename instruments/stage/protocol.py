@@ -1,6 +1,6 @@
 """GRBL 1.1 on the wire, classic, grblHAL and FluidNC: lines to send, and bytes back to values.
 
-Total: what is malformed gives ``Malformed`` with the reason. Report fields are found by name,
+Total: what is malformed gives ``MalformedLine`` with the reason. Report fields are found by name,
 unknown ones kept as text. Source: the firmware's interface and command documents,
 version 1.1; alarm numbers from 10 on as in the sources of grblHAL and FluidNC.
 """
@@ -112,7 +112,7 @@ class Message:
 
 
 @dataclass(frozen=True, slots=True)
-class Malformed:
+class MalformedLine:
     """A line that the firmware doesn't say, and why we think so."""
 
     raw: bytes
@@ -120,7 +120,7 @@ class Malformed:
 
 
 @dataclass(frozen=True, slots=True)
-class Counted:
+class MarlinPosition:
     """Marlin's answer to M114: the place it was last sent to, mm, and the steps that its motors
     have made, by letter.
     """
@@ -142,7 +142,16 @@ class Reply(NamedTuple):
 
 
 Response = (
-    Ok | ErrorReply | Alarm | Status | Setting | Welcome | Message | Malformed | Counted | Reply
+    Ok
+    | ErrorReply
+    | Alarm
+    | Status
+    | Setting
+    | Welcome
+    | Message
+    | MalformedLine
+    | MarlinPosition
+    | Reply
 )
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)")
@@ -159,7 +168,7 @@ def parse(line: bytes) -> Response:
     try:
         text = line.decode("ascii")
     except UnicodeDecodeError:
-        return Malformed(line, "bytes that are not ASCII")
+        return MalformedLine(line, "bytes that are not ASCII")
     if text == "ok":
         return Ok()
     if text.startswith("<"):
@@ -175,27 +184,27 @@ def parse(line: bytes) -> Response:
         return Message(found[1], found[2] or "")
     if text.startswith(">"):
         return Message(">", text[1:])
-    return Malformed(line, "no answer of GRBL looks like this")
+    return MalformedLine(line, "no answer of GRBL looks like this")
 
 
-def _status(raw: bytes, text: str) -> Status | Malformed:
+def _status(raw: bytes, text: str) -> Status | MalformedLine:
     if not text.endswith(">"):
-        return Malformed(raw, "a status report without its end")
+        return MalformedLine(raw, "a status report without its end")
     head, *rest = text[1:-1].split("|")
     state = _STATE.fullmatch(head)
     if not state:
-        return Malformed(raw, "a status report without a state")
+        return MalformedLine(raw, "a status report without a state")
     fields = {name: value for name, _, value in (field.partition(":") for field in rest)}
     if "<" in text[1:] or ">" in text[:-1] or len(fields) < len(rest):
-        return Malformed(raw, "two status reports run together")
+        return MalformedLine(raw, "two status reports run together")
     positions: dict[str, Position | None] = {}
     for name in ("MPos", "WPos", "WCO"):
         parts = fields[name].split(",") if name in fields else []
         if name in fields and (len(parts) < 3 or not all(map(_NUMBER.fullmatch, parts))):
-            return Malformed(raw, f"{name} is not three numbers or more")
+            return MalformedLine(raw, f"{name} is not three numbers or more")
         positions[name] = tuple(map(float, parts)) or None
     if positions["MPos"] is None and positions["WPos"] is None:
-        return Malformed(raw, "a status report without a position")
+        return MalformedLine(raw, "a status report without a position")
     mpos, wpos, wco = positions.values()
     return Status(state[1], int(state[2]) if state[2] else None, mpos, wpos, wco, fields)
 
@@ -213,7 +222,7 @@ class Decoder:
         answers = [self._parse(line) for line in (raw.rstrip(b"\r") for raw in lines) if line]
         if len(self._pending) > MAX_ANSWER:
             why = f"{len(self._pending)} bytes without a line end"
-            answers.append(Malformed(self._pending, why))
+            answers.append(MalformedLine(self._pending, why))
             self._pending = b""
         return iter(answers)
 

@@ -96,7 +96,25 @@ def read_settings(values: Mapping[int, str], *, who: str, axes: str = "XYZ") -> 
     def each(first: int) -> Axes:
         return tuple(number(first + i, 1e-6) for i in range(4 if "A" in axes else 3))
 
-    _check(values, axes, who)
+    # a controller that these axes can't be driven with is refused
+    def refuse(what: str, hint: str) -> None:
+        raise DeviceError(who, what, asked="$$", hint=hint)
+
+    if _number(values, 13, 0.0, who):
+        refuse("the controller reports in inches", "Set $13=0.")
+    if "A" in axes and 103 not in values:
+        hint = "A rotation needs a grblHAL build with four axes; without one, leave A out of axes."
+        refuse("the controller has no axis A: setting $103 is missing", hint)
+    if int(_number(values, 22, 0.0, who)) & _ORIGIN_AT_SWITCH:
+        refuse(
+            "homing puts the origin where the switch lets go ($22 has bit 8 set)",
+            "Clear that bit ($22=1): targets are then negative, 0 at the switch.",
+        )
+    passes = [int(_number(values, key, 0.0, who)) for key in _PASSES if key in values]
+    homed = [axis for at, axis in enumerate(AXES) if any(mask >> at & 1 for mask in passes)]
+    if passes and (unhomed := [axis for axis in axes if axis not in homed]):
+        hint = "Name it in a homing pass ($44 to $49: X is 1, Y 2, Z 4, A 8), and fit its switch."
+        refuse(f"homing leaves out {', '.join(unhomed)}", hint)
     return StageSettings(
         travel_mm=each(130),
         rate_mm_min=each(110),
@@ -168,29 +186,6 @@ def _number(values: Mapping[K, str], key: K, least: float, who: str) -> float:
     what, hint = f"setting ${key} is not usable", f"Set ${key} on the controller."
     asked = "$$" if isinstance(key, int) else f"${key}"
     raise ProtocolError(who, what, asked=asked, seen=text or "nothing", hint=hint)
-
-
-def _check(values: Mapping[int, str], axes: str, who: str) -> None:
-    """Raise DeviceError for a controller that these axes can't be driven with."""
-
-    def refuse(what: str, hint: str) -> None:
-        raise DeviceError(who, what, asked="$$", hint=hint)
-
-    if _number(values, 13, 0.0, who):
-        refuse("the controller reports in inches", "Set $13=0.")
-    if "A" in axes and 103 not in values:
-        hint = "A rotation needs a grblHAL build with four axes; without one, leave A out of axes."
-        refuse("the controller has no axis A: setting $103 is missing", hint)
-    if int(_number(values, 22, 0.0, who)) & _ORIGIN_AT_SWITCH:
-        refuse(
-            "homing puts the origin where the switch lets go ($22 has bit 8 set)",
-            "Clear that bit ($22=1): targets are then negative, 0 at the switch.",
-        )
-    passes = [int(_number(values, key, 0.0, who)) for key in _PASSES if key in values]
-    homed = [axis for at, axis in enumerate(AXES) if any(mask >> at & 1 for mask in passes)]
-    if passes and (unhomed := [axis for axis in axes if axis not in homed]):
-        hint = "Name it in a homing pass ($44 to $49: X is 1, Y 2, Z 4, A 8), and fit its switch."
-        refuse(f"homing leaves out {', '.join(unhomed)}", hint)
 
 
 def declared(values: Mapping[str, float | None], axes: str, *, who: str) -> Target:

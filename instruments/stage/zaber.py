@@ -21,7 +21,7 @@ from instruments.link import Link
 from instruments.stage.connection import ANSWER_S, QUIET_S, Dialogue, whole
 from instruments.stage.protocol import (
     AXES,
-    Malformed,
+    MalformedLine,
     Message,
     Reply,
     Response,
@@ -91,14 +91,14 @@ def parse(line: bytes) -> Response:
     try:
         text = line.decode("ascii")
     except UnicodeDecodeError:
-        return Malformed(line, "bytes that are not ASCII")
+        return MalformedLine(line, "bytes that are not ASCII")
     if _PUSHED.fullmatch(text):
         return Message(text[0], text[1:])
     found = _REPLY.fullmatch(text)
     if not found:
-        return Malformed(line, "no answer of a Zaber device looks like this")
+        return MalformedLine(line, "no answer of a Zaber device looks like this")
     if found[8] and checksum(text[1 : found.start(8) - 1]) != found[8]:
-        return Malformed(line, "its checksum is wrong")
+        return MalformedLine(line, "its checksum is wrong")
     number = None if found[3] is None else int(found[3])
     taken, busy = found[4] == "OK", found[5] == "BUSY"
     return Reply(int(found[1]), int(found[2]), number, taken, busy, found[6], found[7])
@@ -214,7 +214,8 @@ class ZaberDialogue(Dialogue):
         for a fault.
         """
         if not self._motors:  # another program's stage, of which only its motion is known
-            return self._unidentified()
+            busy = any(self._where(motor)[0].busy for motor in self._given)
+            return Status("Run" if busy else "Idle", None, (), None, None, {})
         replies = {axis: self._where(motor) for axis, motor in self._motors.items()}
         flags = {axis: reply.flag for axis, (reply, _) in replies.items()}
         for axis, flag in flags.items():
@@ -228,10 +229,6 @@ class ZaberDialogue(Dialogue):
         letters = AXES if "A" in self._motors else AXES[:3]
         at = tuple([replies[a][1] if a in replies else 0.0 for a in letters])
         return Status(state, None, at, None, None, flags)
-
-    def _unidentified(self) -> Status:
-        busy = any(self._where(motor)[0].busy for motor in self._given)
-        return Status("Run" if busy else "Idle", None, (), None, None, {})
 
     def _where(self, motor: Motor) -> tuple[Reply, float]:
         text = f"{motor.device} {motor.axis} get pos"

@@ -172,7 +172,7 @@ def warmer(backdrop: Backdrop, camera: CameraModel) -> Image:
     return warmth
 
 
-def patches_seen(backdrop: Backdrop, camera: CameraModel) -> Iterator[tuple[Patch, Seen]]:
+def patches_seen(backdrop: Backdrop, camera: CameraModel) -> Iterator[tuple[Patch, VisiblePart]]:
     """Far to near, those that the camera sees."""
     for patch in patches(backdrop):
         if seen := _seen(patch.place, camera):
@@ -180,7 +180,7 @@ def patches_seen(backdrop: Backdrop, camera: CameraModel) -> Iterator[tuple[Patc
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class VisiblePart:
     """A place in a camera's picture: its ``part`` (h, w), which share of each pixel, how deep.
 
     Light is smooth on a plane: it is worked out at ``points`` (3, n), a ``grid`` (rows, columns) of
@@ -232,7 +232,7 @@ class Seen:
 
 
 @lru_cache(PATCHES_KEPT)
-def _seen(place: Place, camera: CameraModel) -> Seen | None:
+def _seen(place: Place, camera: CameraModel) -> VisiblePart | None:
     """None for a place that the camera doesn't see."""
     corner, across, along = (np.asarray(edge) for edge in place[:3])
     square = np.array([corner, corner + across, corner + across + along, corner + along])
@@ -252,7 +252,7 @@ def _seen(place: Place, camera: CameraModel) -> Seen | None:
     points, _ = _met(place, camera, camera.plane_from_pixels(pixels).T)
     x, y = (ray[part].reshape(-1) for ray in camera.rays())
     _, depth = _met(place, camera, np.stack([x, y]))
-    return Seen(place, camera, part, share, depth.reshape(share.shape), points, grid)
+    return VisiblePart(place, camera, part, share, depth.reshape(share.shape), points, grid)
 
 
 def _met(

@@ -22,7 +22,7 @@ from instruments.world.compositing import Cover, Layer, cover, cover_outlines, l
 from instruments.world.objects import SceneObject
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.sensor import (
-    Expected,
+    ExpectedFrame,
     Grey,
     Image,
     OpticalReadout,
@@ -192,8 +192,8 @@ class OpticalCamera:
         self.readout = OpticalReadout(sensor, self.view.rays, seed)
         self._focal_px = float(camera.fc.mean())
         self._layers = KeptLayers()
-        self._latest: tuple[object, Expected] | None = None
-        self._still: tuple[object, Image, Expected] | None = None
+        self._latest: tuple[object, ExpectedFrame] | None = None
+        self._still: tuple[object, Image, ExpectedFrame] | None = None
         self._changed = list[Part]()  # where the latest frame isn't that of the empty scene
 
     def expose(
@@ -206,14 +206,21 @@ class OpticalCamera:
         """Mean grey level of each pixel before noise and rounding, (height, width)."""
         return self._expected(state, shadows).mean.copy()
 
-    def _expected(self, state: SceneState, shadows: ShadowMap | None) -> Expected:
+    def _expected(self, state: SceneState, shadows: ShadowMap | None) -> ExpectedFrame:
         """The frame before noise; kept while nothing changes."""
         looks = tuple((thing.hulls, thing.paint) for thing in state.everything())
         fixed = state.boards, state.lighting, state.backdrop, state.exposure, state.velocity_mm_s
         key = (looks, fixed, shadows is None)
         if self._latest is None or self._latest[0] != key:
-            still, frame = self._still_of(state)
-            drawn = self._drawn(state, shadows)
+            lit = state.backdrop, state.lighting, state.exposure
+            if self._still is None or self._still[0] != lit:
+                self._latest = self._still = None  # let go before the next is drawn
+                camera, sensor = self.view.camera, self.readout.sensor
+                empty, soft = _empty(state.backdrop, state.lighting, camera, sensor)
+                still = blurred(empty, sensor.blur_px) if soft is None else soft
+                self._still = lit, still, ExpectedFrame(np.empty_like(still), np.empty_like(still))
+                self._changed = [(slice(0, camera.height_px), slice(0, camera.width_px))]
+            (_, still, frame), drawn = self._still, self._drawn(state, shadows)
             changed = [part for part, _ in drawn]
             if parts := self._changed + changed:
                 part = _joined(parts)
@@ -223,21 +230,6 @@ class OpticalCamera:
                 self.readout.expected(light, state.exposure, part, frame)
             self._latest, self._changed = (key, frame), changed
         return self._latest[1]
-
-    def _still_of(self, state: SceneState) -> tuple[Image, Expected]:
-        """Light of the empty scene on the sensor, and the latest frame of what stands in it; kept
-        while light and exposure stay.
-        """
-        key = state.backdrop, state.lighting, state.exposure
-        if self._still is None or self._still[0] != key:
-            self._latest = self._still = None  # let go before the next is drawn
-            camera, sensor = self.view.camera, self.readout.sensor
-            empty, soft = _empty(state.backdrop, state.lighting, camera, sensor)
-            light = blurred(empty, sensor.blur_px) if soft is None else soft
-            frame = Expected(np.empty_like(light), np.empty_like(light))
-            self._still = key, light, frame
-            self._changed = [(slice(0, camera.height_px), slice(0, camera.width_px))]
-        return self._still[1:]
 
     def _drawn(self, state: SceneState, shadows: ShadowMap | None) -> list[tuple[Part, Image]]:
         """The part of the picture that isn't empty, and light on the sensor there: the backdrop,

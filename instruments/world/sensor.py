@@ -146,7 +146,7 @@ class OpticalSensor:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Expected:
+class ExpectedFrame:
     """A frame before noise: mean grey level and its standard deviation."""
 
     mean: Image
@@ -173,17 +173,17 @@ class OpticalReadout:
         light: Image,
         exposure: Exposure | None = None,
         part: Part = WHOLE,
-        frame: Expected | None = None,
-    ) -> Expected:
+        frame: ExpectedFrame | None = None,
+    ) -> ExpectedFrame:
         """What light on the sensor gives, (h, w), or on a ``part`` of it, written there in the
         ``frame``. Variance: K^2 (electrons + read noise^2), EMVA 1288; a full well holds no more.
         """
         shutter = exposure or Exposure()
+        whole = frame or ExpectedFrame(np.empty_like(light), np.empty_like(light))
         sensor, gain = self.sensor, self.sensor.gain_dn_per_e * shutter.gain
         full = np.float32(sensor.full_well_e)
         dark = np.float32(sensor.dark_e_per_s * shutter.time_s)
         filled = np.float32(sensor.full_well_e * shutter.time_s / NORMAL_EXPOSURE_S)
-        whole = frame or Expected(np.empty_like(light), np.empty_like(light))
         mean, spread = whole.mean[part], whole.spread[part]
         response, dark_e = self._response[part], self._dark_e[part]
         for rows in in_blocks(light):
@@ -200,7 +200,7 @@ class OpticalReadout:
             electrons += np.float32(sensor.offset_dn)
         return whole
 
-    def expose(self, expected: Expected, rng: np.random.Generator) -> Grey:
+    def expose(self, expected: ExpectedFrame, rng: np.random.Generator) -> Grey:
         """One exposure with fresh noise, uint8 (uint16 above 8 bits)."""
         mean, spread = expected.mean, expected.spread
         noise = normal_noise(rng, (mean.shape[0], mean.shape[1]))

@@ -165,17 +165,10 @@ def intersect(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats
     """Ray (x, y, 1) with solid ``which``, each (n,), ascending: depth (n,) mm, outward normal
     (3, n), truly hit (n,). ``solids`` are in the frame of the camera, which is outside of them.
     """
-    columns, counts = _columns(solids), np.bincount(which, minlength=len(solids))
+    columns = _columns(solids)
     depth, hit, normal = np.empty(len(x)), np.empty(len(x), dtype=np.bool_), np.empty((3, len(x)))
-    ends, long = np.cumsum(counts), counts > BLOCK // 4  # these have blocks of their own
-    bounds = {
-        len(x),
-        *ends[long].tolist(),
-        *(ends - counts)[long].tolist(),
-        *range(0, len(x), BLOCK),
-    }
-    for start, end in pairwise(sorted(bounds)):
-        part = slice(start, end)
+    for start in range(0, len(x), BLOCK):
+        part = slice(start, start + BLOCK)
         depth[part], normal[:, part], hit[part] = _meet_block(
             solids, columns, which[part], x[part], y[part]
         )
@@ -200,15 +193,11 @@ def _columns(solids: Solids) -> Floats:
 def _meet_block(
     solids: Solids, columns: Floats, which: Ints, x: Floats, y: Floats
 ) -> tuple[Floats, Floats, Bools]:
-    alone = which[0] == which[-1]
-    if alone:
-        spread = np.broadcast_to(columns[:, which[:1]], (len(columns), len(which)))
-    else:
-        spread = np.repeat(columns, np.bincount(which, minlength=len(solids)), axis=1)
+    counts = np.bincount(which, minlength=len(solids))
     (
         axis_x, axis_y, axis_z, b_x, b_y, b_z, bend, h0, qc,
         slope, radius_0, a_x, a_y, a_z, low, high, flat_ends,
-    ) = spread  # fmt: skip
+    ) = np.repeat(columns, counts, axis=1)  # fmt: skip
     dh = x * axis_x + y * axis_y + axis_z
     qb = x * b_x + y * b_y + b_z
     # a ray along the axis meets an end, never the body
@@ -233,9 +222,7 @@ def _meet_block(
         for solve, at in ((_intersect_disc, beyond[flat]), (_intersect_ball, beyond[~flat])):
             if len(at):
                 rays = np.stack([x[at], y[at], np.ones(len(at))])
-                there, outward, found, keep = solve(
-                    solids, which[:1] if alone else which[at], rays, below
-                )
+                there, outward, found, keep = solve(solids, which[at], rays, below)
                 hit[at] = found
                 depth[at[keep]], normal[:, at[keep]] = there[keep], outward[:, keep]
     normal /= np.sqrt(dot(normal, normal))
@@ -267,7 +254,7 @@ def _intersect_disc(solids: Solids, which: Ints, rays: Floats, below: bool) -> M
     off = depth * rays - centre
     hit = facing & (dot(off, off) <= radius * radius)
     # A ray that misses keeps the rim's depth and normal from the cone.
-    return depth, np.broadcast_to(outward, rays.shape), hit, hit
+    return depth, outward, hit, hit
 
 
 def clearance_mm(one: Hull, other: Hull) -> float:

@@ -127,7 +127,13 @@ def draw(name: str, inches: tuple[float, float], plot: Callable[[Figure], None])
         figure = Figure(figsize=inches, layout="constrained")
         FigureCanvasSVG(figure)
         plot(figure)
-        _lay_out(figure)
+        # Place the axes now; `savefig` would draw the whole figure an additional time for it
+        for axes in figure.axes:
+            axes.apply_aspect()
+        engine = figure.get_layout_engine()
+        if figure.axes and engine is not None:
+            engine.execute(figure)
+        figure.set_layout_engine(None)  # one that stays, "none" too, has it drawn twice
         written = io.StringIO()
         figure.savefig(
             written,
@@ -144,16 +150,6 @@ def draw(name: str, inches: tuple[float, float], plot: Callable[[Figure], None])
     defined = {known_id: f"{name}-{number}" for number, known_id in enumerate(known, 1)}
     body = _TAG.sub(lambda tag: _rewritten(tag, name, defined), body)
     return _MARKS.sub(_grouped, _LINKS.sub(_links, re.sub(r">\s+<", "><", body.strip())))
-
-
-def _lay_out(figure: Figure) -> None:
-    """Place the axes now; `savefig` would draw the whole figure an additional time for it."""
-    for axes in figure.axes:
-        axes.apply_aspect()
-    engine = figure.get_layout_engine()
-    if figure.axes and engine is not None:
-        engine.execute(figure)
-    figure.set_layout_engine(None)  # one that stays, "none" too, has it drawn twice
 
 
 def not_measured(name: str, inches: tuple[float, float], why: str) -> str:

@@ -8,7 +8,6 @@ the same whenever it is seen, so that trials can be compared to the last bit.
 from __future__ import annotations
 
 import signal
-import sqlite3
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -22,7 +21,6 @@ import psutil
 
 from bench.record.check import check_run
 from bench.record.reader import read_run
-from bench.record.schema import DATABASE
 from bench.results.headline import guardian_text
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import load_rig
@@ -33,6 +31,7 @@ from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.operators.remote import OperatorPort
 from tests.bench import operated_runs
+from tests.bench.killed_runs import rows_of
 from tests.bench.marked_bench import MARK, marked_bench
 from tests.bench.operated_runs import write_calibration
 from tests.bench.real_rig import CHECK, RELAY, RIG, STAGE, RealRig
@@ -328,17 +327,6 @@ TABLES = (
 )
 
 
-def trials_of(run: Path) -> dict[str, list[Any]]:
+def trials_of(run: Path) -> dict[str, list[tuple[Any, ...]]]:
     """All rows of all trials without times, and what depends on them."""
-    with closing(sqlite3.connect(run / DATABASE)) as db:
-        found = {}
-        for table in TABLES:
-            columns = [row[1] for row in db.execute(f"PRAGMA table_info({table})")]
-            kept = [
-                name
-                for name in columns
-                if not name.startswith("wall") and not name.endswith("_s") and name not in VARIES
-            ]
-            query = f"SELECT {', '.join(kept)} FROM {table}"
-            found[table] = sorted(db.execute(query).fetchall(), key=repr)
-    return found
+    return rows_of(run, TABLES, lambda name: name.endswith("_s") or name in VARIES)

@@ -8,7 +8,7 @@ import multiprocessing
 import os
 import signal
 import sqlite3
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing, nullcontext
 from itertools import count
 from pathlib import Path
@@ -140,17 +140,19 @@ def resume(folder: Path, out: str, progress: Silent | None = None) -> tuple[Path
 
 def results(run: Path) -> dict[str, list[tuple[Any, ...]]]:
     """All rows of all results, without what depends on real time or on the session."""
+    return rows_of(run, TABLES, lambda name: name in OF_THE_SESSION)
+
+
+def rows_of(
+    run: Path, tables: Iterable[str], left_out: Callable[[str], bool]
+) -> dict[str, list[tuple[Any, ...]]]:
+    """Rows by table, sorted, without the computer's time and the columns that are ``left_out``."""
+    found = {}
     with closing(sqlite3.connect(run / DATABASE)) as db:
-        found = {}
-        for table in TABLES:
+        for table in tables:
             columns = [row[1] for row in db.execute(f"PRAGMA table_info({table})")]
-            kept = [
-                name
-                for name in columns
-                if not name.startswith("wall") and name not in OF_THE_SESSION
-            ]
+            kept = [name for name in columns if not (name.startswith("wall") or left_out(name))]
             if kept:
-                found[table] = sorted(
-                    db.execute(f"SELECT {', '.join(kept)} FROM {table}").fetchall(), key=repr
-                )
-        return found
+                query = f"SELECT {', '.join(kept)} FROM {table}"
+                found[table] = sorted(db.execute(query).fetchall(), key=repr)
+    return found

@@ -11,7 +11,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from bench.campaign.numbers import campaign_numbers
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.shards import SHARDS, TABLE, quoted
 from bench.report.campaign import campaign_page
 from instruments.clock import processor_s
@@ -71,7 +71,7 @@ def write_million(folder: Path) -> None:
 
 
 def test_page_of_a_million_rows(benchmark: BenchmarkFixture, folder: Path) -> None:
-    plan = Plan(detectors=DETECTORS, scenes=OF_FAMILY, seed=7)
+    plan = CampaignPlan(detectors=DETECTORS, scenes=OF_FAMILY, seed=7)
     counted_s: list[float] = []
     drawn_s: list[float] = []
 

@@ -17,7 +17,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from bench.campaign.chunk import Rows, run_scene
-from bench.campaign.plan import Chunk, Job, Plan
+from bench.campaign.plan import CampaignPlan, Chunk, Job
 from bench.campaign.pool import LocalPool
 from bench.campaign.run import Campaign
 from bench.campaign.worker import ONE_THREAD
@@ -49,7 +49,7 @@ def test_two_workers_against_one(benchmark: BenchmarkFixture, tmp_path: Path) ->
 
     def work(workers: int) -> None:
         campaign = Campaign(
-            Plan(families=("ideal", "cluttered"), scenes=SCENES), tmp_path / f"{workers}"
+            CampaignPlan(families=("ideal", "cluttered"), scenes=SCENES), tmp_path / f"{workers}"
         )
         campaign.begin()
         begun_s = time.perf_counter()
@@ -96,7 +96,7 @@ def test_what_a_campaign_takes_beside_its_chunks(
         used = resource.getrusage(resource.RUSAGE_CHILDREN)
         return used.ru_utime + used.ru_stime
 
-    campaign = Campaign(Plan(families=("ideal", "overlapping"), scenes=SCENES), tmp_path)
+    campaign = Campaign(CampaignPlan(families=("ideal", "overlapping"), scenes=SCENES), tmp_path)
     campaign.begin()
     plan, job = campaign.plan, campaign.job
     parent_s, workers_s = -time.process_time(), -children_s()

@@ -15,7 +15,7 @@ from detector.calibration.boards import Board
 from detector.calibration.bundle import LENS, POSE
 from detector.calibration.cameras import (
     BoardView,
-    Calibrated,
+    CameraFit,
     calibrate_camera,
     join_cameras,
     pair_of,
@@ -56,17 +56,17 @@ def world_fit(
 Views = Mapping[str, list[BoardView]]
 
 
-def alone_of(views: Views) -> dict[str, Calibrated]:
+def alone_of(views: Views) -> dict[str, CameraFit]:
     size = thesis_rig().left.image_size
     return {name: calibrate_camera(name, views[name], size) for name in ("left", "right")}
 
 
-def joined_of(views: Views) -> Calibrated:
+def joined_of(views: Views) -> CameraFit:
     return join_cameras(alone_of(views), joint_lenses=("left", "right"))
 
 
 @cache
-def joined(seed: int) -> Calibrated:
+def joined(seed: int) -> CameraFit:
     """A calibration of the thesis's pair."""
     return joined_of(seen(thesis_rig(), seed))
 
@@ -144,7 +144,7 @@ def shifted(views: list[BoardView], by_px: tuple[float, float]) -> list[BoardVie
     return [replace(view, pixels_px=view.pixels_px + np.array(by_px)) for view in views]
 
 
-def missed(found: Calibrated, put_in: Pair) -> Array:
+def missed(found: CameraFit, put_in: Pair) -> Array:
     """Found minus put in, by parameter in the order of the covariance."""
     pair, off = pair_of(found), dict[tuple[str, str], float]()
     for name, camera, known in (

@@ -23,7 +23,7 @@ from detector.calibration.boards import Board
 from detector.calibration.bundle import LENS, POSE, BundleError, Freedom, Rig, Sighting, adjust
 from detector.calibration.cameras import (
     BoardView,
-    Calibrated,
+    CameraFit,
     TooFewViewsError,
     calibrate_camera,
     join_cameras,
@@ -214,7 +214,7 @@ OPENCV_BOARD = Board("chessboard", 9, 6, 25.0)
 
 
 @cache
-def opencv_camera(shared_data: Path, camera: str, sub_pixel: SubPixel) -> Calibrated:
+def opencv_camera(shared_data: Path, camera: str, sub_pixel: SubPixel) -> CameraFit:
     views = []
     folder = shared_data / "opencv_stereo_chessboards" / "photos"
     for path in sorted(folder.glob(f"{camera}*.jpg")):

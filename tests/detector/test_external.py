@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from detector.calibration import Calibration
 from detector.external import ExternalDetector
 from detector.external.serve import Pictures, main, read_pictures, serve
-from detector.protocol import DetectionFailure, Detector, Outcome, Served
+from detector.protocol import DetectionFailure, Detector, DetectorProcess, Outcome
 from detector.registry import create
 from tests.conftest import ROOT
 from tests.detector.children import (
@@ -44,7 +44,7 @@ __all__ = ["start"]
 
 def test_it_answers_and_its_start_stands_apart(start: Start, rig: Calibration) -> None:
     detector = start(GOOD)
-    assert isinstance(detector, Served)
+    assert isinstance(detector, DetectorProcess)
     as_any: Detector = detector
     assert as_any.parameters["command"][0] == sys.executable
     assert len(as_any.version) == 12

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from detector.calibration import Calibration
 from detector.external.lines import (
     BadAnswer,
-    Garbled,
+    GarbledLine,
     answer_line,
     check_ready,
     context_in,
@@ -106,7 +106,7 @@ def test_pixels_that_lead_nowhere_are_reported_as_pixels(
     ],
 )
 def test_what_is_no_answer_is_garbled(rig: Calibration, sent: bytes, note: str) -> None:
-    with pytest.raises(Garbled, match=note):
+    with pytest.raises(GarbledLine, match=note):
         parse_answer(sent, "7", rig)
 
 
@@ -140,7 +140,7 @@ def test_the_first_line_says_ready() -> None:
     check_ready(b'{"ready": true, "name": "mine"}\n')
     note = r'its first line must be {"ready": true}, (is|but its line is)'
     for wrong in (b'{"ready": 1}', b"ready", b'{"frame": "1"}', b"null"):
-        with pytest.raises(Garbled, match=note):
+        with pytest.raises(GarbledLine, match=note):
             check_ready(wrong)
 
 
@@ -151,9 +151,9 @@ def test_the_first_line_says_device_and_training() -> None:
     assert said.device == "cpu"
     assert said.trained_on == {"ideal": ((0, 19), (30, 30)), "mine": ()}
     for wrong in ("[]", '{"ideal": 3}', '{"ideal": [[2, 1]]}', '{"ideal": [true]}', '{"a": ["x"]}'):
-        with pytest.raises(Garbled, match='"trained_on" must be like'):
+        with pytest.raises(GarbledLine, match='"trained_on" must be like'):
             check_ready(b'{"ready": true, "trained_on": %s}' % wrong.encode())
-    with pytest.raises(Garbled, match='"device" of its first line is 3, not text'):
+    with pytest.raises(GarbledLine, match='"device" of its first line is 3, not text'):
         check_ready(b'{"ready": true, "device": 3}')
 
 
@@ -185,6 +185,6 @@ def test_any_json_is_an_answer_or_refused(rig: Calibration, answer: dict[str, An
 
 @given(st.binary(max_size=60))
 def test_any_bytes_are_refused(rig: Calibration, data: bytes) -> None:
-    with pytest.raises(Garbled):
+    with pytest.raises(GarbledLine):
         parse_answer(data, "7", rig)
     assert len(shown(data)) <= 80

@@ -18,7 +18,7 @@ from detector.protocol import Context
 from detector.registry import (
     GROUP,
     BrokenDetectorError,
-    Plugged,
+    PluginDetector,
     UnknownDetectorError,
     available,
     broken,
@@ -102,7 +102,7 @@ def test_what_packages_bring(plugs: dict[str, EntryPoint], rig: Calibration, how
     detector = create(how.lower(), plugs.values())
     assert (detector.name, detector.version) == (how.lower(), "7")
     assert dict(detector.parameters) == {"gain": 2}
-    assert isinstance(detector, Plugged)
+    assert isinstance(detector, PluginDetector)
     assert (detector.device, detector.trained_on) == ("CUDA:0", {"ideal": ((0, 9),)})
     assert detector.detect(PICTURES, rig).reason == "plain"
 
@@ -112,7 +112,7 @@ def test_a_history_reaches_the_object_that_can_use_it(
     plugs: dict[str, EntryPoint], rig: Calibration, how: str, says: str
 ) -> None:
     detector = create(how.lower(), plugs.values())
-    assert isinstance(detector, Plugged)
+    assert isinstance(detector, PluginDetector)
     assert detector.detect_with(PICTURES, rig, Context(7.5)).reason == says
 
 

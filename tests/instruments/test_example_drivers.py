@@ -18,30 +18,30 @@ from instruments.camera.frame import Conversion, FrameError, FrameFault
 from instruments.clock import VirtualClock
 from instruments.drivers.arm import PluggedArm
 from instruments.drivers.camera import PluggedCamera, PluggedGroup
-from instruments.drivers.entry_points import Kind, Plugged
+from instruments.drivers.entry_points import Kind, PluginDriver
 from instruments.errors import DeviceError, LimitError, LinkError
 from tests.conftest import ROOT
 
-Drivers = Callable[..., Plugged]
+Drivers = Callable[..., PluginDriver]
 
 
 @pytest.fixture
 def driver(monkeypatch: pytest.MonkeyPatch) -> Drivers:
     """The class in an example, its package being a stand-in."""
 
-    def made(file: str, name: str, modules: dict[str, Any], **keys: str) -> Plugged:
+    def made(file: str, name: str, modules: dict[str, Any], **keys: str) -> PluginDriver:
         for module, members in modules.items():
             found = ModuleType(module)
             vars(found).update(members)
             monkeypatch.setitem(sys.modules, module, found)
-        return Plugged(
+        return PluginDriver(
             name, file, runpy.run_path(str(ROOT / "docs" / "examples" / file))[name], keys
         )
 
     return made
 
 
-def passes(kind: Kind, plugged: Plugged) -> None:
+def passes(kind: Kind, plugged: PluginDriver) -> None:
     """What the suite can ask of a stand-in: no link that can be cut, no late answer."""
     clock = VirtualClock()
     found = list(conform(lambda: OfPlugin(kind, plugged, clock, works=True), CHECKS))

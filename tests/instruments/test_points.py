@@ -188,7 +188,7 @@ def test_the_truth_comes_from_points_and_a_missing_one_is_asked_for_again(tmp_pa
         hand.ask, TipReader(arm, settings, None), settings, clock, lambda: None, readings=3
     )
     points, rows = toucher.touch_all(table_5_1())
-    assert np.array([point.point_mm for point in points]) == pytest.approx(ENDS_MM, abs=0.03)
+    assert np.array([point.xyz_mm for point in points]) == pytest.approx(ENDS_MM, abs=0.03)
     assert len(rows) == 3 * len(ENDS_MM)
     again = [text for text in hand.asked if text]
     assert len(again) == 2

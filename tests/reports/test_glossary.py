@@ -7,7 +7,7 @@ import pytest
 from playwright.sync_api import Browser, expect
 
 from bench.report.glossary import markdown, terms
-from reports.glossary import Explained, Term
+from reports.glossary import GlossaryLinks, Term
 from reports.page import Page
 from reports.render import write_report
 from tests.chromium import window
@@ -16,7 +16,7 @@ from tests.reports.markup import read
 from tests.reports.sample import sample_page
 
 RMS = Term("rms", 'Root mean square: "<b>" \\ size')
-EXPLAINED = Explained((RMS, Term("rms error", "x"), Term("pose", "y", ("poses",))), "a.html")
+EXPLAINED = GlossaryLinks((RMS, Term("rms error", "x"), Term("pose", "y", ("poses",))), "a.html")
 
 
 def test_whole_words_are_explained_once_and_the_rest_is_escaped() -> None:
@@ -29,8 +29,8 @@ def test_whole_words_are_explained_once_and_the_rest_is_escaped() -> None:
     ]
     assert [link.text for link in links] == ["Poses", "rms", "rms error"]
     assert "&lt;<a" in said
-    assert Explained(())("a & b") == "a &amp; b"
-    assert Explained((RMS,), names=("rms",))("rms") == "rms", "a detector may be called so"
+    assert GlossaryLinks(())("a & b") == "a &amp; b"
+    assert GlossaryLinks((RMS,), names=("rms",))("rms") == "rms", "a detector may be called so"
 
 
 def test_the_docs_have_the_same_terms() -> None:

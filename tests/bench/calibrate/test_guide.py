@@ -26,7 +26,7 @@ from detector.geometry import Camera, Motion
 from instruments.operators.operator import (
     DONE,
     Answer,
-    BoardAsked,
+    BoardPose,
     OperatorEnough,
     Request,
     no_check,
@@ -62,12 +62,12 @@ class Room:
     """An operator with the board in each cell in turn; now and then it is not there."""
 
     def __init__(self, *, empty: tuple[int, ...] = (), enough_at: int | None = None) -> None:
-        self.asked: list[BoardAsked] = []
+        self.asked: list[BoardPose] = []
         self.note: list[str] = []
         self._empty, self._enough_at, self._shown = empty, enough_at, 0
 
     def ask(self, asked: Request, check: Callable[[], None] = no_check) -> Answer:
-        assert isinstance(asked, BoardAsked)
+        assert isinstance(asked, BoardPose)
         self.asked.append(asked)
         if asked.number == self._enough_at:
             raise OperatorEnough("his arms are tired")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bench.calibrate.world import Asking, gather_points, nine, under_ball
+from bench.calibrate.world import TouchSession, gather_points, nine, under_ball
 from bench.rig.model import Arm
 from bench.truth.touching import TipReader
 from detector.calibration.boards import Board
@@ -18,7 +18,7 @@ from instruments.errors import DeviceError
 from instruments.microscribe.configuration import Identity
 from instruments.microscribe.driver import Reading
 from instruments.microscribe.errors import ArmMovesError
-from instruments.operators.operator import DONE, Answer, BoardAsked, BoardTouch, Request, no_check
+from instruments.operators.operator import DONE, Answer, BoardPose, BoardTouch, Request, no_check
 from tests.bench.calibrate.board_pictures import BOARD, LEFT, RIGHT, RIGHT_FROM_LEFT, picture, poses
 
 Grey = NDArray[np.uint8]
@@ -37,7 +37,7 @@ class Lab:
         self.moves_at, self.hidden_looks = moves_at, hidden_looks
         self.touched, self.looks = 0, 0
         self.again: list[str] = []
-        self.boards: list[BoardAsked] = []
+        self.boards: list[BoardPose] = []
         self.text: list[str] = []
         self._tip: Array = np.zeros(3)
 
@@ -49,7 +49,7 @@ class Lab:
         return {"left": picture(LEFT, pose, 1), "right": picture(RIGHT, RIGHT_FROM_LEFT @ pose, 2)}
 
     def ask(self, request: Request, check: Callable[[], None] = no_check) -> Answer:
-        if isinstance(request, BoardAsked):
+        if isinstance(request, BoardPose):
             self.boards.append(request)
         elif isinstance(request, BoardTouch):
             self.touched += 1
@@ -74,7 +74,7 @@ class Lab:
 
     def points(self, folder: Path, board: Board = BOARD) -> Array:
         tip = TipReader(self, Arm(url="emulator:"), None)
-        asking = Asking(self.look, self, tip, RADIUS_MM, self.text.append)
+        asking = TouchSession(self.look, self, tip, RADIUS_MM, self.text.append)
         return gather_points(asking, board, folder).touched_mm
 
 

@@ -21,7 +21,7 @@ import scipy
 from bench.calibrate.views import pattern_of
 from detector.calibration import dump_calibration
 from detector.calibration.boards import Board
-from detector.calibration.cameras import BoardView, Calibrated, calibrate_camera, join_cameras
+from detector.calibration.cameras import BoardView, CameraFit, calibrate_camera, join_cameras
 from detector.calibration.corners import ViewRefusedError, find_board
 from instruments.world.boards import poses
 from instruments.world.phantom import Phantom
@@ -57,7 +57,7 @@ def rendered_views(table: Mapping[str, Any], seed: int) -> dict[str, list[BoardV
     return views
 
 
-def calibrated(views: Mapping[str, list[BoardView]], size: tuple[int, int]) -> Calibrated:
+def calibrated(views: Mapping[str, list[BoardView]], size: tuple[int, int]) -> CameraFit:
     alone = {name: calibrate_camera(name, seen, size) for name, seen in views.items()}
     return join_cameras(alone, joint_lenses=("left", "right"))
 

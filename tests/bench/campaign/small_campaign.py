@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from bench.campaign.chunk import Bench, Rows, Scene, run_scene
-from bench.campaign.plan import Chunk, Job, Plan
+from bench.campaign.plan import CampaignPlan, Chunk, Job
 from bench.rig.loading import RIGS, LoadedRig
 from bench.rig.scenes import rig_renderer
 from detector.calibration import Calibration
@@ -47,11 +47,11 @@ def write_small_rig(folder: Path) -> Path:
     return rig
 
 
-def small_plan(folder: Path, **more: Any) -> Plan:
+def small_plan(folder: Path, **more: Any) -> CampaignPlan:
     """Sixteen scenes of two families in chunks of three, the thesis's detector."""
     asked = {"families": ("ideal", "overlapping"), "scenes": 8, "chunk_scenes": 3, "seed": 7}
     asked |= {"detectors": ("thesis",), "rig": str(write_small_rig(folder))}
-    return Plan.model_validate({**asked, **more})
+    return CampaignPlan.model_validate({**asked, **more})
 
 
 def run_chunk(bench: Bench, scenes: Iterable[Scene]) -> Rows:

@@ -23,7 +23,7 @@ from textwrap import dedent
 import pytest
 
 from bench.campaign.chunk import ASIDE, Rows
-from bench.campaign.plan import Chunk, Plan, plan_text
+from bench.campaign.plan import CampaignPlan, Chunk, plan_text
 from bench.campaign.pool import LocalPool
 from bench.campaign.run import Campaign, Executor
 from bench.campaign.shards import Shards, query
@@ -46,18 +46,18 @@ KILLED = int(KILLS or 1)  # of a cluster
 
 
 @pytest.fixture(scope="module")
-def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
+def plan(tmp_path_factory: pytest.TempPathFactory) -> CampaignPlan:
     return small_plan(tmp_path_factory.mktemp("plan"), scenes=max(8, 2 * WORKER_KILLS))
 
 
 @pytest.fixture(scope="module")
-def plain(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+def plain(plan: CampaignPlan, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The campaign by the plain loop: its folder and digest."""
     folder = tmp_path_factory.mktemp("plain")
     return folder, done(plan, folder, lambda campaign: Here(campaign.job)).digest()
 
 
-def done(plan: Plan, folder: Path, executor: object) -> Shards:
+def done(plan: CampaignPlan, folder: Path, executor: object) -> Shards:
     campaign = Campaign(plan, folder)
     campaign.begin()
     made: Executor = executor(campaign)  # type: ignore[operator]
@@ -67,7 +67,7 @@ def done(plan: Plan, folder: Path, executor: object) -> Shards:
 
 @pytest.mark.slow
 def test_the_order_of_chunks_changes_nothing(
-    plan: Plan, plain: tuple[Path, str], tmp_path: Path
+    plan: CampaignPlan, plain: tuple[Path, str], tmp_path: Path
 ) -> None:
     def shuffled(chunks: list[Chunk]) -> list[Chunk]:
         return random.Random(3).sample(chunks, len(chunks))
@@ -107,7 +107,7 @@ class Killing:
 @pytest.mark.skipif(sys.platform == "win32", reason="sends signals")
 @pytest.mark.parametrize("workers", WORKERS)
 def test_workers_killed_at_random_change_nothing(
-    workers: int, plan: Plan, plain: tuple[Path, str], tmp_path: Path
+    workers: int, plan: CampaignPlan, plain: tuple[Path, str], tmp_path: Path
 ) -> None:
     said: list[str] = []
     campaign = Campaign(plan, tmp_path)
@@ -197,7 +197,7 @@ def got_on(going: Running, shards: Shards, enough: int) -> bool:
 @pytest.mark.skipif(sys.platform == "win32", reason="sends signals")
 @pytest.mark.timeout(60 + 20 * CLIENT_KILLS)
 def test_a_client_killed_at_random_goes_on_where_it_was(
-    plan: Plan, plain: tuple[Path, str], tmp_path: Path, said: Said
+    plan: CampaignPlan, plain: tuple[Path, str], tmp_path: Path, said: Said
 ) -> None:
     file = tmp_path / "plan.toml"
     file.write_text(plan_text(plan, {}), encoding="utf-8")
@@ -237,15 +237,15 @@ def test_a_family_stops_when_its_interval_is_tight_enough_whatever_came_first(
 )
 def test_chunks_suit_the_number_of_scenes(families: int, scenes: int, in_chunk: int) -> None:
     names = ("ideal", "overlapping")[:families]
-    assert Plan(families=names, scenes=scenes).chunk_scenes == in_chunk
-    asked = Plan(families=names, scenes=scenes, chunk_scenes=50)
+    assert CampaignPlan(families=names, scenes=scenes).chunk_scenes == in_chunk
+    asked = CampaignPlan(families=names, scenes=scenes, chunk_scenes=50)
     text = plan_text(asked, {})
-    assert Plan.model_validate(tomllib.loads(text) | {"made_by": {}}) == asked
+    assert CampaignPlan.model_validate(tomllib.loads(text) | {"made_by": {}}) == asked
 
 
 @pytest.mark.slow
 def test_what_the_commands_write_and_refuse(
-    plan: Plan, plain: tuple[Path, str], tmp_path: Path, said: Said
+    plan: CampaignPlan, plain: tuple[Path, str], tmp_path: Path, said: Said
 ) -> None:
     folder, digest = plain
     flags = "--family ideal --family overlapping --chunk-scenes 3 --seed 7"
@@ -305,7 +305,7 @@ def test_what_the_commands_write_and_refuse(
 @pytest.mark.slow
 @pytest.mark.timeout(120 + 20 * KILLED)
 def test_a_dask_cluster_makes_the_same_rows_whoever_of_it_is_killed(
-    plan: Plan, plain: tuple[Path, str], tmp_path: Path
+    plan: CampaignPlan, plain: tuple[Path, str], tmp_path: Path
 ) -> None:
     """Worker, scheduler and client take turns to be killed; each is started again, as who watches
     a cluster does.

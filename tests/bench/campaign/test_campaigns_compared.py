@@ -15,7 +15,7 @@ from bench.campaign.chunk import ASIDE, Rows, SceneRow, Taken, TeatRow
 from bench.campaign.comparison import compare_campaigns
 from bench.campaign.ledger import Ledger
 from bench.campaign.perturbations import Applied
-from bench.campaign.plan import Plan, plan_text
+from bench.campaign.plan import CampaignPlan, plan_text
 from bench.campaign.shards import Shards
 from bench.scoring.decisions import Verdict
 from tests.bench.commands import Said
@@ -36,7 +36,7 @@ def written(
     chunk: int = 0,
 ) -> Path:
     """A campaign of two families: `d` loses so many of the second, its ends are so far off."""
-    asked = Plan(**{"families": ("ideal", "overlapping"), "scenes": SCENES, **(plan or {})})
+    asked = CampaignPlan(**{"families": ("ideal", "overlapping"), "scenes": SCENES, **(plan or {})})
     (folder / "shards").mkdir(parents=True, exist_ok=True)
     Ledger(folder).write("plan.toml", plan_text(asked, MADE_BY).encode("utf-8"))
     for family in asked.families:

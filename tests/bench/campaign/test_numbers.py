@@ -10,7 +10,7 @@ import pytest
 
 from bench.campaign.chunk import ASIDE, Rows, SceneRow, Taken
 from bench.campaign.numbers import Numbers, campaign_numbers
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.shards import Shards
 from bench.report.campaign import campaign_page
 from reports.page import Figure, Score, Scoreboard, Table
@@ -37,12 +37,12 @@ def row(member: int) -> SceneRow:
 
 
 @pytest.fixture(scope="module")
-def plan() -> Plan:
-    return Plan(families=("overlapping", "ideal"), scenes=SCENES, detectors=("fused",))
+def plan() -> CampaignPlan:
+    return CampaignPlan(families=("overlapping", "ideal"), scenes=SCENES, detectors=("fused",))
 
 
 @pytest.fixture(scope="module")
-def numbers(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Numbers:
+def numbers(plan: CampaignPlan, tmp_path_factory: pytest.TempPathFactory) -> Numbers:
     folder = tmp_path_factory.mktemp("rows")
     rows = tuple(map(row, range(SCENES)))
     gone = replace(
@@ -88,7 +88,7 @@ def test_the_parameter_that_failures_depend_on_comes_first(numbers: Numbers) -> 
 
 
 @pytest.mark.slow
-def test_the_page_says_them(numbers: Numbers, plan: Plan) -> None:
+def test_the_page_says_them(numbers: Numbers, plan: CampaignPlan) -> None:
     page = campaign_page(Path("some where"), plan, {"teatbench": "0"}, numbers)
     board = next(part for part in page.parts() if isinstance(part, Scoreboard))
     name, scenes, (score,) = board.rows[1]
@@ -104,6 +104,6 @@ def test_the_page_says_them(numbers: Numbers, plan: Plan) -> None:
     assert len(tables) == 5, tables
 
 
-def test_a_campaign_without_a_row_has_a_page(plan: Plan, tmp_path: Path) -> None:
+def test_a_campaign_without_a_row_has_a_page(plan: CampaignPlan, tmp_path: Path) -> None:
     nothing = campaign_numbers(tmp_path, plan)
     assert "No scene was scored" in render(campaign_page(tmp_path, plan, {}, nothing))

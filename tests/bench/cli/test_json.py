@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from bench.record.state import State
-from bench.results.queue import Queued, QueueStatus
+from bench.results.queue import QueueEntry, QueueStatus
 from bench.results.status import InstrumentStatus, Link, RunStatus, Safe
 from tests.bench.commands import Said
 from tests.bench.small_run import KEPT
@@ -43,7 +43,7 @@ def test_a_run_s_status_and_its_instruments_have_the_keys_of_the_page() -> None:
 
 
 def test_a_queue_has_the_keys_of_the_page() -> None:
-    shown = QueueStatus("queue-1", "rig", "", (Queued("a", "run", STATUS),), "").as_dict()
+    shown = QueueStatus("queue-1", "rig", "", (QueueEntry("a", "run", STATUS),), "").as_dict()
     assert set(shown) - {"schema_version"} == keys("key of a queue")
     assert set(shown["scripts"][0]) == set(table("key of a queue")["`scripts`"])
 

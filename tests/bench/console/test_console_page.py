@@ -46,6 +46,42 @@ def abort_in_reach(page: Page) -> None:
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), (width, height)
 
 
+def another_tab_takes_over(page: Page, address: str, folder: Path) -> None:
+    """It sees the same prompt, and may not answer before; then this one takes over again."""
+    other = page.context.new_page()
+    other.goto(address)
+    other.get_by_role("link", name=folder.name).click()
+    expect(other.locator("#ask .what")).to_contain_text(HOSTILE, timeout=SOON_MS)
+    expect(other.locator("#answer-done")).to_be_disabled()
+    other.locator("#take").click()
+    expect(other.locator("#answer-done")).to_be_enabled(timeout=SOON_MS)
+    expect(page.locator("#answer-done")).to_be_disabled(timeout=SOON_MS)
+    page.locator("#take").click()
+    other.close()
+
+
+def offline_for_a_while(page: Page, folder: Path) -> None:
+    """A reload, and a time without network: the same prompt, and nothing answered by it."""
+    before = number(folder)
+    page.reload()
+    expect(page.locator("#ask .what")).to_contain_text(HOSTILE, timeout=SOON_MS)
+    page.locator("#ask .choice input").first.check()
+    page.context.set_offline(True)
+    expect(page.locator("#connection")).to_contain_text("no connection", timeout=SOON_MS)
+    page.locator("#answer-done").click()  # into nothing
+    expect(page.locator("#problem")).to_be_visible(timeout=SOON_MS)
+    time.sleep(OFFLINE_S)
+    page.context.set_offline(False)
+    back_s = time.monotonic()
+    expect(page.locator("#connection")).to_have_text("connected", timeout=SOON_MS)
+    expect(page.locator("#ask .what")).to_contain_text(HOSTILE, timeout=SOON_MS)
+    back_s = time.monotonic() - back_s
+    expect(page.locator("#ask .choice input").first).to_be_checked()
+    page.locator("#ask .choice input").first.uncheck()
+    print(f"after {OFFLINE_S:g} s without network: the same prompt within {back_s:.2f} s")
+    assert number(folder) == before
+
+
 def test_a_run_by_clicks_and_an_abort(tmp_path: Path) -> None:
     script = hostile_script().replace('["thesis"]', '["fused"]')
     with (
@@ -64,36 +100,8 @@ def test_a_run_by_clicks_and_an_abort(tmp_path: Path) -> None:
         expect(page.locator("#ask .what")).to_contain_text(HOSTILE, timeout=SOON_MS)
         expect(page.locator("#ask img")).to_be_visible(timeout=SOON_MS)
         abort_in_reach(page)
-        # another tab sees the same prompt, may not answer, and takes over
-        other = page.context.new_page()
-        other.goto(one.address)
-        other.get_by_role("link", name=folder.name).click()
-        expect(other.locator("#ask .what")).to_contain_text(HOSTILE, timeout=SOON_MS)
-        expect(other.locator("#answer-done")).to_be_disabled()
-        other.locator("#take").click()
-        expect(other.locator("#answer-done")).to_be_enabled(timeout=SOON_MS)
-        expect(page.locator("#answer-done")).to_be_disabled(timeout=SOON_MS)
-        page.locator("#take").click()
-        other.close()
-        # a reload, and a time without network: the same prompt, and nothing answered by it
-        before = number(folder)
-        page.reload()
-        expect(page.locator("#ask .what")).to_contain_text(HOSTILE, timeout=SOON_MS)
-        page.locator("#ask .choice input").first.check()
-        page.context.set_offline(True)
-        expect(page.locator("#connection")).to_contain_text("no connection", timeout=SOON_MS)
-        page.locator("#answer-done").click()  # into nothing
-        expect(page.locator("#problem")).to_be_visible(timeout=SOON_MS)
-        time.sleep(OFFLINE_S)
-        page.context.set_offline(False)
-        back_s = time.monotonic()
-        expect(page.locator("#connection")).to_have_text("connected", timeout=SOON_MS)
-        expect(page.locator("#ask .what")).to_contain_text(HOSTILE, timeout=SOON_MS)
-        back_s = time.monotonic() - back_s
-        expect(page.locator("#ask .choice input").first).to_be_checked()
-        page.locator("#ask .choice input").first.uncheck()
-        print(f"after {OFFLINE_S:g} s without network: the same prompt within {back_s:.2f} s")
-        assert number(folder) == before
+        another_tab_takes_over(page, one.address, folder)
+        offline_for_a_while(page, folder)
         abort_in_reach(page)
         click_done(page, folder)
         while "Touch the end of" in page.locator("#ask").inner_text():

@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.record.reader import RunRecord, TrialRecord
 from bench.report.tables import attribution_parts
-from bench.results.attribution import Attributed, Cause, What, attributed, counted
+from bench.results.attribution import AttributedFault, Cause, What, attributed, counted
 from bench.scoring.scene import SceneScore, score_scene
 from reports.page import Notes, Table
 
@@ -119,4 +119,4 @@ def test_the_report_counts_them_apart_and_names_what_is_not_the_detectors() -> N
     assert len(notes.items) == 2
     found = attributed(record, "d")
     assert counted(found)[What.MISSED, Cause.BENCH] == 2
-    assert isinstance(found[0], Attributed)
+    assert isinstance(found[0], AttributedFault)

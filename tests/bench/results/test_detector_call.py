@@ -31,7 +31,15 @@ from bench.run.rows import detection_rows, stage_pictures
 from bench.scoring.scene import scene_from_dict
 from bench.script.model import TRIALS, load_script
 from detector.calibration import Calibration
-from detector.protocol import Detection, DetectionFailure, Frames, Outcome, Served, Stage, Teat
+from detector.protocol import (
+    Detection,
+    DetectionFailure,
+    DetectorProcess,
+    Frames,
+    Outcome,
+    Stage,
+    Teat,
+)
 from instruments.camera.frame import FrameSet
 
 TRUTH = [
@@ -321,7 +329,7 @@ class Remote:
 
 def test_what_lives_elsewhere_is_prepared_outside_of_its_time_and_checked() -> None:
     remote = Remote()
-    assert isinstance(remote, Served)
+    assert isinstance(remote, DetectorProcess)
     answer = examine(remote, FRAMES, CALIBRATION)
     assert (answer.outcome, answer.cold) == (Outcome.ANSWERED, True)
     assert (answer.start_up_s, answer.stderr) == (0.75, "cheese is low")

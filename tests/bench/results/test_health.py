@@ -13,16 +13,18 @@ import pytest
 
 from bench.record.reader import RunRecord, read_run
 from bench.results import health
-from bench.results.health import KEPT, QUANTITIES, Measured, charts, history, warnings
+from bench.results.health import KEPT, QUANTITIES, RunHealth, charts, history, warnings
 from bench.scoring.control_chart import BASE
 from tests.bench.small_run import KEPT as RUN
 
 BEGAN = datetime(2026, 9, 1, 8, tzinfo=UTC)
 
 
-def runs_of(values: list[float], key: str = "check_offset_mm", days: float = 2.0) -> list[Measured]:
+def runs_of(
+    values: list[float], key: str = "check_offset_mm", days: float = 2.0
+) -> list[RunHealth]:
     return [
-        Measured(
+        RunHealth(
             f"run-{k:02d}",
             (BEGAN + timedelta(days=days * k)).isoformat(),
             "lab",

@@ -21,7 +21,7 @@ from instruments.listener import Listener
 from instruments.operators.emulated import EmulatedOperator
 from instruments.operators.operator import (
     Arrangement,
-    BoardAsked,
+    BoardPose,
     BoardTouch,
     CheckPoint,
     Homing,
@@ -82,7 +82,7 @@ def test_the_hand_and_the_boards_do_as_they_are_asked(twin: EmulatedRig, port: L
         np.testing.assert_allclose(target[0], CHECK_POINT_MM)
         operator.ask(Release())
         assert twin.world.arm_target() is None
-        board = BoardAsked(Pattern(), "Hold it.", 1, fixed=True)
+        board = BoardPose(Pattern(), "Hold it.", 1, fixed=True)
         operator.ask(board)
         assert twin.world._board is not None
         operator.ask(BoardTouch(3, "Touch corner 3."))
@@ -90,9 +90,9 @@ def test_the_hand_and_the_boards_do_as_they_are_asked(twin: EmulatedRig, port: L
         operator.ask(Homing("On the peg."))
         assert twin.world.arm_target() is None
         for number in range(1, 25):
-            operator.ask(BoardAsked(Pattern(), "Hold it.", number))
+            operator.ask(BoardPose(Pattern(), "Hold it.", number))
         with pytest.raises(OperatorEnough, match="shown the board 24 times"):
-            operator.ask(BoardAsked(Pattern(), "Hold it.", 25))
+            operator.ask(BoardPose(Pattern(), "Hold it.", 25))
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ import pytest
 from bench.cli.main import main
 from bench.record.reader import read_run
 from bench.record.state import State
-from bench.results.status import Asked, InstrumentStatus, Link, RunStatus, Safe
+from bench.results.status import InstrumentStatus, Link, OpenPrompt, RunStatus, Safe
 from bench.run.events import ENDED, NOT_SAFE, PROMPTED, TRIPPED
 from bench.run.notify import Notifier, notifying, text_of, without_secrets
 from tests.bench.campaign.small_campaign import write_small_rig
@@ -35,7 +35,7 @@ STATUS = RunStatus(
     "running",
     planned=3,
     verdicts={"fused": "met"},
-    asked=Asked("touch", "Touch teat LF"),
+    asked=OpenPrompt("touch", "Touch teat LF"),
     tripped="interlock level",
     instruments=(BATH,),
     why="Because.",

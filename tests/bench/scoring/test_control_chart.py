@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.scoring.control_chart import BASE, D2, Limits, broken, limits_of, trend
+from bench.scoring.control_chart import BASE, D2, ControlLimits, broken, limits_of, trend
 
 ONE, TWO, FOUR, EIGHT = "beyond 3", "2 of the last 3", "4 of the last 5", "8 of the last 8"
 
@@ -29,7 +29,7 @@ ONE, TWO, FOUR, EIGHT = "beyond 3", "2 of the last 3", "4 of the last 5", "8 of 
     ],
 )
 def test_each_rule(off: list[float], rule: str) -> None:
-    found = broken(np.array(off) * 2.0 + 5.0, Limits(5.0, 2.0, 0.3))
+    found = broken(np.array(off) * 2.0 + 5.0, ControlLimits(5.0, 2.0, 0.3))
     assert found[-1].startswith(rule) if rule else found[-1] == ""
     assert len(found) == len(off)
 
@@ -37,8 +37,8 @@ def test_each_rule(off: list[float], rule: str) -> None:
 def test_limits_are_those_of_the_first_values() -> None:
     first = [1.0, 2.0] * (BASE // 2)
     assert limits_of(first[:-1], 0.01) is None
-    assert limits_of([*first, 99.0], 0.01) == Limits(1.5, 1.0 / D2, 0.01)
-    assert limits_of([1.0] * BASE, 0.01) == Limits(1.0, 0.01, 0.01)
+    assert limits_of([*first, 99.0], 0.01) == ControlLimits(1.5, 1.0 / D2, 0.01)
+    assert limits_of([1.0] * BASE, 0.01) == ControlLimits(1.0, 0.01, 0.01)
 
 
 def test_chance_alone_seldom_warns() -> None:

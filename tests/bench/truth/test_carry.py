@@ -14,7 +14,7 @@ import scipy
 from bench.rig.model import ROUNDING_MM
 from bench.truth.carrying import Reference, carried, fixed_key, moved, reference_from_dict
 from bench.truth.touching import end_u_mm, reading_u_mm, tip_radius_u_mm, touched
-from bench.truth.uncertainty import CARRY, CHI2_95, Component, How, TruthPoint, triple
+from bench.truth.uncertainty import CARRY, CHI2_95, Component, How, TrueEnd, triple
 from instruments.world.phantom import PlatePose
 from tests.bench.truth.touches import (
     ACCURACY,
@@ -33,7 +33,7 @@ POSES = 1000
 Draw = Callable[[np.random.Generator], TrueStage]
 
 
-def touch(rng: np.random.Generator, end_mm: np.ndarray) -> TruthPoint:
+def touch(rng: np.random.Generator, end_mm: np.ndarray) -> TrueEnd:
     """Three readings of one end: the arm's error, the definition's and the rounding are the same
     for all of them, the hand's is not.
     """
@@ -96,12 +96,12 @@ def test_without_its_line_for_the_carry_the_region_would_lie() -> None:
         start, there = CORNERS_MM[0], CORNERS_MM[2]
         seen = touch(rng, ENDS_MM[0])
         off = (
-            np.array(seen.point_mm)
+            np.array(seen.xyz_mm)
             + registration.carry_mm(start, there)
             - ENDS_MM[0]
             - stage.moves(there - start)
         )
-        bare += holds(seen, np.array(seen.point_mm) + off)
+        bare += holds(seen, np.array(seen.xyz_mm) + off)
     assert bare / 300 < 0.9
 
 
@@ -111,7 +111,7 @@ def test_what_was_not_moved_is_what_was_touched() -> None:
     start = touch(rng, ENDS_MM[0])
     at = triple(CORNERS_MM[1])
     (same,) = carried(Reference("001", "one", at, (start,), ()), registration, at, lambda _: None)
-    assert same.point_mm == start.point_mm
+    assert same.xyz_mm == start.xyz_mm
     lines = {c.name: c.u_mm for c in same.uncertainty.components}
     assert lines[CARRY] == pytest.approx(np.sqrt(2.0) * ACCURACY.repeatability_mm)
 
@@ -146,7 +146,7 @@ def test_the_table_frame_s_part_is_asked_for_at_the_new_place() -> None:
         (-50.0, -137.5, 0.0),
         frame,
     )
-    assert np.allclose(asked[0], there.point_mm)
+    assert np.allclose(asked[0], there.xyz_mm)
     assert {c.name: c.u_mm for c in there.uncertainty.components}["registration"] == 0.4
 
 
@@ -178,7 +178,7 @@ TIPS = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.0, 0.3, 0.3]])
 
 def test_the_mean_and_the_budget() -> None:
     truth = touched(TIPS, ARM)
-    assert truth.point_mm == pytest.approx((0.1, 0.1, 0.1))
+    assert truth.xyz_mm == pytest.approx((0.1, 0.1, 0.1))
     assert truth.how is How.TOUCHED
     parts = {c.name: c.u_mm for c in truth.uncertainty.components}
     assert list(parts) == ["arm", "definition", "resolution", "scatter"]
@@ -222,7 +222,7 @@ def test_a_carried_end_keeps_its_budget_and_gets_a_line() -> None:
     there = moved(start, np.array([1.0, 2.0, 3.0]), carry, "carried 5 mm", 0.35)
     parts = {c.name: c.u_mm for c in there.uncertainty.components}
     assert there.how is How.CARRIED
-    assert there.point_mm == (1.0, 2.0, 3.0)
+    assert there.xyz_mm == (1.0, 2.0, 3.0)
     assert parts["registration"] == 0.35, "the table frame's part is that of the new place"
     assert parts[CARRY] == pytest.approx(0.2), "the worst direction's"
     alike = sum(c.u_mm**2 for c in there.uncertainty.components if c.name != CARRY)

@@ -110,7 +110,7 @@ def test_touched_once_then_carried() -> None:
     assert [len(t.touches) for t in truths] == [4, 0, 0]
     for number, truth in enumerate(truths):
         there = ENDS_MM + np.array([20.0 * number, 0.0, 0.0])
-        assert np.allclose([p.point_mm for p in truth.points], there, atol=0.01)
+        assert np.allclose([p.xyz_mm for p in truth.points], there, atol=0.01)
         assert truth.stage_mm == (-150.0 + 20.0 * number, -137.5, -1.0)
 
 
@@ -141,7 +141,7 @@ def test_a_lost_step_costs_the_trials_since_the_last_good_check_and_no_other() -
     assert bench.confirmed == ["001", "002", "003"]
     assert [text for kind, text in bench.note if kind == "invalid" and "004, 005, 006" in text]
     assert after.how is How.CARRIED, "what was touched in the check is the new reference"
-    assert np.allclose([p.point_mm for p in after.points], bench.hand.ends, atol=0.05)
+    assert np.allclose([p.xyz_mm for p in after.points], bench.hand.ends, atol=0.05)
     bench.source.end()
     assert bench.confirmed[-1] == "007"
 

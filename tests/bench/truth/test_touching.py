@@ -40,7 +40,7 @@ def test_every_end_is_read_as_often_as_asked() -> None:
     hand = Hand(ENDS_MM)
     points, rows = toucher(hand, readings=2).touch_all(table_5_1())
     assert hand.asked == [(teat, number, 2) for teat in (1, 2, 3, 4) for number in (1, 2)]
-    assert np.allclose([p.point_mm for p in points], ENDS_MM)
+    assert np.allclose([p.xyz_mm for p in points], ENDS_MM)
     assert [(row["teat"], row["touch"], row["refused"]) for row in rows] == [
         (str(t), n, None) for t in (1, 2, 3, 4) for n in (1, 2)
     ]
@@ -56,7 +56,7 @@ def test_a_slip_is_asked_for_again_and_kept_with_its_reason() -> None:
     assert "median" in rows[2]["refused"]
     assert hand.asked == [(1, 1, 3), (1, 2, 3), (1, 3, 3), (1, 3, 3)]
     assert hand.again[0].startswith("A touch of teat 1 is refused")
-    assert np.linalg.norm(np.array(point.point_mm) - end) < 0.1
+    assert np.linalg.norm(np.array(point.xyz_mm) - end) < 0.1
 
 
 def test_the_wrong_teat_is_asked_for_again() -> None:
@@ -64,7 +64,7 @@ def test_the_wrong_teat_is_asked_for_again() -> None:
     points, rows = toucher(hand, readings=1).touch_all(table_5_1())
     assert hand.again == [next(row["refused"] for row in rows if row["refused"]) + " Touch teat 2."]
     assert "looks like teat 3" in hand.again[0]
-    assert np.allclose([p.point_mm for p in points], ENDS_MM)
+    assert np.allclose([p.xyz_mm for p in points], ENDS_MM)
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_an_end_far_from_the_scripts_place_is_no_truth(moved: np.ndarray) -> Non
         toucher(hand, readings=3).touch_all(table_5_1())
     near = np.add(ENDS_MM, [140.0, 0.0, 0.0])
     points, _ = toucher(Hand(near, [near[0]]), readings=1).touch_all(table_5_1())
-    assert np.allclose([p.point_mm for p in points], near)
+    assert np.allclose([p.xyz_mm for p in points], near)
 
 
 @pytest.mark.parametrize(("known", "says"), [(True, ""), (False, " (0.3 mm")])
@@ -91,7 +91,7 @@ def test_the_same_end_twice_is_asked_for_again(known: bool, says: str) -> None:
     hand = Hand(ENDS_MM, [ENDS_MM[0], ENDS_MM[0] + 0.2])
     points, _ = toucher(hand, readings=1).touch_all(Ends(ENDS_MM, UP, known))
     assert f"teat 1 once more{says}" in hand.again[0]
-    assert np.allclose([p.point_mm for p in points], ENDS_MM)
+    assert np.allclose([p.xyz_mm for p in points], ENDS_MM)
 
 
 def test_asking_again_has_an_end() -> None:
@@ -106,7 +106,7 @@ def test_asking_again_has_an_end() -> None:
 def test_an_arm_that_moves_is_read_again() -> None:
     hand = Hand(ENDS_MM, [None, ENDS_MM[0]])
     point, rows = toucher(hand, readings=1).touch_one(1, table_5_1())
-    assert point.point_mm == pytest.approx(tuple(ENDS_MM[0]))
+    assert point.xyz_mm == pytest.approx(tuple(ENDS_MM[0]))
     assert len(rows) == 1, "nothing was read, so there is no row of it"
     assert "moved" in hand.again[0]
     with pytest.raises(NoTruthError, match="moved"):
@@ -120,18 +120,18 @@ def test_a_ball_tip_is_taken_off_along_each_teat_s_axis() -> None:
     centres = [end + 3.0 * axis for end, axis in both]
     ball = toucher(Hand(phantom.ends_mm, centres), readings=1, arm=arm_settings(tip_radius_mm=3.0))
     points, rows = ball.touch_all(ends)
-    assert np.allclose([p.point_mm for p in points], phantom.ends_mm)
+    assert np.allclose([p.xyz_mm for p in points], phantom.ends_mm)
     # the record keeps what the arm said
     assert np.allclose([[row["x_mm"], row["y_mm"], row["z_mm"]] for row in rows], centres)
     plain, _ = toucher(Hand(phantom.ends_mm, centres), readings=1).touch_all(ends)
-    off = np.linalg.norm(np.array([p.point_mm for p in plain]) - phantom.ends_mm, axis=1)
+    off = np.linalg.norm(np.array([p.xyz_mm for p in plain]) - phantom.ends_mm, axis=1)
     assert off == pytest.approx(3.0), "not corrected, the truth is a radius off"
 
 
 def test_where_the_places_are_not_known_they_are_not_used() -> None:
     hand = Hand(ENDS_MM, [ENDS_MM[2]])
     point, _ = toucher(hand, readings=1).touch_one(1, Ends(ENDS_MM, UP, known=False))
-    assert point.point_mm == pytest.approx(tuple(ENDS_MM[2]))
+    assert point.xyz_mm == pytest.approx(tuple(ENDS_MM[2]))
     assert hand.again == []
 
 
@@ -202,5 +202,5 @@ def test_an_arm_that_touches_by_itself_is_told_where_and_nobody_is_asked() -> No
     points, rows = toucher(robot, readings=2).touch_all(table_5_1())
     assert robot.asked == []
     assert len(rows) == 2 * len(ENDS_MM)
-    places = np.array([point.point_mm for point in points])
+    places = np.array([point.xyz_mm for point in points])
     assert places == pytest.approx(ENDS_MM + np.array([0.3, 0.0, 0.0]))

@@ -15,7 +15,7 @@ from bench.rig.model import Arm
 from bench.script.phantom import find_layout, load_layout
 from bench.truth.registration import Registration, StageAccuracy, Station
 from bench.truth.touching import Ends, TipReader, Toucher
-from bench.truth.uncertainty import CHI2_95, TruthPoint, triple
+from bench.truth.uncertainty import CHI2_95, TrueEnd, triple
 from detector.geometry import Motion
 from instruments.clock import VirtualClock
 from instruments.microscribe.configuration import Identity
@@ -162,7 +162,7 @@ def axes_turned(found: Registration) -> tuple[Motion, Floats]:
     return turned, np.asarray(found.u_mm**2 * free.covariance[:3, :3])
 
 
-def holds(truth: TruthPoint, point_mm: ArrayLike) -> bool:
+def holds(truth: TrueEnd, point_mm: ArrayLike) -> bool:
     """Whether the stated 95 % region, an ellipsoid, holds a point (3,)."""
-    off = np.subtract(point_mm, truth.point_mm)
+    off = np.subtract(point_mm, truth.xyz_mm)
     return bool(off @ np.linalg.solve(truth.covariance_mm2, off) <= CHI2_95)

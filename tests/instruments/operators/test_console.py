@@ -22,8 +22,8 @@ PROMPTS: dict[str, op.Awaited] = {
     "check point": op.CheckPoint(1, 5),
     "set up": ASKED,
     "touch": op.Touch(1, 4),
-    "board": op.BoardAsked(Pattern(), "Hold the board. Missing: left: tilt the board.", 3),
-    "fixed board": op.BoardAsked(Pattern(), "Fix the board.", 1, fixed=True),
+    "board": op.BoardPose(Pattern(), "Hold the board. Missing: left: tilt the board.", 3),
+    "fixed board": op.BoardPose(Pattern(), "Fix the board.", 1, fixed=True),
     "corner": op.BoardTouch(0, "Touch point 1."),
 }
 IN_TRIALS = ("set up", "touch")

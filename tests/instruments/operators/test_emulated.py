@@ -149,8 +149,8 @@ def test_hands_without_a_check_point_or_a_board_say_so() -> None:
 # Calibration boards
 
 PATTERN = Pattern("chessboard", 10, 7, 40.0, 20.0)
-HELD = op.BoardAsked(PATTERN, "Hold the board.", 3)
-FIXED = op.BoardAsked(PATTERN, "Fix the board.", 1, fixed=True)
+HELD = op.BoardPose(PATTERN, "Hold the board.", 3)
+FIXED = op.BoardPose(PATTERN, "Fix the board.", 1, fixed=True)
 
 
 @pytest.mark.slow

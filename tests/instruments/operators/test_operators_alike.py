@@ -24,8 +24,8 @@ def tripped() -> None:
     raise TrippedError("over-temperature")
 
 
-FIXED = op.BoardAsked(Pattern(), "Fix the board where both cameras see it.", 1, fixed=True)
-HELD = op.BoardAsked(Pattern(), "Hold the board where both cameras see it.", 1)
+FIXED = op.BoardPose(Pattern(), "Fix the board where both cameras see it.", 1, fixed=True)
+HELD = op.BoardPose(Pattern(), "Hold the board where both cameras see it.", 1)
 PEG = op.Homing("Put the stylus on its peg.")
 CORNER = op.BoardTouch(4, "Touch the middle point.")
 ASKED: tuple[op.Awaited, ...] = (

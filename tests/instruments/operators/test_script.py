@@ -43,7 +43,7 @@ def test_answers_come_in_their_order() -> None:
     with pytest.raises(op.OperatorAbort):
         who.ask(op.Touch(1, 4))
     with pytest.raises(op.OperatorEnough):
-        who.ask(op.BoardAsked(Pattern(), "Hold it.", 3))
+        who.ask(op.BoardPose(Pattern(), "Hold it.", 3))
     who.ask(op.Finish())
     assert shown[0] == "On its peg. > go"
     assert len(shown) == 9, "each answer, and which ends are hidden"

@@ -19,7 +19,7 @@ from instruments.stage.driver import Stage
 from instruments.stage.emulator import EMULATED, FLUIDNC, MARLIN, ZABER, StageFault
 from instruments.stage.emulator import marlin as emulated_marlin
 from instruments.stage.emulator import zaber as emulated_zaber
-from instruments.stage.protocol import Malformed, Reply
+from instruments.stage.protocol import MalformedLine, Reply
 from tests.instruments.stage.board import Bench
 
 Make = Callable[..., Bench]
@@ -235,9 +235,9 @@ def test_marlin_turns_nothing_and_zaber_needs_its_motors(make: Make) -> None:
 )
 def test_zaber_replies(line: bytes, reply: Reply) -> None:
     assert zaber.parse(line) == reply
-    assert isinstance(zaber.parse(line + b"\x01"), Malformed | Reply)
-    assert isinstance(zaber.parse(b"@01 1 OK IDLE -- 0:8D"), Malformed)
-    assert isinstance(zaber.parse(line + line), Malformed), "two that ran together"
+    assert isinstance(zaber.parse(line + b"\x01"), MalformedLine | Reply)
+    assert isinstance(zaber.parse(b"@01 1 OK IDLE -- 0:8D"), MalformedLine)
+    assert isinstance(zaber.parse(line + line), MalformedLine), "two that ran together"
 
 
 def test_each_zaber_flag_that_is_not_harmless_costs_the_position(

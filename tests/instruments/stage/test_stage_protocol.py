@@ -14,7 +14,7 @@ from instruments.stage.protocol import (
     Alarm,
     Decoder,
     ErrorReply,
-    Malformed,
+    MalformedLine,
     Message,
     Ok,
     Response,
@@ -92,7 +92,7 @@ def test_a_line_is_read_whole_in_bytes_and_with_more_behind_it(
 @pytest.mark.parametrize("line", NONSENSE)
 def test_what_is_not_grbl_is_nonsense_with_a_reason(line: bytes) -> None:
     (answer,) = Decoder().feed(line + b"\r\n")
-    assert isinstance(answer, Malformed)
+    assert isinstance(answer, MalformedLine)
     assert answer.raw == line
     assert answer.why
 
@@ -101,7 +101,7 @@ def test_bytes_without_a_line_end_are_given_up_after_a_kilobyte() -> None:
     decoder = Decoder()
     assert list(decoder.feed(b"x" * 1024)) == []
     (answer,) = decoder.feed(b"x")
-    assert isinstance(answer, Malformed)
+    assert isinstance(answer, MalformedLine)
     assert list(decoder.feed(b"ok\r\n")) == [Ok()]
 
 

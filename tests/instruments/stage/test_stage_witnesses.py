@@ -35,7 +35,7 @@ from instruments.stage.emulator import (
     Dialect,
     StageEmulator,
 )
-from instruments.stage.protocol import Alarm, Malformed, Reply, Status
+from instruments.stage.protocol import Alarm, MalformedLine, Reply, Status
 from tests.examples import examples
 from tests.instruments.stage.board import Board
 
@@ -119,7 +119,7 @@ def test_the_driver_reads_what_a_firmware_answers(name: str) -> None:
     for line, answers in typed(name):
         read = [parse(one.encode("ascii")) for one in answers]
         assert "help]" in "".join(answers) or not [
-            one for one in read if isinstance(one, Malformed)
+            one for one in read if isinstance(one, MalformedLine)
         ]
         if read and line not in ("?", "!", "~", "^X") and isinstance(read[-1], protocol.Message):
             assert "Sleeping" in answers[-1], "else a line's last answer is its answer"
@@ -131,7 +131,7 @@ def test_the_driver_reads_what_a_firmware_answers(name: str) -> None:
 def test_the_driver_reads_status_reports(report: str, read: list[str]) -> None:
     status = protocol.parse(report.encode("ascii"))
     if read == ["malformed"]:
-        assert isinstance(status, Malformed)
+        assert isinstance(status, MalformedLine)
         return
     assert isinstance(status, Status)
     assert status.mpos_mm
