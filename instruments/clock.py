@@ -31,6 +31,15 @@ class Clock(Protocol):
         """Run ``action`` once the clock shows ``when_s``, or at once when that has passed."""
 
 
+def sleep_looking(clock: Clock, seconds: float, look: Callable[[], None], each_s: float) -> None:
+    """Wait, with a ``look``, which may raise, at the beginning and after every ``each_s``."""
+    end_s = clock.now() + seconds
+    look()
+    while (left_s := end_s - clock.now()) > 0.0:
+        clock.sleep(min(each_s, left_s))
+        look()
+
+
 def wall_time() -> datetime:
     """The time of day in UTC, for the record only: nothing may depend on it."""
     return datetime.now(UTC)

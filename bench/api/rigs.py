@@ -27,7 +27,7 @@ from detector.calibration import Calibration
 from instruments.bath.reading import BathReading
 from instruments.bath.sequence import pump_on, start_bath
 from instruments.captures.capture import CaptureFile
-from instruments.clock import Clock
+from instruments.clock import Clock, sleep_looking
 from instruments.drivers.protocols import Arm, Bath, Cameras, Stage
 from instruments.errors import DeviceError, LimitError
 from instruments.operators.operator import Arrangement, Homing, Operator
@@ -143,11 +143,7 @@ class OpenRig:
 
     def wait(self, seconds: float) -> None:
         """Let time pass on the bench's clock. Raises InterlockTrip."""
-        end_s = self.clock.now() + seconds
-        self.check()
-        while (left_s := end_s - self.clock.now()) > 0.0:
-            self.clock.sleep(min(LOOK_S, left_s))
-            self.check()
+        sleep_looking(self.clock, seconds, self.check, LOOK_S)
 
     def check(self) -> None:
         """Raise InterlockTrip where an interlock has tripped since `heat`."""

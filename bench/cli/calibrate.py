@@ -96,6 +96,7 @@ FOLDERS = "folders of pictures (FRAMES)"
 def cameras(given: argparse.Namespace) -> int:
     from bench.report.calibration import cameras_page, cameras_sentence
 
+    _one_source(given, given.frames, FOLDERS)
     named = dict(text.partition("=")[::2] for text in given.identity)
     for camera, serial in named.items():
         if camera not in CAMERAS or not serial:

@@ -5,13 +5,18 @@ long it takes; `plan`, how many poses a claim needs and what so many can show.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 from bench.cli.arguments import CODES, json_of, print_values
 from bench.config import ConfigError
 from bench.rig.loading import find_rig, load_rig, shipped
 from bench.scoring.rates import plural
-from bench.script.model import TRIALS, find_script, load_script
+from bench.script.model import TRIALS, LoadedScript, find_script, load_script
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 WIDEST = 500  # of a table in a file, in characters
 RATES = (0.95, 0.99, 0.999)
@@ -48,39 +53,9 @@ def show(given: argparse.Namespace) -> int:
         }
         print(json_of(shown))
         return CODES.met
-    from rich.table import Table
-
     from bench.cli.terminal import Terminal
-    from instruments.world.situations import spoken
 
-    many = ", ".join(
-        (
-            plural(len(rows), "trial"),
-            plural(len({one.name for one in script.planned}), "pose"),
-        )
-    )
-    console = Terminal()
-    cells: dict[str, list[str]] = {
-        "trial": [one.id for one in script.planned],
-        "situation": [spoken(one.situation) for one in script.planned],
-        "layout": [one.phantom.name for one in script.planned],
-        **{
-            head: [f"{row[key]:+.1f}" for row in rows]
-            for head, key in (("x", "x_mm"), ("y", "y_mm"), ("z", "z_mm"), ("yaw", "yaw_deg"))
-        },
-        "from": [one.side or "" for one in script.planned],
-    }
-    zero = [head for head, column in cells.items() if set(column) <= {"+0.0", "-0.0", ""}]
-    text = [head for head in zero if head != "from"]
-    table = Table(
-        title=f"{s.title}: {many}",
-        caption=f"0 in all trials: {', '.join(text)}" if text else None,
-    )
-    heads = [head for head in cells if head not in zero]
-    for head in heads:
-        table.add_column(head, justify="right" if len(head) <= 3 else "left", overflow="fold")
-    for values in zip(*(cells[head] for head in heads), strict=True):
-        table.add_row(*values)
+    console, table = Terminal(), _pose_table(script, rows)
     if not console.is_terminal:  # a file or a pipe has no edge
         wide = console.options.update(max_width=WIDEST)
         console.width = max(console.width, console.measure(table, options=wide).maximum)
@@ -96,6 +71,38 @@ def show(given: argparse.Namespace) -> int:
     )
     console.print(assumed_text(), highlight=False)
     return CODES.met
+
+
+def _pose_table(script: LoadedScript, rows: Sequence[Mapping[str, float]]) -> Table:
+    """A row a trial; columns that are 0 in all of them are left out, and named below."""
+    from rich.table import Table
+
+    from instruments.world.situations import spoken
+
+    poses = len({one.name for one in script.planned})
+    many = f"{plural(len(rows), 'trial')}, {plural(poses, 'pose')}"
+    cells: dict[str, list[str]] = {
+        "trial": [one.id for one in script.planned],
+        "situation": [spoken(one.situation) for one in script.planned],
+        "layout": [one.phantom.name for one in script.planned],
+        **{
+            head: [f"{row[key]:+.1f}" for row in rows]
+            for head, key in (("x", "x_mm"), ("y", "y_mm"), ("z", "z_mm"), ("yaw", "yaw_deg"))
+        },
+        "from": [one.side or "" for one in script.planned],
+    }
+    zero = [head for head, column in cells.items() if set(column) <= {"+0.0", "-0.0", ""}]
+    text = [head for head in zero if head != "from"]
+    table = Table(
+        title=f"{script.script.title}: {many}",
+        caption=f"0 in all trials: {', '.join(text)}" if text else None,
+    )
+    heads = [head for head in cells if head not in zero]
+    for head in heads:
+        table.add_column(head, justify="right" if len(head) <= 3 else "left", overflow="fold")
+    for values in zip(*(cells[head] for head in heads), strict=True):
+        table.add_row(*values)
+    return table
 
 
 def plan(given: argparse.Namespace) -> None:

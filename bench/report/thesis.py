@@ -4,7 +4,7 @@ situations or by the ends of its layout.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from operator import attrgetter
@@ -51,13 +51,6 @@ NOTE = (
 Row = tuple[str, str, str, str, str, str]
 
 
-def figures_table(rows: Iterable[Row], note: str = "") -> Table:
-    """What was printed, what its tables give, and what this run measured."""
-    heads = "figure | section | printed | by its tables | this run"
-    heads += " | what is wrong in it, or to be known"
-    return table("Figures of the thesis beside this run", heads, rows, note)
-
-
 def thesis_chapter(run: RunRecord, rules: Rules, calibration: Calibration) -> tuple[Section, ...]:
     """The chapter of a scored run that is one of the thesis's tests; else none."""
     figures = thesis()
@@ -76,7 +69,10 @@ def thesis_chapter(run: RunRecord, rules: Rules, calibration: Calibration) -> tu
     rows += _plane(run, figures) if "plane" in kinds else ()
     rows += [*_asked(run, figures), *_rig(run, figures, calibration)]
     pictured = tuple(_pictured(run, known, calibration)) if known else ()
-    beside = figures_table(rows, NOTE if known else "")
+    # What was printed, what its tables give, and what this run measured
+    heads = "figure | section | printed | by its tables | this run"
+    heads += " | what is wrong in it, or to be known"
+    beside = table("Figures of the thesis beside this run", heads, rows, NOTE if known else "")
     parts = (beside, *pictured, elsewhere_table(figures, *kinds))
     return (Section("published", "Beside the thesis", parts),)
 

@@ -222,20 +222,16 @@ def _pooled(
     return CameraOffset(name, float(medians.mean()), scatter, common, n, *map(float, scales[1:]))
 
 
-def can_tell(seen: Mapping[str, Mapping[str, EndOffsets]]) -> bool:
-    """Whether the ends of these poses, by name, are enough for the check."""
-    rows = {pose: [asdict(one) for one in ends.values()] for pose, ends in seen.items() if ends}
-    check = check_cameras(rows, JointCovariance.exact(sum(map(len, rows.values()))))
-    return check.disparity is not None and not check.unseen
-
-
 def unchecked_text(
     seen: Mapping[str, Mapping[str, EndOffsets]], truth: Mapping[str, Sequence[TruthRow]]
 ) -> str:
     """Why the cameras of these frames were not checked, with what was looked at; empty where they
     were.
     """
-    if can_tell(seen):
+    # Whether the ends of these poses, by name, are enough for the check
+    rows = {pose: [asdict(one) for one in ends.values()] for pose, ends in seen.items() if ends}
+    check = check_cameras(rows, JointCovariance.exact(sum(map(len, rows.values()))))
+    if check.disparity is not None and not check.unseen:
         return ""
     measured = sum(one.disparity_px is not None for ends in seen.values() for one in ends.values())
     ends = sum(row.visible for frame in seen for row in truth.get(frame, ()))

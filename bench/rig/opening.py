@@ -43,7 +43,7 @@ from instruments.clock import Clock, PacedClock, RealClock, VirtualClock
 from instruments.drivers.arm import PluggedArm
 from instruments.drivers.bath import PluggedBath
 from instruments.drivers.camera import PluggedCamera, PluggedGroup
-from instruments.drivers.entry_points import Kind, PluginDriver, load, plugin_url
+from instruments.drivers.entry_points import Kind, Plugin, load, plugin_url
 from instruments.drivers.protocols import Arm, Bath, Cameras, Stage
 from instruments.drivers.stage import PluggedStage
 from instruments.errors import DeviceError, InstrumentError
@@ -311,7 +311,7 @@ def _open_cameras(rig: LoadedRig, clock: Clock, emulator: str = "") -> Cameras:
     return CameraSet(openers, conversions, group)
 
 
-def _at(plugged: PluginDriver, emulator: str) -> PluginDriver:
+def _at(plugged: Plugin, emulator: str) -> Plugin:
     return plugged.with_keys(url=emulator) if emulator else plugged
 
 
@@ -371,7 +371,7 @@ class _Openers:
             found["operator"] = lambda: RemoteOperator(port, self._clock)
         return found
 
-    def _driver(self, kind: Kind, url: str) -> PluginDriver | None:
+    def _driver(self, kind: Kind, url: str) -> Plugin | None:
         """The plug-in of ``url``, with its emulator's port; None where it names none."""
         plug = plugin_url(url)
         port = self._ports[kind] if plug and plug.emulated else ""

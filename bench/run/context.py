@@ -35,7 +35,7 @@ from bench.safety.bath_monitor import BathMonitor, TripHandler
 from bench.safety.stability import StabilityGate
 from bench.script.model import LoadedScript
 from bench.truth.touching import TipReader
-from instruments.clock import VirtualClock, stopwatch_s, wall_time
+from instruments.clock import VirtualClock, sleep_looking, stopwatch_s, wall_time
 from instruments.operators.operator import KIND_OF, Answer, BoardTouch, Release, Request, Touch
 
 LOOK_S = 1.0
@@ -114,11 +114,7 @@ class RunContext:
 
     def wait(self, seconds: float) -> None:
         """Let time pass. Raises InterlockTrip."""
-        end_s = self.clock.now() + seconds
-        self.check()
-        while (left_s := end_s - self.clock.now()) > 0.0:
-            self.clock.sleep(min(LOOK_S, left_s))
-            self.check()
+        sleep_looking(self.clock, seconds, self.check, LOOK_S)
 
     def check(self) -> None:
         """A sign of life, and a look."""

@@ -295,15 +295,15 @@ def decide_error(
             missing = enough - n
         reason = f"within the acceptance limit of {accepted}{claim}"
     # what so many poses show, whatever was asked for
-    level = min(measured, accept) if accept is not None else 0.0
-    beyond = int((worst > level).sum())
-    certain = leak(level, limit_mm, u_mm) if accept is not None and u_mm is not None else 1.0
-    shown = percent_apart(shown_rate(beyond, counted, sure, certain), rate)
-    if accept is not None and not (looks.again and beyond):
-        reason += f"; {n - beyond} of {plural(n, 'pose')} within {level:.2f} mm show {shown}"
+    if u_mm is not None and accept is not None:
+        level = min(measured, accept)
+        beyond = int((worst > level).sum())
+        if not (looks.again and beyond):
+            rate_shown = shown_rate(beyond, counted, sure, leak(level, limit_mm, u_mm))
+            shown = percent_apart(rate_shown, rate)
+            reason += f"; {n - beyond} of {plural(n, 'pose')} within {level:.2f} mm show {shown}"
     band = refuse - limit_mm if accept is None or verdict is Verdict.NOT_MET else limit_mm - accept
-    were = "was" if missed == 1 else "were"
-    without = f" Of the found teats only: {missed} {were} missed." if missed else ""
+    without = f" Of the found teats only: {missed} {'was' if missed == 1 else 'were'} missed."
     return replace(
         nothing,
         n=n,
@@ -312,7 +312,7 @@ def decide_error(
         uncertainty=band,
         verdict=verdict,
         sentence=f"The largest distance over {plural(n, 'pose')} is {measured:.2f} mm,"
-        f" {reason}.{without}",
+        f" {reason}.{without if missed else ''}",
         missing=missing,
     )
 

@@ -13,14 +13,7 @@ from instruments.clock import Clock
 from instruments.drivers.arm import PluggedArm
 from instruments.drivers.bath import PluggedBath
 from instruments.drivers.camera import PluggedCamera, PluggedGroup
-from instruments.drivers.entry_points import (
-    EMULATORS,
-    Kind,
-    PluginDriver,
-    PluginUrl,
-    available,
-    load,
-)
+from instruments.drivers.entry_points import EMULATORS, Kind, Plugin, PluginUrl, available, load
 from instruments.drivers.stage import PluggedStage
 from instruments.errors import InstrumentError
 
@@ -31,7 +24,7 @@ SET_POINT_C = 30.0
 class OfPlugin(Subject):
     """``plugged`` as it is; ``works``: it may heat and move."""
 
-    def __init__(self, kind: Kind, plugged: PluginDriver, clock: Clock, *, works: bool) -> None:
+    def __init__(self, kind: Kind, plugged: Plugin, clock: Clock, *, works: bool) -> None:
         self.kind, self.plugged, self.clock, self.works = kind, plugged, clock, works
 
     def open(self) -> None:
@@ -112,7 +105,7 @@ class OnEmulator(OfPlugin, Wired):
     """The same on its package's emulator, whose ``is_safe``, where it has one, is asked."""
 
     def __init__(
-        self, kind: Kind, plugged: PluginDriver, clock: Clock, emulator: Any, late_s: float = LATE_S
+        self, kind: Kind, plugged: Plugin, clock: Clock, emulator: Any, late_s: float = LATE_S
     ) -> None:
         Wired.__init__(self, clock, emulator, kind, late_s)
         self.emulator = emulator

@@ -5,16 +5,15 @@ moved meanwhile.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
 from instruments.clock import Clock
 from instruments.drivers.border import Border
-from instruments.drivers.entry_points import PluginDriver
+from instruments.drivers.entry_points import Plugin
 from instruments.drivers.plugin import ArmDriver, ArmPoint
-from instruments.errors import DeviceError, InstrumentError, LimitError, TouchAgainError
+from instruments.errors import DeviceError, LimitError, TouchAgainError
 from instruments.microscribe.configuration import Identity
 from instruments.microscribe.driver import Reading
 
@@ -31,7 +30,7 @@ class PluggedArm:
     pedals = False
     warnings: tuple[str, ...] = ()
 
-    def __init__(self, plugged: PluginDriver, clock: Clock) -> None:
+    def __init__(self, plugged: Plugin, clock: Clock) -> None:
         self.who = f"arm {plugged.name}"
         self.moves = False
         self._clock = clock
@@ -157,8 +156,7 @@ class PluggedArm:
 
     def close(self) -> None:
         """Close it; once more is no error."""
-        with suppress(InstrumentError):
-            self._border.close()
+        self._border.forget()
 
     def _texts(self) -> Mapping[str, str]:
         given = self._border.call("identity", lambda arm: dict(arm.identity))

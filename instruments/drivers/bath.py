@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from typing import Any, Literal
 
 from instruments.bath.profile import AlarmCode, Capabilities, NumberUnit, Profile
@@ -11,7 +10,7 @@ from instruments.bath.reading import BathReading
 from instruments.bath.rows import Quantity
 from instruments.clock import Clock
 from instruments.drivers.border import Border
-from instruments.drivers.entry_points import PluginDriver
+from instruments.drivers.entry_points import Plugin
 from instruments.drivers.plugin import BathDriver, BathState
 from instruments.errors import DeviceError, InstrumentError, LimitError
 
@@ -20,7 +19,7 @@ SAME_K = 0.051  # a set point that is read back: half a step of a tenth, and rou
 ALARM = 1  # the code of whatever its alarm says in words
 
 
-def profile_of(plugged: PluginDriver) -> Profile:
+def profile_of(plugged: Plugin) -> Profile:
     """What the bench knows of such a bath before it is opened. Raises LimitError where its class
     doesn't say it.
     """
@@ -63,7 +62,7 @@ class PluggedBath:
     pump_on = False
     watchdog_s: float | None = None
 
-    def __init__(self, plugged: PluginDriver, clock: Clock, *, identify: bool = True) -> None:
+    def __init__(self, plugged: Plugin, clock: Clock, *, identify: bool = True) -> None:
         self.url, self.who = plugged.url, f"bath {plugged.name}"
         self.profile = profile_of(plugged)
         self.before_heating: Callable[[], None] = lambda: None
@@ -192,8 +191,7 @@ class PluggedBath:
 
     def close(self) -> None:
         """Close it as it is; once more is no error."""
-        with suppress(InstrumentError):
-            self._border.close()
+        self._border.forget()
 
     def _identify(self) -> None:
         given = self._border.call("identity", lambda bath: dict(bath.identity))

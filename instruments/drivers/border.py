@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from instruments.clock import Clock, VirtualClock
-from instruments.drivers.entry_points import PluginDriver
+from instruments.drivers.entry_points import Plugin
 from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
 
 CALL_S, OPEN_S, CLOSE_S = 10.0, 10.0, 2.0
@@ -39,7 +39,7 @@ class Border(Generic[Made]):
     link. `calling` gives it, for one thread at a time.
     """
 
-    def __init__(self, plugged: PluginDriver, who: str, clock: Clock) -> None:
+    def __init__(self, plugged: Plugin, who: str, clock: Clock) -> None:
         self.who, self.plugged = who, plugged
         self._clock = clock
         self._made: Made | None = None
@@ -77,17 +77,11 @@ class Border(Generic[Made]):
         return self._within(what, lambda: work(made), limit_s)
 
     def forget(self) -> None:
-        """Close the plug-in, and open another one when it is next needed."""
+        """Close the plug-in, in 2 s at most; another one is opened when it is next needed."""
         made, self._made = self._made, None
         if made is not None:
             with suppress(InstrumentError):  # it is gone, or hangs
                 self._within("close", lambda: made.close(), CLOSE_S)  # type: ignore[attr-defined]
-
-    def close(self) -> None:
-        """Close it, in 2 s at most; once more is no error."""
-        made, self._made = self._made, None
-        if made is not None:
-            self._within("close", lambda: made.close(), CLOSE_S)  # type: ignore[attr-defined]
 
     @contextmanager
     def _translated(self, what: str) -> Iterator[None]:

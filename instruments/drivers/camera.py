@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 
 import numpy as np
 
@@ -11,8 +10,8 @@ from instruments.camera.cameras import CAN_GIVE, Camera, CameraGroup
 from instruments.camera.frame import FrameError, FrameFault, RawFrame
 from instruments.clock import Clock
 from instruments.drivers.border import Border
-from instruments.drivers.entry_points import PluginDriver
-from instruments.errors import DeviceError, InstrumentError, LimitError
+from instruments.drivers.entry_points import Plugin
+from instruments.errors import DeviceError, LimitError
 
 CAPTURE_S = 30.0  # a long exposure, and a slow link
 
@@ -20,7 +19,7 @@ CAPTURE_S = 30.0  # a long exposure, and a slow link
 class PluggedCamera:
     """As `instruments.camera.cameras.Camera`; whatever it raises but a lost link costs a frame."""
 
-    def __init__(self, plugged: PluginDriver, name: str, clock: Clock) -> None:
+    def __init__(self, plugged: Plugin, name: str, clock: Clock) -> None:
         self.who, self._name = f"{name} camera {plugged.name}", name
         self._border: Border[Camera] = Border(plugged, self.who, clock)
         with self._border.opening():
@@ -43,14 +42,13 @@ class PluggedCamera:
             raise FrameError(FrameFault.DROPPED, self._name, self.who, str(error)) from error
 
     def close(self) -> None:
-        with suppress(InstrumentError):
-            self._border.close()
+        self._border.forget()
 
 
 class PluggedGroup:
     """As `instruments.camera.cameras.CameraGroup`."""
 
-    def __init__(self, plugged: PluginDriver, clock: Clock) -> None:
+    def __init__(self, plugged: Plugin, clock: Clock) -> None:
         self.who = f"cameras {plugged.name}"
         self._border: Border[CameraGroup] = Border(plugged, self.who, clock)
         with self._border.opening():
@@ -74,8 +72,7 @@ class PluggedGroup:
         return {part: checked(self._border, given[part]) for part in self.parts}
 
     def close(self) -> None:
-        with suppress(InstrumentError):
-            self._border.close()
+        self._border.forget()
 
 
 def checked(border: Border[Camera] | Border[CameraGroup], frame: object) -> RawFrame:

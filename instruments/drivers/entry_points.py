@@ -45,7 +45,7 @@ def plugin_url(url: str) -> PluginUrl | None:
 
 
 @dataclass(frozen=True, slots=True)
-class PluginDriver:
+class Plugin:
     """A driver of another package: what makes it, and who wrote it."""
 
     name: str
@@ -65,9 +65,9 @@ class PluginDriver:
         """Open it with the clock, or an emulator's world and clock. Raises whatever it raises."""
         return self.maker(*given, **self.keys)
 
-    def with_keys(self, **keys: str) -> PluginDriver:
+    def with_keys(self, **keys: str) -> Plugin:
         """The same with further keys."""
-        return PluginDriver(self.name, self.source, self.maker, {**self.keys, **keys})
+        return Plugin(self.name, self.source, self.maker, {**self.keys, **keys})
 
 
 def available(group: str) -> dict[str, str]:
@@ -75,7 +75,7 @@ def available(group: str) -> dict[str, str]:
     return {plug.name: _source(plug) for plug in entry_points(group=group)}
 
 
-def load(kind: Kind, url: PluginUrl, *, emulator: bool = False) -> PluginDriver:
+def load(kind: Kind, url: PluginUrl, *, emulator: bool = False) -> Plugin:
     """The driver, or the emulator, that ``url`` names; not opened. Raises LimitError."""
     group = (EMULATORS if emulator else GROUPS)[kind]
     plugs = {plug.name: plug for plug in entry_points(group=group)}
@@ -94,7 +94,7 @@ def load(kind: Kind, url: PluginUrl, *, emulator: bool = False) -> PluginDriver:
         raise LimitError(kind, f"{_source(plug)} can't be loaded: {said}") from error
     if not callable(maker):
         raise LimitError(kind, f"{_source(plug)} gives a {type(maker).__name__}, no class")
-    return PluginDriver(url.name, _source(plug), maker, url.keys)
+    return Plugin(url.name, _source(plug), maker, url.keys)
 
 
 def _source(plug: EntryPoint) -> str:

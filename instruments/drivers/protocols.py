@@ -6,7 +6,7 @@ may be called at any time, twice, and after a fault; `close` twice.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
@@ -17,8 +17,7 @@ from instruments.camera.frame import FrameSet
 from instruments.microscribe.configuration import Identity
 from instruments.microscribe.driver import Reading
 from instruments.operators.operator import Operator
-from instruments.stage.protocol import Status
-from instruments.stage.settings import AxisLimits, StageIdentity, StageSettings
+from instruments.stage.calls import StageCalls as Stage
 
 Floats = NDArray[np.float64]
 __all__ = ["Arm", "Bath", "Cameras", "Stage"]
@@ -63,71 +62,6 @@ class Arm(Protocol):
     def glance(self) -> Reading | None: ...
     def buttons(self) -> int: ...
     def touch(self, point_mm: Floats, axis: Floats) -> None: ...
-    def safe(self) -> None: ...
-    def close(self) -> None: ...
-
-
-class Stage(Protocol):
-    """A motion stage, in machine coordinates. ``before_moving`` is called before anything that
-    moves it; ``moves``: by a call of ours, and no stand was read back since. `brake` and `stands`
-    may be called from any thread.
-    """
-
-    who: str
-    url: str
-    axes: str
-    moves: bool
-    before_moving: Callable[[], None]
-
-    @property
-    def safe_state(self) -> str: ...
-    @property
-    def identity(self) -> StageIdentity: ...
-    @property
-    def settings(self) -> StageSettings: ...
-    @property
-    def limits(self) -> dict[str, AxisLimits]: ...
-    @property
-    def homed(self) -> bool: ...
-
-    def connect(self) -> StageIdentity: ...
-    def reconnect(self) -> StageIdentity: ...
-    def recover(self) -> None: ...
-    def home(self) -> None: ...
-    def position(self) -> Floats: ...
-    def status(self) -> Status: ...
-    def move_to(
-        self,
-        x_mm: float,
-        y_mm: float,
-        *,
-        z_mm: float | None = None,
-        a_deg: float | None = None,
-        feed_mm_min: float | None = None,
-    ) -> None: ...
-    def begin_move(
-        self,
-        x_mm: float,
-        y_mm: float,
-        *,
-        z_mm: float | None = None,
-        a_deg: float | None = None,
-        feed_mm_min: float | None = None,
-    ) -> None: ...
-    def finish_move(self) -> None: ...
-    def jog(
-        self,
-        *,
-        x_mm: float = 0.0,
-        y_mm: float = 0.0,
-        z_mm: float = 0.0,
-        a_deg: float = 0.0,
-        feed_mm_min: float | None = None,
-    ) -> None: ...
-    def cancel_jog(self) -> None: ...
-    def brake(self) -> None: ...
-    def stands(self) -> Status | None: ...
-    def stop(self) -> None: ...
     def safe(self) -> None: ...
     def close(self) -> None: ...
 

@@ -5,8 +5,6 @@ behind every move, and a stop that doesn't stop it is an error.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -14,18 +12,17 @@ from numpy.typing import NDArray
 
 from instruments.clock import Clock
 from instruments.drivers.border import Border
-from instruments.drivers.entry_points import PluginDriver
+from instruments.drivers.entry_points import Plugin
 from instruments.drivers.plugin import StageDriver, StageState
 from instruments.errors import DeviceError, InstrumentError, LimitError
-from instruments.stage.protocol import AXES, Status
+from instruments.stage.calls import StageCalls
+from instruments.stage.protocol import Status
 from instruments.stage.settings import (
     DECLARABLE,
-    AxisLimits,
     StageIdentity,
     StageSettings,
     Target,
     check_within,
-    declared,
 )
 
 POLL_S = 0.2
@@ -39,18 +36,15 @@ class _Move(NamedTuple):
     jog: bool
 
 
-class PluggedStage:
+class PluggedStage(StageCalls):
     """As `instruments.stage.driver.Stage`."""
 
     safe_state = "at a stand, as it reads back itself"
 
-    def __init__(self, plugged: PluginDriver, clock: Clock, axes: str) -> None:
-        self.url, self.who, self.axes = plugged.url, f"stage {plugged.name}", axes
-        self.before_moving: Callable[[], None] = lambda: None
-        self.moves = False
+    def __init__(self, plugged: Plugin, clock: Clock, axes: str) -> None:
+        super().__init__(plugged.url, f"stage {plugged.name}", axes)
         self._clock = clock
         self._border: Border[StageDriver] = Border(plugged, self.who, clock)
-        self._known: tuple[StageIdentity, StageSettings] | None = None
         self._homed_at = 0  # of the opening
         self._move: _Move | None = None
 
@@ -90,28 +84,8 @@ class PluggedStage:
             pull_off_mm=0.0,
             low_mm=lows,
         )
-        self._known = identity, settings
+        self._identified = identity, settings
         return identity
-
-    @property
-    def identity(self) -> StageIdentity:
-        """Who answered ``connect``. Raises LimitError before."""
-        return self._met[0]
-
-    @property
-    def settings(self) -> StageSettings:
-        """Its travel and feed as ``connect`` read them. Raises LimitError before."""
-        return self._met[1]
-
-    @property
-    def _met(self) -> tuple[StageIdentity, StageSettings]:
-        if self._known is None:
-            raise LimitError(self.who, "not connected yet", hint="Call connect().")
-        return self._known
-
-    @property
-    def limits(self) -> dict[str, AxisLimits]:
-        return {axis: of for axis, of in self.settings.limits.items() if axis in self.axes}
 
     @property
     def homed(self) -> bool:
@@ -139,51 +113,6 @@ class PluggedStage:
         if not state.homed:
             raise DeviceError(self.who, "it is not homed after homing", hint="See its controller.")
         self._homed_at, self.moves = self._border.opened, False
-
-    def move_to(
-        self,
-        x_mm: float,
-        y_mm: float,
-        *,
-        z_mm: float | None = None,
-        a_deg: float | None = None,
-        feed_mm_min: float | None = None,
-    ) -> None:
-        """Move and wait until it stands at the target, as read back. Raises LimitError before
-        homing and outside the travel, DeviceError when it ends elsewhere.
-        """
-        self.begin_move(x_mm, y_mm, z_mm=z_mm, a_deg=a_deg, feed_mm_min=feed_mm_min)
-        self.finish_move()
-
-    def begin_move(
-        self,
-        x_mm: float,
-        y_mm: float,
-        *,
-        z_mm: float | None = None,
-        a_deg: float | None = None,
-        feed_mm_min: float | None = None,
-    ) -> None:
-        """Start what ``finish_move`` waits for. Raises as ``move_to``."""
-        wanted = {"X": x_mm, "Y": y_mm, "Z": z_mm, "A": a_deg}
-        self._go(declared(wanted, self.axes, who=self.who), feed_mm_min, jog=False)
-
-    def jog(
-        self,
-        *,
-        x_mm: float = 0.0,
-        y_mm: float = 0.0,
-        z_mm: float = 0.0,
-        a_deg: float = 0.0,
-        feed_mm_min: float | None = None,
-    ) -> None:
-        """Start a relative move. Raises as ``move_to``."""
-        wanted = {"X": x_mm or None, "Y": y_mm or None, "Z": z_mm or None, "A": a_deg or None}
-        way = declared(wanted, self.axes, who=self.who)
-        if not way:
-            raise LimitError(self.who, "a jog without a distance", hint="Give a way along an axis.")
-        here = self._places(self._state())
-        self._go({axis: here[axis] + by for axis, by in way.items()}, feed_mm_min, jog=True)
 
     def cancel_jog(self) -> None:
         """End a jog early and wait for a stand. Nothing without a jog."""
@@ -225,8 +154,6 @@ class PluggedStage:
             self.stands()
         self._move, self.moves = None, False
 
-    safe = stop
-
     def reconnect(self) -> StageIdentity:
         """Open it again; it has to be homed then."""
         self._move, self._homed_at = None, 0
@@ -241,12 +168,14 @@ class PluggedStage:
 
     def close(self) -> None:
         """Close it, without stopping it; once more is no error."""
-        with suppress(InstrumentError):
-            self._border.close()
+        self._border.forget()
 
-    @property
-    def _letters(self) -> str:
-        return AXES if "A" in self.axes else AXES[:3]
+    def _begin_move(self, target: Target, feed_mm_min: float | None) -> None:
+        self._go(target, feed_mm_min, jog=False)
+
+    def _begin_jog(self, way: Target, feed_mm_min: float | None) -> None:
+        here = self._places(self._state())
+        self._go({axis: here[axis] + by for axis, by in way.items()}, feed_mm_min, jog=True)
 
     def _go(self, target: Target, feed_mm_min: float | None, *, jog: bool) -> None:
         asked = ", ".join(f"{axis} {value:g}" for axis, value in target.items())
@@ -264,10 +193,6 @@ class PluggedStage:
         self._begin_moving()
         self._border.call("move", lambda stage: stage.move(dict(target), feed), allowed_s)
         self._move = _Move(target, self._clock.now() + allowed_s, jog)
-
-    def _begin_moving(self) -> None:
-        self.before_moving()
-        self.moves = True
 
     def _until_still(self, deadline_s: float, late: str, *, aside: bool = False) -> StageState:
         while (state := self._state(aside=aside)).moving:

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from instruments.clock import sleep_looking
 from instruments.operators import operator as op
 from instruments.world.boards import Board, poses
 from instruments.world.optics import CameraModel, Floats
@@ -65,12 +66,7 @@ class EmulatedOperator:
         if isinstance(request, op.Task | op.NextTrial | op.Finish):
             return op.DONE
         if not isinstance(request, op.Release):
-            clock = self._world.clock
-            end_s = clock.now() + self._prompt_s
-            check()
-            while (left_s := end_s - clock.now()) > 0.0:
-                clock.sleep(min(LOOK_S, left_s))
-                check()
+            sleep_looking(self._world.clock, self._prompt_s, check, LOOK_S)
         match request:
             case op.Arrangement():
                 return self._set_up(request)

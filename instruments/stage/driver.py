@@ -13,7 +13,7 @@ turntable.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -22,17 +22,15 @@ from numpy.typing import NDArray
 from instruments.clock import Clock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.link import Link
+from instruments.stage.calls import StageCalls
 from instruments.stage.connection import ANSWER_S, Dialogue
 from instruments.stage.marlin import MarlinDialogue
-from instruments.stage.protocol import AXES, Position, Status, axis_words
+from instruments.stage.protocol import Position, Status, axis_words
 from instruments.stage.settings import (
     DECLARABLE,
-    AxisLimits,
     StageIdentity,
-    StageSettings,
     Target,
     check_within,
-    declared,
 )
 from instruments.stage.zaber import Motor, ZaberDialogue
 
@@ -58,7 +56,7 @@ class Move(NamedTuple):
     jog: bool
 
 
-class Stage:
+class Stage(StageCalls):
     """The stage of ``axes`` "XY", "XYZ", "XYA" or "XYZA" at ``link``, for one thread. Every call
     may raise LinkError, ProtocolError, DeviceError and LimitError (refused before sending).
     """
@@ -75,8 +73,7 @@ class Stage:
         if axes not in DECLARABLE:
             hint = f"Declare {', '.join(DECLARABLE)}."
             raise LimitError(link.who, f"a stage has no axes {axes!r}", hint=hint)
-        self.axes = axes
-        self.url, self.who = link.url, link.who
+        super().__init__(link.url, link.who, axes)
         self._link = link
         self._clock = clock
         match dialect:
@@ -86,10 +83,6 @@ class Stage:
                 self._dialogue = MarlinDialogue(link, clock)
             case "zaber":
                 self._dialogue = ZaberDialogue(link, clock, motors)
-        # called before anything is sent that moves it; what it raises keeps that from being sent
-        self.before_moving: Callable[[], None] = lambda: None
-        self.moves = False  # by a call of ours, and no stand was read back since
-        self._identified: tuple[StageIdentity, StageSettings] | None = None
         self._homed_at: int | None = None  # the count of upsets when homing succeeded
         self._move: Move | None = None
 
@@ -102,27 +95,6 @@ class Stage:
     def safe_state(self) -> str:
         """What it is in once ``safe`` has returned."""
         return self._dialogue.safe
-
-    @property
-    def identity(self) -> StageIdentity:
-        """Who answered ``connect``. Raises LimitError before."""
-        return self._known[0]
-
-    @property
-    def settings(self) -> StageSettings:
-        """The controller's settings as ``connect`` read them. Raises LimitError before."""
-        return self._known[1]
-
-    @property
-    def _known(self) -> tuple[StageIdentity, StageSettings]:
-        if self._identified is None:
-            raise LimitError(self.who, "not connected yet", hint="Call connect().")
-        return self._identified
-
-    @property
-    def limits(self) -> dict[str, AxisLimits]:
-        """Travel by axis letter: mm, or degrees for A. Raises LimitError before ``connect``."""
-        return {axis: limits for axis, limits in self.settings.limits.items() if axis in self.axes}
 
     @property
     def homed(self) -> bool:
@@ -154,34 +126,7 @@ class Stage:
         self._homed_at = upsets
         self.moves = False
 
-    def move_to(
-        self,
-        x_mm: float,
-        y_mm: float,
-        *,
-        z_mm: float | None = None,
-        a_deg: float | None = None,
-        feed_mm_min: float | None = None,
-    ) -> None:
-        """Move in a straight line and wait until the stage stands at the target, as read back.
-        Raises LimitError before homing, outside the travel or unless idle, DeviceError when it ends
-        elsewhere.
-        """
-        self.begin_move(x_mm, y_mm, z_mm=z_mm, a_deg=a_deg, feed_mm_min=feed_mm_min)
-        self.finish_move()
-
-    def begin_move(
-        self,
-        x_mm: float,
-        y_mm: float,
-        *,
-        z_mm: float | None = None,
-        a_deg: float | None = None,
-        feed_mm_min: float | None = None,
-    ) -> None:
-        """Start what ``finish_move`` waits for. Raises as ``move_to``."""
-        wanted = {"X": x_mm, "Y": y_mm, "Z": z_mm, "A": a_deg}
-        target = declared(wanted, self.axes, who=self.who)
+    def _begin_move(self, target: Target, feed_mm_min: float | None) -> None:
         feed = self._feed(target, feed_mm_min)
         lines = self._dialogue.move_lines(target, feed)
         self._check_homed(lines[-1])
@@ -190,20 +135,7 @@ class Stage:
         way = {axis: target[axis] - here[axis] for axis in target}
         self._send(lines, target, way, feed)
 
-    def jog(
-        self,
-        *,
-        x_mm: float = 0.0,
-        y_mm: float = 0.0,
-        z_mm: float = 0.0,
-        a_deg: float = 0.0,
-        feed_mm_min: float | None = None,
-    ) -> None:
-        """Start a relative move for ``finish_move`` or ``cancel_jog``. Raises as ``move_to``."""
-        wanted = {"X": x_mm or None, "Y": y_mm or None, "Z": z_mm or None, "A": a_deg or None}
-        way = declared(wanted, self.axes, who=self.who)
-        if not way:
-            raise LimitError(self.who, "a jog without a distance", hint="Give a way along an axis.")
+    def _begin_jog(self, way: Target, feed_mm_min: float | None) -> None:
         feed = self._feed(way, feed_mm_min)
         line = f"jog {axis_words(way, feed, who=self.who)}"
         self._check_homed(line)
@@ -290,8 +222,6 @@ class Stage:
                     what = f"can't be stopped: {worse.what}"
                     raise LinkError(self.who, what, hint="Cut its power.") from error
 
-    safe = stop
-
     def reconnect(self) -> StageIdentity:
         """Open the link again and identify the controller; it has to be homed then. Raises
         LinkError, else as ``connect``.
@@ -327,11 +257,6 @@ class Stage:
             hint = "A rotation A needs a controller with four axes."
             raise ProtocolError(self.who, what, hint=hint)
         return self._by_letter(numbers)
-
-    @property
-    def _letters(self) -> str:
-        """In the order of the controller's lists, which have Z whether it is declared or not."""
-        return AXES if "A" in self.axes else AXES[:3]
 
     def _by_letter(self, numbers: Position) -> Target:
         return dict(zip(self._letters, numbers, strict=False))
@@ -372,11 +297,6 @@ class Stage:
         self._begin_moving()
         self._dialogue.send(lines)
         self._move = Move(target, self._clock.now() + allowed, allowed, jog)
-
-    def _begin_moving(self) -> None:
-        """From now on it may move, by us."""
-        self.before_moving()
-        self.moves = True
 
     def _until_over(self, move: Move) -> Status:
         """The report of an idle stage after the move. Raises DeviceError: hold, lock, deadline."""

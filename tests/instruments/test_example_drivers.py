@@ -18,30 +18,30 @@ from instruments.camera.frame import Conversion, FrameError, FrameFault
 from instruments.clock import VirtualClock
 from instruments.drivers.arm import PluggedArm
 from instruments.drivers.camera import PluggedCamera, PluggedGroup
-from instruments.drivers.entry_points import Kind, PluginDriver
+from instruments.drivers.entry_points import Kind, Plugin
 from instruments.errors import DeviceError, LimitError, LinkError
 from tests.conftest import ROOT
 
-Drivers = Callable[..., PluginDriver]
+Drivers = Callable[..., Plugin]
 
 
 @pytest.fixture
 def driver(monkeypatch: pytest.MonkeyPatch) -> Drivers:
     """The class in an example, its package being a stand-in."""
 
-    def made(file: str, name: str, modules: dict[str, Any], **keys: str) -> PluginDriver:
+    def made(file: str, name: str, modules: dict[str, Any], **keys: str) -> Plugin:
         for module, members in modules.items():
             found = ModuleType(module)
             vars(found).update(members)
             monkeypatch.setitem(sys.modules, module, found)
-        return PluginDriver(
+        return Plugin(
             name, file, runpy.run_path(str(ROOT / "docs" / "examples" / file))[name], keys
         )
 
     return made
 
 
-def passes(kind: Kind, plugged: PluginDriver) -> None:
+def passes(kind: Kind, plugged: Plugin) -> None:
     """What the suite can ask of a stand-in: no link that can be cut, no late answer."""
     clock = VirtualClock()
     found = list(conform(lambda: OfPlugin(kind, plugged, clock, works=True), CHECKS))
