@@ -4,7 +4,9 @@ a script asks for. A trial is whole in the store, or not there at all.
 
 from __future__ import annotations
 
+import ctypes
 import json
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -541,6 +543,17 @@ def write_trial(
     images = frames.pictures | stage_pictures(answers)
     pictures = store.frames(trial_id, images, frames.exposed_s)
     store.finished(TrialRecord(head, pictures, touches, truth_rows, detections, found, scores))
+    if store.keeps_pictures:
+        release_memory()
+
+
+def release_memory() -> None:
+    """Return freed memory to the system, where the C library is glibc (malloc_trim(3)): its heap
+    is fragmented by frames, and would grow with each trial.
+    """
+    if sys.platform == "linux":
+        with suppress(OSError, AttributeError):
+            ctypes.CDLL(None).malloc_trim(0)
 
 
 def _head(trial: PlannedTrial) -> dict[str, object]:

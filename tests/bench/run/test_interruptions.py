@@ -335,6 +335,18 @@ def test_an_abort_is_taken_before_the_first_trial_too(tmp_path: Path) -> None:
     assert texts(run, EVENT) == ["preparing", "safing", "aborted"]
 
 
+def test_ctrl_c_before_there_are_instruments_is_an_abort(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    files(tmp_path)
+    monkeypatch.setattr("bench.run.start.open_instruments", interrupted)
+    run, _ = start(tmp_path)
+    assert read_run(run).ending == "aborted"
+
+
 def test_a_request_left_in_the_folder_is_taken_once(tmp_path: Path) -> None:
     requests = Requests(tmp_path, lambda: None, lambda _: None)
     states = []
@@ -353,17 +365,6 @@ def test_a_request_left_in_the_folder_is_taken_once(tmp_path: Path) -> None:
         with pytest.raises(raised):
             requests.look()
         requests.look()
-
-
-def test_what_was_left_for_a_bench_that_died_counts_no_more(tmp_path: Path) -> None:
-    note: list[str] = []
-    leave_request(tmp_path, "abort")
-    requests = Requests(tmp_path, lambda: None, note.append)
-    requests.forget()
-    requests.look()
-    assert note == ["Left in the last session and not taken; it is void now: abort"]
-    requests.forget()
-    assert len(note) == 1
 
 
 def test_words() -> None:
