@@ -87,7 +87,7 @@ class Motion:
     @property
     def om(self) -> Array:
         """Rotation vector (3,), radians."""
-        return vector_from_rotation(self.R)
+        return _om(self)
 
     def apply(self, points_mm: ArrayLike) -> Array:
         """Move points (n, 3) or one point (3,)."""
@@ -109,6 +109,13 @@ class Motion:
 @lru_cache(maxsize=64)
 def _inverse(motion: Motion) -> Motion:
     return Motion(motion.R.T, -motion.R.T @ motion.T)
+
+
+@lru_cache(maxsize=256)  # a bundle adjustment asks for those of its poses, camera by camera
+def _om(motion: Motion) -> Array:
+    om = vector_from_rotation(motion.R)
+    om.setflags(write=False)
+    return om
 
 
 def rigid_fit(target_mm: ArrayLike, source_mm: ArrayLike) -> Motion:

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
         BathState,
         Camera,
         CameraGroup,
+        MakersCalibration,
+        MakersLens,
         StageDriver,
         StageState,
     )
@@ -32,7 +34,7 @@ _PROMISED = {
     "instruments.clock": ("Clock", "RealClock", "VirtualClock"),
     "instruments.drivers.plugin": (
         *("ArmDriver", "ArmPoint", "BathDriver", "BathState", "Camera", "CameraGroup"),
-        *("StageDriver", "StageState"),
+        *("MakersCalibration", "MakersLens", "StageDriver", "StageState"),
     ),
     "instruments.errors": (
         *("DeviceError", "InstrumentError", "LimitError", "LinkError", "ProtocolError"),
@@ -42,7 +44,7 @@ _PROMISED = {
 __all__ = [
     "ArmDriver", "ArmPoint", "BathDriver", "BathState", "Camera", "CameraGroup", "Clock",
     "DeviceError", "FrameError", "FrameFault", "InstrumentError", "LimitError", "Link", "LinkError",
-    "ProtocolError", "Ranging", "RawFrame", "RealClock", "StageDriver", "StageState",
-    "VirtualClock",
+    "MakersCalibration", "MakersLens", "ProtocolError", "Ranging", "RawFrame", "RealClock",
+    "StageDriver", "StageState", "VirtualClock",
 ]  # fmt: skip
 __getattr__ = lazily(__name__, _PROMISED)

@@ -8,6 +8,8 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from hashlib import sha256
+from itertools import chain
+from operator import attrgetter
 from typing import Literal, get_args
 
 from reports.trust import PageError, address
@@ -79,6 +81,10 @@ class Label:
 
 
 Shape = Circle | Ellipse | Cross | Rect | Polyline | Label
+_NUMBERS = {
+    kind: attrgetter(*(one.name for one in fields(kind) if one.type is float))
+    for kind in (Circle, Ellipse, Cross, Rect, Label)
+}
 
 
 def places_of(detectors: Iterable[str]) -> dict[str, int]:
@@ -130,10 +136,11 @@ class Overlay:
 
     def __post_init__(self) -> None:
         for shape in self.shapes:
-            values = (getattr(shape, field.name) for field in fields(shape))
-            numbers = [one for one in values if not isinstance(one, str | bool | tuple)]
+            numbers: Iterable[float]
             if isinstance(shape, Polyline):
-                numbers = [number for point in shape.points_px for number in point]
+                numbers = chain(*shape.points_px)
+            else:
+                numbers = _NUMBERS[type(shape)](shape)
             if not all(map(math.isfinite, numbers)):
                 raise PageError(
                     f"overlay {self.name!r}: {shape} has a coordinate that is not finite; leave the"

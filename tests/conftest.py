@@ -5,7 +5,6 @@ shared where they may be.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import gc
 import os
 import signal
@@ -19,6 +18,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from bench.run.trial import release_memory
 from bench.script.model import TRIALS
 from tests.examples import examples
 from tests.undrawn import bare, undrawn, without_figures
@@ -170,14 +170,13 @@ def bounded_memory(trimmed_mib: list[float]) -> Iterator[None]:
     a second, so it comes again only when the worker has grown by `GROWN_MIB` since.
     """
     yield
-    mib = _resident_mib()
+    mib = resident_mib()
     if mib > MOST_MIB:
         _forget_what_is_kept()
     if mib > MOST_MIB or mib > max(TRIM_MIB, trimmed_mib[0] + GROWN_MIB):
         gc.collect()
-        with contextlib.suppress(OSError, AttributeError):  # glibc only
-            ctypes.CDLL(None).malloc_trim(0)
-        trimmed_mib[0] = mib = _resident_mib()
+        release_memory()
+        trimmed_mib[0] = mib = resident_mib()
     assert mib < MOST_MIB, f"this worker holds {mib:.0f} MiB"
 
 
@@ -192,7 +191,7 @@ def _forget_what_is_kept() -> None:
                     thing.cache_clear()
 
 
-def _resident_mib() -> float:
+def resident_mib() -> float:
     """Resident memory of this process; 0 where only Linux tells."""
     status = Path("/proc/self/statm")
     if not status.exists():

@@ -22,8 +22,9 @@ KETTLE = """
 import os
 import threading
 
-from instruments import BathState
-from lab_drivers import Tank, TankEmulator
+import bench
+from instruments import BathState, MakersCalibration, MakersLens
+from lab_drivers import Eyes, EyesEmulator, Tank, TankEmulator
 
 OVER = threading.Event()  # ends what hangs
 
@@ -45,18 +46,9 @@ class Kettle(Tank):
 
     def read(self):
         state = super().read()
-        match self.mode:
-            case "says what it likes":
-                return (state.temp_c, True)
-            case "no number":
-                return BathState(float("nan"), state.running, state.set_point_c)
-            case "exits":
-                raise SystemExit("bye")
-            case "hangs in read":
-                OVER.wait(60.0)
-            case "reads at random":
-                self.n = getattr(self, "n", 0) + 1
-                return BathState(20.0 + 2.0 * self.n, state.running, state.set_point_c)
+        if self.mode == "reads at random":
+            self.n = getattr(self, "n", 0) + 1
+            return BathState(20.0 + 2.0 * self.n, state.running, state.set_point_c)
         return state
 
     def start(self, set_point_c):
@@ -70,12 +62,25 @@ class Kettle(Tank):
         if self.mode == "standby hangs":
             OVER.wait(60.0)
         super().standby()
+
+
+class Calibrated(Eyes):
+    def makers_calibration(self):
+        found = bench.load_rig("calibrated.toml").calibration
+        way = found.right_from_left
+        left = MakersLens(found.left.image_size, found.left.matrix, found.left.kc)
+        right = MakersLens(found.right.image_size, found.right.matrix, found.right.kc, way.R, way.T)
+        return MakersCalibration({"left": left, "right": right}, {"stereo T1": 0.02})
 """
 POINTS = """
 [teatbench.baths]
 kettle = kettle:Kettle
 [teatbench.emulators.baths]
 kettle = kettle:TankEmulator
+[teatbench.cameras]
+calibrated = kettle:Calibrated
+[teatbench.emulators.cameras]
+calibrated = kettle:EyesEmulator
 """
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import importlib
 import json
+import re
 import shlex
 import sys
 from collections.abc import Iterator
@@ -119,6 +120,14 @@ def test_errors_grow_with_noise(rig: str, tmp_path: Path) -> None:
     for name, quantity in study.QUANTITIES.items():
         changed = quantity.scene(bench.member("ideal", 0), quantity.values[-1])
         assert (changed != bench.member("ideal", 0)) == (not quantity.perturbation), name
+
+
+@pytest.mark.slow
+def test_failing_scenes_are_counted(rig: str, capsys: pytest.CaptureFixture[str]) -> None:
+    found = example("failing_scenes").main("thesis", ("rod",), 1.0, rig=rig)
+    failed, tried, distinct = map(int, re.findall(r"\d+(?= failing| distinct|,)", found)[:3])
+    assert 0 < distinct <= failed <= tried
+    assert capsys.readouterr().out.count("Scene(") == distinct
 
 
 @pytest.mark.slow

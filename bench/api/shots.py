@@ -43,9 +43,11 @@ class Shot:
     state: SceneState | None = None
 
 
-def load_rig(rig: AnyRig = "emulated") -> LoadedRig:
-    """A shipped rig by name, or any by its file. Raises ConfigError with all faults."""
-    return rig if isinstance(rig, LoadedRig) else load_rig_file(find_rig(str(rig)))
+def load_rig(rig: AnyRig | None = "emulated") -> LoadedRig:
+    """A shipped rig by name, or any by its file; None: the emulated one. Raises ConfigError with
+    all faults.
+    """
+    return rig if isinstance(rig, LoadedRig) else load_rig_file(find_rig(str(rig or "emulated")))
 
 
 def families() -> tuple[str, ...]:

@@ -11,7 +11,7 @@ Kalibr, "YAML formats" (T_cn_cnm1 in metres); MATLAB, toStruct of stereoParamete
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +23,10 @@ from scipy.io import savemat
 from bench.calibrate.foreign import Foreign, read_mat, read_storage, read_yaml
 from bench.calibrate.mat_values import OBJECT
 from bench.config import ConfigError
-from detector.calibration import Part
+from detector.calibration import ParameterCovariance, Part
 from detector.calibration.gate import lens_faults
 from detector.geometry import Array, Camera, Motion
+from instruments.camera.cameras import MakersCalibration
 
 PLUMB_BOB = "plumb_bob"
 SIDES = ("left", "right")
@@ -94,6 +95,41 @@ def write_opencv(part: Part, path: Path) -> None:
         storage.write("R", np.array(motion.R))
         storage.write("T", np.array(motion.T).reshape(3, 1))
     storage.release()
+
+
+def read_maker(given: MakersCalibration, sizes: Mapping[str, tuple[int, int]], source: str) -> Part:
+    """What the maker of a camera group states of pictures with ``sizes`` (columns, rows). Raises
+    ConfigError.
+    """
+    found = Foreign(Path(source), {})
+    if {"left", "right"} - set(given.lenses) or set(given.lenses) - {"left", "right", "depth"}:
+        raise found.refusal("lenses", f"are {', '.join(given.lenses)}; left, right, perhaps depth")
+    lenses, motions = {}, {}
+    for part, one in given.lenses.items():
+        if tuple(one.size_px) != sizes.get(part):
+            seen = f"is {one.size_px}, its pictures are {sizes.get(part, 'not there')}"
+            raise found.refusal(f"{part} size_px", seen)
+        K = found.numbers(f"{part} matrix", 9, value=np.asarray(one.matrix).tolist())
+        D = found.numbers(f"{part} distortion", value=list(one.distortion))
+        R = found.numbers(f"{part} R", 9, value=np.asarray(one.R).tolist())
+        T_mm = found.numbers(f"{part} T_mm", 3, value=list(one.T_mm))
+        lens = (f"{part} matrix", K), (f"{part} distortion", D)
+        lenses[part] = _camera(found, *lens, _size(found, f"{part} size_px", one.size_px))
+        motions[part] = _motion(found, f"{part} R", R, f"{part} T_mm", T_mm)
+    names = [(owner, name) for owner, _, name in (key.rpartition(" ") for key in given.sd)]
+    try:
+        sd = np.array(list(given.sd.values()), dtype=np.float64)
+        covariance = ParameterCovariance(tuple(names), np.diag(sd**2)) if names else None
+    except ValueError as error:
+        raise found.refusal("sd", f"can't be: {error}") from error
+    return Part(
+        left=lenses["left"],
+        right=lenses["right"],
+        right_from_left=motions["right"],
+        depth=lenses.get("depth"),
+        depth_from_left=motions.get("depth"),
+        covariance=covariance,
+    )
 
 
 def read_bouguet(path: Path) -> Part:

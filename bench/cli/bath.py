@@ -21,10 +21,10 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
+import bench
 from bench.cli.arguments import CODES, complain, json_of, print_values
 from bench.cli.terminal import Terminal
 from bench.config import ConfigError, did_you_mean
-from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import Bath as BathTable
 from bench.rig.opening import open_instruments, rig_of
 from bench.safety.latch import acknowledge as acknowledge_latch
@@ -150,7 +150,7 @@ def standby(given: argparse.Namespace) -> int:
 
 
 def acknowledge(given: argparse.Namespace) -> None:
-    rig = load_rig(find_rig(given.rig))
+    rig = bench.load_rig(given.rig)
     latch = read_latch(latch_path(rig))
     if latch is None:
         print("nothing is latched: no interlock of this rig waits to be acknowledged")

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+import bench
 from bench.calibrate import exchange
 from bench.calibrate.cameras import (
     LEAST_LOOKED_AT,
@@ -55,11 +56,8 @@ from bench.cli.terminal import working
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
 from bench.rig.alone import TakePictures, pictures, with_retries
-from bench.rig.devices import Devices
-from bench.rig.loading import LoadedRig, find_board, find_rig, load_rig
-from bench.rig.opening import open_instruments
+from bench.rig.loading import find_board
 from bench.script.calibration_age import refuse_other_cameras
-from bench.truth.touching import TipReader
 from bench.version import __version__
 from detector.calibration import (
     DEFAULT_PLANE_DEPTH_MM,
@@ -74,7 +72,7 @@ from detector.calibration import (
 from detector.calibration.bundle import BundleError
 from detector.calibration.gate import pair_faults
 from instruments.clock import wall_time
-from instruments.operators.operator import Finish, Homing
+from instruments.operators.operator import Finish
 from instruments.world.boards import NoPlaceError
 
 if TYPE_CHECKING:
@@ -157,7 +155,7 @@ def _delivered(given: argparse.Namespace) -> ThermalFormat:
     """How thermal pictures come, by command, by the rig's calibration or by its file."""
     size, mirrored, polarity = (160, 120), False, None
     if given.rig:
-        rig = load_rig(find_rig(given.rig))
+        rig = bench.load_rig(given.rig)
         known, table = rig.made_calibration, rig.rig.cameras.thermal
         if known is not None:
             thermal = known.thermal
@@ -185,19 +183,15 @@ def world(given: argparse.Namespace) -> int:
         # A table of points of the board that the rig's arm touched and its cameras saw
         board, _ = find_board(given.board)
         folder = free_folder(given.out)
-        with _opened(given, pair.part, arm=True) as (parts, rig, look):
-            arm = parts.arm
+        with _opened(given, pair.part, arm=True) as (rig, look):
             try:
-                arm.sign_on()
-                tip = TipReader(arm, rig.rig.arm, rig.frame)
-                tip.refuse_other_arm()
-                parts.operator.ask(Homing(arm.homing))
-                arm.confirm_homed()
-                asking = TouchSession(look, parts.operator, tip, rig.rig.arm.tip_radius_mm, say)
+                rig.home()
+                radius_mm = rig.loaded.rig.arm.tip_radius_mm
+                asking = TouchSession(look, rig.operator, rig.tip, radius_mm, say)
                 gather_points(asking, board, folder)
-                parts.operator.ask(Finish())
+                rig.operator.ask(Finish())
             finally:
-                arm.safe()
+                rig.arm.safe()
         given.points = folder / POINTS_FILE
     result = calibrate_world(
         read_points(given.points), pair.part, pixel_sd_px=given.pixel_sd, touch_sd_mm=given.touch_sd
@@ -280,10 +274,10 @@ def _check_ends(given: argparse.Namespace, part: Part) -> int:
     anew: list[FrameSet] = []
     if given.rig:
         say(f"The phantom has to stand as in the last trial of {given.ends}.")
-        with _opened(given, part, arm=False) as (parts, rig, _):
+        with _opened(given, part, arm=False) as (rig, _):
             for _ in range(CHECK_VIEWS):
-                parts.clock.sleep(rig.rig.cameras.settle_s)
-                anew.append(with_retries(parts.cameras.capture)())
+                rig.clock.sleep(rig.loaded.rig.cameras.settle_s)
+                anew.append(with_retries(rig.cameras.capture)())
     with working("looking for the ends in the pictures"):
         found = check_folder(given.ends, calibration, anew)
     if anew and not found.thermal:
@@ -427,13 +421,13 @@ def _gather_views(
 ) -> dict[str, str]:
     """Take views of ``board`` as ``given.frames``; gives back the cameras' identities."""
     folder = free_folder(given.out)
-    with _opened(given, known, arm=False) as (parts, _, look):
+    with _opened(given, known, arm=False) as (rig, look):
         try:
-            kept = gather(look, parts.operator, board, request, folder, say)
+            kept = gather(look, rig.operator, board, request, folder, say)
         except NoPlaceError as error:  # of the emulated operator
             raise ConfigError.plain(f"--board {given.board}: {error}") from error
-        parts.operator.ask(Finish())
-        identity = dict(parts.cameras.identity)
+        rig.operator.ask(Finish())
+        identity = dict(rig.cameras.identity)
     say(f"{kept} views in {folder}")
     given.frames = [folder]
     return {camera: str(who) for camera, who in identity.items() if camera in request.cameras}
@@ -442,20 +436,18 @@ def _gather_views(
 @contextmanager
 def _opened(
     given: argparse.Namespace, known: Part | None, *, arm: bool
-) -> Iterator[tuple[Devices, LoadedRig, TakePictures]]:
+) -> Iterator[tuple[bench.OpenRig, TakePictures]]:
     """The rig's instruments, and what takes each camera's picture once all has come to rest."""
-    rig = load_rig(find_rig(given.rig))
-    seed = rig.rig.seed if given.seed is None else given.seed
     names = ("arm", "operator", "cameras") if arm else ("operator", "cameras")
-    with open_instruments(rig, names, seed=seed, capture=given.capture) as parts:
-        refuse_other_cameras(known.record if known else None, parts.cameras.identity)
-        taken = with_retries(lambda: pictures(parts.cameras.capture()))
+    with bench.open_rig(given.rig, names, seed=given.seed, capture=given.capture) as rig:
+        refuse_other_cameras(known.record if known else None, rig.cameras.identity)
+        taken = with_retries(lambda: pictures(rig.cameras.capture()))
 
         def look() -> Mapping[str, Grey]:
-            parts.clock.sleep(rig.rig.cameras.settle_s)
+            rig.clock.sleep(rig.loaded.rig.cameras.settle_s)
             return taken()
 
-        yield parts, rig, look
+        yield rig, look
 
 
 # Boards, other tools, the stage
@@ -480,16 +472,44 @@ def export(given: argparse.Namespace) -> None:
 
 
 def take_over(given: argparse.Namespace) -> None:
-    part = exchange.read_foreign(given.file, given.format, given.image_size)
-    _write_step(given, replace(part, record=_record(given, given.file)), None)
+    _one_source(given, given.file, "the other tool's files")
+    if given.rig:
+        part, record = _makers(given)
+    elif given.format is None:
+        raise ConfigError.plain("which tool's files are they? Name it with --format")
+    else:
+        part = exchange.read_foreign(given.file, given.format, given.image_size)
+        record = _record(given, given.file)
+    _write_step(given, replace(part, record=record), None)
     for fault in pair_faults(part.right_from_left) if part.right_from_left else ():
         complain(f"look at T before you go on: {fault}", CODES.met)
+
+
+def _makers(given: argparse.Namespace) -> tuple[Part, Record]:
+    """What the maker of the rig's cameras states of them."""
+    with bench.open_rig(given.rig, ("cameras",)) as rig:
+        ask = getattr(rig.cameras, "makers_calibration", None)
+        stated = ask() if ask else None
+        if stated is None:
+            raise ConfigError.plain(
+                f"{given.rig}: its cameras' driver has no calibration of their maker; calibrate"
+                " them with a board ('teatbench calibrate cameras')"
+            )
+        identity, shown = rig.cameras.identity, rig.cameras.capture()
+    sizes = {"left": shown.left.shape[::-1], "right": shown.right.shape[::-1]}
+    if shown.depth_dmm is not None:
+        sizes["depth"] = shown.depth_dmm.shape[::-1]
+    part = exchange.read_maker(stated, sizes, f"the calibration of {identity['left']}'s maker")
+    said = "stated with standard deviations" if part.covariance else "WITHOUT any uncertainty"
+    print(f"the maker's calibration of {identity['left']}, {said}")
+    record = _record(given, (), identity)
+    return part, replace(record, with_what=f"the maker's own, read by {record.with_what}")
 
 
 def stage(given: argparse.Namespace) -> int:
     from bench.truth.registration import write_registration
 
-    rig = load_rig(find_rig(given.rig))
+    rig = bench.load_rig(given.rig)
     found = calibrate_stage(
         rig,
         wall_time().replace(microsecond=0),

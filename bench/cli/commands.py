@@ -228,7 +228,6 @@ FROM_TOOL = option(
     "--format",
     "of which tool; for matlab the structure that toStruct(stereoParams) gives",
     choices=("opencv", "bouguet", "ros", "kalibr", "matlab"),
-    required=True,
 )
 TOUCH_NOISE = (
     option("--pixel-sd PX", "standard deviation of a pixel coordinate, px", SD, 0.1),
@@ -868,10 +867,11 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         REPLACE,
     ),
     "calibrate import": (
-        "take over the cameras that another tool calibrated, as a part for 'merge'",
+        "take over the cameras that another tool or their maker calibrated, as a part for 'merge'",
         "calibrate import left.yaml right.yaml --format ros --out cameras.toml",
-        option("file FILE", "the other tool's file; for ros two: left, right", nargs="+"),
+        option("file FILE", "the other tool's file; for ros two: left, right", nargs="*"),
         FROM_TOOL,
+        option("--rig RIG", "whose cameras' maker is asked, by their driver (help drivers)"),
         option("--image-size COLUMNSxROWS", "px; for opencv, whose files may leave it out", size),
         *_part("cameras.toml"),
     ),

@@ -11,15 +11,15 @@ import re
 import shlex
 import shutil
 import sys
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import bench
 from bench.cli.arguments import CODES, complain, json_of, print_values
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
-from bench.script.detectors import DECLARED, declared, make_detectors, refusals
+from bench.script.detectors import DECLARED, declared, refusals
 from detector.protocol import Outcome
 
 if TYPE_CHECKING:
@@ -139,29 +139,19 @@ def detect(given: argparse.Namespace) -> int:
 def try_out(given: argparse.Namespace) -> int:
     """Ask twice about one frame: what answers once may not read on."""
     from bench.cli.terminal import working
-    from bench.record.recording import Recording
-    from bench.results.answers import Examiner, close_detectors
 
-    detectors = make_detectors([given.word])
-    try:
-        with (
-            tempfile.TemporaryDirectory(prefix="teatbench-") as made,
-            working("asking the detector about a frame"),
-        ):
-            recording = Recording(given.recording or _drawn(Path(made), _unseen(detectors[0])))
-            calibration = read_calibration(recording.calibration_path)
-            for why in refusals(detectors, calibration):
-                raise ConfigError.plain(why)
-            frame = recording.frames[0]
-            frames, truth = recording.load(frame), recording.truth.get(frame, ())
-            examiner = Examiner(calibration)
-            answers = [examiner.ask(detectors[0], frames)]
-            if not _fault(answers[0]):
-                answers.append(examiner.ask(detectors[0], frames))
-    finally:
-        close_detectors(detectors)
+    with (
+        bench.open_detector(given.word) as detector,
+        working("asking the detector about a frame"),
+    ):
+        frame, shot = _frame(given.recording) if given.recording else _drawn(_unseen(detector))
+        for why in refusals([detector], shot.calibration):
+            raise ConfigError.plain(why)
+        answers = [bench.detect(detector, shot)]
+        if not _fault(answers[0]):
+            answers.append(bench.detect(detector, shot))
     where = given.recording or f"the simulated situation {SITUATION}"
-    device = f" on {device}" if (device := getattr(detectors[0], "device", "")) else ""
+    device = f" on {device}" if (device := getattr(detector, "device", "")) else ""
     print(f"detector {answers[0].detector}{device}, frame {frame} of {where}")
     for number, answer in enumerate(answers, 1):
         if why := _fault(answer):
@@ -178,11 +168,11 @@ def try_out(given: argparse.Namespace) -> int:
     started = f", started in {first.start_up_s:.2f} s" if first.start_up_s is not None else ""
     print(f"answered in {first.seconds:.3f} s, again in {again.seconds:.3f} s{started}")
     found = first.detection
-    visible = f"; {sum(row.visible for row in truth)} can be seen" if truth else ""
+    visible = f"; {sum(row.visible for row in shot.truth)} can be seen" if shot.truth else ""
     print(f"teats found: {len(found.teats)}, said to be hidden: {found.hidden}{visible}")
     for number, teat in enumerate(found.teats, 1):
         print(f"  {number}: {', '.join(f'{v:.1f}' for v in teat.world_mm)} mm", end="")
-        print(_nearest(teat, truth))
+        print(_nearest(teat, shot.truth))
     if found.reason:
         print(f"its reason: {found.reason}")
     word = shlex.quote(given.word)
@@ -202,13 +192,16 @@ def _unseen(detector: Detector) -> int:
     return member
 
 
-def _drawn(folder: Path, member: int) -> Path:
-    from bench.rig.loading import find_rig, load_rig
-    from bench.rig.scenes import record
+def _frame(folder: Path) -> tuple[str, bench.Shot]:
+    """The first of a recording, by its name."""
+    recording = bench.Recording(folder)
+    frame = recording.frames[0]
+    calibration = read_calibration(recording.calibration_path)
+    return frame, bench.Shot(recording.load(frame), calibration, recording.truth.get(frame, ()))
 
-    for _ in record(load_rig(find_rig(None)), [SITUATION], [member], folder, 1):
-        pass
-    return folder
+
+def _drawn(member: int) -> tuple[str, bench.Shot]:
+    return f"{SITUATION}-{member:04d}", bench.draw(SITUATION, member)
 
 
 def _fault(answer: Answer) -> str:

@@ -8,12 +8,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import bench
 from bench.cli.arguments import CODES, json_of
 from bench.cli.terminal import working
 from bench.dry_run.pose_checks import Finding, dry_run
 from bench.dry_run.rehearsal import NoTwinError, Rehearsal, rehearse
 from bench.rig.loading import LoadedRig
-from bench.rig.opening import open_instruments
 from bench.rig.urls import PEOPLE
 from bench.run.estimate import needs, no_room, read_durations
 from bench.run.lock import RigInUseError, lock_path, locked
@@ -172,11 +172,10 @@ def _stage_settings(rig: LoadedRig) -> tuple[StageSettings | None, str]:
     try:
         with (
             locked(lock if lock and lock.exists() else None, "a dry run", lambda _: None),
-            open_instruments(rig, ("stage",)) as devices,
+            bench.open_rig(rig, ("stage",)) as opened,
         ):
-            if stage := devices.stage:
-                stage.connect()
-            return stage.settings if stage else None, ""
+            opened.stage.connect()
+            return opened.stage.settings, ""
     except RigInUseError:
         return None, "another bench has the rig"
     except InstrumentError:

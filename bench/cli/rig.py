@@ -11,10 +11,11 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import bench
 from bench.cli.arguments import CODES, complain, print_values, refuse_existing
 from bench.cli.terminal import working
 from bench.config import ConfigError, did_you_mean
-from bench.rig.loading import NO_RIGS, RIGS, TO_COPY, LoadedRig, find_rig, load_rig, shipped
+from bench.rig.loading import NO_RIGS, RIGS, TO_COPY, LoadedRig, shipped
 from instruments.clock import Clock, RealClock, wall_time
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ def check(given: argparse.Namespace) -> int:
     from bench.script.detectors import refusals
     from detector import registry
 
-    rig = load_rig(find_rig(given.rig))
+    rig = bench.load_rig(given.rig)
     if rig.made_calibration is None:
         print(
             f"calibration: not made yet ({rig.calibration_path}); a run needs it, see"
@@ -56,7 +57,7 @@ def emulate(given: argparse.Namespace) -> int:
     from instruments.listener import Listener
     from instruments.operators.remote import OperatorPort
 
-    rig = load_rig(find_rig(given.rig))
+    rig = bench.load_rig(given.rig)
     clock, base = RealClock(), given.port_base
     valid = f"while it runs with --port-base {base}" if base else "while this runs"
     try:
@@ -205,7 +206,7 @@ def sheet(given: argparse.Namespace) -> None:
     from bench.rig.scenes import write_sheet
 
     refuse_existing(given.out, replace=True)
-    rig = load_rig(find_rig(given.rig))
+    rig = bench.load_rig(given.rig)
     with working("rendering the scenes"):
         write_sheet(rig, given.situation, _members(given), given.out, given.seed)
     print(given.out)
@@ -216,7 +217,7 @@ def boards(given: argparse.Namespace) -> int:
     from bench.rig.scenes import record_boards
 
     (board, _), watching = find_board(given.board), given.camera or ["left", "right"]
-    rig = load_rig(find_rig(given.rig))
+    rig = bench.load_rig(given.rig)
     frames = record_boards(
         rig, board, watching, given.poses, given.out, given.seed, warmer_k=given.warmer_k
     )
@@ -227,7 +228,7 @@ def record(given: argparse.Namespace) -> int:
     from bench.rig.scenes import chosen
     from bench.rig.scenes import record as recorded
 
-    rig = load_rig(find_rig(given.rig))
+    rig = bench.load_rig(given.rig)
     frames = recorded(rig, given.situation, _members(given), given.out, given.seed, given.perturb)
     return _shown(frames, given.out, len(chosen(given.situation)) * given.seeds)
 

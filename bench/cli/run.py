@@ -18,11 +18,11 @@ from bench.cli.arguments import CODES
 from bench.cli.store import undamaged
 from bench.cli.terminal import Terminal, TerminalProgress, working
 from bench.config import ConfigError
-from bench.rig.loading import LoadedRig, find_rig, load_rig
+from bench.rig.loading import LoadedRig
 from bench.rig.urls import PEOPLE
 from bench.run.events import ENDED, PROMPTED, Events, event_lines
 from bench.run.resume import ASKED
-from bench.script.model import LoadedScript, find_script, load_script
+from bench.script.model import LoadedScript
 from instruments.operators.console import keyboard_of
 
 if TYPE_CHECKING:
@@ -37,13 +37,13 @@ def run(given: argparse.Namespace) -> int:
         raise ConfigError.plain(
             "--json is for --dry-run. What a run found is JSON in its report/run.json."
         )
-    rig = load_rig(find_rig(given.rig))
-    paths = [find_script(name) for name in given.script or [None]]
-    if len(paths) > 1 and given.record:
+    rig = bench.load_rig(given.rig)
+    names = given.script or [None]
+    if len(names) > 1 and given.record:
         raise ConfigError.plain("--record is of one script. Give one, or leave --record out.")
     if given.speed and not rig.rig.simulated:
         raise ConfigError.plain("--speed is for an emulated rig: no real instrument is hurried.")
-    scripts = [load_script(path, rig.rig.limits.set_point_c) for path in paths]
+    scripts = [bench.load_script(name, rig) for name in names]
     if given.dry_run:
         from bench.cli.dry_run import look_ahead
 

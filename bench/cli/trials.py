@@ -9,11 +9,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+import bench
 from bench.cli.arguments import CODES, json_of, print_values
 from bench.config import ConfigError
-from bench.rig.loading import find_rig, load_rig, shipped
+from bench.rig.loading import shipped
 from bench.scoring.rates import plural
-from bench.script.model import TRIALS, LoadedScript, find_script, load_script
+from bench.script.model import TRIALS, LoadedScript
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -24,7 +25,7 @@ RATES = (0.95, 0.99, 0.999)
 
 def listed(given: argparse.Namespace) -> None:
     names = shipped(TRIALS)
-    rows = {name: load_script(TRIALS / f"{name}.toml").script.about for name in names}
+    rows = {name: bench.load_script(name).script.about for name in names}
     if given.json:
         print(json_of({"scripts": rows}))
     else:
@@ -32,12 +33,11 @@ def listed(given: argparse.Namespace) -> None:
 
 
 def show(given: argparse.Namespace) -> int:
-    path = find_script(given.script)
     from bench.run.estimate import ASSUMED, UNITS, assumed_text, estimate
     from bench.script.planned_trials import POSE_KEYS, chosen, pose_set
 
-    rig = load_rig(find_rig(given.rig))
-    script = load_script(path, rig.rig.limits.set_point_c)
+    rig = bench.load_rig(given.rig)
+    script = bench.load_script(given.script, rig)
     time, s = estimate(rig, script), script.script
     poses = pose_set(s.trials, script.planned, seed=s.seed, order=s.order)
     rows = [dict(zip(POSE_KEYS, row, strict=True)) for row in poses.pop("poses")]
@@ -125,7 +125,7 @@ def plan(given: argparse.Namespace) -> None:
         )
     poses, confidence = given.trials, given.confidence
     if given.script:  # repeats of one pose count once
-        loaded = load_script(find_script(given.script))
+        loaded = bench.load_script(given.script)
         poses = len({trial.name for trial in loaded.planned})
         confidence = Looks(loaded.script.looks).first_confidence(confidence)
     names = ("failures", "true_rate", "sd_mm", "shift_mm", "power", "limit_mm", "u_mm")

@@ -161,7 +161,7 @@ class TrialRecord:
         return rows
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class RunRecord:
     """A run as it stands on disk. ``bath`` has columns t_s, temp_c, power_percent (n, 3);
     ``external_c`` (n,) is nan without a sensor. ``head``: last link of the chain, number 0 without

@@ -449,18 +449,18 @@ def overlays(
                 hidden = "" if row["visible"] else " (hidden)"
                 shapes["truth", 0].append(Circle(x, y, 7, f"truth {row['teat']}{hidden}"))
                 shapes["truth", 0].append(Label(x + 9, y - 5, str(row["teat"])))
-    places = _places(trial)
+    places, spreads = _places(trial), _spreads(trial.found, camera, calibration)
     for detection in trial.detections:
         trace, name = _trace(detection["trace"]), str(detection["detector"])
         who = places[name]
         drawn = [*_stages(trace, camera, name), *_models(trace, camera, calibration, name)]
-        for row in trial.found:
+        for place, row in enumerate(trial.found):
             if row["detector"] == name:
                 if at := row.get(f"{camera}_px"):
                     x, y = json.loads(at)
                     if np.isfinite([x, y]).all():
                         drawn.append(("point", answer_mark(who, x, y, 6, f"{name}: end")))
-                drawn += [("spread", shape) for shape in _spread(row, camera, calibration)]
+                drawn += [("spread", spreads[place])] if place in spreads else []
         for tone, shape in drawn:
             # of one detector its stages have colours of their own
             whose = who if tone == "point" or len(places) > 1 else 0
@@ -545,27 +545,35 @@ def _models(
     turned = _rows(decided.get("right_from_teats"), 3)
     from_teats = from_right @ Motion(turned, np.zeros(3)) if len(turned) else from_right
     lines, _, _ = outlines(teats, numbers_of(lens, from_teats)[None], OUTLINE)
-    for line, reason in zip(lines, reasons, strict=False):
-        if np.isfinite(line).all():
+    whole = np.asarray(np.isfinite(lines).all(axis=(1, 2)))
+    for line, is_whole, reason in zip(lines.tolist(), whole, reasons, strict=False):
+        if is_whole:
             text = f"{detector}: rejected, {reason}" if reason else f"{detector}: fitted teat"
             tone: LayerTone = "other" if reason else "model"
-            yield tone, Polyline(tuple((float(x), float(y)) for x, y in line), title=text)
+            yield tone, Polyline(tuple(map(tuple, line)), title=text)
 
 
-def _spread(row: Row, camera: str, calibration: Calibration) -> Iterator[Shape]:
-    """The stated covariance in this camera: an ellipse for 95 % of cases."""
-    covariance = covariance_of(row)
-    if covariance is None:
-        return
-    end = points_mm([row])
-    around = np.vstack([end, end + STEP_MM * np.eye(3), end - STEP_MM * np.eye(3)])
-    seen = _seen(calibration, camera, around)
-    if seen is None or not np.isfinite(seen).all():
-        return
-    slope = (seen[1:4] - seen[4:7]).T / (2 * STEP_MM)  # px / mm, (2, 3)
-    sizes, directions = np.linalg.eigh(slope @ covariance @ slope.T)
-    minor, major = np.sqrt(CHI2_95_OF_2 * np.clip(sizes, 0.0, None)).tolist()
-    turn_deg = float(np.degrees(np.arctan2(directions[1, 1], directions[0, 1])))
-    text = f"{row['detector']}: stated 95 % region, {major:.1f} by {minor:.1f} px"
-    x, y = seen[0].tolist()
-    yield Ellipse(x, y, major, minor, turn_deg, text)
+def _spreads(found: Sequence[Row], camera: str, calibration: Calibration) -> dict[int, Ellipse]:
+    """By place in ``found``, the covariance stated in this camera: an ellipse for 95 % of cases."""
+    stated = {at: own for at, row in enumerate(found) if (own := covariance_of(row)) is not None}
+    rows = [found[at] for at in stated]
+    steps = STEP_MM * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
+    around = points_mm(rows)[:, None] + steps
+    seen = _seen(calibration, camera, around.reshape(-1, 3))
+    if seen is None or not rows:
+        return {}
+    seen = seen.reshape(-1, 7, 2)
+    whole = np.asarray(np.isfinite(seen).all(axis=(1, 2)))
+    slope = (seen[whole, 1:4] - seen[whole, 4:7]).swapaxes(1, 2) / (2 * STEP_MM)  # px / mm
+    covariances = np.array([*stated.values()])[whole]
+    sizes, directions = np.linalg.eigh(slope @ covariances @ slope.swapaxes(1, 2))
+    axes_px = np.sqrt(CHI2_95_OF_2 * np.clip(sizes, 0.0, None)).tolist()
+    turns_deg = np.degrees(np.arctan2(directions[:, 1, 1], directions[:, 0, 1])).tolist()
+    places = [at for at, is_whole in zip(stated, whole, strict=True) if is_whole]
+    ellipses = {}
+    for at, (x, y), (minor, major), turn_deg in zip(
+        places, seen[whole, 0].tolist(), axes_px, turns_deg, strict=True
+    ):
+        text = f"{found[at]['detector']}: stated 95 % region, {major:.1f} by {minor:.1f} px"
+        ellipses[at] = Ellipse(x, y, major, minor, turn_deg, text)
+    return ellipses

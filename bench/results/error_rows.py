@@ -11,12 +11,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import compress
 from operator import itemgetter
+from pathlib import Path
 
 import numpy as np
 
-from bench.config import read_config
+from bench.config import parse_config, read_text
 from bench.record.reader import RunRecord
 from bench.record.schema import SCRIPT
 from bench.results.verdicts import scored_trials
@@ -153,6 +155,7 @@ class Bias:
     common_mm2: Floats | None = None
 
 
+@lru_cache(maxsize=4)  # of two runs' two detectors: several tables and figures are made of each
 def error_rows(run: RunRecord, detector: str, situation: str | None = None) -> ErrorRows:
     """The rows of one detector, of trials that count; of one situation where named."""
     tilts, planned = teat_tilts_deg(run), planned_ends_mm(run)
@@ -282,11 +285,14 @@ def planned_ends_mm(run: RunRecord) -> dict[tuple[str, str], Floats]:
 
 def _planned(run: RunRecord) -> tuple[PlannedTrial, ...]:
     path = run.folder / SCRIPT
-    if not path.is_file():
-        return ()
+    return _planned_in(path, read_text(path)) if path.is_file() else ()
+
+
+@lru_cache(maxsize=2)  # each detector's tables ask, and a drawn scene takes milliseconds
+def _planned_in(path: Path, text: str) -> tuple[PlannedTrial, ...]:
     # a detector that isn't at hand any more is no hindrance
-    script = read_config(path, Script, stored=True)
-    return planned_of(script, layouts_of(script, run.folder))
+    script = parse_config(path, text, Script, stored=True)
+    return planned_of(script, layouts_of(script, path.parent))
 
 
 Part = tuple[str, str]

@@ -10,7 +10,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -111,8 +111,7 @@ def look(
     detector: str | Detector, scene: Scene, limit_mm: float = LIMIT_MM, *, rig: str = "emulated"
 ) -> Look:
     """As `check`, without raising for a failure of the detector."""
-    asked_one: Any = detector
-    return _look(asked_one, scene, limit_mm, rig)
+    return _look(cast(Any, detector), scene, limit_mm, rig)
 
 
 @lru_cache(maxsize=MOST_KEPT)
@@ -183,5 +182,4 @@ def marked(shot: Shot, answer: Answer, rig: str) -> NDArray[np.uint8]:
 
 
 def _places(px: NDArray[np.float64]) -> Sequence[tuple[int, int]]:
-    whole = np.clip(np.nan_to_num(px), -1e4, 1e4).round().astype(int).tolist()
-    return [(u, v) for u, v in whole]
+    return [(u, v) for u, v in np.clip(np.nan_to_num(px), -1e4, 1e4).round().astype(int).tolist()]

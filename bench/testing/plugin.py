@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from bench.scoring.scene import SceneScore
     from bench.testing.trials import TrialsOfTests
     from detector.protocol import Detector
-    from instruments.drivers.protocols import Arm, Bath, Cameras, Stage
 
 MARK, PROFILE = "requirement", "teatbench scenes"
 
@@ -43,8 +42,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    line = f'{MARK}("NAME"): decided by the trials that the test records'
-    config.addinivalue_line("markers", line)
+    config.addinivalue_line("markers", f'{MARK}("NAME"): decided by trials that the test records')
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -142,28 +140,16 @@ def rig(request: pytest.FixtureRequest, _opened: Callable[[], OpenRig]) -> Itera
             raise
 
 
-@pytest.fixture
-def bath(rig: OpenRig) -> Bath:
-    """The rig's bath."""
-    return rig.bath
+def _instrument(name: str) -> Any:
+    @pytest.fixture(name=name)
+    def one(rig: OpenRig) -> Any:
+        """The rig's instrument of this name; arm and stage are homed."""
+        return getattr(rig, name)
+
+    return one
 
 
-@pytest.fixture
-def arm(rig: OpenRig) -> Arm:
-    """The rig's arm, homed."""
-    return rig.arm
-
-
-@pytest.fixture
-def stage(rig: OpenRig) -> Stage:
-    """The rig's stage, homed."""
-    return rig.stage
-
-
-@pytest.fixture
-def cameras(rig: OpenRig) -> Cameras:
-    """The rig's cameras."""
-    return rig.cameras
+bath, arm, stage, cameras = map(_instrument, ("bath", "arm", "stage", "cameras"))
 
 
 @pytest.fixture(scope="session")

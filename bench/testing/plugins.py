@@ -4,7 +4,6 @@ package has one, else on the device itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -41,11 +40,8 @@ class OfPlugin(Subject):
             self.driver = PluggedCamera(self.plugged, "left", self.clock)
 
     def identify(self) -> str:
-        names: dict[Kind, Callable[[], Any]] = {
-            "stage": lambda: self.driver.connect(),
-            "arm": lambda: self.driver.sign_on(),
-        }
-        return str(names.get(self.kind, lambda: self.driver.identity)())
+        ask = {"stage": "connect", "arm": "sign_on"}.get(self.kind)
+        return str(getattr(self.driver, ask)() if ask else self.driver.identity)
 
     def read(self) -> object:
         """What it measures, as steady as such a device is."""
@@ -56,7 +52,12 @@ class OfPlugin(Subject):
         if self.kind == "arm":
             return tuple(self.driver.glance().tip_mm.round(0))
         if isinstance(self.driver, PluggedGroup):
-            return {part: frame.pixels.shape for part, frame in self.driver.capture().items()}
+            shapes = {part: one.pixels.shape for part, one in self.driver.capture().items()}
+            if stated := self.driver.makers_calibration():
+                sizes = {part: shapes[part][1::-1] for part in stated.lenses if part in shapes}
+                wanted = {part: lens.size_px for part, lens in stated.lenses.items()}
+                assert sizes == wanted, f"its maker's lenses are of {wanted}, pictures {sizes}"  # noqa: S101
+            return shapes
         self.driver.prepare()
         self.driver.begin()
         return self.driver.take().pixels.shape
@@ -72,9 +73,8 @@ class OfPlugin(Subject):
             return
         self.driver.connect()
         self.driver.home()
-        ends = {axis: at.high_mm for axis, at in self.driver.limits.items()}
-        far = {"x_mm": ends["X"], "y_mm": ends["Y"]}
-        self.driver.begin_move(**{key: value - 1.0 for key, value in far.items()})
+        limits = self.driver.limits
+        self.driver.begin_move(limits["X"].high_mm - 1.0, limits["Y"].high_mm - 1.0)
 
     def recover(self) -> None:
         if self.kind == "stage":

@@ -67,6 +67,11 @@ class _Differences:
         """How many of its numbers are not plain."""
         return sum(getattr(self, name) != 0 for name in self.STEPS)
 
+    def nearer(self, share: float) -> Self:
+        """Its numbers at a share of what they are, in whole steps."""
+        kept = {name: share * getattr(self, name) / one.size for name, one in self.STEPS.items()}
+        return replace(self, **{name: self.STEPS[name].value(round(n)) for name, n in kept.items()})
+
     def one_step_away(self) -> Iterator[Self]:
         """Each number a step up and down, within what it may be."""
         for name, steps in self.STEPS.items():

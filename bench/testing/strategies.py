@@ -6,9 +6,10 @@ at most one of its objects, pictures as the cameras take them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
+from operator import attrgetter
 from typing import Any, TypeVar
 
 from hypothesis import strategies as st
@@ -29,12 +30,15 @@ from bench.testing.scene import (
 from instruments.world.objects import KINDS
 
 T = TypeVar("T", Teat, Pose, Object, Scene)
+P = TypeVar("P", Teat, Pose, Object)
+S = TypeVar("S", Object, Applied)
+SHARES = (1.0, 0.5, 0.25, 0.0)  # most of what is drawn at once has one teat before another
 
 
 def layouts(
     least: int = 1, most: int = len(PLACES_MM), *, published: bool = False
 ) -> SearchStrategy[tuple[Teat, ...]]:
-    """Teats of a `Scene`, each at a place of its own; one that can't stand so is plain."""
+    """Teats of a `Scene`, each at a place of its own; one that can't stand so comes nearer."""
     least = most if published else least
     teat = _numbers(Teat(), published=published)
     teats: SearchStrategy[list[Teat]] = st.lists(teat, min_size=least, max_size=most)
@@ -74,22 +78,21 @@ def scenes(
     most_objects: int = 3,
     most_perturbations: int = 1,
 ) -> Scene:
-    """A scene that can be set up; its parts by strategies of their own where these are given. An
-    object that can't stand there, or a pose out of reach, is left out.
+    """A scene that can be set up; its parts by strategies of their own where these are given. What
+    can't stand, or is out of reach, comes nearer to its plain place, or is left out.
     """
     of_layouts, of_poses, of_objects, of_perturbations = _usual(published)
     found = Scene(draw(of_layouts if layouts is None else layouts))
     if published:
         most_objects, most_perturbations = min(most_objects, 1), 0
     else:
-        moved = replace(found, pose=draw(of_poses if poses is None else poses))
-        found = found if moved.faults() else moved
+        pose = draw(of_poses if poses is None else poses)
+        found = _nearest(found, pose, lambda near, scene: replace(scene, pose=near))
     found = replace(found, paint=draw(_PAINTS), **draw(_steps(_OF_A_SCENE, published)))
     for one in draw(_several(of_objects if objects is None else objects, most_objects)):
-        more = replace(found, objects=(*found.objects, one))
-        found = found if more.faults() else more
-    once = of_perturbations if perturbations is None else perturbations
-    return replace(found, perturbations=tuple(draw(_once(once, most_perturbations))))
+        found = _nearest(found, one, lambda near, at: replace(at, objects=(*at.objects, near)))
+    done = of_perturbations if perturbations is None else perturbations
+    return replace(found, perturbations=tuple(draw(_several(done, most_perturbations, "name"))))
 
 
 _OF_A_SCENE = tuple(Scene.STEPS.items())
@@ -106,24 +109,28 @@ def _usual(published: bool) -> tuple[SearchStrategy[Any], ...]:
 
 
 @lru_cache(maxsize=64)
-def _several(of: SearchStrategy[Object], most: int) -> SearchStrategy[list[Object]]:
-    return st.lists(of, max_size=most)
-
-
-@lru_cache(maxsize=64)
-def _once(of: SearchStrategy[Applied], most: int) -> SearchStrategy[list[Applied]]:
-    return st.lists(of, max_size=most, unique_by=lambda one: one.name)
+def _several(of: SearchStrategy[S], most: int, once: str = "") -> SearchStrategy[list[S]]:
+    """``once``: what differs between them."""
+    return st.lists(of, max_size=most, unique_by=attrgetter(once) if once else None)
 
 
 def _standing(teats: Sequence[Teat]) -> tuple[Teat, ...]:
-    found: tuple[Teat, ...] = tuple(teats)
-    if not Scene(found).faults():
-        return found
-    found = (Teat(),) * len(teats)
-    for i, one in enumerate(teats):
-        tried = (*found[:i], one, *found[i + 1 :])
-        found = found if Scene(tried).faults() else tried
-    return found
+    found = Scene(tuple(teats))
+    if found.faults():
+        found = Scene((Teat(),) * len(teats))
+        for i, one in enumerate(teats):
+            found = _nearest(found, one, partial(_at, i))
+    return found.teats
+
+
+def _nearest(found: Scene, part: P, put: Callable[[P, Scene], Scene]) -> Scene:
+    """With ``part`` put as near to its plain place as it must be; without it if it can't stand."""
+    tried = (put(part.nearer(share), found) for share in SHARES)
+    return next((one for one in tried if not one.faults()), found)
+
+
+def _at(i: int, teat: Teat, scene: Scene) -> Scene:
+    return replace(scene, teats=(*scene.teats[:i], teat, *scene.teats[i + 1 :]))
 
 
 def _numbers(plain: T, *, published: bool = False) -> SearchStrategy[T]:

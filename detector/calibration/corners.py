@@ -7,6 +7,7 @@ column.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -121,14 +122,21 @@ def find_board(image: Gray, board: Board, *, sub_pixel: SubPixel = SubPixel()) -
 def counted_corners(image: Gray) -> tuple[int, int] | None:
     """Columns and rows of inner corners of whatever chessboard is in a picture; None for none."""
     flags = cv2.CALIB_CB_LARGER + cv2.CALIB_CB_EXHAUSTIVE
-    half = image.shape[1] // 2, image.shape[0] // 2
-    # at half the size in a quarter of the time, unless the squares are too small there
-    for picture in (cv2.resize(image, half, interpolation=cv2.INTER_AREA), image):
+    for picture in _half_and_whole(image):
         done, _, squares = cv2.findChessboardCornersSBWithMeta(picture, (3, 3), flags)
         rows, columns = squares.shape[:2] if done else (0, 0)
         if columns * rows > 9:  # 3 x 3: a part of one
             return columns, rows
     return None
+
+
+def _half_and_whole(image: Gray) -> Iterator[Gray]:
+    """At half the size a board is found in a quarter of the time, unless its squares are too small
+    there.
+    """
+    half = image.shape[1] // 2, image.shape[0] // 2
+    yield np.asarray(cv2.resize(image, half, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    yield image
 
 
 def order_alike(first: DetectedBoard, second: DetectedBoard, board: Board) -> DetectedBoard:
@@ -143,16 +151,25 @@ def order_alike(first: DetectedBoard, second: DetectedBoard, board: Board) -> De
 
 
 def _chessboard(image: Gray, board: Board, sub_pixel: SubPixel) -> DetectedBoard | None:
-    shape = (board.columns, board.rows)
+    shape, grid = (board.columns, board.rows), (board.rows, board.columns, 2)
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH + cv2.CALIB_CB_NORMALIZE_IMAGE
-    done, corners = cv2.findChessboardCorners(image, shape, flags=flags)
-    if not done:
+    for picture in _half_and_whole(image):
+        done, corners = cv2.findChessboardCorners(picture, shape, flags=flags)
+        if not done:
+            continue
+        scale = np.array(image.shape[::-1]) / picture.shape[::-1]  # pixels' middles are whole
+        coarse = ((corners + 0.5) * scale - 0.5).astype(np.float32)
+        fine, window = sub_pixel.refine(image, coarse.copy(), coarse.reshape(grid))
+        placed = fine.reshape(grid)
+        astray, moved_px = strays(placed), np.abs(fine - coarse).max()
+        if picture is image:
+            break
+        if not astray.any() and moved_px <= 0.5 * window and _light_around(image, placed):
+            break
+    else:
         return None
-    grid = (board.rows, board.columns, 2)
-    fine, window = sub_pixel.refine(image, corners, corners.reshape(grid))
-    placed = fine.reshape(grid)
     # OpenCV's finder may leave one beside its place, too far for the window to get there
-    if (astray := strays(placed)).any():
+    if astray.any():
         placed = np.where(astray[:, :, None], between_neighbours(placed), placed)
         fine = placed.astype(np.float32).reshape(-1, 1, 2)
         fine, window = sub_pixel.refine(image, fine, fine.reshape(grid))
@@ -239,6 +256,28 @@ def _centre(
     weight = np.where(own, part[own].max() - part, 0.0)
     y, x = np.mgrid[rows, columns]
     return float((weight * x).sum() / weight.sum()), float((weight * y).sum() / weight.sum())
+
+
+def _light_around(image: Gray, grid_px: NDArray[Any]) -> bool:
+    """Whether the rim is light, as round a board that is dark on light: the finder may take one
+    that is light on dark, and number it from its other end.
+    """
+    rows, columns = grid_px.shape[:2]
+    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+    to_px = cv2.findHomography(
+        np.column_stack([x.ravel(), y.ravel()]).astype(np.float64), grid_px.reshape(-1, 2)
+    )[0]
+    x, y = np.meshgrid(np.arange(-1, columns) + 0.5, np.arange(-1, rows) + 0.5)
+    squares = np.column_stack([x.ravel(), y.ravel()])
+    # just beyond the outer squares
+    ring = [(u, v) for u in x[0] for v in (-1.15, rows + 0.15)]
+    ring += [(u, v) for v in y[:, 0] for u in (-1.15, columns + 0.15)]
+    means = []
+    for points in (squares, np.array(ring)):
+        places = np.rint(cv2.perspectiveTransform(points[None], to_px)[0]).astype(int)
+        at = np.clip(places, 0, np.array(image.shape[::-1]) - 1)
+        means.append(float(image[at[:, 1], at[:, 0]].mean()))
+    return means[1] > means[0]
 
 
 def _dark_before_first(image: Gray, grid_px: Array) -> bool:

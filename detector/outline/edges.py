@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from detector.geometry import Array
-from detector.outline import kernels
 
 Field = NDArray[np.float32]
 _NEIGHBOURS = 7  # lines that may be taken together where one alone is too faint
@@ -129,6 +128,8 @@ def sample_into(
     ``corner_px`` (2,). ``places``: middles and normals (., k, 2), which rows of these, and of each
     the first and how many.
     """
+    from detector.outline import kernels  # numba: not for who fits nothing
+
     rows, columns = field.shape
     x, y, inside = kernels.places(*places, corner_px, offsets_px, rows, columns)
     cv2.remap(field, x, y, cv2.INTER_CUBIC, dst=lines)
@@ -153,6 +154,8 @@ def find_edges(
     A line without a clear edge is joined with its neighbours' residuals, and its edge counts less
     for what they share.
     """
+    from detector.outline import kernels  # numba: not for who fits nothing
+
     kernels.edges(
         lines, noise, _steps(noise), profile.rows, profile.flat, profile.places, profile.pull,
         profile.grid_px, _NEIGHBOURS, CLEAR, _DOUBT, LIGHT, which, first, *edges,

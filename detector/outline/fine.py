@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.geometry import Array
-from detector.outline import kernels
 from detector.outline.fit import Seen, View, look, step, weights
 from detector.outline.model import END, SIDE_A, Outline, Rows
 from detector.outline.prior import Prior
@@ -64,6 +63,8 @@ def look_again(
     seen: Seen, teats: Array, change: Array, views: tuple[View, ...], *, fine: bool
 ) -> Seen:
     """Edges after a ``change`` (m, 8): optical ones anew where outlines moved, thermal kept."""
+    from detector.outline import kernels  # numba: not for who fits nothing
+
     outline = FINE_OUTLINE if fine else ROUGH_OUTLINE
     k = 2 * len(outline.part)
     offset, moving = kernels.follow(seen.jacobian, seen.offset_px, change, k, _STILL_PX)
@@ -77,6 +78,8 @@ def _trusted(seen: Seen, hidden: NDArray[np.bool_], number: int) -> Array:
     """Weights (m, k) in the fine pass; after its first step only sides that both pictures show,
     where nothing hides them. What only one shows is likely another thing's outline.
     """
+    from detector.outline import kernels  # numba: not for who fits nothing
+
     weight = np.where(hidden, 0.0, weights(seen, _FINE_SCALE))
     if number == 0:
         return weight

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from detector.calibration import Calibration
 from detector.geometry import Array, Camera, Motion
-from detector.outline import kernels
 from detector.outline.edges import (
     LEAST_CLEAR,
     Field,
@@ -107,6 +106,8 @@ def look(
     teats nearby: anew of teats ``which`` in ``views``, which are the first of the known ones'; the
     rest and the Jacobian are those known.
     """
+    from detector.outline import kernels  # numba: not for who fits nothing
+
     m, n = len(teats), len(outline.part)
     which = np.arange(m) if which is None else which
     seen = known.copied() if known else Seen.empty(m, n, views)
@@ -140,6 +141,8 @@ _MOST = np.array([np.inf, np.inf, np.inf, 1.2, 1.2, 25.0, 0.25, 2.0])
 
 def weights(seen: Seen, scale: float) -> Array:
     """Weights (m, k): by uncertainty, Cauchy beyond ``scale`` floors, zero with hardly an edge."""
+    from detector.outline import kernels  # numba: not for who fits nothing
+
     found = kernels.weights(
         seen.offset_px, seen.sd_px, seen.clarity, seen.floor_px, seen.jacobian, scale, LEAST_CLEAR
     )
@@ -148,6 +151,8 @@ def weights(seen: Seen, scale: float) -> Array:
 
 def normal_equations(teats: Array, seen: Seen, weight: Array, prior: Prior) -> tuple[Array, Array]:
     """Matrices (m, 8, 8) and right sides (m, 8) of the least-squares step, priors included."""
+    from detector.outline import kernels  # numba: not for who fits nothing
+
     H, b = kernels.squares(seen.jacobian, seen.offset_px, weight)
     usual, sure = _usual(prior)
     return H + np.diag(sure), b + sure * np.where(sure > 1e-6, usual - teats, 0.0)
@@ -163,6 +168,8 @@ def _usual(prior: Prior) -> tuple[Array, Array]:
 
 def step(teats: Array, seen: Seen, weight: Array, prior: Prior) -> Array:
     """Teats (m, 8) after one damped step, no longer than makes sense."""
+    from detector.outline import kernels  # numba: not for who fits nothing
+
     usual, sure = _usual(prior)
     moved = kernels.step(
         np.ascontiguousarray(teats), seen.jacobian, seen.offset_px, weight, usual, sure,

@@ -19,7 +19,16 @@ from __future__ import annotations
 import numpy as np
 import pyrealsense2 as rs
 
-from instruments import Clock, FrameError, FrameFault, LinkError, Ranging, RawFrame
+from instruments import (
+    Clock,
+    FrameError,
+    FrameFault,
+    LinkError,
+    MakersCalibration,
+    MakersLens,
+    Ranging,
+    RawFrame,
+)
 
 TIMEOUT_MS = 2000
 SETTLE = 10  # frames until the exposure has settled
@@ -50,12 +59,13 @@ class RealSense:
         config.enable_stream(rs.stream.depth, *size, rs.format.z16, int(fps))
         self._pipeline = rs.pipeline()
         try:
-            device = self._pipeline.start(config).get_device()
+            self._profile = self._pipeline.start(config)
         except RuntimeError as error:
             hint = "Is it at a USB 3 port, and in no other program?"
             raise LinkError("RealSense", f"{serial}: {error}", hint=hint) from error
         self._open = True
         try:
+            device = self._profile.get_device()
             sensor = device.first_depth_sensor()
             sensor.set_option(rs.option.emitter_enabled, 1.0 if emitter == "on" else 0.0)
             if exposure_us:
@@ -92,6 +102,23 @@ class RealSense:
             "right": self._raw(right, asked_s),
             "depth": self._raw(depth, asked_s, self._ranging),
         }
+
+    def makers_calibration(self) -> MakersCalibration:
+        """As it was calibrated in the factory, which states no uncertainty."""
+        streams = {
+            "left": self._profile.get_stream(rs.stream.infrared, 1),
+            "right": self._profile.get_stream(rs.stream.infrared, 2),
+            "depth": self._profile.get_stream(rs.stream.depth),
+        }
+        lenses = {}
+        for part, stream in streams.items():
+            of = stream.as_video_stream_profile().get_intrinsics()
+            matrix = np.array([[of.fx, 0.0, of.ppx], [0.0, of.fy, of.ppy], [0.0, 0.0, 1.0]])
+            way = streams["left"].get_extrinsics_to(stream)
+            R = np.array(way.rotation).reshape(3, 3).T  # by columns there
+            T_mm = [1000.0 * m for m in way.translation]
+            lenses[part] = MakersLens((of.width, of.height), matrix, of.coeffs, R, T_mm)
+        return MakersCalibration(lenses)
 
     def close(self) -> None:
         if self._open:

@@ -496,9 +496,19 @@ class Cells:
         end = request.address + request.count
         self._check_pairs(request.address, request.count, request.function)
         ends = {(table, request.address), (table, end - 1)}
-        if end > 0x10000 or (self._behaviour.gaps != "undefined" and not ends <= set(self._at)):
+        if end > 0x10000 or (self._behaviour.gaps != "undefined" and not ends <= self._at.keys()):
             raise ModbusException(protocol.ILLEGAL_ADDRESS)
-        return [self._word(table, address) for address in range(request.address, end)]
+        found, words = list[int](), tuple[int, ...]()
+        last: Cell | None = None
+        for address in range(request.address, end):
+            cell = self._at.get((table, address))
+            if cell is None:
+                found.append(self._gap(table, address))
+                continue
+            if cell is not last:
+                last, words = cell, cell.encode(self._values)
+            found.append(words[address - cell.address])
+        return found
 
     def write(self, request: Write) -> None:
         """All of the request or nothing, and whole rows only. Raises Refused."""
@@ -531,10 +541,8 @@ class Cells:
             yield cell, request.values[address - request.address :][: cell.count]
             address = cell.end
 
-    def _word(self, table: Table, address: int) -> int:
-        cell = self._at.get((table, address))
-        if cell is not None:
-            return cell.encode(self._values)[address - cell.address]
+    def _gap(self, table: Table, address: int) -> int:
+        """What stands where no row is. Raises ModbusException."""
         if self._behaviour.gaps == "undefined":
             return (address * 40503 & 0xFFFF) if table == "holding" else address & 1
         if "gaps refused" in self._faults or self._behaviour.gaps == "refused":

@@ -148,10 +148,10 @@ def decode(registers: Sequence[int], kind: Kind, order: Order) -> float:
 def encode(value: float, kind: Kind, order: Order) -> tuple[int, ...]:
     """The registers that hold ``value``, rounded to the type. Raises ValueError for no fit."""
     whole = value if kind == "f32" else round(value) if math.isfinite(value) else None
-    if whole is None or not holds(kind, whole):
+    data = None if whole is None else _packed(kind, whole)
+    if data is None:
         raise ValueError(f"{value:g} does not fit into {kind}")
-    data = struct.pack(FORMATS[kind], whole)
-    return tuple(_turned(struct.unpack(f">{WORDS[kind]}H", data), order))
+    return tuple(_turned(struct.unpack(f">{len(data) // 2}H", data), order))
 
 
 def _turned(registers: Sequence[int], order: Order) -> Sequence[int]:
@@ -165,13 +165,16 @@ def _turned(registers: Sequence[int], order: Order) -> Sequence[int]:
 
 def holds(kind: Kind, value: float) -> bool:
     """Whether ``value`` fits; a float does not into a whole-number type."""
-    if kind == "bit":
-        return value in (0, 1)
+    return _packed(kind, value) is not None
+
+
+def _packed(kind: Kind, value: float) -> bytes | None:
+    if kind == "bit" and value not in (0, 1):
+        return None
     try:
-        struct.pack(FORMATS[kind], value)
+        return struct.pack(FORMATS[kind], value)
     except (struct.error, OverflowError):
-        return False
-    return True
+        return None
 
 
 class Row(Quantity):

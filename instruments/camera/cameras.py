@@ -5,7 +5,11 @@ converted.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from instruments.camera.closing import close_within
 from instruments.camera.frame import Conversion, FrameSet, RawFrame
@@ -31,9 +35,33 @@ class Camera(Protocol):
     def close(self) -> None: ...
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class MakersLens:
+    """One part's lens and place: ``size_px`` (columns, rows) of its pictures, camera ``matrix``
+    (3, 3), ``distortion`` k1 k2 p1 p2 k3, 0 for rectified pictures. X_part = R X_left + T, mm.
+    """
+
+    size_px: tuple[int, int]
+    matrix: NDArray[np.float64]
+    distortion: Sequence[float] = (0.0,) * 5
+    R: NDArray[np.float64] = field(default_factory=lambda: np.eye(3))
+    T_mm: Sequence[float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MakersCalibration:
+    """What the maker states of a group, by part: left, right, depth. ``sd``: his standard
+    deviations by the names of a calibration file ("left fx": px, "stereo T1": mm), none for none.
+    """
+
+    lenses: Mapping[str, MakersLens]
+    sd: Mapping[str, float] = field(default_factory=dict)
+
+
 class CameraGroup(Protocol):
     """One device with several pictures at one time: ``parts`` of left, right, thermal, depth.
-    `capture` exposes them all; it raises as `Camera` does.
+    `capture` exposes them all; it raises as `Camera` does. A group may also have
+    ``makers_calibration() -> MakersCalibration``, for `teatbench calibrate import --rig`.
     """
 
     identity: str
@@ -67,6 +95,12 @@ class CameraSet:
         """Who each camera is."""
         group = dict.fromkeys(self._group.parts, self._group.identity) if self._group else {}
         return group | {name: camera.identity for name, camera in self._cameras.items()}
+
+    def makers_calibration(self) -> MakersCalibration | None:
+        """What the maker of the group states of it; None where he states nothing."""
+        ask = getattr(self._group, "makers_calibration", None)
+        found: MakersCalibration | None = ask() if ask else None
+        return found
 
     def reopen(self) -> None:
         """Close all cameras and open them again with their settings. Raises as their openers."""

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -21,9 +21,11 @@ from numpy.typing import NDArray
 from instruments.camera.closing import CLOSE_S
 from instruments.camera.frame import FrameError, FrameFault, RawFrame
 from instruments.camera.settings import UNSEEN_SIZE, Settings, apply, hold_still
-from instruments.camera.video_file import VideoFile
 from instruments.clock import Clock
 from instruments.errors import DeviceError, LinkError
+
+if TYPE_CHECKING:
+    from instruments.camera.video_file import VideoFile
 
 Source = int | str
 SILENCE_S = 5.0  # a stream that is silent for so long is gone
@@ -249,6 +251,8 @@ class OpenCvCamera:
         if is_live(self._source):
             self._live = LiveReader(capture, self._clock, self._name)
         elif self._scaled:
+            from instruments.camera.video_file import VideoFile  # its library takes long to load
+
             capture.release()
             self._file = VideoFile(Path(str(self._source)), self._who, self._settings.counts)
         else:

@@ -32,6 +32,12 @@ class PluggedArm:
 
     def __init__(self, plugged: Plugin, clock: Clock) -> None:
         self.who = f"arm {plugged.name}"
+        self.touches = getattr(plugged.maker, "touches", False)
+        said = getattr(plugged.maker, "homing", "")
+        if not isinstance(self.touches, bool) or not isinstance(said, str):
+            what = "its class has to say touches, True or False, and homing, a text"
+            raise LimitError(self.who, what, hint=f"{plugged}.")
+        self.homing = self.homing_again = said or "Reference the measuring arm as its maker says."
         self.moves = False
         self._clock = clock
         self._border: Border[ArmDriver] = Border(plugged, self.who, clock)
@@ -39,20 +45,8 @@ class PluggedArm:
         self._homed_at = 0
 
     @property
-    def touches(self) -> bool:
-        """Whether it goes to a point by itself, as its class says."""
-        return bool(getattr(self._border.plugged.maker, "touches", False))
-
-    @property
     def safe_state(self) -> str:
         return "at a stand, as it reads back itself" if self.touches else "it has no motor"
-
-    @property
-    def homing(self) -> str:
-        said = str(getattr(self._border.plugged.maker, "homing", ""))
-        return said or "Reference the measuring arm as its maker says."
-
-    homing_again = homing
 
     @property
     def identity(self) -> Identity:
@@ -159,8 +153,8 @@ class PluggedArm:
         self._border.forget()
 
     def _texts(self) -> Mapping[str, str]:
-        given = self._border.call("identity", lambda arm: dict(arm.identity))
-        return self._border.texts(given)
+        texts = self._border.texts
+        return self._border.call("identity", lambda arm: texts(arm.identity))
 
     def _until_still(self, limit_s: float, *, aside: bool = False) -> None:
         end_s = self._clock.now() + limit_s
@@ -171,7 +165,9 @@ class PluggedArm:
 
     def _point(self, *, aside: bool = False) -> ArmPoint:
         ask = self._border.aside if aside else self._border.call
-        given: object = ask("read", lambda arm: arm.read())
+        return ask("read", lambda arm: self._checked(arm.read()))
+
+    def _checked(self, given: object) -> ArmPoint:
         if not isinstance(given, ArmPoint):
             raise self._border.broken("its reading is no ArmPoint", given)
         tip = np.asarray(given.tip_mm)
@@ -179,4 +175,9 @@ class PluggedArm:
             raise self._border.broken("its tip is no three numbers", given)
         if np.abs(tip).max() > FARTHEST_MM:
             raise self._border.broken("its tip is farther than any arm reaches (mm?)", given)
-        return given
+        axis = None
+        if given.axis is not None:
+            axis = np.asarray(given.axis, dtype=np.float64)
+            if axis.shape != (3,) or not 0.0 < np.linalg.norm(axis) < np.inf:
+                raise self._border.broken("its axis is no direction", given)
+        return ArmPoint(tip.astype(np.float64), axis, bool(given.moving))

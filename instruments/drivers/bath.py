@@ -45,7 +45,7 @@ def profile_of(plugged: Plugin) -> Profile:
             capabilities=Capabilities(pump=maker.pump),
             alarms=(AlarmCode(code=ALARM, cause="other", text="as it says", evidence="CERTAIN"),),
         )
-    except (AttributeError, TypeError, ValueError) as error:
+    except Exception as error:  # another's class
         what = f"its class has to say range_c, step_k, pump and comms_loss: {error}"
         raise LimitError("bath", what, hint=f"{plugged}.") from error
 
@@ -194,8 +194,8 @@ class PluggedBath:
         self._border.forget()
 
     def _identify(self) -> None:
-        given = self._border.call("identity", lambda bath: dict(bath.identity))
-        self._identity = self._border.texts(given)
+        texts = self._border.texts
+        self._identity = self._border.call("identity", lambda bath: texts(bath.identity))
 
     def _stands_by(self, *, aside: bool = False) -> None:
         if self._state(aside=aside).running:
@@ -204,17 +204,21 @@ class PluggedBath:
         self.heats = False
 
     def _state(self, *, aside: bool = False) -> BathState:
-        ask, border = self._border.aside if aside else self._border.call, self._border
-        given: object = ask("read", lambda bath: bath.read())
+        ask = self._border.aside if aside else self._border.call
+        return ask("read", lambda bath: self._checked(bath.read()))
+
+    def _checked(self, given: object) -> BathState:
+        border = self._border
         if not isinstance(given, BathState) or not isinstance(given.running, bool):
             raise border.broken("its reading is no BathState that says whether it runs", given)
         temp_c = border.number(given.temp_c, "temperature")
         low_c, high_c = self.profile.plausible_c
         if not low_c <= temp_c <= high_c:
             raise border.broken(f"its temperature can't be: not {low_c:g} to {high_c:g}", temp_c)
-        for name in ("external_c", "power_percent"):
-            if (value := getattr(given, name)) is not None:
-                border.number(value, name)
+        external_c, power = (
+            None if value is None else border.number(value, name)
+            for name, value in (("external_c", given.external_c), ("power", given.power_percent))
+        )
         self._alarm = str(given.alarm)
-        border.number(given.set_point_c, "set point")
-        return given
+        set_point_c = border.number(given.set_point_c, "set point")
+        return BathState(temp_c, given.running, set_point_c, external_c, power, self._alarm)

@@ -36,7 +36,8 @@ class _Job(Generic[T]):
 
 class Border(Generic[Made]):
     """The plug-in ``plugged`` as ``who``, opened when it is first needed and again after a lost
-    link. `calling` gives it, for one thread at a time.
+    link. `call` is for one thread at a time. What it gives is checked within the call, so that no
+    value of another's makes an exception outside.
     """
 
     def __init__(self, plugged: Plugin, who: str, clock: Clock) -> None:
@@ -73,7 +74,7 @@ class Border(Generic[Made]):
 
     def aside(self, what: str, work: Callable[[Made], T], limit_s: float | None = None) -> T:
         """``work`` at once, beside a call that is under way. Raises InstrumentError alone."""
-        made = self._made or self.open()
+        made = self.open() if self._made is None else self._made
         return self._within(what, lambda: work(made), limit_s)
 
     def forget(self) -> None:
@@ -89,15 +90,11 @@ class Border(Generic[Made]):
             yield
         except (InstrumentError, KeyboardInterrupt):
             raise
-        except OSError as error:  # TimeoutError and ConnectionError among them
-            said = f"{type(error).__name__}: {error}"
-            raise LinkError(self.who, said, asked=what, hint=f"{self.plugged}.") from error
         except BaseException as error:  # another's code: not every library's errors are Exceptions
-            try:
-                said = f"{type(error).__name__}: {error}"
-            except Exception:  # its own words fail
-                said = type(error).__name__
-            raise DeviceError(self.who, said, asked=what, hint=f"{self.plugged}.") from error
+            # TimeoutError and ConnectionError are OSErrors
+            kind = LinkError if isinstance(error, OSError) else DeviceError
+            said = _said(type(error).__name__, error)
+            raise kind(self.who, said, asked=what, hint=f"{self.plugged}.") from error
 
     @contextmanager
     def opening(self) -> Iterator[None]:
@@ -131,7 +128,8 @@ class Border(Generic[Made]):
 
     def broken(self, what: str, seen: object) -> ProtocolError:
         """What to raise where it gives what no device can show."""
-        return ProtocolError(self.who, what, seen=str(seen)[:200], hint=f"{self.plugged}.")
+        shown = _said(type(seen).__name__, seen)[:200]
+        return ProtocolError(self.who, what, seen=shown, hint=f"{self.plugged}.")
 
     def texts(self, given: object) -> dict[str, str]:
         """Its identity as text. Raises ProtocolError."""
@@ -143,8 +141,16 @@ class Border(Generic[Made]):
         """A finite number. Raises ProtocolError."""
         try:
             found = float(value)  # type: ignore[arg-type]
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise self.broken(f"its {what} is no number", value) from None
         if not abs(found) < float("inf"):
             raise self.broken(f"its {what} is no number", value)
         return found
+
+
+def _said(kind: str, what: object) -> str:
+    """Its kind and words; its kind alone where its own words fail."""
+    try:
+        return f"{kind}: {what}"
+    except Exception:
+        return kind

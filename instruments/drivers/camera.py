@@ -6,14 +6,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from instruments.camera.cameras import CAN_GIVE, Camera, CameraGroup
-from instruments.camera.frame import FrameError, FrameFault, RawFrame
+from instruments.camera.cameras import CAN_GIVE, Camera, CameraGroup, MakersCalibration, MakersLens
+from instruments.camera.frame import FrameError, FrameFault, Ranging, RawFrame
 from instruments.clock import Clock
 from instruments.drivers.border import Border
 from instruments.drivers.entry_points import Plugin
 from instruments.errors import DeviceError, LimitError
 
 CAPTURE_S = 30.0  # a long exposure, and a slow link
+MOST_VALUES = 200_000_000  # of a picture: no sensor has as many
 
 
 class PluggedCamera:
@@ -35,8 +36,8 @@ class PluggedCamera:
     def take(self) -> RawFrame:
         """The frame. Raises FrameError for none, LinkError where it is gone."""
         try:
-            return checked(
-                self._border, self._border.call("take", lambda camera: camera.take(), CAPTURE_S)
+            return self._border.call(
+                "take", lambda camera: checked(self._border, camera.take()), CAPTURE_S
             )
         except DeviceError as error:  # an exception of its own: the next frame may come
             raise FrameError(FrameFault.DROPPED, self._name, self.who, str(error)) from error
@@ -52,7 +53,7 @@ class PluggedGroup:
         self.who = f"cameras {plugged.name}"
         self._border: Border[CameraGroup] = Border(plugged, self.who, clock)
         with self._border.opening():
-            given = self._border.call("parts", lambda group: tuple(group.parts))
+            given = self._border.call("parts", lambda group: tuple(map(str, group.parts)))
             if not given or not set(given) <= set(CAN_GIVE):
                 what = f"its parts are {given}; a group gives some of {', '.join(CAN_GIVE)}"
                 raise LimitError(self.who, what, hint=f"{plugged}.")
@@ -63,13 +64,39 @@ class PluggedGroup:
     def capture(self) -> Mapping[str, RawFrame]:
         """A frame of each part. Raises FrameError for one that is missing, LinkError."""
         try:
-            given = dict(self._border.call("capture", lambda group: group.capture(), CAPTURE_S))
+            return self._border.call("capture", self._captured, CAPTURE_S)
         except DeviceError as error:
             raise FrameError(FrameFault.DROPPED, self.parts[0], self.who, str(error)) from error
+
+    def _captured(self, group: CameraGroup) -> Mapping[str, RawFrame]:
+        given = dict(group.capture())
         for part in self.parts:
             if part not in given:
                 raise FrameError(FrameFault.DROPPED, part, self.who, "it gave no frame")
         return {part: checked(self._border, given[part]) for part in self.parts}
+
+    def makers_calibration(self) -> MakersCalibration | None:
+        """What its maker states; None without such a method. Raises ProtocolError, LinkError."""
+        return self._border.call("makers_calibration", self._stated)
+
+    def _stated(self, group: CameraGroup) -> MakersCalibration | None:
+        ask = getattr(group, "makers_calibration", None)
+        given = ask() if ask else None
+        if given is not None and not isinstance(given, MakersCalibration):
+            raise self._border.broken("its maker's calibration is no MakersCalibration", given)
+        return given and MakersCalibration(
+            {
+                str(part): MakersLens(
+                    (int(one.size_px[0]), int(one.size_px[1])),
+                    np.asarray(one.matrix, dtype=np.float64),
+                    tuple(map(float, one.distortion)),
+                    np.asarray(one.R, dtype=np.float64),
+                    tuple(map(float, one.T_mm)),
+                )
+                for part, one in given.lenses.items()
+            },
+            {str(name): float(sd) for name, sd in given.sd.items()},
+        )
 
     def close(self) -> None:
         self._border.forget()
@@ -79,7 +106,11 @@ def checked(border: Border[Camera] | Border[CameraGroup], frame: object) -> RawF
     """A frame that can be one. Raises ProtocolError."""
     if not isinstance(frame, RawFrame) or not isinstance(frame.pixels, np.ndarray):
         raise border.broken("its frame is no RawFrame", type(frame).__name__)
-    if frame.pixels.ndim not in (2, 3) or not frame.pixels.size:
-        raise border.broken("its frame is no picture", frame.pixels.shape)
+    pictures = [one for one in (frame.pixels, frame.amplitude) if one is not None]
+    for one in pictures:
+        if one.ndim not in (2, 3) or not 0 < one.size <= MOST_VALUES or one.dtype.kind not in "uif":
+            raise border.broken("its frame is no picture", (one.shape, one.dtype))
+    if not isinstance(frame.ranging, Ranging | None) or frame.bits not in range(1, 33):
+        raise border.broken("its frame has no such bits or ranging", (frame.bits, frame.ranging))
     border.number(frame.exposed_s, "exposed_s")
     return frame

@@ -20,12 +20,12 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from instruments.camera.cameras import Camera, CameraGroup
+from instruments.camera.cameras import Camera, CameraGroup, MakersCalibration, MakersLens
 
 Floats = NDArray[np.float64]
 __all__ = [
-    "ArmDriver", "ArmPoint", "BathDriver", "BathState", "Camera", "CameraGroup", "StageDriver",
-    "StageState",
+    "ArmDriver", "ArmPoint", "BathDriver", "BathState", "Camera", "CameraGroup",
+    "MakersCalibration", "MakersLens", "StageDriver", "StageState",
 ]  # fmt: skip
 
 

@@ -5,6 +5,7 @@ behind every move, and a stop that doesn't stop it is an error.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from instruments.drivers.entry_points import Plugin
 from instruments.drivers.plugin import StageDriver, StageState
 from instruments.errors import DeviceError, InstrumentError, LimitError
 from instruments.stage.calls import StageCalls
-from instruments.stage.protocol import Status
+from instruments.stage.protocol import AXES, Status
 from instruments.stage.settings import (
     DECLARABLE,
     StageIdentity,
@@ -51,19 +52,13 @@ class PluggedStage(StageCalls):
     def connect(self) -> StageIdentity:
         """Ask who it is and how far it goes. Raises LimitError for other axes than the rig's."""
         border = self._border
-        given = border.call("identity", lambda stage: dict(stage.identity))
-        who = border.texts(given)
-        axes = border.call("axes", lambda stage: stage.axes)
+        who = border.call("identity", lambda stage: border.texts(stage.identity))
+        axes = border.call("axes", lambda stage: str(stage.axes))
         if axes not in DECLARABLE or not set(self.axes) <= set(axes):
             what = f"it has the axes {axes}, the rig file declares {self.axes}"
             raise LimitError(self.who, what, hint="Correct axes under [stage].")
-        limits = border.call("limits", lambda stage: dict(stage.limits))
-        feed = border.number(border.call("feed", lambda stage: stage.feed_mm_min), "feed")
-        spans = [limits.get(axis, (0.0, 0.0)) for axis in self._letters]
-        try:
-            lows, highs = zip(*((float(low), float(high)) for low, high in spans), strict=True)
-        except (TypeError, ValueError) as error:
-            raise border.broken("its limits are no pairs of numbers by axis", limits) from error
+        feed = border.call("feed", lambda stage: border.number(stage.feed_mm_min, "feed"))
+        lows, highs = border.call("limits", lambda stage: self._ends(stage.limits))
         feeds = tuple(feed for _ in self._letters)
         identity = StageIdentity(
             self._border.plugged.name,
@@ -86,6 +81,14 @@ class PluggedStage(StageCalls):
         )
         self._identified = identity, settings
         return identity
+
+    def _ends(self, limits: Mapping[str, tuple[float, float]]) -> tuple[tuple[float, ...], ...]:
+        """Lowest and highest places. Raises ProtocolError."""
+        spans = [tuple(limits.get(axis, (0.0, 0.0))) for axis in self._letters]
+        if not all(len(span) == 2 and -math.inf < span[0] <= span[1] < math.inf for span in spans):
+            raise self._border.broken("its limits are no pairs of numbers by axis", limits)
+        lows, highs = zip(*((float(low), float(high)) for low, high in spans), strict=True)
+        return lows, highs
 
     @property
     def homed(self) -> bool:
@@ -202,19 +205,23 @@ class PluggedStage(StageCalls):
         return state
 
     def _places(self, state: StageState) -> Target:
-        return {axis: float(state.place.get(axis, 0.0)) for axis in self._letters}
+        return {axis: state.place[axis] for axis in self._letters}
 
     def _state(self, *, aside: bool = False) -> StageState:
-        ask, border = self._border.aside if aside else self._border.call, self._border
-        given: object = ask("read", lambda stage: stage.read())
-        if not isinstance(given, StageState) or not isinstance(given.moving, bool):
+        ask = self._border.aside if aside else self._border.call
+        state = ask("read", lambda stage: self._checked(stage.read()))
+        if state.fault or not state.homed:
+            self._homed_at = 0
+        if state.fault and not aside:
+            raise DeviceError(self.who, state.fault, hint="Cure it, then recover().")
+        return state
+
+    def _checked(self, given: object) -> StageState:
+        border = self._border
+        if not isinstance(given, StageState) or not (
+            isinstance(given.moving, bool) and isinstance(given.homed, bool)
+        ):
             raise border.broken("its state is no StageState", given)
-        for axis in self.axes:
-            border.number(given.place.get(axis), f"place of axis {axis}")
-        if given.fault:
-            self._homed_at = 0
-            if not aside:
-                raise DeviceError(self.who, str(given.fault), hint="Cure it, then recover().")
-        if not given.homed:
-            self._homed_at = 0
-        return given
+        place = {axis: given.place.get(axis, None if axis in self.axes else 0.0) for axis in AXES}
+        numbers = {axis: border.number(at, f"place of axis {axis}") for axis, at in place.items()}
+        return StageState(numbers, given.moving, given.homed, str(given.fault))

@@ -5,8 +5,8 @@ checksum. Every reply carries the most serious warning flag: whatever is not kno
 costs the position. Positions are microsteps; what a microstep is, the rig file says. Source: the
 maker's ASCII protocol manual, firmware 6 and 7.
 
-The maker's library (`zaber-motion`) is not used: 8 MB of compiled code that opens ports itself,
-beside our links, captures and emulators.
+The maker's library (`zaber-motion`) is not used here: it opens ports itself, beside our links and
+captures, and knows no clock but its own. It is the emulator's witness in the tests.
 """
 
 from __future__ import annotations

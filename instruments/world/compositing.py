@@ -81,8 +81,9 @@ def _lay_mixed(
 ) -> None:
     """Objects that mix in depth: pixels where only one shows go at once."""
     alone = np.bincount(pixel, minlength=len(image))[pixel] == 1
-    image[pixel[alone]] += share[alone] * (value[alone] - image[pixel[alone]])
-    shared = np.flatnonzero(~alone)
+    once, shared = np.flatnonzero(alone), np.flatnonzero(~alone)
+    at, behind = pixel[once], image[pixel[once]]
+    image[at] = behind + share[once] * (value[once] - behind)
     if len(shared):
         at, light, behind, _ = _stacked(
             pixel[shared], share[shared], depth[shared], owner[shared], value[shared]
@@ -291,11 +292,15 @@ def _areas(counts: Ints, start: Floats, end: Floats, camera: CameraModel) -> Cov
     np.minimum(np.abs(share, out=share), 1.0, out=share)
     flat = np.flatnonzero(share > NOTHING)
     # both are in order, so each solid's cells are one run
-    solid = np.repeat(np.arange(len(counts)), np.diff(np.searchsorted(flat, offset)))
-    place = flat - offset[solid]
-    row = ((place + 0.5) / width[solid]).astype(np.intp)  # a division of whole numbers is slower
-    column = place - row * width[solid] + x0[solid]
-    row += y0[solid]
+    solid, begins, wide, left, top = np.repeat(
+        [np.arange(len(counts)), offset[:-1], width, x0, y0],
+        np.diff(np.searchsorted(flat, offset)),
+        axis=1,
+    )
+    place = flat - begins
+    row = ((place + 0.5) / wide).astype(np.intp)  # a division of whole numbers is slower
+    column = place - row * wide + left
+    row += top
     inside = (row >= 0) & (column >= 0) & (row < camera.height_px) & (column < camera.width_px)
     return Cover(solid[inside], row[inside], column[inside], share[flat[inside]])
 

@@ -7,7 +7,6 @@ thing alone and is kept.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -194,7 +193,8 @@ class OpticalCamera:
         self._focal_px = float(camera.fc.mean())
         self._layers = KeptLayers()
         self._latest: tuple[object, ExpectedFrame] | None = None
-        self._empty: tuple[object, ExpectedFrame] | None = None
+        self._still: tuple[object, Image, ExpectedFrame] | None = None
+        self._changed = list[Part]()  # where the latest frame isn't that of the empty scene
 
     def expose(
         self, state: SceneState, shadows: ShadowMap | None, rng: np.random.Generator
@@ -212,23 +212,24 @@ class OpticalCamera:
         fixed = state.boards, state.lighting, state.backdrop, state.exposure, state.velocity_mm_s
         key = (looks, fixed, shadows is None)
         if self._latest is None or self._latest[0] != key:
-            self._latest = None  # let go before the next is drawn
-            expected, drawn = deepcopy(self._still(state)), self._drawn(state, shadows)
-            for part, light in drawn:
-                changed = self.readout.expected(light, state.exposure, part)
-                expected.mean[part], expected.spread[part] = changed.mean, changed.spread
-            self._latest = key, expected
+            lit = state.backdrop, state.lighting, state.exposure
+            if self._still is None or self._still[0] != lit:
+                self._latest = self._still = None  # let go before the next is drawn
+                camera, sensor = self.view.camera, self.readout.sensor
+                empty, soft = _empty(state.backdrop, state.lighting, camera, sensor)
+                still = blurred(empty, sensor.blur_px) if soft is None else soft
+                self._still = lit, still, ExpectedFrame(np.empty_like(still), np.empty_like(still))
+                self._changed = [(slice(0, camera.height_px), slice(0, camera.width_px))]
+            (_, still, frame), drawn = self._still, self._drawn(state, shadows)
+            changed = [part for part, _ in drawn]
+            if parts := self._changed + changed:
+                part = _joined(parts)
+                light = still[part].copy()
+                for at, seen in drawn:
+                    light[_within(at, part)] = seen
+                self.readout.expected(light, state.exposure, part, frame)
+            self._latest, self._changed = (key, frame), changed
         return self._latest[1]
-
-    def _still(self, state: SceneState) -> ExpectedFrame:
-        """The same of the empty scene; kept while light and exposure stay."""
-        key = state.backdrop, state.lighting, state.exposure
-        if self._empty is None or self._empty[0] != key:
-            self._empty, sensor = None, self.readout.sensor
-            empty, soft = _empty(state.backdrop, state.lighting, self.view.camera, sensor)
-            light = blurred(empty, sensor.blur_px) if soft is None else soft
-            self._empty = key, self.readout.expected(light, state.exposure)
-        return self._empty[1]
 
     def _drawn(self, state: SceneState, shadows: ShadowMap | None) -> list[tuple[Part, Image]]:
         """The part of the picture that isn't empty, and light on the sensor there: the backdrop,
@@ -339,8 +340,9 @@ class OpticalCamera:
             part = slice(start, start + BLOCK)
             points = turn @ (seen.depth_mm[part] * seen.rays[:, part]).astype(np.float32) + eye
             normals = turn @ seen.normals[:, part].astype(np.float32)
-            albedo, gloss = paints[:, seen.owner[part]]
-            exponent = GLOSS_EXPONENT if usual else exponents[seen.owner[part]]
+            owner = seen.owner[part]
+            albedo, gloss = np.repeat(paints, np.bincount(owner, minlength=len(things)), axis=1)
+            exponent = GLOSS_EXPONENT if usual else exponents[owner]
             light[part] = seen_light(lighting, points, normals, eye, albedo, gloss, exponent)
         return seen.by_thing(len(things), light)
 

@@ -169,17 +169,22 @@ class OpticalReadout:
         self._response = vignette * (1.0 + np.float32(sensor.prnu) * normal_noise(rng, shape))
 
     def expected(
-        self, light: Image, exposure: Exposure | None = None, part: Part = WHOLE
+        self,
+        light: Image,
+        exposure: Exposure | None = None,
+        part: Part = WHOLE,
+        frame: ExpectedFrame | None = None,
     ) -> ExpectedFrame:
-        """What light on the sensor gives in that ``part`` of it, (h, w). Variance: K^2 (electrons +
-        read noise^2), EMVA 1288; a full well holds no more.
+        """What light on the sensor gives, (h, w), or on a ``part`` of it, written there in the
+        ``frame``. Variance: K^2 (electrons + read noise^2), EMVA 1288; a full well holds no more.
         """
         shutter = exposure or Exposure()
+        whole = frame or ExpectedFrame(np.empty_like(light), np.empty_like(light))
         sensor, gain = self.sensor, self.sensor.gain_dn_per_e * shutter.gain
         full = np.float32(sensor.full_well_e)
         dark = np.float32(sensor.dark_e_per_s * shutter.time_s)
         filled = np.float32(sensor.full_well_e * shutter.time_s / NORMAL_EXPOSURE_S)
-        mean, spread = np.empty_like(light), np.empty_like(light)
+        mean, spread = whole.mean[part], whole.spread[part]
         response, dark_e = self._response[part], self._dark_e[part]
         for rows in in_blocks(light):
             electrons, variance = mean[rows], spread[rows]
@@ -193,7 +198,7 @@ class OpticalReadout:
             electrons += dark_e[rows]
             electrons *= np.float32(gain)
             electrons += np.float32(sensor.offset_dn)
-        return ExpectedFrame(mean, spread)
+        return whole
 
     def expose(self, expected: ExpectedFrame, rng: np.random.Generator) -> Grey:
         """One exposure with fresh noise, uint8 (uint16 above 8 bits)."""

@@ -197,7 +197,7 @@ def _meet_block(
     (
         axis_x, axis_y, axis_z, b_x, b_y, b_z, bend, h0, qc,
         slope, radius_0, a_x, a_y, a_z, low, high, flat_ends,
-    ) = (np.repeat(column, counts) for column in columns)  # fmt: skip
+    ) = np.repeat(columns, counts, axis=1)  # fmt: skip
     dh = x * axis_x + y * axis_y + axis_z
     qb = x * b_x + y * b_y + b_z
     # a ray along the axis meets an end, never the body

@@ -81,6 +81,7 @@ _SETTINGS = {
     "axes.edgecolor": COLOURS["muted"],
     "axes.labelcolor": COLOURS["ink"],
     "axes.titlesize": 8.5,
+    "axes.titley": 1.0,  # where it stands anyway: else each layout looks for it among the ticks
     "axes.labelsize": 8.5,
     "axes.linewidth": 0.7,
     "axes.spines.top": False,

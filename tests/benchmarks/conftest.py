@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-HEADS = ("date", "commit", "python", "processors", "benchmark", "figure", "value")
+HEADS = ("date", "commit", "python", "processors", "load", "benchmark", "figure", "value")
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -36,7 +36,9 @@ def note(path: Path, benchmarks: object) -> None:
 
 
 def _rows(benchmarks: object) -> Iterator[tuple[object, ...]]:
-    run = (f"{datetime.now(UTC):%Y-%m-%d}", _commit(), platform.python_version(), os.cpu_count())
+    load = round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else ""  # processes that wait
+    date, python = f"{datetime.now(UTC):%Y-%m-%d}", platform.python_version()
+    run = (date, _commit(), python, os.cpu_count(), load)
     for one in benchmarks:  # type: ignore[attr-defined]
         name = one.fullname.removeprefix("tests/benchmarks/")
         if one.stats and one.stats.data:

@@ -1,5 +1,5 @@
 """What the engine itself costs: a trial without frames, touches or a detection, with its looks,
-prompts, states and record.
+prompts, states and record; and by how much the memory of a run grows.
 """
 
 from __future__ import annotations
@@ -13,14 +13,17 @@ from typing import Any
 
 import pytest
 
+from bench.cli.main import main
 from bench.record.reader import TrialRecord
 from bench.rig.loading import load_rig
 from bench.run.events import RunState
 from bench.run.start import run_script
+from bench.run.trial import TrialRun
 from bench.script.model import load_script
 from bench.script.planned_trials import PlannedTrial
 from tests.bench.operated_runs import SCRIPT, files
 from tests.benchmarks.figures import figure
+from tests.conftest import resident_mib
 
 TRIALS = 300
 
@@ -76,3 +79,17 @@ def test_overhead_of_a_trial_without_frames(
     third = TRIALS // 3
     ratio = median(in_order[-third:]) / median(in_order[:third])
     figure(benchmark, "the same, median of the last third over that of the first", ratio, "1")
+
+
+def test_memory_of_the_demo(
+    benchmark: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, after_mib = TrialRun.run, list[float]()
+
+    def watched(trials: TrialRun, trial: PlannedTrial) -> None:
+        run(trials, trial)
+        after_mib.append(resident_mib())
+
+    monkeypatch.setattr(TrialRun, "run", watched)
+    benchmark.pedantic(main, (["run", "demo", "--out", str(tmp_path)],), rounds=1)
+    figure(benchmark, "MiB more after its last", after_mib[-1] - after_mib[9], "0")

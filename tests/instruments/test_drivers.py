@@ -11,22 +11,23 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import bench
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import find_rig, load_rig
 from bench.testing.conformance import conform
 from bench.testing.plugins import OnEmulator, subject_of
+from detector.calibration import load_part
 from instruments.clock import RealClock, VirtualClock
 from instruments.drivers import border
 from instruments.drivers.bath import PluggedBath
 from instruments.drivers.entry_points import Kind, PluginUrl, load, plugin_url
 from instruments.errors import (
-    DeviceError,
     InstrumentError,
     LimitError,
     LinkError,
-    ProtocolError,
 )
 from instruments.listener import Listener
 from instruments.world.world import World
@@ -114,26 +115,6 @@ def kettle(world: tuple[World, VirtualClock], monkeypatch: pytest.MonkeyPatch) -
     clock.close()
 
 
-@pytest.mark.parametrize(
-    ("mode", "kind", "says"),
-    [
-        ("says what it likes", ProtocolError, "no BathState"),
-        ("no number", ProtocolError, "no number"),
-        ("exits", DeviceError, "SystemExit: bye"),
-        ("hangs in read", LinkError, "hangs"),
-    ],
-)
-def test_whatever_it_does_is_an_error_of_an_instrument(
-    mode: str, kind: type[InstrumentError], says: str, kettle: object
-) -> None:
-    bath = kettle(mode)  # type: ignore[operator]
-    with pytest.raises(kind, match=says) as caught:
-        bath.read()
-    assert "kettle 1.0 (kettle:Kettle)" in str(caught.value)
-    bath.close()
-    bath.close()
-
-
 @pytest.mark.parametrize("mode", ["stays on", "standby raises", "standby hangs"])
 def test_what_is_not_safe_is_not_called_safe(
     mode: str, kettle: object, world: tuple[World, VirtualClock]
@@ -155,7 +136,7 @@ def test_a_bath_that_hangs_is_made_safe_beside_the_call(
     monkeypatch.setattr(
         bath._border.open(), "ask", lambda *_: sys.modules["kettle"].OVER.wait(60.0)
     )
-    with pytest.raises(LinkError):
+    with pytest.raises(LinkError, match=r"hangs.*kettle 1.0 \(kettle:Kettle\)|kettle 1.0 .*hangs"):
         bath.read()
     bath.safe()
     assert not world[0].plant.running
@@ -195,3 +176,33 @@ def test_an_unknown_driver_is_wrong_use_and_those_that_are_there_are_listed(
     assert "none is installed" in said(2, "plugin check nothing").err
     listed = said(0, "plugin").out
     assert "bath tank: lab-drivers 1.0 (lab_drivers:Tank), with an emulator" in listed
+
+
+def test_a_makers_calibration_becomes_the_cameras_part(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    said = Said(capsys)
+    write_calibration(tmp_path)
+    for name in ("calibrated", "eyes"):
+        text = 'name = "lab"\ncalibration = "calibration.toml"\n'
+        text += 'bath = { url = "emulator:", profile = "julabo-presto" }\n'
+        text += 'operator.url = "emulator:"\narm.url = "emulator:"\n'
+        text += f'cameras.url = "emulator:{name}"\n'
+        (tmp_path / f"{name}.toml").write_text(text, encoding="utf-8")
+    told = said(0, "calibrate import --rig calibrated.toml --out cameras.toml").out
+    assert "stated with standard deviations" in told
+    part, exact = load_part(tmp_path / "cameras.toml"), bench.load_rig("eyes.toml").calibration
+    assert part.left
+    assert part.right_from_left
+    assert part.record
+    assert part.covariance
+    np.testing.assert_allclose(part.left.matrix, exact.left.matrix, rtol=1e-9)
+    np.testing.assert_allclose(part.right_from_left.T, exact.right_from_left.T, rtol=1e-9)
+    assert part.covariance.sds == {("stereo", "T1"): 0.02}
+    assert part.record.with_what.startswith("the maker's own, read by teatbench")
+    assert part.record.cameras["left"].startswith("EyesEmulator 1 (the plug-in calibrated")
+    none = said(2, "calibrate import --rig eyes.toml --out again.toml").err
+    assert "has no calibration of their maker" in none
+    assert "give either" in said(2, "calibrate import --out again.toml").err
+    assert "Name it with --format" in said(2, "calibrate import a.yml --out again.toml").err

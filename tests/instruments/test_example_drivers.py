@@ -5,12 +5,15 @@ from __future__ import annotations
 import runpy
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from bench.calibrate.exchange import read_maker
+from bench.config import ConfigError
 from bench.testing.conformance import CHECKS, conform
 from bench.testing.plugins import OfPlugin
 from instruments.camera.cameras import CameraSet
@@ -146,8 +149,22 @@ class Pipeline:
 
     there, late_ms, waiting = True, 0.0, 3
 
+    columns = 6
+
     def start(self, _: object) -> Any:
-        return SimpleNamespace(get_device=lambda: self)
+        return SimpleNamespace(get_device=lambda: self, get_stream=self.stream)
+
+    def stream(self, *which: object) -> Any:
+        """Rectified: the right imager stands 50 mm to the right of the left one."""
+        lens = SimpleNamespace(width=self.columns, height=4, fx=5.0, fy=5.0, ppx=2.5, ppy=1.5)
+        lens.coeffs = [0.0] * 5
+        way = SimpleNamespace(rotation=np.eye(3).ravel(), translation=[-0.05, 0.0, 0.0])
+        none = SimpleNamespace(rotation=np.eye(3).ravel(), translation=[0.0] * 3)
+        return SimpleNamespace(
+            as_video_stream_profile=lambda: SimpleNamespace(get_intrinsics=lambda: lens),
+            get_extrinsics_to=lambda other: way if other.which[1:] == (2,) else none,
+            which=which,
+        )
 
     def first_depth_sensor(self) -> Any:
         return SimpleNamespace(set_option=lambda *_: None, get_depth_scale=lambda: 0.001)
@@ -205,6 +222,28 @@ def test_a_group_of_a_realsense(driver: Drivers) -> None:
     assert frames.depth_mm is not None
     assert frames.depth_mm[0, 0] == 650.0
     assert "0123" in cameras.identity["depth"]
+    stated = cameras.makers_calibration()
+    assert stated is not None
+    sizes = dict.fromkeys(("left", "right", "depth"), (6, 4))
+    part = read_maker(stated, sizes, "RealSense")
+    assert part.left is not None
+    assert part.left.fc == (5.0, 5.0)
+    assert part.right_from_left is not None
+    assert part.right_from_left.T.tolist() == [-50.0, 0.0, 0.0]
+    assert part.depth_from_left is not None
+    assert part.depth_from_left.T.tolist() == [0.0, 0.0, 0.0]
+    assert part.covariance is None
+    with_sd = replace(stated, sd={"left fx": 0.5, "stereo T1": 0.02})
+    covariance = read_maker(with_sd, sizes, "RealSense").covariance
+    assert covariance is not None
+    assert covariance.sd("stereo", "T1") == 0.02
+    with pytest.raises(ConfigError, match="sd can't be: no such parameter: left f"):
+        read_maker(replace(stated, sd={"left f": 0.5}), sizes, "RealSense")
+    device.columns = 7
+    failed = next(conform(lambda: OfPlugin("camera", plugged, clock, works=True)))
+    assert failed.outcome == "failed"
+    assert "its maker's lenses are of {'left': (7, 4)" in failed.why
+    device.columns = 6
     device.late_ms = 30.0
     with pytest.raises(FrameError, match="beside the left picture"):
         cameras.capture()

@@ -26,7 +26,7 @@ def bench_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_rig(folder)
     with pytest.MonkeyPatch.context() as patch:
         lines: list[str] = []
-        patch.setattr("bench.cli.calibrate.tell", lines.append)
+        patch.setattr("bench.cli.calibrate.say", lines.append)
         assert live(folder, "cameras", "--board", BOARD) == 4
     (folder / "said.txt").write_text("\n".join(lines), encoding="utf-8")
     return folder

@@ -189,7 +189,7 @@ def test_a_mistake_of_the_bench_is_no_requirement_that_is_not_met(
     def mistaken(*_: object) -> None:
         raise ZeroDivisionError("a mistake")
 
-    monkeypatch.setattr("bench.cli.rig.load_rig", mistaken)
+    monkeypatch.setattr("bench.load_rig", mistaken)
     assert teatbench("check") == 3
     seen = capsys.readouterr().err
     assert "ZeroDivisionError: a mistake" in seen

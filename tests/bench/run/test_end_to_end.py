@@ -6,11 +6,7 @@ from __future__ import annotations
 
 import csv
 import json
-import signal
 import sqlite3
-import sys
-import time
-import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -24,7 +20,6 @@ from bench.record.reader import RunRecord, read_run
 from bench.safety.stability import State
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said, teatbench, words
-from tests.bench.forked import Running, begin
 from tests.conftest import first_trials
 
 pytestmark = pytest.mark.slow
@@ -99,18 +94,6 @@ def test_trials_csv_has_a_line_a_trial(done: Done) -> None:
         assert int(line["found"]) + int(line["missed"]) == int(line["visible"])
 
 
-def test_junit_has_a_case_a_requirement(done: Done) -> None:
-    root = ET.parse(done.run.folder / "report" / "junit.xml").getroot()
-    cases = root.findall(".//testcase")
-    table = json.loads((done.run.folder / "report" / "run.json").read_text(encoding="utf-8"))
-    verdicts = {d["name"]: d["verdict"] for d in table["judgements"][0]["requirements"]}
-    assert {case.get("name") for case in cases} == set(verdicts)
-    for case in cases:
-        failed, skipped = case.find("failure") is not None, case.find("skipped") is not None
-        assert failed == (verdicts[str(case.get("name"))] == "not met")
-        assert skipped == (verdicts[str(case.get("name"))] in ("inconclusive", "not measured"))
-
-
 def test_the_recording_scores_the_same(done: Done, tmp_path: Path) -> None:
     _, folder = run_command(["score", str(done.recording)], tmp_path)
     again = read_run(folder)
@@ -157,45 +140,6 @@ def test_the_report_can_be_written_again(done: Done, said: Said) -> None:
     page.unlink()
     assert str(page) in said(done.code, "report {}", done.run.folder).out.replace("\n", "")
     assert page.read_bytes() == before
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals to a child")
-@pytest.mark.parametrize("after_s", [0.1, 2.4])
-def test_ctrl_c_ends_safe_and_leaves_a_run(
-    short_script: Path, rig: Path, tmp_path: Path, after_s: float
-) -> None:
-    out = tmp_path / "runs"
-    with long_run(short_script, rig, out, window_s=600.0) as child:
-        folder = wait_for_run(out, child)
-        time.sleep(after_s)
-        child.send_signal(signal.SIGINT)
-        output, _ = child.communicate(timeout=60)
-    assert child.returncode == 3, output
-    run = read_run(folder)
-    assert run.ending == "aborted"
-    assert "Traceback" not in output
-    safe = [event["text"] for event in run.events if event["kind"] == "safe"]
-    if any(event["text"] == "preparing" for event in run.events):
-        assert {"bath is safe", "stage is safe", "arm is safe"} <= set(safe), safe
-    page = (folder / "report" / "index.html").read_text(encoding="utf-8")
-    assert "EMULATED INSTRUMENTS" in page
-    assert "aborted" in page
-
-
-def long_run(script: Path, rig: Path, out: Path, window_s: float = 60.0) -> Running:
-    """A bench that runs ``script`` with 50 repeats and a stability gate of ``window_s``."""
-    text = script.read_text(encoding="utf-8").replace("repeats = 1", "repeats = 50")
-    long = out.with_name("long.toml")
-    long.write_text(text.replace("window_s = 60.0", f"window_s = {window_s}"), encoding="utf-8")
-    return begin(["run", long, "--rig", rig, "--out", out])
-
-
-def wait_for_run(out: Path, child: Running) -> Path:
-    while child.poll() is None:
-        if found := list(out.glob("*/run.sqlite")):
-            return found[0].parent
-        time.sleep(0.01)
-    raise AssertionError(f"the bench ended before it had a run: {child.communicate()[0]}")
 
 
 def test_the_report_names_the_digest_by_which_the_record_is_checked(done: Done) -> None:

@@ -296,7 +296,9 @@ def test_a_trip_is_among_the_lines(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     with event_lines(path) as lines:
         assert start(tmp_path, progress=Events(Silent(), lines))[1] is RunState.FAULTED
-    note = map(json.loads, path.read_bytes().splitlines())
+    note = [*map(json.loads, path.read_bytes().splitlines())]
+    assert {line["what"] for line in note} >= {"doing", "asked", "event"}
+    assert any("bath" in line for line in note if line["what"] == "doing")
     (trip,) = [line["text"] for line in note if line.get("kind") == "trip"]
     assert trip.startswith("interlock controller alarm")
     assert trip in [event["text"] for event in run_of(tmp_path).events]

@@ -5,7 +5,6 @@ and nothing finished is lost.
 from __future__ import annotations
 
 import errno
-import json
 import shutil
 import sqlite3
 import sys
@@ -235,25 +234,6 @@ def test_a_busy_computer_is_no_clock_that_is_set(
     run = read_run(start(tmp_path)[0])
     assert looks > 12
     assert texts(run, "clock") == []
-
-
-@pytest.mark.slow
-def test_events_as_lines_and_each_is_json(tmp_path: Path) -> None:
-    path = tmp_path / "events.jsonl"
-    files(tmp_path)
-    with event_lines(path) as file:
-        start(tmp_path, progress=Events(Silent(), file))
-    lines = list(map(json.loads, path.read_bytes().splitlines()))
-    assert {line["what"] for line in lines} == {"doing", "trial", "asked", "event"}
-    states = [line["text"] for line in lines if line.get("kind") == "run state"]
-    assert states == ["preparing", "settling", "running", "safing", "finished"]
-    trials = [line["name"] for line in lines if line["what"] == "trial"]
-    assert trials == ["place-1", "place-2", "place-3", ""]
-    record = [event["text"] for event in read_run(only_run(tmp_path, "runs")).events]
-    assert [line["text"] for line in lines if line["what"] == "event"] == record, (
-        "what is told is on record"
-    )
-    assert any("bath" in line for line in lines if line["what"] == "doing")
 
 
 @pytest.mark.slow

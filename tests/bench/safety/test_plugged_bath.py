@@ -5,19 +5,21 @@ emulated in part: what it shows is marked.
 
 from __future__ import annotations
 
+import importlib
 import json
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 import bench
-from instruments.clock import RealClock
+from instruments.clock import Clock, RealClock
+from instruments.errors import InstrumentError
 from instruments.listener import Listener
 from instruments.world.plant import Plant
 from tests.bench.commands import Said
@@ -46,6 +48,25 @@ settle_s = 0.1
 [limits]
 away_s = 5.0
 """
+
+ALL_PLUGGED = """
+name = "lab"
+calibration = "calibration.toml"
+operator.url = "emulator:"
+arm.url = "emulator:probe"
+bath.url = "emulator:tank"
+cameras.url = "emulator:eyes"
+stage = { url = "emulator:slide", reference_mm = [150.0, 150.0] }
+"""
+BREAKS: dict[str, Callable[[bench.OpenRig], object]] = {
+    "Eyes.capture": lambda rig: rig.capture(),
+    "Slide.move": lambda rig: rig.move(x_mm=5.0),
+    "Slide.read": lambda rig: rig.move(x_mm=5.0),
+    "Probe.read": lambda rig: rig.touch(1),
+    "Tank.read": lambda rig: rig.wait(60.0),
+    **dict.fromkeys(("Slide.stop", "Probe.stop"), lambda _: None),
+}
+EXPECTED = (InstrumentError, bench.InterlockTrip, bench.NotSafeError)
 
 HEATS = """
 import os, sys
@@ -107,6 +128,40 @@ def test_the_guardian_opens_it_by_itself(mode: str, lab: Lab) -> None:
     if mode:  # the process itself has said so
         assert "SWITCH OFF THE BATH AT ITS MAINS" in ended.stderr
         assert "NotSafeError" in ended.stderr
+
+
+@pytest.mark.parametrize("member", BREAKS)
+@pytest.mark.parametrize("gives", [SystemExit("bye"), MemoryError(), None])
+def test_no_driver_leaves_the_bath_on(
+    member: str, gives: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_calibration(tmp_path)
+    (tmp_path / "lab.toml").write_text(ALL_PLUGGED, encoding="utf-8")
+    plants: list[Plant] = []
+
+    def broken(*_: object) -> object:
+        if isinstance(gives, BaseException):
+            raise gives
+        return gives
+
+    with importable(tmp_path / "site"):
+        drivers = importlib.import_module("lab_drivers")
+        emulator = drivers.TankEmulator
+
+        def seen(world: World, clock: Clock) -> object:
+            plants.append(world.plant)
+            return emulator(world, clock)
+
+        monkeypatch.setattr(drivers, "TankEmulator", seen)
+        with suppress(*EXPECTED), bench.open_rig(tmp_path / "lab.toml", warn=lambda _: None) as rig:
+            rig.home()
+            rig.set_up(bench.member("ideal", 3))
+            rig.heat(33.0, wait=False)
+            rig.wait(2.0)
+            assert plants[0].running
+            monkeypatch.setattr(f"lab_drivers.{member}", broken)
+            BREAKS[member](rig)
+    assert not plants[0].running
 
 
 def test_a_rig_that_is_emulated_in_part_is_marked(lab: Lab, said: Said) -> None:

@@ -5,6 +5,8 @@ boards, of which one has its words from Marlin's own source."""
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import closing
@@ -21,7 +23,7 @@ from hypothesis import strategies as st
 from marlin_host._constants import FATAL_MARKERS
 from marlin_host.protocol import MarlinResponseKind, parse_response
 
-from instruments.clock import VirtualClock
+from instruments.clock import RealClock, VirtualClock
 from instruments.errors import InstrumentError
 from instruments.link import Link
 from instruments.listener import Connection, Listener
@@ -32,6 +34,7 @@ from instruments.stage.emulator import (
     EMULATED,
     GRBL_HAL,
     MARLIN,
+    ZABER,
     Dialect,
     StageEmulator,
 )
@@ -255,6 +258,56 @@ def test_another_programs_host_drives_the_emulated_marlin(
     assert MarlinResponseKind.HALT in {
         parse_response(line).kind for line in board.hear(1.0).decode("ascii").split("\r\n")
     }
+
+
+# in a process of its own: the library's threads go on after its connections are closed
+MAKERS_LIBRARY = """
+import sys
+from zaber_motion import Units
+from zaber_motion.ascii import Connection
+from zaber_motion.exceptions import BadDataException
+
+with Connection.open_tcp("127.0.0.1", int(sys.argv[1])) as connection:
+    devices = connection.detect_devices(identify_devices=False)
+    assert [one.device_address for one in devices] == [1, 2, 3]
+    axis, other = (device.get_axis(1) for device in devices[:2])
+    assert devices[0].warnings.get_flags() == {"WR"}
+    assert not axis.is_homed()
+    for one in (axis, other):
+        one.home()
+        assert one.is_homed()
+    axis.move_absolute(12_500, Units.NATIVE)
+    assert axis.get_position(Units.NATIVE) == 12_500
+    axis.settings.set("maxspeed", 2048)  # 5 mm/s
+    axis.move_absolute(0, Units.NATIVE, wait_until_idle=False)
+    assert axis.is_busy()
+    axis.stop()
+    assert not axis.is_busy()
+    try:
+        axis.move_absolute(10**9, Units.NATIVE)
+    except BadDataException:
+        alone = connection.generic_command("get system.serial", 3)
+        print(alone.device_address, alone.data, axis.get_position(Units.NATIVE))
+"""
+
+
+@pytest.mark.slow
+def test_the_makers_library_drives_the_emulated_zaber() -> None:
+    """In real time: it has time-outs of its own, and knows no other clock."""
+    quick = {24: 6000, 25: 12_000, 27: 1} | dict.fromkeys((110, 111, 112), 12_000)
+    quick |= dict.fromkeys((120, 121, 122), 2000) | dict.fromkeys((130, 131, 132), 60)
+    with closing(RealClock()) as clock:
+        emulator = StageEmulator(clock, settings=quick, dialect=ZABER)
+        with closing(Listener(emulator, clock, lock=threading.RLock(), name="stage")) as listener:
+            command = [sys.executable, "-c", MAKERS_LIBRARY, str(listener.port)]
+            ended = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert ended.returncode == 0, ended.stderr
+    device, serial, steps = ended.stdout.split()
+    assert (device, serial) == ("3", "65002")
+    x_mm, y_mm, _ = emulator.position_mm()
+    assert 0.0 < x_mm < 50.0
+    assert y_mm == pytest.approx(0.0)
+    assert float(steps) == pytest.approx(250.0 * x_mm, abs=1.0)
 
 
 class Wire:

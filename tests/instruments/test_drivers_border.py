@@ -1,0 +1,224 @@
+"""Nothing but an InstrumentError comes out of a driver of another package, whatever one of its
+members gives or raises; and what comes out of it is a value that the bench can use.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+import pytest
+
+from instruments import (
+    ArmPoint,
+    BathState,
+    LinkError,
+    MakersCalibration,
+    MakersLens,
+    Ranging,
+    RawFrame,
+    RealClock,
+    StageState,
+    VirtualClock,
+)
+from instruments.camera.cameras import CameraSet
+from instruments.drivers import border
+from instruments.drivers.arm import PluggedArm
+from instruments.drivers.bath import PluggedBath
+from instruments.drivers.camera import PluggedCamera, PluggedGroup
+from instruments.drivers.entry_points import Plugin
+from instruments.drivers.stage import PluggedStage
+from instruments.errors import InstrumentError
+
+
+class OwnError(BaseException):
+    """Whose words fail."""
+
+    def __str__(self) -> str:
+        raise ValueError
+
+
+class Evil:
+    """Whatever is asked of it fails."""
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def _fails(self, *_: object) -> Any:
+        raise RuntimeError
+
+    __bool__ = __eq__ = __float__ = __iter__ = __repr__ = __len__ = _fails
+
+
+GREY = np.zeros((4, 4), np.uint8)
+EVIL: Any = Evil()
+NONE: Any = None
+TEXT: Any = "x"
+NAN = float("nan")
+LENS = MakersLens((4, 4), np.eye(3))
+PLACE, UP = {"X": 0.0, "Y": 0.0}, np.array([0.0, 0.0, 1.0])
+GIVEN: tuple[Any, ...] = (
+    *(None, object(), EVIL, True, -1, NAN, 10**400, "x", b"", [], (), {}, {"a": EVIL}),
+    *(np.array([]), np.full(3, np.nan), ("left", EVIL), {"X": ("a", 1)}, {"X": EVIL}),
+    *({"X": (300.0, 0.0), "Y": (0.0, 300.0)}, {"X": (0.0, NAN), "Y": (0.0, 1.0)}),
+    *(BathState(EVIL, True, 1.0), BathState(20.0, NONE, 30.0), BathState(20.0, False, 10**400)),
+    *(BathState(20.0, True, 30.0, EVIL), BathState(20.0, True, 30.0, alarm=EVIL)),
+    *(StageState(NONE, False, True), StageState({"X": TEXT}, False, True)),
+    *(StageState(PLACE, False, EVIL), StageState(PLACE, False, True, EVIL)),
+    *(StageState({**PLACE, "Z": TEXT}, False, True), StageState(TEXT, False, True)),
+    *(ArmPoint(EVIL), ArmPoint(np.zeros(3), TEXT), ArmPoint(np.zeros(3), np.zeros(3))),
+    *(ArmPoint(np.zeros(3), np.zeros(2)), ArmPoint(np.zeros(3), None, EVIL)),
+    RawFrame(np.broadcast_to(np.uint8(3), (1 << 20, 1 << 20)), 0.0),
+    *(RawFrame(GREY.astype(kind), 0.0) for kind in (object, str, complex, np.float64, bool)),
+    *(RawFrame(np.zeros((4, 4, 7), np.uint8), 0.0), RawFrame(GREY, EVIL), RawFrame(GREY, NAN)),
+    *(RawFrame(GREY, 0.0, bits) for bits in (TEXT, -3, 10**9, EVIL)),
+    *(RawFrame(GREY, 0.0, ranging=EVIL), RawFrame(GREY, 0.0, amplitude=EVIL)),
+    *({"left": RawFrame(GREY, 0.0)}, {"left": RawFrame(GREY, 0.0), "right": EVIL}),
+    *(MakersCalibration(NONE), MakersCalibration({"left": EVIL}), MakersCalibration({}, EVIL)),
+    *(SystemExit("bye"), KeyError("k"), MemoryError(), GeneratorExit(), OwnError(), OSError()),
+    *(StopIteration(), LinkError("me", "gone"), UnicodeDecodeError("utf8", b"x", 0, 1, "r")),
+)
+MAKES: dict[str, Callable[[Plugin, Any], Any]] = {
+    "bath": PluggedBath,
+    "stage": lambda plugged, clock: PluggedStage(plugged, clock, "XY"),
+    "arm": PluggedArm,
+    "camera": lambda plugged, clock: PluggedCamera(plugged, "left", clock),
+    "group": PluggedGroup,
+}
+RIGHT: dict[str, Mapping[str, Any]] = {
+    "bath": {
+        "range_c": (15.0, 60.0),
+        "step_k": 0.01,
+        "pump": "none",
+        "comms_loss": "hold",
+        "identity": {"is": "1"},
+        "read()": BathState(20.0, False, 30.0),
+        "start()": None,
+        "standby()": None,
+        "close()": None,
+    },
+    "stage": {
+        "axes": "XY",
+        "feed_mm_min": 3000.0,
+        "identity": {"is": "1"},
+        "limits": {"X": (0.0, 300.0), "Y": (0.0, 300.0)},
+        "home()": None,
+        "move()": None,
+        "read()": StageState(PLACE, False, True),
+        "stop()": None,
+        "close()": None,
+    },
+    "arm": {
+        "homing": "h",
+        "touches": True,
+        "identity": {"serial_number": "1"},
+        "read()": ArmPoint(np.zeros(3), UP),
+        "touch()": None,
+        "stop()": None,
+        "close()": None,
+    },
+    "camera": {
+        "identity": "c",
+        "prepare()": None,
+        "begin()": None,
+        "close()": None,
+        "take()": RawFrame(GREY, 0.0, ranging=Ranging(1.0)),
+    },
+    "group": {
+        "identity": "g",
+        "parts": ("left", "right"),
+        "close()": None,
+        "capture()": {part: RawFrame(GREY, 0.0) for part in ("left", "right")},
+        "makers_calibration()": MakersCalibration({"left": LENS, "right": LENS}),
+    },
+}
+CALLS: dict[str, Callable[[Any], list[Callable[[], object]]]] = {
+    "bath": lambda d: [
+        *(d.read, lambda: d.start(30.0), lambda: d.set_point(30.0), d.standby, d.safe),
+        lambda: d.get("temperature"),
+    ],
+    "stage": lambda d: [
+        *(d.connect, d.home, d.status, d.position, lambda: d.move_to(10.0, 10.0), d.brake),
+        *(lambda: d.jog(x_mm=1.0), d.stop, d.stands, d.recover, d.reconnect),
+    ],
+    "arm": lambda d: [
+        *(d.sign_on, d.confirm_homed, d.read, d.glance, lambda: d.touch(np.zeros(3), UP)),
+        *(d.safe, d.record, d.recover),
+    ],
+    "camera": lambda d: [
+        *(d.prepare, d.begin, d.take),
+        lambda: CameraSet(dict.fromkeys(("left", "right"), lambda: d), {}).capture(),
+    ],
+    "group": lambda d: [
+        *(d.capture, d.makers_calibration),
+        lambda: CameraSet({}, {}, lambda: d).capture(),
+    ],
+}
+
+
+# by a device whose readings never change
+DONE = {"bath": 4, "stage": 10, "arm": 8, "camera": 4, "group": 3}
+
+
+def gives(value: Any) -> Callable[..., Any]:
+    def call(*_: object) -> Any:
+        if isinstance(value, BaseException):
+            raise value
+        return value
+
+    return call
+
+
+def driver(kind: str, member: str, given: Any) -> type:
+    """Right but for one member."""
+    members: dict[str, Any] = {"__init__": lambda self, clock: None}
+    for name, value in {**RIGHT[kind], **({member: given} if member else {})}.items():
+        fails = isinstance(value, BaseException)
+        one = gives(value)
+        members[name.removesuffix("()")] = (
+            one if name.endswith("()") else property(one) if fails else value
+        )
+    return type("Driver", (), members)
+
+
+@pytest.mark.parametrize("kind", MAKES)
+def test_nothing_but_an_error_of_an_instrument_comes_out(kind: str) -> None:
+    clock = VirtualClock()
+
+    def tried(maker: Any) -> int:
+        """How many calls did what they should."""
+        done = 0
+        with suppress(InstrumentError):
+            device = MAKES[kind](Plugin("d", "pkg 1", maker), clock)
+            for call in (*CALLS[kind](device), device.close, device.close):
+                with suppress(InstrumentError):
+                    call()
+                    done += 1
+        return done - 2
+
+    assert tried(driver(kind, "", None)) == DONE[kind]
+    for given in GIVEN:
+        for member in RIGHT[kind]:
+            tried(driver(kind, member, given))
+        maker = gives(given)
+        vars(maker).update({n: v for n, v in RIGHT[kind].items() if not n.endswith("()")})
+        assert tried(maker) <= 1, "such an object is no driver"
+
+
+@pytest.mark.parametrize("kind", MAKES)
+def test_a_close_that_never_ends_costs_two_seconds(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    over, clock = threading.Event(), RealClock()
+    monkeypatch.setattr(border, "CLOSE_S", 0.2)
+    made = driver(kind, "", None)
+    made.close = lambda _: over.wait(60.0)  # type: ignore[attr-defined]
+    device = MAKES[kind](Plugin("d", "pkg 1", made), clock)
+    CALLS[kind](device)[0]()  # opens it
+    began_s = clock.now()
+    device.close()
+    assert clock.now() - began_s < 30.0
+    over.set()
+    clock.close()
