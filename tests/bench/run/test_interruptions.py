@@ -59,21 +59,6 @@ def faulty(folder: Path, emulation: str) -> RunRecord:
     return record_of(folder, stage=STAGE, emulation=emulation)
 
 
-@pytest.mark.slow
-def test_it_goes_on_when_the_instrument_is_back(tmp_path: Path) -> None:
-    """The others' are in the tables: `fault_catalogue`, `test_kills`."""
-    record = faulty(tmp_path, fault("arm", "power loss", 60.0, 40.0))
-    assert record.ending == "finished", texts(record, "fault")
-    assert [trial.id for trial in record.trials] == TRIALS
-    assert any("the arm is back after" in text for text in texts(record, "back"))
-    states = texts(record, EVENT)
-    assert states[states.index("paused") + 1] == "running"
-    assert sum(record.facts["retries"].values()) >= 1
-    assert all(len(trial.touches) == 4 for trial in record.trials), (
-        "a trial done again has one set of touches"
-    )
-
-
 def given(words: str, folder: Path, emulation: str) -> RunRecord:
     """A run whose operator types ``words`` while an instrument is away."""
     person = Person("The run is paused", [words])
@@ -340,13 +325,6 @@ def test_a_trial_is_repeated_whole_and_another_skipped_each_with_its_reason(tmp_
     assert texts(run, "repeated")[-1].endswith(again)
     assert [row["reason"] for row in run.skipped] == ["it leaks"]
     assert len(run.trials) == 2
-
-
-@pytest.mark.slow
-def test_an_abort_is_taken_before_the_first_trial_too(tmp_path: Path) -> None:
-    run = run_with(Person("", ["", "", "abort"]), tmp_path)
-    assert (run.ending, len(run.trials)) == ("aborted", 0)
-    assert texts(run, EVENT) == ["preparing", "safing", "aborted"]
 
 
 def test_ctrl_c_before_there_are_instruments_is_an_abort(
