@@ -189,12 +189,6 @@ def test_any_request_gets_one_whole_answer(pdu: bytes) -> None:
     assert answer[7] & 0x7F == pdu[0] & 0x7F
 
 
-@pytest.mark.slow
-@given(data=st.binary(max_size=600))
-def test_garbage_never_crashes_it(data: bytes) -> None:
-    answers_to(data)
-
-
 # ---- Modbus RTU
 
 # From the serial-line guide (status query to unit 2) and Modbus primers that many a maker prints.
