@@ -19,6 +19,7 @@ from bench.rig.model import Stage as StageTable
 from bench.rig.opening import open_instruments
 from instruments.clock import VirtualClock
 from instruments.drivers.protocols import Stage
+from instruments.errors import DeviceError, LinkError
 from instruments.world.phantom import PlatePose
 from tests.bench.test_config import rig_with as emulated_rig
 
@@ -155,6 +156,28 @@ def test_the_world_moves_as_fast_as_the_stage(tmp_path: Path) -> None:
         assert max(velocity[0] for velocity in seen) == pytest.approx(10.0, rel=0.01)
         assert all(velocity[1:] == (0.0, 0.0) for velocity in seen)
         assert world.scene().velocity_mm_s == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "amount", "error", "sentence"),
+    [
+        ("limit hit", 1.0, DeviceError, "alarm 1"),
+        ("late ok", None, LinkError, "no answer"),
+    ],
+)
+def test_faults_of_a_rig_file_reach_the_driver(
+    tmp_path: Path, name: str, amount: float | None, error: type[Exception], sentence: str
+) -> None:
+    said = "" if amount is None else f", amount = {amount}"
+    faults = (
+        f'[emulation]\nfaults = [{{ instrument = "stage", name = "{name}", at_s = 60.0{said} }}]'
+    )
+    with homed(rig_with(tmp_path, "", faults)) as (twin, stage):
+        stage.move_to(-150.0, -100.0)
+        twin.world.clock.sleep(60.0)
+        with pytest.raises(error, match=sentence):
+            stage.move_to(-10.0, -270.0)
 
 
 def test_a_rotation_with_the_classic_firmware_is_refused_in_its_place(tmp_path: Path) -> None:
