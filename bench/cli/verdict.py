@@ -45,8 +45,8 @@ def show_verdict(console: Terminal, found: Reported) -> int:
         decided = status.decided and bool(judgements)
         if decided:
             console.print(_bench(record, judgements[0]))
-        if judgements:
-            console.print(_scoreboard(console, record, judgements))
+        if judgements and (table := _scoreboard(console, record, judgements)).rows:
+            console.print(table)
         if decided and len(judgements) > 1:
             for judgement in judgements:
                 console.print(_of_detector(console, judgement))
@@ -77,6 +77,7 @@ def _bench(record: RunRecord, judgement: Judgement) -> Text:
         text = f"The bench has to be put right first: {', '.join(failed)}."
         return Text.assemble((text, "bold red"))
     count = f"{done} of {plural(planned, 'trial')} done"
+    count += f", {len(record.skipped)} skipped" if record.skipped else ""
     met = [one.name for one in own if one.verdict is Verdict.MET]
     note = [count, *met, *(f"{name}: not decided" for name in open_)]
     return Text.assemble(("The bench works: ", "bold green"), f"{', '.join(note)}.")

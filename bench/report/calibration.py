@@ -92,7 +92,7 @@ def _page(
         names = ", ".join(finding.name for finding in findings)
         score = Score("not met" if names else "met", names or "none", "")
         rows.insert(0 if title == CHECK else 1, (FAULTS, "none", (score,)))
-        sound = "Nothing: no fault left a mark that is both significant and large enough to matter."
+        sound = "No fault left a mark that is both significant and large enough to matter."
         named = tuple(f"{finding.name}: {finding.sentence}" for finding in findings)
         wrong = [Notes("What was found wrong", named) if named else Paragraph(sound, tone="good")]
     if missing is not None:
@@ -575,10 +575,10 @@ def _worth(result: CamerasResult, seen_m: tuple[float, float]) -> Iterator[Part]
     pair = result.pair
     focal = 0.5 * (pair.left.fc[0] + pair.right.fc[0])
     per_px = 1e6 / (focal * float(np.linalg.norm(pair.right_from_left.T)))
-    worth = ", ".join(f"{z:.1f} m: {z**2 * per_px:.1f} mm" for z in (1.0, 1.2, 1.5, 1.75))
+    worth = ", ".join(f"{z:g} m, {z**2 * per_px:.1f} mm" for z in (1.0, 1.2, 1.5, 1.75))
     yield Paragraph(
-        f"One pixel of disparity is worth, in depth: {worth}. No method on this pair does better a"
-        " pixel."
+        f"An error of one pixel of disparity is an error in depth: at {worth}. That is the geometry"
+        " of this pair, whatever the method."
     )
 
 

@@ -238,11 +238,20 @@ def capped_text(comparison: Comparison) -> str:
     )
 
 
+def _mark(difference: PairedDifference) -> str:
+    return CAPPED if difference.capped else ""
+
+
+def _mean(difference: PairedDifference) -> str:
+    """``+0.12 mm`` of one that was measured."""
+    return f"{difference.mean:+.2f} mm{_mark(difference)}"
+
+
 def _difference(difference: PairedDifference, form: str = ".2f") -> str:
     """``+0.12 (-0.03 to +0.27)``; without an interval where there is none."""
     if difference.mean is None:
         return NOT_MEASURED
-    mean = f"{difference.mean:+{form}}{CAPPED if difference.capped else ''}"
+    mean = f"{difference.mean:+{form}}{_mark(difference)}"
     if difference.low is None or difference.high is None:
         return mean
     low, high = (f"{bound:+{form}}" for bound in (difference.low, difference.high))
@@ -506,11 +515,11 @@ def _scoreboard(one: Comparison) -> Scoreboard:
     shows = f"change {_difference(row.radial)} mm" if row.radial.mean is not None else ""
     limit = f"{margin:g} mm farther"
     add(DISTANCE, limit, before, _change_verdict(row.radial, margin), now, shows)
-    along = [(axis.mean, name) for axis, name in zip(row.axes, "xyz", strict=True)]
-    if known := [(mm, name) for mm, name in along if mm is not None]:
-        mm, name = max(known)
+    along = [(axis.mean, name, axis) for axis, name in zip(row.axes, "xyz", strict=True)]
+    if known := [(mm, name, axis) for mm, name, axis in along if mm is not None]:
+        mm, name, axis = max(known, key=lambda one: one[0])
         verdict = "worse" if mm > margin else "not worse"
-        add(ALONG, f"{margin:g} mm larger", None, verdict, f"{mm:+.2f} mm", f"along {name}")
+        add(ALONG, f"{margin:g} mm larger", None, verdict, _mean(axis), f"along {name}")
     there = [(r.radial.mean, r) for r in one.compared.situations if r.radial.mean is not None]
     if len(there) > 1:
         mm, worst = max(there, key=lambda pair: pair[0])
@@ -518,7 +527,14 @@ def _scoreboard(one: Comparison) -> Scoreboard:
         verdict = "not worse" if mm <= margin else "worse" if sure else "inconclusive"
         why = chance_text(worst.radial.poses, "of it", len(one.compared.situations))
         note = f", {why}" if verdict == "inconclusive" else ""
-        add(WORST, limit, None, verdict, f"{mm:+.2f} mm", f"{spoken(worst.situation or '')}{note}")
+        add(
+            WORST,
+            limit,
+            None,
+            verdict,
+            _mean(worst.radial),
+            f"{spoken(worst.situation or '')}{note}",
+        )
     heads = ("Compared", "May be worse by")
     return Scoreboard(f"{names[0]} and {names[1]}", names, tuple(rows), heads, HINTS)
 

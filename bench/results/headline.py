@@ -75,9 +75,7 @@ def judged(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[str, str]:
     silent = [message for name in run.detectors for message in _silence(run, name)]
     if not silent:
         return why, then
-    first = (
-        "First find out why the detector did not answer: its reasons stand with the trials below."
-    )
+    first = "First find out why the detector did not answer: its reasons stand with its trials."
     then = then if verdict is Verdict.NOT_MET else "Then run it again."
     return "\n".join([*silent, why]), f"{first} {then}"
 
@@ -183,7 +181,7 @@ def _next_action(verdict: Verdict, which: Sequence[Decision], of_bench: frozense
     if verdict is Verdict.NOT_MET:
         first = f"Put the bench right before all else: {bench}; what it measured may be wrong."
         then = (
-            "The detector has to become better. Begin with the trials below."
+            "The detector has to become better. Begin with the trials to look at first."
             if names
             else "Then run the script again."
         )

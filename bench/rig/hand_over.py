@@ -22,6 +22,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
+from bench.rig.urls import is_loopback
 from instruments.bath.connection import LineError, parse_line
 from instruments.errors import LimitError
 
@@ -92,11 +93,20 @@ class BathLock:
             finally:
                 self._next.release()
         # one that has ended as it should takes its note away
-        if (before := self._read()) and not ended:
+        if (before := self._read()) and not ended and not self._is_anothers(before):
             how = "handed the bath over" if before.get(HANDED_OVER) else "ended without a last word"
             ended = f"{_named(before)} {how}"
         self._say()
         return ended
+
+    def _is_anothers(self, note: Mapping[str, Any]) -> bool:
+        """Whether a note is of another bath: an emulator's of this machine, whose run is gone and
+        whose port was given to the next one.
+        """
+        with suppress(LineError):
+            host = parse_line(self._url).host
+            return is_loopback(host or "") and not Path(str(note.get("record"))).parent.exists()
+        return False
 
     def acts(self) -> None:
         """The bench is gone: from here on the bath is handed over to whoever waits for it."""

@@ -34,12 +34,17 @@ from bench.run.live import Live, bath_state, interlock_states
 from bench.safety.bath_monitor import BathMonitor, TripHandler
 from bench.safety.stability import StabilityGate
 from bench.script.model import LoadedScript
+from bench.truth.stage_registration import stands_at
 from bench.truth.touching import TipReader
+from bench.truth.uncertainty import Triple
 from instruments.clock import VirtualClock, sleep_looking, stopwatch_s, wall_time
+from instruments.errors import DeviceError
 from instruments.operators.operator import KIND_OF, Answer, BoardTouch, Release, Request, Touch
+from instruments.stage.driver import TOLERANCE_MM
 
 LOOK_S = 1.0
 STEPPED_S = 5.0  # time servers nudge a clock by less
+STAGE_S = 2.0  # between two looks at the stage while somebody touches what stands on it
 READ_S = 1.0  # both clocks are read within microseconds
 
 
@@ -77,7 +82,9 @@ class RunContext:
         self.last: dict[str, str] = {}  # an instrument's last value, in words
         self.under_test: Sequence[str] = ()
         self._asked = ""
-        self._touching = False
+        self._touching = self._touched = False
+        self._stage_seen_s = 0.0
+        self._stage_mm: Triple | None = None
         self._heartbeat = heartbeat or Heartbeat()
         self._wall_behind_s: float | None = None
         gate: StabilityGate = before.watch.gate if before and self.is_warm else gate_of(script)
@@ -100,10 +107,14 @@ class RunContext:
         kind = KIND_OF.get(type(request))
         if kind is None:
             if isinstance(request, Release):
+                self._touched = False
                 self.events.asked("release")
             return self.devices.operator.ask(request, self.look)
         self._heartbeat.sign(f"waiting for the operator: {kind}", math.inf)
         self._asked, self._touching = kind, isinstance(request, Touch | BoardTouch)
+        if not self._touching or not self._touched:
+            self._stage_seen_s, self._stage_mm = self.clock.now(), None
+        self._touched = self._touching
         self.events.asked(kind)
         try:
             return self.devices.operator.ask(request, self.look)
@@ -122,11 +133,25 @@ class RunContext:
         self.look()
 
     def look(self) -> None:
-        """Raises InterlockTrip and what ``check_interrupts`` raises. It is no heartbeat."""
+        """Raises InterlockTrip, what ``check_interrupts`` raises, and while ends are touched the
+        faults of the stage. It is no heartbeat.
+        """
         self.watch.check()
         self.check_interrupts()
+        if self._touching and self.clock.now() - self._stage_seen_s >= STAGE_S:
+            self._look_at_stage()
         if self.live.due:
             self.show()
+
+    def _look_at_stage(self) -> None:
+        """Raises as the stage, and DeviceError where it stands elsewhere than at the last look."""
+        self._stage_seen_s, stage, before = self.clock.now(), self.devices.stage, self._stage_mm
+        if stage is None:
+            return
+        self._stage_mm = here = stands_at(stage)
+        if before is not None and not np.allclose(here, before, rtol=0.0, atol=TOLERANCE_MM):
+            what = f"it was moved from {before} to {here} while ends were touched"
+            raise DeviceError(stage.who, what, hint="Touch nothing but the ends.")
 
     def show(self) -> None:
         """The run as it is now, for a viewer; on the screen too where the bath says nothing."""

@@ -48,10 +48,11 @@ def set_up_picture(asked: Arrangement, rig: LoadedRig) -> Grey:
     camera = renderer.cameras[0]
     seen = renderer.left.expose(state, renderer.shadows(state), np.random.default_rng(0))
     view = np.asarray(seen).astype(np.uint8)
-    for teat, at in zip(phantom.teats, camera.project(phantom.ends_mm), strict=True):
-        _label(view, teat.name, (float(at[0]), float(at[1]) - 12.0), 0.9)
-    wide = round(view.shape[1] * SIDE_PX / view.shape[0])
+    share = SIDE_PX / view.shape[0]
+    wide = round(view.shape[1] * share)
     view = np.asarray(cv2.resize(view, (wide, SIDE_PX), interpolation=cv2.INTER_AREA), np.uint8)
+    for teat, (x, y) in zip(phantom.teats, camera.project(phantom.ends_mm).tolist(), strict=True):
+        _label(view, teat.name, (share * x, share * y - 8.0), 0.6)
     _label(view, "left camera", (14.0, 28.0), 0.7, middle=False)
     return np.ascontiguousarray(np.hstack([plan_of(phantom, things), view]))
 

@@ -31,6 +31,7 @@ from bench.rig.urls import PEOPLE
 from bench.run.cameras_so_far import CamerasSoFar
 from bench.run.context import RunContext
 from bench.run.events import RunState
+from bench.run.interruptions import diagnosis
 from bench.run.recordings import Recorder
 from bench.run.rows import detection_tables, stage_pictures
 from bench.run.set_up_picture import write_set_up_picture
@@ -48,10 +49,13 @@ from bench.truth.registration import (
 from bench.truth.stage_registration import around, ends_of, register, stands_at
 from bench.truth.touching import (
     ASTRAY_MM,
+    AstrayError,
     ExpectedScene,
     NoTruthError,
+    SoFar,
     TouchedTruth,
     Toucher,
+    TrialTruth,
     astray_text,
     end_u_mm,
     truth_row,
@@ -61,11 +65,12 @@ from detector.protocol import Detector, DetectorProcess
 from instruments.camera.frame import FrameSet
 from instruments.clock import wall_time
 from instruments.drivers.protocols import Stage
-from instruments.errors import DeviceError, LimitError
+from instruments.errors import DeviceError, InstrumentError, LimitError
 from instruments.operators.operator import Arrangement, NextTrial, OperatorRepeat, OperatorSkip
 from instruments.world.phantom import PlatePose
 
 REGISTRATION_FILE = "stage-registration.toml"  # in the run's folder, where it was made at its start
+LEAVE_TOUCHES = ("stage", "bath", "cameras")  # where they drop out, touches may still count
 URGENT = ("invalid", "registration")  # what the operator has to see, not only the record
 Settled = Callable[[Sequence[str], bool], None]
 
@@ -212,6 +217,7 @@ class Attempts:
             self._skipped(trial, skip.reason, f"{by} skipped it: ")
         except NoTruthError as none:
             self._skipped(trial, str(none))
+            self._ctx.events.warn(f"Trial {trial.id} is skipped. {none}")
         self.done += 1
         self._started_s = None
         self._timed += worked
@@ -270,6 +276,8 @@ class TrialRun:
         self._recorder = recorder
         self.rehearsing = False
         self._teats_unknown = ""
+        self._homed_in_vain = False
+        self._begun, self._so_far = "", SoFar()  # touches of a trial that was interrupted amid them
         self._teats_first_c: float | None = None  # as the thermal camera saw them
         self._before: Arrangement | None = None  # with a picture
         # what of a pose the stage does; the operator does the rest
@@ -289,7 +297,25 @@ class TrialRun:
         self.frames_looked_at = self._taker.looked
 
     def run(self, trial: PlannedTrial) -> None:
-        """From settling to the trial's rows; where anything raises, nothing is stored."""
+        """From settling to the trial's rows; where anything raises, nothing is stored. Touches are
+        kept for the next try where neither the arm nor a person has interrupted it.
+        """
+        so_far = self._so_far
+        if self._begun != trial.id:
+            so_far.clear()
+        self._begun = trial.id
+        try:
+            self._run(trial)
+        except BaseException as why:
+            kept = isinstance(why, InstrumentError) and diagnosis(why)[0] in LEAVE_TOUCHES
+            if isinstance(why.__cause__, AstrayError) or not kept:
+                so_far.clear()
+            elif count := sum(map(len, so_far.values())):
+                self._ctx.event("touches", f"{trial.id}: {count} so far are kept")
+            raise
+        so_far.clear()
+
+    def _run(self, trial: PlannedTrial) -> None:
         ctx, there = self._ctx, shown(trial, self._axes)
         ctx.store.refuse_gone()
         ctx.live.expect(there.ends)
@@ -309,7 +335,7 @@ class TrialRun:
                 ctx.live.frames(frames)
             bath, bath_state = ctx.watch.last, ctx.watch.state
             ctx.events.state("taking the truth")
-            truth = self._truth.of_trial(there)
+            truth = self._of_trial(there)
             ctx.check()
             # Wait for a sign of life of the bath's reading after the capture: the last value of a
             # sensor that stopped says nothing of the teats.
@@ -348,6 +374,22 @@ class TrialRun:
         self._truth.stored(trial.id, truth)
         if self._recorder and not self.rehearsing:
             self._recorder.trial(trial.id, frames, ends, confirmed=truth.how is How.TOUCHED)
+
+    def _of_trial(self, there: ExpectedScene) -> TrialTruth:
+        """The truth; DeviceError, once until there is one again, where the stage may have lost its
+        place: a carriage that something blocks goes unnoticed by its controller.
+        """
+        try:
+            truth = self._truth.of_trial(there, self._so_far)
+        except AstrayError as astray:
+            stage, again = self._ctx.devices.stage, self._homed_in_vain
+            self._homed_in_vain = True
+            if stage is None or again:
+                raise
+            what = f"the phantom is not where the stage should have it: {astray.what}"
+            raise DeviceError(stage.who, what, hint="It is homed again.") from astray
+        self._homed_in_vain = False
+        return truth
 
     def _refuse_astray(self, there: ExpectedScene, ends: Sequence[TrueEnd]) -> None:
         """Raises NoTruthError for an end that is nowhere near the script's place, or is called

@@ -28,6 +28,7 @@ from bench.truth.touching import (
     Ends,
     ExpectedScene,
     NoTruthError,
+    SoFar,
     TouchedTruth,
     Toucher,
     TrialTruth,
@@ -198,14 +199,14 @@ class CarriedTruth(TouchedTruth):
         reference = self._state.reference
         return self._away and reference is not None and reference.fixed == shown.fixed
 
-    def of_trial(self, shown: ExpectedScene) -> TrialTruth:
+    def of_trial(self, shown: ExpectedScene, so_far: SoFar | None = None) -> TrialTruth:
         """Carried where the same thing was touched before; else touched, as the new reference."""
         reference = self._state.reference
         self._away = reference is not None and reference.fixed == shown.fixed
         if reference is not None and self._away:
             stage_mm = self._stands_at()
             return TrialTruth(tuple(self._carried(reference, stage_mm)), (), stage_mm)
-        truth = super().of_trial(shown)
+        truth = super().of_trial(shown, so_far)
         stage_mm = truth.stage_mm or self._stands_at()
         axes = tuple(triple(axis) for axis in shown.ends.axes)
         names = shown.ends.names

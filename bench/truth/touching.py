@@ -54,13 +54,18 @@ TELL_MM = 2.0  # nearer to the other teat by this, or the two are taken to be eq
 # of the expected distance between two ends: nearer than that, the tip stands at one of them twice
 SAME_SHARE = 0.25
 
-
 # of an end from where the script has it: no phantom is set up worse
 ASTRAY_MM = 150.0
+Taken = list[tuple[Floats, dict[str, Any]]]  # of touches of one end: where it is, (3,), and the row
+SoFar = dict[int, Taken]  # by teat
 
 
 class NoTruthError(DeviceError):
     """A teat end could not be touched well, or is where none can be; the trial has no truth."""
+
+
+class AstrayError(NoTruthError):
+    """What was touched is nowhere near the script's place, as where a stage has lost its own."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,43 +164,70 @@ class Toucher:
         self.tip = tip
         self.readings = readings or arm.touches
 
-    def touch_all(self, ends: Ends) -> tuple[list[TrueEnd], list[Row]]:
-        """A truth for each end, and a row for each touch. Raises NoTruthError."""
-        done: dict[int, TrueEnd] = {}
-        rows: list[Row] = []
+    def touch_all(self, ends: Ends, so_far: SoFar | None = None) -> tuple[list[TrueEnd], list[Row]]:
+        """A truth for each end, and a row for each touch. ``so_far`` gets each touch, by teat; what
+        an attempt before left in it counts where one more touch agrees. Raises NoTruthError.
+        """
+        done, rows = dict[int, TrueEnd](), list[Row]()
+        so_far = {} if so_far is None else so_far
+        again = self._compared(ends, so_far) if any(map(_kept, so_far.values())) else ""
         for teat in range(1, len(ends.expected_mm) + 1):
             places = {other: np.array(point.xyz_mm) for other, point in done.items()}
-            done[teat], touches = self._touch_end(teat, ends, places)
-            rows += touches
+            taken = so_far.setdefault(teat, [])
+            done[teat], touches = self._touch_end(teat, ends, places, taken, again)
+            rows, again = rows + touches, ""
         self._ask(Release())
         return list(done.values()), rows
 
     def touch_one(self, teat: int, ends: Ends) -> tuple[TrueEnd, list[Row]]:
         """The same for one end alone."""
-        point, rows = self._touch_end(teat, ends, {})
+        point, rows = self._touch_end(teat, ends, {}, [])
         self._ask(Release())
         return point, rows
 
+    def _compared(self, ends: Ends, so_far: SoFar) -> str:
+        """Have one end touched once more, and forget all touches where it isn't where it was; gives
+        back what to say then.
+        """
+        teat, kept = next((teat, kept) for teat, one in so_far.items() if (kept := _kept(one)))
+        count, who, one = sum(map(len, so_far.values())), ends.called(teat), Taken()
+        again = f"One touch of {who} shows whether the {count} of this pose so far still count."
+        self._touch_end(teat, ends, {}, one, again, readings=1)
+        off_mm = np.linalg.norm(_kept(one)[0][0] - np.mean([end for end, _ in kept], axis=0))
+        if off_mm <= FAR * reading_u_mm(self._arm) * sqrt(1.0 + 1.0 / len(kept)):
+            so_far[teat] += one
+            for number, (_, row) in enumerate(so_far[teat], 1):
+                row["touch"] = number
+            return ""
+        so_far.clear()
+        return f"{who} is {off_mm:.1f} mm from where it was: all ends are touched anew."
+
     def _touch_end(
-        self, teat: int, ends: Ends, done: Mapping[int, Floats]
+        self,
+        teat: int,
+        ends: Ends,
+        done: Mapping[int, Floats],
+        taken: Taken,
+        again: str = "",
+        readings: int | None = None,
     ) -> tuple[TrueEnd, list[Row]]:
-        taken: list[tuple[Floats, dict[str, Any]]] = []  # each reading's end (3,), and its row
-        moves: list[str] = []
-        again = ""
-        while (missing := self.readings - len(kept := _kept(taken))) > 0:
-            if len(taken) + len(moves) >= (most := self.readings + SPARE):
+        moves, readings = list[str](), readings or self.readings
+        while (missing := readings - len(kept := _kept(taken))) > 0:
+            if len(taken) + len(moves) >= (most := readings + SPARE):
                 reasons = [str(row["refused"]) for _, row in taken if row["refused"]] + moves
-                raise NoTruthError(
+                at_mm = ends.expected_mm[teat - 1]
+                off_mm = np.linalg.norm(taken[-1][0] - at_mm) if taken and ends.known else 0.0
+                raise (AstrayError if off_mm > ASTRAY_MM else NoTruthError)(
                     "truth",
                     f"{ends.called(teat)}: {len(reasons)} of {most} touches could not be used; the"
-                    f" last one: {reasons[-1]}",
+                    f" last one: {reasons[-1].rstrip('.')}",
                     hint="Is the teat loose, does the phantom stand where the script says, and are"
                     " its teats counted as the layout counts them?",
                 )
             self._check()
-            number = self.readings - missing + 1
+            number = readings - missing + 1
             if not self.tip.goes(ends.expected_mm[teat - 1], ends.axes[teat - 1]):
-                self._ask(Touch(teat, len(ends.expected_mm), number, self.readings, again))
+                self._ask(Touch(teat, len(ends.expected_mm), number, readings, again))
             try:
                 seen = self.tip.read()
             except TouchAgainError as error:
@@ -219,7 +251,7 @@ class Toucher:
             }
             taken.append((end, row))
             kept = _kept(taken)
-            if not again and len(kept) >= min(self.readings, 3):
+            if not again and len(kept) >= min(readings, 3):
                 far = outliers(np.array([end for end, _ in kept]), reading_u_mm(self._arm))
                 for at, reason in far.items():
                     kept[at][1]["refused"] = reason
@@ -280,7 +312,7 @@ def tip_radius_u_mm(arm: Arm) -> float:
     return hypot(turned_mm, arm.tip_radius_u_mm) if arm.tip_radius_mm else 0.0
 
 
-def _kept(taken: list[tuple[Floats, dict[str, Any]]]) -> list[tuple[Floats, dict[str, Any]]]:
+def _kept(taken: Taken) -> Taken:
     return [one for one in taken if one[1]["refused"] is None]
 
 
@@ -404,9 +436,9 @@ class TouchedTruth:
         """Whether no person has been or will be at the phantom for this trial."""
         return False
 
-    def of_trial(self, shown: ExpectedScene) -> TrialTruth:
-        """The truth of the phantom that stands there. Raises NoTruthError."""
-        points, rows = self._toucher.touch_all(shown.ends)
+    def of_trial(self, shown: ExpectedScene, so_far: SoFar | None = None) -> TrialTruth:
+        """The truth of what stands there; ``so_far`` as of `touch_all`. Raises NoTruthError."""
+        points, rows = self._toucher.touch_all(shown.ends, so_far)
         touches = tuple({"trial": shown.trial, **row} for row in rows)
         return TrialTruth(tuple(points), touches, self._stage_mm())
 

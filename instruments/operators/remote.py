@@ -73,6 +73,7 @@ class RemoteOperator:
     def __init__(self, url: str, clock: Clock) -> None:
         self.identity = {"operator": "emulated"}
         self._link = Link(url, clock, who="operator")
+        self._owed, self._line = 0, b""  # answers to come, and what there is of the next one
 
     def close(self) -> None:
         """Close the link."""
@@ -83,18 +84,23 @@ class RemoteOperator:
         if do is None:
             return op.DONE  # nothing is to be done
         clock = self._link.clock
-        began_s, line = clock.now(), b""
+        began_s = clock.now()
         wait = self._link.reception(began_s + TIMEOUT_S)
         check()
         self._link.write(to_json({"do": do, "with": request}) + b"\n")
-        while not line.endswith(b"\n"):
-            line += (more := self._link.read_until(b"\n", LOOK_S))
+        self._owed += 1
+        while True:
+            self._line += (more := self._link.read_until(b"\n", LOOK_S))
             wait.took(more)
+            if self._line.endswith(b"\n"):
+                line, self._line, self._owed = self._line, b"", self._owed - 1
+                if not self._owed:  # else it answers what was asked before ``check`` raised
+                    check()
+                    return read_line(line, do, self._link.who)
             check()
             if (waited_s := clock.now() - began_s) > TIMEOUT_S:
                 hint = "Does 'teatbench emulate' still run?"
                 raise LinkError(self._link.who, "no answer", asked=do, seconds=waited_s, hint=hint)
-        return read_line(line, do, self._link.who)
 
 
 def read_line(line: bytes, do: str, who: str) -> op.Answer:

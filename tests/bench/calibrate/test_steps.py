@@ -79,7 +79,7 @@ def test_its_page_says_what_it_is_good_for(lab: Path) -> None:
     for said in ("Good to", "mm at", "12 pairs of views", "place the board's points", "do next"):
         assert said in top, said
     for section, said in {
-        "findings": "Nothing: no fault left a mark",
+        "findings": "No fault left a mark",
         "parameters": "Lens of the left camera",
         "residuals": "Corners of the right camera",
         "held-out": "lengths against the print",

@@ -254,7 +254,7 @@ KINDS = (
             r"[\d.]+ °C \([\d.]+ to [\d.]+ within 5 s\), stable",
             r"Put the bench right before all else: .*",
             r"What each detector shows, from \d+ where nothing else is said",
-            r"Begin with the trials below\.",
+            r"Begin with the trials to look at first\.",
             r"The filter takes words: .*",
             r"None: every trial of the script was done and counts, and no touch was refused\.",
             r"Truth: within the guard band of its uncertainty, or it was taken back\.",

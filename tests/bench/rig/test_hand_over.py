@@ -172,6 +172,19 @@ def test_a_guardian_that_was_killed_keeps_no_bath_and_is_named(hot: HotBath, bat
         line.done()
 
 
+@pytest.mark.parametrize("url", ["tcp://10.0.0.7", "tcp://127.0.0.1:9101", "/dev/ttyUSB0"])
+@pytest.mark.parametrize("kept", [False, True])
+def test_a_note_of_an_emulator_whose_run_is_gone_is_told_to_nobody(
+    url: str, kept: bool, baths: Path, tmp_path: Path
+) -> None:
+    killed = BathLock(url, tmp_path / ("" if kept else "gone") / "guardian-1.json", ENDED)
+    assert killed.take() == ""
+    killed._owner.release()
+    told = BathLock(url, tmp_path / "guardian-2.json", ENDED)
+    assert ("ended without a last word" in told.take()) is (kept or "127" not in url)
+    told.release()
+
+
 def test_a_note_of_a_process_that_is_no_guardian_ends_nobody(
     baths: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -70,15 +70,6 @@ def written_rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @posix
-def test_a_written_rig_is_checked(written_rig: Path, capsys: Capture) -> None:
-    assert main(["check", str(written_rig)]) == 0
-    said = capsys.readouterr().out.splitlines()
-    states = [line for line in said if not line.startswith(" ")]
-    assert states == [f"{name}: ok" for name in ("arm", "bath", "stage", "operator", "cameras")]
-    assert "  left: 680 x 512, mean level" in "\n".join(said)
-
-
-@posix
 def test_a_written_rig_runs_as_it_is(written_rig: Path, tmp_path: Path) -> None:
     (tmp_path / "short.toml").write_text(script_of(), encoding="utf-8")
     given = ["run", str(tmp_path / "short.toml"), "--rig", str(written_rig)]

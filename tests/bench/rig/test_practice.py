@@ -151,5 +151,10 @@ def test_a_written_rig_stays_good_and_its_cables_are_on_a_page(
                 post(page, "put back bath", Origin="http://elsewhere.example")
             assert "OUT" not in post(page, "put back bath")
             assert main(["check", str(written)]) == 0
+            said = capsys.readouterr().out
+            names = ("arm", "bath", "stage", "operator", "cameras")
+            states = [line for line in said.splitlines() if not line.startswith(" ")]
+            assert states == [f"{name}: ok" for name in names]
+            assert "  left: " in said
     with closing(socket.create_server(("127.0.0.1", base))):
         assert main(["emulate", str(small), "--port-base", str(base)]) == 2

@@ -132,8 +132,10 @@ def test_a_refusal_and_a_lost_operator_are_faults(twin: EmulatedRig) -> None:
             RemoteOperator(port.url, clock)
 
 
-def test_interlocks_end_the_wait_for_an_answer(twin: EmulatedRig) -> None:
-    slow = EmulatedOperator(twin.world, hand_error_mm=0.1, prompt_s=3.0)
+def test_interlocks_end_the_wait_and_its_answer_is_not_taken_for_the_next_ones(
+    twin: EmulatedRig,
+) -> None:
+    slow = EmulatedOperator(twin.world, hand_error_mm=0.1, prompt_s=1.0)
     asked: list[str] = []
 
     def check() -> None:
@@ -145,6 +147,8 @@ def test_interlocks_end_the_wait_for_an_answer(twin: EmulatedRig) -> None:
         closing(listening(slow, twin)) as port,
         closing(RealClock()) as clock,
         closing(RemoteOperator(port.url, clock)) as operator,
-        pytest.raises(InstrumentError, match="too warm"),
     ):
-        operator.ask(Homing("On the peg."), check)
+        with pytest.raises(InstrumentError, match="too warm"):
+            operator.ask(Homing("On the peg."), check)
+        placed = operator.ask(Arrangement("ideal", shipped_phantom("table-5-1"), (), ""))
+        assert len(placed.visible) == 4

@@ -29,7 +29,7 @@ SOME = (
     ("arm", "power loss", "running"),
     ("bath", "sensor break", "settling"),
     ("cameras", "black", "running"),
-    ("stage", "disconnect", "preparing"),
+    ("stage", "stall", "running"),
     ("arm", "disconnect", "safing"),
 )
 

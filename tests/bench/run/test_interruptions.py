@@ -55,10 +55,6 @@ def fault(instrument: str, name: str, at_s: float, for_s: float | None = None) -
     return f"prompt_s = 5.0\n[[emulation.faults]]\n{whose}\nat_s = {at_s}\n{lasts}"
 
 
-def faulty(folder: Path, emulation: str) -> RunRecord:
-    return record_of(folder, stage=STAGE, emulation=emulation)
-
-
 def given(words: str, folder: Path, emulation: str) -> RunRecord:
     """A run whose operator types ``words`` while an instrument is away."""
     person = Person("The run is paused", [words])
@@ -78,23 +74,49 @@ def test_who_skips_the_trial_that_waits_finds_the_next_one_waiting_too(tmp_path:
 
 
 @pytest.mark.slow
+def test_a_stage_that_drops_out_while_ends_are_touched_is_noticed_and_costs_no_touch(
+    tmp_path: Path,
+) -> None:
+    files(tmp_path, stage=STAGE, emulation="prompt_s = 5.0")
+    silent = EmulatedFault(instrument="stage", name="silent", for_s=15.0)
+    bringer = When("taking the truth", 12.0, silent)
+    with known_to(bringer):
+        record = read_run(start(tmp_path, progress=bringer)[0])
+    assert record.ending == "finished", texts(record, "fault")
+    (lost_s,) = [one["t_s"] for one in record.events if one["kind"] == "dropped out"]
+    assert 0.0 < lost_s - bringer.at_s < 4.0, "at once"
+    assert texts(record, "touches") == [f"{TRIALS[0]}: 2 so far are kept"]
+    touches = record.trials[0].touches
+    assert [touch["teat"] for touch in touches] == ["1", "1", "2", "3", "4"]
+    assert sum(touch["t_s"] < lost_s for touch in touches) == 2
+
+
+@pytest.mark.slow
 def test_an_abort_is_taken_while_preparing_waits_for_an_instrument(tmp_path: Path) -> None:
     record = given("abort", tmp_path, fault("arm", "silent", 0.1))
     assert (record.ending, len(record.trials)) == ("aborted", 0)
     assert texts(record, EVENT) == ["preparing", "paused", "safing", "aborted"]
 
 
+class When(Bringer):
+    """Brings the fault once ``words`` are shown, ``after_s`` later."""
+
+    def __init__(self, words: str, after_s: float, fault: EmulatedFault) -> None:
+        super().__init__("", fault)
+        self.words, self.after_s, self.at_s = words, after_s, 0.0
+
+    def state(self, text: str) -> None:
+        if self.words in text and self.twin and not self.at_s:
+            self.at_s = self.twin._clock.now() + self.after_s
+            self.twin._clock.call_at(self.at_s, self.bring)
+
+
 @pytest.mark.slow
 def test_an_arm_that_drops_out_in_its_last_check_is_waited_for_too(tmp_path: Path) -> None:
     """What comes behind the last trial is done again like a trial is."""
-
-    class AtTheEnd(Bringer):
-        def state(self, text: str) -> None:
-            if "checking the arm after" in text:
-                self.bring()
-
     files(tmp_path, check_point=CHECK_POINT, emulation="prompt_s = 2.0")
-    bringer = AtTheEnd("", EmulatedFault(instrument="arm", name="power loss", for_s=15.0))
+    loss = EmulatedFault(instrument="arm", name="power loss", for_s=15.0)
+    bringer = When("checking the arm after", 0.0, loss)
     with known_to(bringer):
         record = read_run(start(tmp_path, progress=bringer)[0])
     assert record.ending == "finished", texts(record, "fault")
@@ -164,17 +186,6 @@ def test_nothing_moves_in_a_trial_once_an_interlock_has_tripped(
         record = read_run(start(tmp_path, progress=refusing)[0])
     assert (record.ending, record.facts["trip"]["rule"]) == ("faulted", "implausible reading")
     assert moved == [True, False]
-
-
-@pytest.mark.slow
-def test_one_that_stays_away_ends_the_run_after_the_rigs_patience(tmp_path: Path) -> None:
-    lost = fault("arm", "power loss", 60.0)
-    record = faulty(tmp_path, f"{lost}[limits]\naway_s = 90.0")
-    assert record.ending == "faulted"
-    (paused_s,) = [e["t_s"] for e in record.events if (e["kind"], e["text"]) == (EVENT, "paused")]
-    (given_up_s,) = [event["t_s"] for event in record.events if event["kind"] == "given up"]
-    assert 90.0 <= given_up_s - paused_s <= 110.0
-    assert texts(record, EVENT)[-2:] == ["safing", "faulted"]
 
 
 @pytest.mark.slow
@@ -289,31 +300,21 @@ def run_with(person: Person, folder: Path) -> RunRecord:
 
 
 @pytest.mark.slow
-def test_a_pause_lasts_until_somebody_says_to_go_on(tmp_path: Path) -> None:
-    person = Person("place-2", ["p", *[""] * 30, "go on"])
-    run = run_with(person, tmp_path)
-    assert (run.ending, len(run.trials)) == ("finished", 3)
+def test_a_pause_lasts_until_somebody_says_to_go_on_and_has_no_trial_to_skip(
+    tmp_path: Path,
+) -> None:
+    lines = ["p", "", "skip it leaks", "repeat it moved", *[""] * 30, "go on"]
+    run = run_with(person := Person("place-2", lines), tmp_path)
+    assert (run.ending, len(run.trials), len(run.skipped)) == ("finished", 3, 0)
     states = [(event["text"], event["t_s"]) for event in run.events if event["kind"] == EVENT]
     (at,) = [index for index, (name, _) in enumerate(states) if name == "paused"]
     assert states[at + 1][0] == "running"
     assert states[at + 1][1] - states[at][1] >= 14.0, "the bath is watched for as long as it takes"
-    assert any("teatbench control" in text for text in person.warned)
-
-
-@pytest.mark.slow
-def test_while_it_is_paused_the_line_says_so_and_a_trial_that_is_not_there_cannot_be_skipped(
-    tmp_path: Path,
-) -> None:
-    person = Person("place-2", ["p", "", "skip it leaks", "repeat it moved", "", "g"])
-    run = run_with(person, tmp_path)
-    assert (run.ending, len(run.trials), len(run.skipped)) == ("finished", 3, 0)
     assert any("paused, as asked" in text for text in person.states)
-    assert person.warned[0] == "The run pauses before its next trial."
-    none = "No trial is in flight just now"
-    assert [text for text in person.warned if text.startswith(none)] == [
-        f"{none}, so nothing is done about: skip it leaks",
-        f"{none}, so nothing is done about: repeat it moved",
-    ]
+    none = "No trial is in flight just now, so nothing is done about: "
+    said = ("The run pauses before its next trial.", f"{none}skip it leaks", f"{none}repeat it mov")
+    for words in (*said, "teatbench control"):
+        assert any(words in text for text in person.warned), words
 
 
 @pytest.mark.slow

@@ -23,9 +23,11 @@ import pytest
 from bench.cli.terminal import Terminal
 from bench.cli.verdict import show_verdict
 from bench.console import watching
+from bench.record.reader import read_run
 from bench.report import summary
 from bench.report.page import write_run_report
-from bench.report.runs import list_runs
+from bench.report.runs import list_runs, write_queue_page
+from bench.results.queue import QueueNote, queues
 from bench.results.status import (
     GOING_TO_SAFE,
     RunStatus,
@@ -36,6 +38,7 @@ from bench.results.status import (
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.model import EmulatedFault
 from bench.run.events import ENDED, PROMPTED, TRIPPED, Events
+from bench.run.interruptions import PREPARING_S
 from bench.run.live import Live
 from bench.run.notify import text_of
 from bench.run.start import RunOptions
@@ -71,6 +74,7 @@ class Watch(Bringer):
     dead_s: float = float("inf")
     sent_s: dict[str, float] = field(default_factory=dict)
     rig: EmulatedRig | None = None
+    queue: QueueNote | None = None
 
     def __post_init__(self) -> None:
         name = "dropped" if self.cable == "cameras" else HUNG[self.instrument]
@@ -129,6 +133,12 @@ class Watch(Bringer):
             assert not sent or sent[0] == f"{status.title}: {kind}"
         if len(self.samples) % SEVERAL == 0:
             assert same(read_status(folder).as_dict()) == same(status.as_dict())
+            self.queue = self.queue or queue_of(folder)
+            (queue,) = queues(folder.parent)
+            shown = queue.scripts[0].status
+            assert shown
+            assert queue.under_way
+            assert same(shown.as_dict()) == same(status.as_dict())
 
     def against_the_wire(self, status: RunStatus) -> None:
         assert self.rig
@@ -151,6 +161,13 @@ class Watch(Bringer):
             assert not stage.velocity().any(), by_name["stage"]
         if status.tripped:
             assert (status.step, status.asked, status.left_s) == (GOING_TO_SAFE, None, None)
+
+
+def queue_of(run: Path) -> QueueNote:
+    """A queue whose first script is that of the run."""
+    note = QueueNote.begin(run.parent, "rig", ["short", "another"])
+    note.runs(run)
+    return note
 
 
 def same(status: Mapping[str, Any]) -> dict[str, Any]:
@@ -221,6 +238,10 @@ def test_all_surfaces_say_the_same_and_what_the_wire_says(
     if way == "returning" and at != "safing":  # where it is too late
         assert status.state == "finished", status.why
         assert not status.unsafe
+    at_s = {event["kind"]: event["t_s"] for event in read_run(run).events}
+    if "given up" in at_s:
+        patience_s = PREPARING_S if at == "preparing" else 40.0
+        assert patience_s <= at_s["given up"] - at_s["dropped out"] <= patience_s + 20.0
     assert bool(of_bath.by_hand) >= watch.rig.world.plant.running, of_bath
     assert watch.rig.stage
     assert bool(of_stage.by_hand) >= bool(watch.rig.stage.velocity().any()), of_stage
@@ -239,8 +260,19 @@ def compare_the_surfaces(run: Path, status: RunStatus, watch: Watch) -> None:
     junit = html.unescape((report / "junit.xml").read_text(encoding="utf-8"))
     (listed,) = list_runs(run.parent).runs
     (card,) = watching.listed(run.parent)
+    note = watch.queue or queue_of(run)
+    note.ends("an instrument was killed")
+    (queue,) = queues(run.parent)
+    finished = int(status.state == "finished")
+    assert queue.headline.startswith(f"ended early, {finished} of 2 scripts finished: an instr")
+    of_queue = queue.as_dict()["scripts"]
+    assert [one["text"] for one in of_queue] == [status.headline, "not begun"]
+    queued = html.unescape(write_queue_page(run.parent, queue).read_text(encoding="utf-8"))
+    queued = " ".join(queued.split())
+    assert queue.headline in queued
     in_json = json.loads((report / "run.json").read_text(encoding="utf-8"))
-    for shown in (read_status(run).as_dict(), card["status"], listed.status, in_json["status"]):
+    of_run = (card["status"], listed.status, in_json["status"], of_queue[0]["status"])
+    for shown in (read_status(run).as_dict(), *of_run):
         assert json.loads(json.dumps(shown)) == json.loads(json.dumps(status.as_dict()))
     assert watching.snapshot(run)["live"] is None
     assert f">{status.word}<" in page
@@ -251,6 +283,7 @@ def compare_the_surfaces(run: Path, status: RunStatus, watch: Watch) -> None:
         assert f"Verdict: {status.word}" in said
         assert junit.count("<error") == len(status.verdicts)
         assert {one.verdict for one in listed.results} == {status.word}
+        assert f"{status.headline[0].upper()}{status.headline[1:]}." in queued
         assert status.why.split("\n")[0] in " ".join(junit.split())
     sent = text_of(ENDED, status)
     assert sent
@@ -261,7 +294,7 @@ def compare_the_surfaces(run: Path, status: RunStatus, watch: Watch) -> None:
     warned = "\n".join(watch.warned)
     for line in status.unsafe:
         words = " ".join(line.split())
-        texts = (said, page, junit, listed.note, sent[1], in_ci)
+        texts = (said, page, junit, listed.note, queued, sent[1], in_ci)
         for where in (" ".join(text.split()) for text in texts):
             assert words in where, (words, where[:2000])
         assert words.split(":")[0] in warned

@@ -50,7 +50,9 @@ class Context:
         self.script = SimpleNamespace(planned=PLANNED)
         self.states = SimpleNamespace(away_s=0.0)
         self.trials: list[tuple[int, int, float | None]] = []
-        self.events: list[str] = []
+        self.said: list[str] = []
+        self.warned: list[str] = []
+        self.events = SimpleNamespace(warn=self.warned.append)
 
     def ask(self, request: Request) -> Answer:
         assert isinstance(request, NextTrial)
@@ -58,7 +60,7 @@ class Context:
         return DONE
 
     def event(self, kind: str, text: str) -> None:
-        self.events.append(f"{kind} {text}")
+        self.said.append(f"{kind} {text}")
 
 
 @pytest.fixture
@@ -117,7 +119,7 @@ def test_again_and_again_until_it_is_done(note: Context) -> None:
     all_of.run(PLANNED[0])
     assert not wishes
     assert note.trials == [(1, 5, None)]
-    assert [event.split()[0] for event in note.events] == ["repeated", "repeated"]
+    assert [event.split()[0] for event in note.said] == ["repeated", "repeated"]
 
 
 def test_a_skip_is_kept_and_an_abort_goes_on_its_way(note: Context) -> None:
@@ -134,7 +136,7 @@ def test_a_skip_is_kept_and_an_abort_goes_on_its_way(note: Context) -> None:
     all_of.run(PLANNED[0])
     with pytest.raises(OperatorAbort, match="enough"):
         all_of.run(PLANNED[1])
-    assert note.events[-1] == f"skipped {PLANNED[0].id}: the operator skipped it: the hose leaks"
+    assert note.said[-1] == f"skipped {PLANNED[0].id}: the operator skipped it: the hose leaks"
 
 
 SCRIPT = """title = "poses"

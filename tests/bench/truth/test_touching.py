@@ -18,6 +18,7 @@ from bench.truth.touching import (
     SPARE,
     Ends,
     NoTruthError,
+    SoFar,
     mistaken,
     outliers,
     reading_u_mm,
@@ -46,6 +47,25 @@ def test_every_end_is_read_as_often_as_asked() -> None:
     ]
     assert hand.released == 1
     assert hand.again == []
+
+
+@pytest.mark.parametrize("shift_mm", [0.1, 3.0])
+def test_touches_of_an_interrupted_pose_count_where_one_more_agrees(shift_mm: float) -> None:
+    hand, so_far = Hand(ENDS_MM), SoFar()
+    asking = toucher(hand, readings=2)
+    asking.touch_all(table_5_1(), so_far)
+    del so_far[2][1], so_far[3], so_far[4]
+    hand.ends, hand.asked[:] = ENDS_MM + np.array([shift_mm, 0.0, 0.0]), []
+    points, rows = asking.touch_all(table_5_1(), so_far)
+    anew = shift_mm > 1.0
+    missing = [(2, 2, 2), *((teat, n, 2) for teat in (3, 4) for n in (1, 2))]
+    all_ends = [(teat, n, 2) for teat in (1, 2, 3, 4) for n in (1, 2)]
+    assert hand.asked == [(1, 1, 1), *(all_ends if anew else missing)]
+    assert hand.again[0].startswith("One touch of teat 1 shows whether the 3 of this pose")
+    assert ("touched anew" in hand.again[-1]) is anew
+    assert [row["touch"] for row in rows][:3] == ([1, 2, 1] if anew else [1, 2, 3])
+    off_mm = np.linalg.norm(np.subtract([p.xyz_mm for p in points], hand.ends), axis=1)
+    assert off_mm.max() < 0.11
 
 
 def test_a_slip_is_asked_for_again_and_kept_with_its_reason() -> None:

@@ -323,7 +323,8 @@ def test_a_trial_without_truth_is_left_out_with_its_reason_and_the_run_goes_on(
         db.row_factory = sqlite3.Row
         rows = [dict(row) for row in db.execute("SELECT trial, reason FROM skipped")]
     assert [row["trial"] for row in rows] == [PLANNED[0].id]
-    assert note.events == [f"skipped {PLANNED[0].id}: truth: {why}"]
+    assert note.said == [f"skipped {PLANNED[0].id}: truth: {why}"]
+    assert note.warned == [f"Trial {PLANNED[0].id} is skipped. truth: {why}"]
     (notes,) = deviation_parts(RunRecord(tmp_path, {}, skipped=tuple(rows)))
     assert isinstance(notes, Notes)
     assert notes.items == (f"{PLANNED[0].id} has no truth: {why}",)
