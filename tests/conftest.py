@@ -20,6 +20,7 @@ from hypothesis import settings
 
 from bench.run.trial import release_memory
 from bench.script.model import TRIALS
+from instruments.clock import RealClock
 from tests.examples import examples
 from tests.undrawn import bare, undrawn, without_figures
 
@@ -197,6 +198,13 @@ def resident_mib() -> float:
     if not status.exists():
         return 0.0
     return int(status.read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+@pytest.fixture
+def clock() -> Iterator[RealClock]:
+    """Closed behind its test."""
+    with contextlib.closing(RealClock()) as real:
+        yield real
 
 
 @pytest.fixture(scope="session")

@@ -47,7 +47,7 @@ from tests.bench.calibrate.board_pictures import (
     write_pairs,
 )
 from tests.bench.calibrate.touched import write_touched
-from tests.bench.campaign.small_campaign import smaller
+from tests.bench.small_cameras import smaller
 from tests.bench.small_recording import write_recording
 from tests.conftest import ROOT
 

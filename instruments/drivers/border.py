@@ -27,12 +27,6 @@ class _Job(Generic[T]):
     found: T | None = None
     error: BaseException | None = None
 
-    def run(self) -> None:
-        try:
-            self.found = self.work()
-        except BaseException as error:
-            self.error = error
-
 
 class Border(Generic[Made]):
     """The plug-in ``plugged`` as ``who``, opened when it is first needed and again after a lost
@@ -85,18 +79,6 @@ class Border(Generic[Made]):
                 self._within("close", lambda: made.close(), CLOSE_S)  # type: ignore[attr-defined]
 
     @contextmanager
-    def _translated(self, what: str) -> Iterator[None]:
-        try:
-            yield
-        except (InstrumentError, KeyboardInterrupt):
-            raise
-        except BaseException as error:  # another's code: not every library's errors are Exceptions
-            # TimeoutError and ConnectionError are OSErrors
-            kind = LinkError if isinstance(error, OSError) else DeviceError
-            said = _said(type(error).__name__, error)
-            raise kind(self.who, said, asked=what, hint=f"{self.plugged}.") from error
-
-    @contextmanager
     def opening(self) -> Iterator[None]:
         """Close it where what is asked of it first fails."""
         try:
@@ -107,7 +89,7 @@ class Border(Generic[Made]):
 
     def _within(self, what: str, work: Callable[[], T], limit_s: float | None) -> T:
         limit_s = CALL_S if limit_s is None else limit_s
-        with self._translated(what):
+        try:
             if isinstance(self._clock, VirtualClock) or getattr(self._owner, "is_us", False):
                 return work()
             job: _Job[T] = _Job(work)
@@ -121,10 +103,20 @@ class Border(Generic[Made]):
             if job.error is not None:
                 raise job.error
             return job.found  # type: ignore[return-value]
+        except (InstrumentError, KeyboardInterrupt):
+            raise
+        except BaseException as error:  # another's code: not every library's errors are Exceptions
+            # TimeoutError and ConnectionError are OSErrors
+            kind = LinkError if isinstance(error, OSError) else DeviceError
+            said = _said(type(error).__name__, error)
+            raise kind(self.who, said, asked=what, hint=f"{self.plugged}.") from error
 
     def _run(self, job: _Job[Any]) -> None:
         self._owner.is_us = True
-        job.run()
+        try:
+            job.found = job.work()
+        except BaseException as error:
+            job.error = error
 
     def broken(self, what: str, seen: object) -> ProtocolError:
         """What to raise where it gives what no device can show."""

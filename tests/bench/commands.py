@@ -17,6 +17,7 @@ from bench.cli.main import main
 from bench.rig.loading import RIGS
 from instruments.clock import RealClock
 from instruments.listener import Device, Listener
+from tests.bench.small_cameras import write_calibration
 
 
 def words(text: str, *values: object) -> list[str]:
@@ -66,15 +67,12 @@ def lab_rig(folder: Path, changes: Mapping[str, str]) -> Path:
     """The example of a real rig in ``folder``, with each of ``changes`` made in its text, and with
     small pictures.
     """
-    from tests.bench.campaign.small_campaign import smaller  # which imports this module
-
     text = (RIGS / "lab.example.toml").read_text(encoding="utf-8")
     for old, new in changes.items():
         assert old in text
         text = text.replace(old, new)
     (folder / "lab.toml").write_text(text, encoding="utf-8")
-    calibration = (RIGS / "calibration.toml").read_text(encoding="utf-8")
-    (folder / "calibration.toml").write_text(smaller(calibration), encoding="utf-8")
+    write_calibration(folder, thermal=True)
     return folder / "lab.toml"
 
 

@@ -33,8 +33,8 @@ from instruments.operators.remote import OperatorPort
 from tests.bench import operated_runs
 from tests.bench.killed_runs import rows_of
 from tests.bench.marked_bench import MARK, marked_bench
-from tests.bench.operated_runs import write_calibration
 from tests.bench.real_rig import CHECK, RELAY, RIG, STAGE, RealRig
+from tests.bench.small_cameras import write_calibration
 from tests.waiting import within
 
 SCRIPT = operated_runs.SCRIPT.replace(", yaw_deg = 4.0 }, {}]", " }]")

@@ -4,8 +4,6 @@ optical cameras have a quarter of the pixels along each axis.
 
 from __future__ import annotations
 
-import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +13,7 @@ from bench.rig.loading import RIGS
 from bench.run.events import Progress
 from tests.bench.commands import words
 from tests.bench.killed_runs import start
+from tests.bench.small_cameras import write_calibration
 
 SCRIPT = """
 title = "Short"
@@ -73,7 +72,6 @@ bath_start_c = {start_c}
 """
 
 BATH = 'profile = "julabo-presto"'
-SMALLER = 4.0
 STAGE = '[stage]\nurl = "emulator:"'
 CHECK_POINT = "check_point_mm = [-190.0, 120.0, 15.0]\ncheck_touches = 2"
 
@@ -111,30 +109,6 @@ def files(
     (folder / "script.toml").write_text(script, encoding="utf-8")
     places = (folder / name for name in ("script.toml", "rig.toml", "runs"))
     return words("run {} --rig {} --out {}", *places)
-
-
-def write_calibration(folder: Path, *, whole: bool = False) -> Path:
-    """The shipped cameras' calibration; unless ``whole`` the optical ones have fewer pixels, of
-    which drawing and reading takes most of the time.
-    """
-
-    def fewer(found: re.Match[str]) -> str:
-        values = [value / SMALLER for value in json.loads(found[2])]
-        return f"{found[1]} = {[int(v) for v in values] if found[1] == 'image_size' else values}"
-
-    def onto_fewer(found: re.Match[str]) -> str:
-        *rows, last = json.loads(found[2])
-        return f"{found[1]} = {[*([value / SMALLER for value in row] for row in rows), last]}"
-
-    text, path = (
-        (RIGS / "calibration.toml").read_text(encoding="utf-8"),
-        folder / "calibration.toml",
-    )
-    optical, thermal, others = text.partition("[cameras.thermal]")
-    optical = re.sub(r"^(image_size|fc|cc) = (\[.*\])", fewer, optical, flags=re.MULTILINE)
-    others = re.sub(r"^(left|right) = (\[\[.*\]\])", onto_fewer, others, flags=re.MULTILINE)
-    path.write_text(text if whole else f"{optical}{thermal}{others}", encoding="utf-8")
-    return path
 
 
 def run_of(folder: Path) -> RunRecord:

@@ -25,7 +25,8 @@ from instruments.clock import RealClock
 from instruments.operators.operator import Arrangement, Touch
 from tests.bench.commands import words
 from tests.bench.forked import Running, begin
-from tests.bench.operated_runs import ONE, write_calibration
+from tests.bench.operated_runs import ONE
+from tests.bench.small_cameras import write_calibration
 from tests.waiting import within
 
 STANDS, READ = "Enter when it stands", "Readings taken"

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from bench.rig.loading import RIGS
-from tests.bench.campaign.small_campaign import smaller
+from tests.bench.small_cameras import smaller
 
 SIZES = {"left": (256, 340), "right": (256, 340), "thermal": (120, 160)}
 ENDS_MM = [[-160.0, 205.0, 136.0], [-80.0, 270.0, 134.0]]

@@ -11,7 +11,7 @@ from bench.config import ConfigError, find_places, nearest, read_config
 from bench.rig.loading import RIGS, find_rig, load_rig
 from bench.rig.scripted_answers import load_answers
 from bench.script.model import TRIALS, Script, find_script, load_script
-from tests.bench.operated_runs import write_calibration
+from tests.bench.small_cameras import write_calibration
 
 
 def refused(load: Callable[..., object], *given: object) -> ConfigError:

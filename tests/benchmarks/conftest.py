@@ -12,10 +12,20 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
+import cv2
 import pytest
 
 HEADS = ("date", "commit", "python", "processors", "load", "benchmark", "figure", "value")
 ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def one_core() -> Iterator[None]:
+    """OpenCV works in one thread."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    yield
+    cv2.setNumThreads(threads)
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:

@@ -5,10 +5,8 @@ sets, one core: times are printed, not asserted.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
@@ -31,14 +29,6 @@ def frames(tmp_path_factory: pytest.TempPathFactory) -> list[FrameSet]:
     list(record(load_rig(find_rig(None)), FAMILIES, range(SEEDS), folder, 1))
     recording = Recording(folder)
     return [recording.load(frame) for frame in recording.frames]
-
-
-@pytest.fixture
-def one_core() -> Iterator[None]:
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    yield
-    cv2.setNumThreads(threads)
 
 
 def fixed_s(rng: np.random.Generator) -> float:

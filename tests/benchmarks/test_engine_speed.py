@@ -4,7 +4,6 @@ prompts, states and record; and by how much the memory of a run grows.
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
@@ -21,21 +20,12 @@ from bench.run.start import run_script
 from bench.run.trial import TrialRun
 from bench.script.model import load_script
 from bench.script.planned_trials import PlannedTrial
+from tests.bench.killed_runs import Silent
 from tests.bench.operated_runs import SCRIPT, files
 from tests.benchmarks.figures import figure
 from tests.conftest import resident_mib
 
 TRIALS = 300
-
-
-class Quiet:
-    """Shows nothing."""
-
-    def state(self, text: str) -> None: ...
-    def trial(self, done: int, total: int, name: str) -> None: ...
-    def warn(self, text: str) -> None: ...
-    def aside(self) -> nullcontext[None]:
-        return nullcontext()
 
 
 def empty_trials(monkeypatch: pytest.MonkeyPatch) -> list[float]:
@@ -67,7 +57,7 @@ def test_overhead_of_a_trial_without_frames(
     files(tmp_path, script=script)
     began = empty_trials(monkeypatch)
     rig, loaded = load_rig(tmp_path / "rig.toml"), load_script(tmp_path / "script.toml")
-    benchmark.pedantic(lambda: run_script(rig, loaded, tmp_path / "runs", Quiet()), rounds=1)
+    benchmark.pedantic(lambda: run_script(rig, loaded, tmp_path / "runs", Silent()), rounds=1)
     assert len(began) == TRIALS
     in_order = [1e3 * (b - a) for a, b in pairwise(began)]
     figure(

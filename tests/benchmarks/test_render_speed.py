@@ -7,13 +7,11 @@ from __future__ import annotations
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
@@ -25,6 +23,8 @@ from instruments.world.situations import SITUATIONS as FAMILIES
 from instruments.world.situations import situation as member
 from tests.benchmarks.figures import PEAK_KIB, cpu_s, figure, kernel, taken_s
 from tests.situations import SITUATIONS, situation
+
+pytestmark = pytest.mark.usefixtures("one_core")
 
 ROOT = Path(__file__).resolve().parents[2]
 CALIBRATION = ROOT / "bench/rigs/calibration.toml"
@@ -49,14 +49,6 @@ for name in SITUATIONS:
 print(first_s, peak_kib() / 1024.0)
 """
 )
-
-
-@pytest.fixture(autouse=True)
-def one_core() -> Iterator[None]:
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    yield
-    cv2.setNumThreads(before)
 
 
 def make_renderer() -> Renderer:

@@ -32,7 +32,7 @@ from instruments.errors import (
 from instruments.listener import Listener
 from instruments.world.world import World
 from tests.bench.commands import Said
-from tests.bench.operated_runs import write_calibration
+from tests.bench.small_cameras import write_calibration
 from tests.lab_drivers import importable
 
 pytestmark = pytest.mark.slow

@@ -33,13 +33,6 @@ def echo() -> Echo:
     return echo
 
 
-@pytest.fixture
-def clock() -> Iterator[RealClock]:
-    clock = RealClock()
-    yield clock
-    clock.close()
-
-
 @pytest.fixture(params=[None, 115200], ids=["unpaced", "paced"])
 def listener(request: pytest.FixtureRequest, echo: Echo, clock: RealClock) -> Iterator[PtyListener]:
     listener = PtyListener(echo, clock, lock=threading.RLock(), name="echo", baud=request.param)

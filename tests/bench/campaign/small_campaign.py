@@ -5,7 +5,6 @@ time; and an executor without processes.
 from __future__ import annotations
 
 import os
-import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -21,27 +20,15 @@ from bench.rig.loading import RIGS, LoadedRig
 from bench.rig.scenes import rig_renderer
 from detector.calibration import Calibration
 from detector.protocol import Detection, Detector, Frames, Teat
+from tests.bench.small_cameras import write_calibration
 from tests.conftest import ROOT
 
 KILLS = os.environ.get("TEATBENCH_KILLS")
 
 
-def smaller(calibration: str) -> str:
-    """The same cameras with a quarter of the pixels along each axis."""
-
-    def scaled(found: re.Match[str]) -> str:
-        values = [float(value) / 4.0 for value in found[2].split(",")]
-        return f"{found[1]} = {[int(v) for v in values] if found[1].endswith('size') else values}"
-
-    return re.sub(
-        r"^(image_size|fc|cc|sensor_size) = \[(.*)\]", scaled, calibration, flags=re.MULTILINE
-    )
-
-
 def write_small_rig(folder: Path) -> Path:
     """A rig file; gives back its path."""
-    text = (RIGS / "calibration.toml").read_text(encoding="utf-8")
-    (folder / "calibration.toml").write_text(smaller(text), encoding="utf-8")
+    write_calibration(folder, thermal=True)
     rig = folder / "rig.toml"
     rig.write_text((RIGS / "emulated.toml").read_text(encoding="utf-8"), encoding="utf-8")
     return rig

@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache, cached_property, partial
@@ -56,6 +56,7 @@ from instruments.stage.settings import StageIdentity
 from instruments.world.world import World as EmulatedWorld
 from reports.render import Press, environment
 from tests.bench import operated_runs
+from tests.bench.killed_runs import Silent
 from tests.undrawn import bare
 
 Floats = NDArray[np.float64]
@@ -328,15 +329,6 @@ class _Frames:
     def look(self) -> None: ...
 
 
-class _Silent:
-    def state(self, text: str) -> None: ...
-    def trial(self, done: int, total: int, name: str) -> None: ...
-    def warn(self, text: str) -> None: ...
-
-    def aside(self) -> AbstractContextManager[None]:
-        return nullcontext()
-
-
 @dataclass(frozen=True)
 class Done:
     """A run's page, and beside it what is exactly so."""
@@ -370,7 +362,7 @@ def done(world: World, off: Off, seed: int, *, arm_rule: str = ARM_RULE) -> Done
         frame = _write(folder, world, errors, arm_rule)
         rig, script = load_rig(folder / "rig.toml"), load_script(folder / "script.toml")
         with _world(errors, off, frame):
-            run, state = run_script(rig, script, folder / "runs", _Silent())
+            run, state = run_script(rig, script, folder / "runs", Silent())
             assert state == "finished", state
             path = write_run_report(run).page
         first = sorted(path.parent.glob("trials/*.html"))[:1]

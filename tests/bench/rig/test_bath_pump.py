@@ -106,18 +106,3 @@ def test_faults_of_a_relay_in_the_rig_file(tmp_path: Path) -> None:
         )
     with pytest.raises(ConfigError, match="JULABO PRESTO has a pump of its own"):
         load_rig(rig_of(tmp_path, "julabo-presto", relay=True))
-
-
-@pytest.mark.slow
-def test_a_relays_fault_comes_and_goes(tmp_path: Path) -> None:
-    wish = FAULT.format(name="late answer", at_s=5.0) + "for_s = 10.0\namount = 0.4\n"
-    with EmulatedRig(
-        load_rig(rig_of(tmp_path, "eurotherm-3200", wish, relay=True)), VirtualClock(), seed=1
-    ) as twin:
-        assert twin.pump is not None
-        seen = []
-        for _ in range(3):
-            seen.append(set(twin.pump.faults))
-            twin.world.clock.sleep(8.0)
-        assert seen == [set(), {"late answer"}, set()]
-        assert twin.pump.late_s == 0.4

@@ -5,7 +5,6 @@ is shown in its place; and over real wires streams, a radiometric camera and one
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -211,12 +210,6 @@ resolution = [160, 120]
 trigger = "software"
 radiometric = {{ kelvin_per_count = 0.002, kelvin_at_zero = 250.0 }}
 """
-
-
-@pytest.fixture
-def clock() -> Iterator[RealClock]:
-    with closing(RealClock()) as real:
-        yield real
 
 
 @pytest.mark.slow

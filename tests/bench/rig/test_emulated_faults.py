@@ -101,17 +101,6 @@ def test_a_fault_that_cannot_be_is_shown_in_its_place(
     assert f"rig.toml:{line}: emulation.faults[1]" in str(caught.value)
 
 
-def test_a_fault_of_a_stage_that_is_not_there(tmp_path: Path) -> None:
-    path = with_emulation(tmp_path, 'faults = [{ instrument = "stage", name = "stall" }]')
-    path.write_text(
-        path.read_text(encoding="utf-8").replace('[stage]\nurl = "emulator:"', ""), encoding="utf-8"
-    )
-    with pytest.raises(
-        ConfigError, match=r"faults\[1\]\.instrument: this rig has no such instrument"
-    ):
-        load_rig(path)
-
-
 @pytest.mark.parametrize("instrument", ["arm", "bath", "stage", "cameras"])
 def test_every_fault_of_every_instrument_can_be_put_into_a_rig(
     tmp_path: Path, instrument: str

@@ -19,7 +19,7 @@ from bench.rig.model import Stage as StageTable
 from bench.rig.opening import open_instruments
 from instruments.clock import VirtualClock
 from instruments.drivers.protocols import Stage
-from instruments.errors import DeviceError, LinkError, ProtocolError
+from instruments.errors import DeviceError, LinkError
 from instruments.world.phantom import PlatePose
 from tests.bench.test_config import rig_with as emulated_rig
 
@@ -45,20 +45,6 @@ def homed(rig: LoadedRig) -> Iterator[tuple[EmulatedRig, Stage]]:
         yield twin, devices.stage
 
 
-@pytest.mark.slow
-def test_the_plate_stands_as_the_stage_stands_in_all_four_axes(tmp_path: Path) -> None:
-    rig = rig_with(tmp_path, 'axes = "XYZA"', '[emulation.stage]\ndialect = "grblHAL"')
-    assert rig.rig.stage is not None
-    with homed(rig) as (twin, stage):
-        assert stage.identity.dialect == "grblHAL"
-        wanted = PlatePose(20.0, -10.0, 5.0, math.radians(30))
-        stage.move_to(**rig.rig.stage.machine(PlatePose()))
-        reference = twin.world.phantom()
-        assert twin.world.stage_pose() == PlatePose()
-        stage.move_to(**rig.rig.stage.machine(wanted))
-        assert np.allclose(twin.world.ends_mm(), reference.moved(wanted).ends_mm, atol=0.01)
-
-
 TURNING = """dialect = "zaber"
 axes = "XYA"
 microsteps = [20000.0, 20000.0, 500.0]
@@ -69,6 +55,7 @@ reference_a_deg = 90.0"""
 @pytest.mark.parametrize(
     ("stage", "emulation", "name"),
     [
+        ('axes = "XYZA"', '[emulation.stage]\ndialect = "grblHAL"', "grblHAL"),
         ("", '[emulation.stage]\ndialect = "FluidNC"', "FluidNC"),
         ('dialect = "marlin"\nreference_mm = [150.0, 137.5]', "", "Marlin"),
         (TURNING, "", "Zaber"),
@@ -85,7 +72,7 @@ def test_the_plate_stands_as_any_firmware_says(
         driver.move_to(**rig.rig.stage.machine(PlatePose()))
         reference = twin.world.phantom()
         turn_rad = math.radians(30) if "A" in rig.rig.stage.axes else 0.0
-        wanted = PlatePose(20.0, -10.0, 0.0, turn_rad)
+        wanted = PlatePose(20.0, -10.0, 5.0 if "Z" in rig.rig.stage.axes else 0.0, turn_rad)
         driver.move_to(**rig.rig.stage.machine(wanted))
         assert np.allclose(twin.world.ends_mm(), reference.moved(wanted).ends_mm, atol=0.01)
 
@@ -176,13 +163,7 @@ def test_the_world_moves_as_fast_as_the_stage(tmp_path: Path) -> None:
     ("name", "amount", "error", "sentence"),
     [
         ("limit hit", 1.0, DeviceError, "alarm 1"),
-        ("restart", 3.0, DeviceError, "restarted by itself"),
-        ("disconnect", 1.0, LinkError, "hung up|broke"),
-        ("garbage", None, ProtocolError, "malformed answer"),
         ("late ok", None, LinkError, "no answer"),
-        ("late ok", 10.0, LinkError, "no answer"),
-        ("lost ok", None, LinkError, "no answer"),
-        ("silent", None, LinkError, "no "),
     ],
 )
 def test_faults_of_a_rig_file_reach_the_driver(

@@ -328,13 +328,6 @@ def test_a_trial_is_repeated_whole_and_another_skipped_each_with_its_reason(tmp_
     assert len(run.trials) == 2
 
 
-@pytest.mark.slow
-def test_an_abort_is_taken_before_the_first_trial_too(tmp_path: Path) -> None:
-    run = run_with(Person("", ["", "", "abort"]), tmp_path)
-    assert (run.ending, len(run.trials)) == ("aborted", 0)
-    assert texts(run, EVENT) == ["preparing", "safing", "aborted"]
-
-
 def test_ctrl_c_before_there_are_instruments_is_an_abort(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -36,7 +36,7 @@ from instruments.operators.operator import (
 from instruments.stage.driver import Stage
 from instruments.world.phantom import PIVOT_MM
 from tests.bench.killed_runs import Silent
-from tests.bench.operated_runs import write_calibration
+from tests.bench.small_cameras import write_calibration
 
 PLANNED = load_script(find_script(None)).planned[:5]
 

@@ -23,7 +23,8 @@ import psutil
 
 from bench.rig.loading import RIGS
 from tests.bench.forked import Running, begin
-from tests.bench.operated_runs import ONE, write_calibration
+from tests.bench.operated_runs import ONE
+from tests.bench.small_cameras import write_calibration
 from tests.conftest import ROOT
 from tests.waiting import within
 

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.rig.model import SafetyLimits
-from bench.safety.interlocks import RULES, Interlocks, InterlockTrip, rule_named
+from bench.safety.interlocks import RULES, Interlocks, InterlockTrip
 from instruments.bath.profile import CommsLoss, Profile, load_profile
 from instruments.bath.reading import BathReading
 from tests.bench.safety.calm import CALM
@@ -228,27 +228,6 @@ def test_every_row_says_what_trips_what_resets_and_what_to_do() -> None:
         assert rule.trips
         assert rule.resets
         assert rule.then.endswith(".")
-
-
-@pytest.mark.parametrize(
-    ("rule", "reading", "word"),
-    [
-        (HOT, replace(CALM, temp_c=36.0), "cool below 36"),
-        (HOT, replace(CALM, safety_c=38.0), "38.00"),
-        (HOT, replace(CALM, temp_c=35.9), None),
-        (DRY, replace(CALM, power_percent=1.0), "still asked for 1 %"),
-        (DRY, replace(CALM, power_percent=0.0, alarm=1), "alarm 1"),
-        (BROKEN, replace(CALM, temp_c=-6.0), "no water bath"),
-        (FROZEN, replace(CALM, power_percent=21.0), "21 %"),
-        (ALARM, replace(CALM, alarm=3), "alarm 3"),
-        ("communications lost", CALM, None),
-        ("guardian lost", CALM, None),
-        *((rule, CALM, "still asked for 2 %") for rule in (CHANGED, LOOP, DIFFER, RATE)),
-    ],
-)
-def test_what_resets_each_rule(rule: str, reading: BathReading, word: str | None) -> None:
-    said = rule_named(rule).not_yet(reading, SafetyLimits())
-    assert said is None if word is None else word in str(said)
 
 
 def test_a_bath_that_the_bench_has_not_started_may_stand_and_have_any_set_point() -> None:

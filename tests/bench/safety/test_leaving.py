@@ -30,7 +30,6 @@ from instruments.clock import VirtualClock
 from instruments.errors import LinkError
 from instruments.world.plant import Plant
 from tests.bench.commands import Said, served, words
-from tests.bench.operated_runs import write_calibration
 from tests.bench.real_rig import at_set_point
 from tests.bench.safety.deaths import (
     DEATHS,
@@ -43,6 +42,7 @@ from tests.bench.safety.deaths import (
     on_a_terminal,
 )
 from tests.bench.safety.guards import HotBath, Measured, standby_after
+from tests.bench.small_cameras import write_calibration
 from tests.waiting import within
 
 pytestmark = pytest.mark.slow

@@ -23,9 +23,9 @@ from instruments.errors import InstrumentError
 from instruments.listener import Listener
 from instruments.world.plant import Plant
 from tests.bench.commands import Said
-from tests.bench.operated_runs import write_calibration
 from tests.bench.real_rig import script_of
 from tests.bench.safety.guards import standby_after
+from tests.bench.small_cameras import write_calibration
 from tests.lab_drivers import importable
 
 pytestmark = pytest.mark.slow

@@ -119,7 +119,6 @@ def real_time(
     transport: str,
     *,
     unit_id: int | None = None,
-    baud: int | None = None,
 ) -> Iterator[tuple[Device, Listener | PtyListener]]:
     """An emulated device in real time, on "tcp" or a pseudo-terminal ("pty")."""
     framing: Framing = "tcp" if transport == "tcp" else "rtu"
@@ -130,7 +129,7 @@ def real_time(
         listener: Listener | PtyListener = (
             Listener(device, clock, lock=lock, name="bath")
             if transport == "tcp"
-            else PtyListener(device, clock, lock=lock, name="bath", baud=baud)
+            else PtyListener(device, clock, lock=lock, name="bath")
         )
         stack.callback(listener.close)
         yield device, listener

@@ -151,14 +151,6 @@ def test_gaps_that_the_controller_refuses_are_left_out(stand: Stand) -> None:
     assert [address for _, _, address in stand.emulator.asked] == [0, 2, 10, 90, 93, 5, 10]
 
 
-def test_a_url_that_is_none(stand: Stand) -> None:
-    with pytest.raises(
-        LinkError,
-        match=r'bath at tpc://h:1: "tpc://" is no link to a device; did you mean "tcp://"',
-    ):
-        Bath("tpc://h:1", stand.profile, stand.clock)
-
-
 def test_a_family_that_does_not_speak_tcp(stand: Stand) -> None:
     stand.profile = stand.profile.model_copy(update={"transports": ("rtu",)})
     with pytest.raises(
@@ -181,27 +173,3 @@ def test_no_answer_is_an_error_after_some_tries(stand: Stand) -> None:
 
 
 # ---- refusals to start
-
-
-@pytest.mark.parametrize(
-    ("fault", "message"), [("low level", "alarm 1, low level"), ("sensor break", "working sensor")]
-)
-def test_no_heat_with_an_alarm(stand: Stand, fault: str, message: str) -> None:
-    bath = stand.bath()
-    stand.emulator.fault(fault)
-    stand.clock.sleep(1.0)
-    with pytest.raises(DeviceError, match=message):
-        bath.start(33.0)
-    assert not stand.emulator.writes()
-    assert not stand.plant.running
-
-
-def test_a_write_that_does_not_stand_is_reported(stand: Stand) -> None:
-    bath = stand.bath()
-    stand.emulator.fault("manual mode")
-    assert bath.read().remote is False
-    with pytest.raises(
-        DeviceError, match=r"did not do it \(asked set_point = 33, got set_point = 20\).*'manual'"
-    ):
-        bath.start(33.0)
-    assert not stand.plant.running

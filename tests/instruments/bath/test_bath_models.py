@@ -234,15 +234,6 @@ def test_every_profile_says_where_the_unit_of_its_numbers_stands() -> None:
     assert {*known} - {*told} == {"haake", "julabo-ascii", "lauda-ascii", "watlow-pm-map2"}
 
 
-def test_an_omega_in_fahrenheit_is_never_told_33() -> None:
-    """330 is 33.0 degF there; the coil 0x0811 says so, whatever the number looks like."""
-    with shown_by(OMEGA_MEMORY | {0x0811: 0, 0x1000: 450, 0x1001: 450}) as (far_end, url):
-        profile = load_register_profile("omega-cn7")
-        with pytest.raises(DeviceError, match=r"does not speak degC \(asked its unit, got f\)"):
-            Bath(url, profile, far_end.clock)
-        assert all(pdu[0] not in (5, 6, 16) for pdu in far_end.asked)
-
-
 def test_an_omega_that_takes_no_writes_says_why() -> None:
     with (
         bath_on("omega-cn7", OMEGA_MEMORY | {0x0810: 0}) as (_, bath),

@@ -4,7 +4,6 @@ virtual time in the midst of another call on the same link, as interlocks do it.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -13,34 +12,11 @@ import pytest
 from instruments.bath.driver import Bath
 from instruments.bath.profile import load_register_profile
 from instruments.bath.session import BrokenError
-from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
 from tests.instruments.bath.devices import Stand
 from tests.instruments.bath.far_end import Spoil, virtual
 
 # ---- trouble under way
-
-
-def test_silence_costs_2_s_of_virtual_time_and_then_all_is_well(stand: Stand) -> None:
-    bath = stand.bath()
-    stand.emulator.fault("silence")
-    real = time.perf_counter()
-    with pytest.raises(
-        LinkError, match=r"no answer \(asked holding registers 0 to 10, after 2 s\)"
-    ):
-        bath.read()
-    assert time.perf_counter() - real < 0.5
-    assert stand.clock.now() == pytest.approx(2.0)
-    stand.emulator.fault("silence", on=False)
-    assert bath.read().temp_c == 20.0
-
-
-def test_an_answer_within_the_second_attempt_counts(stand: Stand) -> None:
-    bath = stand.bath()
-    stand.emulator.fault("late answer")
-    stand.emulator.late_s = 1.2
-    assert bath.read().temp_c == pytest.approx(20.0)
-    assert stand.clock.now() == pytest.approx(3.6)  # three questions
 
 
 def test_a_poll_that_takes_too_long_is_none(stand: Stand) -> None:
@@ -230,21 +206,3 @@ def test_who_starts_learns_that_it_was_made_safe() -> None:
         assert not stand.plant.running
         bath.start(33.0)
         assert stand.plant.running
-
-
-def test_a_bath_that_never_answers_again_says_so_from_both_calls() -> None:
-    with stand_of("julabo-presto") as stand:
-        bath, inner = stand.bath(), []
-        stand.emulator.fault("silence")
-
-        def trip() -> None:
-            try:
-                bath.safe()
-            except InstrumentError as error:
-                inner.append(error)
-
-        stand.clock.call_at(stand.clock.now() + 0.5, trip)
-        with pytest.raises(InstrumentError):
-            bath.read()
-        assert len(inner) == 1
-        assert isinstance(stand.clock, VirtualClock)

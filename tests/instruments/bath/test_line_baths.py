@@ -9,7 +9,6 @@ import contextlib
 import os
 import re
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
@@ -17,7 +16,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-import serial
 from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 
@@ -553,28 +551,6 @@ def test_standby_is_sent_at_once_on_a_line_that_is_out_of_step() -> None:
 # ---- an independent client, and the driver, on a serial port
 
 
-class ManualClient:
-    """A host written from the SL manual's chapter 12 alone: CR ends a command, a reply ends with LF,
-    10 ms to the next command, 250 ms after an out command.
-    """
-
-    def __init__(self, url: str) -> None:
-        self._port = serial.serial_for_url(url, baudrate=4800, bytesize=7, parity="E", timeout=5.0)
-
-    def ask(self, command: str) -> str:
-        self._port.write(command.encode() + b"\x0d")
-        line: bytes = self._port.read_until(b"\n")
-        time.sleep(0.01)
-        return line.decode().strip()
-
-    def tell(self, command: str) -> None:
-        self._port.write(command.encode() + b"\x0d")
-        time.sleep(0.25)
-
-    def close(self) -> None:
-        self._port.close()
-
-
 @contextmanager
 def in_real_time(name: str) -> Iterator[tuple[LineEmulator, str]]:
     """An emulated circulator on a pseudo-terminal, or on TCP where there is none; its URL."""
@@ -586,24 +562,6 @@ def in_real_time(name: str) -> Iterator[tuple[LineEmulator, str]]:
         kind = PtyListener if os.name == "posix" else Listener
         with closing(kind(device, clock, lock=lock, name="bath")) as listener:
             yield device, listener.url
-
-
-@pytest.mark.slow
-def test_a_client_written_from_the_julabo_manual_alone() -> None:
-    with in_real_time(JULABO) as (device, url), closing(ManualClient(url)) as client:
-        assert client.ask("version").startswith("JULABO")
-        assert client.ask("status") == "02 REMOTE STOP"
-        client.tell("out_sp_00 34.5")
-        assert float(client.ask("in_sp_00")) == 34.5
-        client.tell("out_mode_05 1")
-        assert client.ask("in_mode_05") == "1"
-        assert client.ask("status") == "03 REMOTE START"
-        assert float(client.ask("in_pv_00")) == pytest.approx(20.0, abs=0.2)
-        client.tell("out_mode_05 7")
-        assert client.ask("status") == "-08 INVALID COMMAND"
-        client.tell("out_mode_05 0")
-        assert client.ask("status") == "02 REMOTE STOP"
-        assert not device.plant.running
 
 
 DIALOGUES = {  # command > answer

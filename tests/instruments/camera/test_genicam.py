@@ -40,12 +40,6 @@ IN_PROCESS = "Fake_1"
 
 
 @pytest.fixture
-def clock() -> Iterator[RealClock]:
-    with closing(RealClock()) as real:
-        yield real
-
-
-@pytest.fixture
 def aravis() -> Any:
     need_aravis()
     return load_aravis()

@@ -44,12 +44,6 @@ class Counting:
 
 
 @pytest.fixture
-def clock() -> Iterator[RealClock]:
-    with closing(RealClock()) as real:
-        yield real
-
-
-@pytest.fixture
 def served(clock: RealClock) -> Iterator[StreamServer]:
     with closing(StreamServer(Counting(clock), clock, fps=20.0)) as server:
         yield server

@@ -4,10 +4,8 @@ session; the bytes that are never sent; the arm's own time.
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 from dataclasses import astuple
-from functools import partial
 
 import pytest
 from hypothesis import given
@@ -205,24 +203,6 @@ def test_a_parameter_block_of_another_length_is_refused_and_told_from_a_short_on
     with pytest.raises(WireError, match=message) as refused:
         conf.decode_parameters(reply)
     assert isinstance(refused.value, BlockLengthError) is another_length
-
-
-@pytest.mark.slow
-@given(
-    st.sampled_from([b"", b"\xc6", b"\xc0", b"\xc0\x24", b"\xd3\x02", b"\xcf", b"\xc8"]),
-    st.binary(max_size=50),
-)
-def test_garbage_raises_nothing_but_ours(head: bytes, rest: bytes) -> None:
-    for decode in (
-        conf.decode_maxima,
-        conf.decode_parameters,
-        conf.decode_stream,
-        partial(conf.decode, Code.EXTENDED),
-        partial(conf.decode, Code.HOME),
-        partial(conf.decode_name, 0xC8),
-    ):
-        with contextlib.suppress(WireError):
-            decode(head + rest)
 
 
 def test_the_stream_command_has_25_bytes_or_27() -> None:

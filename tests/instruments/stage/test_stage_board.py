@@ -229,18 +229,6 @@ def test_grblhal_reports_in_that_alarm_and_knows_its_buffer_and_any_line_number(
     assert b"|H:" in report
 
 
-def test_a_reset_at_a_hold_keeps_the_position_without_alarm(free: Board) -> None:
-    free.say(b"G1X-50F3000\n", 0.5)
-    free.say(b"!", 1.0)
-    place = free.emulator.position_mm()
-    assert free.say(b"\x18") == WELCOME
-    report = free.say(b"?")
-    assert report.startswith(b"<Idle|MPos:")
-    assert float(re.findall(rb"MPos:([-\d.]+)", report)[0]) == pytest.approx(
-        place[0] + 150, abs=0.005
-    )
-
-
 def test_resume_is_lost_while_the_stage_still_brakes(free: Board) -> None:
     free.say(b"G1X-100F3000\n", 1.0)
     free.say(b"!", 0.1)

@@ -40,23 +40,6 @@ def test_nothing_works_before_connecting(bench: Bench) -> None:
             call()
 
 
-def test_homing_then_moving_ends_at_the_target(make: Make) -> None:
-    bench = make()
-    stage = bench.homed()
-    assert stage.homed
-    assert stage.position() == pytest.approx([-1, -1, -1])
-    for x, y in ((-150.0, -100.0), (-300.0, -275.0), (0.0, 0.0), (-12.3456, -0.001)):
-        stage.move_to(x, y, feed_mm_min=2500)
-        assert stage.position() == pytest.approx([x, y, -1.0], abs=0.003)
-        assert bench.emulator.position_mm() == pytest.approx(stage.position(), abs=0.001)
-    stage.move_to(-100, -20, z_mm=-7.5)
-    assert stage.position() == pytest.approx([-100, -20, -7.5])
-    start = bench.clock.now()
-    stage.move_to(-200, -20)
-    took = bench.clock.now() - start
-    assert 2.25 <= took <= 2.25 + 0.2 + 1e-9, "its trapezoid, and one poll more"
-
-
 REFUSED: list[tuple[dict[str, float], str]] = [
     ({"x_mm": 0.001}, "outside the travel"),
     ({"x_mm": -300.001}, "outside the travel"),
@@ -156,21 +139,6 @@ def test_what_homing_moves_jogs_stops_and_recovery_send(bench: Bench) -> None:
         b"!",
         b"\x18",
     ]
-
-
-def test_a_cancelled_jog_stands_and_keeps_the_position(bench: Bench) -> None:
-    stage = bench.homed()
-    stage.jog(x_mm=-200)
-    bench.clock.sleep(1.0)
-    stage.cancel_jog()
-    place = bench.emulator.position_mm()
-    bench.clock.sleep(10.0)
-    assert bench.emulator.position_mm() == pytest.approx(place)
-    assert -80 < place[0] < -20
-    assert stage.homed
-    assert stage.position() == pytest.approx(place, abs=0.005)
-    stage.cancel_jog()
-    stage.move_to(-5, -5)
 
 
 def test_a_jog_that_the_panel_ended_is_reported_and_keeps_the_position(bench: Bench) -> None:

@@ -45,17 +45,6 @@ def test_a_run_covers_its_length_and_ends_at_rest(
         assert fast <= max(speed, entry) + 1e-9
 
 
-def test_moves_stop_at_each_end() -> None:
-    motion = Motion((0.0, 0.0, 0.0))
-    motion.go((-40.0, 0.0, 0.0), 50.0, RATES, 0.0)
-    motion.go((-100.0, 0.0, 0.0), 50.0, RATES, 0.3)
-    corner_s = 40 / 50 + 50 / 200
-    assert motion.next_end_s(0.3) == pytest.approx(corner_s)
-    assert motion.position(corner_s) == pytest.approx((-40.0, 0.0, 0.0))
-    assert motion.speed(corner_s) == pytest.approx(0.0, abs=1e-9)
-    assert motion.next_end_s(corner_s) == pytest.approx(corner_s + 60 / 50 + 50 / 200)
-
-
 def test_a_hold_brakes_within_v_squared_over_2a_and_the_rest_follows_after_it() -> None:
     motion = Motion((0.0, 0.0, 0.0))
     motion.go((-100.0, 0.0, 0.0), 50.0, RATES, 0.0)

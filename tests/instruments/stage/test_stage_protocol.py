@@ -118,11 +118,6 @@ def test_any_bytes_give_answers_however_they_are_cut(parts: list[bytes]) -> None
     assert all(isinstance(answer, Response) for answer in cut)
 
 
-@given(st.text(alphabet="<>|:,.-0123456789IdleMPosWCOHold[]$=okerrorALARM", max_size=80))
-def test_text_that_looks_like_grbl_never_raises(text: str) -> None:
-    assert isinstance(protocol.parse(text.encode("ascii")), Response)
-
-
 def test_a_move_states_units_distance_mode_and_machine_coordinates() -> None:
     assert protocol.move_line({"X": -12.5, "Y": -275.0}, 3000) == "G21G90G94G53G1X-12.5Y-275F3000"
     assert (

@@ -40,17 +40,6 @@ def test_failed_homing(bench: Bench, fault: StageFault, alarm: int) -> None:
     assert bench.stage.homed
 
 
-def test_the_controllers_own_soft_limit_is_an_alarm_too(make: Make) -> None:
-    bench = make()
-    stage = bench.homed()
-    bench.emulator._controller.settings.write(130, 100)  # the driver has read 300
-    with pytest.raises(DeviceError, match="alarm 2"):
-        stage.move_to(-200, -5)
-    stage.stop()
-    stage.recover()
-    assert not stage.homed
-
-
 @pytest.mark.parametrize(
     ("fault", "error", "what", "refusal"),
     [
