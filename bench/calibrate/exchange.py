@@ -117,6 +117,8 @@ def read_maker(given: MakersCalibration, sizes: Mapping[str, tuple[int, int]], s
         lenses[part] = _camera(found, *lens, _size(found, f"{part} size_px", one.size_px))
         motions[part] = _motion(found, f"{part} R", R, f"{part} T_mm", T_mm)
     names = [(owner, name) for owner, _, name in (key.rpartition(" ") for key in given.sd)]
+    if odd := next((key for key, sd in given.sd.items() if not 0.0 <= sd < np.inf), None):
+        raise found.refusal(f"sd of {odd}", f"is {given.sd[odd]:g}; 0 or more")
     try:
         sd = np.array(list(given.sd.values()), dtype=np.float64)
         covariance = ParameterCovariance(tuple(names), np.diag(sd**2)) if names else None

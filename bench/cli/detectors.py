@@ -25,6 +25,7 @@ from detector.protocol import Outcome
 if TYPE_CHECKING:
     from bench.record.recording import TruthRow
     from bench.results.answers import Answer
+    from detector.calibration import Calibration
     from detector.protocol import Detector, Teat
 
 # whose first member that the detector was not trained on is shown where no recording is named
@@ -144,9 +145,15 @@ def try_out(given: argparse.Namespace) -> int:
         bench.open_detector(given.word) as detector,
         working("asking the detector about a frame"),
     ):
-        frame, shot = _frame(given.recording) if given.recording else _drawn(_unseen(detector))
-        for why in refusals([detector], shot.calibration):
+        recording = bench.Recording(given.recording) if given.recording else None
+        calibration = (
+            read_calibration(recording.calibration_path)
+            if recording
+            else bench.load_rig().calibration
+        )
+        for why in refusals([detector], calibration):
             raise ConfigError.plain(why)
+        frame, shot = _frame(recording, calibration) if recording else _drawn(_unseen(detector))
         answers = [bench.detect(detector, shot)]
         if not _fault(answers[0]):
             answers.append(bench.detect(detector, shot))
@@ -192,11 +199,9 @@ def _unseen(detector: Detector) -> int:
     return member
 
 
-def _frame(folder: Path) -> tuple[str, bench.Shot]:
+def _frame(recording: bench.Recording, calibration: Calibration) -> tuple[str, bench.Shot]:
     """The first of a recording, by its name."""
-    recording = bench.Recording(folder)
     frame = recording.frames[0]
-    calibration = read_calibration(recording.calibration_path)
     return frame, bench.Shot(recording.load(frame), calibration, recording.truth.get(frame, ()))
 
 

@@ -84,6 +84,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 why = f"{limit >> 20} MB of memory are allowed, {LEAST_BYTES >> 20} are needed"
                 return complain(f"{why}: {LIMIT}", CODES.fault)
             return _run(given)
+    except KeyboardInterrupt:
+        return complain("interrupted", CODES.fault)
     except Exception as error:
         return _unforeseen(error)
     finally:
@@ -126,8 +128,6 @@ def _run(given: argparse.Namespace) -> int:
         return complain(str(error), CODES.fault)
     except (OperatorAbort, OperatorSkip) as stop:
         return complain(f"{stop}; nothing was written", CODES.fault)
-    except KeyboardInterrupt:
-        return complain("interrupted", CODES.fault)
     except sqlite3.Error as error:
         return complain(
             f"the run's record can't be written or read: {error}. Is the disk full, or the folder"

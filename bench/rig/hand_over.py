@@ -22,8 +22,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from bench.rig.urls import is_loopback
-from instruments.bath.connection import LineError, parse_line
+from instruments.bath.connection import LineError, is_loopback, parse_line
 from instruments.errors import LimitError
 
 HAND_OVER_S = 5.0  # a guardian that acts answers within a tenth of a second

@@ -33,13 +33,12 @@ from bench.rig.urls import (
     beside,
     beside_if_named,
     is_emulated,
-    is_loopback,
     operator_url,
     plugged,
     relay_url,
     stage_url,
 )
-from instruments.bath.connection import parse_line
+from instruments.bath.connection import is_loopback, parse_line
 from instruments.bath.profile import profile_names, relay_names
 from instruments.camera import emulator as camera_faults
 from instruments.camera.frame import Channel, Conversion, Flip, Radiometry, Ranging, Turn

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
@@ -25,14 +24,6 @@ def is_emulated(url: str) -> bool:
     """Whether ``url`` is of an emulator in this process: the bench's own, or a plug-in's."""
     found = None if url == EMULATED else plugin_url(url)
     return url == EMULATED or (found is not None and found.emulated)
-
-
-def is_loopback(host: str) -> bool:
-    """Whether ``host`` is this machine, as an address that no other one can have."""
-    try:
-        return host == "localhost" or ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def plugged(url: str, kind: Kind) -> bool:

@@ -303,13 +303,15 @@ class TrialRun:
         so_far = self._so_far
         if self._begun != trial.id:
             so_far.clear()
-        self._begun = trial.id
+        self._begun, kept_before = trial.id, sum(map(len, so_far.values()))
         try:
             self._run(trial)
         except BaseException as why:
             kept = isinstance(why, InstrumentError) and diagnosis(why)[0] in LEAVE_TOUCHES
             if isinstance(why.__cause__, AstrayError) or not kept:
                 so_far.clear()
+                if kept_before:
+                    self._ctx.event("touches", f"{trial.id}: those kept so far are dropped")
             elif count := sum(map(len, so_far.values())):
                 self._ctx.event("touches", f"{trial.id}: {count} so far are kept")
             raise

@@ -235,9 +235,11 @@ class StabilityGate:
         if self.frozen:
             why = f"the reading has not changed for more than {self.frozen_s:g} s"
             return [f"{why}: does the controller still run?"]
+        if last is None:
+            return ["too few readings"]
         if self._teats_gone:
             return ["the sensor at the teats gives no value any more: look at it and its plug"]
-        if self._state is State.HEATING and last is not None:
+        if self._state is State.HEATING:
             return [f"{last[1]:.2f} degC, needs {self.set_point_c:g} ± {self.leave_k:g}"]
         if self._teats_last and abs(self._teats_last[1]) > self.teat_level_k:
             teats = f"the teats are {self._teats_last[1]:+.2f} K from the set point"

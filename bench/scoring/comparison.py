@@ -418,7 +418,8 @@ def gate(
     if worse:
         return Gate(Verdict.NOT_MET, tuple(worse), margin_mm, margin_rate)
     if unpaired:
-        left_open.append(f"{unpaired} scenes of the old one were not run with the new one")
+        were = f"{plural(unpaired, 'scene')} of the old one {'was' if unpaired == 1 else 'were'}"
+        left_open.append(f"{were} not run with the new one")
     high, tail, failing = _not_run(pairs, pooled, chance, again)
     if high is None:
         left_open.append("no teat was found by both, so no error was compared")

@@ -119,7 +119,8 @@ def flat_pose(board_mm: Floats, pixels_px: Floats, lens: Camera) -> Motion:
 
 def _refuse_too_few(name: str, views: Sequence[BoardView]) -> None:
     if len(views) < LEAST_VIEWS:
-        what = f"{name} has {len(views)} usable views of the board"
+        views_are = f"{len(views)} usable view{'' if len(views) == 1 else 's'}"
+        what = f"{name} has {views_are} of the board"
         raise TooFewViewsError(f"{what}, at least {LEAST_VIEWS} are needed, 15 to 30 are good")
 
 

@@ -85,13 +85,15 @@ class ViewRefusedError(ValueError):
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectedBoard:
     """``ids`` (n,) at ``pixels_px`` (n, 2); ``edges_px``: 10 to 90 % of the rise along rows and
-    columns, None if not measurable; ``window_px``: half the sub-pixel window's side.
+    columns, None if not measurable; ``window_px``: half the sub-pixel window's side;
+    ``rim_is_light``: as round a board that is dark on light.
     """
 
     ids: NDArray[np.intp]
     pixels_px: Array
     edges_px: tuple[float, float] | None
     window_px: int
+    rim_is_light: bool = True
 
     def turned(self, board: Board) -> DetectedBoard:
         """The same points counted from the board's other end."""
@@ -104,19 +106,29 @@ def find_board(image: Gray, board: Board, *, sub_pixel: SubPixel = SubPixel()) -
         kind = f"{image.dtype} of shape {image.shape}"
         raise ValueError(f"find_board wants an 8-bit grey picture, not {kind}")
     finder = {"chessboard": _chessboard, "charuco": _charuco, "circles": _circles}[board.kind]
+    found: DetectedBoard | None = None
     for picture in (image, np.asarray(255 - image, dtype=np.uint8)):  # a heated board is bright
-        if found := finder(picture, board, sub_pixel):
-            better, worse = sorted(found.edges_px or (0.0, 0.0))
-            wide = f"edges are {worse:.1f} px wide"
-            if worse > BLURRED_PX and worse > MOVED_RATIO * better:
-                other = f"along one direction, {better:.1f} px along the other"
-                raise ViewRefusedError(f"the board moved: {wide} {other}")
-            if worse > BLURRED_PX:
-                hint = f"at most {BLURRED_PX:g} px are of use; focus, or hold it still"
-                raise ViewRefusedError(f"blurred: {wide}, {hint}")
-            return found
-    what = f"no {board.columns} x {board.rows} {board.kind} found"
-    raise ViewRefusedError(f"{what}: is the whole board in the picture, sharp and lit?")
+        try:
+            one = finder(picture, board, sub_pixel)
+        except ViewRefusedError:
+            if found is None:
+                raise
+            continue
+        found = one if one and (found is None or one.rim_is_light) else found
+        if found and found.rim_is_light:
+            break
+    if found is None:
+        what = f"no {board.columns} x {board.rows} {board.kind} found"
+        raise ViewRefusedError(f"{what}: is the whole board in the picture, sharp and lit?")
+    better, worse = sorted(found.edges_px or (0.0, 0.0))
+    wide = f"edges are {worse:.1f} px wide"
+    if worse > BLURRED_PX and worse > MOVED_RATIO * better:
+        other = f"along one direction, {better:.1f} px along the other"
+        raise ViewRefusedError(f"the board moved: {wide} {other}")
+    if worse > BLURRED_PX:
+        hint = f"at most {BLURRED_PX:g} px are of use; focus, or hold it still"
+        raise ViewRefusedError(f"blurred: {wide}, {hint}")
+    return found
 
 
 def counted_corners(image: Gray) -> tuple[int, int] | None:
@@ -162,9 +174,8 @@ def _chessboard(image: Gray, board: Board, sub_pixel: SubPixel) -> DetectedBoard
         fine, window = sub_pixel.refine(image, coarse.copy(), coarse.reshape(grid))
         placed = fine.reshape(grid)
         astray, moved_px = strays(placed), np.abs(fine - coarse).max()
-        if picture is image:
-            break
-        if not astray.any() and moved_px <= 0.5 * window and _light_around(image, placed):
+        light = _light_around(image, placed)
+        if picture is image or (light and not astray.any() and moved_px <= 0.5 * window):
             break
     else:
         return None
@@ -183,7 +194,7 @@ def _chessboard(image: Gray, board: Board, sub_pixel: SubPixel) -> DetectedBoard
         float(np.ravel(cv2.estimateChessboardSharpness(image, shape, fine, 0.8, vertical)[0])[0])
         for vertical in (False, True)
     )
-    return DetectedBoard(np.arange(len(pixels)), pixels, (along, across), window)
+    return DetectedBoard(np.arange(len(pixels)), pixels, (along, across), window, light)
 
 
 def _charuco(image: Gray, board: Board, sub_pixel: SubPixel) -> DetectedBoard | None:

@@ -13,6 +13,7 @@ import difflib
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from ipaddress import ip_address
 from typing import Any, Literal
 from urllib.parse import parse_qsl, urlsplit
 
@@ -39,6 +40,14 @@ WORDS: Mapping[str, Mapping[str, Any]] = {
 }
 ALLOWED_WORDS = {name: " and ".join(words) for name, words in WORDS.items()}
 ALLOWED_WORDS |= {"parity": "N (none), E (even) and O (odd)"}
+
+
+def is_loopback(host: str) -> bool:
+    """Whether ``host`` is this machine, as an address that no other one can have."""
+    try:
+        return host == "localhost" or ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 class LineError(ValueError):

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing, nullcontext
 from itertools import count
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 from unittest.mock import patch
 
@@ -109,13 +110,13 @@ def killed_at(step: int, work: Callable[[], Any]) -> bool:
     return _killed(lambda _: next(left) <= 0, "step", VirtualClock, work)
 
 
-def killed_while(words: str, method: str, kind: type, work: Callable[[], Any]) -> bool:
+def killed_while(words: str, method: str, kind: type | ModuleType, work: Callable[[], Any]) -> bool:
     """The same, in the call of ``method`` of ``kind`` whose arguments have ``words`` in them."""
     return _killed(lambda arguments: words in repr(arguments), method, kind, work)
 
 
 def _killed(
-    when: Callable[[object], bool], method: str, kind: type, work: Callable[[], Any]
+    when: Callable[[object], bool], method: str, kind: type | ModuleType, work: Callable[[], Any]
 ) -> bool:
     own = getattr(kind, method)
 

@@ -91,6 +91,22 @@ def test_every_board_is_found_to_a_twentieth_of_a_pixel(board: Board, inverted: 
     assert np.sqrt(np.mean(missed_px(found, board) ** 2)) < 0.05
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("inverted", [False, True], ids=["dark on bright", "bright on dark"])
+@pytest.mark.parametrize("around", [20, 90, 140, 230])
+def test_a_boards_first_corner_is_told_by_its_rim(inverted: bool, around: int) -> None:
+    """Of a rim less than a square wide, before anything."""
+    pitch, least = CHESS.pitch_mm, CHESS.points_mm[:, :2].min(axis=0)
+    most = CHESS.points_mm[:, :2].max(axis=0)
+    low, high = least - 1.7 * pitch, most + 1.7 * pitch
+    rim = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+    mask = np.zeros(SIZE[::-1], np.uint8)
+    cv2.fillConvexPoly(mask, np.rint(apply_homography(TILTED, rim)).astype(np.int32), 1)
+    image = picture(CHESS)
+    image = np.where(mask > 0, 255 - image if inverted else image, around).astype(np.uint8)
+    assert np.abs(missed_px(find_board(image, CHESS), CHESS)).max() < 0.3
+
+
 def test_a_charuco_board_may_be_hidden_in_part() -> None:
     image = picture(CHARUCO)
     image[:, :250] = 128

@@ -19,6 +19,7 @@ import pytest
 from bench.record.reader import read_run
 from bench.record.state import State
 from bench.results.status import InstrumentStatus, Link, RunStatus, Safe
+from bench.run import trial as run_trial
 from bench.run.events import (
     AWAY,
     EVENTS_FILE,
@@ -31,7 +32,6 @@ from bench.run.events import (
     read_events,
 )
 from bench.run.interruptions import GARBLED, GONE, POLICIES, REFUSES
-from bench.run.trial import TrialRun
 from tests.bench.commands import teatbench
 from tests.bench.forked import begin
 from tests.bench.killed_runs import Silent, killed_while, only_run, resume, start
@@ -310,7 +310,7 @@ def test_the_run_keeps_its_events_and_a_killed_one_goes_on_with_their_numbers(
     tmp_path: Path,
 ) -> None:
     files(tmp_path)
-    assert killed_while("'002-place-2-1'", "_store_trial", TrialRun, lambda: start(tmp_path))
+    assert killed_while("'002-place-2-1'", "write_trial", run_trial, lambda: start(tmp_path))
     run = only_run(tmp_path, "runs")
     before = list(read_events(run))
     assert [line["number"] for line in before] == list(range(1, len(before) + 1))

@@ -25,13 +25,13 @@ from bench.record.state import run_lock
 from bench.record.writer import Store
 from bench.results.status import LIVE
 from bench.rig.opening import open_instruments
+from bench.run import trial as run_trial
 from bench.run.events import EVENT, RunState
 from bench.run.interruptions import leave_request
 from bench.run.lock import locked
 from bench.run.recordings import RECORDED, Recorder
 from bench.run.resume import what_is_left
 from bench.run.start import RunOptions
-from bench.run.trial import TrialRun
 from bench.truth.carrying import REFERENCE_FACT, CarriedTruth
 from tests.bench.commands import Said
 from tests.bench.forked import begin
@@ -146,7 +146,7 @@ def test_a_trial_that_killed_the_bench_twice_is_skipped_and_reported(
     folder, _ = undisturbed
     for go, deaths in ((start, 0), (resume, 1), (resume, 2)):
         work = partial(go, folder, "poison")
-        assert killed_while(f"'{SECOND}'", "_store_trial", TrialRun, work) is (deaths < 2)
+        assert killed_while(f"'{SECOND}'", "write_trial", run_trial, work) is (deaths < 2)
     run = read_run(only_run(folder, "poison"))
     assert run.ending == "finished"
     assert [trial.id for trial in run.trials] == [FIRST, THIRD]
@@ -199,7 +199,7 @@ def test_a_rig_or_script_that_has_changed_is_refused(tmp_path: Path, said: Said)
 
 
 def killed_in_the_last_trial(folder: Path, out: str) -> RunRecord:
-    assert killed_while(f"'{THIRD}'", "_store_trial", TrialRun, lambda: start(folder, out))
+    assert killed_while(f"'{THIRD}'", "write_trial", run_trial, lambda: start(folder, out))
     return read_run(only_run(folder, out))
 
 
