@@ -130,13 +130,8 @@ def _by_edges(fitted: Fitted, p: Parameters) -> Array:
         ..., None
     ]
     unlike = gain[..., :optical] @ fitted.seen.unlike_px[:, :optical, None]
-    moves = [
-        noise,
-        stretches * shift,
-        p.limb_share * by_part,
-        p.unlike_light_share * unlike,
-        unseen,
-    ]
+    light = [p.limb_share * by_part, p.unlike_light_share * unlike]
+    moves = [noise, stretches * shift, *light, unseen]
     every = np.concatenate(moves, axis=2)
     return np.asarray(every @ every.transpose(0, 2, 1) + _LEAST_MM2 * np.eye(3))
 

@@ -156,10 +156,8 @@ def refine_beside(
     for start, (aside_mm, nearer_px) in zip(starts, _BESIDE, strict=True):
         start[:, :3] *= (px / (px + nearer_px))[:, None]
         start[:, CX] += aside_mm
-    again, found = (
-        replace(fitted.take(np.tile(np.arange(n), 4)), teats=starts.reshape(-1, COUNT)),
-        [],
-    )
+    again = replace(fitted.take(np.tile(np.arange(n), 4)), teats=starts.reshape(-1, COUNT))
+    found = list[Fitted]()
     for shaped, priors in ((False, p), (True, any_shape(p))):
         at = np.flatnonzero(again.shaped == shaped)
         if len(at):

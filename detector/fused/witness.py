@@ -31,8 +31,6 @@ _ROWS_PX = 0.4
 _THERMAL_PX = np.array([0.25, 0.6])  # sensor px, columns and rows: an end is less sure than a side
 _OF_FEW = 0.5  # one teat alone may have a warm neighbour: so much more for one, half for two
 _LEAST_INFORMATION = 300.0  # of a teat's thermal outline: a standard deviation of 0.06 px
-
-
 _SDS = 3.0  # of what the calibration states
 
 
