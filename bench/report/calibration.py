@@ -149,7 +149,9 @@ def cameras_page(
     near, far = result.shown_mm
     good_mm = float(result.good_to_mm(np.array([at_mm]))[0])
     pairs, board = result.views.pairs(), result.views.board
-    missing = (*still_missing(result.coverage), *result.not_shown(at_mm))
+    not_shown = result.not_shown(at_mm)
+    missing = (*still_missing(result.coverage), *not_shown)
+    where = ", where teats stand and more tilted" if not_shown else ", nearer and more tilted"
     halves = NOT_MEASURED
     confidence = (
         "Too few pairs of views for a split-half comparison (10 are needed): nothing was held out."
@@ -192,7 +194,7 @@ def cameras_page(
         next_action=(
             _next(result.findings, missing, "teatbench calibrate world")
             if result.findings or good_mm <= ENOUGH_MM
-            else "Take more pairs of views, nearer and more tilted, and calibrate anew."
+            else f"Take more pairs of views{where}, and calibrate anew."
         ),
     )
 

@@ -101,6 +101,7 @@ class RunStates:
 FAILURES = (Exception, SystemExit)
 EVENTS_FILE = "events.jsonl"  # in the run's folder
 ERRORS = ("dropped out", "camera", "fault", "trip", "suspended")  # kinds of events
+BACK = "back"  # what was away; its error is over
 TAIL_BYTES = 1 << 16
 
 
@@ -221,8 +222,8 @@ class Events:
 
     def event(self, kind: str, text: str) -> None:
         """An event that is in the record."""
-        if kind in ERRORS:
-            self.error = text
+        if kind in (*ERRORS, BACK):
+            self.error = "" if kind == BACK else text
         self._write("event", kind=kind, text=text)
         if kind == TRIP:
             self.notify(TRIPPED)

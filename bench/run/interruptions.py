@@ -21,7 +21,7 @@ from pathlib import Path
 from bench.config import ConfigError
 from bench.files import write_synced
 from bench.run.context import RunContext
-from bench.run.events import RunState
+from bench.run.events import BACK, RunState
 from instruments.camera.cameras import CameraSet
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
@@ -138,7 +138,7 @@ class Recovery:
                 ctx.wait(EVERY_S)
             ctx.check()
             note = f"the {name} {are} back after {ctx.clock.now() - started_s:.1f} s"
-            ctx.event("back", f"{note}; done again from its start: {what}")
+            ctx.event(BACK, f"{note}; done again from its start: {what}")
         self._missing, ctx.away = None, ""
 
     def _back(self, name: str) -> bool:

@@ -44,6 +44,7 @@ Gray = NDArray[np.uint8]
 LARGEST_WINDOW_PX = 11  # half of the sub-pixel window's side
 SMALLEST_WINDOW_PX = 2
 REACH = 0.3  # of the least distance between corners, to each side of one: its edges alone are there
+NO_EDGES_PX = 9999.0  # OpenCV's, where none could be measured
 BLURRED_PX = 5.0  # width of an edge from 10 to 90 %: sharp pictures have 2 to 3
 MOVED_RATIO = 1.8  # edges across one direction this much wider than across the other
 LEAST_CHARUCO = 8  # points of a partly hidden board that make a view
@@ -194,7 +195,8 @@ def _chessboard(image: Gray, board: Board, sub_pixel: SubPixel) -> DetectedBoard
         float(np.ravel(cv2.estimateChessboardSharpness(image, shape, fine, 0.8, vertical)[0])[0])
         for vertical in (False, True)
     )
-    return DetectedBoard(np.arange(len(pixels)), pixels, (along, across), window, light)
+    edges_px = (along, across) if max(along, across) < NO_EDGES_PX else None
+    return DetectedBoard(np.arange(len(pixels)), pixels, edges_px, window, light)
 
 
 def _charuco(image: Gray, board: Board, sub_pixel: SubPixel) -> DetectedBoard | None:

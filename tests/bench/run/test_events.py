@@ -22,6 +22,7 @@ from bench.results.status import InstrumentStatus, Link, RunStatus, Safe
 from bench.run import trial as run_trial
 from bench.run.events import (
     AWAY,
+    BACK,
     EVENTS_FILE,
     TABLE,
     Events,
@@ -218,6 +219,9 @@ def test_the_line_has_trial_state_bath_time_left_and_the_last_error() -> None:
         "place-2; capturing; bath 33.02 degC, stable; about 12 min left",
     ]
     assert shown[2] == f"{shown[1]}; last error: {('left: late. ' * 20)[:60]}"
+    progress.event(BACK, "the cameras are back after 2.0 s")
+    progress.state("capturing")
+    assert shown[3] == shown[1]
 
 
 @pytest.mark.slow
