@@ -44,6 +44,7 @@ Gray = NDArray[np.uint8]
 LARGEST_WINDOW_PX = 11  # half of the sub-pixel window's side
 SMALLEST_WINDOW_PX = 2
 REACH = 0.3  # of the least distance between corners, to each side of one: its edges alone are there
+_RIM, _AS_DARK = 0.2, 0.15  # squares beyond the board; a share of the squares' contrast
 NO_EDGES_PX = 9999.0  # OpenCV's, where none could be measured
 BLURRED_PX = 5.0  # width of an edge from 10 to 90 %: sharp pictures have 2 to 3
 MOVED_RATIO = 1.8  # edges across one direction this much wider than across the other
@@ -86,15 +87,13 @@ class ViewRefusedError(ValueError):
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectedBoard:
     """``ids`` (n,) at ``pixels_px`` (n, 2); ``edges_px``: 10 to 90 % of the rise along rows and
-    columns, None if not measurable; ``window_px``: half the sub-pixel window's side;
-    ``rim_is_light``: as round a board that is dark on light.
+    columns, None if not measurable; ``window_px``: half the sub-pixel window's side.
     """
 
     ids: NDArray[np.intp]
     pixels_px: Array
     edges_px: tuple[float, float] | None
     window_px: int
-    rim_is_light: bool = True
 
     def turned(self, board: Board) -> DetectedBoard:
         """The same points counted from the board's other end."""
@@ -107,29 +106,19 @@ def find_board(image: Gray, board: Board, *, sub_pixel: SubPixel = SubPixel()) -
         kind = f"{image.dtype} of shape {image.shape}"
         raise ValueError(f"find_board wants an 8-bit grey picture, not {kind}")
     finder = {"chessboard": _chessboard, "charuco": _charuco, "circles": _circles}[board.kind]
-    found: DetectedBoard | None = None
     for picture in (image, np.asarray(255 - image, dtype=np.uint8)):  # a heated board is bright
-        try:
-            one = finder(picture, board, sub_pixel)
-        except ViewRefusedError:
-            if found is None:
-                raise
-            continue
-        found = one if one and (found is None or one.rim_is_light) else found
-        if found and found.rim_is_light:
-            break
-    if found is None:
-        what = f"no {board.columns} x {board.rows} {board.kind} found"
-        raise ViewRefusedError(f"{what}: is the whole board in the picture, sharp and lit?")
-    better, worse = sorted(found.edges_px or (0.0, 0.0))
-    wide = f"edges are {worse:.1f} px wide"
-    if worse > BLURRED_PX and worse > MOVED_RATIO * better:
-        other = f"along one direction, {better:.1f} px along the other"
-        raise ViewRefusedError(f"the board moved: {wide} {other}")
-    if worse > BLURRED_PX:
-        hint = f"at most {BLURRED_PX:g} px are of use; focus, or hold it still"
-        raise ViewRefusedError(f"blurred: {wide}, {hint}")
-    return found
+        if found := finder(picture, board, sub_pixel):
+            better, worse = sorted(found.edges_px or (0.0, 0.0))
+            wide = f"edges are {worse:.1f} px wide"
+            if worse > BLURRED_PX and worse > MOVED_RATIO * better:
+                other = f"along one direction, {better:.1f} px along the other"
+                raise ViewRefusedError(f"the board moved: {wide} {other}")
+            if worse > BLURRED_PX:
+                hint = f"at most {BLURRED_PX:g} px are of use; focus, or hold it still"
+                raise ViewRefusedError(f"blurred: {wide}, {hint}")
+            return found
+    what = f"no {board.columns} x {board.rows} {board.kind} found"
+    raise ViewRefusedError(f"{what}: is the whole board in the picture, sharp and lit?")
 
 
 def counted_corners(image: Gray) -> tuple[int, int] | None:
@@ -175,8 +164,8 @@ def _chessboard(image: Gray, board: Board, sub_pixel: SubPixel) -> DetectedBoard
         fine, window = sub_pixel.refine(image, coarse.copy(), coarse.reshape(grid))
         placed = fine.reshape(grid)
         astray, moved_px = strays(placed), np.abs(fine - coarse).max()
-        light = _light_around(image, placed)
-        if picture is image or (light and not astray.any() and moved_px <= 0.5 * window):
+        rim = _rim(image, placed)
+        if picture is image or (rim > 0.5 and not astray.any() and moved_px <= 0.5 * window):
             break
     else:
         return None
@@ -189,14 +178,17 @@ def _chessboard(image: Gray, board: Board, sub_pixel: SubPixel) -> DetectedBoard
             what = f"{lost} corners lie beside their places among the others"
             raise ViewRefusedError(f"{what}: does something cover the board, or glare?")
     pixels = np.asarray(fine.reshape(-1, 2), dtype=np.float64)
-    if not board.reads_the_same_turned and not _dark_before_first(image, pixels.reshape(grid)):
+    dark_first = rim > _AS_DARK  # else it is light on dark, which the finder takes too
+    if not board.reads_the_same_turned and (
+        _dark_before_first(image, pixels.reshape(grid)) != dark_first
+    ):
         pixels = pixels[::-1].copy()
     along, across = (
         float(np.ravel(cv2.estimateChessboardSharpness(image, shape, fine, 0.8, vertical)[0])[0])
         for vertical in (False, True)
     )
     edges_px = (along, across) if max(along, across) < NO_EDGES_PX else None
-    return DetectedBoard(np.arange(len(pixels)), pixels, edges_px, window, light)
+    return DetectedBoard(np.arange(len(pixels)), pixels, edges_px, window)
 
 
 def _charuco(image: Gray, board: Board, sub_pixel: SubPixel) -> DetectedBoard | None:
@@ -271,10 +263,8 @@ def _centre(
     return float((weight * x).sum() / weight.sum()), float((weight * y).sum() / weight.sum())
 
 
-def _light_around(image: Gray, grid_px: NDArray[Any]) -> bool:
-    """Whether the rim is light, as round a board that is dark on light: the finder may take one
-    that is light on dark, and number it from its other end.
-    """
+def _rim(image: Gray, grid_px: NDArray[Any]) -> float:
+    """How light the rim is: 0 as the dark squares, 1 as the light ones."""
     rows, columns = grid_px.shape[:2]
     x, y = np.meshgrid(np.arange(columns), np.arange(rows))
     to_px = cv2.findHomography(
@@ -283,14 +273,15 @@ def _light_around(image: Gray, grid_px: NDArray[Any]) -> bool:
     x, y = np.meshgrid(np.arange(-1, columns) + 0.5, np.arange(-1, rows) + 0.5)
     squares = np.column_stack([x.ravel(), y.ravel()])
     # just beyond the outer squares
-    ring = [(u, v) for u in x[0] for v in (-1.15, rows + 0.15)]
-    ring += [(u, v) for v in y[:, 0] for u in (-1.15, columns + 0.15)]
-    means = []
+    ring = [(u, v) for u in x[0] for v in (-1 - _RIM, rows + _RIM)]
+    ring += [(u, v) for v in y[:, 0] for u in (-1 - _RIM, columns + _RIM)]
+    values = []
     for points in (squares, np.array(ring)):
         places = np.rint(cv2.perspectiveTransform(points[None], to_px)[0]).astype(int)
         at = np.clip(places, 0, np.array(image.shape[::-1]) - 1)
-        means.append(float(image[at[:, 1], at[:, 0]].mean()))
-    return means[1] > means[0]
+        values.append(image[at[:, 1], at[:, 0]].astype(float))
+    dark, light = np.percentile(values[0], [25, 75])
+    return float((np.median(values[1]) - dark) / max(light - dark, 1.0))
 
 
 def _dark_before_first(image: Gray, grid_px: Array) -> bool:
