@@ -19,6 +19,7 @@ from detector.calibration.boards import Board
 from detector.geometry import Array, homogeneous
 
 STRAY = 0.25  # of the distance between corners
+_DOUBTFUL = 0.08  # the same, of one that is looked for where its neighbours have it
 
 
 def between_neighbours(grid_px: NDArray[Any]) -> Array:
@@ -35,15 +36,21 @@ def between_neighbours(grid_px: NDArray[Any]) -> Array:
 
 def strays(grid_px: NDArray[Any]) -> NDArray[np.bool_]:
     """Which corners of (rows, columns, 2) are off by more than `STRAY`, (rows, columns)."""
+    return _off(grid_px) > STRAY
+
+
+def _off(grid_px: NDArray[Any]) -> Array:
+    """How far corners (rows, columns, 2) are from where their neighbours have them, in steps."""
     steps = [np.linalg.norm(np.diff(grid_px, axis=axis), axis=2) for axis in (0, 1)]
     usual = float(min(np.median(step) for step in steps))
-    return np.asarray(np.linalg.norm(grid_px - between_neighbours(grid_px), axis=2) > STRAY * usual)
+    return np.asarray(np.linalg.norm(grid_px - between_neighbours(grid_px), axis=2) / usual)
 
 
 Gray = NDArray[np.uint8]
 LARGEST_WINDOW_PX = 11  # half of the sub-pixel window's side
 SMALLEST_WINDOW_PX = 2
 REACH = 0.3  # of the least distance between corners, to each side of one: its edges alone are there
+_MOST_ASTRAY = 8  # corners that are put into their places
 _RIM, _AS_DARK = 0.2, 0.15  # squares beyond the board; a share of the squares' contrast
 NO_EDGES_PX = 9999.0  # OpenCV's, where none could be measured
 BLURRED_PX = 5.0  # width of an edge from 10 to 90 %: sharp pictures have 2 to 3
@@ -160,7 +167,7 @@ def _chessboard(image: Gray, board: Board, sub_pixel: SubPixel) -> DetectedBoard
         if not done:
             continue
         scale = np.array(image.shape[::-1]) / picture.shape[::-1]  # pixels' middles are whole
-        coarse = ((corners + 0.5) * scale - 0.5).astype(np.float32)
+        coarse = _in_their_places((corners + 0.5) * scale - 0.5, grid)
         fine, window = sub_pixel.refine(image, coarse.copy(), coarse.reshape(grid))
         placed = fine.reshape(grid)
         astray, moved_px = strays(placed), np.abs(fine - coarse).max()
@@ -169,14 +176,13 @@ def _chessboard(image: Gray, board: Board, sub_pixel: SubPixel) -> DetectedBoard
             break
     else:
         return None
-    # OpenCV's finder may leave one beside its place, too far for the window to get there
-    if astray.any():
-        placed = np.where(astray[:, :, None], between_neighbours(placed), placed)
-        fine = placed.astype(np.float32).reshape(-1, 1, 2)
-        fine, window = sub_pixel.refine(image, fine, fine.reshape(grid))
-        if lost := int(strays(fine.reshape(grid)).sum()):
-            what = f"{lost} corners lie beside their places among the others"
-            raise ViewRefusedError(f"{what}: does something cover the board, or glare?")
+    if astray.any():  # again from where the refined ones have them
+        seeds = _in_their_places(fine, grid)
+        fine, window = sub_pixel.refine(image, seeds.copy(), seeds.reshape(grid))
+        astray = strays(fine.reshape(grid))
+    if lost := int(astray.sum()):
+        what = f"{lost} corners lie beside their places among the others"
+        raise ViewRefusedError(f"{what}: does something cover the board, or glare?")
     pixels = np.asarray(fine.reshape(-1, 2), dtype=np.float64)
     dark_first = rim > _AS_DARK  # else it is light on dark, which the finder takes too
     if not board.reads_the_same_turned and (
@@ -189,6 +195,20 @@ def _chessboard(image: Gray, board: Board, sub_pixel: SubPixel) -> DetectedBoard
     )
     edges_px = (along, across) if max(along, across) < NO_EDGES_PX else None
     return DetectedBoard(np.arange(len(pixels)), pixels, edges_px, window)
+
+
+def _in_their_places(corners: NDArray[Any], grid: tuple[int, ...]) -> NDArray[np.float32]:
+    """Rough corners (n, 1, 2): OpenCV's finder may leave one beside its place, on an edge, along
+    which no window finds back.
+    """
+    placed = corners.reshape(grid).astype(np.float32)
+    for _ in range(_MOST_ASTRAY):  # the worst first: it makes its neighbours look astray
+        off = _off(placed)
+        worst = np.unravel_index(off.argmax(), off.shape)
+        if off[worst] <= _DOUBTFUL:
+            break
+        placed[worst] = between_neighbours(placed)[worst]
+    return placed.reshape(-1, 1, 2)
 
 
 def _charuco(image: Gray, board: Board, sub_pixel: SubPixel) -> DetectedBoard | None:

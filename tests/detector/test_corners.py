@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -105,6 +106,20 @@ def test_a_boards_first_corner_is_told_by_its_rim(inverted: bool, around: int) -
     image = picture(CHESS)
     image = np.where(mask > 0, 255 - image if inverted else image, around).astype(np.uint8)
     assert np.abs(missed_px(find_board(image, CHESS), CHESS)).max() < 0.3
+
+
+def test_a_corner_that_the_finder_leaves_on_an_edge_is_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    finder = cv2.findChessboardCorners
+
+    def beside(*given: Any, **more: Any) -> Any:
+        done, corners = finder(*given, **more)
+        corners[2, 0] += 0.24 * (corners[3, 0] - corners[2, 0])
+        return done, corners
+
+    monkeypatch.setattr(cv2, "findChessboardCorners", beside)
+    assert np.abs(missed_px(find_board(picture(CHESS), CHESS), CHESS)).max() < 0.3
 
 
 def test_a_charuco_board_may_be_hidden_in_part() -> None:

@@ -95,7 +95,7 @@ def test_a_written_rig_is_calibrated_before_there_is_a_calibration(
     rig = ["--rig", str(tmp_path / "new.toml")]
     cameras = tmp_path / "cameras.toml"
     given = ["calibrate", "cameras", *rig, "--board", "chessboard-9x6-40", "--out", str(cameras)]
-    assert main(given) in (0, 1, 4)  # by how good it is
+    assert main(given) in (0, 4)  # by how good it is
     part, put_in = load_part(cameras), small_calibration()
     assert part.left is not None
     assert part.right_from_left is not None
