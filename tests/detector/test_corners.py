@@ -97,14 +97,11 @@ def test_every_board_is_found_to_a_twentieth_of_a_pixel(board: Board, inverted: 
 @pytest.mark.parametrize("around", [20, 90, 140, 230])
 def test_a_boards_first_corner_is_told_by_its_rim(inverted: bool, around: int) -> None:
     """Of a rim a square wide, before anything."""
-    pitch, least = CHESS.pitch_mm, CHESS.points_mm[:, :2].min(axis=0)
-    most = CHESS.points_mm[:, :2].max(axis=0)
-    low, high = least - 2.0 * pitch, most + 2.0 * pitch
-    rim = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
-    mask = np.zeros(SIZE[::-1], np.uint8)
-    cv2.fillConvexPoly(mask, np.rint(apply_homography(TILTED, rim)).astype(np.int32), 1)
-    image = picture(CHESS)
-    image = np.where(mask > 0, 255 - image if inverted else image, around).astype(np.uint8)
+    inner = CHESS.points_mm[[0, CHESS.columns - 1, -1, -CHESS.columns], :2]
+    rim = inner + 2.0 * CHESS.pitch_mm * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    paper, image = np.zeros(SIZE[::-1], np.uint8), picture(CHESS)
+    cv2.fillConvexPoly(paper, np.rint(apply_homography(TILTED, rim)).astype(np.int32), 1)
+    image = np.where(paper > 0, 255 - image if inverted else image, around).astype(np.uint8)
     assert np.abs(missed_px(find_board(image, CHESS), CHESS)).max() < 0.3
 
 

@@ -33,11 +33,6 @@ def nothing_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def arguments_in(folder: Path) -> list[str]:
-    at = {"--rig": folder / "rig.toml", "--out": folder / "runs"}
-    return ["run", str(folder / "script.toml"), *(str(w) for pair in at.items() for w in pair)]
-
-
 def loaded(folder: Path, **more: Any) -> tuple[LoadedRig, LoadedScript]:
     files(folder, **more)
     return load_rig(folder / "rig.toml"), load_script(folder / "script.toml")

@@ -55,6 +55,11 @@ def fault(instrument: str, name: str, at_s: float, for_s: float | None = None) -
     return f"prompt_s = 5.0\n[[emulation.faults]]\n{whose}\nat_s = {at_s}\n{lasts}"
 
 
+def ended(folder: Path, bringer: Bringer) -> RunRecord:
+    with known_to(bringer):
+        return read_run(start(folder, progress=bringer)[0])
+
+
 def given(words: str, folder: Path, emulation: str) -> RunRecord:
     """A run whose operator types ``words`` while an instrument is away."""
     person = Person("The run is paused", [words])
@@ -80,8 +85,7 @@ def test_a_stage_that_drops_out_while_ends_are_touched_is_noticed_and_costs_no_t
     files(tmp_path, stage=STAGE, emulation="prompt_s = 5.0")
     silent = EmulatedFault(instrument="stage", name="silent", for_s=15.0)
     bringer = When("taking the truth", 12.0, silent)
-    with known_to(bringer):
-        record = read_run(start(tmp_path, progress=bringer)[0])
+    record = ended(tmp_path, bringer)
     assert record.ending == "finished", texts(record, "fault")
     (lost_s,) = [one["t_s"] for one in record.events if one["kind"] == "dropped out"]
     assert 0.0 < lost_s - bringer.at_s < 4.0, "at once"
@@ -117,8 +121,7 @@ def test_an_arm_that_drops_out_in_its_last_check_is_waited_for_too(tmp_path: Pat
     files(tmp_path, check_point=CHECK_POINT, emulation="prompt_s = 2.0")
     loss = EmulatedFault(instrument="arm", name="power loss", for_s=15.0)
     bringer = When("checking the arm after", 0.0, loss)
-    with known_to(bringer):
-        record = read_run(start(tmp_path, progress=bringer)[0])
+    record = ended(tmp_path, bringer)
     assert record.ending == "finished", texts(record, "fault")
     again = "done again from its start: the arm check after the trials"
     assert texts(record, "back")[0].endswith(again)
@@ -152,8 +155,7 @@ def test_a_stage_that_an_interlock_has_braked_does_not_home_when_it_is_back(
     monkeypatch.setattr(RunContext, "wait", noted)
     monkeypatch.setattr(Stage, "reconnect", slow)
     monkeypatch.setattr(Stage, "home", homed)
-    with known_to(low_level):
-        record = read_run(start(tmp_path, progress=low_level)[0])
+    record = ended(tmp_path, low_level)
     assert (record.ending, record.facts["trip"]["rule"]) == ("faulted", "controller alarm")
     assert homings == [False], "once, to prepare"
 
@@ -182,8 +184,7 @@ def test_nothing_moves_in_a_trial_once_an_interlock_has_tripped(
 
     monkeypatch.setattr(TouchedTruth, "before", trips)
     monkeypatch.setattr(Stage, "move_to", noted)
-    with known_to(refusing):
-        record = read_run(start(tmp_path, progress=refusing)[0])
+    record = ended(tmp_path, refusing)
     assert (record.ending, record.facts["trip"]["rule"]) == ("faulted", "implausible reading")
     assert moved == [True, False]
 
