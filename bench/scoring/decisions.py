@@ -279,29 +279,26 @@ def decide_error(
     if not n:
         return nothing
     measured, verdict, missing = float(worst.max()), Verdict.INCONCLUSIVE, None
+    most = f"the acceptance limit of {accepted}"
     if measured >= refuse:
         verdict = Verdict.NOT_MET
         reason = f"at or beyond the refusal limit of {refuse:.3f} mm"
     elif u_mm is None or accept is None:
         reason = _nothing_accepted(limit_mm, u_mm)
     elif measured > accept:
-        reason = (
-            f"above the acceptance limit of {accepted} and not shown to be beyond {limit_mm:g} mm"
-        )
+        reason = f"above {most} and not shown to be beyond {limit_mm:g} mm"
     else:
         enough = guarded_n(0, rate, sure, leak(measured, limit_mm, u_mm))
         verdict, claim = _claim(n, least, enough, share, counted)
         if verdict is Verdict.INCONCLUSIVE and enough is not None and counted < least:
             missing = enough - n
-        reason = f"within the acceptance limit of {accepted}{claim}"
-    # what so many poses show, whatever was asked for
+        reason = f"within {most}{claim}"
     if u_mm is not None and accept is not None:
         level = min(measured, accept)
         beyond = int((worst > level).sum())
         if not (looks.again and beyond):
             rate_shown = shown_rate(beyond, counted, sure, leak(level, limit_mm, u_mm))
-            shown = percent_apart(rate_shown, rate)
-            reason += f"; {n - beyond} of {plural(n, 'pose')} within {level:.2f} mm show {shown}"
+            reason += _shown_anyway(n, beyond, level, percent_apart(rate_shown, rate))
     band = refuse - limit_mm if accept is None or verdict is Verdict.NOT_MET else limit_mm - accept
     without = f" Of the found teats only: {missed} {'was' if missed == 1 else 'were'} missed."
     return replace(
@@ -315,6 +312,11 @@ def decide_error(
         f" {reason}.{without if missed else ''}",
         missing=missing,
     )
+
+
+def _shown_anyway(n: int, beyond: int, level_mm: float, shown: str) -> str:
+    """What so many poses show, whatever was asked for."""
+    return f"; {n - beyond} of {plural(n, 'pose')} within {level_mm:.2f} mm show {shown}"
 
 
 def _guard_band(limit_mm: float, u_mm: float | None, accepted: str, refuse_mm: float) -> str:
