@@ -33,17 +33,17 @@ def left_out(
     world = world_from_teats(calibration).apply(apexes(teats))
     left_px, _ = calibration.project(world)
     near = np.linalg.norm(world[:, None] - world, axis=2) < _PLACE_MM
-    told, found = list(decision.accepted), list[str]()
+    named, found = list(decision.accepted), list[str]()
     order = np.argsort(-decision.odds, kind="stable").tolist()
     for i in order:
         # what passes through an accepted teat is that teat
-        if doubtful[i] and decision.reasons[i] not in (None, WORSE) and not near[i, told].any():
-            told.append(i)
+        if doubtful[i] and decision.reasons[i] not in (None, WORSE) and not near[i, named].any():
+            named.append(i)
             x, y = left_px[i].tolist()
             found.append(f"left out at left ({x:.0f}, {y:.0f}): {decision.reasons[i]}")
     for place in warm_px:
         off = np.linalg.norm(thermal_px - place, axis=1) / px_a_sensor_px
-        if (off[told] < _NEAR_SENSOR_PX).any():
+        if (off[named] < _NEAR_SENSOR_PX).any():
             continue
         why = next((decision.reasons[i] for i in order if off[i] < _NEAR_SENSOR_PX), None)
         x, y = place.tolist()
