@@ -21,26 +21,27 @@ from __future__ import annotations
 import argparse
 import contextlib
 import ctypes
+import json
 import os
 import queue
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime, timedelta
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-from bench.rig.guardian_stage import StageStop, add_arguments
+from bench.rig.guardian_stage import StageStop, StageTarget, retried
 from bench.rig.hand_over import BathLock, write_note
 from instruments.bath.driver import Bath, PumpAt
 from instruments.bath.interface import Bath as AnyBath
 from instruments.bath.profile import PUMP, load_profile, load_relay
-from instruments.bath.sequence import OFF, ON, OVERRUN_S, cause_of
+from instruments.bath.sequence import OFF, ON, OVERRUN_S
 from instruments.clock import RealClock, stopwatch_s, wall_time
 from instruments.device_file import DeviceFileError
-from instruments.errors import InstrumentError, LinkError
+from instruments.errors import InstrumentError
 
 READY, ALIVE, HUNG, DONE, TAKE_OVER = "ready", "alive", "hung: ", "done", "take over"
 ACTS = "acts"  # to the bench, which may live after all
@@ -48,7 +49,6 @@ HANG_S = 10.0  # without a word from the bench
 STOPPED_S = 2.0  # without one from a bench that the system has stopped (SIGSTOP, Ctrl-Z)
 LOOK_S = 0.25  # between looks at whether the bench is being ended
 WANTED_S = 0.1  # between looks at whether another guardian waits for the bath
-PAUSE_S = 1.0  # between attempts, but for the first few
 GIVE_UP_S = 300.0  # then an operator has long been there, or never comes
 NICE = (-20, -10, -5)  # the first that the system grants
 MCL_CURRENT, MCL_ONFAULT = 1, 4  # mman.h of Linux
@@ -138,7 +138,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--pump-url", default="", help="the relay of a pump that the controller doesn't turn")
     add("--pump-profile", default="")
     add("--allow-inferred", action="store_true")
-    add_arguments(parser)
+    add("--stage", type=json.loads, help="a stage, as its target in JSON")
     add("--overrun-s", type=float, default=OVERRUN_S, help="how long the pump runs on")
     add("--record", required=True, type=Path)
     add("--bench", required=True, type=int, help="the bench's process id")
@@ -149,8 +149,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     clock = RealClock()
     try:
         bath = _bath_of(given, clock) if given.url else None
-        stop = StageStop(given, clock) if given.stage_url else None
-        lock = BathLock(given.url or given.stage_url, given.record, given.bench)
+        at = StageTarget(**given.stage) if given.stage else None
+        stop = StageStop(at, clock) if at else None
+        lock = BathLock(given.url or (at.url if at else ""), given.record, given.bench)
         taken = lock.take()
     except (DeviceFileError, InstrumentError, OSError) as error:
         sys.stderr.write(f"guardian: {error}\n")
@@ -171,12 +172,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     facts |= {"standby": False, "tries": 0, "error": "not tried yet"} if bath else {}
     record = Record(given.record, facts)
     lock.acts()
-    hung = given.bench if cause == "hung" else None
+    end_bench = partial(_kill, given.bench, record) if cause == "hung" else None
     with _handed_over(lock, record):
         # a bench that could not reach its bath has seen to its stage itself
         if stop and (cause != "gave up" or bath is None):
-            stop.begin(partial(_end_hung, hung, record) if hung else None)
-        reached = bath is None or _make_safe(bath, clock, record, bench=hung)
+            stop.begin(end_bench)
+        reached = bath is None or _make_safe(bath, clock, record, end_bench)
         stage = stop.result() if stop else None
         if stage:
             record.add(stage=stage)
@@ -212,10 +213,6 @@ def _handed_over(lock: BathLock, record: Record) -> Iterator[None]:
     finally:
         over.set()
         looks.join()
-
-
-def _end_hung(bench: int, record: Record) -> None:
-    record.add(killed=_kill(bench))
 
 
 def _bath_of(given: argparse.Namespace, clock: RealClock) -> AnyBath:
@@ -278,27 +275,20 @@ def _raise_priority() -> dict[str, Any]:
     return got
 
 
-def _make_safe(bath: AnyBath, clock: RealClock, record: Record, *, bench: int | None) -> bool:
-    """Standby, tried for GIVE_UP_S. ``bench`` hangs and may hold the port."""
-    start_s, tries = stopwatch_s(), 0
-    while stopwatch_s() - start_s < GIVE_UP_S:
-        tries += 1
-        try:
-            bath.safe()
-            bath.release_watchdog(0.0)  # as it is shipped: nobody asks it from now on
-        except Exception as error:  # whatever it is, the next try may succeed
-            record.add(standby=False, tries=tries, error=cause_of(error))
-            if bench is not None and isinstance(error, LinkError):
-                record.add(killed=_kill(bench))
-                bench = None
-            clock.sleep(min(PAUSE_S, 0.1 * tries))
-            continue
-        seconds = round(stopwatch_s() - start_s, 3)
-        record.add(
-            standby=True, tries=tries, seconds=seconds, wall_safe=_text(wall_time()), error=""
-        )
-        return True
-    return False
+def _make_safe(
+    bath: AnyBath, clock: RealClock, record: Record, end_bench: Callable[[], None] | None
+) -> bool:
+    """Standby, tried for GIVE_UP_S. ``end_bench`` as in `retried`."""
+
+    def stand_by() -> None:
+        bath.safe()
+        bath.release_watchdog(0.0)  # as it is shipped: nobody asks it from now on
+
+    def note(said: dict[str, Any]) -> None:
+        safe = {} if "error" in said else {"wall_safe": _text(wall_time()), "error": ""}
+        record.add(standby=bool(safe), **said, **safe)
+
+    return retried(stand_by, clock, GIVE_UP_S, note, end_bench)
 
 
 def _run_pump_on(bath: AnyBath, clock: RealClock, record: Record, overrun_s: float) -> None:
@@ -314,14 +304,15 @@ def _run_pump_on(bath: AnyBath, clock: RealClock, record: Record, overrun_s: flo
         record.add(pump=f"was left as it was: {error}")
 
 
-def _kill(bench: int) -> bool:
+def _kill(bench: int, record: Record) -> None:
     """End a bench that hangs and holds the port; its record is whole at every moment."""
-    if bench != os.getppid():  # it has ended meanwhile, and its number may be another's
-        return False
-    with contextlib.suppress(OSError):
-        os.kill(bench, getattr(signal, "SIGKILL", signal.SIGTERM))
-        return True
-    return False
+    killed = False
+    # else it has ended meanwhile, and its number may be another's
+    if bench == os.getppid():
+        with contextlib.suppress(OSError):
+            os.kill(bench, getattr(signal, "SIGKILL", signal.SIGTERM))
+            killed = True
+    record.add(killed=killed)
 
 
 def _text(when: datetime) -> str:

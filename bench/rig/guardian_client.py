@@ -10,17 +10,19 @@ is real time: a hung bench is hung in the world, whatever its clock says.
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO, cast
 
 from bench.rig.guardian import ACTS, ALIVE, DONE, HUNG, READY, TAKE_OVER
+from bench.rig.guardian_stage import StageTarget
 from instruments.clock import Clock, RealClock, stopwatch_s
 from instruments.errors import LinkError
 
@@ -97,28 +99,6 @@ START_S = 30.0  # a loaded machine reads Python's modules slowly
 
 
 @dataclass(frozen=True, slots=True)
-class StageTarget:
-    """A stage, as its driver is made; ``motors`` of a Zaber: device, axis, microsteps."""
-
-    url: str
-    baud: int
-    dialect: str
-    axes: str
-    motors: tuple[tuple[int, int, float], ...] = ()
-
-    @property
-    def arguments(self) -> list[str]:
-        motors = ";".join(" ".join(map(str, motor)) for motor in self.motors)
-        return [
-            f"--stage-url={self.url}",
-            f"--stage-baud={self.baud}",
-            f"--stage-dialect={self.dialect}",
-            f"--stage-axes={self.axes}",
-            *([f"--stage-motors={motors}"] if motors else []),
-        ]
-
-
-@dataclass(frozen=True, slots=True)
 class GuardianTarget:
     """A bath, and the relay of its pump where it has one; profiles by name or whole path. With a
     ``stage``, or a stage alone (no ``url``).
@@ -133,7 +113,7 @@ class GuardianTarget:
 
     @property
     def arguments(self) -> list[str]:
-        of_stage = self.stage.arguments if self.stage else []
+        of_stage = [f"--stage={json.dumps(asdict(self.stage))}"] if self.stage else []
         if not self.url:
             return of_stage
         given = [f"--url={self.url}", f"--profile={self.profile}", *of_stage]

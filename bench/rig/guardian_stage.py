@@ -2,66 +2,87 @@
 
 from __future__ import annotations
 
-import argparse
 import threading
 from collections.abc import Callable
 from contextlib import closing
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
 
 from instruments.bath.sequence import cause_of
 from instruments.clock import RealClock, stopwatch_s
 from instruments.errors import LinkError
 
-if TYPE_CHECKING:
-    from instruments.drivers.protocols import Stage as AnyStage
-
 STAGE_S = 60.0  # between the first try and the last: then its move has ended by itself
-PAUSE_S = 1.0
+PAUSE_S = 1.0  # between attempts, but for the first few
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("--stage-url", default="")
-    add("--stage-baud", type=int, default=115200)
-    add("--stage-dialect", default="grbl")
-    add("--stage-axes", default="XY")
-    add("--stage-motors", default="", help="of a Zaber: device, axis and microsteps; next")
+def retried(
+    make_safe: Callable[[], object],
+    clock: RealClock,
+    for_s: float,
+    note: Callable[[dict[str, Any]], object],
+    end_bench: Callable[[], None] | None,
+) -> bool:
+    """``make_safe`` until it succeeds, for ``for_s``; ``note`` gets each try: its number, and its
+    ``error`` or how many ``seconds`` all took. ``end_bench`` ends a bench that hangs and holds the
+    port.
+    """
+    start_s, tries = stopwatch_s(), 0
+    while True:
+        tries += 1
+        try:
+            make_safe()
+        except Exception as error:  # whatever it is, the next try may succeed
+            note({"tries": tries, "error": cause_of(error)})
+            if end_bench and isinstance(error, LinkError):
+                end_bench()
+                end_bench = None
+            if stopwatch_s() - start_s > for_s:
+                return False
+            clock.sleep(min(PAUSE_S, 0.1 * tries))
+            continue
+        note({"tries": tries, "seconds": round(stopwatch_s() - start_s, 3)})
+        return True
+
+
+@dataclass(frozen=True, slots=True)
+class StageTarget:
+    """A stage, as its driver is made; ``motors`` of a Zaber: device, axis, microsteps."""
+
+    url: str
+    baud: int
+    dialect: str
+    axes: str
+    motors: tuple[tuple[int, int, float], ...] = ()
 
 
 class StageStop:
-    """Stops the stage that ``given`` names, on a thread beside the bath. All that it needs is
-    loaded when this is made.
+    """Stops the stage ``at``, on a thread beside the bath. All that it needs is loaded when this is
+    made.
     """
 
-    def __init__(self, given: argparse.Namespace, clock: RealClock) -> None:
+    def __init__(self, at: StageTarget, clock: RealClock) -> None:
         from instruments.link import Link
         from instruments.stage.driver import Stage
         from instruments.stage.zaber import Motor
 
-        motors = []
-        for words in filter(None, given.stage_motors.split(";")):
-            device, axis, microsteps = words.split()
-            motors.append(Motor(int(device), int(axis), float(microsteps)))
-
-        opened: Callable[[], AnyStage] | None = None
-        if given.stage_url.startswith("plugin:"):
+        motors = [Motor(*motor) for motor in at.motors]
+        plugged = None
+        if at.url.startswith("plugin:"):
             from instruments.drivers.entry_points import load, plugin_url
             from instruments.drivers.stage import PluggedStage
 
-            plug = plugin_url(given.stage_url)
+            plug = plugin_url(at.url)
             assert plug  # noqa: S101 - it begins so
             plugged = load("stage", plug)
-            opened = partial(PluggedStage, plugged, clock, given.stage_axes)
 
         def stop() -> None:
-            if opened:
-                with closing(opened()) as stage:
+            if plugged:
+                with closing(PluggedStage(plugged, clock, at.axes)) as stage:
                     stage.safe()
                 return
-            with closing(Link(given.stage_url, clock, who="stage", baud=given.stage_baud)) as link:
-                axes, dialect = given.stage_axes, given.stage_dialect
-                Stage(link, clock, axes, dialect=dialect, motors=motors).safe()
+            with closing(Link(at.url, clock, who="stage", baud=at.baud)) as link:
+                Stage(link, clock, at.axes, dialect=at.dialect, motors=motors).safe()  # type: ignore[arg-type]
 
         self._stop = stop
         self._clock = clock
@@ -69,8 +90,14 @@ class StageStop:
         self._thread: threading.Thread | None = None
 
     def begin(self, end_bench: Callable[[], None] | None = None) -> None:
-        """``end_bench`` ends a bench that hangs and holds the port."""
-        self._thread = threading.Thread(target=self._try, args=(end_bench,), daemon=True)
+        """``end_bench`` as in `retried`."""
+
+        def work() -> None:
+            stands = retried(self._stop, self._clock, STAGE_S, said.update, end_bench)
+            self._found = {"stands": stands, **said}
+
+        said: dict[str, Any] = {}
+        self._thread = threading.Thread(target=work, daemon=True)
         self._thread.start()
 
     def result(self) -> dict[str, Any] | None:
@@ -79,22 +106,3 @@ class StageStop:
             return None
         self._thread.join()
         return self._found
-
-    def _try(self, end_bench: Callable[[], None] | None) -> None:
-        start_s, tries = stopwatch_s(), 0
-        while True:
-            tries += 1
-            try:
-                self._stop()
-            except Exception as error:  # whatever it is, the next try may succeed
-                self._found = {"stands": False, "tries": tries, "error": cause_of(error)}
-                if end_bench and isinstance(error, LinkError):
-                    end_bench()
-                    end_bench = None
-                if stopwatch_s() - start_s > STAGE_S:
-                    return
-                self._clock.sleep(min(PAUSE_S, 0.1 * tries))
-                continue
-            took_s = round(stopwatch_s() - start_s, 3)
-            self._found = {"stands": True, "tries": tries, "seconds": took_s}
-            return

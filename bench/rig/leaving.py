@@ -21,7 +21,8 @@ from types import TracebackType
 
 from bench.rig.by_hand import not_safe_text
 from bench.rig.devices import Devices
-from bench.rig.guardian_client import GuardianClient, GuardianTarget, Heartbeat, StageTarget
+from bench.rig.guardian_client import GuardianClient, GuardianTarget, Heartbeat
+from bench.rig.guardian_stage import StageTarget
 from bench.rig.loading import LoadedRig
 from instruments.bath.profile import PUMP
 from instruments.bath.reading import BathReading

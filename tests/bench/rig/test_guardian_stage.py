@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import threading
 import time
 from contextlib import closing, suppress
@@ -10,8 +9,7 @@ from contextlib import closing, suppress
 import numpy as np
 import pytest
 
-from bench.rig.guardian_client import GuardianTarget, StageTarget
-from bench.rig.guardian_stage import StageStop, add_arguments
+from bench.rig.guardian_stage import StageStop, StageTarget
 from instruments.clock import RealClock
 from instruments.errors import InstrumentError
 from instruments.link import Link
@@ -27,14 +25,8 @@ MOTORS = ((1, 1, 250.0), (2, 1, 250.0))
 FAST = {24: 3000.0, 25: 6000.0, 110: 12000.0, 111: 12000.0}
 
 
-def given(target: GuardianTarget) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    add_arguments(parser)
-    return parser.parse_args(target.arguments)
-
-
-def stopped(target: GuardianTarget, clock: RealClock) -> dict[str, object]:
-    stop = StageStop(given(target), clock)
+def stopped(target: StageTarget, clock: RealClock) -> dict[str, object]:
+    stop = StageStop(target, clock)
     assert stop.result() is None
     stop.begin()
     return stop.result() or {}
@@ -59,7 +51,7 @@ def test_it_stops_a_stage_of_each_firmware(dialect: Dialect, spoken: Spoken, hom
             owner = threading.Thread(target=_homes if homes else _moves, args=(stage,))
             owner.start()
             within(120.0, lambda: _moving(device) and (homes or stage.homed), "moves")
-            target = GuardianTarget(stage=StageTarget(listener.url, 115200, spoken, "XY", motors))
+            target = StageTarget(listener.url, 115200, spoken, "XY", motors)
             found = stopped(target, clock)
             assert not _moving(device)
             assert found["stands"] is True
@@ -88,7 +80,7 @@ def _moves(stage: Stage) -> None:
 
 def test_a_stage_that_is_not_there_is_no_stand(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("bench.rig.guardian_stage.STAGE_S", 0.5)
-    target = GuardianTarget(stage=StageTarget("socket://127.0.0.1:9", 115200, "grbl", "XY"))
+    target = StageTarget("socket://127.0.0.1:9", 115200, "grbl", "XY")
     with closing(RealClock()) as clock:
         found = stopped(target, clock)
     assert found["stands"] is False
