@@ -237,7 +237,7 @@ class Wire:
 
     def wait_taken(self, timeout_s: float) -> None:
         """Wait until the emulator took all bytes. Raises TimeoutError as ``settle``."""
-        self._wait_for(self._taken, timeout_s)
+        self._wait_for(lambda: self._closed or self._to_device <= 0, timeout_s)
 
     def before_write(self) -> None:
         """Forget bytes that were taken and never counted: an interrupt came between the two."""
@@ -265,9 +265,6 @@ class Wire:
         if self._waiter is not None:
             waiter, self._waiter = self._waiter, None
             waiter.release()
-
-    def _taken(self) -> bool:
-        return self._closed or self._to_device <= 0
 
     def _settled(self) -> bool:
         return self._to_host > 0 or self._closed or (self._accepted and self._to_device <= 0)

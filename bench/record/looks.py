@@ -87,7 +87,8 @@ def write_looks(runs: Sequence[RunRecord], looks: Sequence[InterimLook]) -> None
     try:
         for run, missing in new:
             if missing:
-                stores.append((_store(run.folder), missing))
+                with _written(run.folder):
+                    stores.append((Store(run.folder, session=1), missing))
         for store, missing in stores:
             with _written(store.folder):
                 for look in missing:
@@ -96,11 +97,6 @@ def write_looks(runs: Sequence[RunRecord], looks: Sequence[InterimLook]) -> None
         for store, _ in stores:
             with _written(store.folder):
                 store.close()
-
-
-def _store(folder: Path) -> Store:
-    with _written(folder):
-        return Store(folder, session=1)
 
 
 @contextmanager

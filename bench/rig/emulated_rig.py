@@ -26,7 +26,7 @@ from instruments.operators.emulated import EmulatedOperator
 from instruments.pty_listener import PtyListener
 from instruments.stage.emulator import EMULATED as DIALECTS
 from instruments.stage.emulator import Mounting, StageEmulator
-from instruments.stage.emulator.board import LATE_S, LOST_MM, StageFault
+from instruments.stage.emulator.board import AMOUNTS, StageFault
 from instruments.world.phantom import PlatePose
 from instruments.world.world import World
 
@@ -321,8 +321,7 @@ class EmulatedRig:
         if fault.instrument == "stage" and stage:
             kind = StageFault(name)
             key = "lost_mm" if kind is StageFault.LOST_STEP else "after_s"
-            usual = {StageFault.LOST_STEP: LOST_MM, StageFault.LATE_OK: LATE_S}.get(kind, 0.0)
-            how = {key: usual if amount is None else amount}
+            how = {key: AMOUNTS.get(kind, (0.0, ""))[0] if amount is None else amount}
             return lambda: stage.inject(kind, **how), lambda: stage.cure(kind)
         device = self._bath if fault.instrument == "bath" else self.pump
         if device is None or fault.instrument == "stage":

@@ -45,6 +45,7 @@ from instruments.camera.frame import Channel, Conversion, Flip, Radiometry, Rang
 from instruments.camera.radiometric import PROFILES, RadiometricProfile
 from instruments.camera.settings import Settings, Trigger, Value
 from instruments.drivers.entry_points import plugin_url
+from instruments.faults import Amounts, check_fault
 from instruments.microscribe import faults as arm_faults
 from instruments.operators.emulated import Mistake
 from instruments.points import points_url
@@ -513,8 +514,6 @@ _Pixels = Annotated[float, Field(ge=0, le=20)]
 _Share = Annotated[float, Field(ge=0, le=1)]
 _Count = Annotated[int, Field(ge=8, le=4096)]
 
-LATE_ANSWER = "late answer"  # of a bath or a relay; its amount is in seconds
-
 
 class EmulatedOptical(Section):
     full_well_e: Annotated[float, Field(ge=100, le=1e6)] | None = None
@@ -666,13 +665,10 @@ class EmulatedFault(Section):
 
     @model_validator(mode="after")
     def _known(self) -> EmulatedFault:
-        instrument, known = self.instrument, fault_names(self.instrument)
-        if self.name not in known:
-            has = "have" if instrument == "cameras" else "has"
-            raise ValueError(
-                f'the {instrument} {has} no fault "{self.name}"{did_you_mean(self.name, known)}'
-                f" (there are: {', '.join(known)})"
-            )
+        instrument, (known, amounts) = self.instrument, emulated_faults(self.instrument)
+        whose = f"the {instrument} {'have' if instrument == 'cameras' else 'has'}"
+        near = did_you_mean(self.name, known)
+        check_fault(whose, self.name, known, amounts, self.amount, near)
         if self.times is not None and instrument not in ("arm", "cameras"):
             raise ValueError(
                 f'"times" is for faults of the arm and the cameras; one of the {instrument} lasts'
@@ -680,40 +676,28 @@ class EmulatedFault(Section):
             )
         if self.camera is not None and instrument != "cameras":
             raise ValueError(f'"camera" is for faults of the cameras, the {instrument} has none')
-        if instrument == "arm":
-            arm_faults.check_amount(arm_faults.named(self.name), self.amount)
-        elif instrument == "cameras":
-            camera_faults.check_amount(camera_faults.named(self.name), self.amount)
-            camera_faults.check_camera(camera_faults.named(self.name), self.camera)
-        elif instrument == "stage":
-            from instruments.stage.emulator.board import AMOUNTS, StageFault
-
-            if self.amount is not None and StageFault(self.name) not in AMOUNTS:
-                having = ", ".join(f'"{fault.value}" ({unit})' for fault, unit in AMOUNTS.items())
-                raise ValueError(
-                    f'the stage\'s fault "{self.name}" has no amount; one have {having}'
-                )
-        elif self.amount is not None and self.name != LATE_ANSWER:
-            raise ValueError(
-                f'of the {instrument}\'s faults only "{LATE_ANSWER}" has an amount, in seconds'
-            )
+        if self.name == camera_faults.THERMAL_ALONE and self.camera not in (None, "thermal"):
+            raise ValueError(f'only the thermal camera has a "{self.name}"')
         return self
 
 
-def fault_names(instrument: str) -> tuple[str, ...]:
-    """The faults of the emulated "arm", "bath", "pump" (its relay), "cameras" or "stage"."""
+def emulated_faults(instrument: str) -> tuple[tuple[str, ...], Amounts]:
+    """The faults of the emulated "arm", "bath", "pump" (its relay), "cameras" or "stage", and of
+    which an amount can be said.
+    """
     if instrument == "arm":
-        return tuple(arm_faults.ArmFault)
+        return tuple(arm_faults.ArmFault), arm_faults.AMOUNTS
     if instrument == "cameras":
-        return tuple(camera_faults.FAULTS)
+        return tuple(camera_faults.FAULTS), camera_faults.AMOUNTS
     if instrument == "stage":
-        from instruments.stage.emulator.board import StageFault
+        from instruments.stage.emulator import board
 
-        return tuple(fault.value for fault in StageFault)
-    from instruments.bath.emulator import FAULTS, RELAY_FAULTS
+        return tuple(board.StageFault), board.AMOUNTS
+    from instruments.bath.emulator import AMOUNTS, FAULTS, RELAY_FAULTS
     from instruments.bath.line_emulator import LINE_FAULTS
 
-    return tuple(dict.fromkeys((*FAULTS, *LINE_FAULTS))) if instrument == "bath" else RELAY_FAULTS
+    of_bath = tuple(dict.fromkeys((*FAULTS, *LINE_FAULTS)))
+    return of_bath if instrument == "bath" else RELAY_FAULTS, AMOUNTS
 
 
 class Emulation(Section):

@@ -285,32 +285,6 @@ def open_camera(
     return OpenCvCamera(name, int(rest) if rest.isdecimal() else source, clock, table.settings)
 
 
-def _open_cameras(rig: LoadedRig, clock: Clock, emulator: str = "") -> Cameras:
-    """Paths are taken from the rig file's folder; ``emulator``: where that of a plug-in is. Raises
-    InstrumentError, RecordingError.
-    """
-    folder, tables = rig.path.parent, rig.rig.cameras.tables
-    group = None
-    if plug := plugin_url(rig.rig.cameras.url):
-        group = partial(PluggedGroup, _at(load("camera", plug), emulator), clock)
-    kind, _, rest = rig.rig.cameras.url.partition(":")
-    if kind == "recording":
-        return RecordingCameras(Recording(folder / rest))
-    if kind == "opencv":
-        sources = rest.split(",")
-        if not 2 <= len(sources) <= len(KNOWN):
-            what = f"needs two or three sources for left, right and thermal, got {rest!r}"
-            hint = "Correct the cameras in the rig file."
-            raise DeviceError("OpenCV cameras", what, hint=hint)
-        urls = dict(zip(KNOWN, sources, strict=False))
-        tables = {name: OneCamera(url=f"opencv:{url}") for name, url in urls.items()}
-    at = folder, clock, DeviceTime()
-    openers = {name: partial(open_camera, name, t, *at) for name, t in tables.items()}
-    made = rig.made_calibration
-    conversions = {name: conversion_of(t, made) for name, t in tables.items()}
-    return CameraSet(openers, conversions, group)
-
-
 def _at(plugged: Plugin, emulator: str) -> Plugin:
     return plugged.with_keys(url=emulator) if emulator else plugged
 
@@ -420,6 +394,27 @@ class _Openers:
         return OwnStage(link, self._clock, table.axes, dialect=table.dialect, motors=motors)
 
     def _cameras(self) -> Cameras:
-        if self._twin and self._rig.rig.cameras.url == EMULATED:
+        rig, clock = self._rig, self._clock
+        if self._twin and rig.rig.cameras.url == EMULATED:
             return self._twin.cameras
-        return _open_cameras(self._rig, self._clock, self._ports.get("cameras", ""))
+        folder, tables = rig.path.parent, rig.rig.cameras.tables  # paths are from there
+        group = None
+        if plug := plugin_url(rig.rig.cameras.url):
+            plugged = _at(load("camera", plug), self._ports.get("cameras", ""))
+            group = partial(PluggedGroup, plugged, clock)
+        kind, _, rest = rig.rig.cameras.url.partition(":")
+        if kind == "recording":
+            return RecordingCameras(Recording(folder / rest))
+        if kind == "opencv":
+            sources = rest.split(",")
+            if not 2 <= len(sources) <= len(KNOWN):
+                what = f"needs two or three sources for left, right and thermal, got {rest!r}"
+                hint = "Correct the cameras in the rig file."
+                raise DeviceError("OpenCV cameras", what, hint=hint)
+            urls = dict(zip(KNOWN, sources, strict=False))
+            tables = {name: OneCamera(url=f"opencv:{url}") for name, url in urls.items()}
+        at = folder, clock, DeviceTime()
+        openers = {name: partial(open_camera, name, t, *at) for name, t in tables.items()}
+        made = rig.made_calibration
+        conversions = {name: conversion_of(t, made) for name, t in tables.items()}
+        return CameraSet(openers, conversions, group)

@@ -43,15 +43,12 @@ class Liveness:
         turned = before is not None and self._turned(before, now)
         if before is None or before.raw != now.raw:
             self._signs += 1
-            self._note_step(before, now)
+            change_k = abs(now.temp_c - before.temp_c) if before else 0.0
+            if change_k > SAME_K:
+                self._seen_k = min(self._seen_k, change_k)
         elif self.coarse and (turned or self._other_moved(before, now)):
             self._signs += 1
         return self._signs
-
-    def _note_step(self, before: BathReading | None, now: BathReading) -> None:
-        change_k = abs(now.temp_c - before.temp_c) if before else 0.0
-        if change_k > SAME_K:
-            self._seen_k = min(self._seen_k, change_k)
 
     def _turned(self, before: BathReading, now: BathReading) -> bool:
         """Whether the output, which went one way, goes the other now, not for the first time."""

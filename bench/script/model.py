@@ -127,10 +127,7 @@ class BathGate(Section):
     teat_level_k: Positive = 1.0
     timeout_s: Positive = 7200.0
 
-    @field_validator(*WIDEST_K)
-    @classmethod
-    def _not_wider(cls, value: float, info: ValidationInfo) -> float:
-        return no_wider(value, info)
+    _not_wider = field_validator(*WIDEST_K)(no_wider)
 
     @field_validator("mean_k")
     @classmethod
@@ -193,10 +190,7 @@ class BathRequirement(_Named):
     kind: Literal["bath_in_band"]
     band_k: Positive
 
-    @field_validator("band_k")
-    @classmethod
-    def _not_wider(cls, value: float, info: ValidationInfo) -> float:
-        return no_wider(value, info)
+    _not_wider = field_validator("band_k")(no_wider)
 
 
 class ArmRequirement(_Named):

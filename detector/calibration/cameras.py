@@ -198,7 +198,8 @@ def _refuse_odd_pairs(
     def apart(one: Motion, two: Motion, distance_mm: float) -> bool:
         off_mm = float(np.linalg.norm(one.T - two.T))
         most_mm = max(ODD_OF_MOTION * float(np.linalg.norm(two.T)), ODD_OF_DISTANCE * distance_mm)
-        return off_mm > most_mm or _degrees(one, two) > ODD_DEG
+        turned_rad = float(np.linalg.norm((one.inverse() @ two).om))
+        return off_mm > most_mm or np.degrees(turned_rad) > ODD_DEG
 
     away = {view: float(np.linalg.norm(seen[view].T)) for view in moves}
     # the one that most agree with
@@ -237,10 +238,6 @@ def _turned_poses(alone: CameraFit, camera: str, view: str) -> Iterator[Motion]:
     turned = np.array(lens.image_size) - 1.0 - seen.pixels_px
     for board_mm in (seen.board_mm, seen.board_mm[::-1]):
         yield flat_pose(board_mm, turned, lens)
-
-
-def _degrees(one: Motion, two: Motion) -> float:
-    return float(np.degrees(np.linalg.norm((one.inverse() @ two).om)))
 
 
 def _named(views: Mapping[str, object]) -> str:

@@ -22,14 +22,20 @@ def main(arguments: list[str]) -> int:
     """Run ``arguments[2:]`` until its end, or until the pipe ``arguments[0]`` closes."""
     pipe, limit_mib, command = int(arguments[0]), int(arguments[1]), arguments[2:]
     os.set_inheritable(pipe, False)
-    _adopt_orphans()
+    if sys.platform == "linux":  # adopt orphans
+        import ctypes
+
+        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     _limit_memory(limit_mib)
     try:
         child = os.posix_spawnp(command[0], command, os.environ, setpgroup=0)
     except OSError as error:
         os.write(2, f"{command[0]} can't be started: {error.strerror}\n".encode())
         return 127
-    _let_go_of_streams()
+    # the command's streams are its own: the bench sees their end when the command closes them
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for stream in (0, 1, 2):
+        os.dup2(nothing, stream)
     code = None
     while code is None and not select.select([pipe], [], [], LOOK_S)[0]:
         code = _reap(child)
@@ -81,13 +87,6 @@ def _living() -> dict[int, tuple[int, int]]:
     return found
 
 
-def _adopt_orphans() -> None:
-    if sys.platform == "linux":
-        import ctypes
-
-        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
-
-
 def _limit_memory(mib: int) -> None:
     """Limit allocation, not addresses: numpy's threads and garbage collectors reserve far more."""
     if mib and sys.platform == "linux":
@@ -96,13 +95,6 @@ def _limit_memory(mib: int) -> None:
         most = resource.getrlimit(resource.RLIMIT_DATA)[1]
         limit = mib << 20 if most == resource.RLIM_INFINITY else min(mib << 20, most)
         resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
-
-
-def _let_go_of_streams() -> None:
-    """The command's streams are its own: the bench sees their end when the command closes them."""
-    nothing = os.open(os.devnull, os.O_RDWR)
-    for stream in (0, 1, 2):
-        os.dup2(nothing, stream)
 
 
 def _reap(child: int) -> int | None:

@@ -20,6 +20,7 @@ from instruments.bath.register_semantics import Behaviour, Cells, Controller, Va
 from instruments.bath.rows import Row
 from instruments.bath.witness import device_of
 from instruments.clock import Clock
+from instruments.faults import Amounts
 from instruments.listener import Connection
 from instruments.world.plant import Plant
 
@@ -28,6 +29,7 @@ Framing = Literal["tcp", "rtu"]
 GARBAGE = (0x00, 0xFF, 0x01, 0x03)  # ahead of an answer, one byte each time (fact sheet, P6)
 LATE_S = 1.5
 POWER_CUT, RESET = "power cut", "controller reset"
+AMOUNTS: Amounts = {"late answer": (LATE_S, "s")}
 WIRE_FAULTS = ("silence", "busy", "wrong length", "surplus", "late answer", "garbage", "bad CRC")
 RELAY_FAULTS = (*WIRE_FAULTS, POWER_CUT)
 SETTING_FAULTS = {

@@ -203,12 +203,8 @@ class LineAccess(Access[LineRow]):
         gone = (row.name for row in self._family.rows if row.name not in here)
         self.absent = dict.fromkeys(gone, why)
 
-    @property
-    def _polled(self) -> list[LineRow]:
-        return [row for row in self.profile.rows if row.poll and self.may_ask(row)]
-
     def fetch(self, start_s: float) -> Mapping[str, Raw]:
-        rows = self._polled
+        rows = [row for row in self.profile.rows if row.poll and self.may_ask(row)]
         lines = self.replies(rows)
         self.check_deadline(start_s, len(lines))
         return {row.name: lines[row.ask] for row in rows}

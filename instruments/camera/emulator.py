@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from instruments.camera.frame import CentiKelvin, FrameError, FrameFault, FrameSet, Grey
 from instruments.clock import Clock
+from instruments.faults import Amounts, check_fault
 from instruments.world.scene import RenderedSet, Renderer
 from instruments.world.state import SceneState
 
@@ -24,12 +25,13 @@ FAULTS: Mapping[FrameFault, str] = {
     for fault in FrameFault
     if fault is not FrameFault.WRONG_SIZE
 }
+THERMAL_ALONE = FrameFault.FLAT_FIELD  # other cameras have no shutter
 KEPT_BACK: Mapping[FrameFault, str] = {
     FrameFault.DROPPED: "no frame came",
     FrameFault.LOST_PACKETS: "a frame came with holes",
 }
 FOREVER = 1 << 30
-AMOUNTS: Mapping[FrameFault, tuple[float, str]] = {
+AMOUNTS: Amounts = {
     FrameFault.LATE: (0.2, "seconds"),
     FrameFault.SATURATED: (6.0, "times the light"),
     FrameFault.OUT_OF_FOCUS: (4.0, "px of blur"),
@@ -56,16 +58,17 @@ class CameraFaults:
         amount: float | None = None,
     ) -> None:
         """Start a fault at the next frame set. Raises ValueError for an unknown name or amount."""
-        fault = named(name)
-        check_amount(fault, amount)
+        check_fault("the cameras have", name, FAULTS, AMOUNTS, amount)
+        fault = FrameFault(name)
         usual = AMOUNTS.get(fault, (0.0, ""))[0]
         with self._lock:
             self._on[fault] = camera or FAULTS[fault], usual if amount is None else amount, times
 
     def clear(self, name: str) -> None:
         """End a fault, whether it was on or not."""
+        check_fault("the cameras have", name, FAULTS, AMOUNTS)
         with self._lock:
-            self._on.pop(named(name), None)
+            self._on.pop(FrameFault(name), None)
 
     def next(self) -> Spoiling:
         """What spoils the next frame set, in the order of `FAULTS`; it counts as taken."""
@@ -75,28 +78,6 @@ class CameraFaults:
                 if times > 1:
                     self._on[fault] = camera, amount, times - 1
         return {fault: on[fault][:2] for fault in FAULTS if fault in on}
-
-
-def named(name: str) -> FrameFault:
-    """The fault of that name. Raises ValueError."""
-    known = {str(fault): fault for fault in FAULTS}
-    if name not in known:
-        raise ValueError(f'no fault "{name}" (there are: {", ".join(known)})')
-    return known[name]
-
-
-def check_amount(fault: FrameFault, amount: float | None) -> None:
-    """Raise ValueError where a fault has no amount."""
-    if amount is not None and fault not in AMOUNTS:
-        said = ", ".join(f'"{known}" in {unit}' for known, (_, unit) in AMOUNTS.items())
-        what = f"of the cameras' faults only these have an amount: {said}"
-        raise ValueError(f'{what}; "{fault}" has none')
-
-
-def check_camera(fault: FrameFault, camera: str | None) -> None:
-    """Raise ValueError where only the thermal camera can have a fault."""
-    if fault is FrameFault.FLAT_FIELD and camera not in (None, "thermal"):
-        raise ValueError(f'only the thermal camera has a "{fault}"')
 
 
 def spoiled(

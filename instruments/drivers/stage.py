@@ -71,12 +71,8 @@ class PluggedStage(StageCalls):
             rate_mm_min=feeds,
             accel_mm_s2=tuple(math.inf for _ in self._letters),
             steps_per_mm=tuple(1000.0 for _ in self._letters),
-            soft_limits=True,
-            hard_limits=True,
-            homing=True,
             homing_seek_mm_min=feed,
             homing_feed_mm_min=feed,
-            pull_off_mm=0.0,
             low_mm=lows,
         )
         self._identified = identity, settings

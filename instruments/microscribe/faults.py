@@ -8,6 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from instruments.faults import Amounts, check_fault
 from instruments.microscribe.protocol import MARK
 
 FOREVER = sys.maxsize
@@ -36,14 +37,14 @@ class ArmFault(StrEnum):
     DISCONNECT = "disconnect"
 
 
-# what some faults have an amount of, and its default
-AMOUNTS: dict[ArmFault, float] = {
-    ArmFault.WRONG_BAUD: 9600,  # of a session that was left open, where the host's rate is known
-    ArmFault.LATE_ECHO: 3,  # the IMMC that is echoed first
-    ArmFault.NEVER_HOMED: 1000,  # counts that a joint stood off its peg at power-up, at most
-    ArmFault.PEDAL_BOUNCE: 0.02,  # seconds that a contact takes to settle
-    ArmFault.SLOW_ADAPTER: 0.016,  # seconds that each answer is held back
-    ArmFault.DISCONNECT: 0,  # bytes for the host that still pass
+AMOUNTS: Amounts = {
+    # of a session that was left open, where the host's rate is known
+    ArmFault.WRONG_BAUD: (9600, "Bd"),
+    ArmFault.LATE_ECHO: (3, "the IMMC that is echoed first"),
+    ArmFault.NEVER_HOMED: (1000, "counts off a joint's peg at power-up, at most"),
+    ArmFault.PEDAL_BOUNCE: (0.02, "s that a contact takes to settle"),
+    ArmFault.SLOW_ADAPTER: (0.016, "s that each answer is held back"),
+    ArmFault.DISCONNECT: (0, "bytes for the host that still pass"),
 }
 
 
@@ -57,7 +58,7 @@ class Faults:
         self._changed = changed
         self._left: dict[ArmFault, int] = {}
         self._spared: dict[ArmFault, int] = {}
-        self._amounts: dict[ArmFault, float] = dict(AMOUNTS)
+        self._amounts = {fault: usual for fault, (usual, _) in AMOUNTS.items()}
         self._hits = 0
 
     def inject(
@@ -71,16 +72,17 @@ class Faults:
         """Start a fault for ``times`` times, after sparing ``after`` chances; ``amount`` in the
         unit of `AMOUNTS`. Raises ValueError.
         """
-        known = named(fault)
-        check_amount(known, amount)
+        check_fault("an arm has", fault, tuple(ArmFault), AMOUNTS, amount)
+        known = ArmFault(fault)
         if known in AMOUNTS:
-            self._amounts[known] = AMOUNTS[known] if amount is None else amount
+            self._amounts[known] = AMOUNTS[known][0] if amount is None else amount
         self._left[known], self._spared[known] = times, after
         self._changed(known, True)
 
     def clear(self, fault: ArmFault | str) -> None:
         """End a fault, whether it was on or not. Raises ValueError for a name that isn't one."""
-        known = named(fault)
+        check_fault("an arm has", fault, tuple(ArmFault), AMOUNTS)
+        known = ArmFault(fault)
         if self._left.pop(known, None) is not None:
             self._changed(known, False)
 
@@ -154,20 +156,3 @@ class Faults:
     def _chance(self) -> np.random.Generator:
         self._hits += 1
         return np.random.default_rng([self._seed, _CHANCE, self._hits])
-
-
-def check_amount(fault: ArmFault, amount: float | None) -> None:
-    """Raise ValueError unless ``fault`` may have that amount."""
-    if amount is not None and (fault not in AMOUNTS or amount < 0):
-        known = ", ".join(f"{one} ({usual:g})" for one, usual in AMOUNTS.items())
-        what = f"the fault '{fault}' has no amount {amount:g}"
-        raise ValueError(f"{what}; an amount of 0 or more have: {known}")
-
-
-def named(fault: ArmFault | str) -> ArmFault:
-    """The fault of that name. Raises ValueError that lists them all."""
-    try:
-        return ArmFault(fault)
-    except ValueError:
-        what = f"an arm has no fault {str(fault)!r}; it has: {', '.join(ArmFault)}"
-        raise ValueError(what) from None

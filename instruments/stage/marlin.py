@@ -140,10 +140,8 @@ def read_marlin(lines: list[str], axes: str, *, who: str) -> StageSettings:
         steps_per_mm=steps,
         soft_limits=bool(_SOFT.search(text)),
         hard_limits=False,
-        homing=True,
         homing_seek_mm_min=60 * HOMING_MM_S,
         homing_feed_mm_min=60 * HOMING_MM_S,
-        pull_off_mm=0.0,
         low_mm=tuple([low.get(axis, 0.0) for axis in "XYZ"]),
     )
 

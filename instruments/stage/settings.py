@@ -61,12 +61,12 @@ class StageSettings:
     rate_mm_min: Axes
     accel_mm_s2: Axes
     steps_per_mm: Axes
-    soft_limits: bool
-    hard_limits: bool
-    homing: bool
     homing_seek_mm_min: float
     homing_feed_mm_min: float
-    pull_off_mm: float
+    pull_off_mm: float = 0.0
+    soft_limits: bool = True
+    hard_limits: bool = True
+    homing: bool = True
     low_mm: Axes | None = None
 
     @property
@@ -167,7 +167,6 @@ def read_fluidnc(values: Mapping[str, str], *, who: str, axes: str = "XYZ") -> S
         steps_per_mm=each("steps_per_mm"),
         soft_limits=all(true("soft_limits")),
         hard_limits=all(true("motor0/hard_limits")),
-        homing=True,
         homing_seek_mm_min=min(each("homing/seek_mm_per_min")),
         homing_feed_mm_min=min(each("homing/feed_mm_per_min")),
         pull_off_mm=max(each("motor0/pulloff_mm", 0.0)),

@@ -164,12 +164,8 @@ class ZaberDialogue(Dialogue):
             rate_mm_min=tuple([60 * speed for _, _, speed, _ in each]),
             accel_mm_s2=tuple([accel for _, _, _, accel in each]),
             steps_per_mm=tuple(steps),
-            soft_limits=True,
-            hard_limits=True,
-            homing=True,
             homing_seek_mm_min=slowest / 4,
             homing_feed_mm_min=slowest / 4,
-            pull_off_mm=0.0,
             low_mm=tuple([low for low, _, _, _ in each]),
         )
 

@@ -19,7 +19,7 @@ from unittest.mock import patch
 from bench.record.reader import RunRecord, read_run
 from bench.rig.devices import Devices
 from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.model import EmulatedFault, fault_names
+from bench.rig.model import EmulatedFault, emulated_faults
 from bench.run.events import EVENT, Events
 from bench.run.start import RunOptions
 from tests.bench.killed_runs import Person, start
@@ -35,7 +35,7 @@ NO_SUCH = {("bath", "bad CRC"), ("bath", "cut answer"), ("bath", "doubled answer
 FAULTS = tuple(
     (instrument, str(name))
     for instrument in INSTRUMENTS
-    for name in fault_names(instrument)
+    for name in emulated_faults(instrument)[0]
     if (instrument, str(name)) not in NO_SUCH
 )
 HEAD = """# Faults and what the bench does

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from enum import Enum
+from enum import StrEnum
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from instruments.clock import Clock
+from instruments.faults import Amounts
 from instruments.listener import Connection
 from instruments.stage.emulator.carriage import Carriage, Switch
 from instruments.stage.emulator.controller import Controller
@@ -25,7 +26,7 @@ CONTROLLERS: dict[str, type[Controller]] = {"Marlin": MarlinController, "Zaber":
 GLANCE_S = 1e-3  # over which a velocity is measured
 
 
-class StageFault(Enum):
+class StageFault(StrEnum):
     """Faults by name. Those of a motion strike in the running motion, or in the next one."""
 
     SILENT = "silent"  # nothing is answered any more
@@ -62,15 +63,10 @@ BROKEN_SWITCHES = {
 }
 NOISE = b"\xff\x00<Ru|\x1b\r\n"
 LOST_MM = 1.0  # lost by a lost step of which no amount is said
-LATE_S = 3.0  # how late a late answer is of which no amount is said
-_INTO = "s into the motion"
-AMOUNTS = {  # what an amount of a fault is; others have none
-    StageFault.LOST_STEP: "mm lost",
-    StageFault.LATE_OK: "s late",
-    StageFault.LIMIT_HIT: _INTO,
-    StageFault.DISCONNECT: _INTO,
-    StageFault.STALL: _INTO,
-    StageFault.RESTART: _INTO,
+AMOUNTS: Amounts = {
+    **{fault: (0.0, "s into the motion") for fault in StageFault if fault in IN_MOTION},
+    StageFault.LOST_STEP: (LOST_MM, "mm lost"),
+    StageFault.LATE_OK: (3.0, "s late"),
 }
 
 

@@ -190,7 +190,10 @@ class GrblController(Controller):
                 self.alarm(6 if self.carriage.homing else 3)
             self.restart()
         elif byte == protocol.STATUS_QUERY:
-            self._query()
+            if self.dialect.always_reports or self.mode not in (Mode.HOMING, Mode.CRITICAL):
+                self.say(self.status())
+            elif self.mode is Mode.HOMING:
+                self._asked_while_homing = True
         elif byte == protocol.DOOR and self.mode is Mode.HOMING:
             self.alarm(7)
             self.restart()
@@ -210,12 +213,6 @@ class GrblController(Controller):
                 self.carriage.follow(self.now).cancel(self.now)
         else:
             self._override(byte)
-
-    def _query(self) -> None:
-        if self.dialect.always_reports or self.mode not in (Mode.HOMING, Mode.CRITICAL):
-            self.say(self.status())
-        elif self.mode is Mode.HOMING:
-            self._asked_while_homing = True
 
     def _hold(self, door: bool) -> None:
         self._resume_s = math.inf
@@ -317,7 +314,9 @@ class GrblController(Controller):
             if text.startswith("$"):
                 yield from self._system(text[1:])
             elif text:
-                yield from self._gcode(text)
+                if self.mode is Mode.LOCKED or self._jogging:
+                    raise RefusedError(9)
+                yield from self._run(text)
         except RefusedError as error:
             return f"error:{error}"
         afterwards, self._afterwards = self._afterwards, None
@@ -405,20 +404,17 @@ class GrblController(Controller):
 
     def _report(self, text: str) -> None:
         if text == "#":
-            self._report_parameters()
+            for code, place in self.gcode.stored.items():
+                self.say(f"[G{code:g}:{self._numbers(place)}]")
+            self.say(f"[G92:{self._numbers(self.gcode.g92_mm)}]")
+            self.say(f"[TLO:{self._numbers((self.gcode.modes.tool_mm,))}]")
+            self._report_probe()
         elif text == "I":
             for line in self.dialect.identity(self._info):
                 self.say(line)
         else:
             for at, line in enumerate(self._startup):
                 self.say(f"$N{at}={line}")
-
-    def _report_parameters(self) -> None:
-        for code, place in self.gcode.stored.items():
-            self.say(f"[G{code:g}:{self._numbers(place)}]")
-        self.say(f"[G92:{self._numbers(self.gcode.g92_mm)}]")
-        self.say(f"[TLO:{self._numbers((self.gcode.modes.tool_mm,))}]")
-        self._report_probe()
 
     def _report_probe(self) -> None:
         place, well = self._probed
@@ -460,11 +456,6 @@ class GrblController(Controller):
         self._start_up()
 
     # G-code
-
-    def _gcode(self, text: str) -> Iterator[float]:
-        if self.mode is Mode.LOCKED or self._jogging:
-            raise RefusedError(9)
-        yield from self._run(text)
 
     def _run(self, text: str) -> Iterator[float]:
         self._follow_count()

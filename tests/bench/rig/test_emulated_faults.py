@@ -14,7 +14,7 @@ from bench.cli.main import main
 from bench.config import ConfigError
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import load_rig
-from bench.rig.model import fault_names
+from bench.rig.model import emulated_faults
 from instruments.clock import RealClock, VirtualClock
 from instruments.errors import LinkError
 from instruments.link import Link
@@ -78,16 +78,16 @@ def test_faults_are_there_from_the_start_so_often_and_so_much(tmp_path: Path) ->
         (f'{ARM} = "power los"', 'the arm has no fault "power los"; did you mean "power loss"?'),
         ('instrument = "bath", name = "power loss"', "the bath has no fault"),
         ('instrument = "bath", name = "silence", times = 2', '"times" is for faults of the arm'),
-        ('instrument = "bath", name = "silence", amount = 2.0', 'only "late answer" has an amount'),
+        ('instrument = "bath", name = "silence", amount = 2.0', 'have: "late answer" (1.5 s)'),
         ('instrument = "arm", name = "silent", amount = 2.0', "has no amount 2"),
         ('instrument = "arm", name = "silent", at_s = -1.0', "greater than or equal to 0"),
         ('instrument = "camera", name = "dark"', "'camera' is not allowed"),
         (f'{CAMERAS} = "blak"', 'the cameras have no fault "blak"; did you mean "black"?'),
-        (f'{CAMERAS} = "frozen", amount = 2.0', '"frozen" has none'),
+        (f'{CAMERAS} = "frozen", amount = 2.0', 'the fault "frozen" has no amount 2'),
         (f'{CAMERAS} = "flat-field event", camera = "left"', "only the thermal camera"),
         (f'{ARM} = "silent", camera = "left"', '"camera" is for faults of the cameras'),
         ('instrument = "arm", name = "silent", at = 1.0', 'unknown key; did you mean "at_s"'),
-        ('instrument = "stage", name = "silent", amount = 1.0', '"silent" has no amount; one have'),
+        ('instrument = "stage", name = "silent", amount = 1.0', '"lost step" (1 mm lost)'),
     ],
 )
 def test_a_fault_that_cannot_be_is_shown_in_its_place(
@@ -105,7 +105,7 @@ def test_a_fault_that_cannot_be_is_shown_in_its_place(
 def test_every_fault_of_every_instrument_can_be_put_into_a_rig(
     tmp_path: Path, instrument: str
 ) -> None:
-    names = fault_names(instrument)
+    names = emulated_faults(instrument)[0]
     assert len(names) == len({*names}) > 5
     faults = ", ".join(
         f'{{ instrument = "{instrument}", name = "{name}", at_s = 1.0 }}' for name in names
