@@ -54,23 +54,25 @@ def write_pictures(pictures: Mapping[Path, Picture]) -> dict[Path, str]:
 
 def _write_picture(path: Path, image: Picture) -> str:
     data = png_bytes(image)
-    _replace(path, data)
+    replace_whole(path, data, synced=True)
     return hashlib.sha256(data).hexdigest()
 
 
 def write_synced(path: Path, data: bytes) -> None:
     """``data`` at ``path``, durable; after a crash whole or not at all."""
     make_folder(path.parent)
-    _replace(path, data)
+    replace_whole(path, data, synced=True)
     sync_folder(path.parent)
 
 
-def _replace(path: Path, data: bytes) -> None:
+def replace_whole(path: Path, data: bytes, *, synced: bool = False) -> None:
+    """``data`` at ``path``: who reads it finds all of it, or what was there."""
     part = path.with_name(path.name + ".part")
     with part.open("wb") as file:
         file.write(data)
-        file.flush()
-        _sync(file.fileno())
+        if synced:
+            file.flush()
+            _sync(file.fileno())
     part.replace(path)
 
 

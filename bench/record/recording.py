@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.files import replace_whole
 from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import FrameSet, grey8, no_temperatures
 from instruments.errors import DeviceError
@@ -217,7 +218,7 @@ class RecordingWriter:
 
     def add_calibration(self, text: str) -> None:
         """Write calibration.toml, as the text that it was read from."""
-        _write(self.path / "calibration.toml", text.encode())
+        replace_whole(self.path / "calibration.toml", text.encode())
 
     def add(self, frame_id: str, frames: FrameSet) -> None:
         """Write a frame's images as PNG; the folder appears when all of them are there."""
@@ -230,7 +231,7 @@ class RecordingWriter:
                 if not good:
                     kind = f"{image.shape} of {image.dtype}"
                     raise RecordingError(f"an image {kind} can't be written as PNG")
-                _write(making / name, data.tobytes())
+                replace_whole(making / name, data.tobytes())
 
     def copy(self, frame_id: str, folder: Path) -> None:
         """Write a frame's images as they are in ``folder``, under their names, byte for byte."""
@@ -238,7 +239,7 @@ class RecordingWriter:
             for name in FILES:
                 if name in FILES[:2] or (folder / name).exists():
                     _image(folder / name)
-                    _write(making / name, (folder / name).read_bytes())
+                    replace_whole(making / name, (folder / name).read_bytes())
 
     @contextmanager
     def _made(self, frame_id: str) -> Iterator[Path]:
@@ -275,13 +276,7 @@ class RecordingWriter:
             u_mm = "" if row.u_mm is None else float(row.u_mm)
             values = *names, *map(float, row.xyz_mm), int(row.visible), u_mm
             lines.append(",".join(map(str, values)))
-        _write(self.path / "truth.csv", "\n".join([*lines, ""]).encode())
-
-
-def _write(path: Path, data: bytes) -> None:
-    beside = path.with_name(path.name + ".part")
-    beside.write_bytes(data)
-    beside.replace(path)
+        replace_whole(self.path / "truth.csv", "\n".join([*lines, ""]).encode())
 
 
 class RecordingCameras:

@@ -24,9 +24,9 @@ from instruments.microscribe.emulator import ArmEmulator, Hand
 from instruments.microscribe.faults import FOREVER
 from instruments.operators.emulated import EmulatedOperator
 from instruments.pty_listener import PtyListener
-from instruments.stage.emulator import EMULATED as DIALECTS
-from instruments.stage.emulator import Mounting, StageEmulator
-from instruments.stage.emulator.board import AMOUNTS, StageFault
+from instruments.stage.emulator.board import AMOUNTS, StageEmulator, StageFault
+from instruments.stage.emulator.carriage import Mounting
+from instruments.stage.emulator.store import EMULATED as DIALECTS
 from instruments.world.phantom import PlatePose
 from instruments.world.world import World
 

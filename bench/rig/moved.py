@@ -19,10 +19,8 @@ LOOKED_AT_MM = np.array([*PIVOT_MM, 130.0])  # the middle of the phantom's ends
 
 def aimed(calibration: Calibration) -> Calibration:
     """The rig turned so that the thermal camera's axis meets the place that all look at."""
-    pose = calibration.thermal_from_right
-    if pose is None:
-        raise ValueError("the calibration has no pose of the thermal camera")
-    eye, axis = _thermal_mm(calibration), (calibration.world_from_right @ pose.inverse()).R[:, 2]
+    eye = _thermal_mm(calibration)
+    axis = (calibration.world_from_right @ _thermal_from_right(calibration).inverse()).R[:, 2]
     sight = (LOOKED_AT_MM - eye) / np.linalg.norm(LOOKED_AT_MM - eye)
     across = np.cross(axis, sight)
     om = (
@@ -62,18 +60,15 @@ def away(calibration: Calibration, mm: float) -> Calibration:
 
 def with_baseline(calibration: Calibration, mm: float) -> Calibration:
     """The left and the right camera so far apart, the thermal camera where it was."""
-    pose, was = calibration.right_from_left, calibration.thermal_from_left
-    share = mm / calibration.baseline_mm
-    if was is None:
-        raise ValueError("the calibration has no pose of the thermal camera")
-    thermal_from_right = was @ pose.inverse()
+    pose, share = calibration.right_from_left, mm / calibration.baseline_mm
     middle = 0.5 * (1.0 - share) * pose.T  # how far each comes nearer, right camera's frame
     right_from_left = Motion(pose.R, share * pose.T)
     moved_from_right = Motion(np.eye(3), -middle)
+    thermal_from_moved = _thermal_from_right(calibration) @ moved_from_right.inverse()
     return replace(
         calibration,
         right_from_left=right_from_left,
-        thermal_from_left=thermal_from_right @ moved_from_right.inverse() @ right_from_left,
+        thermal_from_left=thermal_from_moved @ right_from_left,
         world_from_right=calibration.world_from_right @ moved_from_right.inverse(),
     )
 
@@ -127,10 +122,13 @@ def _turned(calibration: Calibration, om_rad: Array, about_mm: Array = LOOKED_AT
 
 def _thermal_mm(calibration: Calibration) -> Array:
     """The thermal camera's centre in the world."""
-    pose = calibration.thermal_from_right
-    if pose is None:
+    return calibration.world_from_right.apply(_thermal_from_right(calibration).inverse().T)
+
+
+def _thermal_from_right(calibration: Calibration) -> Motion:
+    if (pose := calibration.thermal_from_right) is None:
         raise ValueError("the calibration has no pose of the thermal camera")
-    return calibration.world_from_right.apply(pose.inverse().T)
+    return pose
 
 
 def _scaled(lens: Camera, share: float) -> Camera:

@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+from bench.files import replace_whole
 from bench.rig.emulated_rig import EmulatedRig
 from instruments.camera.cameras import KNOWN
 from instruments.clock import Clock, wall_time
@@ -154,10 +155,9 @@ def following(practice: Practice, clock: Clock, speed: float, folder: Path) -> I
         if (now := practice.shown) != last:
             last = now
             choices = [dict(zip(("of", "is", "words"), one, strict=True)) for one in now.choices()]
-            part = folder / f"{SHOWN}.part"
+            data = json.dumps(asdict(now) | {"choices": choices}).encode()
             with suppress(OSError):
-                part.write_text(json.dumps(asdict(now) | {"choices": choices}), encoding="utf-8")
-                part.replace(folder / SHOWN)
+                replace_whole(folder / SHOWN, data)
         clock.call_at(clock.now() + LOOK_S * speed, look)
 
     look()

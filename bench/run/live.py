@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.files import replace_whole
 from bench.results.status import LIVE, RunStatus
 from bench.safety.bath_monitor import BathMonitor
 from bench.safety.interlocks import RULES
@@ -107,9 +108,7 @@ class Live:
 
     def _replace(self, name: str, data: bytes) -> None:
         self._folder.mkdir(exist_ok=True)
-        part = self._folder / f"{name}.part"
-        part.write_bytes(data)
-        part.replace(self._folder / name)
+        replace_whole(self._folder / name, data)
 
 
 def bath_state(watch: BathMonitor, expected_s: float) -> dict[str, Any]:

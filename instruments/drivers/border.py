@@ -66,10 +66,10 @@ class Border(Generic[Made]):
                 self.opened += 1
             return self._made
 
-    def aside(self, what: str, work: Callable[[Made], T], limit_s: float | None = None) -> T:
+    def aside(self, what: str, work: Callable[[Made], T]) -> T:
         """``work`` at once, beside a call that is under way. Raises InstrumentError alone."""
         made = self.open() if self._made is None else self._made
-        return self._within(what, lambda: work(made), limit_s)
+        return self._within(what, lambda: work(made), None)
 
     def forget(self) -> None:
         """Close the plug-in, in 2 s at most; another one is opened when it is next needed."""

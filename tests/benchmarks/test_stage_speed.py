@@ -17,7 +17,8 @@ from instruments.clock import VirtualClock
 from instruments.link import Link
 from instruments.listener import Listener
 from instruments.stage.driver import Stage
-from instruments.stage.emulator import CLASSIC, GRBL_HAL, Dialect, StageEmulator
+from instruments.stage.emulator.board import StageEmulator
+from instruments.stage.emulator.store import CLASSIC, GRBL_HAL, Dialect
 from tests.benchmarks.figures import figure, taken_s
 
 

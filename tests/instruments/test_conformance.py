@@ -25,7 +25,8 @@ from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.protocol import State
 from instruments.stage.driver import Spoken, Stage
-from instruments.stage.emulator import CLASSIC, MARLIN, ZABER, Dialect, StageEmulator
+from instruments.stage.emulator.board import StageEmulator
+from instruments.stage.emulator.store import CLASSIC, MARLIN, ZABER, Dialect
 from instruments.stage.zaber import Motor
 from instruments.world.plant import Plant
 from tests.instruments.camera.small_world import GalleryWorld

@@ -9,7 +9,7 @@ import pytest
 
 from instruments.clock import VirtualClock
 from instruments.listener import Listener
-from instruments.stage.emulator import StageEmulator
+from instruments.stage.emulator.board import StageEmulator
 
 
 def test_an_emulator_whose_thread_was_refused_can_be_closed(

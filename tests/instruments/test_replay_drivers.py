@@ -27,7 +27,7 @@ from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.faults import ArmFault
 from instruments.microscribe.kinematics import Floats
 from instruments.stage.driver import Stage
-from instruments.stage.emulator import StageEmulator
+from instruments.stage.emulator.board import StageEmulator
 from instruments.world.plant import Plant
 
 FACTS = {"teatbench": "0", "command": "c", "machine": "m"}

@@ -23,7 +23,8 @@ from instruments.camera.emulator import EmulatedCameras
 from instruments.camera.frame import FrameError, FrameFault
 from instruments.camera.stream import StreamServer
 from instruments.clock import RealClock, VirtualClock
-from instruments.stage.emulator import GRBL_HAL, MARLIN, StageEmulator, StageFault
+from instruments.stage.emulator.board import StageEmulator, StageFault
+from instruments.stage.emulator.store import GRBL_HAL, MARLIN
 from tests.bench.commands import Said, served, teatbench
 from tests.bench.rig.test_emulated_faults import with_emulation
 from tests.instruments.camera.peers import ADDRESS, gige_camera

@@ -19,7 +19,8 @@ from bench.rig.model import Rig
 from instruments.clock import RealClock, VirtualClock
 from instruments.link import Link
 from instruments.listener import Listener
-from instruments.stage.emulator import FLUIDNC, MARLIN, ZABER, Dialect, StageEmulator
+from instruments.stage.emulator.board import StageEmulator
+from instruments.stage.emulator.store import FLUIDNC, MARLIN, ZABER, Dialect
 from tests.bench.commands import Said, teatbench
 
 LISTED = [("opencv:4", "Cam A"), ("genicam:FLIR-1", "FLIR A50"), ("genicam:", "not looked for")]

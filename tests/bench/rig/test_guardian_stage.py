@@ -15,7 +15,8 @@ from instruments.errors import InstrumentError
 from instruments.link import Link
 from instruments.listener import Listener
 from instruments.stage.driver import Spoken, Stage
-from instruments.stage.emulator import CLASSIC, MARLIN, ZABER, Dialect, StageEmulator
+from instruments.stage.emulator.board import StageEmulator
+from instruments.stage.emulator.store import CLASSIC, MARLIN, ZABER, Dialect
 from instruments.stage.zaber import Motor
 from tests.waiting import within
 

@@ -24,7 +24,8 @@ from instruments.clock import RealClock
 from instruments.errors import DeviceError, LinkError
 from instruments.link import Link
 from instruments.stage.driver import Stage
-from instruments.stage.emulator import CLASSIC, StageEmulator
+from instruments.stage.emulator.board import StageEmulator
+from instruments.stage.emulator.store import CLASSIC
 from instruments.stage.protocol import HOLD
 from tests.bench.commands import served
 from tests.bench.real_rig import real_rig

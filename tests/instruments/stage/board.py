@@ -12,7 +12,7 @@ from instruments.clock import VirtualClock
 from instruments.link import Link
 from instruments.listener import Connection, Device, Listener
 from instruments.stage.driver import Spoken, Stage
-from instruments.stage.emulator import StageEmulator
+from instruments.stage.emulator.board import StageEmulator
 from instruments.stage.zaber import Motor
 
 GREETING = WELCOME = b"\r\nGrbl 1.1h ['$' for help]\r\n"

@@ -10,7 +10,7 @@ from contextlib import ExitStack, closing
 
 import pytest
 
-from instruments.stage.emulator import CLASSIC, GRBL_HAL
+from instruments.stage.emulator.store import CLASSIC, GRBL_HAL
 from tests.instruments.stage.board import Bench, Board
 
 

@@ -12,7 +12,7 @@ import pytest
 from instruments.errors import DeviceError, LimitError, ProtocolError
 from instruments.listener import Connection
 from instruments.stage.driver import Stage
-from instruments.stage.emulator import GRBL_HAL
+from instruments.stage.emulator.store import GRBL_HAL
 from tests.instruments.stage.board import Bench
 
 Make = Callable[..., Bench]

@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from instruments.clock import VirtualClock
-from instruments.stage.emulator import GRBL_HAL, ZABER, StageEmulator, StageFault
+from instruments.stage.emulator.board import StageEmulator, StageFault
+from instruments.stage.emulator.store import GRBL_HAL, ZABER
 from instruments.stage.protocol import codes
 from tests.instruments.stage.board import LOCK, WELCOME, Board
 

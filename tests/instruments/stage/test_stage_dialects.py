@@ -16,9 +16,10 @@ from instruments.errors import DeviceError, InstrumentError, LimitError, LinkErr
 from instruments.listener import Connection
 from instruments.stage import marlin, protocol, zaber
 from instruments.stage.driver import Stage
-from instruments.stage.emulator import EMULATED, FLUIDNC, MARLIN, ZABER, StageFault
 from instruments.stage.emulator import marlin as emulated_marlin
 from instruments.stage.emulator import zaber as emulated_zaber
+from instruments.stage.emulator.board import StageFault
+from instruments.stage.emulator.store import EMULATED, FLUIDNC, MARLIN, ZABER
 from instruments.stage.protocol import MalformedLine, Reply
 from tests.instruments.stage.board import Bench
 

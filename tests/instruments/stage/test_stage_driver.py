@@ -10,7 +10,7 @@ import pytest
 
 from instruments.errors import DeviceError, LimitError, LinkError
 from instruments.stage.driver import Stage
-from instruments.stage.emulator import StageFault
+from instruments.stage.emulator.board import StageFault
 from tests.instruments.stage.board import Bench
 
 Make = Callable[..., Bench]

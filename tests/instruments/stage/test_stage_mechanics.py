@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from instruments.errors import LinkError
-from instruments.stage.emulator import Mounting, StageFault
-from instruments.stage.emulator.carriage import AxisDrive
+from instruments.stage.emulator.board import StageFault
+from instruments.stage.emulator.carriage import AxisDrive, Mounting
 from instruments.stage.emulator.gcode import GCode, Move
 from instruments.stage.emulator.motion import AxisRates, Motion, Run, Vector
 from tests.instruments.stage.board import LOCK, WELCOME, Board

@@ -19,16 +19,9 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from instruments.errors import InstrumentError, LimitError, LinkError
 from instruments.stage.driver import Stage
-from instruments.stage.emulator import (
-    CLASSIC,
-    FLUIDNC,
-    GRBL_HAL,
-    MARLIN,
-    ZABER,
-    Dialect,
-    StageFault,
-)
+from instruments.stage.emulator.board import StageFault
 from instruments.stage.emulator.grbl import GrblController
+from instruments.stage.emulator.store import CLASSIC, FLUIDNC, GRBL_HAL, MARLIN, ZABER, Dialect
 from instruments.stage.emulator.zaber import ZaberController
 from tests.examples import examples
 from tests.instruments.stage.board import Bench

@@ -14,8 +14,9 @@ from instruments.clock import RealClock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.link import Link
 from instruments.stage.driver import Spoken, Stage
-from instruments.stage.emulator import CLASSIC, GRBL_HAL, Dialect, StageEmulator, StageFault
+from instruments.stage.emulator.board import StageEmulator, StageFault
 from instruments.stage.emulator.grbl import GrblController, Mode
+from instruments.stage.emulator.store import CLASSIC, GRBL_HAL, Dialect
 from instruments.stage.protocol import codes
 from tests.instruments.stage.board import GREETING, Bench, Parrot, identify
 

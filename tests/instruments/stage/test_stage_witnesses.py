@@ -29,15 +29,8 @@ from instruments.link import Link
 from instruments.listener import Connection, Listener
 from instruments.stage import marlin, protocol, zaber
 from instruments.stage.driver import Stage
-from instruments.stage.emulator import (
-    CLASSIC,
-    EMULATED,
-    GRBL_HAL,
-    MARLIN,
-    ZABER,
-    Dialect,
-    StageEmulator,
-)
+from instruments.stage.emulator.board import StageEmulator
+from instruments.stage.emulator.store import CLASSIC, EMULATED, GRBL_HAL, MARLIN, ZABER, Dialect
 from instruments.stage.protocol import Alarm, MalformedLine, Reply, Status
 from tests.examples import examples
 from tests.instruments.stage.board import Board
