@@ -53,8 +53,7 @@ def write_pictures(pictures: Mapping[Path, Picture]) -> dict[Path, str]:
 
 
 def _write_picture(path: Path, image: Picture) -> str:
-    data = png_bytes(image)
-    replace_whole(path, data, synced=True)
+    replace_whole(path, data := png_bytes(image), synced=True)
     return hashlib.sha256(data).hexdigest()
 
 

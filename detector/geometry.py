@@ -167,7 +167,7 @@ class Camera:
         """Pixels (n, 2) of points (n, 3), camera's frame; NaN for a point not in front."""
         points = _rows(points_mm, 3, "points")
         depth = np.where(points[:, 2] > 0, points[:, 2], np.nan)
-        u, v = _distort(points[:, 0] / depth, points[:, 1] / depth, self.kc)
+        u, v = distort(points[:, 0] / depth, points[:, 1] / depth, self.kc)
         pixels = np.empty((len(points), 2))
         pixels[:, 0] = self.fc[0] * (u + self.alpha_c * v) + self.cc[0]
         pixels[:, 1] = self.fc[1] * v + self.cc[1]
@@ -227,7 +227,8 @@ def homogeneous(x: Array) -> Array:
     return np.column_stack([x, np.ones(len(x))])
 
 
-def _distort(u: Array, v: Array, kc: tuple[float, ...]) -> tuple[Array, Array]:
+def distort(u: Array, v: Array, kc: tuple[float, ...]) -> tuple[Array, Array]:
+    """Where a lens ``kc`` draws the tangents u, v."""
     k1, k2, p1, p2, k3 = kc
     r2 = u * u + v * v
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -237,27 +238,33 @@ def _distort(u: Array, v: Array, kc: tuple[float, ...]) -> tuple[Array, Array]:
     )
 
 
-def _undistorted(distorted: Array, kc: tuple[float, ...]) -> Array:
+def distort_slopes(u: Array, v: Array, kc: tuple[float, ...]) -> tuple[Array, Array, Array]:
+    """The symmetric Jacobian of `distort`: du/du, du/dv = dv/du, dv/dv."""
     k1, k2, p1, p2, k3 = kc
+    r2 = u * u + v * v
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))
+    return (
+        radial + slope * u * u + 2 * p1 * v + 6 * p2 * u,
+        slope * u * v + 2 * p1 * u + 2 * p2 * v,
+        radial + slope * v * v + 6 * p1 * v + 2 * p2 * u,
+    )
+
+
+def _undistorted(distorted: Array, kc: tuple[float, ...]) -> Array:
     (u, v), wanted = distorted.T.copy(), distorted.T
     # rows without an answer run away, and are caught below
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for _ in range(_NEWTON_STEPS):
-            miss_u, miss_v = np.subtract(_distort(u, v, kc), wanted)
-            r2 = u * u + v * v
-            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-            slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))
-            # the symmetric Jacobian of `_distort`: du/du, du/dv = dv/du, dv/dv
-            a = radial + slope * u * u + 2 * p1 * v + 6 * p2 * u
-            b = slope * u * v + 2 * p1 * u + 2 * p2 * v
-            d = radial + slope * v * v + 6 * p1 * v + 2 * p2 * u
+            miss_u, miss_v = np.subtract(distort(u, v, kc), wanted)
+            a, b, d = distort_slopes(u, v, kc)
             determinant = a * d - b * b
             step_u = (d * miss_u - b * miss_v) / determinant
             step_v = (a * miss_v - b * miss_u) / determinant
             u, v = u - step_u, v - step_v
             if not np.any(np.abs([step_u, step_v]) > _NEWTON_TOLERANCE):
                 break
-        unsolved = ~np.all(np.abs(np.subtract(_distort(u, v, kc), wanted)) < 1e-11, axis=0)
+        unsolved = ~np.all(np.abs(np.subtract(distort(u, v, kc), wanted)) < 1e-11, axis=0)
     u[unsolved] = v[unsolved] = np.nan
     return np.column_stack([u, v])
 

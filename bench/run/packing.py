@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -197,9 +197,7 @@ def _card(
     rows = [row for frame in recording.truth.values() for row in frame]
     u_mm = [row.u_mm for row in rows if row.u_mm is not None]
     stated = f"median {np.median(u_mm):.2f} mm, at most {max(u_mm):.2f} mm" if u_mm else "not known"
-    kinds: dict[str, int] = {}
-    for frame in recording.truth.values():
-        kinds[frame[0].situation] = kinds.get(frame[0].situation, 0) + 1
+    kinds = Counter(frame[0].situation for frame in recording.truth.values())
     open_frames = sorted(set(recording.frames) - set(recording.truth))
     left_out = [
         *(f"- {row['trial']}: skipped, {row['reason']}" for row in record.skipped),

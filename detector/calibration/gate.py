@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from detector.geometry import Array, Camera, Motion
+from detector.geometry import Array, Camera, Motion, distort, distort_slopes
 
 FOCAL_RATIO = 1.2  # fx over fy: square pixels but for the oldest video cards, with 12 / 11
 FOCAL_OVER_SIDE = (0.1, 100.0)  # of the picture's longer side: 157 degrees to half a degree
@@ -48,7 +48,6 @@ def lens_faults(camera: Camera) -> Iterator[tuple[str, str]]:
 def folds(camera: Camera) -> bool:
     """Whether the distortion stops being one-to-one within the picture."""
     (fx, fy), (cx, cy), (width, height) = camera.fc, camera.cc, camera.image_size
-    k1, k2, p1, p2, k3 = camera.kc
     if not any(camera.kc):
         return False
     # from the centre to places of the rim, its corners among them
@@ -59,16 +58,10 @@ def folds(camera: Camera) -> bool:
     with np.errstate(over="ignore", invalid="ignore"):
         angle = np.arctan2((height * rim[1] - cy) / fy, (width * rim[0] - cx) / fx)[:, None]
         u, v = radius * np.cos(angle), radius * np.sin(angle)
-        r2 = u * u + v * v
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))
-        y = v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v
-        x = u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u) + camera.alpha_c * y
-        a = radial + slope * u * u + 2 * p1 * v + 6 * p2 * u
-        b = slope * u * v + 2 * p1 * u + 2 * p2 * v
-        d = radial + slope * v * v + 6 * p1 * v + 2 * p2 * u
+        x, y = distort(u, v, camera.kc)
+        a, b, d = distort_slopes(u, v, camera.kc)
         determinant = a * d - b * b
-        column, row = fx * x + cx, fy * y + cy
+        column, row = fx * (x + camera.alpha_c * y) + cx, fy * y + cy
         inside = (column >= 0) & (column <= width - 1) & (row >= 0) & (row <= height - 1)
     entered = np.logical_or.accumulate(inside, axis=1)
     left = np.logical_or.accumulate(entered & ~inside, axis=1)
