@@ -29,6 +29,7 @@ from detector.geometry import Array, Camera, Motion
 from instruments.camera.cameras import MakersCalibration
 
 PLUMB_BOB = "plumb_bob"
+ONLY = f"only {PLUMB_BOB} (k1 k2 p1 p2 k3) can be taken over"
 SIDES = ("left", "right")
 # what other programs call the model of k1 k2 p1 p2 k3; of the longer ones the rest must be zero
 PLAIN_MODELS = ("", "plumb_bob", "radtan", "radial-tangential", "brown", "brown-conrady", "opencv")
@@ -334,14 +335,10 @@ def _refuse_other_model(found: Foreign) -> None:
     known = {"distortion_model": (*PLAIN_MODELS, *LONGER_MODELS, "none"), "camera_model": PINHOLES}
     for name, models in known.items():
         if (model := found.word(name).lower()) not in models:
-            raise found.refusal(
-                name, f"is {model!r}; only {PLUMB_BOB} (k1 k2 p1 p2 k3) can be taken over"
-            )
+            raise found.refusal(name, f"is {model!r}; {ONLY}")
     for name in ("fisheye_model", "fisheye", "is_fisheye"):
         if found.values.get(name) not in (None, 0, "0", False, "false"):
-            raise found.refusal(
-                name, f"is set; only {PLUMB_BOB} (k1 k2 p1 p2 k3) can be taken over"
-            )
+            raise found.refusal(name, f"is set; {ONLY}")
 
 
 def _size(found: Foreign, name: str, size: tuple[int, ...]) -> tuple[int, int]:

@@ -152,7 +152,9 @@ class EmulatedRig:
         heated = ("bath", self._bath, rig.profile), ("pump", self.pump, rig.relay)
         for name, device, of in heated:
             if device and of:
-                served[name] = device, None if self._on_tcp(device) else of.baud
+                # the others stay on TCP where serial ports are pseudo-terminals
+                serial = {"rtu", "line"} if "serial" in device.profile.transports else {"rtu"}
+                served[name] = device, of.baud if device.framing in serial else None
         if self.stage and r.stage:
             served["stage"] = self.stage, r.stage.baud
         served |= {name: (device, None) for name, device in self._plugged.items()}
@@ -192,11 +194,6 @@ class EmulatedRig:
 
     def _framing(self, profile: RegisterProfile | RelayProfile) -> Framing | None:
         return "rtu" if self._pty and "rtu" in profile.transports else None
-
-    def _on_tcp(self, device: Heated) -> bool:
-        """Whether it stays on TCP where serial ports are pseudo-terminals."""
-        serial = {"rtu", "line"} if "serial" in device.profile.transports else {"rtu"}
-        return device.framing not in serial
 
     @property
     def bath(self) -> BathEmulator | LineEmulator:

@@ -216,9 +216,8 @@ GENICAM_ONLY = ("features", "trigger", "trigger_source", "ptp")
 
 
 def _all_url(url: str) -> str:
-    if url in ("", "emulator:") or re.match(r"(opencv|recording):\S+", url):
-        return url
-    if plugged(url, "camera"):
+    ours = url in ("", "emulator:") or re.match(r"(opencv|recording):\S+", url)
+    if ours or plugged(url, "camera"):
         return url
     raise ValueError(
         'not a camera; allowed: "emulator:", "opencv:LEFT,RIGHT,THERMAL" (device numbers, files or'

@@ -285,10 +285,6 @@ def open_camera(
     return OpenCvCamera(name, int(rest) if rest.isdecimal() else source, clock, table.settings)
 
 
-def _at(plugged: Plugin, emulator: str) -> Plugin:
-    return plugged.with_keys(url=emulator) if emulator else plugged
-
-
 def _answerer(
     rig: LoadedRig, clock: Clock, screen: Screen, folder: Path | None
 ) -> PromptedOperator | None:
@@ -347,9 +343,10 @@ class _Openers:
 
     def _driver(self, kind: Kind, url: str) -> Plugin | None:
         """The plug-in of ``url``, with its emulator's port; None where it names none."""
-        plug = plugin_url(url)
-        port = self._ports[kind] if plug and plug.emulated else ""
-        return _at(load(kind, plug), port) if plug else None
+        if not (plug := plugin_url(url)):
+            return None
+        name = "cameras" if kind == "camera" else kind
+        return load(kind, plug).with_keys(**{"url": self._ports[name]} if plug.emulated else {})
 
     def _tap(self, name: str) -> Tap:
         then = self._capture.tap(name, self._clock) if self._capture else Tap()
@@ -398,10 +395,8 @@ class _Openers:
         if self._twin and rig.rig.cameras.url == EMULATED:
             return self._twin.cameras
         folder, tables = rig.path.parent, rig.rig.cameras.tables  # paths are from there
-        group = None
-        if plug := plugin_url(rig.rig.cameras.url):
-            plugged = _at(load("camera", plug), self._ports.get("cameras", ""))
-            group = partial(PluggedGroup, plugged, clock)
+        plugged = self._driver("camera", rig.rig.cameras.url)
+        group = partial(PluggedGroup, plugged, clock) if plugged else None
         kind, _, rest = rig.rig.cameras.url.partition(":")
         if kind == "recording":
             return RecordingCameras(Recording(folder / rest))

@@ -22,11 +22,16 @@ def main(arguments: list[str]) -> int:
     """Run ``arguments[2:]`` until its end, or until the pipe ``arguments[0]`` closes."""
     pipe, limit_mib, command = int(arguments[0]), int(arguments[1]), arguments[2:]
     os.set_inheritable(pipe, False)
-    if sys.platform == "linux":  # adopt orphans
+    if sys.platform == "linux":
         import ctypes
+        import resource
 
-        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
-    _limit_memory(limit_mib)
+        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)  # adopt orphans
+        if limit_mib:  # of allocation: threads and garbage collectors reserve far more addresses
+            most = resource.getrlimit(resource.RLIMIT_DATA)[1]
+            limit = limit_mib << 20
+            limit = limit if most == resource.RLIM_INFINITY else min(limit, most)
+            resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
     try:
         child = os.posix_spawnp(command[0], command, os.environ, setpgroup=0)
     except OSError as error:
@@ -85,16 +90,6 @@ def _living() -> dict[int, tuple[int, int]]:
             if state != b"Z":
                 found[int(name)] = int(parent), int(session)
     return found
-
-
-def _limit_memory(mib: int) -> None:
-    """Limit allocation, not addresses: numpy's threads and garbage collectors reserve far more."""
-    if mib and sys.platform == "linux":
-        import resource
-
-        most = resource.getrlimit(resource.RLIMIT_DATA)[1]
-        limit = mib << 20 if most == resource.RLIM_INFINITY else min(mib << 20, most)
-        resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
 
 
 def _reap(child: int) -> int | None:

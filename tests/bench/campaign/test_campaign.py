@@ -281,7 +281,7 @@ def test_what_the_commands_write_and_refuse(
     other = said(2, line, "fused", plan.rig, folder).err
     assert "detectors: ['thesis'] there, ['fused'] here" in other
     assert (
-        "no situation 'idael'"
+        'no situation "idael"; did you mean "ideal"?'
         in said(2, "campaign run --family idael --out {}", tmp_path / "x").err
     )
     assert (
