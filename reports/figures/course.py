@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import ArrayLike
 
@@ -19,7 +18,7 @@ from reports.figures.drawing import (
     WIDE_INCHES,
     LegendEntry,
     Marker,
-    draw,
+    drawing,
     envelope,
     finite,
     legend,
@@ -43,8 +42,6 @@ def bath_curve(
     band_k: float,
     captures_s: ArrayLike,
     stable_spans_s: Sequence[tuple[float, float]] = (),
-    *,
-    name: str = "bath-curve",
 ) -> str:
     """Bath temperature (n,) over time (n,), and below its deviation from the set point with the
     band; ticks at `captures_s`, shaded where the gate called it stable.
@@ -54,13 +51,12 @@ def bath_curve(
     taken = captures.size
     inches = (WIDE_INCHES, 4.4)
     if not times.size:
-        return not_measured(name, inches, "the bath gave no reading")
+        return not_measured("bath-curve", inches, "the bath gave no reading")
     shown = envelope(temps)
     minutes, temps = times[shown] / 60, temps[shown]
     captures = captures[subsample(captures, _MOST_CAPTURES)]
     single = "o" if minutes.size == 1 else ""
-
-    def plot(figure: Figure) -> None:
+    with drawing("bath-curve", inches) as figure:
         whole, close = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
         for panel in (whole, close):
             for start, end in stable_spans_s:
@@ -82,23 +78,14 @@ def bath_curve(
         held: LegendEntry = (f"set point {setpoint_c:g} °C ± {band_k:g} K", "good", "--")
         capture: LegendEntry = (f"capture ({taken})", "ink", "v")
         legend(figure, [("bath", "ours", "-"), held, ("stable", "span", "patch"), capture])
+    return figure.svg
 
-    return draw(name, inches, plot)
 
-
-def bath_sparkline(
-    times_s: ArrayLike,
-    temps_c: ArrayLike,
-    setpoint_c: float,
-    band_k: float,
-    *,
-    name: str = "bath-sparkline",
-) -> str:
+def bath_sparkline(times_s: ArrayLike, temps_c: ArrayLike, setpoint_c: float, band_k: float) -> str:
     """Bath temperature (n,) over time (n,) as a line on its band, ± band_k."""
     times, temps = together("bath_sparkline", times_s=times_s, temps_c=temps_c)
     shown = envelope(temps)
-
-    def plot(figure: Figure) -> None:
+    with drawing("bath-sparkline", (HALF_INCHES, 1.6)) as figure:
         axes = figure.add_subplot()
         axes.axhspan(-band_k, band_k, facecolor=COLOURS["band"], linewidth=0)
         single = "o" if shown.size == 1 else ""
@@ -108,8 +95,7 @@ def bath_sparkline(
         axes.set_yticklabels([f"−{band_k:g} K", f"+{band_k:g} K"])
         axes.set(xlabel="time (min)", ylabel=f"{setpoint_c:g} °C")
         axes.grid(visible=False)
-
-    return draw(name, (HALF_INCHES, 1.6), plot)
+    return figure.svg
 
 
 def control_chart(
@@ -125,8 +111,7 @@ def control_chart(
     of the first ``base``; a diamond where a rule is ``broken``; ``dates`` of the first and last.
     """
     shown = finite("control_chart", "values", values)
-
-    def plot(figure: Figure) -> None:
+    with drawing(name, (HALF_INCHES, 1.9)) as figure:
         axes = figure.add_subplot()
         order = np.arange(1, shown.size + 1)
         if limits:
@@ -146,8 +131,7 @@ def control_chart(
         first.set_horizontalalignment("left")
         last.set_horizontalalignment("right")
         axes.margins(y=0.15)
-
-    return draw(name, (HALF_INCHES, 1.9), plot)
+    return figure.svg
 
 
 def latency_strip(
@@ -157,8 +141,7 @@ def latency_strip(
     times = finite("latency_strip", "times_s", times_s)
     if not times.size:
         return not_measured(name, _TIMES, "no detection was timed")
-
-    def plot(figure: Figure) -> None:
+    with drawing(name, _TIMES) as figure:
         axes = figure.add_subplot()
         order, shown = np.arange(1, times.size + 1), subsample(times)
         marks(axes, order[shown], times[shown])
@@ -173,8 +156,7 @@ def latency_strip(
         p50, p95 = np.quantile(times, [0.5, 0.95])
         title = f"p50 {p50:.3g} s · p95 {p95:.3g} s · longest {times.max():.3g} s"
         axes.set_title(title, loc="left", color=COLOURS["muted"])
-
-    return draw(name, _TIMES, plot)
+    return figure.svg
 
 
 def found_bars(
@@ -189,8 +171,7 @@ def found_bars(
     inches = (HALF_INCHES, 0.9 + 0.52 * max(len(situations), 3))
     if not situations:
         return not_measured(name, inches, "no situation was run")
-
-    def plot(figure: Figure) -> None:
+    with drawing(name, inches) as figure:
         axes = figure.add_subplot()
         for row, (ours, of, theirs) in enumerate(zip(found, present, thesis_found, strict=True)):
             _share_bar(axes, row - 0.2, ours, of, "ours")
@@ -201,8 +182,7 @@ def found_bars(
         axes.set(xlabel="share of visible teats found", xticks=[0, 0.25, 0.5, 0.75, 1])
         axes.xaxis.set_major_formatter(PercentFormatter(1))
         legend(figure, [("this run", "ours", "patch"), ("thesis, section 5.2", "theirs", "patch")])
-
-    return draw(name, inches, plot)
+    return figure.svg
 
 
 def _share_bar(axes: Axes, y: float, found: int, of: int, role: str) -> None:
@@ -232,8 +212,7 @@ def slope_intervals(slopes: Sequence[Slope], *, name: str = "slope-intervals") -
     panels = list(dict.fromkeys(slope.response for slope in slopes))
     if not rows:
         return not_measured(name, (WIDE_INCHES, 2.0), "no line was drawn through the errors")
-
-    def plot(figure: Figure) -> None:
+    with drawing(name, (WIDE_INCHES, 0.9 + 0.28 * max(len(rows), 3))) as figure:
         reach = 1.1 * max(1e-6, *(max(abs(slope.low), abs(slope.high)) for slope in slopes))
         every = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
         for axes, panel in zip(every, panels, strict=True):
@@ -247,5 +226,4 @@ def slope_intervals(slopes: Sequence[Slope], *, name: str = "slope-intervals") -
             row_names(axes, rows)
         unshown: LegendEntry = ("no trend shown, 95 % interval", "ours", "o")
         legend(figure, [unshown, ("trend shown", "limit", "D")])
-
-    return draw(name, (WIDE_INCHES, 0.9 + 0.28 * max(len(rows), 3)), plot)
+    return figure.svg

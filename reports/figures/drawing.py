@@ -11,7 +11,8 @@ from __future__ import annotations
 import io
 import re
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -116,18 +117,25 @@ _LINKS = re.compile(
 )  # fmt: skip
 
 
-def draw(name: str, inches: tuple[float, float], plot: Callable[[Figure], None]) -> str:
-    """The SVG of what `plot` draws; `name` is a slug, unique in the page. A user's matplotlibrc
-    changes nothing, and is as before afterwards.
+class Drawing(Figure):
+    """A figure, and once it is drawn its text."""
+
+    svg = ""
+
+
+@contextmanager
+def drawing(name: str, inches: tuple[float, float]) -> Iterator[Drawing]:
+    """What is drawn on the figure becomes its SVG; `name` is a slug, unique in the page. A user's
+    matplotlibrc changes nothing, and is as before afterwards.
     """
     checked_slug(name, "figure name")
     with warnings.catch_warnings(), style.context(["default", _SETTINGS]):
         # matplotlib's font only measures the text here; the page's font draws it, and may well have
         # the letter.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        figure = Figure(figsize=inches, layout="constrained")
+        figure = Drawing(figsize=inches, layout="constrained")
         FigureCanvasSVG(figure)
-        plot(figure)
+        yield figure
         # Place the axes now; `savefig` would draw the whole figure an additional time for it
         for axes in figure.axes:
             axes.apply_aspect()
@@ -150,19 +158,17 @@ def draw(name: str, inches: tuple[float, float], plot: Callable[[Figure], None])
     # short: every point of a cloud names one
     defined = {known_id: f"{name}-{number}" for number, known_id in enumerate(known, 1)}
     body = _TAG.sub(lambda tag: _rewritten(tag, name, defined), body)
-    return _MARKS.sub(_grouped, _LINKS.sub(_links, re.sub(r">\s+<", "><", body.strip())))
+    figure.svg = _MARKS.sub(_grouped, _LINKS.sub(_links, re.sub(r">\s+<", "><", body.strip())))
 
 
 def not_measured(name: str, inches: tuple[float, float], why: str) -> str:
     """A drawing of the same size that says so, for a figure without data."""
-
-    def plot(figure: Figure) -> None:
+    with drawing(name, inches) as figure:
         figure.text(
             0.5, 0.55, "not measured", ha="center", va="center", fontsize=12, color=COLOURS["muted"]
         )
         figure.text(0.5, 0.42, why, ha="center", va="center", color=COLOURS["muted"])
-
-    return draw(name, inches, plot)
+    return figure.svg
 
 
 def legend(figure: Figure, entries: Sequence[LegendEntry]) -> None:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from matplotlib import cbook
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import ArrayLike
 
@@ -28,7 +27,7 @@ from reports.figures.drawing import (
     count_text,
     cross_and_circle,
     detector_look,
-    draw,
+    drawing,
     finite,
     legend,
     limits,
@@ -55,8 +54,7 @@ def change_scatter(
     old, new = together("change_scatter", old_mm=old_mm, new_mm=new_mm)
     if not old.size:
         return not_measured(name, _SQUARE, "no scene was found in both")
-
-    def plot(figure: Figure) -> None:
+    with drawing(name, _SQUARE) as figure:
         axes = figure.add_subplot(aspect="equal")
         reach = 1.08 * max(limit_mm, float(old.max()), float(new.max()))
         axes.set(xlim=(0, reach), ylim=(0, reach), xlabel="baseline (mm)", ylabel="this run (mm)")
@@ -68,8 +66,7 @@ def change_scatter(
             linked(axes, old, new, drawn[grown[drawn]], role=role, alpha=0.75)
         grew: list[LegendEntry] = [("grew", "limit", "o"), ("not grown", "good", "o")]
         legend(figure, [*grew, ("no change", "muted", "-")])
-
-    return draw(name, _SQUARE, plot)
+    return figure.svg
 
 
 def change_by_situation(
@@ -90,8 +87,7 @@ def change_by_situation(
     sides_look: Any = (_SIDES, _FORMS)
     if who:
         sides_look = tuple(zip(*map(detector_look, who), strict=True))
-
-    def plot(figure: Figure) -> None:
+    with drawing(name, inches) as figure:
         poses, distance = figure.subplots(1, 2, sharey=True)
         for y, (old, new, of) in enumerate(right):
             shares = [old / of, new / of] if of else []
@@ -121,8 +117,7 @@ def change_by_situation(
             for text, role, form in zip(called, *sides_look, strict=True)
         ]
         legend(figure, [*sides, ("margin", "limit", "--")])
-
-    return draw(name, inches, plot)
+    return figure.svg
 
 
 def error_scatter(
@@ -141,8 +136,7 @@ def error_scatter(
     across, along = together("error_scatter", lateral_mm=lateral_mm, depth_mm=depth_mm)
     if not across.size:
         return not_measured(name, _SQUARE, NO_PAIR)
-
-    def plot(figure: Figure) -> None:
+    with drawing(name, _SQUARE) as figure:
         axes = figure.add_subplot(aspect="equal")
         reach = 1.12 * max(limit_mm, float(np.abs(across).max()), float(np.abs(along).max()))
         axes.set(xlabel="lateral error (mm)", ylabel="depth error (mm)")
@@ -156,8 +150,7 @@ def error_scatter(
         if len(drawn) < across.size:
             left_out = count_text(len(drawn), across.size)
             axes.set_title(left_out, loc="left", color=COLOURS["muted"])
-
-    return draw(name, _SQUARE, plot)
+    return figure.svg
 
 
 def error_histogram(
@@ -171,8 +164,7 @@ def error_histogram(
     errors = finite("error_histogram", "errors_mm", errors_mm)
     if not errors.size:
         return not_measured(name, _SQUARE, NO_PAIR)
-
-    def plot(figure: Figure) -> None:
+    with drawing(name, _SQUARE) as figure:
         axes = figure.add_subplot()
         reach = 1.12 * max(limit_mm, float(errors.max()))
         bins = np.linspace(0, reach, 23).tolist()
@@ -191,8 +183,7 @@ def error_histogram(
         if accept_mm is not None:
             share.axvline(accept_mm, color=COLOURS["accept"], linestyle="--", linewidth=1)
         legend(figure, [("cumulative", "ink", "-"), *limits(limit_mm, accept_mm)])
-
-    return draw(name, _SQUARE, plot)
+    return figure.svg
 
 
 def per_axis_errors(
@@ -211,8 +202,7 @@ def per_axis_errors(
     inches = (WIDE_INCHES, 0.9 + 0.3 * max(len(situations), 3))
     if not any(array.size for array in arrays):
         return not_measured(name, inches, NO_PAIR)
-
-    def plot(figure: Figure) -> None:
+    with drawing(name, inches) as figure:
         panels = figure.subplots(1, 3, sharex=True, sharey=True)
         reach = 1.1 * max(limit_mm, *(float(np.abs(array).max()) for array in arrays if array.size))
         each = max(20, MOST_POINTS // (len(arrays) + 1))
@@ -229,8 +219,7 @@ def per_axis_errors(
         shown: LegendEntry = (point if every else points, "ours", "o")
         limit: LegendEntry = (f"{bound} ± {limit_mm:.3g} mm", "limit", "-")
         legend(figure, [shown, ("mean", "ink", "-"), limit])
-
-    return draw(name, inches, plot)
+    return figure.svg
 
 
 def _strip(axes: Axes, row: int, values: Floats, most: int) -> None:
@@ -256,8 +245,7 @@ def teat_boxes(
     arrays = [finite("teat_boxes", "errors_mm", one).ravel() for one in errors_mm]
     if not any(array.size for array in arrays):
         return not_measured(name, _FLAT, NO_PAIR)
-
-    def plot(figure: Figure) -> None:
+    with drawing(name, _FLAT) as figure:
         axes = figure.add_subplot()
         places = [k for k, array in enumerate(arrays) if array.size]
         ours, line = COLOURS["ours"], {"color": COLOURS["ours"], "linewidth": 1.1}
@@ -285,8 +273,7 @@ def teat_boxes(
         axes.grid(visible=False, axis="x")
         boxed: list[LegendEntry] = [("middle half", "span", "patch"), ("median", "ink", "-")]
         legend(figure, [*boxed, *limits(limit_mm)])
-
-    return draw(name, _FLAT, plot)
+    return figure.svg
 
 
 def error_drift(
@@ -302,8 +289,7 @@ def error_drift(
     time, errors = together("error_drift", time_min=time_min, error_mm=error_mm)
     if not time.size:
         return not_measured(name, _FLAT, NO_PAIR)
-
-    def plot(figure: Figure) -> None:
+    with drawing(name, _FLAT) as figure:
         axes = figure.add_subplot()
         role, form = detector_look(who)
         drawn = subsample(errors)
@@ -319,5 +305,4 @@ def error_drift(
         axes.set(ylim=(0, 1.1 * max(limit_mm, float(errors.max()))))
         axes.set(xlabel="time of the capture (min)", ylabel="distance (mm)")
         legend(figure, [*entries, *limits(limit_mm)])
-
-    return draw(name, _FLAT, plot)
+    return figure.svg

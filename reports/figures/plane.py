@@ -24,7 +24,7 @@ from reports.figures.drawing import (
     Marker,
     count_text,
     cross_and_circle,
-    draw,
+    drawing,
     finite,
     legend,
     limits,
@@ -92,15 +92,13 @@ def error_map(teat: TeatPlaces, limit_mm: float, *, name: str = "error-map") -> 
     if not len(teat.everywhere):
         return not_measured(name, _INCHES, "no place had a truth")
     drawn = teat.thinned(MOST_POINTS)
-
-    def plot(figure: Figure) -> None:
+    with drawing(name, _INCHES) as figure:
         axes = figure.add_subplot(aspect="equal")
         _view(axes, "above", drawn, limit_mm, _STEP)
         axes.set(xlabel="x (mm)", ylabel="y (mm), away from the cameras")
         axes.margins(0.06)
         _describe(figure, [teat], [drawn], limit_mm)
-
-    return draw(name, _INCHES, plot)
+    return figure.svg
 
 
 def error_maps(teats: Sequence[TeatPlaces], limit_mm: float, *, name: str = "error-maps") -> str:
@@ -115,8 +113,9 @@ def error_maps(teats: Sequence[TeatPlaces], limit_mm: float, *, name: str = "err
     across = min(_ACROSS, len(teats))
     bands = -(-len(teats) // across)
     drawn = [teat.thinned(_MOST_MARKS // (len(teats) * len(views))) for teat in teats]
-
-    def plot(figure: Figure) -> None:
+    width = WIDE_INCHES / across - 0.55
+    high = sum(0.62 + height / half[0] * width for height in heights)
+    with drawing(name, (WIDE_INCHES, float(min(0.35 + bands * high, 14.0)))) as figure:
         grid = figure.add_gridspec(bands * len(views), across, height_ratios=heights * bands)
         for row, view in enumerate(views):
             for k, teat in enumerate(teats):
@@ -132,10 +131,7 @@ def error_maps(teats: Sequence[TeatPlaces], limit_mm: float, *, name: str = "err
                     ylabel=_VIEWS[view][1] if column == 0 else "",
                 )
         _describe(figure, teats, drawn, limit_mm)
-
-    width = WIDE_INCHES / across - 0.55
-    high = sum(0.62 + height / half[0] * width for height in heights)
-    return draw(name, (WIDE_INCHES, float(min(0.35 + bands * high, 14.0))), plot)
+    return figure.svg
 
 
 def _view(axes: Axes, view: str, of: TeatPlaces, limit_mm: float, step: float) -> None:
@@ -222,8 +218,7 @@ def error_regions(
     drawn = [
         subsample(np.max([np.hypot(*flat.T) for flat in cloud], axis=0), each) for cloud in clouds
     ]
-
-    def plot(figure: Figure) -> None:
+    with drawing(name, _REGIONS) as figure:
         for panel, axes in enumerate(figure.subplots(1, len(views), squeeze=False)[0]):
             across, up = (f"{plain(axis)} error (mm)" for axis in views[panel])
             axes.set(aspect="equal", xlabel=across, ylabel=up)
@@ -243,8 +238,7 @@ def error_regions(
         shown = sum(map(len, drawn))
         if shown < sum(counts):
             figure.supxlabel(count_text(shown, sum(counts)), fontsize=8.5, color=COLOURS["muted"])
-
-    return draw(name, _REGIONS, plot)
+    return figure.svg
 
 
 def _flat(views: Sequence[ArrayLike]) -> list[Floats]:

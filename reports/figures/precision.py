@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from reports.figures.drawing import (
@@ -11,7 +10,7 @@ from reports.figures.drawing import (
     HALF_INCHES,
     WIDE_INCHES,
     LegendEntry,
-    draw,
+    drawing,
     legend,
     together,
 )
@@ -34,8 +33,7 @@ def residual_field(
     every = max(1, -(-len(x) // _MOST_ARROWS))
     rms = float(np.sqrt(np.mean(dx**2 + dy**2)))
     factor = 0.03 * image_size[0] / max(rms, 1e-9)
-
-    def plot(figure: Figure) -> None:
+    with drawing(name, inches) as figure:
         axes = figure.add_subplot(aspect="equal")
         arrows = [values[::every] for values in (x, y, dx, dy)]
         look: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "width": 0.0022}
@@ -43,26 +41,19 @@ def residual_field(
         axes.set(xlim=(-0.5, image_size[0] - 0.5), ylim=(image_size[1] - 0.5, -0.5))
         axes.set(xlabel="column (px)", ylabel="row (px)")
         legend(figure, [(f"misses, {factor:.0f} times enlarged; rms {rms:.2f} px", "ours", "-")])
-
-    return draw(name, inches, plot)
+    return figure.svg
 
 
 def precision_by_distance(
-    depth_m: ArrayLike,
-    good_to_mm: ArrayLike,
-    seen_m: tuple[float, float],
-    *,
-    name: str = "precision",
+    depth_m: ArrayLike, good_to_mm: ArrayLike, seen_m: tuple[float, float]
 ) -> str:
     """Precision (n,) mm over distance (n,) m; the board's distances are shaded."""
     depth, good = together("precision_by_distance", depth_m=depth_m, good_to_mm=good_to_mm)
-
-    def plot(figure: Figure) -> None:
+    with drawing("precision", (WIDE_INCHES, 2.8)) as figure:
         axes = figure.add_subplot()
         axes.axvspan(*seen_m, color=COLOURS["span"], linewidth=0)
         axes.plot(depth, good, color=COLOURS["ours"])
         axes.set(xlabel="distance from the cameras (m)", ylabel="good to (mm)", ylim=(0, None))
         good_to: LegendEntry = ("expanded uncertainty, k = 2, worst direction", "ours", "-")
         legend(figure, [good_to, ("the board was here", "span", "patch")])
-
-    return draw(name, (WIDE_INCHES, 2.8), plot)
+    return figure.svg

@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, NullLocator
 from numpy.typing import ArrayLike
@@ -23,7 +22,7 @@ from reports.figures.drawing import (
     LegendEntry,
     Marker,
     detector_look,
-    draw,
+    drawing,
     finite,
     legend,
     limits,
@@ -55,7 +54,6 @@ def error_strips(
     limit_mm: float,
     *,
     links: Mapping[str, Sequence[Sequence[str]]] | None = None,
-    name: str = "error-strips",
 ) -> str:
     """Radial errors (n_k,) of each situation by detector; `links` open on a click."""
     arrays = {
@@ -65,12 +63,11 @@ def error_strips(
     inches = _inches(situations, len(arrays))
     largest = [float(one.max()) for each in arrays.values() for one in each if one.size]
     if not largest:
-        return not_measured(name, inches, NO_PAIR)
+        return not_measured("error-strips", inches, NO_PAIR)
     most = max(20, MOST_POINTS // (len(arrays) * len(situations)))
     step = _WIDTH / len(arrays)
     opened = [of for detector in arrays for of in links[detector]] if links else []
-
-    def plot(figure: Figure) -> None:
+    with drawing("error-strips", inches) as figure:
         axes = figure.add_subplot()
         for at, (y, one, (role, form)) in enumerate(_each(arrays, _WIDTH)):
             if not one.size:
@@ -83,23 +80,19 @@ def error_strips(
         axes.set(xlim=(0, 1.06 * max(limit_mm, *largest)), xlabel="distance to the teat end (mm)")
         row_names(axes, situations, _LONGEST)
         legend(figure, [*_key(arrays), *limits(limit_mm)])
-
-    return draw(name, inches, plot)
+    return figure.svg
 
 
 def outcome_bars(
     situations: Sequence[str],
     counts: Mapping[str, Sequence[Counts]],
-    *,
-    name: str = "outcome-bars",
 ) -> str:
     """Teats found and missed, and false answers, in each situation by detector; with counts."""
     inches, several = _inches(situations, len(counts)), len(counts) > 1
     most = max((sum(one) for each in counts.values() for one in each), default=0)
     if not most:
-        return not_measured(name, inches, "no teat was to be found")
-
-    def plot(figure: Figure) -> None:
+        return not_measured("outcome-bars", inches, "no teat was to be found")
+    with drawing("outcome-bars", inches) as figure:
         axes = figure.add_subplot()
         height, colours = _WIDTH / len(counts) * 0.78, [COLOURS[role] for role in OUTCOMES.values()]
         for y, one, (role, form) in _each(counts, _WIDTH):
@@ -113,29 +106,25 @@ def outcome_bars(
         row_names(axes, situations, _LONGEST)
         entries: list[LegendEntry] = [(what, role, "patch") for what, role in OUTCOMES.items()]
         legend(figure, [*entries, *(_key(counts) if several else ())])
-
-    return draw(name, inches, plot)
+    return figure.svg
 
 
 def rate_intervals(
     families: Sequence[str],
     rates: Mapping[str, Sequence[Rate | None]],
-    *,
-    name: str = "rate-intervals",
 ) -> str:
     """Each family's failure rate (rate, low, high) by detector, 0 to 1; None where no scene was
     scored. The scale grows with the square root, so that small rates have room.
     """
     known = [rate for each in rates.values() for rate in each if rate]
     if not known:
-        return not_measured(name, _low_inches(families, rates), "no scene was scored")
+        return not_measured("rate-intervals", _low_inches(families, rates), "no scene was scored")
     reach = min(1.0, 1.15 * max(high for _, _, high in known))
     ticks: list[float] = []  # those that stand clear of each other
     for tick in _RATES:
         if tick <= reach and (not ticks or tick**0.5 - ticks[-1] ** 0.5 > 0.09 * reach**0.5):
             ticks.append(tick)
-
-    def plot(figure: Figure) -> None:
+    with drawing("rate-intervals", _low_inches(families, rates)) as figure:
         axes = figure.add_subplot()
         root = lambda values: np.sign(values) * np.sqrt(np.abs(values))  # noqa: E731
         axes.set_xscale("function", functions=(root, np.square))
@@ -149,16 +138,13 @@ def rate_intervals(
             marks(axes, rate[:1], [y], role, 5, form, clip_on=False)
         row_names(axes, families, _LONGEST)
         legend(figure, _key(rates))
-
-    return draw(name, _low_inches(families, rates), plot)
+    return figure.svg
 
 
 def error_spreads(
     families: Sequence[str],
     spreads: Mapping[str, Sequence[Spread | None]],
     limit_mm: float,
-    *,
-    name: str = "error-spreads",
 ) -> str:
     """Errors in mm of each family by detector: 90 % of them as a thin line, half as a thick one,
     the median marked, and the limit; None where nothing was found.
@@ -167,10 +153,9 @@ def error_spreads(
         finite("error_spreads", detector, [one for one in each if one])
     known = [value for each in spreads.values() for one in each if one for value in one]
     if not known:
-        return not_measured(name, _low_inches(families, spreads), NO_PAIR)
+        return not_measured("error-spreads", _low_inches(families, spreads), NO_PAIR)
     low, high = 0.8 * max(0.01, min(known)), 1.3 * max(limit_mm, *known)
-
-    def plot(figure: Figure) -> None:
+    with drawing("error-spreads", _low_inches(families, spreads)) as figure:
         axes = figure.add_subplot()
         axes.set(xscale="log", xlim=(low, high), xlabel="largest error of a scene (mm)")
         _ticks(axes, [tick for tick in _ERRORS_MM if low <= tick <= high], "{:g}".format)
@@ -184,8 +169,7 @@ def error_spreads(
             marks(axes, [one[2]], [y], "ink", 4, form)
         row_names(axes, families, _LONGEST)
         legend(figure, [*_key(spreads), *limits(limit_mm)])
-
-    return draw(name, _low_inches(families, spreads), plot)
+    return figure.svg
 
 
 def failure_map(
@@ -211,8 +195,7 @@ def failure_map(
         for ends, count in zip(ranges, reversed(all_of.shape), strict=True)
     )
     most = max(1e-9, float((failed / np.maximum(all_of, 1)).max()))
-
-    def plot(figure: Figure) -> None:
+    with drawing(name, inches) as figure:
         axes = figure.add_subplot()
         cell: dict[str, Any] = {"facecolor": COLOURS["limit"], "edgecolor": "none", "linewidth": 0}
         for (row, column), n in np.ndenumerate(all_of):
@@ -232,8 +215,7 @@ def failure_map(
         axes.set_xticks(x, [f"{value:.3g}" for value in x])
         axes.set_yticks(y, [f"{value:.3g}" for value in y])
         axes.grid(visible=False)
-
-    return draw(name, inches, plot)
+    return figure.svg
 
 
 def _each(
