@@ -50,7 +50,8 @@ def list_runs(folder: Path) -> Runs:
         try:
             runs.append(_listed(one))
         except (ConfigError, OSError) as error:
-            others.append((one.name, _why(one, error)))
+            there_is = (one / DATABASE).is_file()
+            others.append((one.name, str(error) if there_is else f"There is no {DATABASE} in it."))
     runs.sort(key=lambda run: (run.started, run.folder.name), reverse=True)
     whole = {run.folder.name for run in runs if not run.damage}
     drawn = list(charts([one for one in history(folder) if one.run in whole]))
@@ -68,12 +69,6 @@ def _drawn(chart: Chart, name: str) -> Figure:
     runs = plural(len(chart.values), "run")
     few = "" if chart.limits or len(chart.values) >= BASE else f"; limits come with {BASE} runs"
     return Figure(svg, chart.warning or f"{chart.last}{few}", f"{chart.name}, {runs}: {chart.last}")
-
-
-def _why(folder: Path, error: Exception) -> str:
-    if (folder / DATABASE).is_file():
-        return str(error)
-    return f"There is no {DATABASE} in it."
 
 
 def _listed(folder: Path) -> Run:

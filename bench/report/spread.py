@@ -315,9 +315,13 @@ def _ellipsoids(
         " below 0.05 the mean error isn't zero"
     )
     lines = []
-    adjusted = _adjusted(bodies)
+    # the tests of single teats are adjusted together
+    p_values = {who: bias.test.p_value for who, bias in bodies.items()}
+    known = {who: p for who, p in p_values.items() if p is not None}
+    of_teats = [who for who in known if who.startswith("teat ")]
+    known |= zip(of_teats, holm([known[who] for who in of_teats]), strict=True)
     for who, bias in bodies.items():
-        p = adjusted.get(who)
+        p = known.get(who)
         lines.append((who, *_ellipsoid("next pose's mean error, 95 %", bias.next_error, bias, p)))
         lines.append((who, *_ellipsoid("bias, 95 % confidence", bias.bias, bias, p)))
     text = ""
@@ -352,14 +356,6 @@ def _by_chance(whole: Bias) -> str:
     if p_value is None:
         return ""
     return "; a bias is shown" if p_value < BIAS_LEVEL else "; no bias is shown"
-
-
-def _adjusted(bodies: Mapping[str, Bias]) -> dict[str, float]:
-    """The p-values of the tests, those of single teats together (Holm)."""
-    p_values = {who: bias.test.p_value for who, bias in bodies.items()}
-    known = {who: p for who, p in p_values.items() if p is not None}
-    teats = [who for who in known if who.startswith("teat ")]
-    return known | dict(zip(teats, holm([known[who] for who in teats]), strict=True))
 
 
 def _ellipsoid(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any
 
@@ -28,7 +29,7 @@ def note_on_statements(parts: Sequence[Any], rules: Rules, detectors: int) -> No
         if isinstance(rule, ErrorRequirement | SuccessRequirement | FalseRequirement)
         or (isinstance(rule, TimeRequirement) and rule.rate is not None)
     ] * detectors
-    intervals, p_values = (_cells(parts, wanted) for wanted in (_is_interval, _is_p))
+    intervals, p_values = _cells(parts, ".*interval.*"), _cells(parts, "p|p-value.*")
     decided = f"{len(chances)} decision{'' if len(chances) == 1 else 's'} and bounds, one-sided"
     sums = f"{decided}, {plural(intervals, 'interval')}, two-sided, {plural(p_values, 'p-value')}"
     wrong = sum(chances) + CHANCE * (intervals + p_values)
@@ -46,22 +47,14 @@ def note_on_statements(parts: Sequence[Any], rules: Rules, detectors: int) -> No
     return Notes("How often chance alone misleads", (made, first))
 
 
-def _is_interval(title: str) -> bool:
-    return "interval" in title
-
-
-def _is_p(title: str) -> bool:
-    return title == "p" or title.startswith("p-value")
-
-
-def _cells(parts: Sequence[Any], wanted: Callable[[str], bool]) -> int:
-    """The filled cells of the columns with such titles, or units."""
+def _cells(parts: Sequence[Any], wanted: str) -> int:
+    """The filled cells of the columns with such titles, or units, by a regular expression."""
     return sum(
         bool(_text(row[at]).strip()) and _text(row[at]) != NOT_MEASURED
         for part in parts
         for table in _tables(part)
         for at, column in enumerate(table.columns)
-        if wanted(column.title) or wanted(column.unit)
+        if any(re.fullmatch(wanted, text, re.DOTALL) for text in (column.title, column.unit))
         for row in table.rows
     )
 
