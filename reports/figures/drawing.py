@@ -11,10 +11,11 @@ from __future__ import annotations
 import io
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import suppress
+from functools import wraps
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any, Literal, ParamSpec
 
 import numpy as np
 from matplotlib import style
@@ -117,25 +118,39 @@ _LINKS = re.compile(
 )  # fmt: skip
 
 
-class Drawing(Figure):
-    """A figure, and once it is drawn its text."""
+# Yields a figure's name (a slug, unique in the page), its size in inches, and why there is nothing
+# to draw, or ""; gets the figure, and draws on it. Where there is nothing, it isn't asked to.
+Plot = Generator[tuple[str, tuple[float, float], str], Figure, None]
+P = ParamSpec("P")
 
-    svg = ""
+
+def plotted(plot: Callable[P, Plot]) -> Callable[P, str]:
+    """The SVG of what ``plot`` draws, or one of that size that says that nothing was measured."""
+
+    @wraps(plot)
+    def svg(*args: P.args, **kwargs: P.kwargs) -> str:
+        return draw(plot(*args, **kwargs))
+
+    return svg
 
 
-@contextmanager
-def drawing(name: str, inches: tuple[float, float]) -> Iterator[Drawing]:
-    """What is drawn on the figure becomes its SVG; `name` is a slug, unique in the page. A user's
-    matplotlibrc changes nothing, and is as before afterwards.
-    """
+def draw(plot: Plot) -> str:
+    """A user's matplotlibrc changes nothing, and is as before afterwards."""
+    name, inches, nothing = next(plot)
     checked_slug(name, "figure name")
     with warnings.catch_warnings(), style.context(["default", _SETTINGS]):
         # matplotlib's font only measures the text here; the page's font draws it, and may well have
         # the letter.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        figure = Drawing(figsize=inches, layout="constrained")
+        figure = Figure(figsize=inches, layout="constrained")
         FigureCanvasSVG(figure)
-        yield figure
+        if nothing:
+            look: dict[str, Any] = {"ha": "center", "va": "center", "color": COLOURS["muted"]}
+            figure.text(0.5, 0.55, "not measured", fontsize=12, **look)
+            figure.text(0.5, 0.42, nothing, **look)
+        else:
+            with suppress(StopIteration):
+                plot.send(figure)
         # Place the axes now; `savefig` would draw the whole figure an additional time for it
         for axes in figure.axes:
             axes.apply_aspect()
@@ -158,17 +173,7 @@ def drawing(name: str, inches: tuple[float, float]) -> Iterator[Drawing]:
     # short: every point of a cloud names one
     defined = {known_id: f"{name}-{number}" for number, known_id in enumerate(known, 1)}
     body = _TAG.sub(lambda tag: _rewritten(tag, name, defined), body)
-    figure.svg = _MARKS.sub(_grouped, _LINKS.sub(_links, re.sub(r">\s+<", "><", body.strip())))
-
-
-def not_measured(name: str, inches: tuple[float, float], why: str) -> str:
-    """A drawing of the same size that says so, for a figure without data."""
-    with drawing(name, inches) as figure:
-        figure.text(
-            0.5, 0.55, "not measured", ha="center", va="center", fontsize=12, color=COLOURS["muted"]
-        )
-        figure.text(0.5, 0.42, why, ha="center", va="center", color=COLOURS["muted"])
-    return figure.svg
+    return _MARKS.sub(_grouped, _LINKS.sub(_links, re.sub(r">\s+<", "><", body.strip())))
 
 
 def legend(figure: Figure, entries: Sequence[LegendEntry]) -> None:
