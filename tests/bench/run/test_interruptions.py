@@ -176,7 +176,7 @@ def test_nothing_moves_in_a_trial_once_an_interlock_has_tripped(
         moved.append(False)
         if len(moved) == 2:
             refusing.bring()
-            truth._toucher._clock.sleep(30.0)
+            truth.toucher.clock.sleep(30.0)
 
     def noted(stage: Stage, **where: float | None) -> None:
         moved[-1] = True
