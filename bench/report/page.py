@@ -369,7 +369,7 @@ def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
         yield Figure(svg, f"Detection time, {detector}", f"{len(seconds)} detections")
         if times.starved:
             yield Paragraph(f"{detector}: {times.starved}", tone="warn")
-        quantiles = (times.median_s, times.p95_s, times.p99_s, max(seconds, default=None))
+        quantiles = (*map(times.percentile_s, (50, 95, 99)), max(seconds, default=None))
         first = (max(times.cold_s, default=None), times.start_up_s)
         over = [f"{sum(s > edge for s in seconds)} of {len(seconds)}" for edge in (1.0, 2.0)]
         rows.append((detector, len(seconds), *quantiles, *first, *over, failures_text(times)))

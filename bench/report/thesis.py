@@ -314,7 +314,7 @@ def _asked(run: RunRecord, figures: Thesis) -> Iterator[Row]:
     for name in run.detectors:
         times = latency_of(run, name)
         longest = number(max(times.seconds, default=None), "s", 3)
-        seconds[name] = f"p95 {number(times.p95_s, 's', 3)}, longest {longest}"
+        seconds[name] = f"p95 {number(times.percentile_s(95), 's', 3)}, longest {longest}"
     aim, most = asked.time_s
     printed = f"{aim:g} s, at most {most:g} s asked; none measured"
     yield "time of a detection", asked.section, printed, "", _each(seconds), asked.wrong_time

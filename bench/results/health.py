@@ -141,19 +141,16 @@ def history(folder: Path, most: int | None = None) -> list[RunHealth]:
                 found[run.name] = there
             elif path in late and not holder_of(run):
                 with suppress(ConfigError, OSError):
-                    found[run.name] = _of_run(read_run(run), stamp)
+                    record = read_run(run)
+                    values = {k: round(v, 4) for k, v in _values(record) if np.isfinite(v)}
+                    started, kind = (str(record.facts[key]) for key in ("wall_started", "kind"))
+                    rig = str(record.facts.get("rig", ""))
+                    found[run.name] = RunHealth(run.name, started, rig, kind, values, stamp)
     if found != kept:
         text = json.dumps({"version": VERSION, "runs": [asdict(one) for one in found.values()]})
         with suppress(OSError, ConfigError):
             write_synced(folder / KEPT, text.encode())
     return sorted((one for one in found.values() if one.rig), key=lambda one: one.day)
-
-
-def _of_run(run: RunRecord, stamp: int) -> RunHealth:
-    facts = run.facts
-    values = {key: round(value, 4) for key, value in _values(run) if np.isfinite(value)}
-    started, rig = str(facts["wall_started"]), str(facts.get("rig", ""))
-    return RunHealth(run.folder.name, started, rig, str(facts["kind"]), values, stamp)
 
 
 def _values(run: RunRecord) -> Iterator[tuple[str, float]]:

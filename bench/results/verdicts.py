@@ -501,22 +501,8 @@ class Latency:
         """Calls without a time: crashes, unusable answers, and calls after it was switched off."""
         return self.silent - self.unanswered.get(Outcome.TIMEOUT.value, 0)
 
-    @property
-    def median_s(self) -> float | None:
-        """None where nothing was timed, as the other percentiles."""
-        return self._percentile(50)
-
-    @property
-    def p95_s(self) -> float | None:
-        """95th percentile."""
-        return self._percentile(95)
-
-    @property
-    def p99_s(self) -> float | None:
-        """99th percentile."""
-        return self._percentile(99)
-
-    def _percentile(self, percent: float) -> float | None:
+    def percentile_s(self, percent: float) -> float | None:
+        """None where nothing was timed."""
         return percentile(self.seconds, percent) if self.seconds else None
 
     @property
