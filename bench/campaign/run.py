@@ -149,7 +149,7 @@ class Campaign:
                 family.add(chunk.number, _rates(rows), len(chunk.members))
                 self._look(chunk.family, family)
                 report(self._status(families))
-        self.shards.merge(rest=True)
+        self.shards.merge()
         return self._status(families)
 
     def do_chunk(self, number: int, executor: Executor) -> Rows | None:

@@ -276,8 +276,10 @@ def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) 
         " rad (rig file)"
     )
     apex = "how well a hand finds the apex of the rounded end (rig file)"
+    who = arm.accuracy_source or "the arm's stated accuracy, no source named"
+    by = f", {arm.accuracy_df:g} degrees of freedom, so widened" if arm.accuracy_df else ""
     lines: list[tuple[str, float | None, str]] = [
-        (ARM, arm.u_mm, _source_of(arm)),
+        (ARM, arm.u_mm, f"{who}{by}, taken along each axis (rig file)"),
         (REGISTRATION, registration_mm, frame),
         ("definition", arm.definition_mm, apex),
         (TIP_RADIUS, tip_radius_u_mm(arm) or None, ball),
@@ -297,12 +299,6 @@ def end_u_mm(arm: Arm, readings: int) -> float:
     """Along an axis, of one end's mean against that of another place, before anything was read."""
     scatter = reading_u_mm(arm) / sqrt(readings)
     return hypot(arm.u_mm, arm.definition_mm, tip_radius_u_mm(arm), arm.rounding_mm, scatter)
-
-
-def _source_of(arm: Arm) -> str:
-    who = arm.accuracy_source or "the arm's stated accuracy, no source named"
-    by = f", {arm.accuracy_df:g} degrees of freedom, so widened" if arm.accuracy_df else ""
-    return f"{who}{by}, taken along each axis (rig file)"
 
 
 def tip_radius_u_mm(arm: Arm) -> float:
