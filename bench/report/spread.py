@@ -335,27 +335,18 @@ def _ellipsoids(
 def _mean_error(rows: ErrorRows, whole: Bias, detector: str) -> str:
     """How much of it is the detector's: what the truths share is in all errors alike."""
     mean_mm = float(np.linalg.norm(whole.means_mm.mean(axis=0)))
-    shared = whole.common_mm2
+    shared, p_value = whole.common_mm2, whole.test.p_value
+    chance = "" if p_value is None else f"; {'a' if p_value < BIAS_LEVEL else 'no'} bias is shown"
     if rows.truth is None or shared is None or not shared.any():
-        return (
-            f"Mean error over {whole.test.n} poses, {detector}: {mean_mm:.2f} mm"
-            f"{_by_chance(whole)}."
-        )
+        return f"Mean error over {whole.test.n} poses, {detector}: {mean_mm:.2f} mm{chance}."
     parts = rows.truth.by_source(rows.of_mean)
     largest = sorted(parts, key=lambda source: -parts[source])
     named = ", ".join(f"{source} {parts[source]:.2f} mm" for source in largest)
     return (
         f"Mean error of detector and truth together over {whole.test.n} poses, {detector}:"
         f" {mean_mm:.2f} mm, of which the truth may be {radial_95_mm(shared):.2f} mm (95 %; u along"
-        f" an axis of what all its ends share: {named}){_by_chance(whole)}."
+        f" an axis of what all its ends share: {named}){chance}."
     )
-
-
-def _by_chance(whole: Bias) -> str:
-    p_value = whole.test.p_value
-    if p_value is None:
-        return ""
-    return "; a bias is shown" if p_value < BIAS_LEVEL else "; no bias is shown"
 
 
 def _ellipsoid(

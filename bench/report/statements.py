@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import fields, is_dataclass
-from typing import Any
+from collections.abc import Sequence
 
 from bench.report.wording import NOT_MEASURED
 from bench.scoring.rates import plural
@@ -16,12 +14,12 @@ from bench.script.model import (
     SuccessRequirement,
     TimeRequirement,
 )
-from reports.page import Cell, Notes, Table
+from reports.page import Cell, Notes, Part, Table, unfolded
 
 CHANCE = 0.05  # of an interval, or a p-value, to mislead
 
 
-def note_on_statements(parts: Sequence[Any], rules: Rules, detectors: int) -> Notes:
+def note_on_statements(parts: Sequence[Part], rules: Rules, detectors: int) -> Notes:
     """Says it once: the decisions on chance, the intervals and the p-values of these parts."""
     chances = [
         1.0 - rule.confidence
@@ -47,12 +45,12 @@ def note_on_statements(parts: Sequence[Any], rules: Rules, detectors: int) -> No
     return Notes("How often chance alone misleads", (made, first))
 
 
-def _cells(parts: Sequence[Any], wanted: str) -> int:
+def _cells(parts: Sequence[Part], wanted: str) -> int:
     """The filled cells of the columns with such titles, or units, by a regular expression."""
     return sum(
         bool(_text(row[at]).strip()) and _text(row[at]) != NOT_MEASURED
-        for part in parts
-        for table in _tables(part)
+        for table in unfolded(parts)
+        if isinstance(table, Table)
         for at, column in enumerate(table.columns)
         if any(re.fullmatch(wanted, text, re.DOTALL) for text in (column.title, column.unit))
         for row in table.rows
@@ -61,14 +59,3 @@ def _cells(parts: Sequence[Any], wanted: str) -> int:
 
 def _text(cell: Cell | str) -> str:
     return cell if isinstance(cell, str) else cell.text
-
-
-def _tables(part: Any) -> Iterator[Table]:
-    if isinstance(part, Table):
-        yield part
-    elif isinstance(part, tuple | list):
-        for one in part:
-            yield from _tables(one)
-    elif is_dataclass(part) and not isinstance(part, type):
-        for field in fields(part):
-            yield from _tables(getattr(part, field.name))
