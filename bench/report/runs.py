@@ -78,6 +78,8 @@ def _listed(folder: Path) -> Run:
         scored_too = not run.damage and any(trial.scores for trial in run.trials)
         status = status_of(run, judge(run, stored_rules(folder)) if scored_too else ())
         facts, report = run.facts, f"{REPORT}/{PAGE}"
+        # what holds it back
+        how = status.why if status.damage else f"{status.headline[0].upper()}{status.headline[1:]}."
         return Run(
             folder=folder,
             started=str(facts["wall_started"]),
@@ -89,17 +91,9 @@ def _listed(folder: Path) -> Run:
             results=tuple(_results(run, status)),
             damage=damage,
             report=f"{folder.name}/{report}" if (folder / report).is_file() else "",
-            note=_note(status),
+            note="" if status.decided else "\n".join((*status.unsafe, how)),
             thumbnails=tuple(run_thumbnails(run)),
         )
-
-
-def _note(status: RunStatus) -> str:
-    """What holds it back; empty for a whole and finished run."""
-    if status.decided:
-        return ""
-    how = status.why if status.damage else f"{status.headline[0].upper()}{status.headline[1:]}."
-    return "\n".join((*status.unsafe, how))
 
 
 def _results(run: RunRecord, status: RunStatus) -> Iterator[Result]:

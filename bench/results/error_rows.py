@@ -333,17 +333,14 @@ def truth_gage(runs: Sequence[RunRecord]) -> TruthGage:
     repeats = min(len(points) for part in parts for points in part)
     table: Floats = np.array([[points[:repeats] for points in part] for part in parts])
     x, y, z = (gage_study(table[..., axis]) for axis in range(3))
-    return TruthGage((x, y, z), len(cells) - len(parts), common_mm=_common_mm(runs))
-
-
-def _common_mm(runs: Sequence[RunRecord]) -> tuple[float, ...]:
-    """The largest of several runs, which have an arm and a frame in common."""
-    found = np.zeros(3)
+    # the largest of several runs, which have an arm and a frame in common
+    common_mm = np.zeros(3)
     for run in runs:
         ends = [(t, row) for t in run.counted if t.touches for row in t.truth]
         shared = joint_truth(run, ends).of_mean(np.full(len(ends), 1.0 / max(len(ends), 1)))
-        found = np.maximum(found, np.sqrt(np.diag(shared)))
-    return tuple(map(float, found))
+        common_mm = np.maximum(common_mm, np.sqrt(np.diag(shared)))
+    common = tuple(map(float, common_mm))
+    return TruthGage((x, y, z), len(cells) - len(parts), common_mm=common)
 
 
 def _point(row: Mapping[str, float]) -> tuple[float, float, float]:
