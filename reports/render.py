@@ -25,7 +25,6 @@ from reports.frames import (
     Ellipse,
     ImageView,
     Label,
-    Overlay,
     Polyline,
     Rect,
     Shape,
@@ -155,7 +154,8 @@ class Press:
             layers=layers(shown),
             places=(places := places_of(self._page.detectors)),
             alone=next(iter(places.values())) if len(places) == 1 else 0,
-            shapes=_shapes,
+            # in Python, not in the template: the shapes of 1 000 trials are most of a report's text
+            shapes=lambda layer: Markup("".join(map(_shape, layer.shapes))),  # noqa: S704 escaped
             cell=lambda value: _cell(value, to),
             cells=lambda row, columns: _cells(row, columns, to),
             look=_look,
@@ -369,11 +369,6 @@ def _cells(
             scope += f' data-sort="{value.sort}"'
         drawn.append(f"<{tag}{scope}>{text}</{tag}>")
     return Markup("".join(drawn))  # noqa: S704 each is escaped
-
-
-def _shapes(layer: Overlay) -> Markup:
-    """In Python, not in the template: the shapes of 1 000 trials are most of a report's text."""
-    return Markup("".join(map(_shape, layer.shapes)))  # noqa: S704 each is escaped
 
 
 def _shape(it: Shape) -> str:

@@ -269,18 +269,14 @@ def planned_ends(run: RunRecord) -> dict[tuple[str, str], tuple[Floats, float]]:
     by trial and teat; nothing for a recording.
     """
     found: dict[tuple[str, str], tuple[Floats, float]] = {}
-    for planned in _planned(run):
+    path = run.folder / SCRIPT
+    for planned in _planned_in(path, read_text(path)) if path.is_file() else ():
         phantom = planned.phantom.moved(planned.pose)
         for number, (teat, end) in enumerate(zip(phantom.teats, phantom.ends_mm, strict=True), 1):
             lean = float(np.degrees(np.arctan(np.hypot(*np.tan(teat.tilt_rad)))))
             keys = (planned.id, str(number)), (planned.id, teat.name)
             found |= dict.fromkeys(keys, (end, lean))
     return found
-
-
-def _planned(run: RunRecord) -> tuple[PlannedTrial, ...]:
-    path = run.folder / SCRIPT
-    return _planned_in(path, read_text(path)) if path.is_file() else ()
 
 
 @lru_cache(maxsize=2)  # each detector's tables ask, and a drawn scene takes milliseconds

@@ -319,13 +319,6 @@ class PairedComparison:
     identical: bool = False
 
 
-def _identical(pair: ScenePair) -> bool:
-    """Whether both gave the same answer, to the last bit."""
-    old, new = pair.old, pair.new
-    same = (old.counts, old.match.pairs) == (new.counts, new.match.pairs)
-    return same and np.array_equal(old.errors_mm, new.errors_mm)
-
-
 def compare(
     pairs: Sequence[ScenePair],
     *,
@@ -365,7 +358,12 @@ def compare(
     )
     several = situations if len(situations) > 1 else ()
     verdict = gate(pairs, pooled, margin, unpaired, several, margin_rate, again)
-    identical = not unpaired and all(map(_identical, pairs))
+    # to the last bit
+    identical = not unpaired and all(
+        (old.counts, old.match.pairs) == (new.counts, new.match.pairs)
+        and np.array_equal(old.errors_mm, new.errors_mm)
+        for old, new in ((pair.old, pair.new) for pair in pairs)
+    )
     if identical and verdict.verdict is Verdict.INCONCLUSIVE:
         chance, n = (1.0 - confidence) / 2.0 ** (1 + again), pooled.poses
         unseen = Rate(0, n).upper_bound(1.0 - chance) or 0.0
