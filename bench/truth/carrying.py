@@ -135,7 +135,7 @@ class CarryState:
     unconfirmed: list[str] = field(default_factory=list)
 
 
-@dataclass
+@dataclass(eq=False)
 class CarriedTruth(TouchedTruth):
     """Touched once, then carried by the stage, and checked by touch after ``every`` carried trials
     within ``limit_mm``. ``settled`` gets trials that a check confirmed or invalidated.

@@ -93,7 +93,7 @@ class ReadableArm(Protocol):
     def read(self, n: int = 8, max_spread_mm: float = 1.0) -> Reading: ...
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class TipReader:
     """Reads ``arm`` as the rig says: the one place where a reading of the arm's own frame becomes a
     point of the table. Without a ``frame`` the arm's own frame is the world.
@@ -145,7 +145,7 @@ class TipReader:
         return self.frame.u_registration_mm(point_mm, self.settings.u_mm)
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Toucher:
     """Has the operator touch ends, ``readings`` each (None: as many as the rig says); ``check``
     runs before each and may raise.
@@ -412,7 +412,7 @@ def truth_row(
     return found
 
 
-@dataclass
+@dataclass(eq=False)
 class TouchedTruth:
     """Every end of every trial is touched. The engine calls `begin`, then for each trial `before`,
     `unattended`, `of_trial` and `stored`, then `end`.
