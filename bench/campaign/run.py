@@ -89,7 +89,7 @@ class Campaign:
         path = folder / PLAN
         self._text = plan_text(plan, self.made_by).encode("utf-8")
         if path.exists() and not self._restorable():
-            kept = read_plan(path, type(plan))
+            kept = read_plan(path)
             if not kept.made_by:
                 raise ConfigError.plain(
                     f"{path} was written by a person, not by a campaign: give the campaign a folder"
