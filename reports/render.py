@@ -147,6 +147,11 @@ class Press:
         different = dict.fromkeys(map(_view, (*cut, *shown)))
         views = {view: f"v{number}" for number, view in enumerate(different)}
         style = self._style + "".join(_view_rule(name, view) for view, name in views.items())
+        file = place.apart.get("glossary", "index.html")
+        glossary = "" if file == place.file else place.base + file
+        if glossary not in self._explained:
+            links = GlossaryLinks(self._page.glossary, glossary, self._page.detectors)
+            self._explained[glossary] = links
         by_style, by_script = map(policy_hash, (style, self._script))
         return self._environment.get_template(template).render(
             page=self._page,
@@ -163,7 +168,7 @@ class Press:
             view_name=lambda image: views[_view(image)],
             row_id=row_id,
             lone=_lone,
-            explain=self._terms(place),
+            explain=self._explained[glossary],
             drawing=lambda figure: _drawing(figure, to if place.apart else None),
             index=f"{place.base}index.html",
             listed=place.base + place.apart.get(self._page.trials_in, "index.html"),
@@ -178,13 +183,6 @@ class Press:
             ),
             **{"only": None, "named": "", **values},
         )
-
-    def _terms(self, place: Place) -> GlossaryLinks:
-        file = place.apart.get("glossary", "index.html")
-        base = "" if file == place.file else place.base + file
-        if base not in self._explained:
-            self._explained[base] = GlossaryLinks(self._page.glossary, base, self._page.detectors)
-        return self._explained[base]
 
 
 def _trial_of(row: Sequence[str | Cell]) -> str:

@@ -204,25 +204,23 @@ def charts(runs: Sequence[RunHealth]) -> Iterator[Chart]:
         order = [*QUANTITIES, *(name for name in names if name not in QUANTITIES)]
         for key in (name for name in order if name in names):
             having = [one for one in there if key in one.values]
-            if len(having) > 1:
-                yield _chart(f"{rig} ({kind})", key, having)
-
-
-def _chart(rig: str, key: str, runs: Sequence[RunHealth]) -> Chart:
-    quantity = QUANTITIES.get(key, RATE)
-    values = tuple(one.values[key] for one in runs)
-    limits = limits_of(values, quantity.least) if quantity.limits else None
-    return Chart(
-        rig=rig,
-        name=quantity.what or key,
-        unit=quantity.unit,
-        digits=quantity.digits,
-        dates=tuple(one.started[:10] for one in runs),
-        values=values,
-        limits=limits,
-        rules=tuple(broken(values, limits)) if limits else (),
-        trend=trend([one.day for one in runs], values) if quantity.limits else None,
-    )
+            if len(having) < 2:
+                continue
+            quantity = QUANTITIES.get(key, RATE)
+            values = tuple(one.values[key] for one in having)
+            limits = limits_of(values, quantity.least) if quantity.limits else None
+            days = [one.day for one in having]
+            yield Chart(
+                rig=f"{rig} ({kind})",
+                name=quantity.what or key,
+                unit=quantity.unit,
+                digits=quantity.digits,
+                dates=tuple(one.started[:10] for one in having),
+                values=values,
+                limits=limits,
+                rules=tuple(broken(values, limits)) if limits else (),
+                trend=trend(days, values) if quantity.limits else None,
+            )
 
 
 def warnings(folder: Path, rig: str) -> list[str]:

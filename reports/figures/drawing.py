@@ -299,7 +299,12 @@ def _rewritten(tag: re.Match[str], name: str, defined: Mapping[str, str]) -> str
     attributes: dict[str, str] = {}
     for key, value in _ATTRIBUTE.findall(rest):
         if key == "style":
-            attributes |= _declarations(value)
+            pairs = (part.split(":", 1) for part in value.split(";") if part.strip())
+            known = {what.strip(): of.strip() for what, of in pairs}
+            known.pop("font-family", None)  # the page's
+            if "font-size" in known:
+                known["font-size"] = known["font-size"].removesuffix("px")
+            attributes |= known
         else:
             attributes[key.removeprefix("xlink:")] = value
     title = ""
@@ -321,15 +326,6 @@ def _rewritten(tag: re.Match[str], name: str, defined: Mapping[str, str]) -> str
         and key != "target"
     )
     return f"<{element}{text}{empty}>{title}"
-
-
-def _declarations(css: str) -> dict[str, str]:
-    pairs = (part.split(":", 1) for part in css.split(";") if part.strip())
-    known = {key.strip(): value.strip() for key, value in pairs}
-    known.pop("font-family", None)  # the page's
-    if "font-size" in known:
-        known["font-size"] = known["font-size"].removesuffix("px")
-    return known
 
 
 def _value(key: str, value: str, defined: Mapping[str, str]) -> str:
