@@ -5,7 +5,7 @@ is in `templates/`; `render.py` joins the two.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
 from typing import Literal, TypeVar, get_args
@@ -406,7 +406,7 @@ class Page:
 
     def parts(self) -> Iterator[Part]:
         """Every part of every section, in order; a fold or a section, then what it holds."""
-        return (part for section in self.sections for part in _unfolded(section.parts))
+        return (part for section in self.sections for part in unfolded(section.parts))
 
     def parts_of(self, kind: type[P]) -> Iterator[P]:
         """Every part of that class, in order."""
@@ -429,8 +429,9 @@ class Page:
         return (cell for row in rows for cell in row if isinstance(cell, Cell))
 
 
-def _unfolded(parts: tuple[Part, ...]) -> Iterator[Part]:
+def unfolded(parts: Iterable[Part]) -> Iterator[Part]:
+    """Each part; a fold or a section, then what it holds."""
     for part in parts:
         yield part
         if isinstance(part, Fold | Section):
-            yield from _unfolded(part.parts)
+            yield from unfolded(part.parts)

@@ -25,7 +25,6 @@ from reports.frames import (
     Ellipse,
     ImageView,
     Label,
-    Overlay,
     Polyline,
     Rect,
     Shape,
@@ -148,6 +147,11 @@ class Press:
         different = dict.fromkeys(map(_view, (*cut, *shown)))
         views = {view: f"v{number}" for number, view in enumerate(different)}
         style = self._style + "".join(_view_rule(name, view) for view, name in views.items())
+        file = place.apart.get("glossary", "index.html")
+        glossary = "" if file == place.file else place.base + file
+        if glossary not in self._explained:
+            links = GlossaryLinks(self._page.glossary, glossary, self._page.detectors)
+            self._explained[glossary] = links
         by_style, by_script = map(policy_hash, (style, self._script))
         return self._environment.get_template(template).render(
             page=self._page,
@@ -155,7 +159,8 @@ class Press:
             layers=layers(shown),
             places=(places := places_of(self._page.detectors)),
             alone=next(iter(places.values())) if len(places) == 1 else 0,
-            shapes=_shapes,
+            # in Python, not in the template: the shapes of 1 000 trials are most of a report's text
+            shapes=lambda layer: Markup("".join(map(_shape, layer.shapes))),  # noqa: S704 escaped
             cell=lambda value: _cell(value, to),
             cells=lambda row, columns: _cells(row, columns, to),
             look=_look,
@@ -163,7 +168,7 @@ class Press:
             view_name=lambda image: views[_view(image)],
             row_id=row_id,
             lone=_lone,
-            explain=self._terms(place),
+            explain=self._explained[glossary],
             drawing=lambda figure: _drawing(figure, to if place.apart else None),
             index=f"{place.base}index.html",
             listed=place.base + place.apart.get(self._page.trials_in, "index.html"),
@@ -178,13 +183,6 @@ class Press:
             ),
             **{"only": None, "named": "", **values},
         )
-
-    def _terms(self, place: Place) -> GlossaryLinks:
-        file = place.apart.get("glossary", "index.html")
-        base = "" if file == place.file else place.base + file
-        if base not in self._explained:
-            self._explained[base] = GlossaryLinks(self._page.glossary, base, self._page.detectors)
-        return self._explained[base]
 
 
 def _trial_of(row: Sequence[str | Cell]) -> str:
@@ -369,11 +367,6 @@ def _cells(
             scope += f' data-sort="{value.sort}"'
         drawn.append(f"<{tag}{scope}>{text}</{tag}>")
     return Markup("".join(drawn))  # noqa: S704 each is escaped
-
-
-def _shapes(layer: Overlay) -> Markup:
-    """In Python, not in the template: the shapes of 1 000 trials are most of a report's text."""
-    return Markup("".join(map(_shape, layer.shapes)))  # noqa: S704 each is escaped
 
 
 def _shape(it: Shape) -> str:

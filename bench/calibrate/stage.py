@@ -81,7 +81,7 @@ def calibrate_stage(
                 phantom,
                 poses,
                 teat=teat,
-                u_mm=hypot(end_u_mm(rig.rig.arm, toucher.readings), settings.repeatability_mm),
+                u_mm=hypot(end_u_mm(rig.rig.arm, toucher.each), settings.repeatability_mm),
                 made=made,
                 serial_number=arm.identity.serial_number,
                 report=report,

@@ -31,7 +31,6 @@ from instruments.world.situations import member as member_of
 
 LIMIT_MM = 5.0  # of the error of each teat end; thesis, section 1.4.3
 ASIDE = "set aside"  # no failure of the detector: the bench could not do the scene
-WRONG = ("false", "missed", "error")  # failures of an answer, the gravest first
 DIGEST_BYTES = 8  # of SHA-256: a million scenes have the same one with a chance of 3e-8
 # an answer is sure and wrong where it is farther than both of these from a true end
 WRONG_MM, WRONG_SD = 3.0, 4.0
@@ -72,7 +71,7 @@ class Bench:
 @dataclass(frozen=True, slots=True)
 class SceneRow:
     """One scene and detector, in counts of teat ends (docs/campaigns.md). ``failure`` is the
-    gravest: `ASIDE`, an outcome without an answer, one of `WRONG`, or empty.
+    gravest: `ASIDE`, an outcome without an answer, false, missed, error, or empty.
     """
 
     family: str
@@ -155,7 +154,31 @@ def run_scene(bench: Bench, scene: Scene) -> Rows:
         answer = examine(detector, drawn.frames, stated, timeout_s=math.inf)
         score = score_answer(answer, drawn.truth, limit_mm=bench.limit_mm, time_limit_s=math.inf)
         ends = list(_teat_rows(scene, answer, score, drawn))
-        rows.append(_scene_row(scene, answer, score, digest, ends, ",".join(parameters), shares))
+        counts, distances = score.counts, score.radial_mm
+        nees = [one.nees for one in ends if one.status == "found" and one.nees is not None]
+        rows.append(
+            SceneRow(
+                scene.family,
+                scene.member,
+                answer.detector,
+                counts.visible,
+                counts.hidden,
+                counts.matched,
+                counts.missed,
+                counts.false,
+                score.hidden_claimed,
+                _stored(max(distances)) if distances else None,
+                _stored(math.fsum(distances) / len(distances)) if distances else None,
+                _failure(answer, score),
+                digest,
+                sum(map(_sure_wrong, ends)),
+                len(nees),
+                sum(one < CHI2_95_OF_3 for one in nees),
+                _stored(math.fsum(nees) / len(nees)) if nees else None,
+                ",".join(parameters),
+                shares,
+            )
+        )
         teats += ends
         reason = None if answer.outcome is Outcome.ANSWERED else answer.detection.reason
         taken.append(Taken(answer.seconds, answer.cpu_s, reason))
@@ -197,40 +220,6 @@ def digest_of_frames(frames: FrameSet) -> str:
         if picture is not None:
             whole.update(picture.tobytes())
     return whole.hexdigest()[: 2 * DIGEST_BYTES]
-
-
-def _scene_row(
-    scene: Scene,
-    answer: Answer,
-    score: SceneScore,
-    digest: str,
-    ends: Sequence[TeatRow],
-    parameters: str,
-    shares: Sequence[int],
-) -> SceneRow:
-    counts, distances = score.counts, score.radial_mm
-    nees = [one.nees for one in ends if one.status == "found" and one.nees is not None]
-    return SceneRow(
-        scene.family,
-        scene.member,
-        answer.detector,
-        counts.visible,
-        counts.hidden,
-        counts.matched,
-        counts.missed,
-        counts.false,
-        score.hidden_claimed,
-        _stored(max(distances)) if distances else None,
-        _stored(math.fsum(distances) / len(distances)) if distances else None,
-        _failure(answer, score),
-        digest,
-        sum(map(_sure_wrong, ends)),
-        len(nees),
-        sum(one < CHI2_95_OF_3 for one in nees),
-        _stored(math.fsum(nees) / len(nees)) if nees else None,
-        parameters,
-        shares,
-    )
 
 
 def _sure_wrong(end: TeatRow) -> bool:

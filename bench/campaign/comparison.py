@@ -76,7 +76,9 @@ def compare_campaigns(
         alone = len(scores[0]) - len(both), len(scores[1]) - len(both)
         claim = claim_of(*map(_made_by, (old, new)), margin_mm, margin_rate, confidence)
         data = claim_of([(scene.name, scores[0][scene][1], scores[1][scene][1]) for scene in both])
-        before = _looks_before((old, new), claim, data)
+        ledgers = Ledger(old.run.folder), Ledger(new.run.folder)
+        before = list(dict.fromkeys(look for one in ledgers for look in one.looks(claim)))
+        before = before[: before.index(data)] if data in before else before
         # how many scenes there are was decided by looking at them
         before += ["half_width"] * (plan.half_width is not None or other.half_width is not None)
         compared = compare(
@@ -99,12 +101,6 @@ def _made_by(side: Side) -> dict[str, Any]:
     facts = side.run.facts
     own = {key: facts[key] for key in ("rig", "seed", "calibration_sha256", "perturbations")}
     return {**own, "program": facts["program"], side.detector: facts["items"].get(side.detector)}
-
-
-def _looks_before(both: Sequence[Side], claim: str, data: str) -> list[str]:
-    """The looks for this claim at any of the campaigns that came before one at ``data``."""
-    found = list(dict.fromkeys(one for s in both for one in Ledger(s.run.folder).looks(claim)))
-    return found[: found.index(data)] if data in found else found
 
 
 def _written(one: Comparison) -> Comparison:
@@ -167,30 +163,21 @@ def _refuse_unexplained(old: RunRecord, new: RunRecord, scene: Scene, count: int
 def _scores(side: Side, plan: CampaignPlan) -> Scores:
     with Shards(side.run.folder).connect() as db:
         rows = db.execute(SCORES, [side.detector, ASIDE]).fetchall()
-    return {
-        Scene(family, member): (_score(plan.limit_mm, *rest), frames)
-        for family, member, frames, *rest in rows
-    }
-
-
-def _score(
-    limit_mm: float,
-    failure: str,
-    hidden: int,
-    false: int,
-    claimed: int | None,
-    teats: Sequence[dict[str, Any]],
-) -> SceneScore:
-    """A scene's score from its row; which answer belongs to which teat is not kept."""
-    found = [teat for teat in teats if teat["status"] == "found"]
-    errors = np.array([[teat[f"{axis}_mm"] for axis in "xyz"] for teat in found]).reshape(-1, 3)
-    match = Match(
-        pairs=tuple((number, teat["teat"] - 1) for number, teat in enumerate(found)),
-        distances_mm=tuple(map(math.hypot, *errors.T)) if found else (),
-        hidden_pairs=(),
-        missed=tuple(teat["teat"] - 1 for teat in teats if teat["status"] == "missed"),
-        false=tuple(range(len(found), len(found) + false)),
-        hidden=hidden,
-        gate_mm=GATE_CEILING_MM,
-    )
-    return SceneScore(match, errors, 0.0, True, limit_mm, 0.0, failure == "", (), claimed)
+    scores: Scores = {}
+    # which answer belongs to which teat is not kept
+    for family, member, frames, failure, hidden, false, claimed, teats in rows:
+        found = [teat for teat in teats if teat["status"] == "found"]
+        errors = np.array([[teat[f"{axis}_mm"] for axis in "xyz"] for teat in found]).reshape(-1, 3)
+        match = Match(
+            pairs=tuple((number, teat["teat"] - 1) for number, teat in enumerate(found)),
+            distances_mm=tuple(map(math.hypot, *errors.T)) if found else (),
+            hidden_pairs=(),
+            missed=tuple(teat["teat"] - 1 for teat in teats if teat["status"] == "missed"),
+            false=tuple(range(len(found), len(found) + false)),
+            hidden=hidden,
+            gate_mm=GATE_CEILING_MM,
+        )
+        right = failure == ""
+        one = SceneScore(match, errors, 0.0, True, plan.limit_mm, 0.0, right, (), claimed)
+        scores[Scene(family, member)] = one, frames
+    return scores

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Self, TypeVar
+from typing import Annotated, Any, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -57,9 +57,6 @@ MAKES_ROWS = (
         )
     ),
 )
-
-
-SomePlan = TypeVar("SomePlan", bound="CampaignPlan")
 
 
 class CampaignPlan(Section):
@@ -189,12 +186,12 @@ class Job:
         )
 
 
-def read_plan(path: Path, kind: type[CampaignPlan] = CampaignPlan) -> CampaignPlan:
+def read_plan(path: Path) -> CampaignPlan:
     """The plan at ``path``, with whole paths. Raises ConfigError with all its faults."""
-    return with_whole_paths(read_config(path, kind), path.parent)
+    return with_whole_paths(read_config(path, CampaignPlan), path.parent)
 
 
-def with_whole_paths(plan: SomePlan, folder: Path) -> SomePlan:
+def with_whole_paths(plan: CampaignPlan, folder: Path) -> CampaignPlan:
     """The plan with every file named from the root, so that it may be stored elsewhere."""
 
     def whole(name: str) -> str:
@@ -209,8 +206,8 @@ def with_whole_paths(plan: SomePlan, folder: Path) -> SomePlan:
 
 
 def open_plan(plan: CampaignPlan) -> tuple[Job, dict[str, str]]:
-    """The plan's job, and the identity of the rows that it makes, for so many ``members`` of a
-    family. Raises ConfigError, also for scenes that a detector was trained on.
+    """The plan's job, and the identity of the rows that it makes. Raises ConfigError, also for
+    scenes that a detector was trained on.
     """
     rig = load_rig(find_rig(plan.rig))
     if plan.calibration and not plan.calibration.endswith(FILE):

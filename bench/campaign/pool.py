@@ -171,7 +171,8 @@ class LocalPool:
                     self._open[chunk] = {}
                     self._scenes.extend(chunk.scenes)
                 new = place >= len(self._workers)
-                if not new and not self._has_room(self._workers[place], load):
+                given = () if new else self._workers[place].scenes
+                if len(given) > load or any(map(self._alone, given)):
                     continue
                 fitting = (scene for scene in self._scenes if new or not self._alone(scene))
                 scene = next(fitting, None)
@@ -182,9 +183,6 @@ class LocalPool:
                     self._started += 1
                     self._workers.append(_Worker(self._job, self._started, self._messages))
                 self._workers[-1 if new else place].give(scene)
-
-    def _has_room(self, worker: _Worker, load: int) -> bool:
-        return len(worker.scenes) <= load and not any(map(self._alone, worker.scenes))
 
     def _alone(self, scene: Scene) -> bool:
         return self._deaths[scene] == DEATHS - 1

@@ -89,7 +89,7 @@ class Campaign:
         path = folder / PLAN
         self._text = plan_text(plan, self.made_by).encode("utf-8")
         if path.exists() and not self._restorable():
-            kept = read_plan(path, type(plan))
+            kept = read_plan(path)
             if not kept.made_by:
                 raise ConfigError.plain(
                     f"{path} was written by a person, not by a campaign: give the campaign a folder"
@@ -146,10 +146,14 @@ class Campaign:
             family = families[chunk.family]
             if chunk.number < family.stopped:
                 self.shards.write(chunk.family, chunk.number, rows)
-                family.add(chunk.number, _rates(rows), len(chunk.members))
+                rates: dict[str, Rate] = {}
+                for row in rows.scenes:
+                    right, counts = row.failure == "", row.failure != ASIDE
+                    _add(rates, {row.detector: Rate(int(right), int(counts))})
+                family.add(chunk.number, rates, len(chunk.members))
                 self._look(chunk.family, family)
                 report(self._status(families))
-        self.shards.merge(rest=True)
+        self.shards.merge()
         return self._status(families)
 
     def do_chunk(self, number: int, executor: Executor) -> Rows | None:
@@ -211,13 +215,6 @@ class Campaign:
             for detector, rate in family.whole.items():
                 failures[detector] += rate.failures
         return Status(done, planned, failures, aside)
-
-
-def _rates(rows: Rows) -> dict[str, Rate]:
-    found: dict[str, Rate] = {}
-    for row in rows.scenes:
-        _add(found, {row.detector: Rate(int(row.failure == ""), int(row.failure != ASIDE))})
-    return found
 
 
 @contextmanager

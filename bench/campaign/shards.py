@@ -119,16 +119,15 @@ class Shards:
             self._writer.execute(f"INSERT INTO rows VALUES {places}", list(chain(*part)))
         self._store(f"{family}-{number:06d}")
 
-    def merge(self, *, rest: bool) -> None:
-        """Merge each whole block of chunks of a family; with ``rest``, the others too."""
+    def merge(self) -> None:
+        """Merge each block of chunks of a family."""
         blocks: dict[tuple[str, int], list[Shard]] = {}
         for shard in self.files():
             blocks.setdefault((shard.family, shard.first // MERGED), []).append(shard)
         for (family, _), parts in blocks.items():
             chunks = sum(part.last - part.first + 1 for part in parts)
             first, last = parts[0].first, parts[-1].last
-            together = chunks == last - first + 1 and (rest or chunks == MERGED)
-            if len(parts) > 1 and together:
+            if len(parts) > 1 and chunks == last - first + 1:
                 read = _read([part.path for part in parts])
                 self._writer.execute(f"CREATE OR REPLACE TABLE rows AS {read}")
                 self._store(f"{family}-{first:06d}-{last:06d}")

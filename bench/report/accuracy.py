@@ -20,7 +20,7 @@ from bench.scoring.errors import (
     ErrorSummary,
     Floats,
     normal_k,
-    quantile_bounds,
+    quantile_bound,
     summarise,
 )
 from bench.scoring.guard_band import (
@@ -185,7 +185,7 @@ def _tolerance(pool: Pool, detector: str) -> Part:
     )
     lines = []
     for share in SHARES:
-        _, upper = quantile_bounds(worst, share, CONFIDENCE)
+        upper = quantile_bound(worst, share, CONFIDENCE)
         k = normal_k(n, share, CONFIDENCE)
         few = f"{NOT_MEASURED}: {zero_failure_n(share, CONFIDENCE)} poses are the least"
         says = (f"{100 * share:g} % of poses", f"{100 * CONFIDENCE:g} % confidence, one-sided")

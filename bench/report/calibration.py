@@ -297,6 +297,14 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
     )
     volume = working_volume_mm(fit.touched_mm)
     there = fit.target_error_mm(volume)
+    places, head = volume.reshape(3, 9, 3), ">y [mm] ~.0f | >z [mm] ~.0f"
+    expected = table(  # rows of y and z, columns of x
+        "Expected target error, rms",
+        (head, *(f">x = {x:.0f} mm [mm] ~.2f" for x in places[:, 0, 0])),
+        np.column_stack([places[0, :, 1:], there.reshape(3, 9).T]),
+        f"The box of the touched places, {MARGIN_MM:.0f} mm larger on every side. Fitzpatrick, West"
+        " and Maurer 1998, eq. 46.",
+    )
     touched = spanned(fit.target_error_mm(fit.touched_mm), ".2f", "mm")
     worst = float(there.max())
     verdict, said = good(result.findings, worst)
@@ -315,7 +323,7 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
         {
             "residuals": ("What touched points miss by", [shown]),
             "fits": ("Fits", [models, residuals]),
-            "volume": ("Over the working volume", [_target_table(volume, there)]),
+            "volume": ("Over the working volume", [expected]),
         },
         record,
         command,
@@ -617,19 +625,6 @@ def working_volume_mm(touched_mm: Array) -> Array:
     low, high = touched_mm.min(axis=0) - MARGIN_MM, touched_mm.max(axis=0) + MARGIN_MM
     grid = np.meshgrid(*np.linspace(low, high, 3).T, indexing="ij")
     return np.column_stack([axis.reshape(-1) for axis in grid])
-
-
-def _target_table(volume_mm: Array, errors_mm: Array) -> Table:
-    """Expected target errors (27,) at `working_volume_mm`: rows y and z, columns x."""
-    places = volume_mm.reshape(3, 9, 3)
-    by_x = (f">x = {x:.0f} mm [mm] ~.2f" for x in places[:, 0, 0])
-    heads = (">y [mm] ~.0f | >z [mm] ~.0f", *by_x)
-    rows = np.column_stack([places[0, :, 1:], errors_mm.reshape(3, 9).T])
-    note = (
-        f"The box of the touched places, {MARGIN_MM:.0f} mm larger on every side. Fitzpatrick, West"
-        " and Maurer 1998, eq. 46."
-    )
-    return table("Expected target error, rms", heads, rows, note)
 
 
 def _homographies(result: ThermalResult) -> Iterator[Part]:

@@ -117,7 +117,9 @@ def _banner(folder: Path, plan: CampaignPlan, numbers: Numbers) -> Banner:
     lines = []
     for name in numbers.detectors:
         rates = list(numbers.of(name).values())
-        failures, scenes = (sum(getattr(one, key) for one in rates) for key in COUNTS)
+        failures, scenes = (
+            sum(getattr(one, key) for one in rates) for key in ("failures", "scenes")
+        )
         if not scenes:
             continue
         worst = max(rates, key=lambda one: one.failures / one.scenes if one.scenes else -1.0)
@@ -147,9 +149,6 @@ def _banner(folder: Path, plan: CampaignPlan, numbers: Numbers) -> Banner:
         ),
         next_action=then,
     )
-
-
-COUNTS = ("failures", "scenes")
 
 
 def _quoted(folder: Path) -> str:

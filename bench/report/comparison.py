@@ -264,6 +264,12 @@ def as_json(found: Sequence[Comparison]) -> dict[str, Any]:
     for one in found:
         compared, gate = one.compared, one.compared.gate
         rate = {} if gate.margin_rate is None else {"margin_rate": gate.margin_rate}
+        rows = []
+        for row in (compared.pooled, *compared.situations):
+            won = row.success
+            more = {"difference": won.difference, "interval": won.interval(compared.confidence)}
+            success = {**asdict(won), **more, "p_value": won.p_value}
+            rows.append({**asdict(row), "success": success})
         said = {"verdict": GATE[gate.verdict][0], "reasons": list(worded(one, gate.reasons))}
         whole.append(
             {
@@ -277,19 +283,10 @@ def as_json(found: Sequence[Comparison]) -> dict[str, Any]:
                 "identical": compared.identical,
                 "confidence": compared.confidence,
                 "gate": {**said, "margin_mm": gate.margin_mm, **rate},
-                "rows": [
-                    _numbers(row, compared.confidence)
-                    for row in (compared.pooled, *compared.situations)
-                ],
+                "rows": rows,
             }
         )
     return {"schema_version": JSON_VERSION, "comparisons": whole}
-
-
-def _numbers(row: Row, confidence: float) -> dict[str, Any]:
-    won = row.success
-    note = {"difference": won.difference, "interval": won.interval(confidence)}
-    return {**asdict(row), "success": {**asdict(won), **note, "p_value": won.p_value}}
 
 
 def write_comparison(found: Sequence[Comparison], folder: Path) -> Path:

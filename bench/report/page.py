@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -99,12 +99,6 @@ def write_run_report(
     return Reported(folder, path, run, judgements, status)
 
 
-def _emulated(facts: Mapping[str, Any]) -> str:
-    """Which instruments were emulated, where others were real."""
-    names = facts.get("emulated", ())
-    return f" Emulated, and so no measurement: {', '.join(names)}." if names else ""
-
-
 def build_page(
     run: RunRecord,
     status: RunStatus,
@@ -118,12 +112,15 @@ def build_page(
     facts = run.facts
     poses, invalid = len({trial.pose for trial in run.counted}), len(run.trials) - len(run.counted)
     left_out = f"; {invalid} more have lost their truth (see Deviations)" if invalid else ""
+    # where others were real
+    mixed = ", ".join(facts.get("emulated", ()))
+    emulated = f" Emulated, and so no measurement: {mixed}." if mixed else ""
     banner = Banner(
         kind=facts["kind"],
         verdict=cast(Verdict, status.word),
         tested=(
             f"{facts['title']}: teat detector {', '.join(run.detectors)} "
-            f"on {len(run.counted)} frame sets of {poses} poses{left_out}.{_emulated(facts)}"
+            f"on {len(run.counted)} frame sets of {poses} poses{left_out}.{emulated}"
         ),
         sentence=status.why,
         confidence=_confidence(run, rules, poses),
@@ -147,7 +144,7 @@ def build_page(
     drawn = tuple(_figures(run, rules, calibration)) if run.trials and judgements else ()
     made = tuple(trial_parts(run, calibration, folder, copied=None if few else looked))
     if judgements:
-        statements = note_on_statements((requirements, behind), rules, len(judgements))
+        statements = note_on_statements((*requirements, *behind), rules, len(judgements))
         with_note = replace(folded, parts=(*folded.parts, statements))
         sections[0] = replace(sections[0], parts=(requirements[0], with_note))
     if looked:
@@ -369,7 +366,7 @@ def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
         yield Figure(svg, f"Detection time, {detector}", f"{len(seconds)} detections")
         if times.starved:
             yield Paragraph(f"{detector}: {times.starved}", tone="warn")
-        quantiles = (times.median_s, times.p95_s, times.p99_s, max(seconds, default=None))
+        quantiles = (*map(times.percentile_s, (50, 95, 99)), max(seconds, default=None))
         first = (max(times.cold_s, default=None), times.start_up_s)
         over = [f"{sum(s > edge for s in seconds)} of {len(seconds)}" for edge in (1.0, 2.0)]
         rows.append((detector, len(seconds), *quantiles, *first, *over, failures_text(times)))

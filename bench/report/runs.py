@@ -50,7 +50,8 @@ def list_runs(folder: Path) -> Runs:
         try:
             runs.append(_listed(one))
         except (ConfigError, OSError) as error:
-            others.append((one.name, _why(one, error)))
+            there_is = (one / DATABASE).is_file()
+            others.append((one.name, str(error) if there_is else f"There is no {DATABASE} in it."))
     runs.sort(key=lambda run: (run.started, run.folder.name), reverse=True)
     whole = {run.folder.name for run in runs if not run.damage}
     drawn = list(charts([one for one in history(folder) if one.run in whole]))
@@ -70,12 +71,6 @@ def _drawn(chart: Chart, name: str) -> Figure:
     return Figure(svg, chart.warning or f"{chart.last}{few}", f"{chart.name}, {runs}: {chart.last}")
 
 
-def _why(folder: Path, error: Exception) -> str:
-    if (folder / DATABASE).is_file():
-        return str(error)
-    return f"There is no {DATABASE} in it."
-
-
 def _listed(folder: Path) -> Run:
     database_in(folder)
     with checked_first([folder], despite_damage=True) as damage:
@@ -83,6 +78,8 @@ def _listed(folder: Path) -> Run:
         scored_too = not run.damage and any(trial.scores for trial in run.trials)
         status = status_of(run, judge(run, stored_rules(folder)) if scored_too else ())
         facts, report = run.facts, f"{REPORT}/{PAGE}"
+        # what holds it back
+        how = status.why if status.damage else f"{status.headline[0].upper()}{status.headline[1:]}."
         return Run(
             folder=folder,
             started=str(facts["wall_started"]),
@@ -94,17 +91,9 @@ def _listed(folder: Path) -> Run:
             results=tuple(_results(run, status)),
             damage=damage,
             report=f"{folder.name}/{report}" if (folder / report).is_file() else "",
-            note=_note(status),
+            note="" if status.decided else "\n".join((*status.unsafe, how)),
             thumbnails=tuple(run_thumbnails(run)),
         )
-
-
-def _note(status: RunStatus) -> str:
-    """What holds it back; empty for a whole and finished run."""
-    if status.decided:
-        return ""
-    how = status.why if status.damage else f"{status.headline[0].upper()}{status.headline[1:]}."
-    return "\n".join((*status.unsafe, how))
 
 
 def _results(run: RunRecord, status: RunStatus) -> Iterator[Result]:

@@ -315,9 +315,13 @@ def _ellipsoids(
         " below 0.05 the mean error isn't zero"
     )
     lines = []
-    adjusted = _adjusted(bodies)
+    # the tests of single teats are adjusted together
+    p_values = {who: bias.test.p_value for who, bias in bodies.items()}
+    known = {who: p for who, p in p_values.items() if p is not None}
+    of_teats = [who for who in known if who.startswith("teat ")]
+    known |= zip(of_teats, holm([known[who] for who in of_teats]), strict=True)
     for who, bias in bodies.items():
-        p = adjusted.get(who)
+        p = known.get(who)
         lines.append((who, *_ellipsoid("next pose's mean error, 95 %", bias.next_error, bias, p)))
         lines.append((who, *_ellipsoid("bias, 95 % confidence", bias.bias, bias, p)))
     text = ""
@@ -331,35 +335,18 @@ def _ellipsoids(
 def _mean_error(rows: ErrorRows, whole: Bias, detector: str) -> str:
     """How much of it is the detector's: what the truths share is in all errors alike."""
     mean_mm = float(np.linalg.norm(whole.means_mm.mean(axis=0)))
-    shared = whole.common_mm2
+    shared, p_value = whole.common_mm2, whole.test.p_value
+    chance = "" if p_value is None else f"; {'a' if p_value < BIAS_LEVEL else 'no'} bias is shown"
     if rows.truth is None or shared is None or not shared.any():
-        return (
-            f"Mean error over {whole.test.n} poses, {detector}: {mean_mm:.2f} mm"
-            f"{_by_chance(whole)}."
-        )
+        return f"Mean error over {whole.test.n} poses, {detector}: {mean_mm:.2f} mm{chance}."
     parts = rows.truth.by_source(rows.of_mean)
     largest = sorted(parts, key=lambda source: -parts[source])
     named = ", ".join(f"{source} {parts[source]:.2f} mm" for source in largest)
     return (
         f"Mean error of detector and truth together over {whole.test.n} poses, {detector}:"
         f" {mean_mm:.2f} mm, of which the truth may be {radial_95_mm(shared):.2f} mm (95 %; u along"
-        f" an axis of what all its ends share: {named}){_by_chance(whole)}."
+        f" an axis of what all its ends share: {named}){chance}."
     )
-
-
-def _by_chance(whole: Bias) -> str:
-    p_value = whole.test.p_value
-    if p_value is None:
-        return ""
-    return "; a bias is shown" if p_value < BIAS_LEVEL else "; no bias is shown"
-
-
-def _adjusted(bodies: Mapping[str, Bias]) -> dict[str, float]:
-    """The p-values of the tests, those of single teats together (Holm)."""
-    p_values = {who: bias.test.p_value for who, bias in bodies.items()}
-    known = {who: p for who, p in p_values.items() if p is not None}
-    teats = [who for who in known if who.startswith("teat ")]
-    return known | dict(zip(teats, holm([known[who] for who in teats]), strict=True))
 
 
 def _ellipsoid(

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import fields, is_dataclass
-from typing import Any
+import re
+from collections.abc import Sequence
 
 from bench.report.wording import NOT_MEASURED
 from bench.scoring.rates import plural
@@ -15,12 +14,12 @@ from bench.script.model import (
     SuccessRequirement,
     TimeRequirement,
 )
-from reports.page import Cell, Notes, Table
+from reports.page import Cell, Notes, Part, Table, unfolded
 
 CHANCE = 0.05  # of an interval, or a p-value, to mislead
 
 
-def note_on_statements(parts: Sequence[Any], rules: Rules, detectors: int) -> Notes:
+def note_on_statements(parts: Sequence[Part], rules: Rules, detectors: int) -> Notes:
     """Says it once: the decisions on chance, the intervals and the p-values of these parts."""
     chances = [
         1.0 - rule.confidence
@@ -28,7 +27,7 @@ def note_on_statements(parts: Sequence[Any], rules: Rules, detectors: int) -> No
         if isinstance(rule, ErrorRequirement | SuccessRequirement | FalseRequirement)
         or (isinstance(rule, TimeRequirement) and rule.rate is not None)
     ] * detectors
-    intervals, p_values = (_cells(parts, wanted) for wanted in (_is_interval, _is_p))
+    intervals, p_values = _cells(parts, ".*interval.*"), _cells(parts, "p|p-value.*")
     decided = f"{len(chances)} decision{'' if len(chances) == 1 else 's'} and bounds, one-sided"
     sums = f"{decided}, {plural(intervals, 'interval')}, two-sided, {plural(p_values, 'p-value')}"
     wrong = sum(chances) + CHANCE * (intervals + p_values)
@@ -46,36 +45,17 @@ def note_on_statements(parts: Sequence[Any], rules: Rules, detectors: int) -> No
     return Notes("How often chance alone misleads", (made, first))
 
 
-def _is_interval(title: str) -> bool:
-    return "interval" in title
-
-
-def _is_p(title: str) -> bool:
-    return title == "p" or title.startswith("p-value")
-
-
-def _cells(parts: Sequence[Any], wanted: Callable[[str], bool]) -> int:
-    """The filled cells of the columns with such titles, or units."""
+def _cells(parts: Sequence[Part], wanted: str) -> int:
+    """The filled cells of the columns with such titles, or units, by a regular expression."""
     return sum(
         bool(_text(row[at]).strip()) and _text(row[at]) != NOT_MEASURED
-        for part in parts
-        for table in _tables(part)
+        for table in unfolded(parts)
+        if isinstance(table, Table)
         for at, column in enumerate(table.columns)
-        if wanted(column.title) or wanted(column.unit)
+        if any(re.fullmatch(wanted, text, re.DOTALL) for text in (column.title, column.unit))
         for row in table.rows
     )
 
 
 def _text(cell: Cell | str) -> str:
     return cell if isinstance(cell, str) else cell.text
-
-
-def _tables(part: Any) -> Iterator[Table]:
-    if isinstance(part, Table):
-        yield part
-    elif isinstance(part, tuple | list):
-        for one in part:
-            yield from _tables(one)
-    elif is_dataclass(part) and not isinstance(part, type):
-        for field in fields(part):
-            yield from _tables(getattr(part, field.name))

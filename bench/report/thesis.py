@@ -60,7 +60,11 @@ def thesis_chapter(run: RunRecord, rules: Rules, calibration: Calibration) -> tu
     if not kinds or not any(trial.scores for trial in run.counted):
         return ()
     rows = [*_situations(run, known)] if known else []
-    if known and (same_ends := _with_ends_of_table_5_1(rules)):
+    # situations whose every trial shows the ends of table 5.1 upright, in place
+    trials = rules.trials if isinstance(rules, Script) else ()
+    others = {trial.situation for trial in trials if trial.layout != LAYOUT}
+    same_ends = [s for s in dict.fromkeys(one.situation for one in trials) if s not in others]
+    if known and same_ends:
         errors = {
             d: np.concatenate([scored(run, d, name).errors_mm for name in same_ends])
             for d in run.detectors
@@ -177,13 +181,6 @@ def _by_teat(seen: InPictures, known: Sequence[Situation]) -> Iterator[tuple[obj
             medians = [None] * values.shape[1] if not len(found) else np.median(found, axis=0)
             plain = [None if v is None or not np.isfinite(v) else float(v) for v in medians]
             yield spoken(one.name), teat, f"{len(found)} of {len(values)}", *plain
-
-
-def _with_ends_of_table_5_1(rules: Rules) -> list[str]:
-    """Situations whose every trial shows the ends of table 5.1 upright, in place."""
-    trials = rules.trials if isinstance(rules, Script) else ()
-    others = {trial.situation for trial in trials if trial.layout != LAYOUT}
-    return [s for s in dict.fromkeys(trial.situation for trial in trials) if s not in others]
 
 
 def _first_test(figures: Thesis, ours: Mapping[str, Floats]) -> Iterator[Row]:
@@ -314,7 +311,7 @@ def _asked(run: RunRecord, figures: Thesis) -> Iterator[Row]:
     for name in run.detectors:
         times = latency_of(run, name)
         longest = number(max(times.seconds, default=None), "s", 3)
-        seconds[name] = f"p95 {number(times.p95_s, 's', 3)}, longest {longest}"
+        seconds[name] = f"p95 {number(times.percentile_s(95), 's', 3)}, longest {longest}"
     aim, most = asked.time_s
     printed = f"{aim:g} s, at most {most:g} s asked; none measured"
     yield "time of a detection", asked.section, printed, "", _each(seconds), asked.wrong_time

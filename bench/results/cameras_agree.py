@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -61,10 +62,9 @@ def where_seen(
     frames: FrameSet, calibration: Calibration, truth: Sequence[TruthRow]
 ) -> Mapping[str, EndOffsets]:
     """The visible teats of ``truth`` by name; none where the pictures can't be used."""
-    try:
+    with suppress(UnusableError, np.linalg.LinAlgError):
         return _seen(frames, calibration, truth)
-    except (UnusableError, np.linalg.LinAlgError):
-        return {}
+    return {}
 
 
 def _seen(
@@ -412,7 +412,12 @@ def decide_cameras(rule: CamerasRequirement, check: CamerasCheck) -> Decision:
     advice = f" {NEXT_UNSEEN}" if check.unseen else ""
     if beyond:
         verdict = Verdict.NOT_MET
-        advice = f" It is the calibration's fault, not a detector's: {_cure(beyond)}."
+        optical = any(one.name in NAMES[:2] for one in beyond)
+        step = (
+            "'calibrate cameras', what follows from it, then" if optical else "'calibrate thermal',"
+        )
+        advice = " It is the calibration's fault, not a detector's: look for a camera that was"
+        advice += f" knocked; calibrate again ({step} 'merge')."
     limit = limit_of(rule, worst)
     return replace(
         nothing,
@@ -424,14 +429,6 @@ def decide_cameras(rule: CamerasRequirement, check: CamerasCheck) -> Decision:
         verdict=verdict,
         sentence=f"{_capital(text)}.{advice}",
     )
-
-
-def _cure(beyond: Sequence[CameraOffset]) -> str:
-    """Which step of the calibration has to be made again."""
-    optical = any(one.name in NAMES[:2] for one in beyond)
-    step = "cameras" if optical else "thermal"
-    rest = "what follows from it, then 'merge'" if optical else "'merge'"
-    return f"look for a camera that was knocked; calibrate again ('calibrate {step}', {rest})"
 
 
 def _capital(text: str) -> str:

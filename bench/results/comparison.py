@@ -337,12 +337,25 @@ def _together(runs: Sequence[RunRecord], name: str, rules: Rules) -> tuple[Toget
     ids = {id_of(run): run.folder.resolve().name for run in runs}
     data = claim_of(sorted(ids))
     before = looks_before(runs, TOGETHER, claim, data)
+    within = [look for look in before if look.runs.keys() <= ids.keys()]
+    left_out = {run: name for look in before for run, name in look.runs.items() if run not in ids}
+    series: list[set[str]] = []  # of runs that looks join
+    for look in within:
+        joined = [one for one in series if one & look.runs.keys()]
+        series = [one for one in series if one not in joined]
+        series.append(set(look.runs).union(*joined))
     decisions, looks = [], dict[str, Looks]()
     for rule in held:
         own = tuple(_decided_on([run], name, rule, FIRST).n for run in runs)
         if _decided_on(runs, name, rule, FIRST).n == max(own):
             own = ()  # no pose more than in a run's own look: what all repeats pass, it passed
-        looks[rule.name] = _looks_before(before, ids, rule.name, own, rules.looks)
+        looks[rule.name] = Looks(
+            planned=rules.looks,
+            own=own,
+            pooled=tuple(look.poses.get(rule.name, 0) for look in within) if own else (),
+            left_out=tuple(sorted(left_out.values())),
+            apart=max(1, len(series)),
+        )
         decided = _decided_on(runs, name, rule, looks[rule.name])
         decisions.append(_none_left_out(decided, looks[rule.name]))
     judgement = Judgement(name, held_back(decisions, runs[0].damage))
@@ -361,30 +374,6 @@ def _decided_on(
         of = poses_of(run)
         rows += [((of, pose), row) for pose, row in calls_of(run, name)]
     return decide_detector(rule, scores, latency(rows), truth_u_mm(runs, scores, name), looks)
-
-
-def _looks_before(
-    before: Sequence[InterimLook],
-    ids: Mapping[str, str],
-    rule: str,
-    own: tuple[int, ...],
-    planned: int,
-) -> Looks:
-    """What was looked at before runs of these ``ids`` are judged as one."""
-    within = [look for look in before if look.runs.keys() <= ids.keys()]
-    left_out = {run: name for look in before for run, name in look.runs.items() if run not in ids}
-    series: list[set[str]] = []  # of runs that looks join
-    for look in within:
-        joined = [one for one in series if one & look.runs.keys()]
-        series = [one for one in series if one not in joined]
-        series.append(set(look.runs).union(*joined))
-    return Looks(
-        planned=planned,
-        own=own,
-        pooled=tuple(look.poses.get(rule, 0) for look in within) if own else (),
-        left_out=tuple(sorted(left_out.values())),
-        apart=max(1, len(series)),
-    )
 
 
 def _none_left_out(decision: Decision, looks: Looks) -> Decision:

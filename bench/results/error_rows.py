@@ -158,7 +158,7 @@ class Bias:
 @lru_cache(maxsize=4)  # of two runs' two detectors: several tables and figures are made of each
 def error_rows(run: RunRecord, detector: str, situation: str | None = None) -> ErrorRows:
     """The rows of one detector, of trials that count; of one situation where named."""
-    tilts, planned = teat_tilts_deg(run), planned_ends_mm(run)
+    planned = planned_ends(run)
     rows: list[tuple[float | None, ...]] = []
     names: list[tuple[str, str, str]] = []
     errors: list[Floats] = []
@@ -170,7 +170,8 @@ def error_rows(run: RunRecord, detector: str, situation: str | None = None) -> E
             if not truth["visible"]:
                 continue
             teat = str(truth["teat"])
-            known = (trial.head["captured_s"], trial.head["bath_c"], tilts.get((trial.id, teat)))
+            _, tilt_deg = planned.get((trial.id, teat), (UNPLANNED, None))
+            known = (trial.head["captured_s"], trial.head["bath_c"], tilt_deg)
             rows.append((*_point(truth), *known, index in at))
             names.append((trial.pose, trial.id, teat))
             if index in at:
@@ -183,7 +184,8 @@ def error_rows(run: RunRecord, detector: str, situation: str | None = None) -> E
     places = None
     if planned:
         keys = [(trial.id, str(row["teat"])) for trial, row in ends]
-        places = np.array([planned.get(key, UNPLANNED) for key in keys]).reshape(-1, 3)
+        at_mm = [planned.get(key, (UNPLANNED, 0.0))[0] for key in keys]
+        places = np.array(at_mm).reshape(-1, 3)
     of_all = table[:, :3], table[:, 6] > 0.5, found, *columns
     return ErrorRows(*of_all, poses, trials, teats, places, joint_truth(run, ends))
 
@@ -262,30 +264,19 @@ def run_precision(rows: ErrorRows) -> tuple[Precision, Precision, Precision]:
     return x, y, z
 
 
-def teat_tilts_deg(run: RunRecord) -> dict[tuple[str, str], float]:
-    """Lean of each teat from the vertical, by trial and teat; nothing for a recording."""
-    tilts: dict[tuple[str, str], float] = {}
-    for planned in _planned(run):
-        for number, teat in enumerate(planned.phantom.teats, 1):
-            lean = np.hypot(*np.tan(teat.tilt_rad))
-            for name in (str(number), teat.name):
-                tilts[planned.id, name] = float(np.degrees(np.arctan(lean)))
-    return tilts
-
-
-def planned_ends_mm(run: RunRecord) -> dict[tuple[str, str], Floats]:
-    """Where the script has each end, world, by trial and teat; nothing for a recording."""
-    places: dict[tuple[str, str], Floats] = {}
-    for planned in _planned(run):
+def planned_ends(run: RunRecord) -> dict[tuple[str, str], tuple[Floats, float]]:
+    """Where the script has each end (world, mm) and how far its teat leans from the vertical (deg),
+    by trial and teat; nothing for a recording.
+    """
+    found: dict[tuple[str, str], tuple[Floats, float]] = {}
+    path = run.folder / SCRIPT
+    for planned in _planned_in(path, read_text(path)) if path.is_file() else ():
         phantom = planned.phantom.moved(planned.pose)
         for number, (teat, end) in enumerate(zip(phantom.teats, phantom.ends_mm, strict=True), 1):
-            places |= dict.fromkeys(((planned.id, str(number)), (planned.id, teat.name)), end)
-    return places
-
-
-def _planned(run: RunRecord) -> tuple[PlannedTrial, ...]:
-    path = run.folder / SCRIPT
-    return _planned_in(path, read_text(path)) if path.is_file() else ()
+            lean = float(np.degrees(np.arctan(np.hypot(*np.tan(teat.tilt_rad)))))
+            keys = (planned.id, str(number)), (planned.id, teat.name)
+            found |= dict.fromkeys(keys, (end, lean))
+    return found
 
 
 @lru_cache(maxsize=2)  # each detector's tables ask, and a drawn scene takes milliseconds
@@ -338,17 +329,14 @@ def truth_gage(runs: Sequence[RunRecord]) -> TruthGage:
     repeats = min(len(points) for part in parts for points in part)
     table: Floats = np.array([[points[:repeats] for points in part] for part in parts])
     x, y, z = (gage_study(table[..., axis]) for axis in range(3))
-    return TruthGage((x, y, z), len(cells) - len(parts), common_mm=_common_mm(runs))
-
-
-def _common_mm(runs: Sequence[RunRecord]) -> tuple[float, ...]:
-    """The largest of several runs, which have an arm and a frame in common."""
-    found = np.zeros(3)
+    # the largest of several runs, which have an arm and a frame in common
+    common_mm = np.zeros(3)
     for run in runs:
         ends = [(t, row) for t in run.counted if t.touches for row in t.truth]
         shared = joint_truth(run, ends).of_mean(np.full(len(ends), 1.0 / max(len(ends), 1)))
-        found = np.maximum(found, np.sqrt(np.diag(shared)))
-    return tuple(map(float, found))
+        common_mm = np.maximum(common_mm, np.sqrt(np.diag(shared)))
+    common = tuple(map(float, common_mm))
+    return TruthGage((x, y, z), len(cells) - len(parts), common_mm=common)
 
 
 def _point(row: Mapping[str, float]) -> tuple[float, float, float]:

@@ -141,19 +141,16 @@ def history(folder: Path, most: int | None = None) -> list[RunHealth]:
                 found[run.name] = there
             elif path in late and not holder_of(run):
                 with suppress(ConfigError, OSError):
-                    found[run.name] = _of_run(read_run(run), stamp)
+                    record = read_run(run)
+                    values = {k: round(v, 4) for k, v in _values(record) if np.isfinite(v)}
+                    started, kind = (str(record.facts[key]) for key in ("wall_started", "kind"))
+                    rig = str(record.facts.get("rig", ""))
+                    found[run.name] = RunHealth(run.name, started, rig, kind, values, stamp)
     if found != kept:
         text = json.dumps({"version": VERSION, "runs": [asdict(one) for one in found.values()]})
         with suppress(OSError, ConfigError):
             write_synced(folder / KEPT, text.encode())
     return sorted((one for one in found.values() if one.rig), key=lambda one: one.day)
-
-
-def _of_run(run: RunRecord, stamp: int) -> RunHealth:
-    facts = run.facts
-    values = {key: round(value, 4) for key, value in _values(run) if np.isfinite(value)}
-    started, rig = str(facts["wall_started"]), str(facts.get("rig", ""))
-    return RunHealth(run.folder.name, started, rig, str(facts["kind"]), values, stamp)
 
 
 def _values(run: RunRecord) -> Iterator[tuple[str, float]]:
@@ -207,25 +204,23 @@ def charts(runs: Sequence[RunHealth]) -> Iterator[Chart]:
         order = [*QUANTITIES, *(name for name in names if name not in QUANTITIES)]
         for key in (name for name in order if name in names):
             having = [one for one in there if key in one.values]
-            if len(having) > 1:
-                yield _chart(f"{rig} ({kind})", key, having)
-
-
-def _chart(rig: str, key: str, runs: Sequence[RunHealth]) -> Chart:
-    quantity = QUANTITIES.get(key, RATE)
-    values = tuple(one.values[key] for one in runs)
-    limits = limits_of(values, quantity.least) if quantity.limits else None
-    return Chart(
-        rig=rig,
-        name=quantity.what or key,
-        unit=quantity.unit,
-        digits=quantity.digits,
-        dates=tuple(one.started[:10] for one in runs),
-        values=values,
-        limits=limits,
-        rules=tuple(broken(values, limits)) if limits else (),
-        trend=trend([one.day for one in runs], values) if quantity.limits else None,
-    )
+            if len(having) < 2:
+                continue
+            quantity = QUANTITIES.get(key, RATE)
+            values = tuple(one.values[key] for one in having)
+            limits = limits_of(values, quantity.least) if quantity.limits else None
+            days = [one.day for one in having]
+            yield Chart(
+                rig=f"{rig} ({kind})",
+                name=quantity.what or key,
+                unit=quantity.unit,
+                digits=quantity.digits,
+                dates=tuple(one.started[:10] for one in having),
+                values=values,
+                limits=limits,
+                rules=tuple(broken(values, limits)) if limits else (),
+                trend=trend(days, values) if quantity.limits else None,
+            )
 
 
 def warnings(folder: Path, rig: str) -> list[str]:

@@ -30,7 +30,6 @@ from bench.results.stated_arm import (
 )
 from bench.results.teats_seen import TEATS_FACT
 from bench.rig.arm_files import (
-    LocationTest,
     Verification,
     VerificationLimits,
     broken_by,
@@ -83,36 +82,23 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
     """Not met where a check or the dated verification breaks a limit, or refutes the stated
     uncertainty; inconclusive where one is missing. The figure is the arm's own error.
     """
-    checks = {when: facts[key] for when, key in _CHECKS.items() if key in facts}
-    dated = from_dict(facts[VERIFICATION_FACT]) if VERIFICATION_FACT in facts else None
-    tests = {
-        when: location_of(fact, f"the check {when} the trials") for when, fact in checks.items()
-    }
-    # The rule's, and where it leaves one out that which follows from the arm's statement
-    stated, usual = facts.get(STATED_FACT), (rule.least_touches, rule.least_touches)
-    touches = [*map(new_touches, checks.values())]
-    of_run = [test.n for test in tests.values()]
-    sizes = [*of_run, *(test.n for test in (dated.locations if dated else ()))]
-    limits = _ArmLimits(
-        location_limit_mm(rule, stated, sizes or usual),
-        length_limit_mm(rule, stated, dated.lengths if dated else ()),
-        drift_limit_mm(rule, stated, touches if len(touches) == len(usual) else usual),
-    )
-    limit = limits.location_mm
+    shown = _ShownArm(rule, facts)
+    tests, dated, limit = shown.tests, shown.dated, shown.limits.location_mm
     nothing = Decision(
         name=rule.name,
-        rule=_rule(rule, limits),
+        rule=_rule(rule, shown.limits),
         unit="mm",
         limit=limit,
         sentence="The rig names neither a check point nor a verification of the arm (keys"
         " check_point_mm and verification).",
     )
-    if not checks and not dated:
+    if not tests and not dated:
         return nothing
-    against = [*_against(rule, limits, checks, tests, dated, facts)]
-    missing = [*_missing(rule, limits, tests, dated, facts)]
-    contradicted = _contradictions(rule, tests, dated, facts) if against else []
-    reasons = "; ".join([*against, *missing, *contradicted]) or _in_order(tests, dated, facts)
+    against, missing = [*shown.against()], [*shown.missing()]
+    contradicted: Iterable[str] = ()
+    if against and (stated := facts.get(STATED_FACT)):
+        contradicted = contradictions(rule, stated, [test.n for test in tests.values()], dated)
+    reasons = "; ".join([*against, *missing, *contradicted]) or shown.in_order()
     figures = [test.largest_mm for test in tests.values()]
     largest = max([*figures, dated.location_mm] if dated else figures)
     return replace(
@@ -132,96 +118,97 @@ class _ArmLimits(VerificationLimits):
     drift_mm: float = float("inf")
 
 
-def _contradictions(
-    rule: ArmRequirement,
-    tests: Mapping[str, LocationTest],
-    dated: Verification | None,
-    facts: Mapping[str, Any],
-) -> list[str]:
-    if (stated := facts.get(STATED_FACT)) is None:
-        return []
-    return [*contradictions(rule, stated, [test.n for test in tests.values()], dated)]
+class _ShownArm:
+    """What a run's facts show of its arm, and the limits that a rule sets it."""
 
-
-def _against(
-    rule: ArmRequirement,
-    limits: _ArmLimits,
-    checks: Mapping[str, Mapping[str, Any]],
-    tests: Mapping[str, LocationTest],
-    dated: Verification | None,
-    facts: Mapping[str, Any],
-) -> Iterator[str]:
-    """A sentence for each limit that is broken."""
-    for when, test in tests.items():
-        yield from broken_by(test, limits.location_mm)
-        if (shift := shift_mm(checks[when])) > rule.shift_limit_mm:
-            yield (
-                f"the check point was found {shift:.2f} mm from its place {when} the trials, limit"
-                f" {rule.shift_limit_mm:g} mm: was the arm homed, and was arm or table moved since"
-                " the frame was made?"
-            )
-    if len(tests) == 2:
-        drift = moved_mm(checks[BEFORE], checks[AFTER])
-        if drift > limits.drift_mm:
-            yield (
-                f"the check point moved by {drift:.2f} mm during the run, limit"
-                f" {limits.drift_mm:.3g} mm: was arm or table pushed?"
-            )
-    if dated:
-        yield from (f"in the dated verification, {text}" for text in dated.broken(limits))
-        serial = facts.get("identities", {}).get("arm", {}).get("serial_number")
-        if serial is not None and dated.serial_number != serial:
-            yield f"the verification is of the arm {dated.serial_number}, but the run used {serial}"
-        age = age_of(dated, facts)
-        if age > timedelta(days=rule.max_age_days):
-            yield f"the verification was {age.days} days old, limit {rule.max_age_days:g} days"
-        if age < timedelta(0):
-            yield "the verification is dated after the run began: look at the computer's clock"
-    if wrong := too_small(facts):
-        yield f"{wrong}: state what the arm shows (accuracy_mm), or have it put right"
-
-
-def _missing(
-    rule: ArmRequirement,
-    limits: VerificationLimits,
-    tests: Mapping[str, LocationTest],
-    dated: Verification | None,
-    facts: Mapping[str, Any],
-) -> Iterator[str]:
-    """A sentence for each thing that was not shown; an emulated arm needs no dated verification."""
-    yield from (
-        f"the arm was not checked {when} the trials" for when in _CHECKS if when not in tests
-    )
-    for test in tests.values():
-        yield from gaps_of(test, rule.least_touches)
-    needed = rule.dated_required and not _emulated(facts)
-    if dated:
-        yield from (f"in the dated verification, {gap}" for gap in dated.gaps(limits))
-        if needed and not dated.lengths and rule.length_limit_mm is None:
-            yield "in the dated verification, no calibrated length was measured"
-    elif needed:
-        yield (
-            "the rig names no dated verification with a length check ('teatbench arm verify"
-            " --length-mm')"
+    def __init__(self, rule: ArmRequirement, facts: Mapping[str, Any]) -> None:
+        self._rule, self._facts = rule, facts
+        self._checks = {when: facts[key] for when, key in _CHECKS.items() if key in facts}
+        self.dated = from_dict(facts[VERIFICATION_FACT]) if VERIFICATION_FACT in facts else None
+        self.tests = {
+            when: location_of(fact, f"the check {when} the trials")
+            for when, fact in self._checks.items()
+        }
+        # The rule's, and where it leaves one out that which follows from the arm's statement
+        stated, usual = facts.get(STATED_FACT), (rule.least_touches, rule.least_touches)
+        touches = [*map(new_touches, self._checks.values())]
+        dated = self.dated
+        located = (*self.tests.values(), *(dated.locations if dated else ()))
+        self.limits = _ArmLimits(
+            location_limit_mm(rule, stated, [test.n for test in located] or usual),
+            length_limit_mm(rule, stated, dated.lengths if dated else ()),
+            drift_limit_mm(rule, stated, touches if len(touches) == len(usual) else usual),
         )
+
+    def against(self) -> Iterator[str]:
+        """A sentence for each limit that is broken."""
+        rule, limits, checks, dated = self._rule, self.limits, self._checks, self.dated
+        for when, test in self.tests.items():
+            yield from broken_by(test, limits.location_mm)
+            if (shift := shift_mm(checks[when])) > rule.shift_limit_mm:
+                yield (
+                    f"the check point was found {shift:.2f} mm from its place {when} the trials,"
+                    f" limit {rule.shift_limit_mm:g} mm: was the arm homed, and was arm or table"
+                    " moved since the frame was made?"
+                )
+        if len(self.tests) == 2:
+            drift = moved_mm(checks[BEFORE], checks[AFTER])
+            if drift > limits.drift_mm:
+                yield (
+                    f"the check point moved by {drift:.2f} mm during the run, limit"
+                    f" {limits.drift_mm:.3g} mm: was arm or table pushed?"
+                )
+        if dated:
+            yield from (f"in the dated verification, {text}" for text in dated.broken(limits))
+            serial = self._facts.get("identities", {}).get("arm", {}).get("serial_number")
+            if serial is not None and dated.serial_number != serial:
+                of = f"the verification is of the arm {dated.serial_number}"
+                yield f"{of}, but the run used {serial}"
+            age = age_of(dated, self._facts)
+            if age > timedelta(days=rule.max_age_days):
+                yield f"the verification was {age.days} days old, limit {rule.max_age_days:g} days"
+            if age < timedelta(0):
+                yield "the verification is dated after the run began: look at the computer's clock"
+        if wrong := too_small(self._facts):
+            yield f"{wrong}: state what the arm shows (accuracy_mm), or have it put right"
+
+    def missing(self) -> Iterator[str]:
+        """A sentence for each thing that was not shown; an emulated arm needs no dated one."""
+        rule, dated = self._rule, self.dated
+        yield from (
+            f"the arm was not checked {when} the trials"
+            for when in _CHECKS
+            if when not in self.tests
+        )
+        for test in self.tests.values():
+            yield from gaps_of(test, rule.least_touches)
+        needed = rule.dated_required and not _emulated(self._facts)
+        if dated:
+            yield from (f"in the dated verification, {gap}" for gap in dated.gaps(self.limits))
+            if needed and not dated.lengths and rule.length_limit_mm is None:
+                yield "in the dated verification, no calibrated length was measured"
+        elif needed:
+            yield (
+                "the rig names no dated verification with a length check ('teatbench arm verify"
+                " --length-mm')"
+            )
+
+    def in_order(self) -> str:
+        """What was read where nothing is wrong."""
+        dated, facts = self.dated, self._facts
+        read = " and ".join(f"{test.largest_mm:.2f} mm {when}" for when, test in self.tests.items())
+        said = f"verified on {dated.made:%Y-%m-%d}" if dated else "no dated verification is named"
+        if not dated and _emulated(facts):
+            said += " (an emulated arm needs none)"
+        if checks := arm_checks(facts):
+            u_mm, ratio = facts[STATED_FACT]["u_mm"], max(check.ratio for check in checks)
+            said += f"; touches show an arm of u = {ratio * u_mm:.2f} mm, stated are {u_mm:g} mm"
+        return f"one divot read within {read}; {said}"
 
 
 def _emulated(facts: Mapping[str, Any]) -> bool:
     """Whether the arm was."""
     return facts.get("kind") == "emulated" or "arm" in facts.get("emulated", ())
-
-
-def _in_order(
-    tests: Mapping[str, LocationTest], dated: Verification | None, facts: Mapping[str, Any]
-) -> str:
-    read = " and ".join(f"{test.largest_mm:.2f} mm {when}" for when, test in tests.items())
-    said = f"verified on {dated.made:%Y-%m-%d}" if dated else "no dated verification is named"
-    if not dated and _emulated(facts):
-        said += " (an emulated arm needs none)"
-    if checks := arm_checks(facts):
-        u_mm, ratio = facts[STATED_FACT]["u_mm"], max(check.ratio for check in checks)
-        said += f"; touches show an arm of u = {ratio * u_mm:.2f} mm, stated are {u_mm:g} mm"
-    return f"one divot read within {read}; {said}"
 
 
 def _rule(rule: ArmRequirement, limits: _ArmLimits) -> str:
@@ -514,22 +501,8 @@ class Latency:
         """Calls without a time: crashes, unusable answers, and calls after it was switched off."""
         return self.silent - self.unanswered.get(Outcome.TIMEOUT.value, 0)
 
-    @property
-    def median_s(self) -> float | None:
-        """None where nothing was timed, as the other percentiles."""
-        return self._percentile(50)
-
-    @property
-    def p95_s(self) -> float | None:
-        """95th percentile."""
-        return self._percentile(95)
-
-    @property
-    def p99_s(self) -> float | None:
-        """99th percentile."""
-        return self._percentile(99)
-
-    def _percentile(self, percent: float) -> float | None:
+    def percentile_s(self, percent: float) -> float | None:
+        """None where nothing was timed."""
         return percentile(self.seconds, percent) if self.seconds else None
 
     @property

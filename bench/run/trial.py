@@ -38,7 +38,7 @@ from bench.run.set_up_picture import write_set_up_picture
 from bench.safety.stability import State
 from bench.script.model import LoadedScript, Rules
 from bench.script.planned_trials import PlannedTrial, shared
-from bench.truth.carrying import CarriedTruth, fixed_key, resumed
+from bench.truth.carrying import CarriedTruth, CarryState, fixed_key, resumed
 from bench.truth.registration import (
     Registration,
     RegistrationError,
@@ -112,15 +112,15 @@ def choose_truth(
 
     return CarriedTruth(
         toucher,
-        lambda: known or _registration(ctx, stage, settings, toucher),
         lambda: stands_at(stage),
+        lambda: known or _registration(ctx, stage, settings, toucher),
         ctx.store,
         settled,
         report,
         ctx.clock.now,
         every=table.check_every,
         limit_mm=table.check_limit_mm,
-        state=resumed(before) if before else None,
+        state=resumed(before) if before else CarryState(),
     )
 
 
@@ -165,7 +165,7 @@ def _made(ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Touch
             phantom,
             poses,
             teat=teat,
-            u_mm=hypot(end_u_mm(ctx.rig.rig.arm, toucher.readings), settings.repeatability_mm),
+            u_mm=hypot(end_u_mm(ctx.rig.rig.arm, toucher.each), settings.repeatability_mm),
             made=wall_time().replace(microsecond=0),
             serial_number=ctx.devices.arm.identity.serial_number,
             report=report,

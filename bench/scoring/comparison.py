@@ -38,7 +38,7 @@ from bench.scoring.rates import Rate, crossing, exact_percent, fewest, percent, 
 from bench.scoring.scene import SceneScore
 from bench.scoring.sequential import least_mean, least_rate, shows_mean
 
-FLIPS = 9999
+FLIPS = 9999  # of signs, at random
 BATCH = 2_000_000  # numbers drawn at once
 MANY = 1000  # poses: from here on a sum of random signs is normal to within its own rounding
 MOST_POSES = 1_000_000
@@ -178,15 +178,10 @@ def _chance_above(values: Floats, limit: float, mean: float, n: int) -> float:
     exceeds `mean`: that of a weighted sum of gamma variables to exceed 0, its characteristic
     function inverted (Davies, Applied Statistics 29, 1980).
     """
-    offsets, shapes = (
-        np.append(values, limit) - mean,
-        np.append(np.full(len(values), n / len(values)), 1.0),
-    )
-    reach = (
-        abs(float(shapes @ offsets))
-        + 10.0 * sqrt(float(shapes @ offsets**2))
-        + 35.0 * float(np.abs(offsets).max())
-    )
+    offsets = np.append(values, limit) - mean
+    shapes = np.append(np.full(len(values), n / len(values)), 1.0)
+    reach = abs(float(shapes @ offsets)) + 10.0 * sqrt(float(shapes @ offsets**2))
+    reach += 35.0 * float(np.abs(offsets).max())
     total, steps = 0.5, np.arange(64) + 0.5
     while True:
         turned = np.outer(2.0 * pi / reach * steps, offsets)
@@ -197,9 +192,9 @@ def _chance_above(values: Floats, limit: float, mean: float, n: int) -> float:
         steps += len(steps)
 
 
-def sign_flip_p(differences: Floats, seed: int = 0, flips: int = FLIPS) -> float:
+def sign_flip_p(differences: Floats, seed: int = 0) -> float:
     """Two-sided p-value of a mean of 0 under random signs (Fisher, The Design of Experiments, 21):
-    all 2^n where at most `flips`, else that many and the one seen; above MANY values the normal
+    all 2^n where at most FLIPS, else that many and the one seen; above MANY values the normal
     limit.
     """
     values = differences[differences != 0.0]
@@ -207,17 +202,17 @@ def sign_flip_p(differences: Floats, seed: int = 0, flips: int = FLIPS) -> float
     if n == 0:
         return 1.0
     seen = abs(float(values.sum())) * (1.0 - 1e-12)
-    if 2**n <= flips:
+    if 2**n <= FLIPS:
         signs = 1.0 - 2.0 * ((np.arange(2**n)[:, None] >> np.arange(n)) & 1)
         return float(np.mean(np.abs(signs @ values) >= seen))
     if n > MANY:
         return 2.0 * float(ndtr(-seen / sqrt(float(values @ values))))
-    rng, extreme, left = np.random.default_rng(seed), 0, flips
+    rng, extreme, left = np.random.default_rng(seed), 0, FLIPS
     while left:
         rows = min(left, max(1, BATCH // n))
         sums = (1.0 - 2.0 * rng.integers(0, 2, (rows, n), dtype=np.int8)) @ values
         extreme, left = extreme + int((np.abs(sums) >= seen).sum()), left - rows
-    return (extreme + 1) / (flips + 1)
+    return (extreme + 1) / (FLIPS + 1)
 
 
 def pose_differences(
@@ -324,25 +319,6 @@ class PairedComparison:
     identical: bool = False
 
 
-def _same(pairs: Sequence[ScenePair], pooled: Row, confidence: float, again: int) -> str:
-    """That all answers are identical, and what that shows of other poses."""
-    chance, n = (1.0 - confidence) / 2.0 ** (1 + again), pooled.poses
-    unseen = Rate(0, n).upper_bound(1.0 - chance) or 0.0
-    most = percent(1.0 - least_rate(n, n, chance) if again else unseen)
-    return (
-        f"identical answers in all {len(pairs)} frame sets: nothing changed in these; of other"
-        f" poses at most {most} have another answer ({plural(n, 'pose')},"
-        f" {exact_percent(1.0 - chance)} confidence)"
-    )
-
-
-def _identical(pair: ScenePair) -> bool:
-    """Whether both gave the same answer, to the last bit."""
-    old, new = pair.old, pair.new
-    same = (old.counts, old.match.pairs) == (new.counts, new.match.pairs)
-    return same and np.array_equal(old.errors_mm, new.errors_mm)
-
-
 def compare(
     pairs: Sequence[ScenePair],
     *,
@@ -382,9 +358,21 @@ def compare(
     )
     several = situations if len(situations) > 1 else ()
     verdict = gate(pairs, pooled, margin, unpaired, several, margin_rate, again)
-    identical = not unpaired and all(map(_identical, pairs))
+    # to the last bit
+    identical = not unpaired and all(
+        (old.counts, old.match.pairs) == (new.counts, new.match.pairs)
+        and np.array_equal(old.errors_mm, new.errors_mm)
+        for old, new in ((pair.old, pair.new) for pair in pairs)
+    )
     if identical and verdict.verdict is Verdict.INCONCLUSIVE:
-        same = _same(pairs, pooled, confidence, again)
+        chance, n = (1.0 - confidence) / 2.0 ** (1 + again), pooled.poses
+        unseen = Rate(0, n).upper_bound(1.0 - chance) or 0.0
+        most = percent(1.0 - least_rate(n, n, chance) if again else unseen)
+        same = (
+            f"identical answers in all {len(pairs)} frame sets: nothing changed in these; of other"
+            f" poses at most {most} have another answer ({plural(n, 'pose')},"
+            f" {exact_percent(1.0 - chance)} confidence)"
+        )
         # a margin of the rate says itself what scenes that were not run may hide
         reasons = (same,) if margin_rate is None else (same, *verdict.reasons)
         verdict = replace(verdict, reasons=reasons)

@@ -158,11 +158,9 @@ def normal_k(n: int, rate: float, confidence: float = 0.95) -> float:
     return float(nctdtrit(n - 1, ndtri(rate) * root, confidence)) / root
 
 
-def quantile_bounds(
-    values: npt.ArrayLike, rate: float, confidence: float = 0.95
-) -> tuple[float | None, float | None]:
-    """One-sided lower and upper bound of the population's quantile `rate`, each with `confidence`,
-    for any distribution: two of the values, None where n is too small (David and Nagaraja, Order
+def quantile_bound(values: npt.ArrayLike, rate: float, confidence: float = 0.95) -> float | None:
+    """One-sided upper bound of the population's quantile `rate` with `confidence`, for any
+    distribution: one of the values, None where n is too small (David and Nagaraja, Order
     Statistics, section 7.1).
     """
     ordered = np.sort(as_values(values, "values"))
@@ -171,8 +169,4 @@ def quantile_bounds(
     # P(at most k of n values lie below the quantile), k = 0 to n
     at_most = bdtr(np.arange(n + 1), n, rate)
     upper = int(np.searchsorted(at_most, confidence))
-    lower = int(np.searchsorted(at_most, 1.0 - confidence)) - 1
-    return (
-        float(ordered[lower]) if lower >= 0 else None,
-        float(ordered[upper]) if upper < n else None,
-    )
+    return float(ordered[upper]) if upper < n else None

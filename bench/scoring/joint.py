@@ -111,7 +111,8 @@ def mean_square(errors_mm: Floats, truth: JointCovariance) -> MeanSquare:
     is g chi-square of h degrees of freedom (Satterthwaite).
     """
     n = len(errors_mm)
-    mean, variance = (value / n**k for k, value in enumerate(truth.squares(_alike(n)), 1))
+    each = np.broadcast_to(np.eye(3), (n, 3, 3))
+    mean, variance = (value / n**k for k, value in enumerate(truth.squares(each), 1))
     most = mean * float(chdtri(2.0 * mean**2 / variance, 0.05)) / (2.0 * mean**2 / variance)
     crossed = np.einsum("na,nak->k", errors_mm, truth.common)
     own = float(np.einsum("na,nab,nb->", errors_mm, truth.fresh, errors_mm))
@@ -119,7 +120,3 @@ def mean_square(errors_mm: Floats, truth: JointCovariance) -> MeanSquare:
     seen, reach = float(np.mean(np.sum(np.square(errors_mm), axis=1))), float(ndtri(0.975)) * sd
     low, high = (sqrt(max(seen - mean + sign * reach, 0.0)) for sign in (-1.0, 1.0))
     return MeanSquare(sqrt(mean), sqrt(most), (low, high))
-
-
-def _alike(n: int) -> Floats:
-    return np.broadcast_to(np.eye(3), (n, 3, 3))

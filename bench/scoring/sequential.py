@@ -5,13 +5,13 @@ often than it says. A confidence sequence holds at all numbers of scenes at once
 stop whenever it is tight enough.
 
 It is made of bets (Waudby-Smith and Ramdas, Journal of the Royal Statistical Society B 86, 2024).
-With f = 1 for a failure and 0 else, and w the weight of a scene, at most W, the capital
+With f = 1 for a failure and 0 else, the capital
 
-    K(r) = mean over c of the product of 1 + (c w / W) (f / r - 1),  0 < c < 1
+    K(r) = mean over c of the product of 1 + c (f / r - 1),  0 < c < 1
 
 has the mean 1 at every n where r is the true rate, and falls in r. It reaches 2 / (1 - level) at
 any n with at most half the chance 1 - level (Ville's inequality). The rates below where it does
-are ruled out, and those above by the same bets on successes. Even scenes have w = W = 1.
+are ruled out, and those above by the same bets on successes.
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ def confidence_sequence(failures: int, scenes: int, level: float = 0.95) -> tupl
     """
     if not 0 <= failures <= scenes:
         raise ValueError(f"rate: {failures} failures of {scenes} scenes is impossible")
-    return bounds(1.0, 1.0, (failures, scenes - failures), level)
+    check_open("level", level)
+    chance = 0.5 * (1.0 - level)
+    return least_rate(failures, scenes, chance), 1.0 - least_rate(scenes - failures, scenes, chance)
 
 
 def tight_enough(failures: int, scenes: int, half_width: float, level: float = 0.95) -> bool:
@@ -54,8 +56,24 @@ def tight_enough(failures: int, scenes: int, half_width: float, level: float = 0
 
 def least_rate(hits: int, trials: int, chance: float) -> float:
     """The rate of hits is at least this at every look, but for the ``chance``."""
-    one = np.ones(1)
-    return _least(one, np.array([float(hits)]), one, np.array([float(trials - hits)]), chance)
+    if not hits:
+        return 0.0
+    lost = np.log1p(-BETS) * (trials - hits) - log(len(BETS) / chance)
+
+    def above(logit: float) -> float:
+        """ln K - ln(1 / chance) where 1 / r - 1 = exp(-logit); it falls."""
+        logs = lost + np.log1p(BETS * exp(-logit)) * hits
+        most = float(logs.max())
+        return most + log(float(np.exp(logs - most).sum()))
+
+    high = log(hits) - log(trials - hits + 1e-9)
+    step = 0.25
+    while above(high) > 0.0:  # the estimate itself is never ruled out, unless by rounding
+        high += step
+    low = high
+    while above(low) < 0.0 and low > LEAST_LOGIT:
+        high, low, step = low, low - step, 2.0 * step
+    return 0.0 if low <= LEAST_LOGIT else float(expit(crossing(above, low, high)))
 
 
 def least_mean(values: ArrayLike, counts: ArrayLike, chance: float) -> float:
@@ -92,44 +110,3 @@ def _log_capital(seen: Reals, often: Reals, mean: float) -> float:
     logs = np.log1p(np.outer(BETS, seen / mean - 1.0)) @ often
     most = float(logs.max())
     return most + log(float(np.exp(logs - most).mean()))
-
-
-def bounds(
-    hits: ArrayLike, others: ArrayLike, counts: tuple[ArrayLike, ArrayLike], level: float
-) -> tuple[float, float]:
-    """The interval from parts w / W of failures (n,) and others (m,) with their `counts`."""
-    check_open("level", level)
-    failed, passed = (np.atleast_1d(np.asarray(part, dtype=np.float64)) for part in (hits, others))
-    often, seldom = (np.atleast_1d(np.asarray(one, dtype=np.float64)) for one in counts)
-    chance = 0.5 * (1.0 - level)
-    low = _least(failed, often, passed, seldom, chance)
-    return low, 1.0 - _least(passed, seldom, failed, often, chance)
-
-
-def _least(
-    hits: Reals,
-    often: Reals,
-    others: Reals,
-    seldom: Reals,
-    chance: float,
-) -> float:
-    """The least rate of hits that the bets don't rule out."""
-    if not often.sum():
-        return 0.0
-    lost = np.log1p(-np.outer(BETS, others)) @ seldom - log(len(BETS) / chance)
-    bets = np.outer(BETS, hits)
-
-    def above(logit: float) -> float:
-        """ln K - ln(1 / chance) where 1 / r - 1 = exp(-logit); it falls."""
-        logs = lost + np.log1p(bets * exp(-logit)) @ often
-        most = float(logs.max())
-        return most + log(float(np.exp(logs - most).sum()))
-
-    high = log(float(hits @ often)) - log(float(others @ seldom) + 1e-9)
-    step = 0.25
-    while above(high) > 0.0:  # the estimate itself is never ruled out, unless by rounding
-        high += step
-    low = high
-    while above(low) < 0.0 and low > LEAST_LOGIT:
-        high, low, step = low, low - step, 2.0 * step
-    return 0.0 if low <= LEAST_LOGIT else float(expit(crossing(above, low, high)))

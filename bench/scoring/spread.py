@@ -21,7 +21,7 @@ make of the slope is added to its variance, with degrees of freedom after Welch 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from math import sqrt
@@ -100,9 +100,7 @@ def prediction_ellipsoid(
     `common_mm2` (3, 3); None for fewer than LEAST_POSES: (e - mean)' S^-1 (e - mean) <= 3 (n^2 - 1)
     / (n (n - 3)) F(share; 3, n - 3).
     """
-    return _ellipsoid(
-        errors_mm, share, lambda n: AXES * (n * n - 1.0) / (n * (n - AXES)), common_mm2
-    )
+    return _ellipsoid(errors_mm, share, 1.0, common_mm2)
 
 
 def bias_ellipsoid(
@@ -111,9 +109,7 @@ def bias_ellipsoid(
     """Where the mean error lies; as `prediction_ellipsoid`, but n (m - mean)' S^-1 (m - mean) <= 3
     (n - 1) / (n - 3) F(confidence; 3, n - 3). No bias is shown where it holds 0.
     """
-    return _ellipsoid(
-        errors_mm, confidence, lambda n: AXES * (n - 1.0) / (n * (n - AXES)), common_mm2
-    )
+    return _ellipsoid(errors_mm, confidence, 0.0, common_mm2)
 
 
 def bias_test(errors_mm: npt.ArrayLike, common_mm2: Floats | None = None) -> BiasTest:
@@ -124,28 +120,24 @@ def bias_test(errors_mm: npt.ArrayLike, common_mm2: Floats | None = None) -> Bia
     n = len(errors)
     if n < LEAST_POSES:
         return BiasTest(n)
-    mean, covariance = errors.mean(axis=0), np.cov(errors.T)
-    if common_mm2 is not None and common_mm2.any():
-        whole = covariance / n + common_mm2
-        if np.linalg.matrix_rank(whole) < AXES:
-            return BiasTest(n)
-        freedom = min(_freedom(covariance / n, whole, n), KNOWN)
-        over = freedom - AXES + 1.0
-        t_squared = float(mean @ np.linalg.solve(whole, mean))
-        return BiasTest(n, t_squared, float(fdtrc(AXES, over, t_squared * over / (AXES * freedom))))
-    if np.linalg.matrix_rank(covariance) < AXES:
+    mean = errors.mean(axis=0)
+    whole, freedom = _known_to(np.cov(errors.T) / n, n, common_mm2)
+    if np.linalg.matrix_rank(whole) < AXES:
         return BiasTest(n)
-    t_squared = n * float(mean @ np.linalg.solve(covariance, mean))
-    return BiasTest(
-        n, t_squared, float(fdtrc(AXES, n - AXES, t_squared * (n - AXES) / (AXES * (n - 1.0))))
-    )
+    over = freedom - AXES + 1.0
+    t_squared = float(mean @ np.linalg.solve(whole, mean))
+    return BiasTest(n, t_squared, float(fdtrc(AXES, over, t_squared * over / (AXES * freedom))))
 
 
-def _freedom(estimated: Floats, whole: Floats, n: int) -> float:
-    """nu of the head of this file; n - 1 where all of ``whole`` is estimated."""
+def _known_to(estimated: Floats, n: int, common_mm2: Floats | None) -> tuple[Floats, float]:
+    """V of the head of this file, and nu; n - 1 where all of it is ``estimated``."""
+    if common_mm2 is None or not common_mm2.any():
+        return estimated, n - 1.0
+    whole = estimated + common_mm2
     share = np.linalg.pinv(whole) @ estimated
     spent = float(np.trace(share @ share)) + float(np.trace(share)) ** 2
-    return (n - 1.0) * (AXES + AXES**2) / spent if spent > 0.0 else float("inf")
+    freedom = (n - 1.0) * (AXES + AXES**2) / spent if spent > 0.0 else KNOWN
+    return whole, min(freedom, KNOWN)
 
 
 def consistency(
@@ -191,24 +183,18 @@ def consistency(
 
 
 def _ellipsoid(
-    errors_mm: npt.ArrayLike,
-    share: float,
-    scale: Callable[[int], float],
-    common_mm2: Floats | None = None,
+    errors_mm: npt.ArrayLike, share: float, ahead: float, common_mm2: Floats | None
 ) -> Ellipsoid | None:
+    """Of the mean error, and of as many errors ``ahead``."""
     errors = as_points(errors_mm, "errors")
     if not 0.0 < share < 1.0:
         raise ValueError(f"share: {share} must lie between 0 and 1, for example 0.95")
     n = len(errors)
     if n < LEAST_POSES:
         return None
-    whole, factor = np.cov(errors.T), sqrt(scale(n) * float(fdtri(AXES, n - AXES, share)))
-    if common_mm2 is not None and common_mm2.any():
-        estimated = scale(n) * (n - AXES) / (AXES * (n - 1.0)) * whole
-        whole = estimated + common_mm2
-        freedom = min(_freedom(estimated, whole, n), KNOWN)
-        over = freedom - AXES + 1.0
-        factor = sqrt(AXES * freedom / over * float(fdtri(AXES, over, share)))
+    whole, freedom = _known_to((ahead + 1.0 / n) * np.cov(errors.T), n, common_mm2)
+    over = freedom - AXES + 1.0
+    factor = sqrt(AXES * freedom / over * float(fdtri(AXES, over, share)))
     values, vectors = np.linalg.eigh(whole)
     half = factor * np.sqrt(np.maximum(values[::-1], 0.0))
     return Ellipsoid(n, errors.mean(axis=0), half, np.ascontiguousarray(vectors[:, ::-1].T))
@@ -368,10 +354,8 @@ def trend(
         of_truth += (of.u**2 * len(x) / sxx) ** 2
     slope, without, freedom = line.slope, line.without, line.freedom
     scatter = (count - 1) / count * float(np.square(without - without.mean()).sum())
-    error = sqrt(scatter)
-    if of_truth > 0.0:
-        error = sqrt(scatter + of_truth)
-        freedom = min(freedom * ((scatter + of_truth) / scatter) ** 2, KNOWN) if scatter else KNOWN
+    error = sqrt(scatter + of_truth)
+    freedom = min(freedom * ((scatter + of_truth) / scatter) ** 2, KNOWN) if scatter else KNOWN
     reach = float(stdtrit(freedom, (1.0 + confidence) / 2.0)) * error
     p_value = (
         2.0 * float(stdtr(freedom, -abs(slope) / error)) if error > 0.0 else float(slope == 0.0)
@@ -403,26 +387,28 @@ def _ordinary(
     of its stratum + n_B / (n_S - n_B) (mean of its block - mean of its stratum)) / (Sxx without g);
     a block is what a group has of a stratum.
     """
-    sxx, sxy, less_xx, less_xy = _sums(x - x.mean(), y - y.mean(), group, stratum, count)
-    if sxx <= 1e-12 * max(1.0, float(np.square(x).max())) * len(x) or np.any(
-        sxx - less_xx <= 1e-9 * sxx
-    ):
-        return None, sxx
-    without = (sxy - less_xy) / (sxx - less_xx)
     centred, in_stratum = _centred(x, stratum), np.bincount(stratum)
     blocks, block = np.unique(stratum * count + group, return_inverse=True)
-    block = block.ravel()
-    in_block = np.bincount(block)
-    rest = np.maximum(in_stratum[blocks // count] - in_block, 1)
-    forms = centred + (np.bincount(block, centred) / rest)[block]
-    forms /= (sxx - less_xx)[group]
+    block, of = block.ravel(), blocks // count
+    rest = np.maximum(in_stratum[of] - np.bincount(block), 1)
+    sums, sxx = np.bincount(block, centred), float(centred @ centred)
+    without_g = sxx - np.bincount(group, np.square(centred))
+    without_g -= np.bincount(blocks % count, np.square(sums) / rest, minlength=count)
+    if sxx <= 1e-12 * max(1.0, float(np.square(x).max())) * len(x) or np.any(
+        without_g <= 1e-9 * sxx
+    ):
+        return None, sxx
+    forms = (centred + (sums / rest)[block]) / without_g[group]
+    left = _centred(y, stratum)
+    slope = float(centred @ left) / sxx
+    without = np.asarray(slope - np.bincount(group, forms * (left - slope * centred)))
     # a group has rows in few of all strata
-    shared = np.bincount(block, forms) / np.sqrt(in_stratum[blocks // count])
-    of_strata = csr_array((shared, (blocks % count, blocks // count)), (count, len(in_stratum)))
+    shared = np.bincount(block, forms) / np.sqrt(in_stratum[of])
+    of_strata = csr_array((shared, (blocks % count, of)), (count, len(in_stratum)))
     of_slope = np.bincount(group, forms * centred)[:, None] / sqrt(sxx)
     lost = csr_array(hstack([of_strata, csr_array(of_slope)]))
     freedom = _jackknife_freedom(forms, group, lost)
-    return _Line(sxy / sxx, without, centred / sxx, freedom), sxx
+    return _Line(slope, without, centred / sxx, freedom), sxx
 
 
 def _jackknife_freedom(forms: Floats, group: npt.NDArray[np.intp], lost: csr_array) -> float:
@@ -484,37 +470,3 @@ def _generalised(
     ]
     freedom = _jackknife_freedom(forms / sqrt(noise), group, csr_array(np.column_stack(lost)))
     return _Line(slope, without, np.asarray(weights), freedom)
-
-
-def _sums(
-    x: Floats, y: Floats, group: npt.NDArray[np.intp], stratum: npt.NDArray[np.intp], count: int
-) -> tuple[float, float, Floats, Floats]:
-    """Sxx and Sxy about the stratum means, and what each group adds to them."""
-    blocks, block = (
-        (np.arange(count), group)
-        if not stratum.any()
-        else np.unique(stratum * count + group, return_inverse=True)
-    )
-    block = block.ravel()
-
-    def add(code: npt.NDArray[np.intp], size: int) -> tuple[Floats, ...]:
-        return tuple(
-            np.bincount(code, w, minlength=size).astype(np.float64)
-            for w in (np.ones_like(x), x, y, x * x, x * y)
-        )
-
-    whole, part = add(stratum, int(stratum.max()) + 1), add(block, len(blocks))
-    of = blocks // count
-    before = _about_mean(*whole)
-    after = _about_mean(*(w[of] - p for w, p in zip(whole, part, strict=True)))
-    less = [
-        np.bincount(blocks % count, b[of] - a, minlength=count).astype(np.float64)
-        for b, a in zip(before, after, strict=True)
-    ]
-    return float(before[0].sum()), float(before[1].sum()), less[0], less[1]
-
-
-def _about_mean(n: Floats, x: Floats, y: Floats, xx: Floats, xy: Floats) -> tuple[Floats, Floats]:
-    some = np.maximum(n, 1.0)
-    there = n > 0.5
-    return np.where(there, xx - x * x / some, 0.0), np.where(there, xy - x * y / some, 0.0)

@@ -36,7 +36,7 @@ class StatedCheck:
     @property
     def ratio_interval(self) -> tuple[float, float]:
         """95 % confidence interval of that ratio."""
-        low, high = self._quantile(0.025), self._quantile(0.975)
+        low, high = self.limit(0.025), self.limit(0.975)
         return sqrt(self.squares / low), sqrt(self.squares / high) if high > 0 else inf
 
     @property
@@ -48,12 +48,9 @@ class StatedCheck:
 
     def limit(self, level: float) -> float:
         """The sum of squares that a true statement exceeds with the chance ``level``."""
-        return self._quantile(level)
-
-    def _quantile(self, above: float) -> float:
         if self.stated_df is None:
-            return float(chdtri(self.df, above))
-        return self.df * float(fdtri(self.df, self.stated_df, 1.0 - above))
+            return float(chdtri(self.df, level))
+        return self.df * float(fdtri(self.df, self.stated_df, 1.0 - level))
 
 
 def level_of_each(checks: Sequence[StatedCheck]) -> float:

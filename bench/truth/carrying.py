@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,6 @@ from bench.truth.touching import (
     NoTruthError,
     SoFar,
     TouchedTruth,
-    Toucher,
     TrialTruth,
 )
 from bench.truth.uncertainty import (
@@ -136,53 +135,40 @@ class CarryState:
     unconfirmed: list[str] = field(default_factory=list)
 
 
+@dataclass(eq=False)
 class CarriedTruth(TouchedTruth):
     """Touched once, then carried by the stage, and checked by touch after ``every`` carried trials
     within ``limit_mm``. ``settled`` gets trials that a check confirmed or invalidated.
     """
 
-    def __init__(
-        self,
-        toucher: Toucher,
-        registration: Callable[[], Registration],
-        stage_mm: Callable[[], Triple],
-        store: Store,
-        settled: Callable[[Sequence[str], bool], None],
-        report: Callable[[str, str], None],
-        now_s: Callable[[], float],
-        *,
-        every: int,
-        limit_mm: float,
-        state: CarryState | None = None,
-    ) -> None:
-        super().__init__(toucher, stage_mm)
-        self._register = registration
-        self._stands_at = stage_mm
-        self._store = store
-        self._settled = settled
-        self._report = report
-        self._now_s = now_s
-        self._every = every
-        self._limit_mm = limit_mm
-        self._state = state or CarryState()
-        self._registration: Registration | None = None
-        self._begun = ""
-        self._away = False
+    stage_mm: Callable[[], Triple]
+    register: Callable[[], Registration]
+    store: Store
+    settled: Callable[[Sequence[str], bool], None]
+    report: Callable[[str, str], None]
+    now_s: Callable[[], float]
+    _: KW_ONLY
+    every: int
+    limit_mm: float
+    state: CarryState = field(default_factory=CarryState)
+    registration: Registration | None = field(default=None, init=False)
+    begun: str = field(default="", init=False)
+    away: bool = field(default=False, init=False)
 
     def begin(self) -> None:
         """Have the registration, and its faults for the operator."""
-        self._registration = self._register()
-        for fault in self._registration.faults:
-            self._report("registration", fault)
+        self.registration = self.register()
+        for fault in self.registration.faults:
+            self.report("registration", fault)
 
     def before(self, shown: ExpectedScene) -> None:
         """Check the carried trials so far where it is time, or before the phantom is changed."""
-        state, again = self._state, shown.trial == self._begun
-        self._begun = shown.trial
+        state, again = self.state, shown.trial == self.begun
+        self.begun = shown.trial
         if state.reference is None:
             return
         rearranged = again or state.reference.fixed != shown.fixed
-        if state.since and (rearranged or 0 < self._every <= len(state.since)):
+        if state.since and (rearranged or 0 < self.every <= len(state.since)):
             self._check(state.reference)
         if rearranged:  # what was touched stands no more, even where it is put back later
             self._give_up()
@@ -191,23 +177,23 @@ class CarriedTruth(TouchedTruth):
                 if again
                 else "has other teats, a turn or a shift by hand, and only the stage's shifts carry"
             )
-            self._report("state", f"{shown.trial} {why}: its ends are touched anew")
+            self.report("state", f"{shown.trial} {why}: its ends are touched anew")
             self._refer(None)
 
     def unattended(self, shown: ExpectedScene) -> bool:
         """Carried, and the arm was put away before the trial before this one."""
-        reference = self._state.reference
-        return self._away and reference is not None and reference.fixed == shown.fixed
+        reference = self.state.reference
+        return self.away and reference is not None and reference.fixed == shown.fixed
 
     def of_trial(self, shown: ExpectedScene, so_far: SoFar | None = None) -> TrialTruth:
         """Carried where the same thing was touched before; else touched, as the new reference."""
-        reference = self._state.reference
-        self._away = reference is not None and reference.fixed == shown.fixed
-        if reference is not None and self._away:
-            stage_mm = self._stands_at()
+        reference = self.state.reference
+        self.away = reference is not None and reference.fixed == shown.fixed
+        if reference is not None and self.away:
+            stage_mm = self.stage_mm()
             return TrialTruth(tuple(self._carried(reference, stage_mm)), (), stage_mm)
         truth = super().of_trial(shown, so_far)
-        stage_mm = truth.stage_mm or self._stands_at()
+        stage_mm = truth.stage_mm or self.stage_mm()
         axes = tuple(triple(axis) for axis in shown.ends.axes)
         names = shown.ends.names
         self._refer(Reference(shown.trial, shown.fixed, stage_mm, truth.points, axes, names))
@@ -216,28 +202,28 @@ class CarriedTruth(TouchedTruth):
     def stored(self, trial: str, truth: TrialTruth) -> None:
         """Remember that this trial rests on the reference."""
         if truth.how is How.CARRIED:
-            self._state.since.append(trial)
+            self.state.since.append(trial)
 
     def end(self) -> None:
         """Check what the last carried trials rest on; skipped, it leaves them unconfirmed."""
-        if self._state.since and self._state.reference is not None:
-            self._check(self._state.reference)
+        if self.state.since and self.state.reference is not None:
+            self._check(self.state.reference)
         self._give_up()
 
     def _check(self, reference: Reference) -> None:
         """Touch the ends again where the stage has them now; what follows is stored first."""
-        state, number = self._state, self._state.checks + 1
+        state, number = self.state, self.state.checks + 1
         after = state.since[-1]
-        self._away = False
-        self._report("state", f"check touch {number} of the carried truth, after trial {after}")
-        stage_mm = self._stands_at()
+        self.away = False
+        self.report("state", f"check touch {number} of the carried truth, after trial {after}")
+        stage_mm = self.stage_mm()
         expected = self._carried(reference, stage_mm)
         places = np.array([point.xyz_mm for point in expected])
         ends = Ends(places, np.array(reference.axes), names=reference.names)
         try:
-            seen, _ = self._toucher.touch_all(ends)
+            seen, _ = self.toucher.touch_all(ends)
         except OperatorSkip as skip:  # a wish about this check, not about the trial to come
-            self._report(
+            self.report(
                 "check touch",
                 f"check touch {number} was skipped: {skip.reason}. {counted(len(state.since))}"
                 " unconfirmed so far",
@@ -248,14 +234,14 @@ class CarriedTruth(TouchedTruth):
             self._refer(None)
             return
         touches = np.array([point.xyz_mm for point in seen])
-        off_mm, limit_mm = np.linalg.norm(touches - places, axis=1), self._limit_mm
+        off_mm, limit_mm = np.linalg.norm(touches - places, axis=1), self.limit_mm
         names = ("x_mm", "y_mm", "z_mm", "carried_x_mm", "carried_y_mm", "carried_z_mm")
         rows = [
             {
                 "number": number,
                 "teat": str(teat),
                 "after_trial": after,
-                "t_s": self._now_s(),
+                "t_s": self.now_s(),
                 **dict(zip(names, (*touch.tolist(), *place.tolist()), strict=True)),
                 "off_mm": float(off),
                 "limit_mm": limit_mm,
@@ -274,40 +260,40 @@ class CarriedTruth(TouchedTruth):
             self._refer(replace(reference, trial=name, stage_mm=stage_mm, points=points))
             return
         since = tuple(state.since)
-        self._store.checked(rows, (), "")
-        self._settled(since, True)
-        self._report("check touch", f"{found}: {counted(len(since))} confirmed")
+        self.store.checked(rows, (), "")
+        self.settled(since, True)
+        self.report("check touch", f"{found}: {counted(len(since))} confirmed")
         state.checks = number
         state.since.clear()
 
     def _failed(self, number: int, rows: Sequence[Row], found: str) -> None:
         """Invalidate what no good check has confirmed."""
-        since = tuple(self._state.since)
-        self._store.checked(rows, since, f"{found}; carried since the last good check. {LOST}")
-        self._settled(since, False)
-        self._report(
+        since = tuple(self.state.since)
+        self.store.checked(rows, since, f"{found}; carried since the last good check. {LOST}")
+        self.settled(since, False)
+        self.report(
             "invalid",
             f"{found}. Invalidated, as carried since the last good check: {', '.join(since)}."
             f" {LOST}",
         )
-        self._state.checks = number
-        self._state.since.clear()
+        self.state.checks = number
+        self.state.since.clear()
 
     def _give_up(self) -> None:
         """What no check has confirmed by now, none can confirm any more."""
-        if self._state.since:
-            self._state.unconfirmed += self._state.since
-            self._state.since.clear()
-            self._store.fact(UNCONFIRMED_FACT, self._state.unconfirmed)
+        if self.state.since:
+            self.state.unconfirmed += self.state.since
+            self.state.since.clear()
+            self.store.fact(UNCONFIRMED_FACT, self.state.unconfirmed)
 
     def _refer(self, reference: Reference | None) -> None:
-        self._state.reference = reference
-        self._store.fact(REFERENCE_FACT, None if reference is None else reference.as_dict())
+        self.state.reference = reference
+        self.store.fact(REFERENCE_FACT, None if reference is None else reference.as_dict())
 
     def _carried(self, reference: Reference, stage_mm: Triple) -> list[TrueEnd]:
-        if self._registration is None:
+        if self.registration is None:
             raise ValueError("a carried truth has to begin before the first trial")
-        return carried(reference, self._registration, stage_mm, self._toucher.tip.u_registration_mm)
+        return carried(reference, self.registration, stage_mm, self.toucher.tip.u_registration_mm)
 
 
 def resumed(run: RunRecord) -> CarryState:

@@ -88,18 +88,6 @@ class FreeFit:
     freedom: int
 
 
-def free_fit(q: Floats, seen: Floats) -> FreeFit:
-    """The fit of q (n, 3) to ``seen`` (n, 3), both centred; heights only where they varied."""
-    high = np.std(q[:, 2]) > _FLAT_MM and np.linalg.svd(q, compute_uv=False)[2] > _FLAT_MM
-    turns = [np.cross(axis, q).ravel() for axis in np.eye(3)]
-    bends = [(q @ entry.T).ravel() for entry in _ENTRIES[: 6 if high else 3]]
-    design, off = np.column_stack([*turns, *bends]), (seen - q).ravel()
-    found = np.asarray(np.linalg.lstsq(design, off, rcond=None)[0], dtype=np.float64)
-    covariance = np.asarray(np.linalg.inv(design.T @ design), dtype=np.float64)
-    left_over, freedom = np.asarray(off - design @ found), 3 * len(q) - 3 - design.shape[1]
-    return FreeFit(found[:3], found[3:], covariance, left_over, freedom)
-
-
 # the matrices (6, 3, 3) of E's entries, in the order of `NAMES`
 _ENTRIES = np.zeros((6, 3, 3))
 for _i, (_row, _column) in enumerate(((0, 0), (1, 1), (0, 1), (2, 2), (0, 2), (1, 2))):
@@ -304,9 +292,17 @@ class Registration:
 
     @cached_property
     def _free(self) -> FreeFit:
-        return free_fit(
-            self._q, (self.touched_mm - self.touched_mm.mean(axis=0)) @ self.world_from_stage.R
-        )
+        """Of the positions to the touches, both centred; heights only where they varied."""
+        q, touched = self._q, self.touched_mm
+        seen = (touched - touched.mean(axis=0)) @ self.world_from_stage.R
+        high = np.std(q[:, 2]) > _FLAT_MM and np.linalg.svd(q, compute_uv=False)[2] > _FLAT_MM
+        turns = [np.cross(axis, q).ravel() for axis in np.eye(3)]
+        bends = [(q @ entry.T).ravel() for entry in _ENTRIES[: 6 if high else 3]]
+        design, off = np.column_stack([*turns, *bends]), (seen - q).ravel()
+        found = np.asarray(np.linalg.lstsq(design, off, rcond=None)[0], dtype=np.float64)
+        covariance = np.asarray(np.linalg.inv(design.T @ design), dtype=np.float64)
+        left_over, freedom = np.asarray(off - design @ found), 3 * len(q) - 3 - design.shape[1]
+        return FreeFit(found[:3], found[3:], covariance, left_over, freedom)
 
     @property
     def _theta_covariance(self) -> Floats:

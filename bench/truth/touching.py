@@ -93,22 +93,22 @@ class ReadableArm(Protocol):
     def read(self, n: int = 8, max_spread_mm: float = 1.0) -> Reading: ...
 
 
+@dataclass(slots=True, eq=False)
 class TipReader:
     """Reads ``arm`` as the rig says: the one place where a reading of the arm's own frame becomes a
     point of the table. Without a ``frame`` the arm's own frame is the world.
     """
 
-    def __init__(self, arm: ReadableArm, settings: Arm, frame: TableFrame | None) -> None:
-        self._arm = arm
-        self._settings = settings
-        self._frame = frame
+    arm: ReadableArm
+    settings: Arm
+    frame: TableFrame | None
 
     def refuse_other_arm(self) -> None:
         """Raises LimitError where the frame is that of another arm than the one that is open."""
-        serial_number = self._arm.identity.serial_number
-        if self._frame is not None and self._frame.serial_number != serial_number:
+        serial_number = self.arm.identity.serial_number
+        if self.frame is not None and self.frame.serial_number != serial_number:
             what = (
-                f"the rig's table frame is of the arm {self._frame.serial_number}, but the arm that"
+                f"the rig's table frame is of the arm {self.frame.serial_number}, but the arm that"
                 f" answers is {serial_number}"
             )
             hint = "Make the frame anew with this arm: 'teatbench arm frame'"
@@ -118,51 +118,50 @@ class TipReader:
         """Have an arm that touches by itself go to the end at ``point_mm`` (3,) in the world, along
         its ``axis``; False of one that is moved by hand. Raises as the arm.
         """
-        if not self._arm.touches:
+        if not self.arm.touches:
             return False
-        tip_mm = point_mm + self._settings.tip_radius_mm * axis
-        if self._frame is not None:
-            arm_from_world = self._frame.world_from_arm.inverse()
+        tip_mm = point_mm + self.settings.tip_radius_mm * axis
+        if self.frame is not None:
+            arm_from_world = self.frame.world_from_arm.inverse()
             tip_mm, axis = arm_from_world.apply(tip_mm), np.asarray(arm_from_world.R @ axis)
-        self._arm.touch(tip_mm, axis)
+        self.arm.touch(tip_mm, axis)
         return True
 
     def read(self) -> Reading:
-        settings = self._settings
-        return self.in_world(self._arm.read(settings.packets, settings.max_spread_mm))
+        settings = self.settings
+        return self.in_world(self.arm.read(settings.packets, settings.max_spread_mm))
 
     def in_world(self, seen: Reading) -> Reading:
-        if self._frame is None:
+        if self.frame is None:
             return seen
-        motion = self._frame.world_from_arm
+        motion = self.frame.world_from_arm
         axis = None if seen.axis is None else motion.R @ seen.axis
         return replace(seen, tip_mm=motion.apply(seen.tip_mm), axis=axis)
 
     def u_registration_mm(self, point_mm: Floats) -> float | None:
         """The frame's part of the uncertainty of (3,), along an axis; None without a frame."""
-        if self._frame is None:
+        if self.frame is None:
             return None
-        return self._frame.u_registration_mm(point_mm, self._settings.u_mm)
+        return self.frame.u_registration_mm(point_mm, self.settings.u_mm)
 
 
+@dataclass(slots=True, eq=False)
 class Toucher:
-    """Has the operator touch ends, ``readings`` each; ``check`` runs before each and may raise."""
+    """Has the operator touch ends, ``readings`` each (None: as many as the rig says); ``check``
+    runs before each and may raise.
+    """
 
-    def __init__(
-        self,
-        ask: Callable[[Request], object],
-        tip: TipReader,
-        arm: Arm,
-        clock: Clock,
-        check: Callable[[], None],
-        readings: int | None = None,
-    ) -> None:
-        self._ask = ask
-        self._arm = arm
-        self._clock = clock
-        self._check = check
-        self.tip = tip
-        self.readings = readings or arm.touches
+    ask: Callable[[Request], object]
+    tip: TipReader
+    arm: Arm
+    clock: Clock
+    check: Callable[[], None]
+    readings: int | None = None
+
+    @property
+    def each(self) -> int:
+        """How many touches an end gets."""
+        return self.readings or self.arm.touches
 
     def touch_all(self, ends: Ends, so_far: SoFar | None = None) -> tuple[list[TrueEnd], list[Row]]:
         """A truth for each end, and a row for each touch. ``so_far`` gets each touch, by teat; what
@@ -176,13 +175,13 @@ class Toucher:
             taken = so_far.setdefault(teat, [])
             done[teat], touches = self._touch_end(teat, ends, places, taken, again)
             rows, again = rows + touches, ""
-        self._ask(Release())
+        self.ask(Release())
         return list(done.values()), rows
 
     def touch_one(self, teat: int, ends: Ends) -> tuple[TrueEnd, list[Row]]:
         """The same for one end alone."""
         point, rows = self._touch_end(teat, ends, {}, [])
-        self._ask(Release())
+        self.ask(Release())
         return point, rows
 
     def _compared(self, ends: Ends, so_far: SoFar) -> str:
@@ -194,7 +193,7 @@ class Toucher:
         again = f"One touch of {who} shows whether the {count} of this pose so far still count."
         self._touch_end(teat, ends, {}, one, again, readings=1)
         off_mm = np.linalg.norm(_kept(one)[0][0] - np.mean([end for end, _ in kept], axis=0))
-        if off_mm <= FAR * reading_u_mm(self._arm) * sqrt(1.0 + 1.0 / len(kept)):
+        if off_mm <= FAR * reading_u_mm(self.arm) * sqrt(1.0 + 1.0 / len(kept)):
             so_far[teat] += one
             for number, (_, row) in enumerate(so_far[teat], 1):
                 row["touch"] = number
@@ -211,7 +210,7 @@ class Toucher:
         again: str = "",
         readings: int | None = None,
     ) -> tuple[TrueEnd, list[Row]]:
-        moves, readings = list[str](), readings or self.readings
+        moves, readings = list[str](), readings or self.each
         while (missing := readings - len(kept := _kept(taken))) > 0:
             if len(taken) + len(moves) >= (most := readings + SPARE):
                 reasons = [str(row["refused"]) for _, row in taken if row["refused"]] + moves
@@ -224,10 +223,10 @@ class Toucher:
                     hint="Is the teat loose, does the phantom stand where the script says, and are"
                     " its teats counted as the layout counts them?",
                 )
-            self._check()
+            self.check()
             number = readings - missing + 1
             if not self.tip.goes(ends.expected_mm[teat - 1], ends.axes[teat - 1]):
-                self._ask(Touch(teat, len(ends.expected_mm), number, readings, again))
+                self.ask(Touch(teat, len(ends.expected_mm), number, readings, again))
             try:
                 seen = self.tip.read()
             except TouchAgainError as error:
@@ -235,13 +234,13 @@ class Toucher:
                 again = f"{error} Touch {ends.called(teat)}, once more."
                 continue
             # the arm reads the centre of the ball, which stands on the end
-            end = seen.tip_mm - self._arm.tip_radius_mm * ends.axes[teat - 1]
+            end = seen.tip_mm - self.arm.tip_radius_mm * ends.axes[teat - 1]
             refused = mistaken(end, teat, ends, done)
             again = f"{refused} Touch {ends.called(teat)}." if refused else ""
             row = {
                 "teat": str(teat),
                 "touch": len(taken) + 1,
-                "t_s": self._clock.now(),
+                "t_s": self.clock.now(),
                 "wall_time": wall_time().isoformat(timespec="milliseconds"),
                 **dict(zip(("x_mm", "y_mm", "z_mm"), map(float, seen.tip_mm), strict=True)),
                 "spread_mm": float(seen.spread_mm),
@@ -252,14 +251,14 @@ class Toucher:
             taken.append((end, row))
             kept = _kept(taken)
             if not again and len(kept) >= min(readings, 3):
-                far = outliers(np.array([end for end, _ in kept]), reading_u_mm(self._arm))
+                far = outliers(np.array([end for end, _ in kept]), reading_u_mm(self.arm))
                 for at, reason in far.items():
                     kept[at][1]["refused"] = reason
                     note = f"A touch of {ends.called(teat)} is refused: {reason}. Once more."
                     again = again or note
         points = np.array([end for end, _ in kept])
         u_mm = self.tip.u_registration_mm(points.mean(axis=0))
-        return touched(points, self._arm, registration_mm=u_mm), [row for _, row in taken]
+        return touched(points, self.arm, registration_mm=u_mm), [row for _, row in taken]
 
 
 def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) -> TrueEnd:
@@ -277,8 +276,10 @@ def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) 
         " rad (rig file)"
     )
     apex = "how well a hand finds the apex of the rounded end (rig file)"
+    who = arm.accuracy_source or "the arm's stated accuracy, no source named"
+    by = f", {arm.accuracy_df:g} degrees of freedom, so widened" if arm.accuracy_df else ""
     lines: list[tuple[str, float | None, str]] = [
-        (ARM, arm.u_mm, _source_of(arm)),
+        (ARM, arm.u_mm, f"{who}{by}, taken along each axis (rig file)"),
         (REGISTRATION, registration_mm, frame),
         ("definition", arm.definition_mm, apex),
         (TIP_RADIUS, tip_radius_u_mm(arm) or None, ball),
@@ -298,12 +299,6 @@ def end_u_mm(arm: Arm, readings: int) -> float:
     """Along an axis, of one end's mean against that of another place, before anything was read."""
     scatter = reading_u_mm(arm) / sqrt(readings)
     return hypot(arm.u_mm, arm.definition_mm, tip_radius_u_mm(arm), arm.rounding_mm, scatter)
-
-
-def _source_of(arm: Arm) -> str:
-    who = arm.accuracy_source or "the arm's stated accuracy, no source named"
-    by = f", {arm.accuracy_df:g} degrees of freedom, so widened" if arm.accuracy_df else ""
-    return f"{who}{by}, taken along each axis (rig file)"
 
 
 def tip_radius_u_mm(arm: Arm) -> float:
@@ -417,14 +412,14 @@ def truth_row(
     return found
 
 
+@dataclass(eq=False)
 class TouchedTruth:
     """Every end of every trial is touched. The engine calls `begin`, then for each trial `before`,
     `unattended`, `of_trial` and `stored`, then `end`.
     """
 
-    def __init__(self, toucher: Toucher, stage_mm: Callable[[], Triple | None]) -> None:
-        self._toucher = toucher
-        self._stage_mm = stage_mm
+    toucher: Toucher
+    stage_mm: Callable[[], Triple | None]
 
     def begin(self) -> None:
         """All is homed; nothing has been shown yet."""
@@ -438,9 +433,9 @@ class TouchedTruth:
 
     def of_trial(self, shown: ExpectedScene, so_far: SoFar | None = None) -> TrialTruth:
         """The truth of what stands there; ``so_far`` as of `touch_all`. Raises NoTruthError."""
-        points, rows = self._toucher.touch_all(shown.ends, so_far)
+        points, rows = self.toucher.touch_all(shown.ends, so_far)
         touches = tuple({"trial": shown.trial, **row} for row in rows)
-        return TrialTruth(tuple(points), touches, self._stage_mm())
+        return TrialTruth(tuple(points), touches, self.stage_mm())
 
     def stored(self, trial: str, truth: TrialTruth) -> None:
         """The trial is in the store."""

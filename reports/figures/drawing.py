@@ -11,9 +11,11 @@ from __future__ import annotations
 import io
 import re
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import suppress
+from functools import wraps
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any, Literal, ParamSpec
 
 import numpy as np
 from matplotlib import style
@@ -116,10 +118,25 @@ _LINKS = re.compile(
 )  # fmt: skip
 
 
-def draw(name: str, inches: tuple[float, float], plot: Callable[[Figure], None]) -> str:
-    """The SVG of what `plot` draws; `name` is a slug, unique in the page. A user's matplotlibrc
-    changes nothing, and is as before afterwards.
-    """
+# Yields a figure's name (a slug, unique in the page), its size in inches, and why there is nothing
+# to draw, or ""; gets the figure, and draws on it. Where there is nothing, it isn't asked to.
+Plot = Generator[tuple[str, tuple[float, float], str], Figure, None]
+P = ParamSpec("P")
+
+
+def plotted(plot: Callable[P, Plot]) -> Callable[P, str]:
+    """The SVG of what ``plot`` draws, or one of that size that says that nothing was measured."""
+
+    @wraps(plot)
+    def svg(*args: P.args, **kwargs: P.kwargs) -> str:
+        return draw(plot(*args, **kwargs))
+
+    return svg
+
+
+def draw(plot: Plot) -> str:
+    """A user's matplotlibrc changes nothing, and is as before afterwards."""
+    name, inches, nothing = next(plot)
     checked_slug(name, "figure name")
     with warnings.catch_warnings(), style.context(["default", _SETTINGS]):
         # matplotlib's font only measures the text here; the page's font draws it, and may well have
@@ -127,7 +144,13 @@ def draw(name: str, inches: tuple[float, float], plot: Callable[[Figure], None])
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         figure = Figure(figsize=inches, layout="constrained")
         FigureCanvasSVG(figure)
-        plot(figure)
+        if nothing:
+            look: dict[str, Any] = {"ha": "center", "va": "center", "color": COLOURS["muted"]}
+            figure.text(0.5, 0.55, "not measured", fontsize=12, **look)
+            figure.text(0.5, 0.42, nothing, **look)
+        else:
+            with suppress(StopIteration):
+                plot.send(figure)
         # Place the axes now; `savefig` would draw the whole figure an additional time for it
         for axes in figure.axes:
             axes.apply_aspect()
@@ -151,18 +174,6 @@ def draw(name: str, inches: tuple[float, float], plot: Callable[[Figure], None])
     defined = {known_id: f"{name}-{number}" for number, known_id in enumerate(known, 1)}
     body = _TAG.sub(lambda tag: _rewritten(tag, name, defined), body)
     return _MARKS.sub(_grouped, _LINKS.sub(_links, re.sub(r">\s+<", "><", body.strip())))
-
-
-def not_measured(name: str, inches: tuple[float, float], why: str) -> str:
-    """A drawing of the same size that says so, for a figure without data."""
-
-    def plot(figure: Figure) -> None:
-        figure.text(
-            0.5, 0.55, "not measured", ha="center", va="center", fontsize=12, color=COLOURS["muted"]
-        )
-        figure.text(0.5, 0.42, why, ha="center", va="center", color=COLOURS["muted"])
-
-    return draw(name, inches, plot)
 
 
 def legend(figure: Figure, entries: Sequence[LegendEntry]) -> None:
@@ -288,7 +299,12 @@ def _rewritten(tag: re.Match[str], name: str, defined: Mapping[str, str]) -> str
     attributes: dict[str, str] = {}
     for key, value in _ATTRIBUTE.findall(rest):
         if key == "style":
-            attributes |= _declarations(value)
+            pairs = (part.split(":", 1) for part in value.split(";") if part.strip())
+            known = {what.strip(): of.strip() for what, of in pairs}
+            known.pop("font-family", None)  # the page's
+            if "font-size" in known:
+                known["font-size"] = known["font-size"].removesuffix("px")
+            attributes |= known
         else:
             attributes[key.removeprefix("xlink:")] = value
     title = ""
@@ -310,15 +326,6 @@ def _rewritten(tag: re.Match[str], name: str, defined: Mapping[str, str]) -> str
         and key != "target"
     )
     return f"<{element}{text}{empty}>{title}"
-
-
-def _declarations(css: str) -> dict[str, str]:
-    pairs = (part.split(":", 1) for part in css.split(";") if part.strip())
-    known = {key.strip(): value.strip() for key, value in pairs}
-    known.pop("font-family", None)  # the page's
-    if "font-size" in known:
-        known["font-size"] = known["font-size"].removesuffix("px")
-    return known
 
 
 def _value(key: str, value: str, defined: Mapping[str, str]) -> str:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from matplotlib import cbook
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import ArrayLike
 
@@ -24,18 +23,18 @@ from reports.figures.drawing import (
     Floats,
     LegendEntry,
     Marker,
+    Plot,
     circle,
     count_text,
     cross_and_circle,
     detector_look,
-    draw,
     finite,
     legend,
     limits,
     linked,
     marks,
-    not_measured,
     plain,
+    plotted,
     row_names,
     subsample,
     together,
@@ -48,30 +47,27 @@ _FORMS: tuple[Marker, Marker] = ("o", "D")
 _MOST_BEYOND = 60  # points beyond the whiskers of a box
 
 
+@plotted
 def change_scatter(
     old_mm: ArrayLike, new_mm: ArrayLike, limit_mm: float, *, name: str = "change-scatter"
-) -> str:
+) -> Plot:
     """Errors of the same scenes before and now (n,); above the diagonal it grew worse."""
     old, new = together("change_scatter", old_mm=old_mm, new_mm=new_mm)
-    if not old.size:
-        return not_measured(name, _SQUARE, "no scene was found in both")
-
-    def plot(figure: Figure) -> None:
-        axes = figure.add_subplot(aspect="equal")
-        reach = 1.08 * max(limit_mm, float(old.max()), float(new.max()))
-        axes.set(xlim=(0, reach), ylim=(0, reach), xlabel="baseline (mm)", ylabel="this run (mm)")
-        axes.plot([0, reach], [0, reach], color=COLOURS["muted"], linewidth=0.8)
-        axes.axhline(limit_mm, color=COLOURS["limit"], linewidth=1)
-        axes.axvline(limit_mm, color=COLOURS["limit"], linewidth=1)
-        drawn = subsample(np.abs(new - old))
-        for grown, role in ((new > old, "limit"), (new <= old, "good")):
-            linked(axes, old, new, drawn[grown[drawn]], role=role, alpha=0.75)
-        grew: list[LegendEntry] = [("grew", "limit", "o"), ("not grown", "good", "o")]
-        legend(figure, [*grew, ("no change", "muted", "-")])
-
-    return draw(name, _SQUARE, plot)
+    figure = yield name, _SQUARE, "" if old.size else "no scene was found in both"
+    axes = figure.add_subplot(aspect="equal")
+    reach = 1.08 * max(limit_mm, float(old.max()), float(new.max()))
+    axes.set(xlim=(0, reach), ylim=(0, reach), xlabel="baseline (mm)", ylabel="this run (mm)")
+    axes.plot([0, reach], [0, reach], color=COLOURS["muted"], linewidth=0.8)
+    axes.axhline(limit_mm, color=COLOURS["limit"], linewidth=1)
+    axes.axvline(limit_mm, color=COLOURS["limit"], linewidth=1)
+    drawn = subsample(np.abs(new - old))
+    for grown, role in ((new > old, "limit"), (new <= old, "good")):
+        linked(axes, old, new, drawn[grown[drawn]], role=role, alpha=0.75)
+    grew: list[LegendEntry] = [("grew", "limit", "o"), ("not grown", "good", "o")]
+    legend(figure, [*grew, ("no change", "muted", "-")])
 
 
+@plotted
 def change_by_situation(
     situations: Sequence[str],
     right: Sequence[tuple[int, int, int]],
@@ -81,7 +77,7 @@ def change_by_situation(
     called: tuple[str, str],
     who: tuple[int, int] | None = None,
     name: str = "change-by-situation",
-) -> str:
+) -> Plot:
     """Of each situation the poses right (old, new, of) as shares, and beside it the change of the
     mean distance (mean, low, high) with the margin; None where no teat was found by both.
     """
@@ -90,41 +86,38 @@ def change_by_situation(
     sides_look: Any = (_SIDES, _FORMS)
     if who:
         sides_look = tuple(zip(*map(detector_look, who), strict=True))
-
-    def plot(figure: Figure) -> None:
-        poses, distance = figure.subplots(1, 2, sharey=True)
-        for y, (old, new, of) in enumerate(right):
-            shares = [old / of, new / of] if of else []
-            poses.plot(shares, [y] * len(shares), color=COLOURS["grid"], linewidth=3)
-            for share, role, form, size in zip(shares, *sides_look, (6.5, 4.5), strict=False):
-                marks(poses, [share], [y], role, size, form)
-        poses.set(xlim=(-0.03, 1.03), xlabel="poses right")
-        poses.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-        distance.axvline(0, color=COLOURS["muted"], linewidth=0.8)
-        distance.axvline(margin_mm, color=COLOURS["limit"], linewidth=1, linestyle="--")
-        for y, change in enumerate(change_mm):
-            if change is None:
-                distance.annotate(
-                    "no teat found by both", (0.02, y), xycoords=("axes fraction", "data"),
-                    va="center", color=COLOURS["muted"],
-                )  # fmt: skip
-                continue
-            mean, low, high = change
-            distance.plot([low, high], [y, y], color=COLOURS["ours"], linewidth=1.4)
-            marks(distance, [mean], [y], "ours", 4.5, "D")
-        reach = 1.1 * max([4 * margin_mm, 1e-3, *np.abs(known).ravel()])
-        distance.set(xlim=(-reach, reach), xlabel="change of the mean distance (mm); left: nearer")
-        for axes in (poses, distance):
-            row_names(axes, situations)
-        sides: list[LegendEntry] = [
-            (plain(text, 40), role, form)
-            for text, role, form in zip(called, *sides_look, strict=True)
-        ]
-        legend(figure, [*sides, ("margin", "limit", "--")])
-
-    return draw(name, inches, plot)
+    figure = yield name, inches, ""
+    poses, distance = figure.subplots(1, 2, sharey=True)
+    for y, (old, new, of) in enumerate(right):
+        shares = [old / of, new / of] if of else []
+        poses.plot(shares, [y] * len(shares), color=COLOURS["grid"], linewidth=3)
+        for share, role, form, size in zip(shares, *sides_look, (6.5, 4.5), strict=False):
+            marks(poses, [share], [y], role, size, form)
+    poses.set(xlim=(-0.03, 1.03), xlabel="poses right")
+    poses.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    distance.axvline(0, color=COLOURS["muted"], linewidth=0.8)
+    distance.axvline(margin_mm, color=COLOURS["limit"], linewidth=1, linestyle="--")
+    for y, change in enumerate(change_mm):
+        if change is None:
+            distance.annotate(
+                "no teat found by both", (0.02, y), xycoords=("axes fraction", "data"),
+                va="center", color=COLOURS["muted"],
+            )  # fmt: skip
+            continue
+        mean, low, high = change
+        distance.plot([low, high], [y, y], color=COLOURS["ours"], linewidth=1.4)
+        marks(distance, [mean], [y], "ours", 4.5, "D")
+    reach = 1.1 * max([4 * margin_mm, 1e-3, *np.abs(known).ravel()])
+    distance.set(xlim=(-reach, reach), xlabel="change of the mean distance (mm); left: nearer")
+    for axes in (poses, distance):
+        row_names(axes, situations)
+    sides: list[LegendEntry] = [
+        (plain(text, 40), role, form) for text, role, form in zip(called, *sides_look, strict=True)
+    ]
+    legend(figure, [*sides, ("margin", "limit", "--")])
 
 
+@plotted
 def error_scatter(
     lateral_mm: ArrayLike,
     depth_mm: ArrayLike,
@@ -134,67 +127,59 @@ def error_scatter(
     links: Sequence[str] | None = None,
     who: int = 0,
     name: str = "error-scatter",
-) -> str:
+) -> Plot:
     """Error across (n,) against error along the viewing axis (n,), equal scales, with both limits
     as circles. `links` open on a click; `who`: the detector's place.
     """
     across, along = together("error_scatter", lateral_mm=lateral_mm, depth_mm=depth_mm)
-    if not across.size:
-        return not_measured(name, _SQUARE, NO_PAIR)
-
-    def plot(figure: Figure) -> None:
-        axes = figure.add_subplot(aspect="equal")
-        reach = 1.12 * max(limit_mm, float(np.abs(across).max()), float(np.abs(along).max()))
-        axes.set(xlabel="lateral error (mm)", ylabel="depth error (mm)")
-        cross_and_circle(axes, reach, limit_mm, 1.4)
-        if accept_mm is not None:
-            circle(axes, accept_mm, "accept", linewidth=1, linestyle="--")
-        drawn = subsample(np.hypot(across, along))
-        role, form = detector_look(who)
-        linked(axes, across, along, drawn, links, role=role, marker=form, alpha=0.7)
-        legend(figure, limits(limit_mm, accept_mm))
-        if len(drawn) < across.size:
-            left_out = count_text(len(drawn), across.size)
-            axes.set_title(left_out, loc="left", color=COLOURS["muted"])
-
-    return draw(name, _SQUARE, plot)
+    figure = yield name, _SQUARE, "" if across.size else NO_PAIR
+    axes = figure.add_subplot(aspect="equal")
+    reach = 1.12 * max(limit_mm, float(np.abs(across).max()), float(np.abs(along).max()))
+    axes.set(xlabel="lateral error (mm)", ylabel="depth error (mm)")
+    cross_and_circle(axes, reach, limit_mm, 1.4)
+    if accept_mm is not None:
+        circle(axes, accept_mm, "accept", linewidth=1, linestyle="--")
+    drawn = subsample(np.hypot(across, along))
+    role, form = detector_look(who)
+    linked(axes, across, along, drawn, links, role=role, marker=form, alpha=0.7)
+    legend(figure, limits(limit_mm, accept_mm))
+    if len(drawn) < across.size:
+        left_out = count_text(len(drawn), across.size)
+        axes.set_title(left_out, loc="left", color=COLOURS["muted"])
 
 
+@plotted
 def error_histogram(
     errors_mm: ArrayLike,
     limit_mm: float,
     *,
     accept_mm: float | None = None,
     name: str = "error-histogram",
-) -> str:
+) -> Plot:
     """Radial errors (n,) in bins of at most a tenth of the limit, cumulative share, limit."""
     errors = finite("error_histogram", "errors_mm", errors_mm)
-    if not errors.size:
-        return not_measured(name, _SQUARE, NO_PAIR)
-
-    def plot(figure: Figure) -> None:
-        axes = figure.add_subplot()
-        reach = 1.12 * max(limit_mm, float(errors.max()))
-        bins = np.linspace(0, reach, 23).tolist()
-        axes.hist(errors, bins, color=COLOURS["span"], edgecolor=COLOURS["ours"], linewidth=0.7)
-        axes.set(xlim=(0, reach), xlabel="radial error (mm)", ylabel="teat ends")
-        axes.yaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-        share = axes.twinx()
-        ordered = np.sort(errors)
-        at = np.unique(np.linspace(0, errors.size - 1, MOST_STEPS).round().astype(np.intp))
-        steps = (np.r_[0, ordered[at], reach], np.r_[0, (at + 1) / errors.size, 1])
-        share.step(*steps, where="post", color=COLOURS["ink"])
-        share.set(ylim=(0, 1.1), ylabel="share at or below")
-        share.yaxis.set_major_formatter(PercentFormatter(1))
-        share.grid(visible=False)
-        share.axvline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
-        if accept_mm is not None:
-            share.axvline(accept_mm, color=COLOURS["accept"], linestyle="--", linewidth=1)
-        legend(figure, [("cumulative", "ink", "-"), *limits(limit_mm, accept_mm)])
-
-    return draw(name, _SQUARE, plot)
+    figure = yield name, _SQUARE, "" if errors.size else NO_PAIR
+    axes = figure.add_subplot()
+    reach = 1.12 * max(limit_mm, float(errors.max()))
+    bins = np.linspace(0, reach, 23).tolist()
+    axes.hist(errors, bins, color=COLOURS["span"], edgecolor=COLOURS["ours"], linewidth=0.7)
+    axes.set(xlim=(0, reach), xlabel="radial error (mm)", ylabel="teat ends")
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    share = axes.twinx()
+    ordered = np.sort(errors)
+    at = np.unique(np.linspace(0, errors.size - 1, MOST_STEPS).round().astype(np.intp))
+    steps = (np.r_[0, ordered[at], reach], np.r_[0, (at + 1) / errors.size, 1])
+    share.step(*steps, where="post", color=COLOURS["ink"])
+    share.set(ylim=(0, 1.1), ylabel="share at or below")
+    share.yaxis.set_major_formatter(PercentFormatter(1))
+    share.grid(visible=False)
+    share.axvline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
+    if accept_mm is not None:
+        share.axvline(accept_mm, color=COLOURS["accept"], linestyle="--", linewidth=1)
+    legend(figure, [("cumulative", "ink", "-"), *limits(limit_mm, accept_mm)])
 
 
+@plotted
 def per_axis_errors(
     situations: Sequence[str],
     errors_mm: Sequence[ArrayLike],
@@ -203,34 +188,29 @@ def per_axis_errors(
     point: str = "one teat end",
     bound: str = "limit",
     name: str = "per-axis-errors",
-) -> str:
+) -> Plot:
     """Signed errors of each situation (n_k, 3) mm: points, mean, limits; a panel an axis. `point`
     and `bound` are what the legend calls a point and the limit.
     """
     arrays = [finite("per_axis_errors", "errors_mm", one).reshape(-1, 3) for one in errors_mm]
     inches = (WIDE_INCHES, 0.9 + 0.3 * max(len(situations), 3))
-    if not any(array.size for array in arrays):
-        return not_measured(name, inches, NO_PAIR)
-
-    def plot(figure: Figure) -> None:
-        panels = figure.subplots(1, 3, sharex=True, sharey=True)
-        reach = 1.1 * max(limit_mm, *(float(np.abs(array).max()) for array in arrays if array.size))
-        each = max(20, MOST_POINTS // (len(arrays) + 1))
-        for axis, panel in enumerate(panels):
-            panel.axvline(0, color=COLOURS["muted"], linewidth=0.6)
-            for side in (-limit_mm, limit_mm):
-                panel.axvline(side, color=COLOURS["limit"], linewidth=1)
-            for row, array in enumerate(arrays):
-                _strip(panel, row, array[:, axis], each)
-            panel.set(xlim=(-reach, reach), xlabel=f"{'xyz'[axis]} error (mm)")
-            row_names(panel, situations)
-        every = all(len(array) <= each for array in arrays)
-        points = f"teat ends, at most {each} drawn, the worst among them"
-        shown: LegendEntry = (point if every else points, "ours", "o")
-        limit: LegendEntry = (f"{bound} ± {limit_mm:.3g} mm", "limit", "-")
-        legend(figure, [shown, ("mean", "ink", "-"), limit])
-
-    return draw(name, inches, plot)
+    figure = yield name, inches, "" if any(array.size for array in arrays) else NO_PAIR
+    panels = figure.subplots(1, 3, sharex=True, sharey=True)
+    reach = 1.1 * max(limit_mm, *(float(np.abs(array).max()) for array in arrays if array.size))
+    each = max(20, MOST_POINTS // (len(arrays) + 1))
+    for axis, panel in enumerate(panels):
+        panel.axvline(0, color=COLOURS["muted"], linewidth=0.6)
+        for side in (-limit_mm, limit_mm):
+            panel.axvline(side, color=COLOURS["limit"], linewidth=1)
+        for row, array in enumerate(arrays):
+            _strip(panel, row, array[:, axis], each)
+        panel.set(xlim=(-reach, reach), xlabel=f"{'xyz'[axis]} error (mm)")
+        row_names(panel, situations)
+    every = all(len(array) <= each for array in arrays)
+    points = f"teat ends, at most {each} drawn, the worst among them"
+    shown: LegendEntry = (point if every else points, "ours", "o")
+    limit: LegendEntry = (f"{bound} ± {limit_mm:.3g} mm", "limit", "-")
+    legend(figure, [shown, ("mean", "ink", "-"), limit])
 
 
 def _strip(axes: Axes, row: int, values: Floats, most: int) -> None:
@@ -245,50 +225,47 @@ def _strip(axes: Axes, row: int, values: Floats, most: int) -> None:
     axes.plot([mean, mean], [row - 0.36, row + 0.36], color=COLOURS["ink"], linewidth=1.6)
 
 
+@plotted
 def teat_boxes(
     teats: Sequence[str],
     errors_mm: Sequence[ArrayLike],
     limit_mm: float,
     *,
     name: str = "teat-boxes",
-) -> str:
+) -> Plot:
     """Radial errors of each teat (n_k,) as box plots (whiskers 1.5 quartile ranges)."""
     arrays = [finite("teat_boxes", "errors_mm", one).ravel() for one in errors_mm]
-    if not any(array.size for array in arrays):
-        return not_measured(name, _FLAT, NO_PAIR)
-
-    def plot(figure: Figure) -> None:
-        axes = figure.add_subplot()
-        places = [k for k, array in enumerate(arrays) if array.size]
-        ours, line = COLOURS["ours"], {"color": COLOURS["ours"], "linewidth": 1.1}
-        boxes = [cbook.boxplot_stats(arrays[k])[0] for k in places]
-        for box in boxes:
-            box["fliers"] = box["fliers"][subsample(box["fliers"], _MOST_BEYOND)]
-        fliers = {"marker": "o", "markersize": 3, "markerfacecolor": ours, "markeredgewidth": 0}
-        axes.bxp(
-            boxes,
-            positions=places,
-            widths=0.5,
-            patch_artist=True,
-            boxprops={"facecolor": COLOURS["span"], "edgecolor": ours, "linewidth": 1.1},
-            whiskerprops=line,
-            capprops=line,
-            medianprops={"color": COLOURS["ink"], "linewidth": 1.6},
-            flierprops=fliers,
-        )
-        axes.axhline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
-        axes.set(xlim=(-0.6, len(teats) - 0.4), ylim=(0, None))
-        axes.set(ylabel="distance to the teat end (mm)")
-        pairs = zip(teats, arrays, strict=True)
-        counted = [f"{plain(teat, 12)}\nn = {array.size}" for teat, array in pairs]
-        axes.set_xticks(range(len(teats)), counted)
-        axes.grid(visible=False, axis="x")
-        boxed: list[LegendEntry] = [("middle half", "span", "patch"), ("median", "ink", "-")]
-        legend(figure, [*boxed, *limits(limit_mm)])
-
-    return draw(name, _FLAT, plot)
+    figure = yield name, _FLAT, "" if any(array.size for array in arrays) else NO_PAIR
+    axes = figure.add_subplot()
+    places = [k for k, array in enumerate(arrays) if array.size]
+    ours, line = COLOURS["ours"], {"color": COLOURS["ours"], "linewidth": 1.1}
+    boxes = [cbook.boxplot_stats(arrays[k])[0] for k in places]
+    for box in boxes:
+        box["fliers"] = box["fliers"][subsample(box["fliers"], _MOST_BEYOND)]
+    fliers = {"marker": "o", "markersize": 3, "markerfacecolor": ours, "markeredgewidth": 0}
+    axes.bxp(
+        boxes,
+        positions=places,
+        widths=0.5,
+        patch_artist=True,
+        boxprops={"facecolor": COLOURS["span"], "edgecolor": ours, "linewidth": 1.1},
+        whiskerprops=line,
+        capprops=line,
+        medianprops={"color": COLOURS["ink"], "linewidth": 1.6},
+        flierprops=fliers,
+    )
+    axes.axhline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
+    axes.set(xlim=(-0.6, len(teats) - 0.4), ylim=(0, None))
+    axes.set(ylabel="distance to the teat end (mm)")
+    pairs = zip(teats, arrays, strict=True)
+    counted = [f"{plain(teat, 12)}\nn = {array.size}" for teat, array in pairs]
+    axes.set_xticks(range(len(teats)), counted)
+    axes.grid(visible=False, axis="x")
+    boxed: list[LegendEntry] = [("middle half", "span", "patch"), ("median", "ink", "-")]
+    legend(figure, [*boxed, *limits(limit_mm)])
 
 
+@plotted
 def error_drift(
     time_min: ArrayLike,
     error_mm: ArrayLike,
@@ -297,27 +274,22 @@ def error_drift(
     links: Sequence[str] | None = None,
     who: int = 0,
     name: str = "error-drift",
-) -> str:
+) -> Plot:
     """Radial errors (n,) over capture times (n,), with their line."""
     time, errors = together("error_drift", time_min=time_min, error_mm=error_mm)
-    if not time.size:
-        return not_measured(name, _FLAT, NO_PAIR)
-
-    def plot(figure: Figure) -> None:
-        axes = figure.add_subplot()
-        role, form = detector_look(who)
-        drawn = subsample(errors)
-        linked(axes, time, errors, drawn, links, role=role, marker=form, size=16, alpha=0.7)
-        entries: list[LegendEntry] = [("one teat end", role, form)]
-        if np.ptp(time) > 0:
-            slope, level = np.polyfit(time - time.mean(), errors, 1)
-            ends = np.array([time.min(), time.max()])
-            line = level + slope * (ends - time.mean())
-            axes.plot(ends, line, color=COLOURS["ink"], linewidth=1.4)
-            entries.append((f"line: {slope * np.ptp(time):+.2f} mm over the run", "ink", "-"))
-        axes.axhline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
-        axes.set(ylim=(0, 1.1 * max(limit_mm, float(errors.max()))))
-        axes.set(xlabel="time of the capture (min)", ylabel="distance (mm)")
-        legend(figure, [*entries, *limits(limit_mm)])
-
-    return draw(name, _FLAT, plot)
+    figure = yield name, _FLAT, "" if time.size else NO_PAIR
+    axes = figure.add_subplot()
+    role, form = detector_look(who)
+    drawn = subsample(errors)
+    linked(axes, time, errors, drawn, links, role=role, marker=form, size=16, alpha=0.7)
+    entries: list[LegendEntry] = [("one teat end", role, form)]
+    if np.ptp(time) > 0:
+        slope, level = np.polyfit(time - time.mean(), errors, 1)
+        ends = np.array([time.min(), time.max()])
+        line = level + slope * (ends - time.mean())
+        axes.plot(ends, line, color=COLOURS["ink"], linewidth=1.4)
+        entries.append((f"line: {slope * np.ptp(time):+.2f} mm over the run", "ink", "-"))
+    axes.axhline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
+    axes.set(ylim=(0, 1.1 * max(limit_mm, float(errors.max()))))
+    axes.set(xlabel="time of the capture (min)", ylabel="distance (mm)")
+    legend(figure, [*entries, *limits(limit_mm)])

@@ -22,15 +22,15 @@ from reports.figures.drawing import (
     Floats,
     LegendEntry,
     Marker,
+    Plot,
     count_text,
     cross_and_circle,
-    draw,
     finite,
     legend,
     limits,
     linked,
-    not_measured,
     plain,
+    plotted,
     subsample,
 )
 
@@ -85,29 +85,26 @@ class TeatPlaces:
         )
 
 
-def error_map(teat: TeatPlaces, limit_mm: float, *, name: str = "error-map") -> str:
+@plotted
+def error_map(teat: TeatPlaces, limit_mm: float, *, name: str = "error-map") -> Plot:
     """One teat's radial errors over a plane, from above, as discs whose area is the error, one
     colour within the limit and one beyond it; a triangle where it was missed. Equal scales.
     """
-    if not len(teat.everywhere):
-        return not_measured(name, _INCHES, "no place had a truth")
+    figure = yield name, _INCHES, "" if len(teat.everywhere) else "no place had a truth"
     drawn = teat.thinned(MOST_POINTS)
-
-    def plot(figure: Figure) -> None:
-        axes = figure.add_subplot(aspect="equal")
-        _view(axes, "above", drawn, limit_mm, _STEP)
-        axes.set(xlabel="x (mm)", ylabel="y (mm), away from the cameras")
-        axes.margins(0.06)
-        _describe(figure, [teat], [drawn], limit_mm)
-
-    return draw(name, _INCHES, plot)
+    axes = figure.add_subplot(aspect="equal")
+    _view(axes, "above", drawn, limit_mm, _STEP)
+    axes.set(xlabel="x (mm)", ylabel="y (mm), away from the cameras")
+    axes.margins(0.06)
+    _describe(figure, [teat], [drawn], limit_mm)
 
 
-def error_maps(teats: Sequence[TeatPlaces], limit_mm: float, *, name: str = "error-maps") -> str:
+@plotted
+def error_maps(teats: Sequence[TeatPlaces], limit_mm: float, *, name: str = "error-maps") -> Plot:
     """The same for each teat, on one scale; a front view too where the places differ in height."""
     there = [teat.everywhere for teat in teats if len(teat.everywhere)]
     if not there:
-        return not_measured(name, _INCHES, "no place had a truth")
+        yield name, _INCHES, "no place had a truth"
     spans = np.max([np.ptp(places, axis=0) for places in there], axis=0)
     views = ["above", "front"] if spans[2] > _APART_MM else ["above"]
     half = 0.5 * np.maximum(1.25 * spans, _LEAST_SPAN_MM)
@@ -115,27 +112,24 @@ def error_maps(teats: Sequence[TeatPlaces], limit_mm: float, *, name: str = "err
     across = min(_ACROSS, len(teats))
     bands = -(-len(teats) // across)
     drawn = [teat.thinned(_MOST_MARKS // (len(teats) * len(views))) for teat in teats]
-
-    def plot(figure: Figure) -> None:
-        grid = figure.add_gridspec(bands * len(views), across, height_ratios=heights * bands)
-        for row, view in enumerate(views):
-            for k, teat in enumerate(teats):
-                band, column = divmod(k, across)
-                axes = figure.add_subplot(grid[band * len(views) + row, column], aspect="equal")
-                _view(axes, view, drawn[k], limit_mm, _COARSE_STEP)
-                _centre(axes, view, teat.everywhere, half)
-                if row == 0:
-                    counts = f"{len(teat.places)} found, {len(teat.missed)} missed"
-                    axes.set_title(f"teat {plain(teat.name, 12)}\n{counts}", loc="left")
-                axes.set(
-                    xlabel="x (mm)" if row == len(views) - 1 else "",
-                    ylabel=_VIEWS[view][1] if column == 0 else "",
-                )
-        _describe(figure, teats, drawn, limit_mm)
-
     width = WIDE_INCHES / across - 0.55
     high = sum(0.62 + height / half[0] * width for height in heights)
-    return draw(name, (WIDE_INCHES, float(min(0.35 + bands * high, 14.0))), plot)
+    figure = yield name, (WIDE_INCHES, float(min(0.35 + bands * high, 14.0))), ""
+    grid = figure.add_gridspec(bands * len(views), across, height_ratios=heights * bands)
+    for row, view in enumerate(views):
+        for k, teat in enumerate(teats):
+            band, column = divmod(k, across)
+            axes = figure.add_subplot(grid[band * len(views) + row, column], aspect="equal")
+            _view(axes, view, drawn[k], limit_mm, _COARSE_STEP)
+            _centre(axes, view, teat.everywhere, half)
+            if row == 0:
+                counts = f"{len(teat.places)} found, {len(teat.missed)} missed"
+                axes.set_title(f"teat {plain(teat.name, 12)}\n{counts}", loc="left")
+            axes.set(
+                xlabel="x (mm)" if row == len(views) - 1 else "",
+                ylabel=_VIEWS[view][1] if column == 0 else "",
+            )
+    _describe(figure, teats, drawn, limit_mm)
 
 
 def _view(axes: Axes, view: str, of: TeatPlaces, limit_mm: float, step: float) -> None:
@@ -198,21 +192,21 @@ class ErrorGroup:
     links: tuple[str, ...] = ()
 
 
+@plotted
 def error_regions(
     groups: Sequence[ErrorGroup],
     views: Sequence[tuple[str, str]],
     limit_mm: float,
     *,
     name: str = "error-regions",
-) -> str:
+) -> Plot:
     """A panel a view, with the names of its two axes: each group's errors, its ellipsoid, and the
     limit as a circle. Equal scales; at most `MOST_GROUPS` groups.
     """
     clouds = [_flat(group.points_mm) for group in groups]
     outlines = [_flat(group.outlines_mm) for group in groups]
     counts = [len(cloud[0]) for cloud in clouds]
-    if not sum(counts):
-        return not_measured(name, _REGIONS, NO_PAIR)
+    figure = yield name, _REGIONS, "" if sum(counts) else NO_PAIR
     ends = np.concatenate([part.ravel() for cloud in clouds for part in cloud])
     lines = [part.ravel() for of_group in outlines for part in of_group]
     farthest = max(limit_mm, float(np.abs(ends).max()))
@@ -222,29 +216,25 @@ def error_regions(
     drawn = [
         subsample(np.max([np.hypot(*flat.T) for flat in cloud], axis=0), each) for cloud in clouds
     ]
-
-    def plot(figure: Figure) -> None:
-        for panel, axes in enumerate(figure.subplots(1, len(views), squeeze=False)[0]):
-            across, up = (f"{plain(axis)} error (mm)" for axis in views[panel])
-            axes.set(aspect="equal", xlabel=across, ylabel=up)
-            cross_and_circle(axes, reach, limit_mm, 1.2)
-            for k, cloud in enumerate(clouds):
-                x, y = cloud[panel].T
-                role, links = _ROLES[k], groups[k].links
-                look: dict[str, Any] = {"size": 20, "marker": _MARKERS[k], "alpha": 0.75}
-                linked(axes, x, y, drawn[k], links, role=role, **look)
-                if outlines[k]:
-                    axes.plot(*outlines[k][panel].T, color=COLOURS[role], linewidth=1.3)
-        entries: list[LegendEntry] = []
-        for k, (group, n) in enumerate(zip(groups, counts, strict=True)):
-            few = "" if group.outlines_mm else " (too few)"
-            entries.append((f"{plain(group.name, 14)}, n = {n}{few}", _ROLES[k], _MARKERS[k]))
-        legend(figure, [*entries, *limits(limit_mm)])
-        shown = sum(map(len, drawn))
-        if shown < sum(counts):
-            figure.supxlabel(count_text(shown, sum(counts)), fontsize=8.5, color=COLOURS["muted"])
-
-    return draw(name, _REGIONS, plot)
+    for panel, axes in enumerate(figure.subplots(1, len(views), squeeze=False)[0]):
+        across, up = (f"{plain(axis)} error (mm)" for axis in views[panel])
+        axes.set(aspect="equal", xlabel=across, ylabel=up)
+        cross_and_circle(axes, reach, limit_mm, 1.2)
+        for k, cloud in enumerate(clouds):
+            x, y = cloud[panel].T
+            role, links = _ROLES[k], groups[k].links
+            look: dict[str, Any] = {"size": 20, "marker": _MARKERS[k], "alpha": 0.75}
+            linked(axes, x, y, drawn[k], links, role=role, **look)
+            if outlines[k]:
+                axes.plot(*outlines[k][panel].T, color=COLOURS[role], linewidth=1.3)
+    entries: list[LegendEntry] = []
+    for k, (group, n) in enumerate(zip(groups, counts, strict=True)):
+        few = "" if group.outlines_mm else " (too few)"
+        entries.append((f"{plain(group.name, 14)}, n = {n}{few}", _ROLES[k], _MARKERS[k]))
+    legend(figure, [*entries, *limits(limit_mm)])
+    shown = sum(map(len, drawn))
+    if shown < sum(counts):
+        figure.supxlabel(count_text(shown, sum(counts)), fontsize=8.5, color=COLOURS["muted"])
 
 
 def _flat(views: Sequence[ArrayLike]) -> list[Floats]:

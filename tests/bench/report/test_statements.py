@@ -27,7 +27,7 @@ def test_decisions_intervals_and_p_values_are_counted_wherever_they_stand() -> N
     deep = table("deep", "what | >95 % interval, two-sided [mm] | >p # chance", rows)
     bare = table("bare", "what | >rate [k of n, interval]", [("a", "1 of 2 (1 to 99 %)")])
     section = Section("s", "S", (Fold("more", (deep,)), bare), folded=True)
-    made, first = note_on_statements(((section,),), RULES, 2).items
+    made, first = note_on_statements((section,), RULES, 2).items
     # three requirements of each detector, two intervals, two p-values
     assert "makes 10 statements" in made
     assert "6 decisions and bounds, one-sided, 2 intervals, two-sided, 2 p-values" in made

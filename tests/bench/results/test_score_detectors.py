@@ -116,7 +116,7 @@ def test_latency_leaves_first_calls_and_failures_out(scored: Scored) -> None:
     thesis = latency_of(scored.run, "thesis")
     assert (len(thesis.seconds), len(thesis.cold_s), thesis.start_up_s) == (4, 1, None)
     assert latency_of(scored.run, "nobody") == Latency()
-    assert (Latency().median_s, Latency().p99_s, failures_text(Latency())) == (None, None, "none")
+    assert (Latency().percentile_s(99), failures_text(Latency())) == (None, "none")
     of_mine, _ = judge(scored.run, stored_rules(scored.run.folder))
     assert {d.n for d in of_mine.decisions if d.unit == "s"} == {2}
 

@@ -62,15 +62,15 @@ class Bench:
     ) -> CarriedTruth:
         return CarriedTruth(
             hand or toucher(self.hand, readings=1),
-            self.registration,
             self.stands,
+            self.registration,
             cast("Store", self),
             self.settled,
             self.tell,
             lambda: 7.0,
             every=self.every,
             limit_mm=1.5,
-            state=state,
+            state=state or CarryState(),
         )
 
     def registration(self) -> Registration:
