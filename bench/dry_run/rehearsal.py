@@ -114,9 +114,10 @@ class Rehearsal:
 
 
 class PicturelessStore(Store):
-    """A record that keeps no pictures: stand-ins show no ends."""
+    """A record that keeps no pictures, for stand-ins show no ends, and need not outlive a crash."""
 
     keeps_pictures = False
+    pragmas = ("journal_mode = MEMORY", "synchronous = OFF")
 
     def frames(
         self,
@@ -188,7 +189,7 @@ def rehearse(
                     answers = load_answers(rig.path.parent / url.removeprefix(SCRIPT))
                     answers.hands = hands
                     devices = replace(devices, operator=answers)
-                ctx = RunContext(tested, script, devices, store, events)
+                ctx = RunContext(tested, script, devices, store, events, viewed=False)
                 Engine(ctx, (), exact_ends=twin.world.ends_mm).run()
         lines = list(read_events(run))
         if any(e.get("kind") == "aborted" and e["text"].startswith(INTERRUPTED) for e in lines):

@@ -64,6 +64,8 @@ class RunContext:
         heartbeat: Heartbeat | None = None,
         guardian_client: GuardianClient | None = None,
         before: RunContext | None = None,
+        *,
+        viewed: bool = True,
     ) -> None:
         self.before = before
         self.rig = rig
@@ -74,7 +76,7 @@ class RunContext:
         self.clock = devices.clock
         self.tip = TipReader(devices.arm, rig.rig.arm, rig.frame)
         self.check_interrupts: Callable[[], None] = lambda: None
-        self.live = Live(store.folder)
+        self.live = Live(store.folder, viewed=viewed)
         self.progress: Callable[[], Mapping[str, Any]] = dict
         self.safing = False  # the run is on its way to safe
         # the instrument that dropped out, in what way, and what a person does about it
@@ -94,7 +96,9 @@ class RunContext:
         self.trips.on_event, self.trips.seen = events.event, self._seen
         self.watch: BathMonitor = self.trips.watch
         self.states = RunStates(lambda state: self.event(EVENT, state.value), self.clock.now)
-        events.now_s, events.status = self.clock.now, self.status
+        events.now_s = self.clock.now
+        if viewed:
+            events.status = self.status
 
     @property
     def is_warm(self) -> bool:
@@ -168,6 +172,8 @@ class RunContext:
                 self._publish()
 
     def _publish(self) -> None:
+        if self.live.ended:
+            return
         settling_s = float(self.progress().get("settling_s", 0.0))
         bath = bath_state(self.watch, settling_s)
         more = {"t_s": self.clock.now(), "bath": bath, "interlocks": interlock_states(self.watch)}

@@ -34,9 +34,9 @@ CAMERAS = ("left", "right", "thermal")
 
 
 class Live:
-    """The files of the run in ``folder``."""
+    """The files of the run in ``folder``; none are written unless it is ``viewed``."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, viewed: bool = True) -> None:
         self._folder = folder / FOLDER
         self._written_s = -EVERY_S
         self._frames = 0
@@ -44,12 +44,12 @@ class Live:
         self._ends_mm: NDArray[np.float64] = np.zeros((0, 3))
         self._lock = threading.Lock()
         self._tip: dict[str, Any] | None = None
-        self.ended = False
+        self.ended = not viewed
 
     @property
     def due(self) -> bool:
         """Whether enough time has passed since the last time that it was written."""
-        return stopwatch_s() - self._written_s >= EVERY_S
+        return not self.ended and stopwatch_s() - self._written_s >= EVERY_S
 
     def expect(self, ends: Ends) -> None:
         """Where the teats of this trial end by its script."""
