@@ -60,9 +60,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; gives back its exit code."""
     for name, value in LIBRARIES.items():
         os.environ.setdefault(name, value)
-    # At its end Python searches the objects of all libraries for cycles. That takes a third of a
-    # second with numba, and frees what the system frees anyway.
-    atexit.register(gc.freeze)
+    if arguments is None:
+        # At the end of a process Python searches the objects of all libraries for cycles. That
+        # takes a third of a second with numba, and frees what the system frees anyway.
+        atexit.register(gc.freeze)
     streams = sys.stdout, sys.stderr
     for stream in streams:
         if hasattr(stream, "reconfigure"):
