@@ -58,12 +58,7 @@ LEAST_BYTES = 512 << 20
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; gives back its exit code."""
-    for name, value in LIBRARIES.items():
-        os.environ.setdefault(name, value)
-    if arguments is None:
-        # At the end of a process Python searches the objects of all libraries for cycles. That
-        # takes a third of a second with numba, and frees what the system frees anyway.
-        atexit.register(gc.freeze)
+    _set_up_libraries(alone=arguments is None)
     streams = sys.stdout, sys.stderr
     for stream in streams:
         if hasattr(stream, "reconfigure"):
@@ -96,6 +91,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _unforeseen(error)
     finally:
         sys.stdout, sys.stderr = streams
+
+
+def _set_up_libraries(*, alone: bool) -> None:
+    """Before they are loaded; ``alone``: in a process of the command's own."""
+    for name, value in LIBRARIES.items():
+        os.environ.setdefault(name, value)
+    if alone:
+        # At its end Python searches the objects of all libraries for cycles. That takes a third of
+        # a second with numba, and frees what the system frees anyway.
+        atexit.register(gc.freeze)
 
 
 def _address_limit() -> int:
