@@ -98,8 +98,7 @@ def _set_up_libraries(*, alone: bool) -> None:
     for name, value in LIBRARIES.items():
         os.environ.setdefault(name, value)
     if alone:
-        # At its end Python searches the objects of all libraries for cycles. That takes a third of
-        # a second with numba, and frees what the system frees anyway.
+        # At its end Python searches all objects for cycles: those of numba take a third of a second
         atexit.register(gc.freeze)
 
 

@@ -64,8 +64,6 @@ class RunContext:
         heartbeat: Heartbeat | None = None,
         guardian_client: GuardianClient | None = None,
         before: RunContext | None = None,
-        *,
-        viewed: bool = True,
     ) -> None:
         self.before = before
         self.rig = rig
@@ -76,7 +74,7 @@ class RunContext:
         self.clock = devices.clock
         self.tip = TipReader(devices.arm, rig.rig.arm, rig.frame)
         self.check_interrupts: Callable[[], None] = lambda: None
-        self.live = Live(store.folder, viewed=viewed)
+        self.live = Live(store.folder)
         self.progress: Callable[[], Mapping[str, Any]] = dict
         self.safing = False  # the run is on its way to safe
         # the instrument that dropped out, in what way, and what a person does about it
@@ -96,9 +94,7 @@ class RunContext:
         self.trips.on_event, self.trips.seen = events.event, self._seen
         self.watch: BathMonitor = self.trips.watch
         self.states = RunStates(lambda state: self.event(EVENT, state.value), self.clock.now)
-        events.now_s = self.clock.now
-        if viewed:
-            events.status = self.status
+        events.now_s, events.status = self.clock.now, self.status
 
     @property
     def is_warm(self) -> bool:
@@ -159,8 +155,9 @@ class RunContext:
 
     def show(self) -> None:
         """The run as it is now, for a viewer; on the screen too where the bath says nothing."""
-        self.live.tip(self._tip_mm())
-        self._publish()
+        if not self.live.ended:
+            self.live.tip(self._tip_mm())
+            self._publish()
         if self.safing or self.watch.silence:
             self.events.refresh()
 
@@ -172,10 +169,7 @@ class RunContext:
                 self._publish()
 
     def _publish(self) -> None:
-        if self.live.ended:
-            return
-        settling_s = float(self.progress().get("settling_s", 0.0))
-        bath = bath_state(self.watch, settling_s)
+        bath = bath_state(self.watch, float(self.progress().get("settling_s", 0.0)))
         more = {"t_s": self.clock.now(), "bath": bath, "interlocks": interlock_states(self.watch)}
         self.live.write(self.status(), more)
 

@@ -34,9 +34,9 @@ CAMERAS = ("left", "right", "thermal")
 
 
 class Live:
-    """The files of the run in ``folder``; none are written unless it is ``viewed``."""
+    """The files of the run in ``folder``."""
 
-    def __init__(self, folder: Path, *, viewed: bool = True) -> None:
+    def __init__(self, folder: Path) -> None:
         self._folder = folder / FOLDER
         self._written_s = -EVERY_S
         self._frames = 0
@@ -44,7 +44,7 @@ class Live:
         self._ends_mm: NDArray[np.float64] = np.zeros((0, 3))
         self._lock = threading.Lock()
         self._tip: dict[str, Any] | None = None
-        self.ended = not viewed
+        self.ended = False
 
     @property
     def due(self) -> bool:
