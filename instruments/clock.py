@@ -251,6 +251,8 @@ class Wire:
             self._to_host = 0
 
     def _wait_for(self, done: Callable[[], bool], timeout_s: float) -> None:
+        if done():  # most often: each count is read whole, and `_to_host` last
+            return
         deadline = time.monotonic() + timeout_s
         while True:
             with self._lock:

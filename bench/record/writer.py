@@ -53,6 +53,7 @@ class Store:
     """
 
     keeps_pictures: ClassVar[bool] = True
+    pragmas: ClassVar[tuple[str, ...]] = PRAGMAS
 
     def __init__(
         self,
@@ -68,7 +69,7 @@ class Store:
         try:
             check_version(self._db, folder)
             self._place = _place(folder)
-            for pragma in PRAGMAS:
+            for pragma in self.pragmas:
                 self._db.execute(f"PRAGMA {pragma}")
             self._waiting: list[tuple[str, Row]] = []  # what the next write takes along
             self.session = self._begun() if session is None else session

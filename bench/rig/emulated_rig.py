@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -61,8 +62,8 @@ class PlacedHand:
 
 class EmulatedRig:
     """The emulators of ``rig``. ``pty``: serial ports are pseudo-terminals; ``paced``: real baud;
-    ``port_base``: see ``port_of``. Raises OSError, ValueError for ``pty`` or ``paced`` under
-    virtual time, ConfigError for a fault.
+    ``port_base``: see ``port_of``; unless ``drawn``, the first picture takes longer. Raises
+    OSError, ValueError for ``pty`` or ``paced`` under virtual time, ConfigError for a fault.
     """
 
     def __init__(
@@ -75,19 +76,21 @@ class EmulatedRig:
         pty: bool = False,
         paced: bool = False,
         port_base: int = 0,
+        drawn: bool = True,
     ) -> None:
         self._port_base = port_base
         emulation = rig.rig.emulation
         table = toml_of(rig.calibration_path)
         sensors = emulation.optical, emulation.thermal, emulation.depth
-        renderer = make_renderer(table, seed, *sensors)
         self.world = World(
             clock,
             seed,
-            renderer,
+            partial(make_renderer, table, seed, *sensors),
             ambient_c=emulation.ambient_c,
             bath_start_c=emulation.bath_start_c,
         )
+        if drawn:  # what is wrong with the calibration is said at once
+            _ = self.world.renderer
         self.cameras = EmulatedCameras(self.world)
         self.operator = EmulatedOperator(
             self.world,

@@ -154,7 +154,8 @@ def open_instruments(
             seeded = rig.rig.seed if seed is None else seed
             world = twin
             if emulated and world is None:
-                world = stack.enter_context(EmulatedRig(rig, time, seeded))
+                drawn = not {"cameras", "operator"}.isdisjoint(names)
+                world = stack.enter_context(EmulatedRig(rig, time, seeded, drawn=drawn))
             heard: dict[str, float] = {}
             openers = _Openers(rig, time, world, capture, heard, identify=identify).all()
             found = _opened(stack, names, openers)

@@ -155,8 +155,9 @@ class RunContext:
 
     def show(self) -> None:
         """The run as it is now, for a viewer; on the screen too where the bath says nothing."""
-        self.live.tip(self._tip_mm())
-        self._publish()
+        if not self.live.ended:
+            self.live.tip(self._tip_mm())
+            self._publish()
         if self.safing or self.watch.silence:
             self.events.refresh()
 
@@ -168,8 +169,7 @@ class RunContext:
                 self._publish()
 
     def _publish(self) -> None:
-        settling_s = float(self.progress().get("settling_s", 0.0))
-        bath = bath_state(self.watch, settling_s)
+        bath = bath_state(self.watch, float(self.progress().get("settling_s", 0.0)))
         more = {"t_s": self.clock.now(), "bath": bath, "interlocks": interlock_states(self.watch)}
         self.live.write(self.status(), more)
 

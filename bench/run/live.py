@@ -50,7 +50,7 @@ class Live:
     @property
     def due(self) -> bool:
         """Whether enough time has passed since the last time that it was written."""
-        return stopwatch_s() - self._written_s >= EVERY_S
+        return not self.ended and stopwatch_s() - self._written_s >= EVERY_S
 
     def expect(self, ends: Ends) -> None:
         """Where the teats of this trial end by its script."""

@@ -9,7 +9,7 @@ that fell silent is never evidence of stability.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -24,40 +24,50 @@ class Window:
     """Deviations from the set point (K) over the last `window_s`, with their figures."""
 
     def __init__(self) -> None:
-        self._readings: deque[tuple[float, float, Hashable]] = deque()
+        self._t_s: deque[float] = deque()
+        self._y: deque[float] = deque()
+        self._raw: deque[Hashable] = deque()
+        self._often: Counter[Hashable] = Counter()  # how often each raw reading is in the window
 
     def __len__(self) -> int:
-        return len(self._readings)
+        return len(self._t_s)
 
     def add(self, t_s: float, y: float, raw: Hashable, window_s: float) -> None:
         """Append a reading and drop those that the window no longer needs to span `window_s`."""
-        self._readings.append((t_s, y, raw))
-        while len(self._readings) > 1 and t_s - self._readings[1][0] >= window_s - TIME_SLACK_S:
-            self._readings.popleft()
+        self._t_s.append(t_s)
+        self._y.append(y)
+        self._raw.append(raw)
+        self._often[raw] += 1
+        while len(self) > 1 and t_s - self._t_s[1] >= window_s - TIME_SLACK_S:
+            self._t_s.popleft()
+            self._y.popleft()
+            gone = self._raw.popleft()
+            self._often[gone] -= 1
+            if not self._often[gone]:
+                del self._often[gone]
 
     @property
     def span_s(self) -> float:
-        return self._readings[-1][0] - self._readings[0][0] if self._readings else 0.0
+        return self._t_s[-1] - self._t_s[0] if self._t_s else 0.0
 
     @property
     def distinct(self) -> int:
-        return len({raw for _, _, raw in self._readings})
+        return len(self._often)
 
     @property
     def mean(self) -> float:
-        return float(np.mean([y for _, y, _ in self._readings]))
+        return float(np.mean(self._y))
 
     @property
     def half_range(self) -> float:
-        values = [y for _, y, _ in self._readings]
-        return (max(values) - min(values)) / 2.0
+        return (max(self._y) - min(self._y)) / 2.0
 
     @property
     def slope(self) -> float:
         """Least squares, K/s."""
-        t = np.array([t_s for t_s, _, _ in self._readings])
+        t = np.array(self._t_s)
         t -= t.mean()
-        return float(t @ [y for _, y, _ in self._readings] / (t @ t))
+        return float(t @ np.array(self._y) / (t @ t))
 
 
 FIGURES_FROM = 0.1  # of the window: figures of less are noise

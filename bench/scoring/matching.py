@@ -10,10 +10,10 @@ that is much nearer to it.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
 from itertools import combinations, starmap
 from math import dist, inf, sqrt
-from operator import attrgetter
+from operator import add
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -28,8 +28,7 @@ LEAST_SPACING_MM = 5.0
 Points = list[list[float]]
 
 
-@dataclass(frozen=True, slots=True)
-class Counts:
+class Counts(NamedTuple):
     """What a match counted."""
 
     visible: int = 0
@@ -55,17 +54,15 @@ class Counts:
         return Rate(self.matched, self.matched + self.false)
 
 
-_numbers = attrgetter(*(field.name for field in fields(Counts)))
-
-
 def added(parts: Iterable[Counts]) -> Counts:
     """The sum of many, field by field; nothing of none."""
-    rows = [_numbers(part) for part in parts]
-    return Counts(*(sum(column) for column in zip(*rows, strict=True)))
+    total = Counts()
+    for part in parts:
+        total = Counts._make(map(add, total, part))
+    return total
 
 
-@dataclass(frozen=True, slots=True)
-class Match:
+class Match(NamedTuple):
     """The assignment of one scene: (found, truth) indices in order of truth."""
 
     pairs: tuple[tuple[int, int], ...]
@@ -126,25 +123,31 @@ def assign(found: Points, truth: Points, seen: list[bool], gate_mm: float) -> Ma
         for i, a in enumerate(found)
         if abs(a[0] - b[0]) <= gate_mm and (d := dist(a, b)) <= gate_mm  # most are far in x
     }
-    kept = list(within)  # in order of truth, as the pairs were looked at
-    taken_found, taken_truth = {i for i, _ in kept}, {j for _, j in kept}
-    if not len(taken_found) == len(taken_truth) == len(kept):  # they contend
+    answers = {j: i for i, j in within}  # in order of truth, as the pairs were looked at
+    if not len(set(answers.values())) == len(answers) == len(within):  # they contend
         from scipy.optimize import linear_sum_assignment  # type: ignore[attr-defined, unused-ignore]  # re-exported by a star import
 
         squared = ((np.array(found)[:, None] - np.array(truth)) ** 2).sum(axis=2)
         gain = np.where(seen, 1.0, 0.5) * (np.minimum(squared, gate_mm**2) - gate_mm**2)
         rows, cols = linear_sum_assignment(gain)
         chosen = sorted(zip(cols.tolist(), rows.tolist(), strict=True))
-        kept = [(i, j) for j, i in chosen if (i, j) in within]
-        taken_found, taken_truth = {i for i, _ in kept}, {j for _, j in kept}
-    pairs = tuple([(i, j) for i, j in kept if seen[j]])
+        answers = {j: i for j, i in chosen if (i, j) in within}
+    pairs: list[tuple[int, int]] = []
+    hidden_pairs: list[tuple[int, int]] = []
+    missed = []
+    for j, visible in enumerate(seen):
+        if j in answers:
+            (pairs if visible else hidden_pairs).append((answers[j], j))
+        elif visible:
+            missed.append(j)
+    on_teats = set(answers.values())
     return Match(
-        pairs=pairs,
+        pairs=tuple(pairs),
         distances_mm=tuple([within[pair] for pair in pairs]),
-        hidden_pairs=tuple([(i, j) for i, j in kept if not seen[j]]),
-        missed=tuple([j for j, visible in enumerate(seen) if visible and j not in taken_truth]),
-        false=tuple([i for i in range(len(found)) if i not in taken_found]),
-        hidden=len(seen) - sum(seen),
+        hidden_pairs=tuple(hidden_pairs),
+        missed=tuple(missed),
+        false=tuple([i for i in range(len(found)) if i not in on_teats]),
+        hidden=seen.count(False),
         gate_mm=float(gate_mm),
     )
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
-from operator import attrgetter, sub
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -132,11 +132,15 @@ def score_scene(
         )
     answers, ends = found.tolist(), truth.tolist()
     result = assign(answers, ends, as_flags(visible, len(ends)), gate_mm(ends))
-    errors = np.array([list(map(sub, answers[i], ends[j])) for i, j in result.pairs])
+    matched = [(answers[i], ends[j]) for i, j in result.pairs]
+    errors = np.array([(x - a, y - b, z - c) for (x, y, z), (a, b, c) in matched])
     in_time, largest = seconds <= time_limit_s, max(result.distances_mm, default=0.0)
     accept, refuse = acceptance_limit_mm(limit_mm, u_mm), refusal_limit_mm(limit_mm, u_mm)
     sure = -1.0 if accept is None else accept
-    near = zip(result.pairs, result.distances_mm, strict=True) if largest > sure else ()
+    doubtful: list[int] = []
+    if largest > sure:
+        near = zip(result.pairs, result.distances_mm, strict=True)
+        doubtful = [j for (_, j), d in near if sure < d < refuse]
     return SceneScore(
         match=result,
         errors_mm=_frozen(errors),
@@ -145,7 +149,7 @@ def score_scene(
         limit_mm=float(limit_mm),
         u_mm=float(u_mm),
         success=bool(in_time and largest <= limit_mm and not result.missed and not result.false),
-        doubtful=tuple([j for (_, j), d in near if sure < d < refuse]),
+        doubtful=tuple(doubtful),
         hidden_claimed=hidden_claimed,
     )
 
@@ -250,8 +254,9 @@ class Pool:
 
         def sure(score: SceneScore) -> bool:
             most = reach.get((score.limit_mm, score.u_mm), score.limit_mm)
-            near = not score.radial_mm or (most is not None and max(score.radial_mm) <= most)
-            return score.surely_succeeded and near
+            if not score.surely_succeeded:
+                return False
+            return not score.radial_mm or (most is not None and max(score.radial_mm) <= most)
 
         return self._poses_where(sure)
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from detector import outline as package
 from detector.geometry import Array
 
 Field = NDArray[np.float32]
@@ -128,10 +129,8 @@ def sample_into(
     ``corner_px`` (2,). ``places``: middles and normals (., k, 2), which rows of these, and of each
     the first and how many.
     """
-    from detector.outline import kernels  # numba: not for who fits nothing
-
     rows, columns = field.shape
-    x, y, inside = kernels.places(*places, corner_px, offsets_px, rows, columns)
+    x, y, inside = package.kernels.places(*places, corner_px, offsets_px, rows, columns)
     cv2.remap(field, x, y, cv2.INTER_CUBIC, dst=lines)
     lines[~inside] = np.nan
 
@@ -154,9 +153,7 @@ def find_edges(
     A line without a clear edge is joined with its neighbours' residuals, and its edge counts less
     for what they share.
     """
-    from detector.outline import kernels  # numba: not for who fits nothing
-
-    kernels.edges(
+    package.kernels.edges(
         lines, noise, _steps(noise), profile.rows, profile.flat, profile.places, profile.pull,
         profile.grid_px, _NEIGHBOURS, CLEAR, _DOUBT, LIGHT, which, first, *edges,
     )  # fmt: skip

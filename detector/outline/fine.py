@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from detector import outline as package
 from detector.geometry import Array
 from detector.outline.fit import Seen, View, look, step, weights
 from detector.outline.model import END, SIDE_A, Outline, Rows
@@ -63,11 +64,9 @@ def look_again(
     seen: Seen, teats: Array, change: Array, views: tuple[View, ...], *, fine: bool
 ) -> Seen:
     """Edges after a ``change`` (m, 8): optical ones anew where outlines moved, thermal kept."""
-    from detector.outline import kernels  # numba: not for who fits nothing
-
     outline = FINE_OUTLINE if fine else ROUGH_OUTLINE
     k = 2 * len(outline.part)
-    offset, moving = kernels.follow(seen.jacobian, seen.offset_px, change, k, _STILL_PX)
+    offset, moving = package.kernels.follow(seen.jacobian, seen.offset_px, change, k, _STILL_PX)
     seen = replace(seen, offset_px=offset)
     if len(moving) == 0:
         return seen
@@ -78,13 +77,11 @@ def _trusted(seen: Seen, hidden: NDArray[np.bool_], number: int) -> Array:
     """Weights (m, k) in the fine pass; after its first step only sides that both pictures show,
     where nothing hides them. What only one shows is likely another thing's outline.
     """
-    from detector.outline import kernels  # numba: not for who fits nothing
-
     weight = np.where(hidden, 0.0, weights(seen, _FINE_SCALE))
     if number == 0:
         return weight
     counts = len(FINE_OUTLINE.along_mm), len(FINE_OUTLINE.over_end)
-    kernels.trusted(weight, seen.offset_px, seen.floor_px, hidden, *counts, _LIMITS)
+    package.kernels.trusted(weight, seen.offset_px, seen.floor_px, hidden, *counts, _LIMITS)
     return weight
 
 

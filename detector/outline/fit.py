@@ -14,6 +14,7 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
+from detector import outline as package
 from detector.calibration import Calibration
 from detector.geometry import Array, Camera, Motion
 from detector.outline.edges import (
@@ -106,14 +107,12 @@ def look(
     teats nearby: anew of teats ``which`` in ``views``, which are the first of the known ones'; the
     rest and the Jacobian are those known.
     """
-    from detector.outline import kernels  # numba: not for who fits nothing
-
     m, n = len(teats), len(outline.part)
     which = np.arange(m) if which is None else which
     seen = known.copied() if known else Seen.empty(m, n, views)
     cameras = np.stack([view.numbers for view in views])
     teats = np.ascontiguousarray(teats[which])
-    kernels.outlines(
+    package.kernels.outlines(
         teats, cameras, outline.along_mm, outline.over_end, STEP_MM, slopes_too and known is None,
         which, seen.pixels_px, seen.normals, seen.jacobian,
     )  # fmt: skip
@@ -141,9 +140,7 @@ _MOST = np.array([np.inf, np.inf, np.inf, 1.2, 1.2, 25.0, 0.25, 2.0])
 
 def weights(seen: Seen, scale: float) -> Array:
     """Weights (m, k): by uncertainty, Cauchy beyond ``scale`` floors, zero with hardly an edge."""
-    from detector.outline import kernels  # numba: not for who fits nothing
-
-    found = kernels.weights(
+    found = package.kernels.weights(
         seen.offset_px, seen.sd_px, seen.clarity, seen.floor_px, seen.jacobian, scale, LEAST_CLEAR
     )
     return np.asarray(found)
@@ -151,9 +148,7 @@ def weights(seen: Seen, scale: float) -> Array:
 
 def normal_equations(teats: Array, seen: Seen, weight: Array, prior: Prior) -> tuple[Array, Array]:
     """Matrices (m, 8, 8) and right sides (m, 8) of the least-squares step, priors included."""
-    from detector.outline import kernels  # numba: not for who fits nothing
-
-    H, b = kernels.squares(seen.jacobian, seen.offset_px, weight)
+    H, b = package.kernels.squares(seen.jacobian, seen.offset_px, weight)
     usual, sure = _usual(prior)
     return H + np.diag(sure), b + sure * np.where(sure > 1e-6, usual - teats, 0.0)
 
@@ -168,10 +163,8 @@ def _usual(prior: Prior) -> tuple[Array, Array]:
 
 def step(teats: Array, seen: Seen, weight: Array, prior: Prior) -> Array:
     """Teats (m, 8) after one damped step, no longer than makes sense."""
-    from detector.outline import kernels  # numba: not for who fits nothing
-
     usual, sure = _usual(prior)
-    moved = kernels.step(
+    moved = package.kernels.step(
         np.ascontiguousarray(teats), seen.jacobian, seen.offset_px, weight, usual, sure,
         _DAMPING, _LONGEST, _LEAST, _MOST,
     )  # fmt: skip

@@ -15,6 +15,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from detector import outline as package
 from detector.geometry import Array, Camera, Motion
 
 # the end's middle, the axis, its radius, the sides' slope, its height in radii
@@ -99,12 +100,10 @@ def outlines(
     to side B: pixels and outward normals (m, views * n, 2), and how far they move outward
     (m, views * n, 8), px a unit of each number, zeros unless asked for. NaN with the camera inside.
     """
-    from detector.outline import kernels  # numba: not for a page without outlines
-
     k = len(cameras) * len(outline.part)
     pixels, normals = np.empty((2, len(teats), k, 2))
     jacobian = np.zeros((len(teats), k, COUNT))
-    kernels.outlines(
+    package.kernels.outlines(
         np.ascontiguousarray(teats), cameras, outline.along_mm, outline.over_end, STEP_MM,
         slopes_too, np.arange(len(teats)), pixels, normals, jacobian,
     )  # fmt: skip

@@ -155,11 +155,11 @@ class Access(ABC, Generic[R]):
         values = {row.name: self.decode(row, raw[row.name]) for row in rows}
         alarms = (self.alarm_of(row, values[row.name], raw[row.name]) for row in rows)
         alarm, temperature = next(filter(None, alarms), 0), raw["temperature"]
-        diagnosis = " ".join(self.diagnoses(temperature))
+        diagnoses = self.diagnoses(temperature)
         if isinstance(temperature, str):
             temperature = tuple(temperature.encode("ascii", errors="replace"))
         return self.assembler.reading(
-            t_s, rows, values, temperature, alarm=alarm, diagnosis=diagnosis
+            t_s, rows, values, temperature, alarm=alarm, diagnoses=diagnoses
         )
 
     @cached_property

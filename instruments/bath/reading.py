@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from instruments.bath.profile import Profile
@@ -59,13 +59,13 @@ class Assembler:
         raw: Sequence[int],
         *,
         alarm: int,
-        diagnosis: str,
+        diagnoses: Iterable[str],
     ) -> BathReading:
-        """The reading of ``values`` by row; ``raw`` is the temperature's, ``diagnosis`` what else
-        an implausible one may mean. Raises DeviceError without a temperature, ProtocolError for an
-        implausible value.
+        """The reading of ``values`` by row; ``raw`` is the temperature's, ``diagnoses`` what else
+        an implausible one may mean, asked only then. Raises DeviceError without a temperature,
+        ProtocolError for an implausible value.
         """
-        self._check(rows, values, alarm, diagnosis)
+        self._check(rows, values, alarm, diagnoses)
         return BathReading(
             t_s=t_s,
             temp_c=values["temperature"],
@@ -116,7 +116,9 @@ class Assembler:
         value = values.get(name, math.nan)
         return None if math.isnan(value) else value == self._profile.row(name).codes.get(label)
 
-    def _check(self, rows: Sequence[Quantity], values: Values, alarm: int, diagnosis: str) -> None:
+    def _check(
+        self, rows: Sequence[Quantity], values: Values, alarm: int, diagnoses: Iterable[str]
+    ) -> None:
         for name in self._profile.number_unit.rows:
             if self._shows(values, name, "c") is False:  # changed at the panel
                 seen = self._profile.row(name).label(values[name])
@@ -130,7 +132,7 @@ class Assembler:
                 continue
             if row.unit == "degC" and alarm and self._profile.means(alarm, "sensor"):
                 raise self._no_temperature(row.name, alarm)
-            hint = diagnosis if row.unit == "degC" else ""
+            hint = " ".join(diagnoses) if row.unit == "degC" else ""
             if self.is_plausible(values["temperature"]):
                 hint = "Its temperature makes sense, so it is this row: is it another model?"
             hint = hint or "Another family than the profile's, or a broken sensor?"

@@ -7,6 +7,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -27,13 +28,15 @@ HOSE_DROP_K = 0.02
 
 
 class World:
-    """``renderer`` draws it; ``stage_pose`` and ``stage_velocity`` are the stage's."""
+    """``make_renderer`` makes what draws it; ``stage_pose`` and ``stage_velocity`` are the
+    stage's.
+    """
 
     def __init__(
         self,
         clock: Clock,
         seed: int,
-        renderer: Renderer,
+        make_renderer: Callable[[], Renderer],
         *,
         ambient_c: float = 20.0,
         bath_start_c: float = 20.0,
@@ -41,7 +44,7 @@ class World:
         self.clock = clock
         self.seed = seed
         self.lock = threading.RLock()
-        self.renderer = renderer
+        self._make_renderer = make_renderer
         self.plant = Plant(seed, ambient_c=ambient_c, start_c=bath_start_c)
         self.ambient_c = ambient_c
         self.stage_pose: Callable[[], PlatePose] = PlatePose
@@ -51,6 +54,11 @@ class World:
         self._situation: Situation | None = None
         self._held: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
         self._board: Board | None = None
+
+    @cached_property
+    def renderer(self) -> Renderer:
+        """Draws it; made when first asked for, which takes half a second. Raises ValueError."""
+        return self._make_renderer()
 
     def close(self) -> None:
         """Drop the renderer's 100 MB: a closed rig stays in reference cycles for a while."""

@@ -428,7 +428,7 @@ def _world(errors: _Errors, off: Off, frame: TableFrame) -> Iterator[None]:
     @contextmanager
     def opened(rig: LoadedRig, *_: Any, **__: Any) -> Iterator[Devices]:
         clock, table = VirtualClock(), rig.rig
-        world: Any = EmulatedWorld(clock, errors.seed, _Renderer())  # type: ignore[arg-type]
+        world: Any = EmulatedWorld(clock, errors.seed, _Renderer)  # type: ignore[arg-type]
         errors.scene = world
         at = table.arm.check_point_mm
         hands = EmulatedOperator(world, hand_error_mm=0.0, check_point_mm=at)

@@ -92,7 +92,7 @@ def test_a_seed_is_one_udder_and_another_seed_another() -> None:
 @pytest.mark.slow
 def test_the_paint_of_the_file_is_the_paint_of_the_scene(tmp_path: Path) -> None:
     calibration = tomllib.loads((ROOT / "bench/rigs/calibration.toml").read_text(encoding="utf-8"))
-    world = World(VirtualClock(), 1, Renderer.from_calibration(calibration, 1))
+    world = World(VirtualClock(), 1, lambda: Renderer.from_calibration(calibration, 1))
     world.arrange(
         load_layout(written(tmp_path, f'about = "dull"\nemissivity = 0.6\n{TEAT}')).phantom(), ()
     )

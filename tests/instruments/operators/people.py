@@ -30,7 +30,7 @@ def arrangement(layout: str = "table-5-1", pose: PlatePose | None = None) -> Arr
 
 
 def world() -> World:
-    return World(VirtualClock(), 3, renderer())
+    return World(VirtualClock(), 3, renderer)
 
 
 def hands(of: World, *, hand_error_mm: float = 0.0, **options: Any) -> EmulatedOperator:

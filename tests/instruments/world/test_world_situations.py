@@ -14,7 +14,7 @@ from tests.instruments.world.scenes import renderer
 
 
 def world() -> World:
-    return World(VirtualClock(), seed=3, renderer=renderer(), ambient_c=20.0, bath_start_c=30.0)
+    return World(VirtualClock(), 3, renderer, ambient_c=20.0, bath_start_c=30.0)
 
 
 @pytest.mark.slow
