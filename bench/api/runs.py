@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar, cast
 
+from bench.api.records import Damage, known
 from bench.api.shots import AnyRig, load_rig
 from bench.config import ConfigError
 from bench.record.reader import RunRecord, opened
@@ -112,7 +113,7 @@ def run_queue(
     )
     ended = started(loaded, found, Path(out), shown, how)
     shown.state("writing the report")
-    return tuple(write_report(folder) for folder, _ in ended)
+    return tuple(write_report(folder, damage=()) for folder, _ in ended)
 
 
 def resume_run(
@@ -122,17 +123,21 @@ def resume_run(
     progress: Progress | None = None,
     typed: Callable[[], str | None] = lambda: None,
     begun: Callable[[str], None] = lambda _: None,
-    damage: tuple[str, ...] = (),
+    damage: Damage = None,
 ) -> Reported:
-    """Go on with a run that stopped, at its first trial without a result: `teatbench resume`."""
+    """Go on with a run that stopped, at its first trial without a result: `teatbench resume`.
+    ``damage`` of its record is what `checked_first` found; without it that is looked at first.
+    Raises ConfigError, also for a damaged record.
+    """
     from bench.run.start import RunOptions
     from bench.run.start import resume_run as resumed
 
     shown = progress or Quiet()
     how = RunOptions(capture=capture, typed=typed, begun=begun)
-    resumed(Path(folder), shown, how)
-    shown.state("writing the report")
-    return write_report(folder, damage=damage)
+    with known([Path(folder)], damage) as there:
+        resumed(Path(folder), shown, how)
+        shown.state("writing the report")
+        return write_report(folder, damage=there)
 
 
 def score_recording(
@@ -151,19 +156,25 @@ def score_recording(
     shown = SafeProgress(progress or Quiet())
     folder = scored(Path(recording), Path(out), shown, tuple(detectors))
     shown.state("writing the report")
-    return write_report(folder)
+    return write_report(folder, damage=())
 
 
 def write_report(
     folder: Path | str,
     *,
-    chapters: tuple[Any, ...] = (),
-    damage: tuple[str, ...] = (),
+    baseline: Path | str | None = None,
+    damage: Damage = None,
 ) -> Reported:
-    """Write the report of a run again: `teatbench report`. Raises ConfigError."""
+    """Write the report of a run again: `teatbench report`; compared with the older run ``baseline``
+    of the same scenes. ``damage`` as of `resume_run`. Raises ConfigError.
+    """
+    from bench.report.comparison import baseline_section
     from bench.report.page import write_run_report
 
-    return write_run_report(Path(folder), chapters, damage)
+    run, older = Path(folder), [Path(baseline)] if baseline is not None else []
+    with known([run, *older], damage) as there:
+        chapters = tuple(baseline_section(one, run, there) for one in older)
+        return write_run_report(run, chapters, there)
 
 
 def read_run(folder: Path | str) -> RunRecord:

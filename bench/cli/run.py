@@ -27,7 +27,6 @@ from instruments.operators.console import keyboard_of
 
 if TYPE_CHECKING:
     from bench.results.status import Reported, RunStatus
-    from reports.page import Section
 
 WORST = (CODES.met, CODES.inconclusive, CODES.not_met, CODES.fault)  # of several runs
 
@@ -249,14 +248,8 @@ def report(given: argparse.Namespace) -> int:
             " index.html by hand."
         )
     with undamaged([given.run, *filter(None, [given.baseline])], given) as damage:
-        chapters: tuple[Section, ...] = ()
-        if given.baseline:
-            from bench.report.comparison import baseline_section
-
-            with working("comparing the runs"):
-                chapters = (baseline_section(given.baseline, given.run, damage),)
         with working("writing the report"):
-            found = bench.write_report(given.run, chapters=chapters, damage=damage)
+            found = bench.write_report(given.run, baseline=given.baseline, damage=damage)
         code = show_verdict(Terminal(), found)
         _summarize(given, found)
     if given.open:

@@ -58,6 +58,10 @@ class CheckResult:
         return not any(finding.weight is Weight.DAMAGE for finding in self.findings)
 
     @property
+    def sentence(self) -> str:
+        return "The record is as it was written." if self.whole else f"{NOT_AS_WRITTEN}."
+
+    @property
     def unchecked(self) -> str:
         """What nothing was there to check by; empty where a chain covers the record."""
         if not self.whole or self.head.number:

@@ -14,7 +14,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -292,6 +292,34 @@ class Together:
     looks: Mapping[str, Looks]
     scripts: tuple[str, ...] = ()
 
+    def lines(self) -> Iterator[str]:
+        """Its verdict and its sentences; what was pooled, and looked at before."""
+        yield f"{self.judgement.detector}, all runs together: {self.judgement.verdict}"
+        if self.scripts:
+            yield (
+                "  OF DIFFERENT SCRIPTS, pooled because it was asked for:"
+                f" {'; '.join(self.scripts)}. The figures hold for this mixture of situations only."
+            )
+        for decision in self.judgement.decisions:
+            yield f"  {decision.name}: {decision.verdict}. {decision.sentence}"
+        counts = {len(looks.own) + len(looks.pooled) for looks in self.looks.values()}
+        if before := max(counts, default=0):
+            yield (
+                f"  A further look: {before} came before it, each run's own with them. They decide"
+                " with what the first left of the chance of a false verdict, and hold all together."
+                " Each run's own verdict stands on its own poses."
+            )
+
+    def as_dict(self) -> dict[str, Any]:
+        """As JSON has it (docs/json.md)."""
+        return {
+            "detector": self.judgement.detector,
+            "verdict": self.judgement.verdict,
+            "decisions": [asdict(decision) for decision in self.judgement.decisions],
+            "looks": {name: asdict(looks) for name, looks in self.looks.items()},
+            "scripts": list(self.scripts),
+        }
+
 
 def judge_folders(
     folders: Sequence[Path],
@@ -421,22 +449,3 @@ _OF_ONE_SCRIPT = {"name", "member", "set_up", "repeats", "cycles", "published"}
 def _called(run: RunRecord) -> str:
     named = run.facts.get("script") or run.facts.get("about") or "no script"
     return f"{run.folder.resolve().name} of {named}"
-
-
-def judgement_lines(found: Together) -> Iterator[str]:
-    """Its verdict and its sentences; what was pooled, and looked at before."""
-    yield f"{found.judgement.detector}, all runs together: {found.judgement.verdict}"
-    if found.scripts:
-        yield (
-            f"  OF DIFFERENT SCRIPTS, pooled because it was asked for: {'; '.join(found.scripts)}."
-            " The figures hold for this mixture of situations only."
-        )
-    for decision in found.judgement.decisions:
-        yield f"  {decision.name}: {decision.verdict}. {decision.sentence}"
-    counts = {len(looks.own) + len(looks.pooled) for looks in found.looks.values()}
-    if before := max(counts, default=0):
-        yield (
-            f"  A further look: {before} came before it, each run's own with them. They decide with"
-            " what the first left of the chance of a false verdict, and hold all together. Each"
-            " run's own verdict stands on its own poses."
-        )
