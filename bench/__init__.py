@@ -9,71 +9,103 @@ from textfiles.lazy import lazily
 
 TYPE_CHECKING = False  # `typing` takes 20 ms to import; checkers know the name
 if TYPE_CHECKING:
-    from bench.api.campaigns import CampaignResult, run_campaign
+    from bench.api.campaigns import CampaignResult, run_campaign, run_chunk
+    from bench.api.planning import ScriptCheck, ScriptPlan, check_script, plan_poses, plan_script
     from bench.api.records import check_record, compare_runs, control_run, export_record
     from bench.api.records import judge_together, pack_run, verdict_of
-    from bench.api.rigs import OpenRig, open_rig
+    from bench.api.rigs import OpenRig, open_rig, rig_notes
     from bench.api.runs import BathRow, DetectionRow, EventRow, FoundRow, TouchRow, TrialRow
     from bench.api.runs import TruthOfTeat, load_script, read_rows, read_run, read_table
-    from bench.api.runs import resume_run, run_queue, run_script, score_recording, write_report
-    from bench.api.shots import Shot, detect, draw, families, labels, load_rig, member
-    from bench.api.shots import open_detector, score
+    from bench.api.runs import resume_run, rig_of_run, run_queue, run_script, score_recording
+    from bench.api.runs import scripts, write_queue_page, write_report
+    from bench.api.shots import Shot, detect, detectors, draw, families, labels, load_rig, member
+    from bench.api.shots import open_detector, rigs, score
+    from bench.campaign.comparison import compare_campaigns
+    from bench.campaign.plan import CampaignPlan
+    from bench.campaign.pool import PoolError
+    from bench.campaign.shards import query_campaign
     from bench.config import ConfigError
     from bench.record.check import CheckResult, checked_first
     from bench.record.reader import RunRecord
     from bench.record.recording import Recording, RecordingError, RecordingWriter, TruthRow
     from bench.report.comparison import write_comparison
     from bench.report.runs import list_runs, write_runs_page
+    from bench.report.scenes import show_scenes
     from bench.results.answers import Answer
     from bench.results.comparison import Comparison, Together
     from bench.results.status import Reported, RunStatus
+    from bench.rig.alone import check_rig
     from bench.rig.leaving import NotSafeError
+    from bench.rig.loading import LoadedRig, find_board
     from bench.rig.opening import BringUpError
+    from bench.rig.scenes import record_boards, record_scenes, write_sheet
+    from bench.run.detections import detect_recording
     from bench.safety.interlocks import InterlockTrip
     from bench.scoring.decisions import Verdict
+    from bench.scoring.sample_size import SampleSizePlan
     from bench.scoring.scene import SceneScore
+    from bench.script.model import LoadedScript
 
 _PROMISED = {
-    "bench.api.campaigns": ("CampaignResult", "run_campaign"),
+    "bench.api.campaigns": ("CampaignResult", "run_campaign", "run_chunk"),
+    "bench.api.planning": (
+        "ScriptCheck", "ScriptPlan", "check_script", "plan_poses", "plan_script",
+    ),
     "bench.api.records": (
         "check_record", "compare_runs", "control_run", "export_record", "judge_together",
         "pack_run", "verdict_of",
     ),
-    "bench.api.rigs": ("OpenRig", "open_rig"),
+    "bench.api.rigs": ("OpenRig", "open_rig", "rig_notes"),
     "bench.api.runs": (
         "BathRow", "DetectionRow", "EventRow", "FoundRow", "TouchRow", "TrialRow", "TruthOfTeat",
-        "load_script", "read_rows", "read_run", "read_table", "resume_run", "run_queue",
-        "run_script", "score_recording", "write_report",
+        "load_script", "read_rows", "read_run", "read_table", "resume_run", "rig_of_run",
+        "run_queue", "run_script", "score_recording", "scripts", "write_queue_page", "write_report",
     ),
     "bench.api.shots": (
-        "Shot", "detect", "draw", "families", "labels", "load_rig", "member", "open_detector",
-        "score",
+        "Shot", "detect", "detectors", "draw", "families", "labels", "load_rig", "member",
+        "open_detector", "rigs", "score",
     ),
+    "bench.campaign.comparison": ("compare_campaigns",),
+    "bench.campaign.plan": ("CampaignPlan",),
+    "bench.campaign.pool": ("PoolError",),
+    "bench.campaign.shards": ("query_campaign",),
     "bench.config": ("ConfigError",),
     "bench.record.check": ("CheckResult", "checked_first"),
     "bench.record.reader": ("RunRecord",),
     "bench.record.recording": ("Recording", "RecordingError", "RecordingWriter", "TruthRow"),
     "bench.report.comparison": ("write_comparison",),
     "bench.report.runs": ("list_runs", "write_runs_page"),
+    "bench.report.scenes": ("show_scenes",),
     "bench.results.answers": ("Answer",),
     "bench.results.comparison": ("Comparison", "Together"),
     "bench.results.status": ("Reported", "RunStatus"),
+    "bench.rig.alone": ("check_rig",),
     "bench.rig.leaving": ("NotSafeError",),
+    "bench.rig.loading": ("LoadedRig", "find_board"),
     "bench.rig.opening": ("BringUpError",),
+    "bench.rig.scenes": ("record_boards", "record_scenes", "write_sheet"),
+    "bench.run.detections": ("detect_recording",),
     "bench.safety.interlocks": ("InterlockTrip",),
     "bench.scoring.decisions": ("Verdict",),
+    "bench.scoring.sample_size": ("SampleSizePlan",),
     "bench.scoring.scene": ("SceneScore",),
+    "bench.script.model": ("LoadedScript",),
     "bench.version": ("__version__",),
 }
 __all__ = [
-    "Answer", "BathRow", "BringUpError", "CampaignResult", "CheckResult", "Comparison",
-    "ConfigError", "DetectionRow", "EventRow", "FoundRow", "InterlockTrip", "NotSafeError",
-    "OpenRig", "Recording", "RecordingError", "RecordingWriter", "Reported", "RunRecord",
-    "RunStatus", "SceneScore", "Shot", "Together", "TouchRow", "TrialRow", "TruthOfTeat",
-    "TruthRow", "Verdict", "__version__", "check_record", "checked_first", "compare_runs",
-    "control_run", "detect", "draw", "export_record", "families", "judge_together", "labels",
-    "list_runs", "load_rig", "load_script", "member", "open_detector", "open_rig", "pack_run",
-    "read_rows", "read_run", "read_table", "resume_run", "run_campaign", "run_queue", "run_script",
-    "score", "score_recording", "verdict_of", "write_comparison", "write_report", "write_runs_page",
+    "Answer", "BathRow", "BringUpError", "CampaignPlan", "CampaignResult", "CheckResult",
+    "Comparison", "ConfigError", "DetectionRow", "EventRow", "FoundRow", "InterlockTrip",
+    "LoadedRig", "LoadedScript", "NotSafeError", "OpenRig", "PoolError", "Recording",
+    "RecordingError", "RecordingWriter", "Reported", "RunRecord", "RunStatus", "SampleSizePlan",
+    "SceneScore", "ScriptCheck", "ScriptPlan", "Shot", "Together", "TouchRow", "TrialRow",
+    "TruthOfTeat", "TruthRow", "Verdict", "__version__", "check_record", "check_rig",
+    "check_script", "checked_first", "compare_campaigns", "compare_runs", "control_run", "detect",
+    "detect_recording", "detectors", "draw", "export_record", "families", "find_board",
+    "judge_together", "labels", "list_runs", "load_rig", "load_script", "member", "open_detector",
+    "open_rig", "pack_run", "plan_poses", "plan_script", "query_campaign", "read_rows", "read_run",
+    "read_table", "record_boards", "record_scenes", "resume_run", "rig_notes", "rig_of_run", "rigs",
+    "run_campaign", "run_chunk", "run_queue", "run_script", "score", "score_recording", "scripts",
+    "show_scenes", "verdict_of", "write_comparison", "write_queue_page", "write_report",
+    "write_runs_page", "write_sheet",
 ]
 __getattr__ = lazily(__name__, _PROMISED)

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
+from bench.campaign.chunk import ASIDE, Scene
 from bench.campaign.plan import CampaignPlan, read_plan, with_whole_paths
-from bench.campaign.run import Campaign, Executor, Status, locked
+from bench.campaign.run import Campaign, Executor, locked
+from bench.campaign.run import Status as Status
 from bench.config import ConfigError
 
 if TYPE_CHECKING:
@@ -25,7 +27,8 @@ Say = Callable[[str], None]
 @dataclass(frozen=True, slots=True, eq=False)
 class CampaignResult:
     """What came of a campaign: ``rates`` by family and detector, each with its 95 % interval in
-    ``intervals``; scenes set ``aside`` with the reason; ``page``: its report.
+    ``intervals``; scenes set ``aside`` with the reason; ``page``: its report; ``digest`` of all
+    rows, and ``unlike``: says so where as many scenes had another one before.
     """
 
     campaign: Campaign
@@ -35,6 +38,7 @@ class CampaignResult:
     aside: Mapping[str, str]
     digest: str
     page: Path
+    unlike: str = ""
 
 
 def plan_of(plan: CampaignPlan | Path | str | Mapping[str, Any]) -> CampaignPlan:
@@ -117,4 +121,31 @@ def run_campaign(
         with campaign.shards.connect() as db:
             rates, aside = tuple(family_rates(db)), scenes_aside(db)
         spans = tuple(campaign.plan.interval(rate.failures, rate.scenes) for rate in rates)
-        return CampaignResult(campaign, status, rates, spans, aside, campaign.shards.digest(), page)
+        digest = campaign.shards.digest()
+        unlike = campaign.shards.ledger.compare_rows(status.done, digest)
+        return CampaignResult(campaign, status, rates, spans, aside, digest, page, unlike)
+
+
+def run_chunk(
+    plan: CampaignPlan, number: int, out: Path | str, *, say: Say = lambda _: None
+) -> dict[str, str] | None:
+    """Do one chunk of a campaign, as a batch system gives them out: `teatbench campaign chunk`. The
+    scenes set aside, each with the reason; None where it was done before. Raises ConfigError,
+    PoolError.
+    """
+    if not 0 <= number < plan.chunk_count:
+        last = plan.chunk_count - 1
+        raise ConfigError.plain(
+            f"there is no chunk {number}: there are {last + 1}, from 0 to {last}"
+        )
+    campaign = Campaign(plan, Path(out))
+    campaign.begin()
+    with executor(campaign, 1, None, say) as made:
+        rows = campaign.do_chunk(number, made)
+    if rows is None:
+        return None
+    return {
+        Scene(row.family, row.member).name: one.reason or ""
+        for row, one in zip(rows.scenes, rows.taken, strict=True)
+        if row.failure == ASIDE
+    }

@@ -7,8 +7,8 @@ from __future__ import annotations
 import importlib
 import sqlite3
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, fields
+from contextlib import AbstractContextManager, nullcontext, suppress
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar, cast
 
@@ -17,10 +17,14 @@ from bench.api.shots import AnyRig, load_rig
 from bench.config import ConfigError
 from bench.record.reader import RunRecord, opened
 from bench.record.schema import tables_of
+from bench.results.queue import QueueStatus, queues
 from bench.results.status import Reported
 from bench.rig.leaving import to_stderr
+from bench.rig.loading import LoadedRig, shipped
+from bench.run import estimate
 from bench.run.events import Progress
-from bench.script.model import LoadedScript, find_script
+from bench.run.resume import ASKED, files_of
+from bench.script.model import TRIALS, LoadedScript, find_script
 from bench.script.model import load_script as load_script_file
 from instruments.captures.capture import CaptureFile
 
@@ -113,7 +117,46 @@ def run_queue(
     )
     ended = started(loaded, found, Path(out), shown, how)
     shown.state("writing the report")
-    return tuple(write_report(folder, damage=()) for folder, _ in ended)
+    reports = [write_report(folder, damage=()) for folder, _ in ended]
+    return tuple(_timed(one, loaded, script) for one, script in zip(reports, found, strict=False))
+
+
+def _timed(found: Reported, rig: LoadedRig, script: LoadedScript) -> Reported:
+    """With how long it took, by which the next estimate is better. A run that stopped shows
+    nothing, and one on a warm rig did not heat.
+    """
+    record = found.record
+    spent = estimate.took(record)
+    if found.status.state != "finished" or "total_s" not in spent:
+        return found
+    expected = estimate.needs(rig, script, estimate.read_durations(record.folder.parent, rig)).time
+    if not record.facts[ASKED].get("warm"):
+        with suppress(OSError):  # an estimate isn't worth a fault
+            figures = estimate.figures(record, rig, script, spent)
+            estimate.write_durations(record.folder, rig, expected, spent, figures)
+    return replace(found, took=estimate.estimate_text(expected, spent))
+
+
+def write_queue_page(out: Path | str = OUT) -> tuple[QueueStatus, Path]:
+    """The last queue in the folder of runs ``out``, and the page over its runs, written anew.
+    Raises ConfigError where there is none.
+    """
+    from bench.report.runs import write_queue_page as written
+
+    queue = next(queues(Path(out)), None)
+    if queue is None:
+        raise ConfigError.plain(f"{out}: no queue of scripts was run here")
+    return queue, written(Path(out), queue)
+
+
+def rig_of_run(run: Path | str) -> LoadedRig:
+    """The rig that a run was begun on. Raises ConfigError where it is gone or was changed since."""
+    return files_of(read_run(run))[0]
+
+
+def scripts() -> tuple[str, ...]:
+    """The names of the trial scripts that ship."""
+    return tuple(shipped(TRIALS))
 
 
 def resume_run(

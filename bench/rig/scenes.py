@@ -106,7 +106,7 @@ class Perturbation(Protocol):
     def stated(self, calibration: Calibration) -> Calibration: ...
 
 
-def record(
+def record_scenes(
     rig: LoadedRig,
     names: Sequence[str],
     seeds: Sequence[int],

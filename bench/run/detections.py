@@ -18,7 +18,7 @@ from instruments.camera.frame import FrameSet
 SHOWN_LINES = 5
 
 
-def detect_lines(path: Path, names: Sequence[str]) -> Iterator[tuple[dict[str, Any], str]]:
+def detect_recording(path: Path, names: Sequence[str]) -> Iterator[tuple[dict[str, Any], str]]:
     """For each frame and detector the JSON line of the recording format, and a sentence."""
     detectors = make_detectors(names)
     recording = Recording(path)

@@ -183,6 +183,38 @@ class SampleSizePlan:
     u_mm: float | None = None
     accept_mm: float | None = None
 
+    def lines(self) -> Iterator[str]:
+        """The plan as lines of text."""
+        sure = f"{exact_percent(self.confidence)} confidence (one-sided)"
+        for claim in self.claims:
+            with_failures = ", ".join(
+                f"{needed} with {count}" for count, needed in enumerate(claim.poses_needed) if count
+            )
+            more = f" ({with_failures} failed)" if with_failures else ""
+            yield (
+                f"A rate of {exact_percent(claim.rate)} with {sure}: {claim.poses_needed[0]} poses"
+                f" without a failure{more}."
+            )
+        yield (
+            "Poses count, not frames: repeats of one pose are one trial. The largest error of so"
+            " many poses bounds the same share of errors."
+        )
+        if self.poses is not None:
+            yield from _text_of_poses(self, sure)
+        if self.limit_mm is not None and self.u_mm is not None:
+            yield from _text_of_error(self)
+        alpha = exact_percent(self.alpha)
+        yield (
+            f"Two detectors on the same poses: at least {self.discordant_needed} must be lost, and"
+            f" none won, for p < {alpha} (exact McNemar)."
+        )
+        if self.poses_for_shift:
+            yield (
+                f"A difference of {self.shift_mm:g} mm in their mean distance, where it varies by"
+                f" {self.sd_mm:g} mm from pose to pose: {self.poses_for_shift} poses show it with a"
+                f" chance of {exact_percent(self.power)}."
+            )
+
 
 def make_plan(
     rates: Sequence[float],
@@ -236,39 +268,6 @@ def make_plan(
         shift_mm=shift_mm,
         poses_for_shift=needed_for_shift,
     )
-
-
-def plan_lines(plan: SampleSizePlan) -> Iterator[str]:
-    """The plan as lines of text."""
-    sure = f"{exact_percent(plan.confidence)} confidence (one-sided)"
-    for claim in plan.claims:
-        with_failures = ", ".join(
-            f"{needed} with {count}" for count, needed in enumerate(claim.poses_needed) if count
-        )
-        more = f" ({with_failures} failed)" if with_failures else ""
-        yield (
-            f"A rate of {exact_percent(claim.rate)} with {sure}: {claim.poses_needed[0]} poses"
-            f" without a failure{more}."
-        )
-    yield (
-        "Poses count, not frames: repeats of one pose are one trial. The largest error of so many"
-        " poses bounds the same share of errors."
-    )
-    if plan.poses is not None:
-        yield from _text_of_poses(plan, sure)
-    if plan.limit_mm is not None and plan.u_mm is not None:
-        yield from _text_of_error(plan)
-    alpha = exact_percent(plan.alpha)
-    yield (
-        f"Two detectors on the same poses: at least {plan.discordant_needed} must be lost, and none"
-        f" won, for p < {alpha} (exact McNemar)."
-    )
-    if plan.poses_for_shift:
-        yield (
-            f"A difference of {plan.shift_mm:g} mm in their mean distance, where it varies by"
-            f" {plan.sd_mm:g} mm from pose to pose: {plan.poses_for_shift} poses show it with a"
-            f" chance of {exact_percent(plan.power)}."
-        )
 
 
 def _text_of_error(plan: SampleSizePlan) -> Iterator[str]:

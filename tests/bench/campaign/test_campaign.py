@@ -26,7 +26,8 @@ from bench.campaign.chunk import ASIDE, Rows
 from bench.campaign.plan import CampaignPlan, Chunk, plan_text
 from bench.campaign.pool import LocalPool
 from bench.campaign.run import Campaign, Executor
-from bench.campaign.shards import Shards, query
+from bench.campaign.shards import Shards
+from bench.campaign.shards import query_campaign as query
 from bench.rig.scenes import draw, warm
 from instruments.world.situations import situation
 from tests.bench.campaign.small_campaign import (

@@ -12,7 +12,8 @@ from bench.config import ConfigError, read_calibration, read_config
 from bench.record.recording import Recording, RecordingError
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import EmulatedOptical, EmulatedThermal, Rig
-from bench.rig.scenes import chosen, record, rig_renderer, warm
+from bench.rig.scenes import chosen, rig_renderer, warm
+from bench.rig.scenes import record_scenes as record
 from instruments.world.situations import SITUATIONS, situation
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said, teatbench, words
