@@ -9,6 +9,8 @@ from textfiles.lazy import lazily
 
 TYPE_CHECKING = False  # `typing` takes 20 ms to import; checkers know the name
 if TYPE_CHECKING:
+    from bench.api.calibration import makers_calibration, open_cameras_of, take_views
+    from bench.api.calibration import touch_points
     from bench.api.campaigns import CampaignResult, run_campaign, run_chunk
     from bench.api.planning import ScriptCheck, ScriptPlan, check_script, plan_poses, plan_script
     from bench.api.records import check_record, compare_runs, control_run, export_record
@@ -20,6 +22,15 @@ if TYPE_CHECKING:
     from bench.api.runs import scripts, write_queue_page, write_report
     from bench.api.shots import Shot, detect, detectors, draw, families, labels, load_rig, member
     from bench.api.shots import open_detector, rigs, score
+    from bench.calibrate.board_print import board_pdf
+    from bench.calibrate.cameras import CamerasResult, ThermalFormat, calibrate_pair
+    from bench.calibrate.cameras import calibrate_thermal, check_pair, delivered_by, map_pairs
+    from bench.calibrate.exchange import read_foreign, write_bouguet, write_opencv, write_ros
+    from bench.calibrate.merge import calibration_record, merge_parts, read_part
+    from bench.calibrate.merge import write_calibration
+    from bench.calibrate.stage import calibrate_stage
+    from bench.calibrate.views import BoardViews, ViewsRequest, find_pictures, find_views
+    from bench.calibrate.world import calibrate_world, check_points, read_points
     from bench.campaign.comparison import compare_campaigns
     from bench.campaign.plan import CampaignPlan
     from bench.campaign.pool import PoolError
@@ -34,7 +45,7 @@ if TYPE_CHECKING:
     from bench.results.answers import Answer
     from bench.results.comparison import Comparison, Together
     from bench.results.status import Reported, RunStatus
-    from bench.rig.alone import check_rig
+    from bench.rig.alone import check_rig, with_retries
     from bench.rig.leaving import NotSafeError
     from bench.rig.loading import LoadedRig, find_board
     from bench.rig.opening import BringUpError
@@ -45,8 +56,12 @@ if TYPE_CHECKING:
     from bench.scoring.sample_size import SampleSizePlan
     from bench.scoring.scene import SceneScore
     from bench.script.model import LoadedScript
+    from bench.truth.registration import write_registration
 
 _PROMISED = {
+    "bench.api.calibration": (
+        "makers_calibration", "open_cameras_of", "take_views", "touch_points",
+    ),
     "bench.api.campaigns": ("CampaignResult", "run_campaign", "run_chunk"),
     "bench.api.planning": (
         "ScriptCheck", "ScriptPlan", "check_script", "plan_poses", "plan_script",
@@ -65,6 +80,18 @@ _PROMISED = {
         "Shot", "detect", "detectors", "draw", "families", "labels", "load_rig", "member",
         "open_detector", "rigs", "score",
     ),
+    "bench.calibrate.board_print": ("board_pdf",),
+    "bench.calibrate.cameras": (
+        "CamerasResult", "ThermalFormat", "calibrate_pair", "calibrate_thermal", "check_pair",
+        "delivered_by", "map_pairs",
+    ),
+    "bench.calibrate.exchange": ("read_foreign", "write_bouguet", "write_opencv", "write_ros"),
+    "bench.calibrate.merge": (
+        "calibration_record", "merge_parts", "read_part", "write_calibration",
+    ),
+    "bench.calibrate.stage": ("calibrate_stage",),
+    "bench.calibrate.views": ("BoardViews", "ViewsRequest", "find_pictures", "find_views"),
+    "bench.calibrate.world": ("calibrate_world", "check_points", "read_points"),
     "bench.campaign.comparison": ("compare_campaigns",),
     "bench.campaign.plan": ("CampaignPlan",),
     "bench.campaign.pool": ("PoolError",),
@@ -79,7 +106,7 @@ _PROMISED = {
     "bench.results.answers": ("Answer",),
     "bench.results.comparison": ("Comparison", "Together"),
     "bench.results.status": ("Reported", "RunStatus"),
-    "bench.rig.alone": ("check_rig",),
+    "bench.rig.alone": ("check_rig", "with_retries"),
     "bench.rig.leaving": ("NotSafeError",),
     "bench.rig.loading": ("LoadedRig", "find_board"),
     "bench.rig.opening": ("BringUpError",),
@@ -90,22 +117,29 @@ _PROMISED = {
     "bench.scoring.sample_size": ("SampleSizePlan",),
     "bench.scoring.scene": ("SceneScore",),
     "bench.script.model": ("LoadedScript",),
+    "bench.truth.registration": ("write_registration",),
     "bench.version": ("__version__",),
 }
 __all__ = [
-    "Answer", "BathRow", "BringUpError", "CampaignPlan", "CampaignResult", "CheckResult",
-    "Comparison", "ConfigError", "DetectionRow", "EventRow", "FoundRow", "InterlockTrip",
-    "LoadedRig", "LoadedScript", "NotSafeError", "OpenRig", "PoolError", "Recording",
-    "RecordingError", "RecordingWriter", "Reported", "RunRecord", "RunStatus", "SampleSizePlan",
-    "SceneScore", "ScriptCheck", "ScriptPlan", "Shot", "Together", "TouchRow", "TrialRow",
-    "TruthOfTeat", "TruthRow", "Verdict", "__version__", "check_record", "check_rig",
-    "check_script", "checked_first", "compare_campaigns", "compare_runs", "control_run", "detect",
-    "detect_recording", "detectors", "draw", "export_record", "families", "find_board",
-    "judge_together", "labels", "list_runs", "load_rig", "load_script", "member", "open_detector",
-    "open_rig", "pack_run", "plan_poses", "plan_script", "query_campaign", "read_rows", "read_run",
-    "read_table", "record_boards", "record_scenes", "resume_run", "rig_notes", "rig_of_run", "rigs",
-    "run_campaign", "run_chunk", "run_queue", "run_script", "score", "score_recording", "scripts",
-    "show_scenes", "verdict_of", "write_comparison", "write_queue_page", "write_report",
-    "write_runs_page", "write_sheet",
+    "Answer", "BathRow", "BoardViews", "BringUpError", "CamerasResult", "CampaignPlan",
+    "CampaignResult", "CheckResult", "Comparison", "ConfigError", "DetectionRow", "EventRow",
+    "FoundRow", "InterlockTrip", "LoadedRig", "LoadedScript", "NotSafeError", "OpenRig",
+    "PoolError", "Recording", "RecordingError", "RecordingWriter", "Reported", "RunRecord",
+    "RunStatus", "SampleSizePlan", "SceneScore", "ScriptCheck", "ScriptPlan", "Shot",
+    "ThermalFormat", "Together", "TouchRow", "TrialRow", "TruthOfTeat", "TruthRow", "Verdict",
+    "ViewsRequest", "__version__", "board_pdf", "calibrate_pair", "calibrate_stage",
+    "calibrate_thermal", "calibrate_world", "calibration_record", "check_pair", "check_points",
+    "check_record", "check_rig", "check_script", "checked_first", "compare_campaigns",
+    "compare_runs", "control_run", "delivered_by", "detect", "detect_recording", "detectors",
+    "draw", "export_record", "families", "find_board", "find_pictures", "find_views",
+    "judge_together", "labels", "list_runs", "load_rig", "load_script", "makers_calibration",
+    "map_pairs", "member", "merge_parts", "open_cameras_of", "open_detector", "open_rig",
+    "pack_run", "plan_poses", "plan_script", "query_campaign", "read_foreign", "read_part",
+    "read_points", "read_rows", "read_run", "read_table", "record_boards", "record_scenes",
+    "resume_run", "rig_notes", "rig_of_run", "rigs", "run_campaign", "run_chunk", "run_queue",
+    "run_script", "score", "score_recording", "scripts", "show_scenes", "take_views",
+    "touch_points", "verdict_of", "with_retries", "write_bouguet", "write_calibration",
+    "write_comparison", "write_opencv", "write_queue_page", "write_registration", "write_report",
+    "write_ros", "write_runs_page", "write_sheet",
 ]
 __getattr__ = lazily(__name__, _PROMISED)

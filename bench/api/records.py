@@ -11,13 +11,7 @@ from pathlib import Path
 
 from bench.config import ConfigError, writing
 from bench.files import write_synced
-from bench.record.check import (
-    NOT_AS_WRITTEN,
-    CheckResult,
-    check_run,
-    checked_first,
-    shortened,
-)
+from bench.record.check import NOT_AS_WRITTEN, CheckResult, check_run, checked_first, shortened
 from bench.results.comparison import Comparison, Together, compare_folders, judge_folders
 from bench.results.status import read_status
 from bench.results.verdicts import run_verdict
@@ -121,12 +115,7 @@ def export_record(
 
 
 def pack_run(
-    run: Path | str,
-    out: Path | str,
-    *,
-    title: str = "",
-    licence: str = "",
-    damage: Damage = None,
+    run: Path | str, out: Path | str, *, title: str = "", licence: str = "", damage: Damage = None
 ) -> Path:
     """Write a run as a recording to publish, whole or not at all: `teatbench recording pack`.
     ``licence`` is an SPDX identifier. Raises ConfigError, RecordingError.

@@ -203,10 +203,7 @@ def score_recording(
 
 
 def write_report(
-    folder: Path | str,
-    *,
-    baseline: Path | str | None = None,
-    damage: Damage = None,
+    folder: Path | str, *, baseline: Path | str | None = None, damage: Damage = None
 ) -> Reported:
     """Write the report of a run again: `teatbench report`; compared with the older run ``baseline``
     of the same scenes. ``damage`` as of `resume_run`. Raises ConfigError.

@@ -5,11 +5,13 @@ the left camera sees too, or as homographies from point pairs.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 from scipy.special import stdtrit
 
@@ -17,6 +19,7 @@ from bench.calibrate.merge import pair_of_part
 from bench.calibrate.views import BoardViews
 from bench.calibrate.world import read_table
 from bench.config import ConfigError
+from bench.rig.loading import LoadedRig
 from detector.calibration import (
     Homographies,
     ParameterCovariance,
@@ -27,7 +30,7 @@ from detector.calibration import (
     derive_homographies,
 )
 from detector.calibration.boards import Board
-from detector.calibration.bundle import POSE
+from detector.calibration.bundle import POSE, BundleError
 from detector.calibration.cameras import (
     DISTANCE_RATIO,
     CameraFit,
@@ -131,6 +134,11 @@ class CamerasResult:
         away = f"all views are {near:.0f} to {far:.0f} mm away"
         return (f"show the board {working_mm / 1000:.2g} m away, where teats stand: {away}",)
 
+    def verdict(self, at_mm: float) -> Literal["met", "inconclusive", "not met"]:
+        """Whether the pair is good enough at this distance."""
+        good_mm = float(self.good_to_mm(np.array([at_mm]))[0])
+        return "not met" if self.findings else held(good_mm)
+
     def good_to_mm(self, depths_mm: Array) -> Array:
         """Expanded uncertainty (k = 2) (n,) mm along the worst direction, before the pair."""
         axis = self.pair.right_from_left.T / 2.0
@@ -161,10 +169,23 @@ def _covariance(found: CameraFit, pose: str) -> ParameterCovariance:
     return ParameterCovariance(names, fit.covariance)
 
 
+@contextmanager
+def _fitting(what: str) -> Iterator[None]:
+    """Raises ConfigError for views that can't be fitted."""
+    try:
+        yield
+    except BundleError as why:
+        raise ConfigError.plain(str(why)) from why
+    except (np.linalg.LinAlgError, cv2.error) as why:
+        text = f"the views of {what} can't be fitted together ({why}): look whether each picture"
+        raise ConfigError.plain(f"{text} shows the board, and each pair one pose") from why
+
+
+@_fitting("the cameras")
 def calibrate_pair(
     views: BoardViews, *, model: str = "k1 k2 p1 p2", square_pixels: bool = False
 ) -> CamerasResult:
-    """The whole job, with a lens ``model`` of `LENS_MODELS`. Raises BundleError."""
+    """The whole job, with a lens ``model`` of `LENS_MODELS`. Raises ConfigError."""
     seen = {camera: views.views(camera) for camera in PAIR}
     size = views.image_size
     lens: dict[str, Any] = {"model": model, "square_pixels": square_pixels}
@@ -247,13 +268,24 @@ def check_pair(part: Part, views: BoardViews) -> tuple[MeasuredBoard, tuple[Find
 class ThermalFormat:
     """How the thermal camera's picture comes: what a picture alone doesn't show."""
 
-    sensor_size: tuple[int, int]
-    mirrored: bool
-    polarity: Polarity
+    sensor_size: tuple[int, int] = (160, 120)
+    mirrored: bool = False
+    polarity: Polarity = "hot_is_white"
     model: str = "k1"
 
     def camera(self, size: tuple[int, int], lens: Camera | None) -> ThermalCamera:
         return ThermalCamera(size, self.sensor_size, self.mirrored, self.polarity, lens)
+
+
+def delivered_by(rig: LoadedRig) -> ThermalFormat:
+    """How a rig's thermal pictures come, by its calibration, else by its file."""
+    if rig.made_calibration is not None:
+        known = rig.made_calibration.thermal
+        return ThermalFormat(known.sensor_size, known.mirrored, known.polarity)
+    table = rig.rig.cameras.thermal
+    if table is None:
+        return ThermalFormat()
+    return ThermalFormat(mirrored=bool(table.mirrored), polarity=table.polarity or "hot_is_white")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -278,10 +310,11 @@ class ThermalResult:
         )
 
 
+@_fitting("the thermal camera")
 def calibrate_thermal(
     views: BoardViews, cameras: Part, delivered: ThermalFormat, plane_depth_mm: float
 ) -> ThermalResult:
-    """The third camera against a pair, by un-mirrored pictures. Raises BundleError."""
+    """The third camera against a pair, by un-mirrored pictures. Raises ConfigError."""
     pair = pair_of_part(cameras)
     size = views.image_size["thermal"]
     alone = calibrate_camera("thermal", views.views("thermal"), size, model=delivered.model)

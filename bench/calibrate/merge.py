@@ -12,17 +12,22 @@ from pathlib import Path
 from scipy.linalg import block_diag
 
 from bench.config import ConfigError, located, read_text
+from bench.files import write_synced
+from bench.version import __version__
 from detector.calibration import (
     Calibration,
     CalibrationError,
     ParameterCovariance,
     Part,
     Record,
+    check_text,
+    dump_calibration,
     file_hash,
     load_part,
 )
 from detector.calibration.values import Pair
 from detector.geometry import Motion
+from instruments.clock import wall_time
 
 CAMERAS_INPUT = "cameras file"  # the record's name for the file that a later step was made with
 # each attribute of a part, its block in the file, and the step that makes it; a depth camera's are
@@ -69,7 +74,7 @@ def pair_of_part(part: Part) -> Pair:
     return Pair(part.left, part.right, part.right_from_left, world)
 
 
-def merge(files: Sequence[PartFile], record: Record) -> Calibration:
+def merge_parts(files: Sequence[PartFile], record: Record) -> Calibration:
     """The whole. Raises ConfigError for a part missing, there twice, or of another pair."""
     found: dict[str, PartFile] = {}
     for file in files:
@@ -129,3 +134,38 @@ def _whole_record(files: Sequence[PartFile], record: Record) -> Record:
     return Record(
         made, record.by, record.with_what, cameras | {**record.cameras}, inputs | {**record.inputs}
     )
+
+
+def calibration_record(
+    inputs: Sequence[Path] = (),
+    *,
+    by: str = "",
+    cameras: Mapping[str, str] | None = None,
+    pair: PartFile | None = None,
+) -> Record:
+    """The record of a step: made today, with this program, from the files ``inputs``, with
+    ``cameras`` of these identities, and with the file of a ``pair``.
+    """
+    names = [path.name for path in inputs]
+    hashes = {
+        f"{path.parent.name}/{path.name}" if names.count(path.name) > 1 else path.name: file_hash(
+            path
+        )
+        for path in inputs
+    }
+    today, program = wall_time().date().isoformat(), f"teatbench {__version__}"
+    hashes |= {CAMERAS_INPUT: pair.sha256} if pair else {}
+    return Record(today, by, program, cameras or {}, hashes)
+
+
+def write_calibration(found: Part | Calibration, out: Path, command: str = "") -> None:
+    """Write a step's file, or the whole, with the ``command`` that made it; whole or not at all.
+    Raises ConfigError.
+    """
+    out.resolve().parent.mkdir(parents=True, exist_ok=True)
+    text = dump_calibration(found, command)
+    try:
+        check_text(out, text, whole=isinstance(found, Calibration))
+    except CalibrationError as error:
+        raise ConfigError.plain(f"not written, for it can't be: {error}") from error
+    write_synced(out, text.encode("utf-8"))

@@ -75,11 +75,7 @@ SUMMARY = option("--summary FILE", "append what was found to this file as Markdo
 RECORDING = option("recording RECORDING", "a recording's folder", Path)
 OUT_RUNS = option("--out DIR", "the folder for run folders", default=Path("runs"))
 DETECTOR_HELP = "a detector by name, a file DETECTOR.toml, or exec:COMMAND (help detectors)"
-DETECTORS = option(
-    "--detector NAME",
-    f"{DETECTOR_HELP}; may be given several times",
-    many=True,
-)
+DETECTORS = option("--detector NAME", f"{DETECTOR_HELP}; may be given several times", many=True)
 NOTIFY = option(
     "--notify URL",
     "send word to this address, such as ntfy://ntfy.sh/TOPIC: asked, tripped, not safe, ended; may"
@@ -88,8 +84,7 @@ NOTIFY = option(
 )
 EVENTS = option("--events FILE", "also write each event as a JSON line, for other programs")
 DESPITE_DAMAGE = flag(
-    "--despite-damage",
-    "use a record that was altered or damaged; it then gives no verdict",
+    "--despite-damage", "use a record that was altered or damaged; it then gives no verdict"
 )
 LISTEN = option("--listen HOST", "address to listen on", default="127.0.0.1")
 REPLACE = flag("--replace", "write over a file that is there")
@@ -127,12 +122,7 @@ FIRST_SEEDS = (
 )
 CAMPAIGN = option("folder DIR", "the campaign's folder")
 PLAN_OR_FAMILIES = (
-    option(
-        "plan PLAN",
-        "a .toml file in place of the options (help campaigns)",
-        Path,
-        nargs="?",
-    ),
+    option("plan PLAN", "a .toml file in place of the options (help campaigns)", Path, nargs="?"),
     option("--family NAME", ALL, many=True),
 )
 FIRST_MEMBER = option(
@@ -950,10 +940,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "help record",
         option("topic TOPIC", "a page, or a command that a page explains", nargs="?"),
     ),
-    "plugin": (
-        "list the drivers of other packages (help drivers)",
-        "plugin",
-    ),
+    "plugin": ("list the drivers of other packages (help drivers)", "plugin"),
     "plugin check": (
         "run the conformance suite on a driver, on its emulator where its package has one",
         "plugin check tank",

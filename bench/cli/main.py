@@ -16,16 +16,7 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from bench.cli.arguments import CODES, EXIT_CODES, call, complain
-from bench.cli.commands import (
-    COMMANDS,
-    FUNCTIONS,
-    GROUPS,
-    MODULES,
-    NEXT,
-    ONCE,
-    REMOVED,
-    TASKS,
-)
+from bench.cli.commands import COMMANDS, FUNCTIONS, GROUPS, MODULES, NEXT, ONCE, REMOVED, TASKS
 from bench.safety.signals import installed
 from bench.version import __version__
 from reports.sanitize import sanitizing

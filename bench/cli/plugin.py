@@ -7,7 +7,8 @@ import json
 from dataclasses import asdict
 
 from bench.cli.arguments import CODES, print_values
-from instruments.drivers.entry_points import EMULATORS, GROUPS, KINDS, available
+from bench.config import ConfigError
+from instruments.drivers.entry_points import EMULATORS, GROUPS, KINDS, Kind, available, plugin_url
 
 
 def listed(_: argparse.Namespace) -> None:
@@ -20,15 +21,38 @@ def listed(_: argparse.Namespace) -> None:
 
 
 def check(given: argparse.Namespace) -> int:
-    from bench.testing.plugins import check_driver, find_driver
+    from contextlib import closing
 
-    kind, url = find_driver(given.name, given.kind)
+    from bench.rig.opening import emulated_world
+    from bench.testing.conformance import conform
+    from bench.testing.plugins import subject_of
+    from instruments.clock import RealClock
+    from instruments.errors import LimitError
+
+    url = plugin_url(given.name if given.name.startswith("plugin:") else f"plugin:{given.name}")
+    kinds = [kind for kind in KINDS if url and url.name in available(GROUPS[kind])]
+    kinds = [kind for kind in kinds if given.kind in (None, kind)]
+    if url is None or len(kinds) != 1:
+        found = (
+            f"several: name one by --kind ({', '.join(kinds)})" if kinds else "none is installed"
+        )
+        raise ConfigError.plain(
+            f"the driver {given.name!r}: {found}. 'teatbench plugin' lists them"
+        )
+    kind: Kind = kinds[0]
+    failed = 0
     lines = []
-    for one in check_driver(kind, url, works=given.works):
-        lines.append(asdict(one))
-        if not given.json:
-            why = f": {one.why}" if one.why else ""
-            print(f"{one.outcome:<12}{one.check}{why}", flush=True)
+    try:
+        with closing(RealClock()) as clock, emulated_world(clock) as world:
+            made = lambda: subject_of(kind, url, clock, world, works=given.works)  # noqa: E731
+            for one in conform(made):
+                failed += one.outcome == "failed"
+                lines.append(asdict(one))
+                if not given.json:
+                    why = f": {one.why}" if one.why else ""
+                    print(f"{one.outcome:<12}{one.check}{why}", flush=True)
+    except LimitError as error:
+        raise ConfigError.plain(str(error)) from error
     if given.json:
         print(json.dumps({"kind": kind, "checks": lines}))
-    return CODES.not_met if any(one["outcome"] == "failed" for one in lines) else CODES.met
+    return CODES.not_met if failed else CODES.met

@@ -4,30 +4,17 @@ package has one, else on the device itself.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import closing, suppress
+from contextlib import suppress
 from typing import Any
 
-from bench.config import ConfigError
-from bench.rig.opening import emulated_world
-from bench.testing.conformance import Finding, NotCheckedError, Subject, Wired, conform
-from instruments.clock import Clock, RealClock
+from bench.testing.conformance import NotCheckedError, Subject, Wired
+from instruments.clock import Clock
 from instruments.drivers.arm import PluggedArm
 from instruments.drivers.bath import PluggedBath
 from instruments.drivers.camera import PluggedCamera, PluggedGroup
-from instruments.drivers.entry_points import (
-    EMULATORS,
-    GROUPS,
-    KINDS,
-    Kind,
-    Plugin,
-    PluginUrl,
-    available,
-    load,
-    plugin_url,
-)
+from instruments.drivers.entry_points import EMULATORS, Kind, Plugin, PluginUrl, available, load
 from instruments.drivers.stage import PluggedStage
-from instruments.errors import InstrumentError, LimitError
+from instruments.errors import InstrumentError
 
 LATE_S = 1.0
 SET_POINT_C = 30.0
@@ -137,30 +124,3 @@ def subject_of(kind: Kind, url: PluginUrl, clock: Clock, world: Any, *, works: b
         return OfPlugin(kind, plugged, clock, works=works)
     emulator = load(kind, url, emulator=True).make(world, clock)
     return OnEmulator(kind, plugged, clock, emulator)
-
-
-def find_driver(name: str, kind: Kind | None = None) -> tuple[Kind, PluginUrl]:
-    """The kind of the driver ``name``, or of ``plugin:NAME?key=value`` for a device; ``kind`` where
-    several have this name. Raises ConfigError.
-    """
-    url = plugin_url(name if name.startswith("plugin:") else f"plugin:{name}")
-    kinds = [one for one in KINDS if url and url.name in available(GROUPS[one])]
-    kinds = [one for one in kinds if kind in (None, one)]
-    if url is None or len(kinds) != 1:
-        found = (
-            f"several: name one by --kind ({', '.join(kinds)})" if kinds else "none is installed"
-        )
-        raise ConfigError.plain(f"the driver {name!r}: {found}. 'teatbench plugin' lists them")
-    return kinds[0], url
-
-
-def check_driver(kind: Kind, url: PluginUrl, *, works: bool = False) -> Iterator[Finding]:
-    """The conformance suite on a driver that `find_driver` found: `teatbench plugin check`, on its
-    emulator where its package has one; ``works``: a real device may heat or move. Raises
-    ConfigError.
-    """
-    try:
-        with closing(RealClock()) as clock, emulated_world(clock) as world:
-            yield from conform(lambda: subject_of(kind, url, clock, world, works=works))
-    except LimitError as error:
-        raise ConfigError.plain(str(error)) from error
