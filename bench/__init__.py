@@ -11,15 +11,16 @@ TYPE_CHECKING = False  # `typing` takes 20 ms to import; checkers know the name
 if TYPE_CHECKING:
     from bench.api.calibration import makers_calibration, open_cameras_of, take_views
     from bench.api.calibration import touch_points
-    from bench.api.campaigns import CampaignResult, run_campaign, run_chunk
-    from bench.api.planning import ScriptCheck, ScriptPlan, check_script, plan_poses, plan_script
+    from bench.api.campaigns import CampaignResult, run_campaign
+    from bench.api.instruments import acknowledge, describe_bath, record_frames
+    from bench.api.planning import ScriptPlan, check_script, plan_script
     from bench.api.records import check_record, compare_runs, control_run, export_record
-    from bench.api.records import judge_together, pack_run, verdict_of
+    from bench.api.records import judge_together, pack_run
     from bench.api.rigs import OpenRig, open_rig, rig_notes
     from bench.api.runs import BathRow, DetectionRow, EventRow, FoundRow, TouchRow, TrialRow
     from bench.api.runs import TruthOfTeat, load_script, read_rows, read_run, read_table
     from bench.api.runs import resume_run, rig_of_run, run_queue, run_script, score_recording
-    from bench.api.runs import scripts, write_queue_page, write_report
+    from bench.api.runs import scripts, write_report
     from bench.api.shots import Shot, detect, detectors, draw, families, labels, load_rig, member
     from bench.api.shots import open_detector, rigs, score
     from bench.calibrate.board_print import board_pdf
@@ -32,28 +33,32 @@ if TYPE_CHECKING:
     from bench.calibrate.views import BoardViews, ViewsRequest, find_pictures, find_views
     from bench.calibrate.world import calibrate_world, check_points, read_points
     from bench.campaign.comparison import compare_campaigns
-    from bench.campaign.plan import CampaignPlan
+    from bench.campaign.plan import CampaignPlan, make_plan
     from bench.campaign.pool import PoolError
+    from bench.campaign.run import run_chunk
     from bench.campaign.shards import query_campaign
     from bench.config import ConfigError
-    from bench.record.check import CheckResult, checked_first
+    from bench.dry_run.pose_checks import ScriptCheck
+    from bench.record.check import CheckResult, checked_first, damage_text
     from bench.record.reader import RunRecord
     from bench.record.recording import Recording, RecordingError, RecordingWriter, TruthRow
     from bench.report.comparison import write_comparison
-    from bench.report.runs import list_runs, write_runs_page
+    from bench.report.runs import list_runs, write_queue_page, write_runs_page
     from bench.report.scenes import show_scenes
     from bench.results.answers import Answer
-    from bench.results.comparison import Comparison, Together
+    from bench.results.comparison import Comparison, Together, verdict_of
     from bench.results.status import Reported, RunStatus
-    from bench.rig.alone import check_rig, with_retries
+    from bench.rig.alone import OpenCameras, bath_profile, check_rig, describe_stage, open_bath
+    from bench.rig.alone import open_cameras, open_stage, with_retries
     from bench.rig.leaving import NotSafeError
     from bench.rig.loading import LoadedRig, find_board
     from bench.rig.opening import BringUpError
     from bench.rig.scenes import record_boards, record_scenes, write_sheet
     from bench.run.detections import detect_recording
     from bench.safety.interlocks import InterlockTrip
+    from bench.safety.latch import latched
     from bench.scoring.decisions import Verdict
-    from bench.scoring.sample_size import SampleSizePlan
+    from bench.scoring.sample_size import SampleSizePlan, plan_poses
     from bench.scoring.scene import SceneScore
     from bench.script.model import LoadedScript
     from bench.truth.registration import write_registration
@@ -62,19 +67,18 @@ _PROMISED = {
     "bench.api.calibration": (
         "makers_calibration", "open_cameras_of", "take_views", "touch_points",
     ),
-    "bench.api.campaigns": ("CampaignResult", "run_campaign", "run_chunk"),
-    "bench.api.planning": (
-        "ScriptCheck", "ScriptPlan", "check_script", "plan_poses", "plan_script",
-    ),
+    "bench.api.campaigns": ("CampaignResult", "run_campaign"),
+    "bench.api.instruments": ("acknowledge", "describe_bath", "record_frames"),
+    "bench.api.planning": ("ScriptPlan", "check_script", "plan_script"),
     "bench.api.records": (
         "check_record", "compare_runs", "control_run", "export_record", "judge_together",
-        "pack_run", "verdict_of",
+        "pack_run",
     ),
     "bench.api.rigs": ("OpenRig", "open_rig", "rig_notes"),
     "bench.api.runs": (
         "BathRow", "DetectionRow", "EventRow", "FoundRow", "TouchRow", "TrialRow", "TruthOfTeat",
         "load_script", "read_rows", "read_run", "read_table", "resume_run", "rig_of_run",
-        "run_queue", "run_script", "score_recording", "scripts", "write_queue_page", "write_report",
+        "run_queue", "run_script", "score_recording", "scripts", "write_report",
     ),
     "bench.api.shots": (
         "Shot", "detect", "detectors", "draw", "families", "labels", "load_rig", "member",
@@ -93,28 +97,34 @@ _PROMISED = {
     "bench.calibrate.views": ("BoardViews", "ViewsRequest", "find_pictures", "find_views"),
     "bench.calibrate.world": ("calibrate_world", "check_points", "read_points"),
     "bench.campaign.comparison": ("compare_campaigns",),
-    "bench.campaign.plan": ("CampaignPlan",),
+    "bench.campaign.plan": ("CampaignPlan", "make_plan"),
     "bench.campaign.pool": ("PoolError",),
+    "bench.campaign.run": ("run_chunk",),
     "bench.campaign.shards": ("query_campaign",),
     "bench.config": ("ConfigError",),
-    "bench.record.check": ("CheckResult", "checked_first"),
+    "bench.dry_run.pose_checks": ("ScriptCheck",),
+    "bench.record.check": ("CheckResult", "checked_first", "damage_text"),
     "bench.record.reader": ("RunRecord",),
     "bench.record.recording": ("Recording", "RecordingError", "RecordingWriter", "TruthRow"),
     "bench.report.comparison": ("write_comparison",),
-    "bench.report.runs": ("list_runs", "write_runs_page"),
+    "bench.report.runs": ("list_runs", "write_queue_page", "write_runs_page"),
     "bench.report.scenes": ("show_scenes",),
     "bench.results.answers": ("Answer",),
-    "bench.results.comparison": ("Comparison", "Together"),
+    "bench.results.comparison": ("Comparison", "Together", "verdict_of"),
     "bench.results.status": ("Reported", "RunStatus"),
-    "bench.rig.alone": ("check_rig", "with_retries"),
+    "bench.rig.alone": (
+        "OpenCameras", "bath_profile", "check_rig", "describe_stage", "open_bath", "open_cameras",
+        "open_stage", "with_retries",
+    ),
     "bench.rig.leaving": ("NotSafeError",),
     "bench.rig.loading": ("LoadedRig", "find_board"),
     "bench.rig.opening": ("BringUpError",),
     "bench.rig.scenes": ("record_boards", "record_scenes", "write_sheet"),
     "bench.run.detections": ("detect_recording",),
     "bench.safety.interlocks": ("InterlockTrip",),
+    "bench.safety.latch": ("latched",),
     "bench.scoring.decisions": ("Verdict",),
-    "bench.scoring.sample_size": ("SampleSizePlan",),
+    "bench.scoring.sample_size": ("SampleSizePlan", "plan_poses"),
     "bench.scoring.scene": ("SceneScore",),
     "bench.script.model": ("LoadedScript",),
     "bench.truth.registration": ("write_registration",),
@@ -123,23 +133,25 @@ _PROMISED = {
 __all__ = [
     "Answer", "BathRow", "BoardViews", "BringUpError", "CamerasResult", "CampaignPlan",
     "CampaignResult", "CheckResult", "Comparison", "ConfigError", "DetectionRow", "EventRow",
-    "FoundRow", "InterlockTrip", "LoadedRig", "LoadedScript", "NotSafeError", "OpenRig",
-    "PoolError", "Recording", "RecordingError", "RecordingWriter", "Reported", "RunRecord",
-    "RunStatus", "SampleSizePlan", "SceneScore", "ScriptCheck", "ScriptPlan", "Shot",
+    "FoundRow", "InterlockTrip", "LoadedRig", "LoadedScript", "NotSafeError", "OpenCameras",
+    "OpenRig", "PoolError", "Recording", "RecordingError", "RecordingWriter", "Reported",
+    "RunRecord", "RunStatus", "SampleSizePlan", "SceneScore", "ScriptCheck", "ScriptPlan", "Shot",
     "ThermalFormat", "Together", "TouchRow", "TrialRow", "TruthOfTeat", "TruthRow", "Verdict",
-    "ViewsRequest", "__version__", "board_pdf", "calibrate_pair", "calibrate_stage",
-    "calibrate_thermal", "calibrate_world", "calibration_record", "check_pair", "check_points",
-    "check_record", "check_rig", "check_script", "checked_first", "compare_campaigns",
-    "compare_runs", "control_run", "delivered_by", "detect", "detect_recording", "detectors",
-    "draw", "export_record", "families", "find_board", "find_pictures", "find_views",
-    "judge_together", "labels", "list_runs", "load_rig", "load_script", "makers_calibration",
-    "map_pairs", "member", "merge_parts", "open_cameras_of", "open_detector", "open_rig",
-    "pack_run", "plan_poses", "plan_script", "query_campaign", "read_foreign", "read_part",
-    "read_points", "read_rows", "read_run", "read_table", "record_boards", "record_scenes",
-    "resume_run", "rig_notes", "rig_of_run", "rigs", "run_campaign", "run_chunk", "run_queue",
-    "run_script", "score", "score_recording", "scripts", "show_scenes", "take_views",
-    "touch_points", "verdict_of", "with_retries", "write_bouguet", "write_calibration",
-    "write_comparison", "write_opencv", "write_queue_page", "write_registration", "write_report",
-    "write_ros", "write_runs_page", "write_sheet",
+    "ViewsRequest", "__version__", "acknowledge", "bath_profile", "board_pdf", "calibrate_pair",
+    "calibrate_stage", "calibrate_thermal", "calibrate_world", "calibration_record", "check_pair",
+    "check_points", "check_record", "check_rig", "check_script", "checked_first",
+    "compare_campaigns", "compare_runs", "control_run", "damage_text", "delivered_by",
+    "describe_bath", "describe_stage", "detect", "detect_recording", "detectors", "draw",
+    "export_record", "families", "find_board", "find_pictures", "find_views", "judge_together",
+    "labels", "latched", "list_runs", "load_rig", "load_script", "make_plan", "makers_calibration",
+    "map_pairs", "member", "merge_parts", "open_bath", "open_cameras", "open_cameras_of",
+    "open_detector", "open_rig", "open_stage", "pack_run", "plan_poses", "plan_script",
+    "query_campaign", "read_foreign", "read_part", "read_points", "read_rows", "read_run",
+    "read_table", "record_boards", "record_frames", "record_scenes", "resume_run", "rig_notes",
+    "rig_of_run", "rigs", "run_campaign", "run_chunk", "run_queue", "run_script", "score",
+    "score_recording", "scripts", "show_scenes", "take_views", "touch_points", "verdict_of",
+    "with_retries", "write_bouguet", "write_calibration", "write_comparison", "write_opencv",
+    "write_queue_page", "write_registration", "write_report", "write_ros", "write_runs_page",
+    "write_sheet",
 ]
 __getattr__ = lazily(__name__, _PROMISED)

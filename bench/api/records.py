@@ -11,12 +11,10 @@ from pathlib import Path
 
 from bench.config import ConfigError, writing
 from bench.files import write_synced
-from bench.record.check import NOT_AS_WRITTEN, CheckResult, check_run, checked_first, shortened
+from bench.record.check import NOT_AS_WRITTEN, CheckResult, check_run, checked_first
 from bench.results.comparison import Comparison, Together, compare_folders, judge_folders
 from bench.results.status import read_status
-from bench.results.verdicts import run_verdict
 from bench.run.interruptions import leave_request, was_taken
-from bench.scoring.decisions import Verdict, overall
 from instruments.clock import RealClock
 
 DAMAGED = "NOT-AS-WRITTEN.txt"  # beside what was exported of a damaged record
@@ -34,11 +32,6 @@ def known(runs: Sequence[Path], damage: Damage) -> Iterator[tuple[str, ...]]:
         return
     with checked_first(runs, despite_damage=False) as found:
         yield found
-
-
-def damage_text(damage: Sequence[str]) -> str:
-    """What is said of a damaged record; empty for none."""
-    return f"{NOT_AS_WRITTEN}. {shortened(damage)}" if damage else ""
 
 
 def compare_runs(
@@ -75,13 +68,6 @@ def judge_together(
     folders = [Path(run) for run in runs]
     with known(folders, damage) as there:
         return judge_folders(folders, detectors, there, across_scripts=across_scripts)
-
-
-def verdict_of(found: Sequence[Comparison] | Sequence[Together]) -> Verdict:
-    """The one verdict on all of `compare_runs` (is the new one no worse?) or `judge_together`."""
-    if judged := [one.judgement for one in found if isinstance(one, Together)]:
-        return run_verdict(judged)
-    return overall(one.compared.gate.verdict for one in found if isinstance(one, Comparison))
 
 
 def check_record(run: Path | str, digest: str | None = None) -> CheckResult:

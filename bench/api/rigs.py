@@ -20,8 +20,9 @@ from bench.rig.opening import ALL, open_instruments
 from bench.safety.bath_monitor import BathMonitor, SafeAtOnce
 from bench.safety.interlocks import Interlocks
 from bench.safety.latch import unconfirmed
-from bench.safety.liveness import Liveness
-from bench.safety.stability import StabilityGate, State
+from bench.safety.liveness import Liveness as Liveness
+from bench.safety.stability import StabilityGate as StabilityGate
+from bench.safety.stability import State as State
 from bench.script.detectors import refusals
 from bench.truth.stage_registration import ends_of
 from bench.truth.touching import Ends, TipReader, Toucher

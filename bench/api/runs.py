@@ -17,7 +17,6 @@ from bench.api.shots import AnyRig, load_rig
 from bench.config import ConfigError
 from bench.record.reader import RunRecord, opened
 from bench.record.schema import tables_of
-from bench.results.queue import QueueStatus, queues
 from bench.results.status import Reported
 from bench.rig.leaving import to_stderr
 from bench.rig.loading import LoadedRig, shipped
@@ -29,6 +28,7 @@ from bench.script.model import load_script as load_script_file
 from instruments.captures.capture import CaptureFile
 
 OUT = Path("runs")
+AnyScript = str | Path | LoadedScript | None
 
 
 class Quiet:
@@ -44,16 +44,18 @@ class Quiet:
         return nullcontext()
 
 
-def load_script(script: str | Path | None = None, rig: AnyRig | None = None) -> LoadedScript:
+def load_script(script: AnyScript = None, rig: AnyRig | None = None) -> LoadedScript:
     """A shipped script by name, or any by its file; the six situations for None. Held against the
     set points of ``rig``, where given. Raises ConfigError with all faults.
     """
+    if isinstance(script, LoadedScript):
+        return script
     limits_c = load_rig(rig).rig.limits.set_point_c if rig is not None else None
     return load_script_file(find_script(str(script) if script else None), limits_c)
 
 
 def run_script(
-    script: str | Path | LoadedScript | None = None,
+    script: AnyScript = None,
     rig: AnyRig = "emulated",
     *,
     out: Path | str = OUT,
@@ -90,7 +92,7 @@ def run_script(
 
 
 def run_queue(
-    scripts: Sequence[str | Path | LoadedScript | None],
+    scripts: Sequence[AnyScript],
     rig: AnyRig = "emulated",
     *,
     out: Path | str = OUT,
@@ -111,7 +113,7 @@ def run_queue(
     from bench.run.start import run_queue as started
 
     loaded, shown = load_rig(rig), progress or Quiet()
-    found = [one if isinstance(one, LoadedScript) else load_script(one, loaded) for one in scripts]
+    found = [load_script(one, loaded) for one in scripts]
     how = RunOptions(
         seed, tuple(detectors), record, realtime or speed is not None, speed, capture, typed, begun
     )
@@ -135,18 +137,6 @@ def _timed(found: Reported, rig: LoadedRig, script: LoadedScript) -> Reported:
             figures = estimate.figures(record, rig, script, spent)
             estimate.write_durations(record.folder, rig, expected, spent, figures)
     return replace(found, took=estimate.estimate_text(expected, spent))
-
-
-def write_queue_page(out: Path | str = OUT) -> tuple[QueueStatus, Path]:
-    """The last queue in the folder of runs ``out``, and the page over its runs, written anew.
-    Raises ConfigError where there is none.
-    """
-    from bench.report.runs import write_queue_page as written
-
-    queue = next(queues(Path(out)), None)
-    if queue is None:
-        raise ConfigError.plain(f"{out}: no queue of scripts was run here")
-    return queue, written(Path(out), queue)
 
 
 def rig_of_run(run: Path | str) -> LoadedRig:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
@@ -61,8 +61,6 @@ PAIR = ("left", "right")
 PAIR_COLUMNS = ("thermal_x", "thermal_y", "left_x", "left_y", "right_x", "right_y")
 NORMAL_95 = 1.96
 WORKING_MM = 1200.0  # about where the thesis's teats stand
-LIMIT_MM = 5.0  # of a teat end's error, where a script names no other
-ENOUGH_MM = LIMIT_MM / 4.0  # the test uncertainty ratio 4:1
 HELD_MM = (150.0, 5000.0)  # no board is in focus nearer, or seen farther
 LEAST_LOOKED_AT = 3  # views or points of a check: of fewer no mark is significant
 LEAST_FOR_HALVES = 10  # pairs of views; a half of fewer than five says nothing
@@ -134,22 +132,12 @@ class CamerasResult:
         away = f"all views are {near:.0f} to {far:.0f} mm away"
         return (f"show the board {working_mm / 1000:.2g} m away, where teats stand: {away}",)
 
-    def verdict(self, at_mm: float) -> Literal["met", "inconclusive", "not met"]:
-        """Whether the pair is good enough at this distance."""
-        good_mm = float(self.good_to_mm(np.array([at_mm]))[0])
-        return "not met" if self.findings else held(good_mm)
-
     def good_to_mm(self, depths_mm: Array) -> Array:
         """Expanded uncertainty (k = 2) (n,) mm along the worst direction, before the pair."""
         axis = self.pair.right_from_left.T / 2.0
         points = np.array([[axis[0], axis[1], depth] for depth in np.asarray(depths_mm)])
         found = covariance_of_points(self.pair, self.covariance, points, self.joint.fit.sigma_px)
         return np.asarray(2.0 * np.sqrt(np.linalg.eigvalsh(found)[:, -1]))
-
-
-def held(mm: float) -> Literal["met", "inconclusive", "not met"]:
-    """Against `ENOUGH_MM`; up to `LIMIT_MM` it depends on how good the detector is."""
-    return "met" if mm <= ENOUGH_MM else "inconclusive" if mm <= LIMIT_MM else "not met"
 
 
 def _rms_interval(view_rms_px: Sequence[float]) -> tuple[float, float]:

@@ -147,12 +147,8 @@ def calibration_record(
     ``cameras`` of these identities, and with the file of a ``pair``.
     """
     names = [path.name for path in inputs]
-    hashes = {
-        f"{path.parent.name}/{path.name}" if names.count(path.name) > 1 else path.name: file_hash(
-            path
-        )
-        for path in inputs
-    }
+    again = {path: names.count(path.name) > 1 for path in inputs}
+    hashes = {f"{p.parent.name}/{p.name}" if again[p] else p.name: file_hash(p) for p in inputs}
     today, program = wall_time().date().isoformat(), f"teatbench {__version__}"
     hashes |= {CAMERAS_INPUT: pair.sha256} if pair else {}
     return Record(today, by, program, cameras or {}, hashes)

@@ -49,7 +49,7 @@ FOLDERS = "folders of pictures (FRAMES)"
 
 
 def cameras(given: argparse.Namespace) -> int:
-    from bench.report.calibration import cameras_page, cameras_sentence
+    from bench.report.calibration import cameras_page, cameras_sentence, good
 
     _one_source(given, given.frames, FOLDERS)
     named = dict(text.partition("=")[::2] for text in given.identity)
@@ -72,7 +72,7 @@ def cameras(given: argparse.Namespace) -> int:
     print(*result.text(), sep="\n")
     good_mm = float(result.good_to_mm(np.array([at_mm]))[0])
     print(f"a point at {at_mm / 1000:g} m: good to {good_mm:.2f} mm (k = 2)")
-    verdict = result.verdict(at_mm)
+    verdict, _ = good(result.findings, good_mm)
     print(f"Verdict: {verdict}. {cameras_sentence(result, at_mm)}")
     return _say(result.findings, on_page=True) or code_of(verdict)
 

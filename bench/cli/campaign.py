@@ -64,14 +64,12 @@ def compare(given: argparse.Namespace) -> int:
 
 
 def chunk(given: argparse.Namespace) -> int:
-    from bench.api.campaigns import plan_of, run_chunk
-
-    plan = plan_of(given.plan)
+    plan = bench.make_plan(given.plan)
     if given.number is None:
         print(plan.chunk_count)
         return CODES.met
     try:
-        aside = run_chunk(plan, given.number, given.out or given.plan.parent, say=_say)
+        aside = bench.run_chunk(plan, given.number, given.out or given.plan.parent, say=_say)
     except bench.PoolError as error:
         return complain(str(error), CODES.fault)
     name = plan.chunk(given.number).name
@@ -108,8 +106,6 @@ def plain_table(names: list[str], rows: list[list[str]]) -> str:
 
 def _plan(given: argparse.Namespace) -> bench.CampaignPlan:
     """Of the file, or of the flags. Raises ConfigError."""
-    from bench.api.campaigns import plan_of
-
     flags = {
         key: value
         for flag, key in FLAGS.items()
@@ -123,8 +119,8 @@ def _plan(given: argparse.Namespace) -> bench.CampaignPlan:
                 f"{', '.join(flags)}: both a plan and flags say what is asked for; put it into"
                 f" {given.plan}, or leave that out"
             )
-        return plan_of(given.plan)
-    return plan_of(flags)
+        return bench.make_plan(given.plan)
+    return bench.make_plan(flags)
 
 
 def _say(text: str) -> None:

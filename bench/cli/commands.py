@@ -965,6 +965,7 @@ FUNCTIONS = {
     "bath set": "change",
     "help": "shown",
     "camera list": "attached",
+    **dict.fromkeys(("stage home", "stage move", "stage jog", "stage recover"), "of_stage"),
     "calibrate import": "take_over",
     "replay-wire": "replay_wire",
     "detectors": "listed",
@@ -976,6 +977,7 @@ ONCE = {"control": ("tell",)}  # names of earlier releases, which work for one m
 
 # what a person mostly does next: two commands, with what this one was given in {}; what is in
 # capitals he names himself
+# fmt: off
 NEXT: Mapping[str, tuple[str, str]] = {
     "run": ("report latest --open", "runs {out}"),
     "resume": ("report {run} --open", "store check {run}"),
@@ -998,8 +1000,7 @@ NEXT: Mapping[str, tuple[str, str]] = {
     "scene sheet": ("scene record --situation overlapping", "help scene"),
     "scene record": ("score {out} --detector fused", "detect {out} --detector fused"),
     "scene boards": (
-        "calibrate cameras {out} --board {board} --out cameras.toml",
-        "help calibration",
+        "calibrate cameras {out} --board {board} --out cameras.toml", "help calibration",
     ),
     "campaign run": ('campaign query {out} "SELECT * FROM scenes"', "campaign compare {out} OTHER"),
     "campaign chunk": ("campaign chunk {plan}", "help campaigns"),
@@ -1041,8 +1042,7 @@ NEXT: Mapping[str, tuple[str, str]] = {
     "camera grab": ("detect {out} --detector fused", "camera show RIG"),
     "calibrate cameras": ("calibrate check {out} --rig RIG --board {board}", "help calibration"),
     "calibrate thermal": (
-        "calibrate world --rig RIG --cameras cameras.toml --out world.toml",
-        "help calibration",
+        "calibrate world --rig RIG --cameras cameras.toml --out world.toml", "help calibration",
     ),
     "calibrate world": (
         "calibrate merge cameras.toml thermal.toml {out} --out calibration.toml",
@@ -1051,8 +1051,7 @@ NEXT: Mapping[str, tuple[str, str]] = {
     "calibrate merge": ("calibrate check {out} --rig RIG --board BOARD", "check RIG"),
     "calibrate check": ("check RIG", "run six-situations --rig RIG --dry-run"),
     "calibrate board": (
-        "calibrate cameras --rig RIG --board {board} --out cameras.toml",
-        "help calibration",
+        "calibrate cameras --rig RIG --board {board} --out cameras.toml", "help calibration",
     ),
     "calibrate export": ("help calibration", "check RIG"),
     "calibrate import": (
@@ -1066,6 +1065,7 @@ NEXT: Mapping[str, tuple[str, str]] = {
     "replay-wire": ("check RIG", "help record"),
     "help": ("trials", "run demo"),
 }
+# fmt: on
 # words that went, and what to use
 REMOVED = {
     "campaign search": "hypothesis draws and simplifies scenes in a test of yours: help testing",

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bench
-from bench.api.records import TAKEN_S, damage_text
+from bench.api.records import TAKEN_S
 from bench.cli.arguments import CODES, code_of, complain, json_of
 from bench.cli.terminal import working
 from bench.config import ConfigError
@@ -33,7 +33,7 @@ def undamaged(runs: Sequence[Path], given: argparse.Namespace) -> Iterator[tuple
             allowed = bench.checked_first(runs, despite_damage=given.despite_damage)
             damage = stack.enter_context(allowed)
         line = "!" * 40
-        alarm = f"{line}\n{damage_text(damage)}\n{line}\n" if damage else ""
+        alarm = f"{line}\n{bench.damage_text(damage)}\n{line}\n" if damage else ""
         sys.stderr.write(alarm)
         yield damage
         sys.stdout.flush()

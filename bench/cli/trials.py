@@ -10,8 +10,8 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 import bench
-from bench.api.planning import RATES
 from bench.cli.arguments import CODES, json_of, print_values
+from bench.config import ConfigError
 from bench.scoring.rates import plural
 
 if TYPE_CHECKING:
@@ -70,8 +70,7 @@ def _pose_table(script: bench.LoadedScript, rows: Sequence[Mapping[str, float]])
 
     from instruments.world.situations import spoken
 
-    poses = len({one.name for one in script.planned})
-    many = f"{plural(len(rows), 'trial')}, {plural(poses, 'pose')}"
+    many = f"{plural(len(rows), 'trial')}, {plural(script.poses, 'pose')}"
     cells: dict[str, list[str]] = {
         "trial": [one.id for one in script.planned],
         "situation": [spoken(one.situation) for one in script.planned],
@@ -97,9 +96,28 @@ def _pose_table(script: bench.LoadedScript, rows: Sequence[Mapping[str, float]])
 
 
 def plan(given: argparse.Namespace) -> None:
-    names = ("script", "failures", "true_rate", "sd_mm", "shift_mm", "power", "limit_mm", "u_mm")
+    if given.script and given.trials is not None:
+        raise ConfigError.plain(
+            "--script and --trials both say how many poses there are; give one of them"
+        )
+    if given.shift_mm is not None and given.sd_mm is None:
+        raise ConfigError.plain(
+            "--shift-mm needs --sd-mm: how much the difference varies from pose to pose ('teatbench"
+            " compare' shows it)"
+        )
+    if (given.limit_mm is None) != (given.u_mm is None):
+        raise ConfigError.plain(
+            "--limit-mm and --u-mm belong together: the limit of the error, and the uncertainty of"
+            " the truth"
+        )
+    poses, confidence = given.trials, given.confidence
+    if given.script:
+        script = bench.load_script(given.script)
+        poses, confidence = script.poses, script.first_confidence(confidence)
+    names = ("failures", "true_rate", "sd_mm", "shift_mm", "power", "limit_mm", "u_mm")
     more = {name: getattr(given, name) for name in names}
-    found = bench.plan_poses(given.rate or RATES, given.confidence, poses=given.trials, **more)
+    rates = {"rates": given.rate} if given.rate else {}
+    found = bench.plan_poses(**rates, confidence=confidence, poses=poses, **more)
     if given.json:
         print(json_of(asdict(found), indent=1))
     else:

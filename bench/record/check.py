@@ -128,6 +128,11 @@ def checked_first(folders: Sequence[Path], *, despite_damage: bool) -> Iterator[
         ) from error
 
 
+def damage_text(damage: Sequence[str]) -> str:
+    """What is said of a damaged record; empty for none."""
+    return f"{NOT_AS_WRITTEN}. {shortened(damage)}" if damage else ""
+
+
 def shortened(damage: Sequence[str]) -> str:
     more = [f"and {len(damage) - SHOWN} more"] if len(damage) > SHOWN else []
     return "; ".join([*damage[:SHOWN], *more]) + "."

@@ -40,12 +40,13 @@ from bench.results.verdicts import (
     has_answer,
     held_back,
     latency,
+    run_verdict,
     scored_trials,
     stored_rules,
     truth_u_mm,
 )
 from bench.scoring.comparison import Gate, PairedComparison, ScenePair, compare
-from bench.scoring.decisions import Decision, Verdict
+from bench.scoring.decisions import Decision, Verdict, overall
 from bench.scoring.looks import FIRST, Looks
 from bench.scoring.scene import Pool, pool
 from bench.script.model import Rules, Script
@@ -449,3 +450,10 @@ _OF_ONE_SCRIPT = {"name", "member", "set_up", "repeats", "cycles", "published"}
 def _called(run: RunRecord) -> str:
     named = run.facts.get("script") or run.facts.get("about") or "no script"
     return f"{run.folder.resolve().name} of {named}"
+
+
+def verdict_of(found: Sequence[Comparison] | Sequence[Together]) -> Verdict:
+    """The one verdict on all of comparisons (is the new one no worse?) or runs together."""
+    if judged := [one.judgement for one in found if isinstance(one, Together)]:
+        return run_verdict(judged)
+    return overall(one.compared.gate.verdict for one in found if isinstance(one, Comparison))

@@ -27,6 +27,7 @@ from bench.scoring.rates import (
     zero_failure_n,
 )
 
+RATES = (0.95, 0.99, 0.999)
 RARE = 1e-100  # a share so small is none: scipy's distributions overflow there
 
 
@@ -216,9 +217,9 @@ class SampleSizePlan:
             )
 
 
-def make_plan(
-    rates: Sequence[float],
-    confidence: float,
+def plan_poses(
+    rates: Sequence[float] = RATES,
+    confidence: float = 0.95,
     *,
     failures: int = 3,
     poses: int | None = None,
@@ -229,8 +230,10 @@ def make_plan(
     limit_mm: float | None = None,
     u_mm: float | None = None,
 ) -> SampleSizePlan:
-    """The plan for showing ``rates``, and for comparing with the chance ``power`` at the level 1 -
-    ``confidence``; with ``limit_mm`` and ``u_mm``, near the limit.
+    """The plan for showing success ``rates`` (0 to 1) with up to so many ``failures``, and what
+    ``poses`` can show; two detectors are compared with the chance ``power`` at the level 1 -
+    ``confidence``, their difference ``shift_mm`` with the standard deviation ``sd_mm`` over poses.
+    With ``limit_mm`` of the error and ``u_mm`` of the truth, near the limit. Raises ValueError.
     """
     alpha, there = round(1.0 - confidence, 12), poses or None
     accept = None if limit_mm is None or u_mm is None else acceptance_limit_mm(limit_mm, u_mm)
