@@ -46,8 +46,10 @@ if TYPE_CHECKING:
     from bench.report.runs import list_runs, write_queue_page, write_runs_page
     from bench.report.scenes import show_scenes
     from bench.results.answers import Answer
+    from bench.results.cameras_agree import CamerasCheck, check_ends
     from bench.results.comparison import Comparison, Together, verdict_of
     from bench.results.status import Reported, RunStatus
+    from bench.results.verdicts import Judgement
     from bench.rig.alone import OpenCameras, bath_profile, check_rig, describe_stage, open_bath
     from bench.rig.alone import open_cameras, open_stage, with_retries
     from bench.rig.leaving import NotSafeError
@@ -57,7 +59,7 @@ if TYPE_CHECKING:
     from bench.run.detections import detect_recording
     from bench.safety.interlocks import InterlockTrip
     from bench.safety.latch import latched
-    from bench.scoring.decisions import Verdict
+    from bench.scoring.decisions import Decision, Verdict
     from bench.scoring.sample_size import SampleSizePlan, plan_poses
     from bench.scoring.scene import SceneScore
     from bench.script.model import LoadedScript
@@ -110,8 +112,10 @@ _PROMISED = {
     "bench.report.runs": ("list_runs", "write_queue_page", "write_runs_page"),
     "bench.report.scenes": ("show_scenes",),
     "bench.results.answers": ("Answer",),
+    "bench.results.cameras_agree": ("CamerasCheck", "check_ends"),
     "bench.results.comparison": ("Comparison", "Together", "verdict_of"),
     "bench.results.status": ("Reported", "RunStatus"),
+    "bench.results.verdicts": ("Judgement",),
     "bench.rig.alone": (
         "OpenCameras", "bath_profile", "check_rig", "describe_stage", "open_bath", "open_cameras",
         "open_stage", "with_retries",
@@ -123,7 +127,7 @@ _PROMISED = {
     "bench.run.detections": ("detect_recording",),
     "bench.safety.interlocks": ("InterlockTrip",),
     "bench.safety.latch": ("latched",),
-    "bench.scoring.decisions": ("Verdict",),
+    "bench.scoring.decisions": ("Decision", "Verdict"),
     "bench.scoring.sample_size": ("SampleSizePlan", "plan_poses"),
     "bench.scoring.scene": ("SceneScore",),
     "bench.script.model": ("LoadedScript",),
@@ -131,27 +135,27 @@ _PROMISED = {
     "bench.version": ("__version__",),
 }
 __all__ = [
-    "Answer", "BathRow", "BoardViews", "BringUpError", "CamerasResult", "CampaignPlan",
-    "CampaignResult", "CheckResult", "Comparison", "ConfigError", "DetectionRow", "EventRow",
-    "FoundRow", "InterlockTrip", "LoadedRig", "LoadedScript", "NotSafeError", "OpenCameras",
-    "OpenRig", "PoolError", "Recording", "RecordingError", "RecordingWriter", "Reported",
-    "RunRecord", "RunStatus", "SampleSizePlan", "SceneScore", "ScriptCheck", "ScriptPlan", "Shot",
-    "ThermalFormat", "Together", "TouchRow", "TrialRow", "TruthOfTeat", "TruthRow", "Verdict",
-    "ViewsRequest", "__version__", "acknowledge", "bath_profile", "board_pdf", "calibrate_pair",
-    "calibrate_stage", "calibrate_thermal", "calibrate_world", "calibration_record", "check_pair",
-    "check_points", "check_record", "check_rig", "check_script", "checked_first",
-    "compare_campaigns", "compare_runs", "control_run", "damage_text", "delivered_by",
-    "describe_bath", "describe_stage", "detect", "detect_recording", "detectors", "draw",
-    "export_record", "families", "find_board", "find_pictures", "find_views", "judge_together",
-    "labels", "latched", "list_runs", "load_rig", "load_script", "make_plan", "makers_calibration",
-    "map_pairs", "member", "merge_parts", "open_bath", "open_cameras", "open_cameras_of",
-    "open_detector", "open_rig", "open_stage", "pack_run", "plan_poses", "plan_script",
-    "query_campaign", "read_foreign", "read_part", "read_points", "read_rows", "read_run",
-    "read_table", "record_boards", "record_frames", "record_scenes", "resume_run", "rig_notes",
-    "rig_of_run", "rigs", "run_campaign", "run_chunk", "run_queue", "run_script", "score",
-    "score_recording", "scripts", "show_scenes", "take_views", "touch_points", "verdict_of",
-    "with_retries", "write_bouguet", "write_calibration", "write_comparison", "write_opencv",
-    "write_queue_page", "write_registration", "write_report", "write_ros", "write_runs_page",
-    "write_sheet",
+    "Answer", "BathRow", "BoardViews", "BringUpError", "CamerasCheck", "CamerasResult",
+    "CampaignPlan", "CampaignResult", "CheckResult", "Comparison", "ConfigError", "Decision",
+    "DetectionRow", "EventRow", "FoundRow", "InterlockTrip", "Judgement", "LoadedRig",
+    "LoadedScript", "NotSafeError", "OpenCameras", "OpenRig", "PoolError", "Recording",
+    "RecordingError", "RecordingWriter", "Reported", "RunRecord", "RunStatus", "SampleSizePlan",
+    "SceneScore", "ScriptCheck", "ScriptPlan", "Shot", "ThermalFormat", "Together", "TouchRow",
+    "TrialRow", "TruthOfTeat", "TruthRow", "Verdict", "ViewsRequest", "__version__", "acknowledge",
+    "bath_profile", "board_pdf", "calibrate_pair", "calibrate_stage", "calibrate_thermal",
+    "calibrate_world", "calibration_record", "check_ends", "check_pair", "check_points",
+    "check_record", "check_rig", "check_script", "checked_first", "compare_campaigns",
+    "compare_runs", "control_run", "damage_text", "delivered_by", "describe_bath", "describe_stage",
+    "detect", "detect_recording", "detectors", "draw", "export_record", "families", "find_board",
+    "find_pictures", "find_views", "judge_together", "labels", "latched", "list_runs", "load_rig",
+    "load_script", "make_plan", "makers_calibration", "map_pairs", "member", "merge_parts",
+    "open_bath", "open_cameras", "open_cameras_of", "open_detector", "open_rig", "open_stage",
+    "pack_run", "plan_poses", "plan_script", "query_campaign", "read_foreign", "read_part",
+    "read_points", "read_rows", "read_run", "read_table", "record_boards", "record_frames",
+    "record_scenes", "resume_run", "rig_notes", "rig_of_run", "rigs", "run_campaign", "run_chunk",
+    "run_queue", "run_script", "score", "score_recording", "scripts", "show_scenes", "take_views",
+    "touch_points", "verdict_of", "with_retries", "write_bouguet", "write_calibration",
+    "write_comparison", "write_opencv", "write_queue_page", "write_registration", "write_report",
+    "write_ros", "write_runs_page", "write_sheet",
 ]
 __getattr__ = lazily(__name__, _PROMISED)

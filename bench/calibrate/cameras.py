@@ -330,7 +330,7 @@ class PairsResult:
         )
 
 
-def map_pairs(path: Path) -> PairsResult:
+def map_pairs(path: Path | str) -> PairsResult:
     """From a table of point pairs (`PAIR_COLUMNS`, px; thermal un-mirrored). Raises ConfigError."""
     thermal, left, right = np.split(np.array([*read_table(path, PAIR_COLUMNS).values()]).T, 3, 1)
     try:

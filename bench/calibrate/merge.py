@@ -52,8 +52,9 @@ class PartFile:
     sha256: str
 
 
-def read_part(path: Path) -> PartFile:
+def read_part(path: Path | str) -> PartFile:
     """A step's file. Raises ConfigError that shows each fault in its place."""
+    path = Path(path)
     try:
         return PartFile(path, load_part(path), file_hash(path))
     except CalibrationError as error:
@@ -154,10 +155,11 @@ def calibration_record(
     return Record(today, by, program, cameras or {}, hashes)
 
 
-def write_calibration(found: Part | Calibration, out: Path, command: str = "") -> None:
+def write_calibration(found: Part | Calibration, out: Path | str, command: str = "") -> None:
     """Write a step's file, or the whole, with the ``command`` that made it; whole or not at all.
     Raises ConfigError.
     """
+    out = Path(out)
     out.resolve().parent.mkdir(parents=True, exist_ok=True)
     text = dump_calibration(found, command)
     try:

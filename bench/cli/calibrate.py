@@ -209,8 +209,6 @@ def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Findi
 def _check_ends(given: argparse.Namespace, part: Part) -> int:
     """Whether the cameras show touched teat ends where the calibration says."""
     from bench.report.calibration import check_ends_page
-    from bench.results.cameras_agree import DEFAULT, check_folder, decide_cameras
-    from bench.scoring.decisions import Verdict
 
     if given.frames or given.points or given.board:
         raise ConfigError.plain("--ends is in the place of pictures, --points and --board")
@@ -224,19 +222,19 @@ def _check_ends(given: argparse.Namespace, part: Part) -> int:
                 rig.clock.sleep(rig.loaded.rig.cameras.settle_s)
                 anew.append(bench.with_retries(rig.cameras.capture)())
     with working("looking for the ends in the pictures"):
-        found = check_folder(given.ends, calibration, anew)
+        found = bench.check_ends(given.ends, calibration, anew)
     if anew and not found.thermal:
         print("no end in the thermal picture: it is not checked while the phantom is cold")
         found = replace(found, thermal=None)
-    decision = decide_cameras(DEFAULT, found)
+    decision = found.decision
     print(f"{found.measured} of {found.ends} ends measured")
     for one in found.offsets:
         print(f"{one.text}, over {one.poses} {'ends' if anew else 'poses'}")
     _write_page(check_ends_page(found, decision, _record(given), command_line()), given.page)
-    if decision.verdict is Verdict.MET:
+    if decision.verdict is bench.Verdict.MET:
         print("It still holds.")
         return CODES.met
-    if decision.verdict is Verdict.NOT_MET:
+    if decision.verdict is bench.Verdict.NOT_MET:
         print("It no longer holds.")
         return complain(decision.sentence, CODES.not_met)
     return complain(f"not decided: {decision.sentence}", CODES.inconclusive)
@@ -345,10 +343,8 @@ def _live(given: argparse.Namespace) -> dict[str, Any]:
 
 
 def board(given: argparse.Namespace) -> None:
-    from bench.calibrate.board_print import board_pdf
-
     refuse_existing(given.pdf, replace=True, option="--pdf")
-    write_synced(given.pdf, board_pdf(bench.find_board(given.board)[0], given.paper))
+    write_synced(given.pdf, bench.board_pdf(bench.find_board(given.board)[0], given.paper))
     print(f"written: {given.pdf}; print it at 100 % and measure the line at its foot")
 
 

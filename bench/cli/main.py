@@ -102,8 +102,7 @@ def _is_text(word: str) -> bool:
 
 
 def _run(given: argparse.Namespace) -> int:
-    from bench.config import ConfigError
-    from bench.record.recording import RecordingError
+    from bench import ConfigError, RecordingError
     from instruments.captures.capture import CaptureError
     from instruments.errors import InstrumentError
     from instruments.operators.operator import OperatorAbort, OperatorSkip

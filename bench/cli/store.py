@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bench
-from bench.api.records import TAKEN_S
 from bench.cli.arguments import CODES, code_of, complain, json_of
 from bench.cli.terminal import working
 from bench.config import ConfigError
@@ -151,6 +150,8 @@ def _show(found: Sequence[bench.Comparison]) -> None:
 
 
 def control(given: argparse.Namespace) -> int:
+    from bench.api.records import TAKEN_S
+
     try:
         taken = bench.control_run(given.run, " ".join(given.words), within_s=TAKEN_S)
     except ValueError as ended:

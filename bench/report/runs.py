@@ -32,8 +32,9 @@ THUMBNAIL_PX = (200, 150)
 QUALITY = 70
 
 
-def list_runs(folder: Path) -> Runs:
+def list_runs(folder: Path | str = "runs") -> Runs:
     """Checks and reads each run in ``folder``. Raises ConfigError where there is no such folder."""
+    folder = Path(folder)
     if not folder.is_dir():
         raise ConfigError.plain(
             f"{folder}: no such folder. Give the folder that holds the runs; 'teatbench run' makes"

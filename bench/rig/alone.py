@@ -1,7 +1,5 @@
-"""Instruments without a run: cameras looked at, focused and grabbed; one stage homed, moved and
-jogged; every instrument of a rig connected to once, for who it is and one reading.
-
-Opening a stage's port resets most controllers, and nothing moves before homing: home first.
+"""Instruments without a run: cameras, a stage or a bath opened alone; every instrument of a rig
+connected to once, for who it is and one reading. Opening a stage's port resets most controllers.
 """
 
 from __future__ import annotations
@@ -310,9 +308,8 @@ def check_rig(
     remote = rig.rig.operator.url.startswith(ELSEWHERE)
     names = [n for n in ALL if n in rig.rig.urls and (n != "operator" or remote)]
     with ExitStack() as stack:
-        clock: Clock
+        clock: Clock = VirtualClock()
         twin = None
-        clock = VirtualClock()
         if not rig.rig.simulated:
             clock = stack.enter_context(closing(RealClock()))
         if rig.rig.emulated:

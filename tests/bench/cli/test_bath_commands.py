@@ -6,7 +6,6 @@ import io
 import json
 import re
 from collections.abc import Iterator
-from contextlib import closing
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -177,10 +176,9 @@ def test_watch_on_a_terminal_is_a_live_plot_of_everything(bath: Served) -> None:
     console = Console(file=shown, force_terminal=True, width=120, height=40, color_system=None)
     with (
         bench.open_bath(bath.at[1], "julabo-presto") as driver,
-        closing(RealClock()) as clock,
         pytest.raises(KeyboardInterrupt),
     ):
-        watch_bath(driver, clock, console, 600.0)
+        watch_bath(driver, RealClock(), console, 600.0)
     frames = shown.getvalue().split("last ")
     last = frames[-2] + frames[-1]
     assert "33.00 ─" in last, "the set point is a line"
