@@ -96,13 +96,9 @@ def thermal(given: argparse.Namespace) -> None:
         raise ConfigError.plain(
             "give folders of pictures or --rig with --board and --cameras, or a table with --pairs"
         )
-    pair, how = (
-        bench.read_part(given.cameras),
-        bench.ViewsRequest(
-            *(("left", "thermal"), ("thermal",)),
-            heated=True,
-            mirrored=frozenset({"thermal"} if delivered.mirrored else ()),
-        ),
+    pair, mirrored = bench.read_part(given.cameras), {"thermal"} if delivered.mirrored else ()
+    how = bench.ViewsRequest(
+        ("left", "thermal"), guided=("thermal",), heated=True, mirrored=frozenset(mirrored)
     )
     views, paths, identity = _views_of(given, pair.part, how)
     with working("fitting the thermal camera"):
@@ -137,9 +133,8 @@ def world(given: argparse.Namespace) -> int:
                 "--rig needs --board: what both cameras see and the arm touches"
             )
         board, _ = bench.find_board(given.board)
-        given.points = bench.touch_points(
-            *(given.rig, board, given.out), known=pair.part, **_live(given)
-        )
+        to_touch = given.rig, board, given.out
+        given.points = bench.touch_points(*to_touch, known=pair.part, **_live(given))
     result = bench.calibrate_world(bench.read_points(given.points), pair.part, **_noise(given))
     record = _record(given, (given.points,), pair=pair)
     _write_step(given, result.part(record), world_page(result, record, command_line()))
@@ -262,10 +257,9 @@ def _views_of(
     board, files = bench.find_board(given.board)
     identity: dict[str, str] = {}
     if given.rig:
+        wanted = given.rig, board, given.out, request
         try:
-            folder, identity = bench.take_views(
-                *(given.rig, board, given.out, request), known=known, **_live(given)
-            )
+            folder, identity = bench.take_views(*wanted, known=known, **_live(given))
         except NoPlaceError as error:  # of the emulated operator
             raise ConfigError.plain(f"--board {given.board}: {error}") from error
         given.frames = [folder]

@@ -38,16 +38,8 @@ def run(given: argparse.Namespace) -> int:
     if given.dry_run:
         from bench.cli.dry_run import look_ahead
 
-        return max(
-            look_ahead(
-                *(rig, one),
-                as_json=given.json,
-                out=given.out,
-                detectors=given.detector,
-                seed=given.seed,
-            )
-            for one in scripts
-        )
+        how = {"out": given.out, "detectors": given.detector, "seed": given.seed}
+        return max(look_ahead(rig, one, as_json=given.json, **how) for one in scripts)
     if given.console:
         from bench.cli.console import beside
 
