@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from bench.api.campaigns import CampaignResult, run_campaign
     from bench.api.instruments import acknowledge, describe_bath, record_frames
     from bench.api.planning import ScriptPlan, check_script, plan_script
-    from bench.api.records import check_record, compare_runs, control_run, export_record
-    from bench.api.records import judge_together, pack_run
+    from bench.api.records import compare_runs, control_run, export_record, judge_together
+    from bench.api.records import pack_run
     from bench.api.rigs import OpenRig, open_rig, rig_notes
     from bench.api.runs import BathRow, DetectionRow, EventRow, FoundRow, TouchRow, TrialRow
     from bench.api.runs import TruthOfTeat, load_script, read_rows, read_run, read_table
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from bench.campaign.shards import query_campaign
     from bench.config import ConfigError
     from bench.dry_run.pose_checks import ScriptCheck
-    from bench.record.check import CheckResult, checked_first, damage_text
+    from bench.record.check import CheckResult, check_record, checked_first, damage_text
     from bench.record.reader import RunRecord
     from bench.record.recording import Recording, RecordingError, RecordingWriter, TruthRow
     from bench.report.comparison import write_comparison
@@ -73,8 +73,7 @@ _PROMISED = {
     "bench.api.instruments": ("acknowledge", "describe_bath", "record_frames"),
     "bench.api.planning": ("ScriptPlan", "check_script", "plan_script"),
     "bench.api.records": (
-        "check_record", "compare_runs", "control_run", "export_record", "judge_together",
-        "pack_run",
+        "compare_runs", "control_run", "export_record", "judge_together", "pack_run",
     ),
     "bench.api.rigs": ("OpenRig", "open_rig", "rig_notes"),
     "bench.api.runs": (
@@ -105,7 +104,7 @@ _PROMISED = {
     "bench.campaign.shards": ("query_campaign",),
     "bench.config": ("ConfigError",),
     "bench.dry_run.pose_checks": ("ScriptCheck",),
-    "bench.record.check": ("CheckResult", "checked_first", "damage_text"),
+    "bench.record.check": ("CheckResult", "check_record", "checked_first", "damage_text"),
     "bench.record.reader": ("RunRecord",),
     "bench.record.recording": ("Recording", "RecordingError", "RecordingWriter", "TruthRow"),
     "bench.report.comparison": ("write_comparison",),

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from bench.config import ConfigError, writing
 from bench.files import write_synced
-from bench.record.check import NOT_AS_WRITTEN, CheckResult, check_run, checked_first
+from bench.record.check import NOT_AS_WRITTEN, checked_first
 from bench.results.comparison import Comparison, Together, compare_folders, judge_folders
 from bench.results.status import read_status
 from bench.run.interruptions import leave_request, was_taken
@@ -68,13 +68,6 @@ def judge_together(
     folders = [Path(run) for run in runs]
     with known(folders, damage) as there:
         return judge_folders(folders, detectors, there, across_scripts=across_scripts)
-
-
-def check_record(run: Path | str, digest: str | None = None) -> CheckResult:
-    """Check database, chain, frames and files of a run: `teatbench store check`. ``digest`` is one
-    that a report names. Raises ConfigError where it is no run.
-    """
-    return check_run(Path(run), digest)
 
 
 def export_record(

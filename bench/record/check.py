@@ -70,8 +70,9 @@ class CheckResult:
         return f"not checked: whether the record's rows are as they were written ({looked})"
 
 
-def check_run(folder: Path, digest: str | None = None) -> CheckResult:
+def check_record(run: Path | str, digest: str | None = None) -> CheckResult:
     """Check all; ``digest`` is one that a report names. Raises ConfigError where it is no run."""
+    folder = Path(run)
     with opened(folder) as db:
         findings: list[Finding] = []  # what was found before something fails is kept
         links: list[tuple[Any, ...]] = []
@@ -101,7 +102,7 @@ def checked_first(folders: Sequence[Path], *, despite_damage: bool) -> Iterator[
     """Checks these runs, then gives the damage, in sentences. Raises ConfigError where there is any
     and ``despite_damage`` isn't set; where it is, for what fails since the record is damaged.
     """
-    checked = {folder: check_run(folder) for folder in dict.fromkeys(folders)}
+    checked = {folder: check_record(folder) for folder in dict.fromkeys(folders)}
     damage = tuple(
         f"{folder.resolve().name}: {finding.text}"
         for folder, one in checked.items()
