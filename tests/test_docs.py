@@ -20,7 +20,7 @@ from bench.campaign.plan import read_plan
 from bench.cli.arguments import EXIT_CODES
 from bench.cli.main import main, parser
 from bench.config import read_config
-from bench.record.check import check_run
+from bench.record.check import check_record
 from bench.rig.loading import RIGS, load_rig
 from bench.rig.scripted_answers import load_answers
 from bench.run.trial import TrialRun
@@ -225,7 +225,7 @@ def ran(line: str, desk: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int,
     for name, here in STAND_INS.items():
         line = re.sub(name, here, line)
     if "DIGEST" in line:
-        line = line.replace("DIGEST", check_run(desk / "runs" / "kept").head.wall_digest)
+        line = line.replace("DIGEST", check_record(desk / "runs" / "kept").head.wall_digest)
     words = [
         path
         for word in words_of(line)

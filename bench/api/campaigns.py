@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pydantic import ValidationError
-
-from bench.campaign.plan import CampaignPlan, read_plan, with_whole_paths
-from bench.campaign.run import Campaign, Executor, Status, locked
-from bench.config import ConfigError
+from bench.campaign.plan import CampaignPlan, make_plan
+from bench.campaign.pool import Say, executor
+from bench.campaign.run import Campaign, locked
+from bench.campaign.run import Status as Status
 
 if TYPE_CHECKING:
-    from bench.campaign.dask_cluster import DaskPool
     from bench.campaign.numbers import FamilyRate
-    from bench.campaign.pool import LocalPool
-
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CampaignResult:
     """What came of a campaign: ``rates`` by family and detector, each with its 95 % interval in
-    ``intervals``; scenes set ``aside`` with the reason; ``page``: its report.
+    ``intervals``; scenes set ``aside`` with the reason; ``page``: its report; ``digest`` of all
+    rows, and ``unlike``: says so where as many scenes had another one before.
     """
 
     campaign: Campaign
@@ -35,55 +30,7 @@ class CampaignResult:
     aside: Mapping[str, str]
     digest: str
     page: Path
-
-
-def plan_of(plan: CampaignPlan | Path | str | Mapping[str, Any]) -> CampaignPlan:
-    """A plan of its file, or of its keys (docs/campaigns.md). Raises ConfigError."""
-    if isinstance(plan, CampaignPlan):
-        return plan
-    if isinstance(plan, str | Path):
-        return read_plan(Path(plan))
-    try:
-        return with_whole_paths(CampaignPlan.model_validate(plan), Path())
-    except ValidationError as error:
-        why = "; ".join(str(one["msg"]).removeprefix("Value error, ") for one in error.errors())
-        raise ConfigError.plain(why) from error
-
-
-@contextmanager
-def executor(
-    campaign: Campaign, workers: int | None, dask: str | None, say: Say
-) -> Iterator[Executor]:
-    """Processes of this machine, all its processors for None, or a cluster. Raises ConfigError."""
-    from bench.campaign.pool import LocalPool, usable_processors
-
-    pool: LocalPool | DaskPool
-    if dask is None:
-        pool = LocalPool(campaign.job, workers or usable_processors(), say=say)
-    else:
-        try:
-            from bench.campaign.dask_cluster import DaskPool
-        except ImportError as error:
-            raise ConfigError.plain(
-                f"--dask needs another package: pip install 'teatbench[campaign]' ({error})"
-            ) from error
-        pool = DaskPool(campaign.job, dask, say=say)
-    with closing(pool):
-        yield pool
-
-
-def finish(
-    campaign: Campaign,
-    *,
-    workers: int | None = None,
-    dask: str | None = None,
-    progress: Callable[[Status], None] = lambda _: None,
-    say: Say = lambda _: None,
-) -> Status:
-    """Do what is left of a campaign. Raises PoolError where no worker can be started."""
-    campaign.begin()
-    with executor(campaign, workers, dask, say) as made:
-        return campaign.run(made, progress, say)
+    unlike: str = ""
 
 
 def run_campaign(
@@ -104,10 +51,12 @@ def run_campaign(
     from bench.results.answers import close_detectors
 
     folder = Path(out)
-    campaign = Campaign(plan_of(plan), folder)
+    campaign = Campaign(make_plan(plan), folder)
     with locked(folder):
-        status = finish(campaign, workers=workers, dask=dask, progress=progress, say=say)
+        campaign.begin()
         job = campaign.job
+        with executor(job, workers, dask, say) as made:
+            status = campaign.run(made, progress, say)
         detectors = job.make_detectors()
         try:
             bench = job.bench(job.renderer(), detectors)
@@ -117,4 +66,6 @@ def run_campaign(
         with campaign.shards.connect() as db:
             rates, aside = tuple(family_rates(db)), scenes_aside(db)
         spans = tuple(campaign.plan.interval(rate.failures, rate.scenes) for rate in rates)
-        return CampaignResult(campaign, status, rates, spans, aside, campaign.shards.digest(), page)
+        digest = campaign.shards.digest()
+        unlike = campaign.shards.ledger.compare_rows(status.done, digest)
+        return CampaignResult(campaign, status, rates, spans, aside, digest, page, unlike)

@@ -19,15 +19,19 @@ from bench.rig.loading import LoadedRig
 from bench.rig.opening import ALL, open_instruments
 from bench.safety.bath_monitor import BathMonitor, SafeAtOnce
 from bench.safety.interlocks import Interlocks
-from bench.safety.liveness import Liveness
-from bench.safety.stability import StabilityGate, State
+from bench.safety.latch import unconfirmed
+from bench.safety.liveness import Liveness as Liveness
+from bench.safety.stability import StabilityGate as StabilityGate
+from bench.safety.stability import State as State
+from bench.script.detectors import refusals
 from bench.truth.stage_registration import ends_of
 from bench.truth.touching import Ends, TipReader, Toucher
+from detector import registry
 from detector.calibration import Calibration
 from instruments.bath.reading import BathReading
 from instruments.bath.sequence import pump_on, start_bath
 from instruments.captures.capture import CaptureFile
-from instruments.clock import Clock, sleep_looking
+from instruments.clock import Clock, sleep_looking, wall_time
 from instruments.drivers.protocols import Arm, Bath, Cameras, Stage
 from instruments.errors import DeviceError, LimitError
 from instruments.operators.operator import Arrangement, Homing, Operator
@@ -272,6 +276,21 @@ class OpenRig:
             what = f"this rig has no {name}, or it was not opened"
             raise LimitError("rig", what, hint=f'Name it: open_rig(…, instruments=("{name}",)).')
         return device
+
+
+def rig_notes(rig: AnyRig) -> Iterator[str]:
+    """What of a rig a person has to see to before a run: a calibration that is not made, shipped
+    detectors that can't be used with it, a bath's cut-out or unit that nobody has confirmed. Opens
+    nothing; `check_rig` does. Raises ConfigError.
+    """
+    loaded = load_rig(rig)
+    if loaded.made_calibration is None:
+        hint = "a run needs it, see 'teatbench help calibration'"
+        yield f"calibration: not made yet ({loaded.calibration_path}); {hint}"
+    else:
+        shipped = [registry.create(name) for name in registry.SHIPPED]
+        yield from refusals(shipped, loaded.calibration)
+    yield from unconfirmed(loaded, wall_time().date())
 
 
 @contextmanager

@@ -7,23 +7,28 @@ from __future__ import annotations
 import importlib
 import sqlite3
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, fields
+from contextlib import AbstractContextManager, nullcontext, suppress
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar, cast
 
+from bench.api.records import Damage, known
 from bench.api.shots import AnyRig, load_rig
 from bench.config import ConfigError
 from bench.record.reader import RunRecord, opened
 from bench.record.schema import tables_of
 from bench.results.status import Reported
 from bench.rig.leaving import to_stderr
+from bench.rig.loading import LoadedRig, shipped
+from bench.run import estimate
 from bench.run.events import Progress
-from bench.script.model import LoadedScript, find_script
+from bench.run.resume import ASKED, files_of
+from bench.script.model import TRIALS, LoadedScript, find_script
 from bench.script.model import load_script as load_script_file
 from instruments.captures.capture import CaptureFile
 
 OUT = Path("runs")
+AnyScript = str | Path | LoadedScript | None
 
 
 class Quiet:
@@ -39,16 +44,18 @@ class Quiet:
         return nullcontext()
 
 
-def load_script(script: str | Path | None = None, rig: AnyRig | None = None) -> LoadedScript:
+def load_script(script: AnyScript = None, rig: AnyRig | None = None) -> LoadedScript:
     """A shipped script by name, or any by its file; the six situations for None. Held against the
     set points of ``rig``, where given. Raises ConfigError with all faults.
     """
+    if isinstance(script, LoadedScript):
+        return script
     limits_c = load_rig(rig).rig.limits.set_point_c if rig is not None else None
     return load_script_file(find_script(str(script) if script else None), limits_c)
 
 
 def run_script(
-    script: str | Path | LoadedScript | None = None,
+    script: AnyScript = None,
     rig: AnyRig = "emulated",
     *,
     out: Path | str = OUT,
@@ -85,7 +92,7 @@ def run_script(
 
 
 def run_queue(
-    scripts: Sequence[str | Path | LoadedScript | None],
+    scripts: Sequence[AnyScript],
     rig: AnyRig = "emulated",
     *,
     out: Path | str = OUT,
@@ -106,13 +113,40 @@ def run_queue(
     from bench.run.start import run_queue as started
 
     loaded, shown = load_rig(rig), progress or Quiet()
-    found = [one if isinstance(one, LoadedScript) else load_script(one, loaded) for one in scripts]
+    found = [load_script(one, loaded) for one in scripts]
     how = RunOptions(
         seed, tuple(detectors), record, realtime or speed is not None, speed, capture, typed, begun
     )
     ended = started(loaded, found, Path(out), shown, how)
     shown.state("writing the report")
-    return tuple(write_report(folder) for folder, _ in ended)
+    reports = [write_report(folder, damage=()) for folder, _ in ended]
+    return tuple(_timed(one, loaded, script) for one, script in zip(reports, found, strict=False))
+
+
+def _timed(found: Reported, rig: LoadedRig, script: LoadedScript) -> Reported:
+    """With how long it took, by which the next estimate is better. A run that stopped shows
+    nothing, and one on a warm rig did not heat.
+    """
+    record = found.record
+    spent = estimate.took(record)
+    if found.status.state != "finished" or "total_s" not in spent:
+        return found
+    expected = estimate.needs(rig, script, estimate.read_durations(record.folder.parent, rig)).time
+    if not record.facts[ASKED].get("warm"):
+        with suppress(OSError):  # an estimate isn't worth a fault
+            figures = estimate.figures(record, rig, script, spent)
+            estimate.write_durations(record.folder, rig, expected, spent, figures)
+    return replace(found, took=estimate.estimate_text(expected, spent))
+
+
+def rig_of_run(run: Path | str) -> LoadedRig:
+    """The rig that a run was begun on. Raises ConfigError where it is gone or was changed since."""
+    return files_of(read_run(run))[0]
+
+
+def scripts() -> tuple[str, ...]:
+    """The names of the trial scripts that ship."""
+    return tuple(shipped(TRIALS))
 
 
 def resume_run(
@@ -122,17 +156,21 @@ def resume_run(
     progress: Progress | None = None,
     typed: Callable[[], str | None] = lambda: None,
     begun: Callable[[str], None] = lambda _: None,
-    damage: tuple[str, ...] = (),
+    damage: Damage = None,
 ) -> Reported:
-    """Go on with a run that stopped, at its first trial without a result: `teatbench resume`."""
+    """Go on with a run that stopped, at its first trial without a result: `teatbench resume`.
+    ``damage`` of its record is what `checked_first` found; without it that is looked at first.
+    Raises ConfigError, also for a damaged record.
+    """
     from bench.run.start import RunOptions
     from bench.run.start import resume_run as resumed
 
     shown = progress or Quiet()
     how = RunOptions(capture=capture, typed=typed, begun=begun)
-    resumed(Path(folder), shown, how)
-    shown.state("writing the report")
-    return write_report(folder, damage=damage)
+    with known([Path(folder)], damage) as there:
+        resumed(Path(folder), shown, how)
+        shown.state("writing the report")
+        return write_report(folder, damage=there)
 
 
 def score_recording(
@@ -151,19 +189,22 @@ def score_recording(
     shown = SafeProgress(progress or Quiet())
     folder = scored(Path(recording), Path(out), shown, tuple(detectors))
     shown.state("writing the report")
-    return write_report(folder)
+    return write_report(folder, damage=())
 
 
 def write_report(
-    folder: Path | str,
-    *,
-    chapters: tuple[Any, ...] = (),
-    damage: tuple[str, ...] = (),
+    folder: Path | str, *, baseline: Path | str | None = None, damage: Damage = None
 ) -> Reported:
-    """Write the report of a run again: `teatbench report`. Raises ConfigError."""
+    """Write the report of a run again: `teatbench report`; compared with the older run ``baseline``
+    of the same scenes. ``damage`` as of `resume_run`. Raises ConfigError.
+    """
+    from bench.report.comparison import baseline_section
     from bench.report.page import write_run_report
 
-    return write_run_report(Path(folder), chapters, damage)
+    run, older = Path(folder), [Path(baseline)] if baseline is not None else []
+    with known([run, *older], damage) as there:
+        chapters = tuple(baseline_section(one, run, there) for one in older)
+        return write_run_report(run, chapters, there)
 
 
 def read_run(folder: Path | str) -> RunRecord:

@@ -10,14 +10,16 @@ from functools import lru_cache
 from pathlib import Path
 
 from bench.campaign.chunk import LIMIT_MM
+from bench.config import ConfigError
 from bench.record.recording import TruthRow
 from bench.results.answers import TIMEOUT_S, Answer, close_detectors, examine, score_answer
-from bench.rig.loading import LoadedRig, find_rig
+from bench.rig.loading import NO_RIGS, RIGS, LoadedRig, find_rig, shipped
 from bench.rig.loading import load_rig as load_rig_file
 from bench.rig.scenes import Perturbation, rig_renderer, warm
 from bench.rig.scenes import draw as draw_state
 from bench.scoring.scene import SceneScore
-from bench.script.detectors import make_detectors
+from bench.script.detectors import declared, make_detectors, refusals
+from detector import registry
 from detector.calibration import Calibration
 from detector.protocol import Detection, Detector
 from instruments.camera.frame import FrameSet
@@ -48,6 +50,11 @@ def load_rig(rig: AnyRig | None = "emulated") -> LoadedRig:
     all faults.
     """
     return rig if isinstance(rig, LoadedRig) else load_rig_file(find_rig(str(rig or "emulated")))
+
+
+def rigs() -> tuple[str, ...]:
+    """The names of the rig files that ship and can be opened as they are."""
+    return tuple(name for name in shipped(RIGS) if name not in NO_RIGS)
 
 
 def families() -> tuple[str, ...]:
@@ -109,17 +116,28 @@ def _labeller(path: Path, text: str) -> Labeller:
     return Labeller(_cameras(path, text, 1)[1])
 
 
-@contextmanager
-def open_detector(detector: str | Detector) -> Iterator[Detector]:
-    """A detector by name, file or ``exec:COMMAND``, its process ended in the end. Raises
-    ConfigError.
+def detectors() -> dict[str, str]:
+    """Each detector by its name, with a line on it: shipped, of other packages, declared in the
+    folder ``detectors``. One that can't be used is BROKEN.
     """
-    if not isinstance(detector, str):
-        yield detector
-        return
-    made = make_detectors([detector], gives_up=False)
+    faulty = {name: f"BROKEN: {why}" for name, why in registry.broken().items()}
+    return {**declared(), **registry.available(), **faulty}
+
+
+@contextmanager
+def open_detector(
+    detector: str | Detector, calibration: Calibration | None = None
+) -> Iterator[Detector]:
+    """A detector by name, file or ``exec:COMMAND``, its process ended in the end. Raises
+    ConfigError, also where it can't be used with the rig of ``calibration``.
+    """
+    named = [detector] if isinstance(detector, str) else []
+    made = make_detectors(named, gives_up=False)
+    used = detector if not isinstance(detector, str) else made[0]
     try:
-        yield made[0]
+        for why in refusals([used], calibration):
+            raise ConfigError.plain(why)
+        yield used
     finally:
         close_detectors(made)
 

@@ -5,11 +5,13 @@ the left camera sees too, or as homographies from point pairs.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
+import cv2
 import numpy as np
 from scipy.special import stdtrit
 
@@ -17,6 +19,7 @@ from bench.calibrate.merge import pair_of_part
 from bench.calibrate.views import BoardViews
 from bench.calibrate.world import read_table
 from bench.config import ConfigError
+from bench.rig.loading import LoadedRig
 from detector.calibration import (
     Homographies,
     ParameterCovariance,
@@ -27,7 +30,7 @@ from detector.calibration import (
     derive_homographies,
 )
 from detector.calibration.boards import Board
-from detector.calibration.bundle import POSE
+from detector.calibration.bundle import POSE, BundleError
 from detector.calibration.cameras import (
     DISTANCE_RATIO,
     CameraFit,
@@ -58,8 +61,6 @@ PAIR = ("left", "right")
 PAIR_COLUMNS = ("thermal_x", "thermal_y", "left_x", "left_y", "right_x", "right_y")
 NORMAL_95 = 1.96
 WORKING_MM = 1200.0  # about where the thesis's teats stand
-LIMIT_MM = 5.0  # of a teat end's error, where a script names no other
-ENOUGH_MM = LIMIT_MM / 4.0  # the test uncertainty ratio 4:1
 HELD_MM = (150.0, 5000.0)  # no board is in focus nearer, or seen farther
 LEAST_LOOKED_AT = 3  # views or points of a check: of fewer no mark is significant
 LEAST_FOR_HALVES = 10  # pairs of views; a half of fewer than five says nothing
@@ -139,11 +140,6 @@ class CamerasResult:
         return np.asarray(2.0 * np.sqrt(np.linalg.eigvalsh(found)[:, -1]))
 
 
-def held(mm: float) -> Literal["met", "inconclusive", "not met"]:
-    """Against `ENOUGH_MM`; up to `LIMIT_MM` it depends on how good the detector is."""
-    return "met" if mm <= ENOUGH_MM else "inconclusive" if mm <= LIMIT_MM else "not met"
-
-
 def _rms_interval(view_rms_px: Sequence[float]) -> tuple[float, float]:
     """95 % interval of the rms over all views, by Student's t on their mean squares."""
     squares = np.square(view_rms_px)
@@ -161,10 +157,23 @@ def _covariance(found: CameraFit, pose: str) -> ParameterCovariance:
     return ParameterCovariance(names, fit.covariance)
 
 
+@contextmanager
+def _fitting(what: str) -> Iterator[None]:
+    """Raises ConfigError for views that can't be fitted."""
+    try:
+        yield
+    except BundleError as why:
+        raise ConfigError.plain(str(why)) from why
+    except (np.linalg.LinAlgError, cv2.error) as why:
+        text = f"the views of {what} can't be fitted together ({why}): look whether each picture"
+        raise ConfigError.plain(f"{text} shows the board, and each pair one pose") from why
+
+
+@_fitting("the cameras")
 def calibrate_pair(
     views: BoardViews, *, model: str = "k1 k2 p1 p2", square_pixels: bool = False
 ) -> CamerasResult:
-    """The whole job, with a lens ``model`` of `LENS_MODELS`. Raises BundleError."""
+    """The whole job, with a lens ``model`` of `LENS_MODELS`. Raises ConfigError."""
     seen = {camera: views.views(camera) for camera in PAIR}
     size = views.image_size
     lens: dict[str, Any] = {"model": model, "square_pixels": square_pixels}
@@ -247,13 +256,24 @@ def check_pair(part: Part, views: BoardViews) -> tuple[MeasuredBoard, tuple[Find
 class ThermalFormat:
     """How the thermal camera's picture comes: what a picture alone doesn't show."""
 
-    sensor_size: tuple[int, int]
-    mirrored: bool
-    polarity: Polarity
+    sensor_size: tuple[int, int] = (160, 120)
+    mirrored: bool = False
+    polarity: Polarity = "hot_is_white"
     model: str = "k1"
 
     def camera(self, size: tuple[int, int], lens: Camera | None) -> ThermalCamera:
         return ThermalCamera(size, self.sensor_size, self.mirrored, self.polarity, lens)
+
+
+def delivered_by(rig: LoadedRig) -> ThermalFormat:
+    """How a rig's thermal pictures come, by its calibration, else by its file."""
+    if rig.made_calibration is not None:
+        known = rig.made_calibration.thermal
+        return ThermalFormat(known.sensor_size, known.mirrored, known.polarity)
+    table = rig.rig.cameras.thermal
+    if table is None:
+        return ThermalFormat()
+    return ThermalFormat(mirrored=bool(table.mirrored), polarity=table.polarity or "hot_is_white")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -278,10 +298,11 @@ class ThermalResult:
         )
 
 
+@_fitting("the thermal camera")
 def calibrate_thermal(
     views: BoardViews, cameras: Part, delivered: ThermalFormat, plane_depth_mm: float
 ) -> ThermalResult:
-    """The third camera against a pair, by un-mirrored pictures. Raises BundleError."""
+    """The third camera against a pair, by un-mirrored pictures. Raises ConfigError."""
     pair = pair_of_part(cameras)
     size = views.image_size["thermal"]
     alone = calibrate_camera("thermal", views.views("thermal"), size, model=delivered.model)
@@ -309,7 +330,7 @@ class PairsResult:
         )
 
 
-def map_pairs(path: Path) -> PairsResult:
+def map_pairs(path: Path | str) -> PairsResult:
     """From a table of point pairs (`PAIR_COLUMNS`, px; thermal un-mirrored). Raises ConfigError."""
     thermal, left, right = np.split(np.array([*read_table(path, PAIR_COLUMNS).values()]).T, 3, 1)
     try:

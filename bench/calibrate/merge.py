@@ -12,17 +12,22 @@ from pathlib import Path
 from scipy.linalg import block_diag
 
 from bench.config import ConfigError, located, read_text
+from bench.files import write_synced
+from bench.version import __version__
 from detector.calibration import (
     Calibration,
     CalibrationError,
     ParameterCovariance,
     Part,
     Record,
+    check_text,
+    dump_calibration,
     file_hash,
     load_part,
 )
 from detector.calibration.values import Pair
 from detector.geometry import Motion
+from instruments.clock import wall_time
 
 CAMERAS_INPUT = "cameras file"  # the record's name for the file that a later step was made with
 # each attribute of a part, its block in the file, and the step that makes it; a depth camera's are
@@ -47,8 +52,9 @@ class PartFile:
     sha256: str
 
 
-def read_part(path: Path) -> PartFile:
+def read_part(path: Path | str) -> PartFile:
     """A step's file. Raises ConfigError that shows each fault in its place."""
+    path = Path(path)
     try:
         return PartFile(path, load_part(path), file_hash(path))
     except CalibrationError as error:
@@ -69,7 +75,7 @@ def pair_of_part(part: Part) -> Pair:
     return Pair(part.left, part.right, part.right_from_left, world)
 
 
-def merge(files: Sequence[PartFile], record: Record) -> Calibration:
+def merge_parts(files: Sequence[PartFile], record: Record) -> Calibration:
     """The whole. Raises ConfigError for a part missing, there twice, or of another pair."""
     found: dict[str, PartFile] = {}
     for file in files:
@@ -129,3 +135,35 @@ def _whole_record(files: Sequence[PartFile], record: Record) -> Record:
     return Record(
         made, record.by, record.with_what, cameras | {**record.cameras}, inputs | {**record.inputs}
     )
+
+
+def calibration_record(
+    inputs: Sequence[Path] = (),
+    *,
+    by: str = "",
+    cameras: Mapping[str, str] | None = None,
+    pair: PartFile | None = None,
+) -> Record:
+    """The record of a step: made today, with this program, from the files ``inputs``, with
+    ``cameras`` of these identities, and with the file of a ``pair``.
+    """
+    names = [path.name for path in inputs]
+    again = {path: names.count(path.name) > 1 for path in inputs}
+    hashes = {f"{p.parent.name}/{p.name}" if again[p] else p.name: file_hash(p) for p in inputs}
+    today, program = wall_time().date().isoformat(), f"teatbench {__version__}"
+    hashes |= {CAMERAS_INPUT: pair.sha256} if pair else {}
+    return Record(today, by, program, cameras or {}, hashes)
+
+
+def write_calibration(found: Part | Calibration, out: Path | str, command: str = "") -> None:
+    """Write a step's file, or the whole, with the ``command`` that made it; whole or not at all.
+    Raises ConfigError.
+    """
+    out = Path(out)
+    out.resolve().parent.mkdir(parents=True, exist_ok=True)
+    text = dump_calibration(found, command)
+    try:
+        check_text(out, text, whole=isinstance(found, Calibration))
+    except CalibrationError as error:
+        raise ConfigError.plain(f"not written, for it can't be: {error}") from error
+    write_synced(out, text.encode("utf-8"))

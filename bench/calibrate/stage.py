@@ -5,7 +5,6 @@ taken, but every instrument of the rig has to answer.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from datetime import datetime
 from math import hypot
 
 from bench.config import ConfigError
@@ -16,6 +15,7 @@ from bench.truth.registration import Registration, RegistrationError
 from bench.truth.stage_registration import around, register
 from bench.truth.touching import TipReader, Toucher, end_u_mm
 from instruments.captures.capture import CaptureFile
+from instruments.clock import wall_time
 from instruments.operators.operator import Arrangement, Homing
 from instruments.world.phantom import PlatePose
 
@@ -24,19 +24,20 @@ SPAN_MM = 200.0  # of the positions where none are named
 
 def calibrate_stage(
     rig: LoadedRig,
-    made: datetime,
-    report: Callable[[str], None],
     *,
-    layout: str,
-    teat: int,
-    at_mm: Sequence[tuple[float, float]],
-    readings: int | None,
-    seed: int,
+    layout: str = "table-5-1",
+    teat: int = 1,
+    at_mm: Sequence[tuple[float, float]] = (),
+    readings: int | None = None,
+    seed: int | None = None,
     capture: CaptureFile | None = None,
+    say: Callable[[str], None] = lambda _: None,
 ) -> Registration:
-    """The stage's registration: ``teat`` of ``layout`` touched at ``at_mm`` (none: corners and
-    middle). Raises ConfigError before anything moves.
+    """The stage's registration, for `write_registration`: the end of ``teat`` of a ``layout``
+    touched ``readings`` times at each place ``at_mm`` from the reference place (none: corners and
+    middle of 200 x 200 mm). Raises ConfigError before anything moves.
     """
+    seed = rig.rig.seed if seed is None else seed
     settings = rig.rig.stage
     if settings is None:
         raise ConfigError.plain(f"{rig.path} has no [stage]: there is nothing to register.")
@@ -55,7 +56,7 @@ def calibrate_stage(
             f"--at: {len(poses)} positions; a registration needs three or more that don't lie on a"
             " line"
         )
-    with open_instruments(rig, seed=seed, capture=capture, warn=report) as devices:
+    with open_instruments(rig, seed=seed, capture=capture, warn=say) as devices:
         stage = devices.stage
         if stage is None:
             raise ValueError("the stage is in the rig file, and is not open")
@@ -82,9 +83,9 @@ def calibrate_stage(
                 poses,
                 teat=teat,
                 u_mm=hypot(end_u_mm(rig.rig.arm, toucher.each), settings.repeatability_mm),
-                made=made,
+                made=wall_time().replace(microsecond=0),
                 serial_number=arm.identity.serial_number,
-                report=report,
+                report=say,
             )
         except RegistrationError as error:
             raise ConfigError.plain(f"no registration: {error}") from error

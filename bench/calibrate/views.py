@@ -56,10 +56,10 @@ LAYOUT = (
 Pictures = Mapping[str, Mapping[str, Path]]
 
 
-def find_pictures(places: Sequence[Path], cameras: Sequence[str]) -> Pictures:
+def find_pictures(places: Sequence[Path | str], cameras: Sequence[str]) -> Pictures:
     """Pictures of these cameras. Raises ConfigError for no folder, no picture, a view twice."""
     found: dict[str, dict[str, Path]] = {}
-    for place in places:
+    for place in map(Path, places):
         if not place.is_dir():
             raise ConfigError.plain(
                 f"{place}: no such folder; a set of pictures is a folder with {LAYOUT}"

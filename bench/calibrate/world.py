@@ -34,12 +34,12 @@ from instruments.operators.operator import BoardPose, BoardTouch, Operator, Rele
 from textfiles import tables
 
 
-def read_table(path: Path, columns: tuple[str, ...]) -> Mapping[str, Array]:
+def read_table(path: Path | str, columns: tuple[str, ...]) -> Mapping[str, Array]:
     """Columns of numbers of a table with a first line of names. Raises ConfigError with the
     line.
     """
     try:
-        found = tables.read_table(read_text(path), columns)
+        found = tables.read_table(read_text(Path(path)), columns)
         rows = [[row.number(name) for name in columns] for row in found.rows]
     except tables.TableError as error:
         raise ConfigError.plain(f"{path}:{error.line}: {error}") from error
@@ -75,7 +75,7 @@ class WorldResult:
         return Part(world_from_right=fit.world_from_right, covariance=fit.covariance, record=record)
 
 
-def read_points(path: Path) -> TouchedPoints:
+def read_points(path: Path | str) -> TouchedPoints:
     """Touched points from a table (`POINT_COLUMNS`). Raises ConfigError with the line."""
     table = read_table(path, POINT_COLUMNS)
     left, right, touched = (

@@ -39,7 +39,7 @@ Scores = dict[Scene, tuple[SceneScore, str]]
 
 
 def compare_campaigns(
-    folders: Sequence[Path],
+    folders: Sequence[Path | str],
     detectors: Sequence[str] = (),
     *,
     margin_mm: float | None = None,
@@ -47,7 +47,7 @@ def compare_campaigns(
     confidence: float = 0.95,
 ) -> tuple[Comparison, ...]:
     """Each later campaign with the first, or the detectors of one. Raises ConfigError."""
-    plans = {folder: plan_of(folder) for folder in folders}
+    plans = {folder: plan_of(folder) for folder in map(Path, folders)}
     runs = [_as_run(folder, plan) for folder, plan in plans.items()]
     found = []
     for old, new in sides(runs, detectors):

@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 import detector
 import instruments.world
@@ -203,6 +203,19 @@ def with_whole_paths(plan: CampaignPlan, folder: Path) -> CampaignPlan:
     calibration, rig = whole(plan.calibration), whole(plan.rig)
     changed = {"detectors": detectors, "calibration": calibration, "rig": rig}
     return plan.model_copy(update=changed)
+
+
+def make_plan(plan: CampaignPlan | Path | str | Mapping[str, Any]) -> CampaignPlan:
+    """A plan of its file, or of its keys (docs/campaigns.md). Raises ConfigError."""
+    if isinstance(plan, CampaignPlan):
+        return plan
+    if isinstance(plan, str | Path):
+        return read_plan(Path(plan))
+    try:
+        return with_whole_paths(CampaignPlan.model_validate(plan), Path())
+    except ValidationError as error:
+        why = "; ".join(str(one["msg"]).removeprefix("Value error, ") for one in error.errors())
+        raise ConfigError.plain(why) from error
 
 
 def open_plan(plan: CampaignPlan) -> tuple[Job, dict[str, str]]:

@@ -17,9 +17,10 @@ from typing import Protocol
 
 from filelock import FileLock, Timeout
 
-from bench.campaign.chunk import ASIDE, Rows
+from bench.campaign.chunk import ASIDE, Rows, Scene
 from bench.campaign.ledger import Ledger
 from bench.campaign.plan import CampaignPlan, Chunk, differences, open_plan, plan_text, read_plan
+from bench.campaign.pool import Say, executor
 from bench.campaign.shards import SHARDS, Shards, no_campaign
 from bench.config import ConfigError, writing
 from bench.files import write_synced
@@ -236,3 +237,28 @@ def locked(folder: Path) -> Iterator[None]:
         yield
     finally:
         lock.release()
+
+
+def run_chunk(
+    plan: CampaignPlan, number: int, out: Path | str, *, say: Say = lambda _: None
+) -> dict[str, str] | None:
+    """Do one chunk of a campaign, as a batch system gives them out: `teatbench campaign chunk`. The
+    scenes set aside, each with the reason; None where it was done before. Raises ConfigError,
+    PoolError.
+    """
+    if not 0 <= number < plan.chunk_count:
+        last = plan.chunk_count - 1
+        raise ConfigError.plain(
+            f"there is no chunk {number}: there are {last + 1}, from 0 to {last}"
+        )
+    campaign = Campaign(plan, Path(out))
+    campaign.begin()
+    with executor(campaign.job, 1, None, say) as made:
+        rows = campaign.do_chunk(number, made)
+    if rows is None:
+        return None
+    return {
+        Scene(row.family, row.member).name: one.reason or ""
+        for row, one in zip(rows.scenes, rows.taken, strict=True)
+        if row.failure == ASIDE
+    }

@@ -246,11 +246,12 @@ def no_campaign(folder: Path) -> ConfigError:
     )
 
 
-def query(folder: Path, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
+def query_campaign(folder: Path | str, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
     """The columns' names and the rows that ``sql`` asks for of `scenes` and `teats`, which can't
     reach a file or a network. Raises ConfigError for a folder without shards, for damaged ones, for
     more than MOST_ROWS or MOST_S, and with the database's own words.
     """
+    folder = Path(folder)
     if not (folder / SHARDS).is_dir():
         raise no_campaign(folder)
     with Shards(folder).connect(loaded=True) as db:

@@ -11,15 +11,12 @@ import webbrowser
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 
+import bench
+from bench.api import instruments as api
 from bench.cli.arguments import CODES, complain, json_of, print_values
 from bench.cli.verdict import on_a_desktop
 from bench.config import ConfigError
-from bench.record.recording import RecordingWriter
-from bench.rig import alone as rig_alone
-from bench.rig.alone import open_alone, open_stage, shown
-from bench.rig.frame_capture import FrameTaker
 from bench.rig.live_page import live_page
-from bench.rig.model import Stage as StageTable
 from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import FrameError, Grey
 from instruments.camera.quality import edge_blur_px
@@ -30,74 +27,68 @@ from instruments.errors import LimitError
 Pictures = Mapping[str, Grey]
 
 
-def _at(given: argparse.Namespace) -> StageTable:
-    if given.rig is None:
-        dialect = given.dialect or "grbl"
-        return StageTable(url=given.port, axes=given.axes or "XY", dialect=dialect)
-    if given.axes or given.dialect:
+@contextmanager
+def _opened(given: argparse.Namespace) -> Iterator[Stage]:
+    """The stage; what its driver refuses to send is wrong use."""
+    if given.rig and (given.axes or given.dialect):
         raise ConfigError.plain(
             "--axes and --dialect go with --port; a rig file says itself what its stage is"
         )
-    return rig_alone.stage_of_rig(given.rig)
+    named = {key: value for key in ("rig", "axes", "dialect") if (value := getattr(given, key))}
+    try:
+        with bench.open_stage(given.port, **named, capture=given.capture) as stage:
+            yield stage
+    except LimitError as error:
+        raise ConfigError.plain(str(error)) from error
+
+
+def _home(stage: Stage, _: argparse.Namespace) -> Iterator[str]:
+    stage.home()
+    yield f"homed: {api.shown(stage)}"
+
+
+def _move(stage: Stage, given: argparse.Namespace) -> Iterator[str]:
+    target, more = (given.x_mm, given.y_mm), {"z_mm": given.z_mm, "a_deg": given.a_deg}
+    api.check_target(stage, *target, **more)
+    yield from _home(stage, given)
+    stage.move_to(*target, **more, feed_mm_min=given.feed)
+    yield f"moved: {api.shown(stage)}"
+
+
+def _jog(stage: Stage, given: argparse.Namespace) -> Iterator[str]:
+    yield from _home(stage, given)
+    for way in given.steps:
+        api.jog(stage, way, given.feed)
+        yield f"moved: {api.shown(stage)}"
+
+
+def _recover(stage: Stage, _: argparse.Namespace) -> Iterator[str]:
+    stage.recover()
+    unknown = "its position is unknown until 'teatbench stage home'"
+    yield f"restarted, in state {stage.status().name}; {unknown}"
+
+
+STAGE = {"home": _home, "move": _move, "jog": _jog, "recover": _recover}  # verb -> what it says
+
+
+def of_stage(given: argparse.Namespace) -> None:
+    """A verb of the stage: what it says, as it comes."""
+    with _opened(given) as stage:
+        for line in STAGE[given.called.split()[1]](stage, given):
+            print(line, flush=True)
 
 
 def status(given: argparse.Namespace) -> None:
-    with open_stage(_at(given), given.capture) as stage:
-        figures = rig_alone.described(stage)
+    with _opened(given) as stage:
+        figures = bench.describe_stage(stage)
     if given.json:
         print(json_of(figures))
     else:
         print_values(figures)
 
 
-def home(given: argparse.Namespace) -> None:
-    with _opened(given) as stage:
-        _home(stage)
-
-
-def move(given: argparse.Namespace) -> None:
-    target, more = (given.x_mm, given.y_mm), {"z_mm": given.z_mm, "a_deg": given.a_deg}
-    with _opened(given) as stage:
-        rig_alone.check_target(stage, *target, **more)
-        _home(stage)
-        stage.move_to(*target, **more, feed_mm_min=given.feed)
-        print(f"moved: {shown(stage)}")
-
-
-def jog(given: argparse.Namespace) -> None:
-    with _opened(given) as stage:
-        _home(stage)
-        for way in given.steps:
-            rig_alone.jog(stage, way, given.feed)
-            print(f"moved: {shown(stage)}", flush=True)
-
-
-def _home(stage: Stage) -> None:
-    stage.home()
-    print(f"homed: {shown(stage)}", flush=True)
-
-
-@contextmanager
-def _opened(given: argparse.Namespace) -> Iterator[Stage]:
-    """The stage; what its driver refuses to send is wrong use."""
-    try:
-        with open_stage(_at(given), given.capture) as stage:
-            yield stage
-    except LimitError as error:
-        raise ConfigError.plain(str(error)) from error
-
-
-def recover(given: argparse.Namespace) -> None:
-    with open_stage(_at(given), given.capture) as stage:
-        stage.recover()
-        print(
-            f"restarted, in state {stage.status().name}; its position is unknown until 'teatbench"
-            " stage home'"
-        )
-
-
 def attached(given: argparse.Namespace) -> None:
-    rows = list(rig_alone.cameras_of_rig(given.rig) if given.rig else rig_alone.attached())
+    rows = list(api.cameras_of_rig(given.rig) if given.rig else api.attached())
     for name, what in rows:
         print(f"{name}  {what}")
     if not rows:
@@ -106,14 +97,14 @@ def attached(given: argparse.Namespace) -> None:
 
 def show(given: argparse.Namespace) -> int:
     faults: list[str] = []
-    with open_alone(given.sources) as alone:
+    with bench.open_cameras(given.sources) as alone:
         if alone.frame_set is None:
             taken = alone.look()
         else:
-            frames = rig_alone.with_retries(alone.frame_set.capture)()
-            taken = rig_alone.pictures(frames)
+            frames = bench.with_retries(alone.frame_set.capture)()
+            taken = api.pictures(frames)
             faults = [str(one) for one in alone.checks.notice(frames)]
-        seen = {name: rig_alone.figures(picture) for name, picture in taken.items()}
+        seen = {name: api.figures(picture) for name, picture in taken.items()}
         identity = dict(alone.identity())
     if given.json:
         print(json_of({"identity": identity, "cameras": seen, "faults": faults}))
@@ -127,9 +118,7 @@ def show(given: argparse.Namespace) -> int:
     return CODES.fault if faults else CODES.met
 
 
-def _next_look(
-    alone: rig_alone.OpenCameras, clock: Clock, end_s: float, every_s: float
-) -> Pictures:
+def _next_look(alone: bench.OpenCameras, clock: Clock, end_s: float, every_s: float) -> Pictures:
     """Pictures of all cameras, as soon as all come whole: no frame ends the wait. Raises FrameError
     after ``end_s``.
     """
@@ -148,7 +137,7 @@ def focus(given: argparse.Namespace) -> None:
     best: dict[str, float] = {}
     seconds = given.seconds or math.inf
     live = sys.stdout.isatty()
-    with open_alone(given.sources) as alone, ExitStack() as stack:
+    with bench.open_cameras(given.sources) as alone, ExitStack() as stack:
         page, clock = None, alone.clock
         if given.page:
             first = _next_look(alone, clock, clock.now() + seconds, given.every)
@@ -193,32 +182,10 @@ def focus_line(best: Mapping[str, float]) -> str:
 
 
 def grab(given: argparse.Namespace) -> None:
-    with open_alone(given.sources) as alone:
-        if alone.frame_set is None:
-            raise ConfigError.plain(
-                "one camera alone makes no frame set: name left, right and perhaps thermal, or"
-                " a rig"
-            )
-        writer = RecordingWriter(given.out)
-        calibration = rig_alone.calibration_text(alone)
-        if calibration is not None:
-            writer.add_calibration(calibration)
-        taker = FrameTaker(
-            alone.frame_set,
-            alone.table,
-            None,
-            alone.clock.sleep,
-            lambda _, text: print(f"teatbench: {text}", file=sys.stderr),
-            checks=alone.checks,
-        )
-        for number in range(given.count):
-            name = f"{len(list((given.out / 'frames').iterdir())):04d}"
-            writer.add(name, taker.take())
+    with bench.open_cameras(given.sources) as alone:
+        warn = {"warn": lambda text: print(f"teatbench: {text}", file=sys.stderr)}
+        for name in bench.record_frames(alone, given.out, given.count, **warn):
             print(f"{given.out / 'frames' / name}", flush=True)
-            if number + 1 < given.count:
-                alone.clock.sleep(alone.table.settle_s)
-    if calibration is None:
-        print(
-            "there is no calibration: put calibration.toml into the folder before it is scored",
-            file=sys.stderr,
-        )
+    if alone.rig.made_calibration is None:
+        why = "there is no calibration: put calibration.toml into the folder before it is scored"
+        print(why, file=sys.stderr)

@@ -10,10 +10,9 @@ import argparse
 import math
 from collections import deque
 from collections.abc import Callable, Hashable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, closing
 from dataclasses import asdict
-from pathlib import Path
-from typing import cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,22 +21,13 @@ from rich.live import Live
 from rich.text import Text
 
 import bench
+from bench.api.rigs import Liveness, StabilityGate, State
 from bench.cli.arguments import CODES, complain, json_of, print_values
 from bench.cli.terminal import Terminal
-from bench.config import ConfigError, did_you_mean
-from bench.rig.model import Bath as BathTable
-from bench.rig.opening import open_instruments, rig_of
-from bench.safety.latch import acknowledge as acknowledge_latch
-from bench.safety.latch import latch_path, read_latch
-from bench.safety.liveness import Liveness
-from bench.safety.stability import StabilityGate, State
 from instruments.bath.access import NOT_READ
 from instruments.bath.driver import Bath
-from instruments.bath.profile import Profile, load_profile, profile_names
 from instruments.bath.reading import BathReading
-from instruments.captures.capture import CaptureFile
-from instruments.clock import Clock
-from instruments.device_file import DeviceFileError
+from instruments.clock import Clock, RealClock
 from instruments.errors import InstrumentError, LimitError
 
 PERIOD_S = 1.0
@@ -49,27 +39,13 @@ POINT, LINE = "•", "─"
 BARS = "▁▂▃▄▅▆▇█"  # 0 to 100 %
 
 
+def _opened(given: argparse.Namespace, **how: Any) -> AbstractContextManager[Bath]:
+    return bench.open_bath(given.port, given.profile, capture=given.capture, **how)
+
+
 def read(given: argparse.Namespace) -> None:
-    with open_bath(given.port, profile_of(given.profile), capture=given.capture) as (bath, _):
-        reading, run = bath.read(), bath.profile.row("run")
-        values = {
-            **bath.identity,
-            "temp_c": reading.temp_c,
-            "set_point_c": bath.get("set_point"),
-            "run": run.label(bath.get("run")),
-            "output_percent": reading.power_percent,
-            "external_c": reading.external_c,
-            "safety_c": reading.safety_c,
-            "alarm": reading.alarm,
-            "alarm_text": bath.profile.alarm_text(reading.alarm) if reading.alarm else "none",
-            "warning": reading.warning,
-            "remote": reading.remote,
-            "restarted": reading.restarted,
-            "number_unit": bath.unit_source,
-            "set_point_needs": reading.not_met or "nothing else",
-            "pump": bath.pump,
-            "comms_loss": bath.profile.comms_loss,
-        }
+    with _opened(given) as bath:
+        values = bench.describe_bath(bath)
     if given.json:
         print(json_of(values))
     else:
@@ -80,8 +56,7 @@ def read(given: argparse.Namespace) -> None:
 
 def learn(given: argparse.Namespace) -> int:
     """Asks for each row by itself and writes nothing: for a profile that is being made."""
-    profile = profile_of(given.profile)
-    with open_bath(given.port, profile, identify=False, capture=given.capture) as (bath, _):
+    with _opened(given, identify=False) as bath:
         tried, doubt = list(bath.try_rows()), bath.doubt
     answered = [one for one in tried if one.answered]
     if given.json:
@@ -103,13 +78,8 @@ def learn(given: argparse.Namespace) -> int:
 
 
 def change(given: argparse.Namespace) -> int:
-    with open_bath(
-        given.port,
-        profile_of(given.profile),
-        allow_inferred=given.allow_inferred,
-        capture=given.capture,
-        leave_running=True,  # a bath that runs is to go on, at another temperature
-    ) as (bath, _):
+    # a bath that runs is to go on, at another temperature
+    with _opened(given, allow_inferred=given.allow_inferred, leave_running=True) as bath:
         try:
             if given.display is not None:
                 bath.confirm_unit(given.display)
@@ -127,7 +97,7 @@ def change(given: argparse.Namespace) -> int:
 
 
 def watch(given: argparse.Namespace) -> None:
-    with open_bath(given.port, profile_of(given.profile), capture=given.capture) as (bath, clock):
+    with _opened(given) as bath, closing(RealClock()) as clock:
         try:
             watch_bath(bath, clock, Terminal(), given.seconds or math.inf)
         except KeyboardInterrupt:
@@ -135,8 +105,7 @@ def watch(given: argparse.Namespace) -> None:
 
 
 def standby(given: argparse.Namespace) -> int:
-    profile = profile_of(given.profile)
-    with open_bath(given.port, profile, identify=False, capture=given.capture) as (bath, _):
+    with _opened(given, identify=False) as bath:
         bath.safe()
         try:
             print(f"in standby at {bath.read().temp_c:.2f} degC")
@@ -150,48 +119,12 @@ def standby(given: argparse.Namespace) -> int:
 
 
 def acknowledge(given: argparse.Namespace) -> None:
-    rig = bench.load_rig(given.rig)
-    latch = read_latch(latch_path(rig))
-    if latch is None:
+    if (found := bench.latched(bench.load_rig(given.rig))) is None:
         print("nothing is latched: no interlock of this rig waits to be acknowledged")
         return
-    print(f"latched: {latch}")
-    with open_bath(rig.rig.bath.url, rig.profile, capture=given.capture) as (bath, _):
-        acknowledge_latch(rig, latch, bath.read())
+    print(f"latched: {found}")
+    bench.acknowledge(given.rig, capture=given.capture)
     print("acknowledged; the rig may run again")
-
-
-def profile_of(name: str) -> Profile:
-    """A shipped profile by its name, or one of the user's own by its path. Raises ConfigError."""
-    known = profile_names()
-    if not name.endswith(".toml") and name not in known:
-        near, there = did_you_mean(name, known) or ".", ", ".join(known)
-        raise ConfigError.plain(
-            f'no profile "{name}"{near} Shipped: {there}; or the path of a .toml file.'
-        )
-    try:
-        return load_profile(Path(name) if name.endswith(".toml") else name)
-    except DeviceFileError as error:
-        raise ConfigError.plain(str(error)) from error
-
-
-@contextmanager
-def open_bath(
-    url: str,
-    profile: Profile,
-    *,
-    allow_inferred: bool = False,
-    identify: bool = True,
-    capture: CaptureFile | None = None,
-    leave_running: bool = False,
-) -> Iterator[tuple[Bath, Clock]]:
-    """The bath at ``url`` in real time, and its clock. Raises InstrumentError."""
-    table = BathTable.model_construct(url=url, profile="", allow_inferred=allow_inferred)
-    rig = rig_of(profile, bath=table)
-    with open_instruments(
-        rig, ("bath",), capture=capture, identify=identify, leave_running=leave_running
-    ) as devices:
-        yield cast(Bath, devices.bath), devices.clock  # a profile's rows are spoken by no other
 
 
 def seconds_to_stable(gate: StabilityGate, rate_k_per_s: float | None) -> float | None:

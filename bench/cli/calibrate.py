@@ -9,82 +9,39 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import permutations
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 
 import bench
-from bench.calibrate import exchange
-from bench.calibrate.cameras import (
-    LEAST_LOOKED_AT,
-    ThermalFormat,
-    calibrate_pair,
-    calibrate_thermal,
-    check_pair,
-    held,
-    map_pairs,
-)
-from bench.calibrate.merge import CAMERAS_INPUT, read_part
-from bench.calibrate.merge import merge as merged
-from bench.calibrate.stage import calibrate_stage
-from bench.calibrate.views import (
-    CAMERAS,
-    BoardViews,
-    ViewsRequest,
-    find_pictures,
-    find_views,
-    free_folder,
-    gather,
-)
-from bench.calibrate.world import (
-    POINTS_FILE,
-    TouchSession,
-    calibrate_world,
-    check_points,
-    gather_points,
-    read_points,
-)
+from bench.api.calibration import LEAST_LOOKED_AT, STEREO
 from bench.cli.arguments import CODES, code_of, command_line, complain, refuse_existing
+from bench.cli.commands import CAMERAS
 from bench.cli.terminal import working
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
-from bench.rig.alone import TakePictures, pictures, with_retries
-from bench.rig.loading import find_board
-from bench.script.calibration_age import refuse_other_cameras
-from bench.version import __version__
 from detector.calibration import (
     DEFAULT_PLANE_DEPTH_MM,
     Calibration,
-    CalibrationError,
     Part,
     Record,
-    check_text,
-    dump_calibration,
-    file_hash,
 )
-from detector.calibration.bundle import BundleError
 from detector.calibration.gate import pair_faults
-from instruments.clock import wall_time
-from instruments.operators.operator import Finish
 from instruments.world.boards import NoPlaceError
 
 if TYPE_CHECKING:
-    from detector.calibration.boards import Board
     from detector.calibration.diagnosis import Finding
-    from instruments.camera.frame import FrameSet, Grey
+    from instruments.camera.frame import FrameSet
     from reports.page import Page
 
 CHECK_VIEWS = 5
 SHOWN = 3  # pictures that are left out
 say = partial(print, flush=True)  # for the person at the rig
-STEREO = ViewsRequest()
 FOLDERS = "folders of pictures (FRAMES)"
 
 
@@ -92,7 +49,7 @@ FOLDERS = "folders of pictures (FRAMES)"
 
 
 def cameras(given: argparse.Namespace) -> int:
-    from bench.report.calibration import cameras_page, cameras_sentence
+    from bench.report.calibration import cameras_page, cameras_sentence, good
 
     _one_source(given, given.frames, FOLDERS)
     named = dict(text.partition("=")[::2] for text in given.identity)
@@ -102,9 +59,10 @@ def cameras(given: argparse.Namespace) -> int:
                 f"--identity {camera}={serial}: say left=SERIAL, right=SERIAL or thermal=SERIAL"
             )
     views, paths, identity = _views_of(given)
-    with _fitting("the cameras"):
-        result = calibrate_pair(views, model=given.model, square_pixels=given.square_pixels)
-    at_mm, record = given.distance, _record(given, paths, identity | named)
+    lens = {"model": given.model, "square_pixels": given.square_pixels}
+    with working("fitting the cameras"):
+        result = bench.calibrate_pair(views, **lens)
+    at_mm, record = given.distance, _record(given, paths, cameras=identity | named)
     _write_step(given, result.part(record), cameras_page(result, record, command_line(), at_mm))
     for camera, coverage in result.coverage.items():
         if coverage.missing:
@@ -114,7 +72,7 @@ def cameras(given: argparse.Namespace) -> int:
     print(*result.text(), sep="\n")
     good_mm = float(result.good_to_mm(np.array([at_mm]))[0])
     print(f"a point at {at_mm / 1000:g} m: good to {good_mm:.2f} mm (k = 2)")
-    verdict = "not met" if result.findings else held(good_mm)
+    verdict, _ = good(result.findings, good_mm)
     print(f"Verdict: {verdict}. {cameras_sentence(result, at_mm)}")
     return _say(result.findings, on_page=True) or code_of(verdict)
 
@@ -129,7 +87,7 @@ def thermal(given: argparse.Namespace) -> None:
                 "--pairs needs --image-size COLUMNSxROWS: how large the thermal picture is whose"
                 " pixels the pairs name"
             )
-        mapped = map_pairs(given.pairs)
+        mapped = bench.map_pairs(given.pairs)
         record = _record(given, (given.pairs,))
         part = mapped.part(given.image_size, delivered, record)
         _write_step(given, part, pairs_page(mapped, record, command_line()))
@@ -138,34 +96,28 @@ def thermal(given: argparse.Namespace) -> None:
         raise ConfigError.plain(
             "give folders of pictures or --rig with --board and --cameras, or a table with --pairs"
         )
-    pair, mirrored = read_part(given.cameras), frozenset({"thermal"} if delivered.mirrored else ())
-    how = ViewsRequest(("left", "thermal"), guided=("thermal",), heated=True, mirrored=mirrored)
+    pair, mirrored = bench.read_part(given.cameras), {"thermal"} if delivered.mirrored else ()
+    how = bench.ViewsRequest(
+        ("left", "thermal"), guided=("thermal",), heated=True, mirrored=frozenset(mirrored)
+    )
     views, paths, identity = _views_of(given, pair.part, how)
-    with _fitting("the thermal camera"):
+    with working("fitting the thermal camera"):
         plane_mm = given.plane or DEFAULT_PLANE_DEPTH_MM
-        result = calibrate_thermal(views, pair.part, delivered, plane_mm)
-    record = _record(given, paths, identity, {CAMERAS_INPUT: pair.sha256})
+        result = bench.calibrate_thermal(views, pair.part, delivered, plane_mm)
+    record = _record(given, paths, cameras=identity, pair=pair)
     _write_step(given, result.part(record), thermal_page(result, record, command_line()))
     of_views = [*result.joint.view_rms_px("thermal").values()]
     rms = float(np.sqrt(np.mean(np.square(of_views))))
     print(f"thermal camera: {rms:.3f} px rms over {len(of_views)} views")
 
 
-def _delivered(given: argparse.Namespace) -> ThermalFormat:
+def _delivered(given: argparse.Namespace) -> bench.ThermalFormat:
     """How thermal pictures come, by command, by the rig's calibration or by its file."""
-    size, mirrored, polarity = (160, 120), False, None
-    if given.rig:
-        rig = bench.load_rig(given.rig)
-        known, table = rig.made_calibration, rig.rig.cameras.thermal
-        if known is not None:
-            thermal = known.thermal
-            size, mirrored, polarity = thermal.sensor_size, thermal.mirrored, thermal.polarity
-        elif table is not None:
-            mirrored, polarity = bool(table.mirrored), table.polarity
-    return ThermalFormat(
-        given.sensor_size or size,
-        given.mirrored or mirrored,
-        given.polarity or polarity or "hot_is_white",
+    usual = bench.delivered_by(bench.load_rig(given.rig)) if given.rig else bench.ThermalFormat()
+    return bench.ThermalFormat(
+        given.sensor_size or usual.sensor_size,
+        given.mirrored or usual.mirrored,
+        given.polarity or usual.polarity,
         given.model,
     )
 
@@ -174,29 +126,17 @@ def world(given: argparse.Namespace) -> int:
     from bench.report.calibration import world_page
 
     _one_source(given, given.points, "a table of points (CSV)")
-    pair = read_part(given.cameras)
+    pair = bench.read_part(given.cameras)
     if given.rig:
         if not given.board:
             raise ConfigError.plain(
                 "--rig needs --board: what both cameras see and the arm touches"
             )
-        # A table of points of the board that the rig's arm touched and its cameras saw
-        board, _ = find_board(given.board)
-        folder = free_folder(given.out)
-        with _opened(given, pair.part, arm=True) as (rig, look):
-            try:
-                rig.home()
-                radius_mm = rig.loaded.rig.arm.tip_radius_mm
-                asking = TouchSession(look, rig.operator, rig.tip, radius_mm, say)
-                gather_points(asking, board, folder)
-                rig.operator.ask(Finish())
-            finally:
-                rig.arm.safe()
-        given.points = folder / POINTS_FILE
-    result = calibrate_world(
-        read_points(given.points), pair.part, pixel_sd_px=given.pixel_sd, touch_sd_mm=given.touch_sd
-    )
-    record = _record(given, (given.points,), more={CAMERAS_INPUT: pair.sha256})
+        board, _ = bench.find_board(given.board)
+        to_touch = given.rig, board, given.out
+        given.points = bench.touch_points(*to_touch, known=pair.part, **_live(given))
+    result = bench.calibrate_world(bench.read_points(given.points), pair.part, **_noise(given))
+    record = _record(given, (given.points,), pair=pair)
     _write_step(given, result.part(record), world_page(result, record, command_line()))
     fit = result.fit
     print(
@@ -207,12 +147,12 @@ def world(given: argparse.Namespace) -> int:
 
 
 def merge(given: argparse.Namespace) -> None:
-    whole = merged([read_part(path) for path in given.parts], _record(given, ()))
+    whole = bench.merge_parts([bench.read_part(path) for path in given.parts], _record(given))
     _write_step(given, whole, None)
 
 
 def check(given: argparse.Namespace) -> int:
-    part = read_part(given.calibration).part
+    part = bench.read_part(given.calibration).part
     # whose pictures are kept beside the calibration that they check
     given.by, given.out = "", given.calibration
     if given.ends:
@@ -232,8 +172,9 @@ def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Findin
     from bench.report.calibration import check_page
 
     others = ", touched points (--points CSV), touched ends (--ends DIR),"
-    views, paths, _ = _views_of(given, part, ViewsRequest(guided=(), most=CHECK_VIEWS), others)
-    again, findings = check_pair(part, views)
+    wanted = bench.ViewsRequest(guided=(), most=CHECK_VIEWS)
+    views, paths, _ = _views_of(given, part, wanted, others)
+    again, findings = bench.check_pair(part, views)
     scale, sd = again.scale
     print(
         f"{len(again.views)} views: lengths {scale:.5f} ± {sd:.5f} of the print, rows"
@@ -249,9 +190,7 @@ def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Findi
 
     if given.frames or given.rig:
         raise ConfigError.plain("--points is in the place of pictures and --rig: give one of them")
-    again, findings = check_points(
-        part, read_points(given.points), pixel_sd_px=given.pixel_sd, touch_sd_mm=given.touch_sd
-    )
+    again, findings = bench.check_points(part, bench.read_points(given.points), **_noise(given))
     rms = float(np.sqrt(np.mean(np.sum(again.missed_mm**2, axis=1))))
     print(
         f"{len(again.missed_mm)} points: missed by {rms:.2f} mm rms,"
@@ -265,8 +204,6 @@ def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Findi
 def _check_ends(given: argparse.Namespace, part: Part) -> int:
     """Whether the cameras show touched teat ends where the calibration says."""
     from bench.report.calibration import check_ends_page
-    from bench.results.cameras_agree import DEFAULT, check_folder, decide_cameras
-    from bench.scoring.decisions import Verdict
 
     if given.frames or given.points or given.board:
         raise ConfigError.plain("--ends is in the place of pictures, --points and --board")
@@ -274,24 +211,25 @@ def _check_ends(given: argparse.Namespace, part: Part) -> int:
     anew: list[FrameSet] = []
     if given.rig:
         say(f"The phantom has to stand as in the last trial of {given.ends}.")
-        with _opened(given, part, arm=False) as (rig, _):
+        how = {"known": part, "seed": given.seed, "capture": given.capture}
+        with bench.open_cameras_of(given.rig, **how) as (rig, _):
             for _ in range(CHECK_VIEWS):
                 rig.clock.sleep(rig.loaded.rig.cameras.settle_s)
-                anew.append(with_retries(rig.cameras.capture)())
+                anew.append(bench.with_retries(rig.cameras.capture)())
     with working("looking for the ends in the pictures"):
-        found = check_folder(given.ends, calibration, anew)
+        found = bench.check_ends(given.ends, calibration, anew)
     if anew and not found.thermal:
         print("no end in the thermal picture: it is not checked while the phantom is cold")
         found = replace(found, thermal=None)
-    decision = decide_cameras(DEFAULT, found)
+    decision = found.decision
     print(f"{found.measured} of {found.ends} ends measured")
     for one in found.offsets:
         print(f"{one.text}, over {one.poses} {'ends' if anew else 'poses'}")
-    _write_page(check_ends_page(found, decision, _record(given, ()), command_line()), given.page)
-    if decision.verdict is Verdict.MET:
+    _write_page(check_ends_page(found, decision, _record(given), command_line()), given.page)
+    if decision.verdict is bench.Verdict.MET:
         print("It still holds.")
         return CODES.met
-    if decision.verdict is Verdict.NOT_MET:
+    if decision.verdict is bench.Verdict.NOT_MET:
         print("It no longer holds.")
         return complain(decision.sentence, CODES.not_met)
     return complain(f"not decided: {decision.sentence}", CODES.inconclusive)
@@ -308,17 +246,24 @@ def _one_source(given: argparse.Namespace, files: object, what: str) -> None:
 def _views_of(
     given: argparse.Namespace,
     known: Part | None = None,
-    request: ViewsRequest = STEREO,
+    request: bench.ViewsRequest = STEREO,
     others: str = "",
-) -> tuple[BoardViews, tuple[Path, ...], dict[str, str]]:
+) -> tuple[bench.BoardViews, tuple[Path, ...], dict[str, str]]:
     """The board as the cameras of ``request`` see it, in the pictures named or taken live; the
     files that this came from; and of a rig the cameras' identities. Raises ConfigError,
     InstrumentError, OperatorAbort.
     """
     _one_source(given, given.frames, FOLDERS + others)
-    board, files = find_board(given.board)
-    identity = _gather_views(given, board, known, request) if given.rig else {}
-    found = find_pictures(given.frames, request.cameras)
+    board, files = bench.find_board(given.board)
+    identity: dict[str, str] = {}
+    if given.rig:
+        wanted = given.rig, board, given.out, request
+        try:
+            folder, identity = bench.take_views(*wanted, known=known, **_live(given))
+        except NoPlaceError as error:  # of the emulated operator
+            raise ConfigError.plain(f"--board {given.board}: {error}") from error
+        given.frames = [folder]
+    found = bench.find_pictures(given.frames, request.cameras)
     alone = sorted(
         f"{camera} {view}: no picture of the {other} camera"
         for camera, other in permutations(request.cameras, 2)
@@ -326,7 +271,7 @@ def _views_of(
     )
     _print_some("without its partner", alone)
     with working("finding the board in the pictures") as report:
-        views = find_views(
+        views = bench.find_views(
             found,
             board,
             report=report,
@@ -346,46 +291,13 @@ def _print_some(what: str, lines: Sequence[str]) -> None:
         print(f"{what}: {more} more")
 
 
-@contextmanager
-def _fitting(what: str) -> Iterator[None]:
-    """Raises ConfigError for views that can't be fitted."""
-    try:
-        with working(f"fitting {what}"):
-            yield
-    except BundleError as why:
-        raise ConfigError.plain(str(why)) from why
-    except (np.linalg.LinAlgError, cv2.error) as why:
-        text = f"the views of {what} can't be fitted together ({why}): look whether each picture"
-        raise ConfigError.plain(f"{text} shows the board, and each pair one pose") from why
-
-
-def _record(
-    given: argparse.Namespace,
-    inputs: Sequence[Path],
-    cameras: Mapping[str, str] | None = None,
-    more: Mapping[str, str] | None = None,
-) -> Record:
-    """Who, today, with this program, from these files by name."""
-    names = [path.name for path in inputs]
-    hashes = {
-        f"{path.parent.name}/{path.name}" if names.count(path.name) > 1 else path.name: file_hash(
-            path
-        )
-        for path in inputs
-    }
-    today, program = wall_time().date().isoformat(), f"teatbench {__version__}"
-    return Record(today, given.by, program, cameras or {}, {**hashes, **(more or {})})
+def _record(given: argparse.Namespace, inputs: Sequence[Path] = (), **more: Any) -> Record:
+    return bench.calibration_record(inputs, by=given.by, **more)
 
 
 def _write_step(given: argparse.Namespace, found: Part | Calibration, page: Page | None) -> None:
     """The step's file, whole or not at all, and its page beside it."""
-    given.out.resolve().parent.mkdir(parents=True, exist_ok=True)
-    text = dump_calibration(found, command_line())
-    try:
-        check_text(given.out, text, whole=isinstance(found, Calibration))
-    except CalibrationError as error:
-        raise ConfigError.plain(f"not written, for it can't be: {error}") from error
-    write_synced(given.out, text.encode("utf-8"))
+    bench.write_calibration(found, given.out, command_line())
     print(f"written: {given.out}")
     if page is not None:
         _write_page(page, given.out.with_suffix(".page"))
@@ -413,60 +325,29 @@ def _say(findings: Sequence[Finding], *, on_page: bool = False) -> int:
     return CODES.not_met if findings else CODES.met
 
 
-# Live: the rig's cameras opened, the operator led, the pictures kept
+def _noise(given: argparse.Namespace) -> dict[str, float]:
+    return {"pixel_sd_px": given.pixel_sd, "touch_sd_mm": given.touch_sd}
 
 
-def _gather_views(
-    given: argparse.Namespace, board: Board, known: Part | None, request: ViewsRequest
-) -> dict[str, str]:
-    """Take views of ``board`` as ``given.frames``; gives back the cameras' identities."""
-    folder = free_folder(given.out)
-    with _opened(given, known, arm=False) as (rig, look):
-        try:
-            kept = gather(look, rig.operator, board, request, folder, say)
-        except NoPlaceError as error:  # of the emulated operator
-            raise ConfigError.plain(f"--board {given.board}: {error}") from error
-        rig.operator.ask(Finish())
-        identity = dict(rig.cameras.identity)
-    say(f"{kept} views in {folder}")
-    given.frames = [folder]
-    return {camera: str(who) for camera, who in identity.items() if camera in request.cameras}
-
-
-@contextmanager
-def _opened(
-    given: argparse.Namespace, known: Part | None, *, arm: bool
-) -> Iterator[tuple[bench.OpenRig, TakePictures]]:
-    """The rig's instruments, and what takes each camera's picture once all has come to rest."""
-    names = ("arm", "operator", "cameras") if arm else ("operator", "cameras")
-    with bench.open_rig(given.rig, names, seed=given.seed, capture=given.capture) as rig:
-        refuse_other_cameras(known.record if known else None, rig.cameras.identity)
-        taken = with_retries(lambda: pictures(rig.cameras.capture()))
-
-        def look() -> Mapping[str, Grey]:
-            rig.clock.sleep(rig.loaded.rig.cameras.settle_s)
-            return taken()
-
-        yield rig, look
+def _live(given: argparse.Namespace) -> dict[str, Any]:
+    return {"seed": given.seed, "capture": given.capture, "say": say}
 
 
 # Boards, other tools, the stage
 
 
 def board(given: argparse.Namespace) -> None:
-    from bench.calibrate.board_print import board_pdf
-
     refuse_existing(given.pdf, replace=True, option="--pdf")
-    write_synced(given.pdf, board_pdf(find_board(given.board)[0], given.paper))
+    write_synced(given.pdf, bench.board_pdf(bench.find_board(given.board)[0], given.paper))
     print(f"written: {given.pdf}; print it at 100 % and measure the line at its foot")
 
 
 def export(given: argparse.Namespace) -> None:
-    part = read_part(given.calibration).part
+    part = bench.read_part(given.calibration).part
     if given.format == "ros":
-        exchange.write_ros(part, given.out, given.camera)
+        bench.write_ros(part, given.out, given.camera)
     else:
-        write = {"opencv": exchange.write_opencv, "bouguet": exchange.write_bouguet}
+        write = {"opencv": bench.write_opencv, "bouguet": bench.write_bouguet}
         write[given.format](part, given.out)
     print(f"written: {given.out}")
 
@@ -474,54 +355,25 @@ def export(given: argparse.Namespace) -> None:
 def take_over(given: argparse.Namespace) -> None:
     _one_source(given, given.file, "the other tool's files")
     if given.rig:
-        part, record = _makers(given)
+        part = bench.makers_calibration(given.rig, by=given.by)
+        said = "stated with standard deviations" if part.covariance else "WITHOUT any uncertainty"
+        who = part.record.cameras["left"] if part.record else "unknown cameras"
+        print(f"the maker's calibration of {who}, {said}")
     elif given.format is None:
         raise ConfigError.plain("which tool's files are they? Name it with --format")
     else:
-        part = exchange.read_foreign(given.file, given.format, given.image_size)
-        record = _record(given, given.file)
-    _write_step(given, replace(part, record=record), None)
+        part = bench.read_foreign(given.file, given.format, given.image_size)
+        part = replace(part, record=_record(given, given.file))
+    _write_step(given, part, None)
     for fault in pair_faults(part.right_from_left) if part.right_from_left else ():
         complain(f"look at T before you go on: {fault}", CODES.met)
 
 
-def _makers(given: argparse.Namespace) -> tuple[Part, Record]:
-    """What the maker of the rig's cameras states of them."""
-    with bench.open_rig(given.rig, ("cameras",)) as rig:
-        ask = getattr(rig.cameras, "makers_calibration", None)
-        stated = ask() if ask else None
-        if stated is None:
-            raise ConfigError.plain(
-                f"{given.rig}: its cameras' driver has no calibration of their maker; calibrate"
-                " them with a board ('teatbench calibrate cameras')"
-            )
-        identity, shown = rig.cameras.identity, rig.cameras.capture()
-    sizes = {"left": shown.left.shape[::-1], "right": shown.right.shape[::-1]}
-    if shown.depth_dmm is not None:
-        sizes["depth"] = shown.depth_dmm.shape[::-1]
-    part = exchange.read_maker(stated, sizes, f"the calibration of {identity['left']}'s maker")
-    said = "stated with standard deviations" if part.covariance else "WITHOUT any uncertainty"
-    print(f"the maker's calibration of {identity['left']}, {said}")
-    record = _record(given, (), identity)
-    return part, replace(record, with_what=f"the maker's own, read by {record.with_what}")
-
-
 def stage(given: argparse.Namespace) -> int:
-    from bench.truth.registration import write_registration
-
+    more = {"layout": given.layout, "teat": given.teat, "readings": given.readings}
     rig = bench.load_rig(given.rig)
-    found = calibrate_stage(
-        rig,
-        wall_time().replace(microsecond=0),
-        say,
-        layout=given.layout,
-        teat=given.teat,
-        at_mm=given.at,
-        readings=given.readings,
-        seed=rig.rig.seed if given.seed is None else given.seed,
-        capture=given.capture,
-    )
-    write_registration(given.out, found)
+    found = bench.calibrate_stage(rig, at_mm=given.at, **more, **_live(given))
+    bench.write_registration(given.out, found)
     print(f"{len(found.stations)} positions, touches good for {found.u_mm:.2f} mm along an axis")
     for fit in found.comparison.fits:
         held_out_mm = found.comparison.held_out_mm[fit.model]

@@ -7,13 +7,12 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+import bench
 from bench.cli.arguments import CODES, complain, json_of
 from bench.config import ConfigError
 
 if TYPE_CHECKING:
-    from bench.api.campaigns import CampaignResult
-    from bench.campaign.plan import CampaignPlan
-    from bench.campaign.run import Status
+    from bench.api.campaigns import Status
 
 # flag -> key of a plan, in its order
 SAME = ("first", "seed", "rig", "calibration", "limit_mm", "chunk_scenes")
@@ -22,18 +21,15 @@ FLAGS |= {"detector": "detectors", **{name: name for name in SAME}}
 
 
 def run(given: argparse.Namespace) -> int:
-    from bench import run_campaign
-
     plan, found = _plan(given), None
     with working_on("campaign") as how:
-        found = run_campaign(plan, given.out, workers=given.workers, dask=given.dask, **how)
+        found = bench.run_campaign(plan, given.out, workers=given.workers, dask=given.dask, **how)
     return _print_result(given, found) if found else CODES.fault
 
 
 @contextmanager
 def working_on(what: str) -> Iterator[dict[str, Any]]:
     """Arguments of `run_campaign` that show on a bar how far it is. What stops it is printed."""
-    from bench.campaign.pool import PoolError
     from bench.cli.terminal import working
 
     def progress(status: Status) -> tuple[int, int, str]:
@@ -46,72 +42,43 @@ def working_on(what: str) -> Iterator[dict[str, Any]]:
             yield {"progress": lambda status: shown(*progress(status)), "say": shown.say}
     except KeyboardInterrupt:
         complain("interrupted; give the same command again to go on where it stopped", CODES.fault)
-    except PoolError as error:
+    except bench.PoolError as error:
         complain(f"{error} The same command goes on where it stopped.", CODES.fault)
 
 
 def show(given: argparse.Namespace) -> None:
-    from bench.report.scenes import show_scenes
-
-    page, outcomes = show_scenes(given.folder, given.scene)
+    page, outcomes = bench.show_scenes(given.folder, given.scene)
     print(plain_table(["scene", "detector", "outcome"], [list(one) for one in outcomes]))
     print(f"Page: {page}")
 
 
 def compare(given: argparse.Namespace) -> int:
-    from bench.campaign.comparison import compare_campaigns
     from bench.cli.store import print_comparisons
     from bench.cli.terminal import working
 
+    names = ("margin_mm", "margin_rate", "confidence")
+    how = {name: getattr(given, name) for name in names}
     with working("comparing the campaigns"):
-        found = compare_campaigns(
-            given.folder,
-            given.detector,
-            margin_mm=given.margin_mm,
-            margin_rate=given.margin_rate,
-            confidence=given.confidence,
-        )
+        found = bench.compare_campaigns(given.folder, given.detector, **how)
     return print_comparisons(given, found)
 
 
 def chunk(given: argparse.Namespace) -> int:
-    from bench.api.campaigns import executor, plan_of
-    from bench.campaign.chunk import ASIDE, Scene
-    from bench.campaign.pool import PoolError
-    from bench.campaign.run import Campaign
-
-    plan = plan_of(given.plan)
+    plan = bench.make_plan(given.plan)
     if given.number is None:
         print(plan.chunk_count)
         return CODES.met
-    if given.number >= plan.chunk_count:
-        raise ConfigError.plain(
-            f"there is no chunk {given.number}: {given.plan} has {plan.chunk_count}, from 0 to"
-            f" {plan.chunk_count - 1}"
-        )
-    campaign = Campaign(plan, given.out or given.plan.parent)
-    campaign.begin()
     try:
-        with executor(campaign, 1, None, _say) as made:
-            rows = campaign.do_chunk(given.number, made)
-    except PoolError as error:
+        aside = bench.run_chunk(plan, given.number, given.out or given.plan.parent, say=_say)
+    except bench.PoolError as error:
         return complain(str(error), CODES.fault)
     name = plan.chunk(given.number).name
-    print(f"{name}: {'was done before' if rows is None else 'done'}")
-    pairs = zip(rows.scenes, rows.taken, strict=True) if rows else ()
-    return _aside(
-        {
-            Scene(row.family, row.member).name: one.reason or ""
-            for row, one in pairs
-            if row.failure == ASIDE
-        }
-    )
+    print(f"{name}: {'was done before' if aside is None else 'done'}")
+    return _aside(aside or {})
 
 
 def query(given: argparse.Namespace) -> None:
-    from bench.campaign.shards import query as ask
-
-    names, rows = ask(given.folder, given.sql)
+    names, rows = bench.query_campaign(given.folder, given.sql)
     if given.json:
         objects = [dict(zip(names, row, strict=True)) for row in rows]
         print(json_of({"rows": objects}, default=str))
@@ -137,10 +104,8 @@ def plain_table(names: list[str], rows: list[list[str]]) -> str:
     return "\n".join(lines)
 
 
-def _plan(given: argparse.Namespace) -> CampaignPlan:
+def _plan(given: argparse.Namespace) -> bench.CampaignPlan:
     """Of the file, or of the flags. Raises ConfigError."""
-    from bench.api.campaigns import plan_of
-
     flags = {
         key: value
         for flag, key in FLAGS.items()
@@ -154,15 +119,15 @@ def _plan(given: argparse.Namespace) -> CampaignPlan:
                 f"{', '.join(flags)}: both a plan and flags say what is asked for; put it into"
                 f" {given.plan}, or leave that out"
             )
-        return plan_of(given.plan)
-    return plan_of(flags)
+        return bench.make_plan(given.plan)
+    return bench.make_plan(flags)
 
 
 def _say(text: str) -> None:
     complain(text, CODES.met)
 
 
-def _print_result(given: argparse.Namespace, result: CampaignResult) -> int:
+def _print_result(given: argparse.Namespace, result: bench.CampaignResult) -> int:
     from bench.scoring.rates import percent
 
     campaign, status = result.campaign, result.status
@@ -196,8 +161,8 @@ def _print_result(given: argparse.Namespace, result: CampaignResult) -> int:
             for rate, (low, high) in spans
         ]
         print(f"{plain_table(heads, rows)}\ndigest: {digest}\nReport: {page}")
-    if other := campaign.shards.ledger.compare_rows(status.done, digest):
-        return complain(other, CODES.fault)
+    if result.unlike:
+        return complain(result.unlike, CODES.fault)
     return _aside(aside)
 
 

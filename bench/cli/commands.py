@@ -75,11 +75,7 @@ SUMMARY = option("--summary FILE", "append what was found to this file as Markdo
 RECORDING = option("recording RECORDING", "a recording's folder", Path)
 OUT_RUNS = option("--out DIR", "the folder for run folders", default=Path("runs"))
 DETECTOR_HELP = "a detector by name, a file DETECTOR.toml, or exec:COMMAND (help detectors)"
-DETECTORS = option(
-    "--detector NAME",
-    f"{DETECTOR_HELP}; may be given several times",
-    many=True,
-)
+DETECTORS = option("--detector NAME", f"{DETECTOR_HELP}; may be given several times", many=True)
 NOTIFY = option(
     "--notify URL",
     "send word to this address, such as ntfy://ntfy.sh/TOPIC: asked, tripped, not safe, ended; may"
@@ -88,8 +84,7 @@ NOTIFY = option(
 )
 EVENTS = option("--events FILE", "also write each event as a JSON line, for other programs")
 DESPITE_DAMAGE = flag(
-    "--despite-damage",
-    "use a record that was altered or damaged; it then gives no verdict",
+    "--despite-damage", "use a record that was altered or damaged; it then gives no verdict"
 )
 LISTEN = option("--listen HOST", "address to listen on", default="127.0.0.1")
 REPLACE = flag("--replace", "write over a file that is there")
@@ -127,12 +122,7 @@ FIRST_SEEDS = (
 )
 CAMPAIGN = option("folder DIR", "the campaign's folder")
 PLAN_OR_FAMILIES = (
-    option(
-        "plan PLAN",
-        "a .toml file in place of the options (help campaigns)",
-        Path,
-        nargs="?",
-    ),
+    option("plan PLAN", "a .toml file in place of the options (help campaigns)", Path, nargs="?"),
     option("--family NAME", ALL, many=True),
 )
 FIRST_MEMBER = option(
@@ -950,10 +940,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "help record",
         option("topic TOPIC", "a page, or a command that a page explains", nargs="?"),
     ),
-    "plugin": (
-        "list the drivers of other packages (help drivers)",
-        "plugin",
-    ),
+    "plugin": ("list the drivers of other packages (help drivers)", "plugin"),
     "plugin check": (
         "run the conformance suite on a driver, on its emulator where its package has one",
         "plugin check tank",
@@ -978,6 +965,7 @@ FUNCTIONS = {
     "bath set": "change",
     "help": "shown",
     "camera list": "attached",
+    **dict.fromkeys(("stage home", "stage move", "stage jog", "stage recover"), "of_stage"),
     "calibrate import": "take_over",
     "replay-wire": "replay_wire",
     "detectors": "listed",
@@ -989,6 +977,7 @@ ONCE = {"control": ("tell",)}  # names of earlier releases, which work for one m
 
 # what a person mostly does next: two commands, with what this one was given in {}; what is in
 # capitals he names himself
+# fmt: off
 NEXT: Mapping[str, tuple[str, str]] = {
     "run": ("report latest --open", "runs {out}"),
     "resume": ("report {run} --open", "store check {run}"),
@@ -1011,8 +1000,7 @@ NEXT: Mapping[str, tuple[str, str]] = {
     "scene sheet": ("scene record --situation overlapping", "help scene"),
     "scene record": ("score {out} --detector fused", "detect {out} --detector fused"),
     "scene boards": (
-        "calibrate cameras {out} --board {board} --out cameras.toml",
-        "help calibration",
+        "calibrate cameras {out} --board {board} --out cameras.toml", "help calibration",
     ),
     "campaign run": ('campaign query {out} "SELECT * FROM scenes"', "campaign compare {out} OTHER"),
     "campaign chunk": ("campaign chunk {plan}", "help campaigns"),
@@ -1054,8 +1042,7 @@ NEXT: Mapping[str, tuple[str, str]] = {
     "camera grab": ("detect {out} --detector fused", "camera show RIG"),
     "calibrate cameras": ("calibrate check {out} --rig RIG --board {board}", "help calibration"),
     "calibrate thermal": (
-        "calibrate world --rig RIG --cameras cameras.toml --out world.toml",
-        "help calibration",
+        "calibrate world --rig RIG --cameras cameras.toml --out world.toml", "help calibration",
     ),
     "calibrate world": (
         "calibrate merge cameras.toml thermal.toml {out} --out calibration.toml",
@@ -1064,8 +1051,7 @@ NEXT: Mapping[str, tuple[str, str]] = {
     "calibrate merge": ("calibrate check {out} --rig RIG --board BOARD", "check RIG"),
     "calibrate check": ("check RIG", "run six-situations --rig RIG --dry-run"),
     "calibrate board": (
-        "calibrate cameras --rig RIG --board {board} --out cameras.toml",
-        "help calibration",
+        "calibrate cameras --rig RIG --board {board} --out cameras.toml", "help calibration",
     ),
     "calibrate export": ("help calibration", "check RIG"),
     "calibrate import": (
@@ -1079,6 +1065,7 @@ NEXT: Mapping[str, tuple[str, str]] = {
     "replay-wire": ("check RIG", "help record"),
     "help": ("trials", "run demo"),
 }
+# fmt: on
 # words that went, and what to use
 REMOVED = {
     "campaign search": "hypothesis draws and simplifies scenes in a test of yours: help testing",

@@ -19,12 +19,9 @@ import bench
 from bench.cli.arguments import CODES, complain, json_of, print_values
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
-from bench.script.detectors import DECLARED, declared, refusals
 from detector.protocol import Outcome
 
 if TYPE_CHECKING:
-    from bench.record.recording import TruthRow
-    from bench.results.answers import Answer
     from detector.calibration import Calibration
     from detector.protocol import Detector, Teat
 
@@ -73,10 +70,7 @@ CURES = {
 
 
 def listed(_: argparse.Namespace) -> None:
-    from detector.registry import available, broken
-
-    faulty = {name: f"BROKEN: {why}" for name, why in broken().items()}
-    print_values({**declared(), **available(), **faulty})
+    print_values(bench.detectors())
 
 
 def new(given: argparse.Namespace) -> None:
@@ -109,7 +103,7 @@ def new(given: argparse.Namespace) -> None:
     for path, skeleton in files.items():
         write_synced(path, (skeletons / skeleton).read_bytes())
     write_synced(file, toml_text(table, heading).encode("utf-8"))
-    word = name if given.out == DECLARED else file
+    word = name if name in bench.detectors() else file
     print(*(f"written: {path}" for path in (*files, file)), sep="\n")
     if given.language == "cpp":
         print(f"compile: cd {given.out} && {COMPILED.format(name=name)}")
@@ -125,10 +119,8 @@ def _python() -> str:
 
 
 def detect(given: argparse.Namespace) -> int:
-    from bench.run.detections import detect_lines
-
     answered = False
-    for line, text in detect_lines(given.recording, given.detector or ["thesis"]):
+    for line, text in bench.detect_recording(given.recording, given.detector or ["thesis"]):
         print(json_of(line) if given.json else text, flush=True)
         answered = answered or "outcome" not in line
     if not answered:
@@ -141,18 +133,14 @@ def try_out(given: argparse.Namespace) -> int:
     """Ask twice about one frame: what answers once may not read on."""
     from bench.cli.terminal import working
 
+    recording = bench.Recording(given.recording) if given.recording else None
+    calibration = (
+        read_calibration(recording.calibration_path) if recording else bench.load_rig().calibration
+    )
     with (
-        bench.open_detector(given.word) as detector,
+        bench.open_detector(given.word, calibration) as detector,
         working("asking the detector about a frame"),
     ):
-        recording = bench.Recording(given.recording) if given.recording else None
-        calibration = (
-            read_calibration(recording.calibration_path)
-            if recording
-            else bench.load_rig().calibration
-        )
-        for why in refusals([detector], calibration):
-            raise ConfigError.plain(why)
         frame, shot = _frame(recording, calibration) if recording else _drawn(_unseen(detector))
         answers = [bench.detect(detector, shot)]
         if not _fault(answers[0]):
@@ -209,14 +197,14 @@ def _drawn(member: int) -> tuple[str, bench.Shot]:
     return f"{SITUATION}-{member:04d}", bench.draw(SITUATION, member)
 
 
-def _fault(answer: Answer) -> str:
+def _fault(answer: bench.Answer) -> str:
     """Why it is no answer; empty where it is one."""
     if answer.outcome is Outcome.ANSWERED:
         return ""
     return (answer.detection.reason or "").removeprefix("the detector failed: ")
 
 
-def _nearest(teat: Teat, truth: Sequence[TruthRow]) -> str:
+def _nearest(teat: Teat, truth: Sequence[bench.TruthRow]) -> str:
     """How far the nearest true end is."""
     if not truth:
         return ""

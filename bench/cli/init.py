@@ -8,10 +8,10 @@ from collections.abc import Callable, Collection, Mapping
 from contextlib import closing
 from datetime import date
 
+from bench.api.instruments import attached
 from bench.cli.arguments import CODES, refuse_existing
 from bench.config import ConfigError, parse_config, read_text
 from bench.files import write_synced
-from bench.rig.alone import attached
 from bench.rig.finding import FoundInstrument, ports, probe, rig_text
 from bench.rig.loading import PLACES, TO_COPY
 from bench.rig.model import Rig, camera_url

@@ -18,16 +18,7 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from bench.cli.arguments import CODES, EXIT_CODES, call, complain
-from bench.cli.commands import (
-    COMMANDS,
-    FUNCTIONS,
-    GROUPS,
-    MODULES,
-    NEXT,
-    ONCE,
-    REMOVED,
-    TASKS,
-)
+from bench.cli.commands import COMMANDS, FUNCTIONS, GROUPS, MODULES, NEXT, ONCE, REMOVED, TASKS
 from bench.safety.signals import installed
 from bench.version import __version__
 from reports.sanitize import sanitizing
@@ -121,8 +112,7 @@ def _is_text(word: str) -> bool:
 
 
 def _run(given: argparse.Namespace) -> int:
-    from bench.config import ConfigError
-    from bench.record.recording import RecordingError
+    from bench import ConfigError, RecordingError
     from instruments.captures.capture import CaptureError
     from instruments.errors import InstrumentError
     from instruments.operators.operator import OperatorAbort, OperatorSkip

@@ -15,32 +15,18 @@ import bench
 from bench.cli.arguments import CODES, complain, print_values, refuse_existing
 from bench.cli.terminal import working
 from bench.config import ConfigError, did_you_mean
-from bench.rig.loading import NO_RIGS, RIGS, TO_COPY, LoadedRig, shipped
-from instruments.clock import Clock, RealClock, wall_time
+from bench.rig.loading import TO_COPY
+from instruments.clock import Clock, RealClock
 
 if TYPE_CHECKING:
     from instruments.captures.replay import Replay
 
 
 def check(given: argparse.Namespace) -> int:
-    from bench.rig.alone import check_rig
-    from bench.safety.latch import unconfirmed
-    from bench.script.detectors import refusals
-    from detector import registry
-
     rig = bench.load_rig(given.rig)
-    if rig.made_calibration is None:
-        print(
-            f"calibration: not made yet ({rig.calibration_path}); a run needs it, see"
-            " 'teatbench help calibration'"
-        )
-    else:
-        for why in refusals([registry.create(name) for name in registry.SHIPPED], rig.calibration):
-            print(why)
-    for why in unconfirmed(rig, wall_time().date()):
-        print(why)
+    print("".join(f"{note}\n" for note in bench.rig_notes(rig)), end="")
     failed = False
-    for name, fault, lines in check_rig(rig, given.capture):
+    for name, fault, lines in bench.check_rig(rig, given.capture):
         failed |= fault
         print(f"{name}: {'FAULT' if fault else 'ok'}")
         for line in lines:
@@ -111,7 +97,7 @@ def emulate(given: argparse.Namespace) -> int:
         clock.close()
 
 
-def _rig_text(rig: LoadedRig, urls: Mapping[str, str], valid: str) -> str:
+def _rig_text(rig: bench.LoadedRig, urls: Mapping[str, str], valid: str) -> str:
     """The file of ``rig`` with its emulators at ``urls``, for any folder."""
     from bench.toml import toml_text
 
@@ -140,9 +126,8 @@ def _rig_text(rig: LoadedRig, urls: Mapping[str, str], valid: str) -> str:
 
 
 def rigs(_: argparse.Namespace) -> None:
-    names = {name: "" for name in shipped(RIGS) if name not in NO_RIGS}
-    names["for a real rig"] = f"copy {TO_COPY}, where every key is explained"
-    print_values(names)
+    names = dict.fromkeys(bench.rigs(), "")
+    print_values(names | {"for a real rig": f"copy {TO_COPY}, where every key is explained"})
 
 
 def replay_wire(given: argparse.Namespace) -> int:
@@ -203,34 +188,26 @@ def _members(given: argparse.Namespace) -> range:
 
 
 def sheet(given: argparse.Namespace) -> None:
-    from bench.rig.scenes import write_sheet
-
     refuse_existing(given.out, replace=True)
     rig = bench.load_rig(given.rig)
     with working("rendering the scenes"):
-        write_sheet(rig, given.situation, _members(given), given.out, given.seed)
+        bench.write_sheet(rig, given.situation, _members(given), given.out, given.seed)
     print(given.out)
 
 
 def boards(given: argparse.Namespace) -> int:
-    from bench.rig.loading import find_board
-    from bench.rig.scenes import record_boards
-
-    (board, _), watching = find_board(given.board), given.camera or ["left", "right"]
+    (board, _), watching = bench.find_board(given.board), given.camera or ["left", "right"]
     rig = bench.load_rig(given.rig)
-    frames = record_boards(
-        rig, board, watching, given.poses, given.out, given.seed, warmer_k=given.warmer_k
-    )
+    asked = board, watching, given.poses, given.out, given.seed
+    frames = bench.record_boards(rig, *asked, warmer_k=given.warmer_k)
     return _shown(frames, given.out, given.poses)
 
 
 def record(given: argparse.Namespace) -> int:
-    from bench.rig.scenes import chosen
-    from bench.rig.scenes import record as recorded
-
-    rig = bench.load_rig(given.rig)
-    frames = recorded(rig, given.situation, _members(given), given.out, given.seed, given.perturb)
-    return _shown(frames, given.out, len(chosen(given.situation)) * given.seeds)
+    asked = given.situation, _members(given), given.out, given.seed, given.perturb
+    frames = bench.record_scenes(bench.load_rig(given.rig), *asked)
+    families = {*given.situation} or bench.families()
+    return _shown(frames, given.out, len(families) * given.seeds)
 
 
 def _shown(frames: Iterator[str], out: Path, total: int) -> int:

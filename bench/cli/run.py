@@ -11,23 +11,14 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import bench
 from bench.cli.arguments import CODES
 from bench.cli.store import undamaged
 from bench.cli.terminal import Terminal, TerminalProgress, working
 from bench.config import ConfigError
-from bench.rig.loading import LoadedRig
-from bench.rig.urls import PEOPLE
 from bench.run.events import ENDED, PROMPTED, Events, event_lines
-from bench.run.resume import ASKED
-from bench.script.model import LoadedScript
 from instruments.operators.console import keyboard_of
-
-if TYPE_CHECKING:
-    from bench.results.status import Reported, RunStatus
-    from reports.page import Section
 
 WORST = (CODES.met, CODES.inconclusive, CODES.not_met, CODES.fault)  # of several runs
 
@@ -47,10 +38,8 @@ def run(given: argparse.Namespace) -> int:
     if given.dry_run:
         from bench.cli.dry_run import look_ahead
 
-        return max(
-            look_ahead(rig, one, given.out, given.detector, given.seed, as_json=given.json)
-            for one in scripts
-        )
+        how = {"out": given.out, "detectors": given.detector, "seed": given.seed}
+        return max(look_ahead(rig, one, as_json=given.json, **how) for one in scripts)
     if given.console:
         from bench.cli.console import beside
 
@@ -59,12 +48,12 @@ def run(given: argparse.Namespace) -> int:
     return _run(given, rig, scripts)
 
 
-Word = Callable[[Sequence["RunStatus"]], None]
+Word = Callable[[Sequence["bench.RunStatus"]], None]
 
 
 @contextmanager
 def _followed(
-    given: argparse.Namespace, console: Terminal, rig: LoadedRig
+    given: argparse.Namespace, console: Terminal, rig: bench.LoadedRig
 ) -> Iterator[tuple[Events, TerminalProgress, Word]]:
     """What shows a run's events on the terminal, in the file of events and to who gets word."""
     with event_lines(given.events) as lines, TerminalProgress(console) as shown:
@@ -73,14 +62,16 @@ def _followed(
             yield progress, shown, word
 
 
-def _run(given: argparse.Namespace, rig: LoadedRig, scripts: Sequence[LoadedScript]) -> int:
+def _run(
+    given: argparse.Namespace, rig: bench.LoadedRig, scripts: Sequence[bench.LoadedScript]
+) -> int:
     console = Terminal()
     with _followed(given, console, rig) as (progress, shown, word):
         reports = bench.run_queue(
             scripts,
             rig,
             out=given.out,
-            typed=typed_lines(rig.rig.operator.url),
+            typed=typed_lines(by_person=rig.rig.by_person),
             seed=given.seed,
             detectors=given.detector or (),
             record=given.record,
@@ -91,10 +82,10 @@ def _run(given: argparse.Namespace, rig: LoadedRig, scripts: Sequence[LoadedScri
             begun=shown.say,
         )
         word([one.status for one in reports])
-    return _shown(given, console, rig, scripts, reports)
+    return _shown(given, console, scripts, reports)
 
 
-def _summarize(given: argparse.Namespace, found: Reported) -> None:
+def _summarize(given: argparse.Namespace, found: bench.Reported) -> None:
     if given.summary:
         from bench.report import summary
 
@@ -102,18 +93,18 @@ def _summarize(given: argparse.Namespace, found: Reported) -> None:
 
 
 @contextmanager
-def _words(given: argparse.Namespace, rig: LoadedRig, events: Events) -> Iterator[Word]:
+def _words(given: argparse.Namespace, rig: bench.LoadedRig, events: Events) -> Iterator[Word]:
     """Sends word of what happens; gives what sends the last one, of all runs as they ended."""
     from bench.run.notify import notifying, text_of
 
-    person = rig.rig.operator.url in PEOPLE
+    person = rig.rig.by_person
     with notifying(given.notify or rig.rig.notify.urls, events.warn) as send:
 
         def now(kind: str) -> None:
             if kind != PROMPTED or person:
                 send(kind, lambda: text_of(kind, events.status()))
 
-        def ended(runs: Sequence[RunStatus]) -> None:
+        def ended(runs: Sequence[bench.RunStatus]) -> None:
             first, *others = (text_of(ENDED, status) or ("", "") for status in runs)
             title = first[0] if not others else f"{len(runs)} runs: {ENDED}"
             send(ENDED, lambda: (title, "\n\n".join(text for _, text in (first, *others))))
@@ -125,35 +116,21 @@ def _words(given: argparse.Namespace, rig: LoadedRig, events: Events) -> Iterato
 def _shown(
     given: argparse.Namespace,
     console: Terminal,
-    rig: LoadedRig,
-    scripts: Sequence[LoadedScript],
-    reports: Sequence[Reported],
+    scripts: Sequence[bench.LoadedScript],
+    reports: Sequence[bench.Reported],
 ) -> int:
     """Verdicts and times of the runs; the worst exit code."""
     from bench.cli.verdict import open_report, show_verdict
-    from bench.run import estimate
 
     codes = []
-    for script, found in zip(scripts, reports, strict=False):
+    for found in reports:
         codes.append(show_verdict(console, found))
         _summarize(given, found)
-        record = found.record
-        spent = estimate.took(record)
-        # the next estimate is better by what this run took; one that stopped shows nothing, and one
-        # on a warm rig did not heat
-        if found.status.state == "finished" and "total_s" in spent:
-            expected = estimate.needs(rig, script, estimate.read_durations(given.out, rig)).time
-            if not record.facts[ASKED].get("warm"):
-                figures = estimate.figures(record, rig, script, spent)
-                estimate.write_durations(record.folder, rig, expected, spent, figures)
-            print(estimate.estimate_text(expected, spent))
+        if found.took:
+            print(found.took)
     page = reports[-1].page
     if len(scripts) > 1:
-        from bench.report.runs import write_queue_page
-        from bench.results.queue import queues
-
-        queue = next(queues(given.out))
-        page = write_queue_page(given.out, queue)
+        queue, page = bench.write_queue_page(given.out)
         print(f"Queue: {queue.headline}\nPage: {page}")
         codes += [CODES.fault] * (len(scripts) - len(reports))
     if given.open:
@@ -162,29 +139,25 @@ def _shown(
 
 
 def resume(given: argparse.Namespace) -> int:
-    from bench.run.resume import files_of
+    from bench.cli.verdict import show_verdict
 
     console = Terminal()
     with undamaged([given.run], given) as damage:
         record = bench.read_run(given.run)
         if record.ending == "finished" and not _is_reported(given.run):
-            from bench.cli.verdict import show_verdict
-
             print(f"{given.run}: every trial is done, the bench died before it wrote the report")
             return show_verdict(console, bench.write_report(given.run, damage=damage))
-        rig = files_of(record)[0]
+        rig = bench.rig_of_run(given.run)
         with _followed(given, console, rig) as (progress, shown, word):
             found = bench.resume_run(
                 given.run,
                 capture=given.capture,
                 progress=progress,
-                typed=typed_lines(rig.rig.operator.url),
+                typed=typed_lines(by_person=rig.rig.by_person),
                 begun=shown.say,
                 damage=damage,
             )
             word([found.status])
-        from bench.cli.verdict import show_verdict
-
         _summarize(given, found)
         return show_verdict(console, found)
 
@@ -197,9 +170,9 @@ def _is_reported(folder: Path) -> bool:
     return False
 
 
-def typed_lines(operator_url: str) -> Callable[[], str | None]:
+def typed_lines(*, by_person: bool) -> Callable[[], str | None]:
     """Lines typed at this terminal, where it is one and no operator is asked there."""
-    if operator_url in PEOPLE or sys.stdin is None or not sys.stdin.isatty():
+    if by_person or sys.stdin is None or not sys.stdin.isatty():
         return lambda: None
     keyboard, terminal = keyboard_of(sys.stdin, lambda _: None), sys.stdin.fileno()
 
@@ -217,18 +190,17 @@ def typed_lines(operator_url: str) -> Callable[[], str | None]:
 def score(given: argparse.Namespace) -> int:
     from bench.cli.verdict import show_verdict
     from bench.report.tables import score_table
-    from bench.results.cameras_agree import UNCHECKED_FACT
 
     console = Terminal()
     with TerminalProgress(console) as shown:
         found = bench.score_recording(
             given.recording, given.detector or ["thesis"], out=given.out, progress=shown
         )
-    code, run = show_verdict(console, found), found.record
+    code = show_verdict(console, found)
     _summarize(given, found)
-    if text := run.facts.get(UNCHECKED_FACT):
-        print(f"Cameras {text}.")
-    print(f"\n{score_table(run)}")
+    if found.unchecked:
+        print(f"Cameras {found.unchecked}.")
+    print(f"\n{score_table(found.record)}")
     return code
 
 
@@ -249,14 +221,8 @@ def report(given: argparse.Namespace) -> int:
             " index.html by hand."
         )
     with undamaged([given.run, *filter(None, [given.baseline])], given) as damage:
-        chapters: tuple[Section, ...] = ()
-        if given.baseline:
-            from bench.report.comparison import baseline_section
-
-            with working("comparing the runs"):
-                chapters = (baseline_section(given.baseline, given.run, damage),)
         with working("writing the report"):
-            found = bench.write_report(given.run, chapters=chapters, damage=damage)
+            found = bench.write_report(given.run, baseline=given.baseline, damage=damage)
         code = show_verdict(Terminal(), found)
         _summarize(given, found)
     if given.open:

@@ -9,24 +9,19 @@ import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import bench
 from bench.cli.arguments import CODES, code_of, complain, json_of
 from bench.cli.terminal import working
-from bench.config import ConfigError, writing
-from bench.files import write_synced
-from bench.record.check import NOT_AS_WRITTEN, check_run, checked_first, shortened
+from bench.config import ConfigError
 
 if TYPE_CHECKING:
-    from bench.results.comparison import Comparison
     from reports.runs import Runs
 
-DAMAGED = "NOT-AS-WRITTEN.txt"  # beside what was exported of a damaged record
 NARROW = 76
 WIDE = 110  # columns that a comparison's axes need; page and JSON have them always
-TAKEN_S = 10.0  # a run looks once a second; a capture or a detection may take longer
 
 
 @contextmanager
@@ -34,8 +29,10 @@ def undamaged(runs: Sequence[Path], given: argparse.Namespace) -> Iterator[tuple
     """Checks the records first; gives the damage that was allowed, said before and after."""
     with ExitStack() as stack:
         with working("checking the record"):
-            damage = stack.enter_context(checked_first(runs, despite_damage=given.despite_damage))
-        alarm = f"{'!' * 40}\n{NOT_AS_WRITTEN}. {shortened(damage)}\n{'!' * 40}\n" if damage else ""
+            allowed = bench.checked_first(runs, despite_damage=given.despite_damage)
+            damage = stack.enter_context(allowed)
+        line = "!" * 40
+        alarm = f"{line}\n{bench.damage_text(damage)}\n{line}\n" if damage else ""
         sys.stderr.write(alarm)
         yield damage
         sys.stdout.flush()
@@ -44,7 +41,7 @@ def undamaged(runs: Sequence[Path], given: argparse.Namespace) -> Iterator[tuple
 
 def check(given: argparse.Namespace) -> int:
     with working("checking the record"):
-        done = check_run(given.run, given.digest)
+        done = bench.check_record(given.run, given.digest)
     for finding in done.findings:
         print(f"{finding.weight.value}: {finding.text}")
     print("looked at " + ", ".join(f"{count} {name}" for name, count in done.counts.items()))
@@ -52,33 +49,21 @@ def check(given: argparse.Namespace) -> int:
         print(f"digest: {done.head.wall_digest}\ndigest without real time: {done.head.digest}")
     if done.unchecked:
         return complain(done.unchecked, CODES.inconclusive)
-    print("The record is as it was written." if done.whole else f"{NOT_AS_WRITTEN}.")
+    print(done.sentence)
     return CODES.met if done.whole else CODES.not_met
 
 
 def export(given: argparse.Namespace) -> None:
-    from bench.record.tables import export_csv, export_parquet, needed
-
-    if given.format == "mcap":
-        write = needed("bench.record.mcap", "MCAP").export_mcap
-    else:
-        write = {"csv": export_csv, "parquet": export_parquet}[given.format]
-    with writing(given.out), undamaged([given.run], given) as damage:
-        (given.out / DAMAGED).unlink(missing_ok=True)
+    with undamaged([given.run], given) as damage:
         with working(f"writing {given.format}"):
-            paths = list(write(given.run, given.out))
-        for path in paths:
-            print(path)
-        if damage:
-            head = f"{NOT_AS_WRITTEN}: the files beside this one are made of what is left of it."
-            write_synced(given.out / DAMAGED, "\n".join((head, *damage, "")).encode())
+            paths = bench.export_record(given.run, given.out, given.format, damage=damage)
+        print(*paths, sep="\n")
 
 
 def pack(given: argparse.Namespace) -> None:
-    from bench.run.packing import pack_run
-
-    with writing(given.out), undamaged([given.run], given), working("packing the run"):
-        folder = pack_run(given.run, given.out, given.title or "", given.licence or "")
+    named = {"title": given.title or "", "licence": given.licence or ""}
+    with undamaged([given.run], given) as damage, working("packing the run"):
+        folder = bench.pack_run(given.run, given.out, **named, damage=damage)
     print(folder)
     if not given.licence:
         print(
@@ -89,44 +74,28 @@ def pack(given: argparse.Namespace) -> None:
 
 
 def compare(given: argparse.Namespace) -> int:
-    from bench.results.comparison import compare_folders, judge_folders, judgement_lines
-    from bench.results.verdicts import run_verdict
-
     if given.across_scripts and not given.together:
         raise ConfigError.plain("--across-scripts says which runs may be pooled: use --together")
+    asked = given.run, given.detector
     with undamaged(given.run, given) as damage:
-        if given.together:
-            with working("judging the runs together"):
-                judged = judge_folders(
-                    given.run, given.detector, damage, across_scripts=given.across_scripts
-                )
-            rows = [
-                {
-                    "detector": one.judgement.detector,
-                    "verdict": one.judgement.verdict,
-                    "decisions": [asdict(decision) for decision in one.judgement.decisions],
-                    "looks": {name: asdict(looks) for name, looks in one.looks.items()},
-                    "scripts": list(one.scripts),
-                }
-                for one in judged
-            ]
-            verdict = run_verdict([one.judgement for one in judged])
-        else:
+        if not given.together:
             with working("comparing the runs"):
                 how = {"margin_mm": given.margin_mm, "confidence": given.confidence}
-                found = compare_folders(given.run, given.detector, **how, damage=damage)
+                found = bench.compare_runs(*asked, **how, damage=damage)
             return print_comparisons(given, found)
+        with working("judging the runs together"):
+            across = given.across_scripts
+            judged = bench.judge_together(*asked, across_scripts=across, damage=damage)
         if given.json:
-            print(json_of({"together": rows}, indent=1))
+            print(json_of({"together": [one.as_dict() for one in judged]}, indent=1))
         else:
-            print("\n".join(line for one in judged for line in judgement_lines(one)))
-    return code_of(verdict.value) if given.gate else CODES.met
+            print(*(line for one in judged for line in one.lines()), sep="\n")
+    return code_of(bench.verdict_of(judged).value) if given.gate else CODES.met
 
 
-def print_comparisons(given: argparse.Namespace, found: Sequence[Comparison]) -> int:
+def print_comparisons(given: argparse.Namespace, found: Sequence[bench.Comparison]) -> int:
     """Print comparisons, write their page where it is wanted; gives back the exit code."""
-    from bench.report.comparison import as_json, write_comparison
-    from bench.scoring.decisions import overall
+    from bench.report.comparison import as_json
 
     if given.json:
         print(json_of(as_json(found), indent=1))
@@ -134,18 +103,17 @@ def print_comparisons(given: argparse.Namespace, found: Sequence[Comparison]) ->
         _show(found)
     if given.out:
         with working("writing the report"):
-            path = write_comparison(found, given.out)
+            path = bench.write_comparison(found, given.out)
         if not given.json:
             print(f"Report: {path}")
     if given.summary:
         from bench.report import summary
 
         summary.append(given.summary, summary.of_comparisons(found))
-    verdict = overall(one.compared.gate.verdict for one in found)
-    return code_of(verdict.value) if given.gate else CODES.met
+    return code_of(bench.verdict_of(found).value) if given.gate else CODES.met
 
 
-def _show(found: Sequence[Comparison]) -> None:
+def _show(found: Sequence[bench.Comparison]) -> None:
     from rich import box
     from rich.console import JustifyMethod
     from rich.table import Table
@@ -182,16 +150,14 @@ def _show(found: Sequence[Comparison]) -> None:
 
 
 def control(given: argparse.Namespace) -> int:
-    from bench.results.status import read_status
-    from bench.run.interruptions import leave_request, was_taken
-    from instruments.clock import RealClock
+    from bench.api.records import TAKEN_S
 
-    status = read_status(given.run)
-    if not status.under_way:
-        print(f"{given.run} has ended ({status.state}): it takes no requests any more.")
+    try:
+        taken = bench.control_run(given.run, " ".join(given.words), within_s=TAKEN_S)
+    except ValueError as ended:
+        print(ended)
         return CODES.wrong_use
-    leave_request(given.run, " ".join(given.words))
-    if was_taken(given.run, RealClock(), TAKEN_S):
+    if taken:
         print("request accepted; see the run's terminal")
     else:
         print(
@@ -202,14 +168,11 @@ def control(given: argparse.Namespace) -> int:
 
 
 def runs(given: argparse.Namespace) -> None:
-    from bench.cli.terminal import working
-    from bench.report.runs import list_runs, write_runs_page
-
     with working("reading the runs"):
-        found = list_runs(given.folder)
+        found = bench.list_runs(given.folder)
     page, why = None, ""
     try:
-        page = str(write_runs_page(found))
+        page = str(bench.write_runs_page(found))
     except OSError as error:  # a folder to look at, and no more
         why = f"not written: {error.strerror or error}"
     if given.json:

@@ -12,20 +12,16 @@ from typing import TYPE_CHECKING
 import bench
 from bench.cli.arguments import CODES, json_of, print_values
 from bench.config import ConfigError
-from bench.rig.loading import shipped
 from bench.scoring.rates import plural
-from bench.script.model import TRIALS, LoadedScript
 
 if TYPE_CHECKING:
     from rich.table import Table
 
 WIDEST = 500  # of a table in a file, in characters
-RATES = (0.95, 0.99, 0.999)
 
 
 def listed(given: argparse.Namespace) -> None:
-    names = shipped(TRIALS)
-    rows = {name: bench.load_script(name).script.about for name in names}
+    rows = {name: bench.load_script(name).script.about for name in bench.scripts()}
     if given.json:
         print(json_of({"scripts": rows}))
     else:
@@ -33,23 +29,17 @@ def listed(given: argparse.Namespace) -> None:
 
 
 def show(given: argparse.Namespace) -> int:
-    from bench.run.estimate import ASSUMED, UNITS, assumed_text, estimate
-    from bench.script.planned_trials import POSE_KEYS, chosen, pose_set
-
     rig = bench.load_rig(given.rig)
-    script = bench.load_script(given.script, rig)
-    time, s = estimate(rig, script), script.script
-    poses = pose_set(s.trials, script.planned, seed=s.seed, order=s.order)
-    rows = [dict(zip(POSE_KEYS, row, strict=True)) for row in poses.pop("poses")]
+    found = bench.plan_script(given.script, rig)
+    time, script, rows = found.time, found.script, found.trials
     if given.json:
         shown = {
             "script": script.name,
-            "title": s.title,
+            "title": script.script.title,
             "rig": rig.rig.name,
-            **poses,
-            "trials": rows,
+            **{key: getattr(found, key) for key in ("chosen", "order", "seed", "trials")},
             "estimate": {**asdict(time), "total_s": time.total_s},
-            "assumed": {f"{key} [{UNITS.get(key, 's')}]": value for key, value in ASSUMED.items()},
+            "assumed": {f"{key} [{unit}]": value for key, (value, unit) in found.assumed.items()},
         }
         print(json_of(shown))
         return CODES.met
@@ -60,8 +50,8 @@ def show(given: argparse.Namespace) -> int:
         wide = console.options.update(max_width=WIDEST)
         console.width = max(console.width, console.measure(table, options=wide).maximum)
     console.print(table)
-    for trial in s.trials:
-        console.print(chosen(trial), highlight=False)
+    for sentence in found.chosen:
+        console.print(sentence, highlight=False)
     spent = ", ".join(
         f"{what.removesuffix('_s').replace('_', '-')} {seconds / 60:.0f} min"
         for what, seconds in asdict(time).items()
@@ -69,18 +59,18 @@ def show(given: argparse.Namespace) -> int:
     console.print(
         f"About {time.total_s / 3600:.1f} h with a person at the arm: {spent}.", highlight=False
     )
-    console.print(assumed_text(), highlight=False)
+    assumed = (f"{what} {value:g} {unit}" for what, (value, unit) in found.assumed.items())
+    console.print(f"Assumed: {', '.join(assumed)}.", highlight=False)
     return CODES.met
 
 
-def _pose_table(script: LoadedScript, rows: Sequence[Mapping[str, float]]) -> Table:
+def _pose_table(script: bench.LoadedScript, rows: Sequence[Mapping[str, float]]) -> Table:
     """A row a trial; columns that are 0 in all of them are left out, and named below."""
     from rich.table import Table
 
     from instruments.world.situations import spoken
 
-    poses = len({one.name for one in script.planned})
-    many = f"{plural(len(rows), 'trial')}, {plural(poses, 'pose')}"
+    many = f"{plural(len(rows), 'trial')}, {plural(script.poses, 'pose')}"
     cells: dict[str, list[str]] = {
         "trial": [one.id for one in script.planned],
         "situation": [spoken(one.situation) for one in script.planned],
@@ -106,9 +96,6 @@ def _pose_table(script: LoadedScript, rows: Sequence[Mapping[str, float]]) -> Ta
 
 
 def plan(given: argparse.Namespace) -> None:
-    from bench.scoring.looks import Looks
-    from bench.scoring.sample_size import make_plan, plan_lines  # scipy takes seconds to import
-
     if given.script and given.trials is not None:
         raise ConfigError.plain(
             "--script and --trials both say how many poses there are; give one of them"
@@ -124,14 +111,14 @@ def plan(given: argparse.Namespace) -> None:
             " the truth"
         )
     poses, confidence = given.trials, given.confidence
-    if given.script:  # repeats of one pose count once
-        loaded = bench.load_script(given.script)
-        poses = len({trial.name for trial in loaded.planned})
-        confidence = Looks(loaded.script.looks).first_confidence(confidence)
+    if given.script:
+        script = bench.load_script(given.script)
+        poses, confidence = script.poses, script.first_confidence(confidence)
     names = ("failures", "true_rate", "sd_mm", "shift_mm", "power", "limit_mm", "u_mm")
     more = {name: getattr(given, name) for name in names}
-    found = make_plan(tuple(given.rate) or RATES, confidence, poses=poses, **more)
+    rates = {"rates": given.rate} if given.rate else {}
+    found = bench.plan_poses(**rates, confidence=confidence, poses=poses, **more)
     if given.json:
         print(json_of(asdict(found), indent=1))
     else:
-        print(*plan_lines(found), sep="\n")
+        print(*found.lines(), sep="\n")

@@ -15,14 +15,11 @@ from pathlib import Path
 from rich.table import Table
 from rich.text import Text
 
+from bench import Decision, Judgement, Reported, RunRecord, Verdict
 from bench.cli.arguments import CODES, code_of
 from bench.cli.terminal import Terminal
-from bench.record.reader import RunRecord
 from bench.report.wording import limit, measured
-from bench.results.status import Reported
-from bench.results.verdicts import Judgement
 from bench.run.events import FAILURES
-from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.rates import plural
 from reports.page import UNFINISHED
 from reports.render import SIGNS

@@ -14,16 +14,19 @@ from itertools import combinations, product
 import numpy as np
 
 from bench.rig.loading import LoadedRig
+from bench.rig.opening import open_instruments
 from bench.rig.urls import EMULATED
-from bench.run.estimate import carry_touches
+from bench.run.estimate import Forecast, carry_touches
+from bench.run.lock import RigInUseError, lock_path, locked
 from bench.scoring.errors import Floats
 from bench.script.model import FIRST, LoadedScript
 from bench.script.planned_trials import PlannedTrial, pose_text, shared
 from bench.truth.stage_registration import around
 from detector.geometry import Camera, Motion
+from instruments.errors import InstrumentError
 from instruments.microscribe.kinematics import OutOfReachError, inverse
 from instruments.microscribe.unit import ArmIdentity, shipped_unit
-from instruments.stage.settings import AxisLimits
+from instruments.stage.settings import AxisLimits, StageSettings
 from instruments.world.objects import make_object
 from instruments.world.phantom import Phantom, PlatePose, spoken_name
 from instruments.world.solids import clearance_mm
@@ -44,6 +47,48 @@ class Finding:
     trial: str
     kind: str
     text: str
+
+
+@dataclass(frozen=True, slots=True)
+class ScriptCheck:
+    """What would go wrong in a run: ``findings`` by trial; ``gone_through``: trials that were done
+    on emulators, with ``rendered`` frame sets and what the run ``recovered`` from, counted;
+    ``unchecked``: what could not be looked at. ``needs``: time, disk and prompts, by what was
+    ``measured`` of the rig (nothing: by what is assumed); ``room``: says that the disk is too full.
+    """
+
+    trials: int
+    poses: int
+    findings: tuple[Finding, ...]
+    gone_through: int | None
+    rendered: int
+    recovered: Mapping[str, int]
+    unchecked: tuple[str, ...]
+    needs: Forecast | None
+    measured: Mapping[str, float]
+    room: str
+
+
+def stage_settings(rig: LoadedRig) -> tuple[StageSettings | None, str]:
+    """What the stage's controller says of itself; or None, and why it could not be asked."""
+    if rig.rig.stage is None:
+        return None, ""
+
+    # opening its port resets most boards, which no running bench must see; a rig that never ran
+    # gets no lock
+    lock = lock_path(rig)
+    try:
+        with (
+            locked(lock if lock and lock.exists() else None, "a dry run", lambda _: None),
+            open_instruments(rig, ("stage",)) as opened,
+        ):
+            assert opened.stage  # noqa: S101 - it was asked for
+            opened.stage.connect()
+            return opened.stage.settings, ""
+    except RigInUseError:
+        return None, "another bench has the rig"
+    except InstrumentError:
+        return None, "its controller doesn't answer"
 
 
 def dry_run(

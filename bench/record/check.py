@@ -58,6 +58,10 @@ class CheckResult:
         return not any(finding.weight is Weight.DAMAGE for finding in self.findings)
 
     @property
+    def sentence(self) -> str:
+        return "The record is as it was written." if self.whole else f"{NOT_AS_WRITTEN}."
+
+    @property
     def unchecked(self) -> str:
         """What nothing was there to check by; empty where a chain covers the record."""
         if not self.whole or self.head.number:
@@ -66,8 +70,9 @@ class CheckResult:
         return f"not checked: whether the record's rows are as they were written ({looked})"
 
 
-def check_run(folder: Path, digest: str | None = None) -> CheckResult:
+def check_record(run: Path | str, digest: str | None = None) -> CheckResult:
     """Check all; ``digest`` is one that a report names. Raises ConfigError where it is no run."""
+    folder = Path(run)
     with opened(folder) as db:
         findings: list[Finding] = []  # what was found before something fails is kept
         links: list[tuple[Any, ...]] = []
@@ -97,7 +102,7 @@ def checked_first(folders: Sequence[Path], *, despite_damage: bool) -> Iterator[
     """Checks these runs, then gives the damage, in sentences. Raises ConfigError where there is any
     and ``despite_damage`` isn't set; where it is, for what fails since the record is damaged.
     """
-    checked = {folder: check_run(folder) for folder in dict.fromkeys(folders)}
+    checked = {folder: check_record(folder) for folder in dict.fromkeys(folders)}
     damage = tuple(
         f"{folder.resolve().name}: {finding.text}"
         for folder, one in checked.items()
@@ -122,6 +127,11 @@ def checked_first(folders: Sequence[Path], *, despite_damage: bool) -> Iterator[
             f"the record is too damaged for this ({type(error).__name__}: {error})."
             f" {shortened(damage) if damage else why}"
         ) from error
+
+
+def damage_text(damage: Sequence[str]) -> str:
+    """What is said of a damaged record; empty for none."""
+    return f"{NOT_AS_WRITTEN}. {shortened(damage)}" if damage else ""
 
 
 def shortened(damage: Sequence[str]) -> str:

@@ -19,7 +19,7 @@ from bench.record.schema import DATABASE
 from bench.report.page import REPORT
 from bench.report.trials import round_teats, shown, views_of, worst_trials
 from bench.results.health import Chart, charts, history
-from bench.results.queue import QueueStatus
+from bench.results.queue import QueueStatus, queues
 from bench.results.status import RunStatus, status_of
 from bench.results.verdicts import judge, scored, stored_rules
 from bench.scoring.control_chart import BASE
@@ -32,8 +32,9 @@ THUMBNAIL_PX = (200, 150)
 QUALITY = 70
 
 
-def list_runs(folder: Path) -> Runs:
+def list_runs(folder: Path | str = "runs") -> Runs:
     """Checks and reads each run in ``folder``. Raises ConfigError where there is no such folder."""
+    folder = Path(folder)
     if not folder.is_dir():
         raise ConfigError.plain(
             f"{folder}: no such folder. Give the folder that holds the runs; 'teatbench run' makes"
@@ -136,10 +137,13 @@ def write_runs_page(found: Runs) -> Path:
     return write_runs(found, f"{found.folder.resolve()}: {counted(found)}")
 
 
-def write_queue_page(folder: Path, queue: QueueStatus) -> Path:
-    """The summary of a queue of runs in ``folder``, as a page like that over all. Raises
-    OSError.
+def write_queue_page(out: Path | str = "runs") -> tuple[QueueStatus, Path]:
+    """The last queue in the folder of runs ``out``, and its summary as a page like that over all.
+    Raises ConfigError where there is none, OSError.
     """
+    folder = Path(out)
+    if (queue := next(queues(folder), None)) is None:
+        raise ConfigError.plain(f"{out}: no queue of scripts was run here")
     begun, runs = {one.run for one in queue.scripts if one.run}, list[Run]()
     others = [(one.script, one.text) for one in queue.scripts if not one.run]
     for name in sorted(begun, reverse=True):
@@ -150,7 +154,8 @@ def write_queue_page(folder: Path, queue: QueueStatus) -> Path:
     found = Runs(folder, tuple(runs), tuple(others))
     title = f"Queue of {plural(len(queue.scripts), 'script')}"
     summary = f"{queue.rig}, begun {queue.started[:16].replace('T', ' ')}; {queue.headline}."
-    return write_runs(found, summary, name=f"{queue.name}.html", title=title, rest="Not run")
+    name = f"{queue.name}.html"
+    return queue, write_runs(found, summary, name=name, title=title, rest="Not run")
 
 
 def counted(found: Runs) -> str:

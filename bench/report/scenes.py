@@ -71,10 +71,13 @@ def scene_parts(run: RunRecord, stated: Calibration, folder: Path) -> Iterator[T
         yield replace(part, summary=summary)
 
 
-def show_scenes(folder: Path, names: Sequence[str]) -> tuple[Path, list[tuple[str, str, str]]]:
+def show_scenes(
+    folder: Path | str, names: Sequence[str]
+) -> tuple[Path, list[tuple[str, str, str]]]:
     """Write a page of scenes of a campaign; gives back its path, and scene, detector and outcome of
     each answer. Raises ConfigError, also where this version draws other pictures.
     """
+    folder = Path(folder)
     plan, scenes = plan_of(folder), []
     for name in dict.fromkeys(names):
         family, _, number = name.rpartition("-")

@@ -137,6 +137,11 @@ class CamerasCheck:
         one = self.disparity
         return 0.0 if one is None else max(abs(one.value) - one.uncertainty, 0.0) * one.mm
 
+    @property
+    def decision(self) -> Decision:
+        """By the limits that hold where a script names no others."""
+        return decide_cameras(DEFAULT, self)
+
     def beyond(self, rule: CamerasRequirement) -> list[CameraOffset]:
         """The figures that exceed the rule's limits."""
         return [one for one in self.offsets if one.exceeds(limit_of(rule, one))]
@@ -259,12 +264,13 @@ def truth_rows(trial: TrialRecord) -> list[TruthRow]:
     ]
 
 
-def check_folder(
-    folder: Path, calibration: Calibration, anew: Sequence[FrameSet] = ()
+def check_ends(
+    folder: Path | str, calibration: Calibration, anew: Sequence[FrameSet] = ()
 ) -> CamerasCheck:
     """The check of a run's or recording's frames; of frames taken ``anew`` of the ends of its last
     frame. Fewer than `LEAST_POSES` poses are pooled over their ends. Raises ConfigError.
     """
+    folder = Path(folder)
     try:
         recording = Recording(folder)
         truth = recording.truth

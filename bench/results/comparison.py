@@ -14,7 +14,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,12 +40,13 @@ from bench.results.verdicts import (
     has_answer,
     held_back,
     latency,
+    run_verdict,
     scored_trials,
     stored_rules,
     truth_u_mm,
 )
 from bench.scoring.comparison import Gate, PairedComparison, ScenePair, compare
-from bench.scoring.decisions import Decision, Verdict
+from bench.scoring.decisions import Decision, Verdict, overall
 from bench.scoring.looks import FIRST, Looks
 from bench.scoring.scene import Pool, pool
 from bench.script.model import Rules, Script
@@ -292,6 +293,34 @@ class Together:
     looks: Mapping[str, Looks]
     scripts: tuple[str, ...] = ()
 
+    def lines(self) -> Iterator[str]:
+        """Its verdict and its sentences; what was pooled, and looked at before."""
+        yield f"{self.judgement.detector}, all runs together: {self.judgement.verdict}"
+        if self.scripts:
+            yield (
+                "  OF DIFFERENT SCRIPTS, pooled because it was asked for:"
+                f" {'; '.join(self.scripts)}. The figures hold for this mixture of situations only."
+            )
+        for decision in self.judgement.decisions:
+            yield f"  {decision.name}: {decision.verdict}. {decision.sentence}"
+        counts = {len(looks.own) + len(looks.pooled) for looks in self.looks.values()}
+        if before := max(counts, default=0):
+            yield (
+                f"  A further look: {before} came before it, each run's own with them. They decide"
+                " with what the first left of the chance of a false verdict, and hold all together."
+                " Each run's own verdict stands on its own poses."
+            )
+
+    def as_dict(self) -> dict[str, Any]:
+        """As JSON has it (docs/json.md)."""
+        return {
+            "detector": self.judgement.detector,
+            "verdict": self.judgement.verdict,
+            "decisions": [asdict(decision) for decision in self.judgement.decisions],
+            "looks": {name: asdict(looks) for name, looks in self.looks.items()},
+            "scripts": list(self.scripts),
+        }
+
 
 def judge_folders(
     folders: Sequence[Path],
@@ -412,20 +441,8 @@ def _called(run: RunRecord) -> str:
     return f"{run.folder.resolve().name} of {named}"
 
 
-def judgement_lines(found: Together) -> Iterator[str]:
-    """Its verdict and its sentences; what was pooled, and looked at before."""
-    yield f"{found.judgement.detector}, all runs together: {found.judgement.verdict}"
-    if found.scripts:
-        yield (
-            f"  OF DIFFERENT SCRIPTS, pooled because it was asked for: {'; '.join(found.scripts)}."
-            " The figures hold for this mixture of situations only."
-        )
-    for decision in found.judgement.decisions:
-        yield f"  {decision.name}: {decision.verdict}. {decision.sentence}"
-    counts = {len(looks.own) + len(looks.pooled) for looks in found.looks.values()}
-    if before := max(counts, default=0):
-        yield (
-            f"  A further look: {before} came before it, each run's own with them. They decide with"
-            " what the first left of the chance of a false verdict, and hold all together. Each"
-            " run's own verdict stands on its own poses."
-        )
+def verdict_of(found: Sequence[Comparison] | Sequence[Together]) -> Verdict:
+    """The one verdict on all of comparisons (is the new one no worse?) or runs together."""
+    if judged := [one.judgement for one in found if isinstance(one, Together)]:
+        return run_verdict(judged)
+    return overall(one.compared.gate.verdict for one in found if isinstance(one, Comparison))

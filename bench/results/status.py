@@ -242,18 +242,28 @@ class RunStatus:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reported:
-    """A run with its report: ``page`` is report/index.html, ``judgements`` one a detector."""
+    """A run with its report: ``page`` is report/index.html, ``judgements`` one a detector;
+    ``took``: how long it took, and was expected to.
+    """
 
     folder: Path
     page: Path
     record: RunRecord
     judgements: tuple[Judgement, ...]
     status: RunStatus
+    took: str = ""
 
     @property
     def verdict(self) -> str:
         """``met``, ``not met``, ``inconclusive`` or ``not measured``, of its worst detector."""
         return run_verdict(self.judgements).value
+
+    @property
+    def unchecked(self) -> str:
+        """Why nobody knows whether a recording's cameras agree; empty where it was looked at."""
+        from bench.results.cameras_agree import UNCHECKED_FACT
+
+        return str(self.record.facts.get(UNCHECKED_FACT, ""))
 
 
 def state_in(run: RunRecord) -> State:

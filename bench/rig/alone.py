@@ -1,7 +1,5 @@
-"""Instruments without a run: cameras looked at, focused and grabbed; one stage homed, moved and
-jogged; every instrument of a rig connected to once, for who it is and one reading.
-
-Opening a stage's port resets most controllers, and nothing moves before homing: home first.
+"""Instruments without a run: cameras, a stage or a bath opened alone; every instrument of a rig
+connected to once, for who it is and one reading. Opening a stage's port resets most controllers.
 """
 
 from __future__ import annotations
@@ -11,26 +9,29 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from bench.config import ConfigError, read_text
+from bench.config import ConfigError, did_you_mean
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.frame_capture import FrameChecks
 from bench.rig.loading import LoadedRig, find_rig, load_rig
+from bench.rig.model import Bath as BathTable
 from bench.rig.model import Cameras as CamerasTable
 from bench.rig.model import OneCamera, camera_url
 from bench.rig.model import Stage as StageTable
 from bench.rig.opening import ALL, conversion_of, open_camera, open_instruments, rig_of
 from bench.rig.urls import ELSEWHERE, is_emulated
-from instruments.bath.profile import PUMP
+from instruments.bath.driver import Bath
+from instruments.bath.profile import PUMP, Profile, load_profile, profile_names
 from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import Conversion, FrameError, FrameSet, Grey
 from instruments.camera.genicam import load_aravis
 from instruments.camera.quality import edge_blur_px, level_dn, saturated_share
 from instruments.captures.capture import CaptureFile
 from instruments.clock import Clock, RealClock, VirtualClock
+from instruments.device_file import DeviceFileError
 from instruments.drivers.protocols import Cameras, Stage
 from instruments.errors import DeviceError, InstrumentError
 from instruments.stage.settings import check_within, declared
@@ -63,7 +64,7 @@ class OpenCameras:
 
 
 @contextmanager
-def open_alone(sources: Sequence[str]) -> Iterator[OpenCameras]:
+def open_cameras(sources: Sequence[str]) -> Iterator[OpenCameras]:
     """Cameras of a rig (none: the emulated one) or by URL. Raises ConfigError, InstrumentError."""
     by_url = any(source.partition(":")[0] in ("opencv", "genicam", "files") for source in sources)
     if by_url and len(sources) > len(KNOWN):
@@ -143,11 +144,6 @@ def figures(picture: Grey) -> dict[str, object]:
     }
 
 
-def calibration_text(alone: OpenCameras) -> str | None:
-    """The rig's calibration file; None for cameras by URL, and where it has not been made."""
-    return read_text(alone.rig.calibration_path) if alone.rig.made_calibration else None
-
-
 def attached() -> Iterator[tuple[str, str]]:
     """URL and name of each camera that this machine lists; OpenCV's devices are not opened."""
     for device in sorted(Path("/sys/class/video4linux").glob("video*")):
@@ -179,20 +175,27 @@ KEYS = {"X": "x_mm", "Y": "y_mm", "Z": "z_mm", "A": "a_deg"}
 _STEP = re.compile(r"([XYZA])([-+]?(?:\d+\.?\d*|\.\d+))", re.IGNORECASE)
 
 
-def stage_of_rig(name: str) -> StageTable:
-    """The stage of a rig. Raises ConfigError where it has none, or an emulated one."""
-    rig = load_rig(find_rig(name))
-    stage = rig.rig.stage
-    if stage and not is_emulated(stage.url):
-        return stage
-    emulated = "its stage is emulated; 'teatbench emulate' serves one at a port, for --port"
-    why = emulated if stage else "this rig has no stage; the operator moves its phantom"
-    raise ConfigError.plain(f"{rig.path}: {why}")
-
-
 @contextmanager
-def open_stage(at: StageTable, capture: CaptureFile | None = None) -> Iterator[Stage]:
-    """The stage, connected, in real time, stopped at the end. Raises InstrumentError."""
+def open_stage(
+    url: str | None = None,
+    *,
+    rig: str = "",
+    axes: str = "XY",
+    dialect: str = "grbl",
+    capture: CaptureFile | None = None,
+) -> Iterator[Stage]:
+    """The stage at ``url`` (what it has of X, Y, Z and A, and speaks: grbl, marlin), or that of
+    ``rig``; connected, in real time, stopped at the end. Raises ConfigError, InstrumentError.
+    """
+    if url:
+        at = StageTable.model_validate({"url": url, "axes": axes, "dialect": dialect})
+    else:
+        of = load_rig(find_rig(rig))
+        if of.rig.stage is None or is_emulated(of.rig.stage.url):
+            emulated = "its stage is emulated; 'teatbench emulate' serves one at a port, for --port"
+            none = "this rig has no stage; the operator moves its phantom"
+            raise ConfigError.plain(f"{of.path}: {emulated if of.rig.stage else none}")
+        at = of.rig.stage
     with open_instruments(rig_of(stage=at), ("stage",), capture=capture) as devices:
         stage = devices.stage
         assert stage  # noqa: S101 - it was asked for
@@ -200,7 +203,44 @@ def open_stage(at: StageTable, capture: CaptureFile | None = None) -> Iterator[S
         yield stage
 
 
-def described(stage: Stage) -> dict[str, object]:
+def bath_profile(name: str) -> Profile:
+    """A shipped profile by its name, or one of the user's own by its path. Raises ConfigError."""
+    known = profile_names()
+    if not name.endswith(".toml") and name not in known:
+        near, there = did_you_mean(name, known) or ".", ", ".join(known)
+        raise ConfigError.plain(
+            f'no profile "{name}"{near} Shipped: {there}; or the path of a .toml file.'
+        )
+    try:
+        return load_profile(Path(name) if name.endswith(".toml") else name)
+    except DeviceFileError as error:
+        raise ConfigError.plain(str(error)) from error
+
+
+@contextmanager
+def open_bath(
+    url: str,
+    profile: Profile | str,
+    *,
+    allow_inferred: bool = False,
+    identify: bool = True,
+    capture: CaptureFile | None = None,
+    leave_running: bool = False,
+) -> Iterator[Bath]:
+    """The bath at ``url``, as in a rig file's [bath], in real time; made safe at the end where it
+    was started, unless ``leave_running``. Raises ConfigError, InstrumentError.
+    """
+    of = bath_profile(profile) if isinstance(profile, str) else profile
+    rig = rig_of(
+        of, bath=BathTable.model_construct(url=url, profile="", allow_inferred=allow_inferred)
+    )
+    with open_instruments(
+        rig, ("bath",), capture=capture, identify=identify, leave_running=leave_running
+    ) as devices:
+        yield cast(Bath, devices.bath)  # a profile's rows are spoken by no other
+
+
+def describe_stage(stage: Stage) -> dict[str, object]:
     """Identity, state, position and travel; units are in the names."""
     identity, settings, status = stage.identity, stage.settings, stage.status()
     travel = {f"travel_{KEYS[axis]}": [at.low_mm, at.high_mm] for axis, at in stage.limits.items()}
@@ -268,9 +308,8 @@ def check_rig(
     remote = rig.rig.operator.url.startswith(ELSEWHERE)
     names = [n for n in ALL if n in rig.rig.urls and (n != "operator" or remote)]
     with ExitStack() as stack:
-        clock: Clock
+        clock: Clock = VirtualClock()
         twin = None
-        clock = VirtualClock()
         if not rig.rig.simulated:
             clock = stack.enter_context(closing(RealClock()))
         if rig.rig.emulated:

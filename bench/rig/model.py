@@ -27,6 +27,7 @@ from bench.config import Millimetres, Point, Positive, Radians, Section, did_you
 from bench.rig.urls import (
     ELSEWHERE,
     EMULATED,
+    PEOPLE,
     a_name,
     arm_url,
     bath_url,
@@ -751,6 +752,11 @@ class Rig(Section):
     def emulated(self) -> tuple[str, ...]:
         """Names of the instruments that are emulated in this process."""
         return tuple(name for name, url in self.urls.items() if is_emulated(url))
+
+    @property
+    def by_person(self) -> bool:
+        """Whether a person is the operator, at a terminal or in the browser."""
+        return self.operator.url in PEOPLE
 
     @property
     def simulated(self) -> bool:

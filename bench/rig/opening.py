@@ -139,7 +139,7 @@ def open_instruments(
         return Leaving(rig, devices, guards=guards, leave_running=leave_running, warn=warn)
 
     def clock_in(stack: ExitStack) -> Clock:
-        person = "operator" in names and rig.rig.operator.url in PEOPLE
+        person = "operator" in names and rig.rig.by_person
         if (emulated or twin) and not real and not realtime and not person:
             return VirtualClock()
         if speed is not None and rig.rig.simulated:  # nothing real is hurried
@@ -232,7 +232,7 @@ def emulated_world(clock: Clock) -> Iterator[World]:
 
 def in_virtual_time(rig: LoadedRig, *, realtime: bool) -> bool:
     """Whether a run need not wait: all is emulated, and no person takes part."""
-    return rig.rig.simulated and not realtime and rig.rig.operator.url not in PEOPLE
+    return rig.rig.simulated and not realtime and not rig.rig.by_person
 
 
 def rig_of(profile: Profile | None = None, **tables: Any) -> LoadedRig:

@@ -78,7 +78,7 @@ def teat_temp_c(water_c: float, ambient_c: float) -> float:
 
 
 def write_sheet(
-    rig: LoadedRig, names: Sequence[str], seeds: Sequence[int], path: Path, seed: int
+    rig: LoadedRig, names: Sequence[str], seeds: Sequence[int], path: Path | str, seed: int
 ) -> None:
     """One PNG, a row for each family and seed. Raises ConfigError."""
     states = {
@@ -90,7 +90,7 @@ def write_sheet(
     if not good:
         raise ConfigError.plain(f"{path}: the sheet is too large for a PNG: ask for fewer seeds")
     try:
-        write_synced(path, data.tobytes())
+        write_synced(Path(path), data.tobytes())
     except OSError as error:
         raise ConfigError.plain(f"{path}: can't be written: {error}") from error
 
@@ -104,11 +104,11 @@ class Perturbation(Protocol):
     def stated(self, calibration: Calibration) -> Calibration: ...
 
 
-def record(
+def record_scenes(
     rig: LoadedRig,
     names: Sequence[str],
     seeds: Sequence[int],
-    folder: Path,
+    folder: Path | str,
     seed: int,
     perturbations: Sequence[Perturbation] = (),
 ) -> Iterator[str]:
@@ -127,7 +127,7 @@ def record(
     if stated is not rig.calibration:
         text = dump_calibration(stated, "perturbed: not what the cameras are")
     try:
-        writer = RecordingWriter(folder)
+        writer = RecordingWriter(Path(folder))
         writer.add_calibration(text)
         for name in families:
             for member in seeds:
@@ -183,7 +183,7 @@ def record_boards(
     board: Board,
     cameras: Sequence[str],
     poses: int,
-    folder: Path,
+    folder: Path | str,
     seed: int,
     *,
     warmer_k: float = 0.0,
@@ -197,7 +197,7 @@ def record_boards(
     watching = [camera for camera in renderer.cameras if camera.name in cameras]
     try:
         held = boards.poses(pattern, watching, BOARD_DEPTHS_MM, seed, poses)
-        writer = RecordingWriter(folder)
+        writer = RecordingWriter(Path(folder))
         writer.add_calibration(read_text(rig.calibration_path))
         for number, one in enumerate(held):
             state = SceneState(

@@ -18,10 +18,12 @@ from instruments.camera.frame import FrameSet
 SHOWN_LINES = 5
 
 
-def detect_lines(path: Path, names: Sequence[str]) -> Iterator[tuple[dict[str, Any], str]]:
+def detect_recording(
+    path: Path | str, names: Sequence[str]
+) -> Iterator[tuple[dict[str, Any], str]]:
     """For each frame and detector the JSON line of the recording format, and a sentence."""
     detectors = make_detectors(names)
-    recording = Recording(path)
+    recording = Recording(Path(path))
     calibration = read_calibration(recording.calibration_path)
     if faults := list(refusals(detectors, calibration)):
         raise ConfigError.plain("\n".join(faults))

@@ -23,7 +23,6 @@ from bench.config import ConfigError
 from bench.files import write_synced
 from bench.record.reader import RunRecord
 from bench.rig.loading import LoadedRig
-from bench.rig.urls import PEOPLE
 from bench.run.events import RunState, read_events
 from bench.safety.stability import StabilityGate, State
 from bench.script.model import LoadedScript
@@ -168,11 +167,6 @@ def _touches(rig: LoadedRig, script: LoadedScript) -> list[int]:
     return [each * len(planned[index].phantom.teats) for index in at]
 
 
-def assumed_text() -> str:
-    each = (f"{what} {value:g} {UNITS.get(what, 's')}" for what, value in ASSUMED.items())
-    return f"Assumed: {', '.join(each)}."
-
-
 def move_s(way_mm: float, feed_mm_per_min: float, accel_mm_s2: float) -> float:
     """Seconds of a move from stand to stand: a trapezoid of speed; of a short way a triangle."""
     speed = feed_mm_per_min / 60.0
@@ -223,7 +217,7 @@ def needs(
     figures = {**ASSUMED, **measured}
     if emulated:
         figures |= {"homing": 0.0, "capture": 0.0}
-    if rig.rig.operator.url not in PEOPLE:
+    if not rig.rig.by_person:
         figures |= dict.fromkeys(
             ("set-up", "placing", "touch"), rig.rig.emulation.prompt_s if emulated else 0.0
         )

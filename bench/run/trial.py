@@ -27,7 +27,6 @@ from bench.results.teats_seen import TEATS_FACT, teats_seen
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Stage as StageSettings
-from bench.rig.urls import PEOPLE
 from bench.run.cameras_so_far import CamerasSoFar
 from bench.run.context import RunContext
 from bench.run.events import RunState
@@ -450,7 +449,7 @@ class TrialRun:
 
     def _pictured(self, trial: PlannedTrial, asked: Arrangement) -> Arrangement:
         """With a picture for a person; the one before where nothing is to be changed by hand."""
-        if self._rig.operator.url not in PEOPLE:
+        if not self._rig.by_person:
             return asked
         before = self._before
         if before is None or replace(before, unattended=asked.unattended) != asked:

@@ -79,6 +79,11 @@ def read_latch(path: Path | None) -> Latch | None:
     return Latch(path, content if isinstance(content, dict) else {})
 
 
+def latched(rig: LoadedRig) -> Latch | None:
+    """The trip that stopped a rig, and waits to be acknowledged."""
+    return read_latch(latch_path(rig))
+
+
 def refuse_latched(rig: LoadedRig) -> None:
     """Raises LatchedError where a trip of this rig has not been acknowledged."""
     latch = read_latch(latch_path(rig))

@@ -27,6 +27,7 @@ from bench.scoring.rates import (
     zero_failure_n,
 )
 
+RATES = (0.95, 0.99, 0.999)
 RARE = 1e-100  # a share so small is none: scipy's distributions overflow there
 
 
@@ -183,10 +184,42 @@ class SampleSizePlan:
     u_mm: float | None = None
     accept_mm: float | None = None
 
+    def lines(self) -> Iterator[str]:
+        """The plan as lines of text."""
+        sure = f"{exact_percent(self.confidence)} confidence (one-sided)"
+        for claim in self.claims:
+            with_failures = ", ".join(
+                f"{needed} with {count}" for count, needed in enumerate(claim.poses_needed) if count
+            )
+            more = f" ({with_failures} failed)" if with_failures else ""
+            yield (
+                f"A rate of {exact_percent(claim.rate)} with {sure}: {claim.poses_needed[0]} poses"
+                f" without a failure{more}."
+            )
+        yield (
+            "Poses count, not frames: repeats of one pose are one trial. The largest error of so"
+            " many poses bounds the same share of errors."
+        )
+        if self.poses is not None:
+            yield from _text_of_poses(self, sure)
+        if self.limit_mm is not None and self.u_mm is not None:
+            yield from _text_of_error(self)
+        alpha = exact_percent(self.alpha)
+        yield (
+            f"Two detectors on the same poses: at least {self.discordant_needed} must be lost, and"
+            f" none won, for p < {alpha} (exact McNemar)."
+        )
+        if self.poses_for_shift:
+            yield (
+                f"A difference of {self.shift_mm:g} mm in their mean distance, where it varies by"
+                f" {self.sd_mm:g} mm from pose to pose: {self.poses_for_shift} poses show it with a"
+                f" chance of {exact_percent(self.power)}."
+            )
 
-def make_plan(
-    rates: Sequence[float],
-    confidence: float,
+
+def plan_poses(
+    rates: Sequence[float] = RATES,
+    confidence: float = 0.95,
     *,
     failures: int = 3,
     poses: int | None = None,
@@ -197,8 +230,10 @@ def make_plan(
     limit_mm: float | None = None,
     u_mm: float | None = None,
 ) -> SampleSizePlan:
-    """The plan for showing ``rates``, and for comparing with the chance ``power`` at the level 1 -
-    ``confidence``; with ``limit_mm`` and ``u_mm``, near the limit.
+    """The plan for showing success ``rates`` (0 to 1) with up to so many ``failures``, and what
+    ``poses`` can show; two detectors are compared with the chance ``power`` at the level 1 -
+    ``confidence``, their difference ``shift_mm`` with the standard deviation ``sd_mm`` over poses.
+    With ``limit_mm`` of the error and ``u_mm`` of the truth, near the limit. Raises ValueError.
     """
     alpha, there = round(1.0 - confidence, 12), poses or None
     accept = None if limit_mm is None or u_mm is None else acceptance_limit_mm(limit_mm, u_mm)
@@ -236,39 +271,6 @@ def make_plan(
         shift_mm=shift_mm,
         poses_for_shift=needed_for_shift,
     )
-
-
-def plan_lines(plan: SampleSizePlan) -> Iterator[str]:
-    """The plan as lines of text."""
-    sure = f"{exact_percent(plan.confidence)} confidence (one-sided)"
-    for claim in plan.claims:
-        with_failures = ", ".join(
-            f"{needed} with {count}" for count, needed in enumerate(claim.poses_needed) if count
-        )
-        more = f" ({with_failures} failed)" if with_failures else ""
-        yield (
-            f"A rate of {exact_percent(claim.rate)} with {sure}: {claim.poses_needed[0]} poses"
-            f" without a failure{more}."
-        )
-    yield (
-        "Poses count, not frames: repeats of one pose are one trial. The largest error of so many"
-        " poses bounds the same share of errors."
-    )
-    if plan.poses is not None:
-        yield from _text_of_poses(plan, sure)
-    if plan.limit_mm is not None and plan.u_mm is not None:
-        yield from _text_of_error(plan)
-    alpha = exact_percent(plan.alpha)
-    yield (
-        f"Two detectors on the same poses: at least {plan.discordant_needed} must be lost, and none"
-        f" won, for p < {alpha} (exact McNemar)."
-    )
-    if plan.poses_for_shift:
-        yield (
-            f"A difference of {plan.shift_mm:g} mm in their mean distance, where it varies by"
-            f" {plan.sd_mm:g} mm from pose to pose: {plan.poses_for_shift} poses show it with a"
-            f" chance of {exact_percent(plan.power)}."
-        )
 
 
 def _text_of_error(plan: SampleSizePlan) -> Iterator[str]:

@@ -28,6 +28,7 @@ from bench.config import (
     read_text,
 )
 from bench.rig.loading import find_shipped
+from bench.scoring.looks import Looks
 from bench.script.detectors import check_named
 from bench.script.phantom import Layout, find_layout, load_layout
 from bench.script.planned_trials import PlannedTrial, PublishedRate, Trial, plan
@@ -315,6 +316,15 @@ class LoadedScript:
     @property
     def name(self) -> str:
         return self.path.name.removesuffix(".toml").removesuffix(".py")
+
+    @property
+    def poses(self) -> int:
+        """How many there are: repeats of one pose count once."""
+        return len({trial.name for trial in self.planned})
+
+    def first_confidence(self, confidence: float) -> float:
+        """That of the first of its looks, where the last has ``confidence``."""
+        return Looks(self.script.looks).first_confidence(confidence)
 
     @property
     def scenes(self) -> dict[str, set[int]]:

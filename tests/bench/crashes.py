@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 import numpy as np
 import psutil
 
-from bench.record.check import check_run
+from bench.record.check import check_record
 from bench.record.reader import read_run
 from bench.results.headline import guardian_text
 from bench.rig.emulated_rig import EmulatedRig
@@ -211,7 +211,7 @@ def crash(folder: Path, state: str, bath: str, how: str, **more: Any) -> Outcome
             psutil.Process(guardian).resume()
         within(60.0, lambda: not alive(guardian), "the old guardian has ended")
         assert not rig.twin.world.plant.running
-        assert check_run(run).whole
+        assert check_record(run).whole
         record = read_run(run)
         assert record.ending == "finished"
         assert record.guardian is None, "the last session needed none"
@@ -306,7 +306,7 @@ def another_run(folder: Path) -> tuple[Mapping[str, Any], dict[str, list[Any]]]:
         assert not alive(guardian), "it had ended before the next one was ready"
         silence(rig, on=False)
         resumed(rig, None, 0)
-        assert check_run(run).whole
+        assert check_record(run).whole
         return read_run(run).guardians[1], trials_of(max(rig.out.iterdir()))
 
 

@@ -13,7 +13,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from bench.record.recording import Recording
 from bench.rig.loading import find_rig, load_rig
-from bench.rig.scenes import record
+from bench.rig.scenes import record_scenes as record
 from detector import registry
 from detector.calibration import Calibration
 from instruments.camera.frame import FrameSet

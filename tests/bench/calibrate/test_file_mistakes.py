@@ -99,7 +99,7 @@ NO_PAIR = "^left 03 and right 03 are no pair like the 6 others: "
 def test_pictures_that_are_no_pair_are_named_with_what_fits(
     seen: BoardViews, mistake: Callable[[Views], None], why: str
 ) -> None:
-    with pytest.raises(BundleError, match=why):
+    with pytest.raises(ConfigError, match=why):
         calibrate_pair(with_views(seen, mistake), model="k1 k2")
 
 

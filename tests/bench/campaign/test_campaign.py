@@ -26,7 +26,7 @@ from bench.campaign.chunk import ASIDE, Rows
 from bench.campaign.plan import CampaignPlan, Chunk, plan_text
 from bench.campaign.pool import LocalPool
 from bench.campaign.run import Campaign, Executor
-from bench.campaign.shards import Shards, query
+from bench.campaign.shards import Shards, query_campaign
 from bench.rig.scenes import draw, warm
 from instruments.world.situations import situation
 from tests.bench.campaign.small_campaign import (
@@ -75,9 +75,9 @@ def test_the_order_of_chunks_changes_nothing(
     shards = done(plan, tmp_path, lambda campaign: Here(campaign.job, shuffled))
     assert shards.digest() == plain[1]
     assert len(shards.files()) == 2  # merged, a file a family
-    assert query(tmp_path, "SELECT count(*), count(DISTINCT (family, member)) FROM scenes")[1] == [
-        (2 * plan.most_scenes,) * 2
-    ]
+    assert query_campaign(
+        tmp_path, "SELECT count(*), count(DISTINCT (family, member)) FROM scenes"
+    )[1] == [(2 * plan.most_scenes,) * 2]
 
 
 class Killing:
@@ -184,7 +184,7 @@ def test_a_scene_that_kills_and_one_without_an_end_are_set_aside_by_name(
     assert all("with this scene alone" in why for why in found["set_aside"].values())
     assert "the scene is tried again alone, in a new process" in out.err
     assert "scene ideal-0004 was set aside" in out.err
-    rows = query(tmp_path / "out", "SELECT member, failure FROM scenes ORDER BY member")[1]
+    rows = query_campaign(tmp_path / "out", "SELECT member, failure FROM scenes ORDER BY member")[1]
     assert [failure == ASIDE for _, failure in rows] == [False, True, False, False, True]
     assert found["rates"][0]["scenes"] == 3
 

@@ -19,7 +19,8 @@ from bench.campaign.chunk import Rows, SceneRow, Taken, TeatRow
 from bench.campaign.ledger import LEDGER
 from bench.campaign.plan import Chunk
 from bench.campaign.run import Campaign, plan_of
-from bench.campaign.shards import SHARDS, Shards, query
+from bench.campaign.shards import SHARDS, Shards
+from bench.campaign.shards import query_campaign as query
 from bench.config import ConfigError
 from tests.bench.campaign.small_campaign import small_plan
 from tests.bench.commands import Said

@@ -13,14 +13,13 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+import bench
 from bench.cli.bath import (
     HEIGHT,
     WIDTH,
     BathView,
-    open_bath,
     output_strip,
     plot,
-    profile_of,
     rate_k_per_s,
     seconds_to_stable,
     watch_bath,
@@ -30,6 +29,7 @@ from instruments.bath.emulator import BathEmulator
 from instruments.bath.line_emulator import LineEmulator
 from instruments.bath.profile import SHIPPED, LineProfile, load_profile, load_register_profile
 from instruments.bath.reading import BathReading
+from instruments.clock import RealClock
 from instruments.world.plant import Plant
 from tests.bench.commands import Said, served, teatbench
 
@@ -175,10 +175,10 @@ def test_watch_on_a_terminal_is_a_live_plot_of_everything(bath: Served) -> None:
     shown = ExpectedScene()
     console = Console(file=shown, force_terminal=True, width=120, height=40, color_system=None)
     with (
-        open_bath(bath.at[1], profile_of("julabo-presto")) as (driver, clock),
+        bench.open_bath(bath.at[1], "julabo-presto") as driver,
         pytest.raises(KeyboardInterrupt),
     ):
-        watch_bath(driver, clock, console, 600.0)
+        watch_bath(driver, RealClock(), console, 600.0)
     frames = shown.getvalue().split("last ")
     last = frames[-2] + frames[-1]
     assert "33.00 ─" in last, "the set point is a line"

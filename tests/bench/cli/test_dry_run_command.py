@@ -113,7 +113,7 @@ def test_what_a_person_has_to_confirm_is_said_by_check_and_dry_run_as_by_a_run(
     script, runs = one(tmp_path)
     cut_out = "bath.cut_out_tested: missing: nothing is heated before the bath's independent cut-"
     unit = "bath.unit_confirmed: missing: nothing tells whether the numbers of a "
-    monkeypatch.setattr("bench.rig.alone.check_rig", lambda *_: iter(()))  # takes seconds
+    monkeypatch.setattr("bench.check_rig", lambda *_: iter(()))  # takes seconds
     checked = said(0, "check {}", rig).out.splitlines()
     dry = said(2, f"{DRY} --rig {{}}", script, runs, rig).out.splitlines()
     for sentence in (cut_out, unit):

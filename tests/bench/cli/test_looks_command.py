@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from bench.record.check import check_run
+from bench.record.check import check_record
 from bench.record.schema import DATABASE
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said, teatbench
@@ -70,7 +70,7 @@ def test_a_look_is_written_into_every_run_once_and_the_records_stay_whole(
     assert looked(said, runs["b"], runs["a"]) == first  # the same data: no further look
     assert list(ledger(runs["a"])) == [key]
     for name in "ab":
-        assert check_run(runs[name]).whole
+        assert check_record(runs[name]).whole
     text = said(0, "compare {} {} --together", runs["a"], runs["b"]).out
     assert "A further look: 2 came before it" in text
 

@@ -12,7 +12,7 @@ from bench.config import ConfigError, read_calibration, read_config
 from bench.record.recording import Recording, RecordingError
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import EmulatedOptical, EmulatedThermal, Rig
-from bench.rig.scenes import chosen, record, rig_renderer, warm
+from bench.rig.scenes import chosen, record_scenes, rig_renderer, warm
 from instruments.world.situations import SITUATIONS, situation
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said, teatbench, words
@@ -48,14 +48,14 @@ def test_a_recording_of_situations_can_be_read_and_has_exact_truth(
 def test_a_frame_is_the_same_whatever_else_is_recorded(tmp_path: Path) -> None:
     rig = load_rig(write_small_rig(tmp_path))
     for folder, seeds in (("one", [5]), ("two", [4, 5])):
-        list(record(rig, ["dim_light"], seeds, tmp_path / folder, seed=1))
+        list(record_scenes(rig, ["dim_light"], seeds, tmp_path / folder, seed=1))
     files = [
         sorted((tmp_path / folder / "frames" / "dim_light-0005").iterdir())
         for folder in ("one", "two")
     ]
     assert [one.read_bytes() for one in files[0]] == [two.read_bytes() for two in files[1]]
     with pytest.raises(RecordingError, match="there is such a frame already"):
-        list(record(rig, ["dim_light"], [5], tmp_path / "one", seed=1))
+        list(record_scenes(rig, ["dim_light"], [5], tmp_path / "one", seed=1))
 
 
 @pytest.mark.slow

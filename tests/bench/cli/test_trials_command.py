@@ -10,7 +10,7 @@ import pytest
 from bench.rig.loading import find_rig, load_rig, shipped
 from bench.run.estimate import ASSUMED, estimate, move_s
 from bench.scoring.decisions import decide_error
-from bench.scoring.sample_size import make_plan
+from bench.scoring.sample_size import plan_poses
 from bench.script.model import TRIALS, find_script, load_script
 from tests.bench.commands import Said, teatbench
 
@@ -168,4 +168,4 @@ def test_for_programs(said: Said) -> None:
 
 
 def test_no_pose_shows_nothing() -> None:
-    assert make_plan([0.95], 0.95, poses=0).rate_shown is None
+    assert plan_poses([0.95], 0.95, poses=0).rate_shown is None

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from bench.api.records import DAMAGED
 from bench.cli.main import main
-from bench.cli.store import DAMAGED
 from bench.record.check import NOT_AS_WRITTEN, PRINTED
 from bench.record.reader import read_run
 from bench.record.schema import DATABASE

@@ -24,7 +24,7 @@ import pytest
 
 from bench.config import ConfigError
 from bench.files import png_bytes, write_pictures, write_synced
-from bench.record.check import check_run
+from bench.record.check import check_record
 from bench.record.reader import TrialRecord, read_run
 from bench.record.schema import DATABASE
 from bench.record.writer import FLUSH_EVERY, URGENT, Store, new_run_folder
@@ -230,7 +230,7 @@ def test_a_trial_that_cannot_be_written_takes_nothing_with_it(store: Store) -> N
     store.finished(good)
     assert (durable(store, "bath"), durable(store, "trials")) == (1, 1)
     store.close()
-    assert check_run(store.folder).whole
+    assert check_record(store.folder).whole
 
 
 def test_a_wrong_row_that_waited_does_not_hold_up_the_runs_end(store: Store) -> None:
@@ -257,7 +257,7 @@ def test_what_waits_goes_on_waiting_while_the_disk_is_full(store: Store) -> None
     say(store, "end")
     assert (durable(store, "bath"), durable(store)) == (1, FLUSH_EVERY - 1)
     store.close()
-    assert check_run(store.folder).whole
+    assert check_record(store.folder).whole
 
 
 def test_a_file_is_synced_then_renamed_then_its_folder_is_synced(
@@ -348,7 +348,7 @@ def test_pictures_of_a_trial_that_died_in_flight_do_not_stay_beside_those_of_its
     again = Store(store.folder)
     again.finished(trial(again, 1))
     again.close()
-    assert check_run(store.folder).findings == ()
+    assert check_record(store.folder).findings == ()
     assert sorted(path.parent.name for path in store.folder.rglob("*.png")) == [
         "001-x-1",
         "002-x-1",
@@ -446,7 +446,7 @@ def test_an_interruption_between_any_two_lines_leaves_a_record_that_can_be_finis
         range(1, line + 1)
     )
     assert run.bath[:, 0].tolist() == list(range(1, line + 1))
-    assert check_run(tmp_path / "run").findings == ()
+    assert check_record(tmp_path / "run").findings == ()
 
 
 def interrupted_at(line: int, store: Store) -> bool:

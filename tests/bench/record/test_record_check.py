@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from bench.record.chain import Head
-from bench.record.check import PRINTED, Weight, check_run
+from bench.record.check import PRINTED, Weight, check_record
 from bench.record.reader import read_run
 from bench.record.schema import DATABASE, tables_of
 from bench.record.writer import Store
@@ -55,7 +55,7 @@ def run(written: Path, tmp_path: Path) -> Path:
 
 
 def damages(run: Path, digest: str | None = None) -> list[str]:
-    found = check_run(run, digest).findings
+    found = check_record(run, digest).findings
     return [finding.text for finding in found if finding.weight is Weight.DAMAGE]
 
 
@@ -67,7 +67,7 @@ FRAME = Path("frames") / "002-x-1" / "left.png"
 
 
 def test_a_run_as_it_was_written_is_whole(run: Path) -> None:
-    checked = check_run(run)
+    checked = check_record(run)
     assert checked.whole
     assert checked.findings == ()
     counts = {"trials": 3, "frames": 3, "events": 2, "bath": 3, "files": 2}
@@ -218,7 +218,7 @@ def test_a_chain_made_anew_or_cut_off_differs_from_what_the_report_names(run: Pa
     """Whoever can write the file can make a chain of his own; he can't make it end in the digest
     that was printed.
     """
-    head = check_run(run).head
+    head = check_record(run).head
     named = {"links": head.number, "digest": head.digest, "wall_digest": head.wall_digest}
     (run / PRINTED).parent.mkdir()
     (run / PRINTED).write_text(json.dumps({"chain": named}), encoding="utf-8")
@@ -233,7 +233,7 @@ def test_a_chain_made_anew_or_cut_off_differs_from_what_the_report_names(run: Pa
 
 
 def test_a_run_that_went_on_after_its_report_still_passes_through_its_digest(run: Path) -> None:
-    head = check_run(run).head
+    head = check_record(run).head
     store = Store(run)
     store.event(0.1, "state", "resumed", wall_time())
     store.close()
@@ -251,7 +251,7 @@ def test_the_digest_without_real_time_repeats_and_the_other_does_not(tmp_path: P
         store.fact("wall_started", wall_time().isoformat())
         store.finished(trial(store, 1))
         store.close()
-        heads.append(check_run(store.folder).head)
+        heads.append(check_record(store.folder).head)
     assert heads[0].digest == heads[1].digest
     assert heads[0].wall_digest != heads[1].wall_digest
 
@@ -260,7 +260,7 @@ def test_a_run_that_was_kept_still_checks(tmp_path: Path) -> None:
     """The chain's format: whoever changes it would call every record that was ever written an
     altered one.
     """
-    checked = check_run(Path(shutil.copytree(KEPT, tmp_path / "kept")))
+    checked = check_record(Path(shutil.copytree(KEPT, tmp_path / "kept")))
     assert checked.whole
     assert checked.head == Head(
         29,

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from bench.config import ConfigError
-from bench.record.check import Weight, check_run
+from bench.record.check import Weight, check_record
 from bench.record.reader import RunRecord, read_run
 from bench.record.writer import Store
 from bench.report.bath import _care_parts
@@ -68,17 +68,17 @@ def test_what_the_next_session_found_is_in_the_chain(run: Path) -> None:
     note = (
         "guardian-1.json is in no link of the chain: its guardian wrote it after the bench had died"
     )
-    found = [(one.weight, one.text) for one in check_run(run).findings]
+    found = [(one.weight, one.text) for one in check_record(run).findings]
     assert (Weight.NOTE, note) in found
     goes_on(run)
-    checked = check_run(run)
+    checked = check_record(run)
     assert checked.whole
     assert note not in [one.text for one in checked.findings]
     write(run, "guardian-1.json", acted(tries=2))
-    damage = [one.text for one in check_run(run).findings if one.weight is Weight.DAMAGE]
+    damage = [one.text for one in check_record(run).findings if one.weight is Weight.DAMAGE]
     assert damage == ["guardian-1.json is not as the next session found it"]
     (run / "guardian-1.json").unlink()
-    damage = [one.text for one in check_run(run).findings if one.weight is Weight.DAMAGE]
+    damage = [one.text for one in check_record(run).findings if one.weight is Weight.DAMAGE]
     assert damage == ["guardian-1.json can't be read: No such file or directory"]
     assert read_run(run).guardians[1]["tries"] == 1, "the record has it still"
 
@@ -87,4 +87,4 @@ def test_one_that_is_no_record_is_named(run: Path) -> None:
     (run / (name := "guardian-1.json")).write_text("{", encoding="utf-8")
     with pytest.raises(ConfigError, match=f"{name} can't be read"):
         read_run(run)
-    assert not check_run(run).whole
+    assert not check_record(run).whole

@@ -22,7 +22,7 @@ import cv2
 import pytest
 
 from bench.config import ConfigError
-from bench.record.check import check_run
+from bench.record.check import check_record
 from bench.record.reader import opened, read_run
 from bench.record.schema import DATABASE
 from bench.record.writer import Store
@@ -126,7 +126,7 @@ def look(folder: Path, done: int) -> int:
     """How many trials there are: all that were done, each whole and as it was written, and at most
     one beside them.
     """
-    checked = check_run(folder)
+    checked = check_record(folder)
     assert checked.whole, checked.findings
     with opened(folder) as db:
         (begun,) = db.execute("SELECT count(*) FROM facts WHERE key = 'detectors'").fetchone()

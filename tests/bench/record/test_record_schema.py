@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from bench.config import ConfigError
-from bench.record.check import check_run
+from bench.record.check import check_record
 from bench.record.mcap import MESSAGES
 from bench.record.reader import read_run
 from bench.record.schema import DATABASE, SCHEMA_VERSION, make_tables, tables_of
@@ -42,7 +42,7 @@ def changed(folder: Path, sql: str) -> Path:
 def test_tables_of_another_schema_are_refused(tmp_path: Path, version: int, note: str) -> None:
     run = changed(tmp_path, f"PRAGMA user_version = {version};")
     why = f"schema {version}; this bench has {SCHEMA_VERSION}. {note}"
-    for use in (read_run, check_run, Store):
+    for use in (read_run, check_record, Store):
         with pytest.raises(ConfigError, match=why):
             use(run)
 

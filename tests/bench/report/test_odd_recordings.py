@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from bench.report.trials import round_teats
 from bench.rig.loading import find_rig, load_rig
-from bench.rig.scenes import record
+from bench.rig.scenes import record_scenes as record
 from tests.bench.commands import Said, teatbench
 
 pytestmark = pytest.mark.slow

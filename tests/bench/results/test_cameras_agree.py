@@ -27,7 +27,7 @@ from bench.results.cameras_agree import (
 )
 from bench.rig.arm_files import frame_text
 from bench.rig.loading import RIGS, find_rig, load_rig
-from bench.rig.scenes import record
+from bench.rig.scenes import record_scenes as record
 from bench.run.cameras_so_far import CamerasSoFar
 from bench.run.start import score_recording
 from bench.scoring.decisions import Decision, Verdict

@@ -424,7 +424,7 @@ def test_a_bench_in_the_background_reads_nothing_of_what_is_typed_to_others(
         os.fdopen(person, "wb", buffering=0) as keys,
     ):
         monkeypatch.setattr("sys.stdin", stream)
-        typed = typed_lines("emulator:")
+        typed = typed_lines(by_person=False)
         keys.write(b"abort\n")
         monkeypatch.setattr("os.tcgetpgrp", lambda _: os.getpgrp() + 1)
         assert typed() is None

@@ -267,7 +267,7 @@ def compare_the_surfaces(run: Path, status: RunStatus, watch: Watch) -> None:
     assert queue.headline.startswith(f"ended early, {finished} of 2 scripts finished: an instr")
     of_queue = queue.as_dict()["scripts"]
     assert [one["text"] for one in of_queue] == [status.headline, "not begun"]
-    queued = html.unescape(write_queue_page(run.parent, queue).read_text(encoding="utf-8"))
+    queued = html.unescape(write_queue_page(run.parent)[1].read_text(encoding="utf-8"))
     queued = " ".join(queued.split())
     assert queue.headline in queued
     in_json = json.loads((report / "run.json").read_text(encoding="utf-8"))

@@ -18,7 +18,7 @@ import pytest
 
 from bench.cli.main import main
 from bench.config import ConfigError
-from bench.record.check import check_run
+from bench.record.check import check_record
 from bench.record.reader import RunRecord, read_run
 from bench.record.recording import Recording, RecordingWriter
 from bench.record.state import run_lock
@@ -269,7 +269,7 @@ def test_killed_just_after_a_check_of_the_carried_truth(
     assert killed_while(f"'{kind}'", "event", Store, lambda: start(tmp_path, "runs"))
     assert read_run(only_run(tmp_path, "runs")).checks
     equal_after_resuming(tmp_path, "runs")
-    assert check_run(only_run(tmp_path, "runs")).whole
+    assert check_record(only_run(tmp_path, "runs")).whole
 
 
 def test_a_run_that_somebody_ended_goes_on_too(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bench.cli.detectors import try_out
 from bench.config import ConfigError
 from bench.rig import moved
-from bench.run.detections import detect_lines
+from bench.run.detections import detect_recording
 from bench.run.start import score_recording
 from bench.script.detectors import introduced
 from detector.calibration import Calibration, dump_calibration
@@ -211,7 +211,7 @@ def test_a_recording_of_such_a_rig_is_refused_before_its_first_frame(
     (recording / "calibration.toml").write_text(text, encoding="utf-8")
     for what in (
         lambda: score_recording(recording, tmp_path / "runs", Mock(), ["fused"]),
-        lambda: list(detect_lines(recording, ["fused"])),
+        lambda: list(detect_recording(recording, ["fused"])),
         lambda: try_out(Namespace(word="fused", recording=recording)),
     ):
         with pytest.raises(ConfigError, match=r"fused can.t be used with this rig: .*looks up"):
