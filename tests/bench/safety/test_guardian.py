@@ -17,7 +17,7 @@ import pytest
 
 from bench.cli.main import main
 from bench.record.reader import read_run
-from tests.bench.real_rig import Bench, RealRig, bench, real_rig
+from tests.bench.real_rig import RealRig, real_rig
 from tests.bench.safety.guards import (
     HANG_S,
     STANDBY_S,
@@ -31,14 +31,14 @@ from tests.plain_text import plain_text
 if sys.platform == "win32":
     pytest.skip("sends POSIX signals to the bench", allow_module_level=True)
 
-from tests.bench.marked_bench import MARK, marked_bench
+from tests.bench.marked_bench import MARK, MarkedBench, marked_bench
 
 pytestmark = pytest.mark.slow
 
 SEEN_LATE_S = 5.0  # so much later than it was said a busy machine may show us that it hangs
 
 
-def heating(rig: RealRig, running: Bench) -> None:
+def heating(rig: RealRig, running: MarkedBench) -> None:
     running.wait_for("on its peg")
     running.enter()
     running.until(lambda: rig.twin.world.plant.running, "heated")
@@ -55,14 +55,15 @@ def test_a_bench_that_is_stopped_is_taken_for_dead_within_seconds(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], measured: Measured
 ) -> None:
     with real_rig(tmp_path / "rig", recording, window_s=60.0) as rig:
-        with bench(rig) as running:
+        with marked_bench(rig, "none") as running:
             heating(rig, running)
             time.sleep(1.5)
-            running.process.send_signal(signal.SIGSTOP)
+            running.signal("SIGSTOP")
             seconds = standby_after(rig.twin.world.plant)
             guardian_record(rig.run_folder())
-            running.process.send_signal(signal.SIGCONT)
-            assert running.process.wait(60) == 3
+            running.signal("SIGCONT")
+            running.process.join(60)
+            assert running.process.exitcode == 3
         measured("SIGSTOP while settling", seconds)
         assert seconds < STOPPED_S + STANDBY_S
         run = read_run(rig.run_folder())
@@ -111,7 +112,10 @@ def test_a_frozen_guardian_ends_the_run_with_the_bath_in_standby(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """So that no death of the bench can follow that nobody would act on."""
-    with real_rig(tmp_path / "rig", recording, window_s=600.0) as rig, bench(rig) as running:
+    with (
+        real_rig(tmp_path / "rig", recording, window_s=600.0) as rig,
+        marked_bench(rig, "none") as running,
+    ):
         heating(rig, running)
         pid = running.process.pid
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
@@ -119,7 +123,8 @@ def test_a_frozen_guardian_ends_the_run_with_the_bath_in_standby(
         os.kill(guardian, signal.SIGSTOP)
         try:
             standby_after(rig.twin.world.plant)
-            assert running.process.wait(60) == 3
+            running.process.join(60)
+            assert running.process.exitcode == 3
         finally:
             os.kill(guardian, signal.SIGCONT)
         assert not rig.twin.world.plant.running
