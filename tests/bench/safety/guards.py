@@ -9,10 +9,12 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import psutil
 
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_register_profile
@@ -59,6 +61,22 @@ def hot_bath(folder: Path) -> Iterator[HotBath]:
     finally:
         listener.close()
         clock.close()
+
+
+def guardians_of(pid: int) -> list[psutil.Process]:
+    """Those that a process has started."""
+    found = []
+    for child in psutil.Process(pid).children():
+        with suppress(psutil.NoSuchProcess):
+            found += [child] if "bench.rig.guardian" in child.cmdline() else []
+    return found
+
+
+def alive(pid: int) -> bool:
+    """Whether a process has not ended."""
+    with suppress(psutil.NoSuchProcess):
+        return bool(psutil.Process(pid).status() != psutil.STATUS_ZOMBIE)
+    return False
 
 
 @contextmanager

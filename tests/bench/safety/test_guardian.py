@@ -6,8 +6,6 @@ Kills in every step are `test_guardian_kills`; serial ports and pumps `test_guar
 
 from __future__ import annotations
 
-import os
-import signal
 import sys
 import time
 from datetime import datetime
@@ -24,6 +22,7 @@ from tests.bench.safety.guards import (
     STOPPED_S,
     Measured,
     guardian_record,
+    guardians_of,
     standby_after,
 )
 from tests.plain_text import plain_text
@@ -107,7 +106,6 @@ def test_a_main_thread_that_hangs_while_the_others_live_is_taken_for_dead_after_
             assert f"the guardian had the bath in standby at {text['wall_safe']}" in said
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="finds the guardian in /proc")
 def test_a_frozen_guardian_ends_the_run_with_the_bath_in_standby(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -117,23 +115,17 @@ def test_a_frozen_guardian_ends_the_run_with_the_bath_in_standby(
         marked_bench(rig, "none") as running,
     ):
         heating(rig, running)
-        pid = running.process.pid
-        children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
-        (guardian,) = [int(child) for child in children if "guardian" in command_line(child)]
-        os.kill(guardian, signal.SIGSTOP)
+        (guardian,) = guardians_of(running.process.pid)
+        guardian.suspend()
         try:
             standby_after(rig.twin.world.plant)
             running.process.join(60)
             assert running.process.exitcode == 3
         finally:
-            os.kill(guardian, signal.SIGCONT)
+            guardian.resume()
         assert not rig.twin.world.plant.running
         run = read_run(rig.run_folder())
         assert (run.ending, run.facts["trip"]["rule"]) == ("faulted", "guardian lost")
         assert run.facts["trip"]["why"] == "it has not answered for 3 s"
         assert run.guardian is None, "it had nothing to do"
         assert "interlock guardian lost: it has not answered for 3 s" in reported(rig, capsys)[1]
-
-
-def command_line(pid: str) -> str:
-    return Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8")
