@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from bench.campaign.plan import read_plan
+from bench.campaign.plan import Job, read_plan
 from bench.cli.arguments import EXIT_CODES
 from bench.cli.main import main, parser
 from bench.config import read_config
@@ -47,6 +47,7 @@ from tests.bench.calibrate.board_pictures import (
     write_pairs,
 )
 from tests.bench.calibrate.touched import write_touched
+from tests.bench.campaign.small_campaign import Here
 from tests.bench.small_cameras import smaller
 from tests.bench.small_recording import write_recording
 from tests.conftest import ROOT
@@ -206,11 +207,21 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+class Hereabouts(Here):
+    """In the place of a campaign's processes, each of which loads the bench anew."""
+
+    def __init__(self, job: Job, *_: object, **__: object) -> None:
+        super().__init__(job)
+
+    def close(self) -> None: ...
+
+
 @pytest.mark.parametrize("page", sorted({block.page for block in RUN_HERE if block.commands}))
 def test_the_commands_of_a_page_run_in_their_order(
     page: str, desk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(desk)
+    monkeypatch.setattr("bench.campaign.pool.LocalPool", Hereabouts)
     for block in RUN_HERE:
         for line in block.commands if block.page == page else ():
             code, said = ran(line, desk, capsys)

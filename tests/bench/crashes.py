@@ -34,6 +34,7 @@ from tests.bench import operated_runs
 from tests.bench.killed_runs import rows_of
 from tests.bench.marked_bench import MARK, marked_bench
 from tests.bench.real_rig import CHECK, RELAY, RIG, STAGE, RealRig
+from tests.bench.safety.guards import alive, guardians_of
 from tests.bench.small_cameras import write_calibration
 from tests.waiting import within
 
@@ -249,18 +250,6 @@ def killed_in(rig: RealRig, state: str, *, silent: bool, with_guardian: str) -> 
         running.process.join(60)
         assert running.process.exitcode == -signal.SIGKILL
     return int(guardian.pid)
-
-
-def guardians_of(pid: int) -> list[psutil.Process]:
-    children = psutil.Process(pid).children()
-    return [child for child in children if ".guardian" in " ".join(child.cmdline())]
-
-
-def alive(pid: int) -> bool:
-    try:
-        return bool(psutil.Process(pid).status() != psutil.STATUS_ZOMBIE)
-    except psutil.NoSuchProcess:
-        return False
 
 
 def wait_for_the_guardian(rig: RealRig, guardian: int, how: str) -> None:

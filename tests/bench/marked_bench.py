@@ -9,6 +9,7 @@ Linux and macOS.
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import threading
@@ -39,14 +40,18 @@ from bench.script.model import load_script
 from bench.truth.touching import Toucher
 from instruments.camera.cameras import CameraSet
 from instruments.microscribe.driver import MicroScribe
+from instruments.operators.operator import CheckPoint, Touch
 from instruments.stage.driver import Stage
 from tests.bench.forked import as_in_a_shell, context, take
-from tests.bench.real_rig import Child, RealRig
+from tests.bench.real_rig import RealRig
+from tests.waiting import within
 
 MARK = "@@ "
 LINGER_S = 0.6
 CLOSED_CODE = 58
 LONG_S = 10.0
+PROMPT = "a = abort the run): "
+CHECK, TOUCH = r"(\d) of (\d)\] Arm check", r"teat (\d+) of (\d+), \d+ of \d+ touches left"
 CODES = {RunState.FINISHED: 0, RunState.ABORTED: 3, RunState.FAULTED: 3}
 
 
@@ -200,10 +205,13 @@ def child(
     sys.exit(CODES[ending])
 
 
-class MarkedBench(Child):
-    """A running bench that tells of its steps; it resumes ``run`` where that is given."""
+class MarkedBench:
+    """A running bench that tells of its steps, with a person at its terminal; it resumes ``run``
+    where that is given.
+    """
 
     def __init__(self, rig: RealRig, step: str, run: Path | None = None) -> None:
+        self._rig = rig
         forking = context()
         answers, self._answers = forking.Pipe(duplex=False)
         self._out, said = forking.Pipe(duplex=False)
@@ -215,26 +223,68 @@ class MarkedBench(Child):
         for end in (answers, said):
             end.close()
         self._read_to = 0
-        ends = self._answers.fileno(), self._out.fileno()
-        super().__init__(*ends, lambda: self.process.exitcode)
+        self._pieces: list[bytes] = []
+        self._reader = threading.Thread(target=self._listen, daemon=True)
+        self._reader.start()
+
+    @property
+    def said(self) -> str:
+        return b"".join(self._pieces).decode("utf-8", "replace")
+
+    def enter(self) -> None:
+        """Press Enter."""
+        os.write(self._answers.fileno(), b"\n")
 
     def signal(self, name: str) -> None:
         os.kill(self.process.pid or 0, getattr(signal, name))
+
+    def until(self, there: Callable[[], bool], what: str, within_s: float = 240.0) -> None:
+        within(within_s, there, what, said=lambda: self.said, code=lambda: self.process.exitcode)
 
     def wait_for(self, words: str, within_s: float = 240.0) -> None:
         """Until the bench has said ``words`` behind what was waited for before."""
         self.until(lambda: words in self.said[self._read_to :], f"said {words!r}", within_s)
         self._read_to = self.said.index(words, self._read_to) + len(words)
 
-    def until_longer(self, than: int, there: Callable[[], bool]) -> None:
-        """Until the bench has said more than ``than`` characters in all, or ``there``."""
+    def attended(self, there: Callable[[], bool], words: str = "", nth: int = 1) -> float:
+        """Be the person at the terminal and at the arm until the bench has said ``words`` for the
+        ``nth`` time, or ``there``; gives back when Enter was last pressed.
+        """
+        left, read_to, entered_s = nth, self._read_to, time.monotonic()
+        while left and not there():
+            new = self.said[read_to:]
+            found = {one: new.index(one) for one in (PROMPT, words) if one and one in new}
+            if not found:
+                self._until_longer(read_to + len(new), there)
+                continue
+            first = min(found, key=lambda one: found[one])
+            if first == PROMPT:
+                self._put_the_hand(new[: found[first]])
+                self.enter()
+                entered_s = time.monotonic()
+            else:
+                left -= 1
+            read_to += found[first] + len(first)
+        return entered_s
+
+    def _until_longer(self, than: int, there: Callable[[], bool]) -> None:
         self.until(lambda: there() or len(self.said) > than, "came on")
+
+    def _put_the_hand(self, asked: str) -> None:
+        if match := re.search(CHECK, asked):
+            self._rig.twin.operator.ask(CheckPoint(int(match[1]), int(match[2])))
+        elif match := re.search(TOUCH, asked):
+            self._rig.twin.operator.ask(Touch(int(match[1]), int(match[2])))
+
+    def _listen(self) -> None:
+        while piece := os.read(self._out.fileno(), 4096):  # prompts don't end with a line
+            self._pieces.append(piece)
 
     def close(self) -> None:
         if self.process.is_alive():
             self.process.kill()
         self.process.join()
-        self.reader.join(60)
+        self._reader.join(60)
         for end in (self._answers, self._out):
             end.close()
         self.process.close()

@@ -7,12 +7,7 @@ Modbus client.
 
 from __future__ import annotations
 
-import os
-import re
-import subprocess
-import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,15 +17,9 @@ from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import LoadedRig, find_rig, load_rig
 from bench.script.phantom import shipped_phantom
 from instruments.clock import RealClock
-from instruments.operators.operator import Arrangement, Touch
-from tests.bench.commands import words
-from tests.bench.forked import Running, begin
+from instruments.operators.operator import Arrangement
 from tests.bench.operated_runs import ONE
 from tests.bench.small_cameras import write_calibration
-from tests.waiting import within
-
-STANDS, READ = "Enter when it stands", "Readings taken"
-ASKED = re.compile(rf"ouch the end of teat (?P<teat>\d)|The arm was lost|{STANDS}")
 
 CHECK = "check_point_mm = [-190.0, 120.0, 15.0]\ncheck_touches = {}"
 
@@ -173,83 +162,3 @@ def record_one(folder: Path, frames: int = 3) -> Path:
             writer.add(f"{number:03d}", twin.cameras.capture())
     clock.close()
     return folder
-
-
-class Child:
-    """A bench in another process, with a person at its terminal: the ends of its two pipes."""
-
-    def __init__(self, stdin: int, stdout: int, code: Callable[[], int | None]) -> None:
-        self._stdin, self._stdout, self._code = stdin, stdout, code
-        self._pieces: list[bytes] = []
-        self.reader = threading.Thread(target=self._listen, daemon=True)
-        self.reader.start()
-
-    @property
-    def said(self) -> str:
-        return b"".join(self._pieces).decode("utf-8", "replace")
-
-    def enter(self, times: int = 1) -> None:
-        """Press Enter."""
-        os.write(self._stdin, b"\n" * times)
-
-    def wait_for(self, words: str, within_s: float = 240.0) -> None:
-        """Until the terminal shows ``words``."""
-        self.until(lambda: words in self.said, f"said {words!r}", within_s)
-
-    def until(self, there: Callable[[], bool], what: str, within_s: float = 240.0) -> None:
-        within(within_s, there, what, said=lambda: self.said, code=self._code)
-
-    def _listen(self) -> None:
-        while piece := os.read(self._stdout, 4096):  # prompts don't end with a line
-            self._pieces.append(piece)
-
-
-class Bench(Child):
-    """`teatbench run` as a child."""
-
-    def __init__(self, process: Running) -> None:
-        assert process.stdin
-        assert process.stdout
-        super().__init__(process.stdin.fileno(), process.stdout.fileno(), process.poll)
-        self.process = process
-
-
-def touch_as_asked(
-    rig: RealRig, said: Callable[[], str], enter: Callable[[], None], over: Callable[[], bool]
-) -> float:
-    """Answer whatever is asked after the first set-up, until it is ``over``; gives back when the
-    last readings were taken.
-
-    On a busy machine a reading may not be good enough, or the arm be lost for a moment: then more
-    is asked than once.
-    """
-    answered, read, read_s, deadline = 0, 0, time.monotonic(), time.monotonic() + 240.0
-    while not over():
-        assert time.monotonic() < deadline, f"never over:\n{said()}"
-        _, _, text = said().partition(STANDS)
-        asked = list(ASKED.finditer(text))
-        if len(asked) > answered:
-            teat = asked[answered]["teat"]
-            if teat:
-                rig.twin.operator.ask(Touch(int(teat), 4))
-            answered += 1
-            enter()
-        if text.count(READ) > read:
-            read, read_s = text.count(READ), time.monotonic()
-        time.sleep(0.002)
-    return read_s
-
-
-@contextmanager
-def bench(rig: RealRig, more: Sequence[str] = ()) -> Iterator[Bench]:
-    """`teatbench run` on the rig, in another process; killed at the end if it still runs."""
-    given = words("run {} --rig {} --out {}", rig.script_path, rig.rig_path, rig.out)
-    with begin([*given, *more], stdin=subprocess.PIPE) as process:
-        running = Bench(process)
-        try:
-            yield running
-        finally:
-            if process.poll() is None:
-                process.kill()
-            process.wait()
-            running.reader.join(60)

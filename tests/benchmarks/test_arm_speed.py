@@ -8,17 +8,19 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+from typing import Any
 
 import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from instruments.clock import Clock, RealClock, VirtualClock
+from instruments.clock import RealClock
 from instruments.link import Link
 from instruments.listener import Listener
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.emulator import ArmEmulator
-from instruments.microscribe.kinematics import Floats, inverse
+from instruments.microscribe.kinematics import Floats
 from instruments.microscribe.protocol import PacketDecoder
 from instruments.microscribe.unit import shipped_unit
 from tests.benchmarks.figures import figure, taken_s
@@ -39,37 +41,29 @@ Arms = Callable[..., tuple[MicroScribe, Listener]]
 
 @pytest.fixture
 def arms() -> Iterator[Arms]:
-    made: list[tuple[MicroScribe, Listener, Clock]] = []
+    with ExitStack() as stack:
 
-    def make(
-        clock: Clock, *, baud: int | None = None, latency_s: float = 0.0
-    ) -> tuple[MicroScribe, Listener]:
-        listener = Listener(
-            ArmEmulator(Hand(), clock),
-            clock,
-            lock=threading.RLock(),
-            name="arm",
-            baud=baud,
-            latency_s=latency_s,
-        )
-        arm = MicroScribe(Link(listener.url, clock, who="arm"), clock)
-        made.append((arm, listener, clock))
-        arm.sign_on()
-        return arm, listener
+        def make(
+            *, baud: int | None = None, latency_s: float = 0.0
+        ) -> tuple[MicroScribe, Listener]:
+            clock = stack.enter_context(closing(RealClock()))
+            emulator, lock = ArmEmulator(Hand(), clock), threading.RLock()
+            paced: dict[str, Any] = {"baud": baud, "latency_s": latency_s}
+            listener = Listener(emulator, clock, lock=lock, name="arm", **paced)
+            stack.enter_context(closing(listener))
+            arm = MicroScribe(Link(listener.url, clock, who="arm"), clock)
+            stack.enter_context(closing(arm))
+            arm.sign_on()
+            return arm, listener
 
-    yield make
-    for arm, listener, clock in made:
-        arm.close()
-        listener.close()
-        if isinstance(clock, RealClock):
-            clock.close()
+        yield make
 
 
 @pytest.mark.parametrize(("baud", "highest_hz"), [(115200, 434), (38400, 204)])
 def test_polls_a_second_on_a_paced_link(
     benchmark: BenchmarkFixture, arms: Arms, baud: int, highest_hz: int
 ) -> None:
-    arm, _ = arms(RealClock(), baud=baud, latency_s=LATENCY_S)
+    arm, _ = arms(baud=baud, latency_s=LATENCY_S)
 
     def some() -> None:
         for _ in range(25):
@@ -89,7 +83,7 @@ def test_polls_a_second_on_a_paced_link(
 def test_samples_a_second_streamed_on_a_paced_link(
     benchmark: BenchmarkFixture, arms: Arms, baud: int, highest_hz: int
 ) -> None:
-    arm, _ = arms(RealClock(), baud=baud, latency_s=LATENCY_S)
+    arm, _ = arms(baud=baud, latency_s=LATENCY_S)
     with arm.stream() as samples:
         next(samples)
 
@@ -108,30 +102,11 @@ def test_samples_a_second_streamed_on_a_paced_link(
     )
 
 
-@pytest.mark.parametrize("clock", [RealClock, VirtualClock])
-def test_polls_a_second_of_the_driver_over_loopback(
-    benchmark: BenchmarkFixture, arms: Arms, clock: type[Clock]
-) -> None:
-    arm, _ = arms(clock())
-
-    def thousand() -> None:
-        for _ in range(1000):
-            arm.poll()
-
-    benchmark(thousand)
-    figure(
-        benchmark,
-        "polls of the driver over loopback a second",
-        1000 / taken_s(benchmark, "min"),
-        "none",
-    )
-
-
 def test_round_trips_of_the_emulator_over_loopback(benchmark: BenchmarkFixture, arms: Arms) -> None:
     """A bare socket asks, so that the emulator and the listener are what is measured, and not our
     driver.
     """
-    _, listener = arms(RealClock())
+    _, listener = arms()
     with socket.create_connection(("127.0.0.1", listener.port)) as host:
         host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         for word, length in ((b"\xc5IMMC", 5), (b"BEGIN", 5)):
@@ -173,11 +148,3 @@ def test_kinematics_vectorised(benchmark: BenchmarkFixture) -> None:
         len(tips) / taken_s(benchmark, "min"),
         "at least 1 000 000",
     )
-
-
-def test_inverse_kinematics(benchmark: BenchmarkFixture) -> None:
-    benchmark(lambda: inverse(ARM, (-180.0, 240.0, 130.0), (0.3, 0.2, 1.0), start=UNIT.home))
-
-
-def test_making_an_emulated_arm(benchmark: BenchmarkFixture) -> None:
-    benchmark(lambda: ArmEmulator(Hand(), VirtualClock()))

@@ -1,11 +1,7 @@
-"""What a process of its own costs a detector: a question and its answer, a start, and the files
-written outside of its time.
-"""
+"""What a process of its own costs a detector: a question and its answer."""
 
 from __future__ import annotations
 
-import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -56,39 +52,4 @@ def test_a_question_and_its_answer(
         "a question and its answer over pipes, ms",
         1e3 * taken_s(benchmark),
         "below 5 ms",
-    )
-
-
-def test_the_pictures_are_written(
-    benchmark: BenchmarkFixture, detector: ExternalDetector, frames: Pictures, rig: Calibration
-) -> None:
-    detector.prepare(frames, rig)
-    benchmark.pedantic(lambda: detector.prepare(frames, rig), rounds=10)
-    figure(
-        benchmark,
-        "two optical pictures and a thermal one as PNG, outside of the detector's time, ms",
-        1e3 * taken_s(benchmark),
-        "none",
-    )
-
-
-def test_a_start(
-    benchmark: BenchmarkFixture, tmp_path: Path, frames: Pictures, rig: Calibration
-) -> None:
-    def whole() -> ExternalDetector:
-        made = ExternalDetector(
-            "mine", [sys.executable, str(tmp_path / "program.py")], time.perf_counter
-        )
-        made.prepare(frames, rig)
-        made.close()
-        return made
-
-    (tmp_path / "program.py").write_text(GOOD, encoding="utf-8")
-    made = benchmark.pedantic(whole, rounds=3)
-    assert made.start_up_s is not None
-    figure(
-        benchmark,
-        "start of a small Python program with its leash, ms",
-        1e3 * made.start_up_s,
-        "none",
     )

@@ -140,8 +140,3 @@ def test_first_frame_set_and_peak_memory(benchmark: BenchmarkFixture) -> None:
         benchmark, "first frame set after start, imports included, s", float(first_s), "at most 2"
     )
     figure(benchmark, "peak memory, MiB", float(peak_mib), "under 500")
-
-
-def test_visibility_of_the_ends(benchmark: BenchmarkFixture) -> None:
-    renderer, state = make_renderer(), situation("cooler_bodies")
-    benchmark.pedantic(lambda: renderer.visible_ends(state), rounds=10, warmup_rounds=1)

@@ -4,15 +4,12 @@ tests/benchmarks --benchmark-only -s`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from time import process_time
-from typing import Any
 
 import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from bench.scoring.comparison import ScenePair, compare
 from bench.scoring.decisions import Decision, decide_count, decide_error, decide_rate, decide_time
 from bench.scoring.errors import ErrorSummary, Floats
 from bench.scoring.scene import SceneScore, pool, score_scene
@@ -110,11 +107,3 @@ def test_scoring_of_100_000_trials(
     assert [decision.n for decision in decisions[:2]] == [line.groups, line.groups]
     figure(benchmark, "scoring of 100 000 trials, s", taken_s(benchmark, "max"), "at most 5")
     beside_fixed(benchmark, "scoring of 100 000 trials", spent, "2")
-
-
-def test_comparison_of_10_000_pairs(
-    benchmark: Callable[..., Any], drawn: tuple[Floats, Floats]
-) -> None:
-    scores = scored(drawn[0][:10_000], drawn[1][:10_000])
-    pairs = [ScenePair(str(k), str(k // 3), "ideal", one, one) for k, one in enumerate(scores)]
-    assert benchmark(compare, pairs).pooled.scenes == 10_000

@@ -47,20 +47,6 @@ def test_events_in_steps(benchmark: BenchmarkFixture, store: Store) -> None:
     )
 
 
-def test_events_one_by_one(benchmark: BenchmarkFixture, store: Store) -> None:
-    def events() -> None:
-        for number in range(200):
-            store.event(float(number), "state", "the stage moves to x = 120 mm", wall_time())
-
-    benchmark.pedantic(events, rounds=3, warmup_rounds=1)
-    figure(
-        benchmark,
-        "events a second, each durable as it returns",
-        200 / taken_s(benchmark),
-        "none: one sync of the disk each",
-    )
-
-
 def test_a_step_late_in_a_run_of_100_000(
     benchmark: BenchmarkFixture, store: Store, tmp_path: Path
 ) -> None:

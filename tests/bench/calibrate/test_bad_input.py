@@ -181,13 +181,6 @@ def test_opencvs_own_file(shared_data: Path, tmp_path: Path) -> None:
         read_opencv(path, (640, 480))
 
 
-@pytest.mark.parametrize("kind", ["opencv", "bouguet", "ros"])
-def test_a_file_that_is_of_no_other_tool(kind: str, lab: Path, in_lab: Said) -> None:
-    (lab / "x.yml").write_text("hello: [1, 2\n", encoding="utf-8")
-    assert "x.yml" in in_lab(2, f"calibrate import x.yml --format {kind} --out c.toml").err
-    assert not (lab / "c.toml").exists()
-
-
 def test_files_of_other_tools_by_command(lab: Path, in_lab: Said) -> None:
     rig = RIGS / "thesis-calibration.toml"
     in_lab(0, "calibrate export {} --format bouguet --out c.mat", rig)

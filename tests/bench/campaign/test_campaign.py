@@ -25,7 +25,7 @@ import pytest
 from bench.campaign.chunk import ASIDE, Rows
 from bench.campaign.plan import CampaignPlan, Chunk, plan_text
 from bench.campaign.pool import LocalPool
-from bench.campaign.run import Campaign, Executor
+from bench.campaign.run import Campaign
 from bench.campaign.shards import Shards, query_campaign
 from bench.rig.scenes import draw, warm
 from instruments.world.situations import situation
@@ -54,30 +54,10 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> CampaignPlan:
 def plain(plan: CampaignPlan, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The campaign by the plain loop: its folder and digest."""
     folder = tmp_path_factory.mktemp("plain")
-    return folder, done(plan, folder, lambda campaign: Here(campaign.job)).digest()
-
-
-def done(plan: CampaignPlan, folder: Path, executor: object) -> Shards:
     campaign = Campaign(plan, folder)
     campaign.begin()
-    made: Executor = executor(campaign)  # type: ignore[operator]
-    campaign.run(made, lambda _: None)
-    return campaign.shards
-
-
-@pytest.mark.slow
-def test_the_order_of_chunks_changes_nothing(
-    plan: CampaignPlan, plain: tuple[Path, str], tmp_path: Path
-) -> None:
-    def shuffled(chunks: list[Chunk]) -> list[Chunk]:
-        return random.Random(3).sample(chunks, len(chunks))
-
-    shards = done(plan, tmp_path, lambda campaign: Here(campaign.job, shuffled))
-    assert shards.digest() == plain[1]
-    assert len(shards.files()) == 2  # merged, a file a family
-    assert query_campaign(
-        tmp_path, "SELECT count(*), count(DISTINCT (family, member)) FROM scenes"
-    )[1] == [(2 * plan.most_scenes,) * 2]
+    campaign.run(Here(campaign.job), lambda _: None)
+    return folder, campaign.shards.digest()
 
 
 class Killing:
@@ -118,6 +98,10 @@ def test_workers_killed_at_random_change_nothing(
     assert campaign.shards.digest() == plain[1], said
     assert (killing.hits, status.done, status.aside) == (WORKER_KILLS, 2 * plan.most_scenes, 0)
     assert any("ended by SIGKILL" in text for text in said), said
+    assert len(campaign.shards.files()) == 2  # merged, a file a family
+    assert query_campaign(
+        tmp_path, "SELECT count(*), count(DISTINCT (family, member)) FROM scenes"
+    )[1] == [(2 * plan.most_scenes,) * 2]
 
 
 ROGUE = """

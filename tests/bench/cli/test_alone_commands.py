@@ -25,6 +25,7 @@ from instruments.camera.stream import StreamServer
 from instruments.clock import RealClock, VirtualClock
 from instruments.stage.emulator.board import StageEmulator, StageFault
 from instruments.stage.emulator.store import GRBL_HAL, MARLIN
+from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said, served, teatbench
 from tests.bench.rig.test_emulated_faults import with_emulation
 from tests.instruments.camera.peers import ADDRESS, gige_camera
@@ -215,9 +216,9 @@ def test_a_live_look_does_not_end_for_frames_that_did_not_come(
 
 @pytest.mark.slow
 def test_grab_is_a_recording_that_is_added_to(tmp_path: Path, said: Said) -> None:
-    folder = tmp_path / "grabbed"
-    assert teatbench("camera grab --out {} --count 2", folder) == 0
-    assert teatbench("camera grab --out {}", folder) == 0
+    folder, rig = tmp_path / "grabbed", write_small_rig(tmp_path)
+    assert teatbench("camera grab {} --out {} --count 2", rig, folder) == 0
+    assert teatbench("camera grab {} --out {}", rig, folder) == 0
     recording = Recording(folder)
     assert recording.frames == ("0000", "0001", "0002")
     assert recording.calibration_path.is_file()

@@ -22,6 +22,7 @@ from instruments.bath.profile import load_profile
 from instruments.clock import RealClock
 from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
+from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import NO_CAMERA, Said, lab_rig, teatbench
 from tests.bench.forked import begin
 from tests.conftest import ROOT
@@ -137,8 +138,8 @@ def test_detect_and_score_take_frames_that_another_program_rendered(
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
-def test_emulate_serves_drivers_of_another_process(said: Said) -> None:
-    with begin(["emulate"]) as child, contextlib.ExitStack() as ending:
+def test_emulate_serves_drivers_of_another_process(tmp_path: Path, said: Said) -> None:
+    with begin(["emulate", write_small_rig(tmp_path)]) as child, contextlib.ExitStack() as ending:
         ending.callback(child.kill)
         assert child.stdout is not None
         urls = dict(child.stdout.readline().split() for _ in range(6))
@@ -147,7 +148,7 @@ def test_emulate_serves_drivers_of_another_process(said: Said) -> None:
         with urlopen(urls["left"].removeprefix("opencv:"), timeout=120) as stream:
             assert stream.read(2)
         note = json.loads(said(0, "camera show {} --json", urls["left"]).out)["cameras"]["single"]
-        assert note["size_px"] == "1360 x 1024"
+        assert note["size_px"] == "340 x 256"
         assert note["brightest_dn"] > 100
         clock = RealClock()
         arm = MicroScribe(Link(urls["arm"], clock, who="arm"), clock)
@@ -163,7 +164,7 @@ def test_emulate_serves_drivers_of_another_process(said: Said) -> None:
 
 @pytest.mark.slow
 def test_a_closed_pipe_is_no_fault(tmp_path: Path) -> None:
-    command = f'"{sys.executable}" -m bench.cli trials | true'
+    command = f'"{sys.executable}" -m bench.cli rigs | true'
     done = subprocess.run(
         command,
         shell=True,

@@ -29,13 +29,6 @@ ENDLESS = ("endless data", "endless lines")
 QUICK = ("endless data", "endless lines", "closing at once", "echo", "zeros", "exceptions")
 
 
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from tests.bench.real_rig import record_one
-
-    return record_one(tmp_path_factory.mktemp("frames") / "recording")
-
-
 @pytest.mark.weekly
 @pytest.mark.slow
 @pytest.mark.parametrize(("link", "kind"), CELLS, ids=[", ".join(cell) for cell in CELLS])

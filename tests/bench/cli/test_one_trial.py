@@ -7,12 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.bench.commands import Said
-from tests.bench.operated_runs import SCRIPT, files
-
-ONE = SCRIPT.replace(
-    "poses = [{ x_mm = 12.0, y_mm = -8.0 }, { x_mm = -15.0, z_mm = 6.0, yaw_deg = 4.0 }, {}]",
-    "poses = [{}]",
-)
+from tests.bench.operated_runs import ONE, files
 
 
 @pytest.mark.slow

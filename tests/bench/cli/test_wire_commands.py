@@ -9,19 +9,14 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from bench.cli.main import parser
-from bench.rig.loading import find_rig, load_rig
-from bench.rig.opening import open_instruments
 from instruments.captures.capture import Capture, read_capture
-from instruments.captures.replay import Replay
-from instruments.clock import RealClock, VirtualClock
+from instruments.clock import RealClock
 from instruments.link import Link
-from instruments.microscribe.driver import MicroScribe
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import NO_CAMERA, Said, lab_rig, teatbench, words
 from tests.bench.forked import Running, begin
@@ -92,27 +87,6 @@ def test_a_run_is_captured_whole(run_capture: tuple[Capture, Path]) -> None:
         assert conversation.closed_s is not None
         assert conversation.broke == ""
         assert len(conversation.exchanges) > 50
-
-
-def test_the_drivers_of_a_check_meet_the_captured_run(run_capture: tuple[Capture, Path]) -> None:
-    capture, _ = run_capture
-    clock = VirtualClock()
-    with Replay(capture, clock) as replay:
-        rig = load_rig(find_rig(None))
-        tables = {
-            name: getattr(rig.rig, name).model_copy(update={"url": url})
-            for name, url in replay.urls.items()
-        }
-        played = replace(rig, rig=rig.rig.model_copy(update=tables))
-        with open_instruments(played, ("arm", "bath", "stage"), clock) as devices:
-            assert devices.arm.sign_on().serial_number == "40937"
-            assert isinstance(devices.arm, MicroScribe)
-            assert len(devices.arm.poll().counts) == 6
-            assert devices.bath.read().temp_c == pytest.approx(20.0, abs=0.1)
-            assert devices.stage
-            assert devices.stage.connect().version == "1.1h"
-            mismatches = list(replay.mismatches)  # the arm says goodbye where the run went on
-    assert mismatches == []
 
 
 def test_a_whole_check_is_replayed_to_a_check(

@@ -14,8 +14,7 @@ import pytest
 
 from bench.cli.commands import REMOVED
 from bench.script.model import TRIALS
-from instruments.listener import Connection
-from tests.bench.commands import Said, served
+from tests.bench.commands import Said
 
 EMULATED = "--port emulator:"
 NO_BATH = "--port tcp://127.0.0.1:1 --profile julabo-presto"
@@ -148,31 +147,6 @@ def test_wrong_use_gets_a_sentence_and_leaves_nothing_behind(
     assert (tmp_path / "there.toml").read_text(encoding="utf-8") == "precious"
     assert {path.name for path in tmp_path.iterdir()} == {"there.toml", "bare.toml"}
     assert threading.active_count() == before
-
-
-class Silent:
-    """Takes everything, and says nothing."""
-
-    def connect(self, connection: Connection) -> None: ...
-    def receive(self, connection: Connection, data: bytes) -> None: ...
-    def disconnect(self, connection: Connection) -> None: ...
-
-
-class Chatter(Silent):
-    """Something else: answers whatever it gets with a line of its own."""
-
-    def receive(self, connection: Connection, data: bytes) -> None:
-        connection.send(b"error: expected command letter\r\n")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("device", "word"), [(Silent(), "switched on"), (Chatter(), "not")])
-def test_what_does_not_answer_as_an_arm_is_named(device: Silent, word: str, said: Said) -> None:
-    with served(lambda _: device) as (_, url):
-        refused = said(3, "arm read --port {} --homed", url).err
-    assert refused.startswith("teatbench: ")
-    assert "arm" in refused
-    assert word in refused
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs a device that is no serial port")

@@ -81,18 +81,6 @@ DAMAGE: dict[str, tuple[Damage, str]] = {
         sql("UPDATE truth SET x_mm = 1.5 WHERE trial = '002-x-1'"),
         r"table truth, row 2 is not as written .*trial 002-x-1",
     ),
-    "a detection's time": (
-        sql("UPDATE detections SET wall_seconds = 0.05"),
-        "table detections, row 1 is not as written",
-    ),
-    "an event's words": (
-        sql("UPDATE events SET text = 'nothing' WHERE number = 1"),
-        "table events, row 1 is not as written",
-    ),
-    "an event's time of day": (
-        sql("UPDATE events SET wall_time = '2020' WHERE number = 2"),
-        "table events, row 2 is not as written",
-    ),
     "an event added": (
         sql("INSERT INTO events VALUES (3, 1, 6.0, 'note', 'all good', '2020')"),
         "table events, rows 3 to 3 .* added later",
@@ -110,10 +98,6 @@ DAMAGE: dict[str, tuple[Damage, str]] = {
     "a truth given back": (
         sql("DELETE FROM invalidated"),
         "table invalidated, row 1 is not as written",
-    ),
-    "a bath reading": (
-        sql("UPDATE bath SET temp_c = 34.0 WHERE t_s = 1.0"),
-        "table bath, row 1 is not as written",
     ),
     "a fact changed": (
         sql("UPDATE facts SET value = '\"real\"' WHERE key = 'kind'"),

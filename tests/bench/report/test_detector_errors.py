@@ -1,186 +1,24 @@
-"""Detectors that nobody here wrote: whatever they raise, say and leave behind is scored as what it
-is and told in one line.
+"""Detectors that nobody here wrote: whatever they say and leave behind is scored as what it is and
+told in one line.
 """
 
 from __future__ import annotations
 
-import asyncio
 import json
 import sqlite3
 import sys
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.config import ConfigError, read_calibration
+from bench.config import ConfigError
 from bench.report.wording import id_of
-from bench.results.answers import MOST_STAGES, Answer, examine
-from bench.rig.loading import RIGS
-from bench.run.rows import detection_rows, stage_pictures
 from bench.script.detectors import make_detectors
-from detector.calibration import Calibration
-from detector.protocol import Detection, Frames, Outcome, Stage, Teat
-from instruments.camera.frame import FrameSet
 from reports.trust import checked_slug
 from tests.bench.commands import Said
 from tests.bench.small_recording import write_recording
-
-FRAMES = FrameSet(np.zeros((4, 4), np.uint8), np.zeros((4, 4), np.uint8))
-HERE = np.array([1.0, 2.0, 3.0])
-MASK = np.ones((9, 4), bool)
-
-
-@dataclass(frozen=True)
-class Strange:
-    """A detector that does what a function says."""
-
-    does: Callable[[Calibration], Any]
-    name: str = "strange"
-    version: str = "1"
-
-    @property
-    def parameters(self) -> Mapping[str, Any]:
-        return {}
-
-    def detect(self, frames: Frames, calibration: Calibration) -> Detection:
-        found: Detection = self.does(calibration)
-        return found
-
-
-@pytest.fixture(scope="module")
-def calibration() -> Calibration:
-    return read_calibration(RIGS / "calibration.toml")
-
-
-def asked(does: Callable[[], Any], calibration: Calibration) -> Answer:
-    """The answer, held to be one that record and report can take."""
-    answer = examine(Strange(lambda _: does()), FRAMES, calibration)
-    head, _ = detection_rows("t", answer)
-    (str(head["reason"]) + str(head["trace"])).encode("utf-8")
-    assert answer.detection.reason is None or answer.detection.reason.isprintable()
-    assert all(min(picture.shape) > 0 for picture in stage_pictures([answer]).values())
-    return answer
-
-
-class PanicException(BaseException):
-    """As a library in Rust raises it."""
-
-
-class SpeechlessError(Exception):
-    def __str__(self) -> str:
-        raise ZeroDivisionError
-
-
-@pytest.mark.parametrize(
-    ("error", "text"),
-    [
-        (PanicException("index out of bounds"), "PanicException: index out of bounds"),
-        (asyncio.CancelledError(), "CancelledError:"),
-        (GeneratorExit(), "GeneratorExit:"),
-        (SpeechlessError(), "SpeechlessError"),
-        (RuntimeError("no \ud800 such\x1b[31m"), "RuntimeError: no \N{REPLACEMENT CHARACTER} such"),
-    ],
-)
-def test_whatever_it_raises_is_a_failure(
-    calibration: Calibration, error: BaseException, text: str
-) -> None:
-    def fails() -> Any:
-        raise error
-
-    answer = asked(fails, calibration)
-    assert answer.outcome is Outcome.FAILED
-    assert str(answer.detection.reason).startswith(f"the detector failed: {text}")
-
-
-@pytest.mark.parametrize(
-    ("given", "text"),
-    [
-        (Detection(None), "the teats of its answer are a NoneType, not a tuple of Teat"),  # type: ignore[arg-type]
-        (Detection(iter(())), "the teats of its answer are a tuple_iterator"),  # type: ignore[arg-type]
-        (
-            Detection((Teat(np.array(["1", "2", "3"])),)),
-            "teat 1 of its answer is ['1', '2', '3'], not three finite numbers",
-        ),
-        (Detection((Teat(np.array([True, False, True])),)), "not three finite numbers"),
-        (Detection((Teat(HERE + 1j),)), "not three finite numbers"),  # type: ignore[arg-type]
-        (
-            Detection((Teat(np.ma.masked_array(HERE, [True, False, False])),)),
-            "not three finite numbers",
-        ),
-        (
-            Detection((Teat(HERE, np.eye(3) * 1e308),)),
-            "the covariance of teat 1 has an entry of 1e+308 mm2; at most 1e+12 are taken",
-        ),
-        (
-            Detection((Teat(HERE, np.eye(3) * 1e-300),)),
-            "claims a standard deviation of 1e-150 mm; at least 1e-06 mm are taken",
-        ),
-        (
-            Detection((Teat(np.full(3, np.nan), left_px=np.array([np.nan, 1])),)),
-            "left_px of teat 1 is [nan, 1.0]",
-        ),
-    ],
-)
-def test_values_that_are_no_answer_are_refused_in_a_sentence(
-    calibration: Calibration, given: Detection, text: str
-) -> None:
-    answer = asked(lambda: given, calibration)
-    assert (answer.outcome, answer.detection.teats) == (Outcome.FAILED, ())
-    assert text in str(answer.detection.reason)
-
-
-@pytest.mark.parametrize(
-    "stage",
-    [
-        Stage("fine", None),  # type: ignore[arg-type]
-        Stage("a" * 1000, {"mask": MASK}),
-        Stage("empty", {"mask": MASK[:0]}),
-        Stage("long", {"mask": np.ones((1, 100_000), bool)}),
-        Stage("text", {"said": np.array(["\ud800"])}),
-        Stage("key", {"\ud800": HERE}),
-        Stage("GOOD", {"mask": MASK}),
-    ],
-)
-def test_a_stage_that_cannot_be_kept_costs_no_answer(
-    calibration: Calibration, stage: Stage
-) -> None:
-    good = Stage("good", {"mask": MASK})
-    answer = asked(lambda: Detection((Teat(HERE),), trace=(good, stage)), calibration)
-    assert answer.outcome is Outcome.ANSWERED
-    assert [kept.name for kept in answer.detection.trace] == ["good"], (
-        "and of two that would be one file, the first"
-    )
-    assert "1 of its stages can't be kept" in str(answer.detection.reason)
-
-
-def test_a_trace_without_end_is_cut_and_prints_are_not_the_benchs_output(
-    calibration: Calibration, capsys: pytest.CaptureFixture[str]
-) -> None:
-    stages = tuple(Stage(f"s{number}", {"mask": MASK}) for number in range(500))
-    answer = asked(lambda: (print("debug"), Detection((), trace=stages))[1], calibration)
-    assert len(answer.detection.trace) == MOST_STAGES
-    assert f"{500 - MOST_STAGES} of its stages" in str(answer.detection.reason)
-    assert capsys.readouterr() == ("", "debug\n")
-
-
-def test_no_detector_can_change_the_calibration_under_the_others(calibration: Calibration) -> None:
-    before = calibration.homographies.left.copy()
-
-    def scales(given: Calibration) -> Detection:
-        for matrix in (given.right_from_left.R, given.homographies.left):
-            with pytest.raises(ValueError, match="read-only"):
-                matrix /= 2.0
-        return Detection()
-
-    assert examine(Strange(scales), FRAMES, calibration).outcome is Outcome.ANSWERED
-    assert np.array_equal(calibration.homographies.left, before)
-
 
 SPEAKER = r"""
 import os, sys

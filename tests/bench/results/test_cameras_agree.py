@@ -341,28 +341,6 @@ def test_a_recording_s_cameras_are_checked_as_a_run_s(
     assert "12 of 12 ends measured" in page
 
 
-@pytest.mark.parametrize(("px", "cause"), [(0.0, Cause.DETECTOR), (0.8, Cause.CALIBRATION)])
-def test_what_the_cameras_put_off_is_the_calibrations(px: float, cause: Cause) -> None:
-    ends = np.array([[0.0, 0.0, 0.0], [60.0, 0.0, 0.0], [0.0, 60.0, 0.0], [60.0, 60.0, 0.0]])
-    score = score_scene(
-        ends + np.array([[0.0, 7.0, 0.0]] * 3 + [[0.0] * 3]),
-        ends,
-        np.ones(4, dtype=bool),
-        u_mm=0.1,
-        seconds=0.1,
-        limit_mm=5.0,
-        time_limit_s=2.0,
-    )
-    seen = trials(px)
-    judged = TrialRecord(
-        seen[0].head,
-        truth=seen[0].truth,
-        detections=({"detector": "d", "reason": None},),
-        scores={"d": score},
-    )
-    assert {one.cause for one in attributed(run_of([judged, *seen[1:]]), "d")} == {cause}
-
-
 @pytest.mark.slow
 def test_a_shift_common_to_a_run_is_a_reason_once_three_poses_show_it(tmp_path: Path) -> None:
     """Of one frame set alone a picture that is a pixel late shows as nothing but depth."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import threading
@@ -18,6 +19,7 @@ from bench.config import read_calibration
 from bench.record.reader import TrialRecord
 from bench.record.recording import TruthRow
 from bench.results.answers import (
+    MOST_STAGES,
     OUTSIDE,
     Answer,
     Examiner,
@@ -71,8 +73,13 @@ scored = partial(score_answer, truth=TRUTH, limit_mm=5.0, time_limit_s=2.0)
 
 
 def asked(does: Callable[[], Any], **more: Any) -> Answer:
-    """The answer of a detector that does this."""
-    return examine(Scripted(does), FRAMES, CALIBRATION, **more)
+    """The answer of a detector that does this, held to be one that record and report can take."""
+    answer = examine(Scripted(does), FRAMES, CALIBRATION, **more)
+    head, _ = detection_rows("t", answer)
+    (str(head["reason"]) + str(head["trace"])).encode("utf-8")
+    assert answer.detection.reason is None or answer.detection.reason.isprintable()
+    assert all(min(picture.shape) > 0 for picture in stage_pictures([answer]).values())
+    return answer
 
 
 def teat(*xyz: float, **more: Any) -> Teat:
@@ -152,14 +159,26 @@ def test_the_working_volume_goes_with_the_rig(shift_mm: tuple[float, float, floa
     assert outside_volume(elsewhere, calibration).all()
 
 
-def crash() -> Detection:
-    raise RuntimeError("out of\ncheese")
+def raising(error: BaseException) -> Callable[[], Detection]:
+    def fails() -> Detection:
+        raise error
+
+    return fails
 
 
-def leave() -> Detection:
-    raise SystemExit(3)
+crash = raising(RuntimeError("out of\ncheese"))
 
 
+class PanicException(BaseException):
+    """As a library in Rust raises it."""
+
+
+class SpeechlessError(Exception):
+    def __str__(self) -> str:
+        raise ZeroDivisionError
+
+
+HERE = np.array([1.0, 2.0, 3.0])
 LEANING = np.eye(3) + np.array([[0, 1.0, 0], [0, 0, 0], [0, 0, 0]])
 
 
@@ -167,7 +186,48 @@ LEANING = np.eye(3) + np.array([[0, 1.0, 0], [0, 0, 0], [0, 0, 0]])
     ("does", "reason"),
     [
         (crash, "the detector failed: RuntimeError: out of cheese"),
-        (leave, "the detector failed: SystemExit: 3"),
+        (raising(SystemExit(3)), "the detector failed: SystemExit: 3"),
+        (
+            raising(PanicException("index out of bounds")),
+            "the detector failed: PanicException: index out of bounds",
+        ),
+        (raising(asyncio.CancelledError()), "the detector failed: CancelledError:"),
+        (raising(GeneratorExit()), "the detector failed: GeneratorExit:"),
+        (raising(SpeechlessError()), "the detector failed: SpeechlessError"),
+        (
+            raising(RuntimeError("no \ud800 such\x1b[31m")),
+            "the detector failed: RuntimeError: no \N{REPLACEMENT CHARACTER} such",
+        ),
+        (
+            lambda: Detection(None),  # type: ignore[arg-type]
+            "the teats of its answer are a NoneType, not a tuple of Teat",
+        ),
+        (
+            lambda: Detection(iter(())),  # type: ignore[arg-type]
+            "the teats of its answer are a tuple_iterator",
+        ),
+        (
+            answered(Teat(np.array(["1", "2", "3"]))),
+            "teat 1 of its answer is ['1', '2', '3'], not three finite numbers",
+        ),
+        (answered(Teat(np.array([True, False, True]))), "not three finite numbers"),
+        (answered(Teat(HERE + 1j)), "not three finite numbers"),  # type: ignore[arg-type]
+        (
+            answered(Teat(np.ma.masked_array(HERE, [True, False, False]))),
+            "not three finite numbers",
+        ),
+        (
+            answered(Teat(HERE, np.eye(3) * 1e308)),
+            "the covariance of teat 1 has an entry of 1e+308 mm2; at most 1e+12 are taken",
+        ),
+        (
+            answered(Teat(HERE, np.eye(3) * 1e-300)),
+            "claims a standard deviation of 1e-150 mm; at least 1e-06 mm are taken",
+        ),
+        (
+            answered(teat(np.nan, np.nan, np.nan, left_px=np.array([np.nan, 1]))),
+            "left_px of teat 1 is [nan, 1.0]",
+        ),
         (lambda: None, "its answer is a NoneType, not a Detection"),
         (lambda: [[1, 2, 3]], "its answer is a list, not a Detection"),
         (answered([1, 2, 3]), "teat 1 of its answer is a list, not a Teat"),
@@ -254,6 +314,21 @@ def test_no_detector_can_change_the_pictures_under_the_others() -> None:
     FRAMES.left[0, 0] = 0  # the bench itself may
 
 
+def test_no_detector_can_change_the_calibration_under_the_others() -> None:
+    calibration = read_calibration(RIGS / "calibration.toml")
+    before = calibration.homographies.left.copy()
+
+    class Scaling(Scripted):
+        def detect(self, frames: Frames, calibration: Calibration) -> Detection:
+            for matrix in (calibration.right_from_left.R, calibration.homographies.left):
+                with pytest.raises(ValueError, match="read-only"):
+                    matrix /= 2.0
+            return Detection()
+
+    assert examine(Scaling(answered()), FRAMES, calibration).outcome is Outcome.ANSWERED
+    assert np.array_equal(calibration.homographies.left, before)
+
+
 def test_a_covariance_as_printed_is_symmetric_enough() -> None:
     printed = np.array([[1.0, 0.3333334, 0], [0.3333333, 1, 0], [0, 0, 1]])
     answer = asked(answered(teat(1, 2, 3, covariance_mm2=printed)))
@@ -281,13 +356,34 @@ def test_stages_are_kept_points_in_the_record_and_masks_as_pictures() -> None:
 def test_stages_that_the_record_cannot_hold_are_left_out_with_a_word() -> None:
     text = asked(answered(reason="dark\n and   cold"))
     assert text.detection.reason == "dark and cold"
-    good, up = (Stage(name, {"p": np.zeros(2)}) for name in ("fine", "../up"))
-    bad = (up, Stage("things", {"p": np.array([object()])}), "no stage")
-    answer = asked(answered(reason="dark", trace=(good, *bad)))
-    assert answer.outcome is Outcome.ANSWERED
-    assert [stage.name for stage in answer.detection.trace] == ["fine"]
-    assert str(answer.detection.reason).startswith("dark; 3 of its stages can't be kept")
-    detection_rows("t", answer)
+    masked = {"mask": np.ones((9, 4), bool)}
+    good, again = (Stage(name, masked) for name in ("good", "GOOD"))
+    for bad in (
+        Stage("../up", {"p": np.zeros(2)}),
+        Stage("things", {"p": np.array([object()])}),
+        "no stage",
+        Stage("fine", None),  # type: ignore[arg-type]
+        Stage("a" * 1000, masked),
+        Stage("empty", {"mask": masked["mask"][:0]}),
+        Stage("long", {"mask": np.ones((1, 100_000), bool)}),
+        Stage("text", {"said": np.array(["\ud800"])}),
+        Stage("key", {"\ud800": HERE}),
+        again,  # of two that would be one file, the first
+    ):
+        answer = asked(answered(reason="dark", trace=(good, bad)))
+        assert answer.outcome is Outcome.ANSWERED
+        assert [stage.name for stage in answer.detection.trace] == ["good"]
+        assert str(answer.detection.reason).startswith("dark; 1 of its stages can't be kept")
+
+
+def test_a_trace_without_end_is_cut_and_prints_are_not_the_benchs_output(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    stages = tuple(Stage(f"s{number}", {"mask": np.ones((9, 4), bool)}) for number in range(500))
+    answer = asked(lambda: (print("debug"), Detection((), trace=stages))[1])
+    assert len(answer.detection.trace) == MOST_STAGES
+    assert f"{500 - MOST_STAGES} of its stages" in str(answer.detection.reason)
+    assert capsys.readouterr() == ("", "debug\n")
 
 
 @dataclass

@@ -10,13 +10,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from bench.calibrate.exchange import read_foreign
-from bench.config import ConfigError
 from bench.record.reader import read_run
 from bench.record.recording import Recording, TruthRow
 from bench.results.doubts import doubts_of
@@ -274,9 +271,3 @@ def test_an_end_that_no_picture_can_show_is_truths_own(tmp_path: Path) -> None:
         far.truth = {"0001": (TruthRow("calm", "7", (-160.0, 99_000.0, 136.0), visible),)}
         found = doubts_of(far, calibration)
         assert len(found) == count
-
-
-def test_import_refuses_what_the_gate_refuses() -> None:
-    with pytest.raises(ConfigError, match="transposed"):
-        read_foreign([CASES / "ktrans.yaml"], "ros")
-    assert np.isfinite(load_calibration(SHIPPED).baseline_mm)

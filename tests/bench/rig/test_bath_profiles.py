@@ -4,7 +4,6 @@ own way to its driver.
 
 from __future__ import annotations
 
-from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -14,10 +13,9 @@ from bench.config import ConfigError
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import load_rig
 from bench.rig.opening import open_instruments
-from instruments.bath.driver import Bath
 from instruments.bath.profile import load_profile, profile_names
 from instruments.bath.sequence import start_bath
-from instruments.clock import RealClock, VirtualClock
+from instruments.clock import VirtualClock
 from tests.bench.test_config import rig_with
 
 RELAY = '\npump_url = "emulator:"\npump_profile = "modbus-relay"'
@@ -69,19 +67,6 @@ def test_every_profile_warms_the_teats(tmp_path: Path, profile: str) -> None:
         assert float(twin.world.plant.teat_c.min()) == pytest.approx(33.0 - 0.32, abs=0.1)
         bath.safe()
         assert not twin.world.plant.running
-
-
-@pytest.mark.slow
-def test_a_serial_bath_may_be_on_a_pseudo_terminal(tmp_path: Path) -> None:
-    pytest.importorskip("termios", reason="needs pseudo-terminals: Linux and macOS have them")
-    clock, rig = RealClock(), load_rig(rig_of(tmp_path, "eurotherm-3200"))
-    with (
-        EmulatedRig(rig, clock, seed=1, pty=True) as twin,
-        closing(Bath(twin.urls["bath"], rig.profile, clock)) as bath,
-    ):
-        assert twin.urls["bath"].startswith("/dev/")
-        assert bath.read().temp_c == pytest.approx(20.0, abs=0.05)
-    clock.close()
 
 
 @pytest.mark.slow

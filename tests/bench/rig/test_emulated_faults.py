@@ -147,8 +147,8 @@ def test_an_arm_file_with_faults_is_shown_in_its_places(tmp_path: Path) -> None:
 @pytest.mark.skipif(
     not hasattr(os, "openpty"), reason="needs pseudo-terminals: Linux and macOS have them"
 )
-def test_serial_instruments_on_pseudo_terminals() -> None:
-    process = begin(["emulate", "--pty", "--paced"])
+def test_serial_instruments_on_pseudo_terminals(tmp_path: Path) -> None:
+    process = begin(["emulate", shipped_rig(tmp_path), "--pty", "--paced"])
     assert process.stdout is not None
     urls = dict(process.stdout.readline().split() for _ in range(3))
     assert urls["arm"].startswith("/dev/")

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.loading import LoadedRig, find_rig, load_rig
+from bench.rig.loading import LoadedRig, load_rig
 from bench.script.phantom import shipped_phantom
 from instruments.bath.driver import Bath
 from instruments.clock import VirtualClock
 from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
 from instruments.operators.operator import Arrangement, Release, Touch
+from tests.bench.operated_runs import shipped_rig
 
 pytestmark = pytest.mark.slow
 
@@ -26,8 +27,8 @@ IDEAL = Arrangement("ideal", shipped_phantom("table-5-1"), (), "")
 
 
 @pytest.fixture(scope="module")
-def rig() -> LoadedRig:
-    return load_rig(find_rig(None))
+def rig(tmp_path_factory: pytest.TempPathFactory) -> LoadedRig:
+    return load_rig(shipped_rig(tmp_path_factory.mktemp("rig")))
 
 
 @pytest.fixture

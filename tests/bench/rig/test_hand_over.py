@@ -7,8 +7,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import psutil
@@ -20,17 +19,11 @@ from bench.rig.guardian import DONE
 from bench.rig.guardian_client import GuardianClient, GuardianTarget, Heartbeat
 from bench.rig.hand_over import HAND_OVER_S, BathLock, bath_name, free_bath
 from instruments.errors import LimitError, LinkError
-from tests.bench.safety.guards import HotBath, guardian_record, hot_bath, standby_after
+from tests.bench.safety.guards import HotBath, guardian, guardian_record, standby_after
 from tests.conftest import ROOT
 from tests.waiting import within
 
 ENDED = 1 << 22  # more than any system gives a process
-
-
-@pytest.fixture
-def hot(tmp_path: Path) -> Iterator[HotBath]:
-    with hot_bath(tmp_path) as bath:
-        yield bath
 
 
 @pytest.fixture
@@ -43,24 +36,13 @@ def baths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder / "teatbench-guardians"
 
 
-@contextmanager
-def guardian(
+def of_bench(
     hot: HotBath, bench: int, name: str = "guardian-1"
-) -> Iterator[subprocess.Popen[bytes]]:
-    """A guardian that is ready, of a bench with this process id."""
-    command = [sys.executable, "-m", "bench.rig.guardian", "--profile=julabo-presto"]
-    command += [f"--url={hot.url}", f"--record={hot.folder / name}.json", f"--bench={bench}"]
-    pipe = subprocess.PIPE
-    with subprocess.Popen(
-        command, cwd=ROOT, stdin=pipe, stdout=pipe, start_new_session=True
-    ) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        try:
-            assert process.stdout.readline().split()[:1] == [b"ready"]
-            yield process
-        finally:
-            process.kill()
+) -> AbstractContextManager[subprocess.Popen[bytes]]:
+    """A guardian of a bench with this process id."""
+    record = hot.folder / f"{name}.json"
+    bath = "--profile=julabo-presto", f"--url={hot.url}"
+    return guardian(*bath, f"--record={record}", f"--bench={bench}")
 
 
 def next_of(hot: HotBath, name: str = "guardian-2") -> GuardianClient:
@@ -95,7 +77,7 @@ def test_one_that_acts_hands_over_and_has_ended_before_the_next_is_ready(
     baths: Path,
 ) -> None:
     hot.emulator.fault("silence")
-    with guardian(hot, ENDED) as old:
+    with of_bench(hot, ENDED) as old:
         first = guardian_record(hot.folder, lambda record: record["tries"] > 0)
         with next_of(hot) as line:
             assert old.poll() == 0, "it has ended, by itself"
@@ -118,9 +100,9 @@ def test_whoever_has_taken_a_hot_bath_over_stands_for_it(
 ) -> None:
     """The session that took it over dies before it has done anything."""
     hot.emulator.fault("silence")
-    with guardian(hot, ENDED):
+    with of_bench(hot, ENDED):
         guardian_record(hot.folder, lambda record: record["tries"] > 0)
-        with guardian(hot, ENDED, "guardian-2") as second:
+        with of_bench(hot, ENDED, "guardian-2") as second:
             hot.emulator.fault("silence", on=False)
             standby_after(hot.plant)
             second.wait(60)
@@ -133,7 +115,7 @@ def test_whoever_has_taken_a_hot_bath_over_stands_for_it(
 @pytest.mark.skipif(sys.platform == "win32", reason="stops a process with a POSIX signal")
 def test_one_that_does_not_answer_is_ended(hot: HotBath, baths: Path) -> None:
     hot.emulator.fault("silence")
-    with guardian(hot, ENDED) as old:
+    with of_bench(hot, ENDED) as old:
         guardian_record(hot.folder, lambda record: record["tries"] > 0)
         psutil.Process(old.pid).suspend()
         with next_of(hot) as line:
@@ -144,7 +126,7 @@ def test_one_that_does_not_answer_is_ended(hot: HotBath, baths: Path) -> None:
 
 @pytest.mark.slow
 def test_one_whose_bench_lives_keeps_the_bath(hot: HotBath, baths: Path) -> None:
-    with guardian(hot, os.getpid()) as old:
+    with of_bench(hot, os.getpid()) as old:
         assert old.stdin is not None
         with pytest.raises(LinkError, match=r"another guardian has it.*for a bench that lives"):
             next_of(hot)
@@ -159,7 +141,7 @@ def test_one_whose_bench_lives_keeps_the_bath(hot: HotBath, baths: Path) -> None
 
 @pytest.mark.slow
 def test_a_guardian_that_was_killed_keeps_no_bath_and_is_named(hot: HotBath, baths: Path) -> None:
-    with guardian(hot, os.getpid()) as old:
+    with of_bench(hot, os.getpid()) as old:
         old.kill()
         old.wait()
     assert len(list(baths.glob("*.json"))) == 1, "its note is still there"
@@ -217,7 +199,7 @@ def test_of_two_that_ask_at_once_one_gets_the_bath(hot: HotBath, baths: Path) ->
     command = [sys.executable, "-m", "bench.rig.guardian", "--profile=julabo-presto"]
     command += [f"--url={hot.url}", f"--bench={os.getpid()}"]
     pipe = subprocess.PIPE
-    with guardian(hot, ENDED) as old:
+    with of_bench(hot, ENDED) as old:
         guardian_record(hot.folder, lambda record: record["tries"] > 0)
         asking = [
             subprocess.Popen(
@@ -243,7 +225,7 @@ def test_of_two_that_ask_at_once_one_gets_the_bath(hot: HotBath, baths: Path) ->
 def test_a_bath_that_died_with_its_bench_is_left_alone(hot: HotBath, baths: Path) -> None:
     """An emulated one: nothing is made safe any more, and the record is not written again."""
     hot.emulator.fault("silence")
-    with guardian(hot, ENDED) as old:
+    with of_bench(hot, ENDED) as old:
         guardian_record(hot.folder, lambda record: record["tries"] > 0)
         free_bath(hot.url, hot.folder)
         assert old.poll() == 0

@@ -19,7 +19,7 @@ import pytest
 from bench.record.reader import RunRecord, read_run
 from instruments.listener import Listener
 from tests.bench.commands import teatbench
-from tests.bench.real_rig import RealRig, real_rig, record_one, touch_as_asked
+from tests.bench.real_rig import RealRig, real_rig
 from tests.bench.safety.guards import guardian_record
 from tests.plain_text import plain_text
 
@@ -71,12 +71,10 @@ def leave(way: str, folder: Path, recording: Path) -> Outcome:
 
 
 def to_the_end(rig: RealRig, running: MarkedBench) -> float:
-    """When the last readings were taken."""
+    """When the last end was touched."""
+    plant = rig.twin.world.plant
     running.wait_for("Enter when it stands")
-    running.enter()
-    return touch_as_asked(
-        rig, lambda: running.said, running.enter, lambda: not rig.twin.world.plant.running
-    )
+    return running.attended(lambda: not plant.running)
 
 
 def to_the_mistake(_: RealRig, running: MarkedBench) -> None:
@@ -112,11 +110,6 @@ WAYS: dict[str, tuple[Callable[[RealRig, MarkedBench], float | None], str, int]]
     "Ctrl-C twice": (interrupt_twice, "aborted", 3),
     "closing": (close, "interrupted", CLOSED_CODE),
 }
-
-
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return record_one(tmp_path_factory.mktemp("frames") / "recording")
 
 
 def test_every_way_out_of_a_run_leaves_standby_in_bounded_time(

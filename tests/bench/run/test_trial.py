@@ -28,9 +28,6 @@ from instruments.operators.operator import (
     DONE,
     Answer,
     NextTrial,
-    OperatorAbort,
-    OperatorRepeat,
-    OperatorSkip,
     Request,
 )
 from instruments.stage.driver import Stage
@@ -106,37 +103,6 @@ def test_time_that_was_no_work_is_kept_out_of_the_time_left(note: Context) -> No
     for trial in PLANNED:
         all_of.run(trial)
     assert [left_s for _, _, left_s in note.trials[2:]] == [180.0, 120.0, 60.0]
-
-
-def test_again_and_again_until_it_is_done(note: Context) -> None:
-    wishes: list[Exception | None] = [OperatorRepeat(), OperatorRepeat(), None]
-
-    def once(_: PlannedTrial) -> None:
-        if wish := wishes.pop(0):
-            raise wish
-
-    all_of = attempts(note, once)
-    all_of.run(PLANNED[0])
-    assert not wishes
-    assert note.trials == [(1, 5, None)]
-    assert [event.split()[0] for event in note.said] == ["repeated", "repeated"]
-
-
-def test_a_skip_is_kept_and_an_abort_goes_on_its_way(note: Context) -> None:
-    wishes: list[Exception] = [
-        OperatorRepeat(),
-        OperatorSkip("the hose leaks"),
-        OperatorAbort("enough"),
-    ]
-
-    def once(_: PlannedTrial) -> None:
-        raise wishes.pop(0)
-
-    all_of = attempts(note, once)
-    all_of.run(PLANNED[0])
-    with pytest.raises(OperatorAbort, match="enough"):
-        all_of.run(PLANNED[1])
-    assert note.said[-1] == f"skipped {PLANNED[0].id}: the operator skipped it: the hose leaks"
 
 
 SCRIPT = """title = "poses"

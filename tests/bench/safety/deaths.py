@@ -24,6 +24,7 @@ import psutil
 from bench.rig.loading import RIGS
 from tests.bench.forked import Running, begin
 from tests.bench.operated_runs import ONE
+from tests.bench.safety.guards import alive, guardians_of
 from tests.bench.small_cameras import write_calibration
 from tests.conftest import ROOT
 from tests.waiting import within
@@ -360,16 +361,9 @@ def _end_hung(pid: int) -> None:
     the port from it, and would take it from whoever comes next.
     """
     with suppress(psutil.NoSuchProcess):
-        hung = psutil.Process(pid)
-        guardians = [one for one in hung.children() if "bench.rig.guardian" in one.cmdline()]
-        hung.kill()
-        within(PATIENCE_S, lambda: all(map(_has_ended, guardians)), "the guardian's end")
-
-
-def _has_ended(process: psutil.Process) -> bool:
-    with suppress(psutil.NoSuchProcess):
-        return bool(process.status() == psutil.STATUS_ZOMBIE)
-    return True
+        guardians = [one.pid for one in guardians_of(pid)]
+        psutil.Process(pid).kill()
+        within(PATIENCE_S, lambda: not any(map(alive, guardians)), "the guardian's end")
 
 
 def begun(there: Elsewhere, dying: Dying, way: Way) -> None:

@@ -5,18 +5,23 @@ stop.
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import psutil
 
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_register_profile
 from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.world.plant import Plant
+from tests.conftest import ROOT
 from tests.waiting import within
 
 PATIENCE_S = 60.0
@@ -56,6 +61,48 @@ def hot_bath(folder: Path) -> Iterator[HotBath]:
     finally:
         listener.close()
         clock.close()
+
+
+def guardians_of(pid: int) -> list[psutil.Process]:
+    """Those that a process has started."""
+    found = []
+    for child in psutil.Process(pid).children():
+        with suppress(psutil.NoSuchProcess):
+            found += [child] if "bench.rig.guardian" in child.cmdline() else []
+    return found
+
+
+def alive(pid: int) -> bool:
+    """Whether a process has not ended."""
+    with suppress(psutil.NoSuchProcess):
+        return bool(psutil.Process(pid).status() != psutil.STATUS_ZOMBIE)
+    return False
+
+
+@contextmanager
+def guardian(*arguments: object) -> Iterator[subprocess.Popen[bytes]]:
+    """A guardian in a process of its own that is ready."""
+    command = [sys.executable, "-m", "bench.rig.guardian", *map(str, arguments)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        command, cwd=ROOT, stdin=pipe, stdout=pipe, start_new_session=True
+    ) as process:
+        assert process.stdout is not None
+        try:
+            assert process.stdout.readline().split()[:1] == [b"ready"]
+            yield process
+        finally:
+            process.kill()
+
+
+@contextmanager
+def abandoned(*arguments: object) -> Iterator[None]:
+    """A guardian whose bench has just died, and which ends by itself."""
+    with guardian("--bench", 1, *arguments) as process:
+        assert process.stdin is not None
+        process.stdin.close()
+        yield
+        assert process.wait(60) == 0
 
 
 def standby_after(plant: Plant) -> float:

@@ -6,8 +6,6 @@ Kills in every step are `test_guardian_kills`; serial ports and pumps `test_guar
 
 from __future__ import annotations
 
-import os
-import signal
 import sys
 import time
 from datetime import datetime
@@ -17,13 +15,14 @@ import pytest
 
 from bench.cli.main import main
 from bench.record.reader import read_run
-from tests.bench.real_rig import Bench, RealRig, bench, real_rig
+from tests.bench.real_rig import RealRig, real_rig
 from tests.bench.safety.guards import (
     HANG_S,
     STANDBY_S,
     STOPPED_S,
     Measured,
     guardian_record,
+    guardians_of,
     standby_after,
 )
 from tests.plain_text import plain_text
@@ -31,14 +30,14 @@ from tests.plain_text import plain_text
 if sys.platform == "win32":
     pytest.skip("sends POSIX signals to the bench", allow_module_level=True)
 
-from tests.bench.marked_bench import MARK, marked_bench
+from tests.bench.marked_bench import MARK, MarkedBench, marked_bench
 
 pytestmark = pytest.mark.slow
 
 SEEN_LATE_S = 5.0  # so much later than it was said a busy machine may show us that it hangs
 
 
-def heating(rig: RealRig, running: Bench) -> None:
+def heating(rig: RealRig, running: MarkedBench) -> None:
     running.wait_for("on its peg")
     running.enter()
     running.until(lambda: rig.twin.world.plant.running, "heated")
@@ -55,14 +54,15 @@ def test_a_bench_that_is_stopped_is_taken_for_dead_within_seconds(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], measured: Measured
 ) -> None:
     with real_rig(tmp_path / "rig", recording, window_s=60.0) as rig:
-        with bench(rig) as running:
+        with marked_bench(rig, "none") as running:
             heating(rig, running)
             time.sleep(1.5)
-            running.process.send_signal(signal.SIGSTOP)
+            running.signal("SIGSTOP")
             seconds = standby_after(rig.twin.world.plant)
             guardian_record(rig.run_folder())
-            running.process.send_signal(signal.SIGCONT)
-            assert running.process.wait(60) == 3
+            running.signal("SIGCONT")
+            running.process.join(60)
+            assert running.process.exitcode == 3
         measured("SIGSTOP while settling", seconds)
         assert seconds < STOPPED_S + STANDBY_S
         run = read_run(rig.run_folder())
@@ -106,29 +106,26 @@ def test_a_main_thread_that_hangs_while_the_others_live_is_taken_for_dead_after_
             assert f"the guardian had the bath in standby at {text['wall_safe']}" in said
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="finds the guardian in /proc")
 def test_a_frozen_guardian_ends_the_run_with_the_bath_in_standby(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """So that no death of the bench can follow that nobody would act on."""
-    with real_rig(tmp_path / "rig", recording, window_s=600.0) as rig, bench(rig) as running:
+    with (
+        real_rig(tmp_path / "rig", recording, window_s=600.0) as rig,
+        marked_bench(rig, "none") as running,
+    ):
         heating(rig, running)
-        pid = running.process.pid
-        children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
-        (guardian,) = [int(child) for child in children if "guardian" in command_line(child)]
-        os.kill(guardian, signal.SIGSTOP)
+        (guardian,) = guardians_of(running.process.pid)
+        guardian.suspend()
         try:
             standby_after(rig.twin.world.plant)
-            assert running.process.wait(60) == 3
+            running.process.join(60)
+            assert running.process.exitcode == 3
         finally:
-            os.kill(guardian, signal.SIGCONT)
+            guardian.resume()
         assert not rig.twin.world.plant.running
         run = read_run(rig.run_folder())
         assert (run.ending, run.facts["trip"]["rule"]) == ("faulted", "guardian lost")
         assert run.facts["trip"]["why"] == "it has not answered for 3 s"
         assert run.guardian is None, "it had nothing to do"
         assert "interlock guardian lost: it has not answered for 3 s" in reported(rig, capsys)[1]
-
-
-def command_line(pid: str) -> str:
-    return Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8")

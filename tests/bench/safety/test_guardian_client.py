@@ -70,24 +70,6 @@ def test_left_before_anything_heats_the_guardian_leaves_the_bath_alone(hot: HotB
 
 
 @pytest.mark.slow
-def test_left_without_a_word_the_guardian_takes_over(hot: HotBath) -> None:
-    with guardian_of(hot):
-        pass
-    standby_after(hot.plant)
-    assert hot.record()["cause"] == "gave up"
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
-def test_a_guardian_that_dies_is_missed(hot: HotBath) -> None:
-    with guardian_of(hot) as line:
-        os.kill(line.pid, signal.SIGKILL)
-        within(PATIENCE_S, lambda: line.lost is not None, "the loss was seen")
-        assert "ended by itself" in str(line.lost)
-        line.done()
-
-
-@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="this system has no SIGSTOP")
 def test_a_guardian_that_is_frozen_is_missed_and_one_that_lives_is_not(hot: HotBath) -> None:
     with guardian_of(hot) as line:

@@ -8,10 +8,9 @@ the tests, and in their JUnit file.
 
 from __future__ import annotations
 
-import re
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
@@ -27,7 +26,6 @@ from bench.results.status import status_of
 from instruments.bath.driver import Bath
 from instruments.bath.profile import load_profile
 from instruments.clock import RealClock, wall_time
-from instruments.operators.operator import CheckPoint, Touch
 from tests.bench.real_rig import RealRig, real_rig
 from tests.bench.safety.guards import STANDBY_S, Measured, guardian_record, standby_after
 
@@ -39,8 +37,6 @@ from tests.bench.marked_bench import MARK, MarkedBench, marked_bench
 pytestmark = pytest.mark.slow
 
 AT_ONCE = 3  # an arm in real time that waits for a busy processor counts as lost
-PROMPT = "a = abort the run): "
-CHECK, TOUCH = r"(\d) of (\d)\] Arm check", r"teat (\d+) of (\d+), \d+ of \d+ touches left"
 
 
 @dataclass(frozen=True)
@@ -108,40 +104,13 @@ class Outcome:
     said: str
 
 
-def go_to(rig: RealRig, running: MarkedBench, step: Step, there: Callable[[], bool]) -> None:
-    """Be the person at the terminal and at the arm until the bench is at ``step``, or ``there``."""
-    left, read_to = step.nth, 0
-    while not there():
-        new = running.said[read_to:]
-        found = {words: new.index(words) for words in (PROMPT, step.words) if words in new}
-        if not found:
-            running.until_longer(read_to + len(new), there)
-            continue
-        first = min(found, key=lambda words: found[words])
-        if first == PROMPT:
-            put_the_hand(rig, new[: found[first]])
-            running.enter()
-        else:
-            left -= 1
-        if not left:
-            return
-        read_to += found[first] + len(first)
-
-
-def put_the_hand(rig: RealRig, asked: str) -> None:
-    if match := re.search(CHECK, asked):
-        rig.twin.operator.ask(CheckPoint(int(match[1]), int(match[2])))
-    elif match := re.search(TOUCH, asked):
-        rig.twin.operator.ask(Touch(int(match[1]), int(match[2])))
-
-
 def bring(rig: RealRig, running: MarkedBench, name: str) -> None:
-    plant = rig.twin.world.plant
-    go_to(rig, running, STEPS[name], lambda: plant.running and name == "heating")
+    plant, step = rig.twin.world.plant, STEPS[name]
+    running.attended(lambda: plant.running and name == "heating", step.words, step.nth)
     if name in NOT_YET_HEATING:
         with rig.twin.world.lock:
             plant.run(33.0)  # before the bench has heated anything: somebody has left the bath on
-    time.sleep(STEPS[name].then_s)
+    time.sleep(step.then_s)
 
 
 def kill_in(name: str, kill: str, folder: Path, recording: Path) -> Outcome:

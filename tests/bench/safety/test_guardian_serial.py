@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,6 +31,7 @@ from tests.bench.safety.guards import (
     STANDBY_S,
     STOPPED_S,
     Measured,
+    abandoned,
     guardian_record,
     standby_after,
 )
@@ -128,21 +129,9 @@ class Hot:
     arguments: list[str]
     record: Path
 
-    @contextmanager
-    def abandoned(self, overrun_s: float) -> Iterator[subprocess.Popen[bytes]]:
+    def abandoned(self, overrun_s: float) -> AbstractContextManager[None]:
         """A guardian whose bench has just died."""
-        more = ["--record", str(self.record), "--bench", "1", "--overrun-s", str(overrun_s)]
-        command = [sys.executable, "-m", "bench.rig.guardian", *self.arguments, *more]
-        pipe = subprocess.PIPE
-        with subprocess.Popen(
-            command, cwd=ROOT, stdin=pipe, stdout=pipe, start_new_session=True
-        ) as process:
-            assert process.stdin is not None
-            assert process.stdout is not None
-            assert process.stdout.readline().split()[:1] == [b"ready"]
-            process.stdin.close()
-            yield process
-            process.wait(60)
+        return abandoned(*self.arguments, "--record", self.record, "--overrun-s", overrun_s)
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 
+import psutil
 import pytest
 
 if sys.platform == "win32":
@@ -41,12 +41,11 @@ from tests.bench.safety.deaths import (
     emulators,
     on_a_terminal,
 )
-from tests.bench.safety.guards import HotBath, Measured, standby_after
+from tests.bench.safety.guards import HotBath, Measured, guardians_of, standby_after
 from tests.bench.small_cameras import write_calibration
 from tests.waiting import within
 
 pytestmark = pytest.mark.slow
-linux = pytest.mark.skipif(sys.platform != "linux", reason="finds the guardian in /proc")
 
 # one of each kind of death, and of each way in
 FEW = [
@@ -149,26 +148,24 @@ def test_a_process_that_was_forked_leaves_what_its_parent_opened_alone(hot: HotB
     assert not hot.plant.running
 
 
-@linux
 def test_a_guardian_that_has_gone_is_noticed_before_the_next_order(hot: HotBath) -> None:
     with open_instruments(_of(hot), ("bath",)) as devices:
         devices.bath.start(33.0)
-        (guardian,) = _guardians()
-        os.kill(guardian, signal.SIGKILL)
-        within(PATIENCE_S, lambda: not Path(f"/proc/{guardian}").exists(), "gone")
+        (guardian,) = guardians_of(os.getpid())
+        guardian.kill()
+        within(PATIENCE_S, lambda: not psutil.pid_exists(guardian.pid), "gone")
         devices.bath.read()  # reading needs none
         with pytest.raises(LinkError, match="nothing is heated or moved: it ended by itself"):
             devices.bath.set_point(34.0)
     assert not hot.plant.running
 
 
-@linux
 def test_an_emulated_rig_is_left_safe_without_a_guardian() -> None:
     with open_instruments(load_rig(find_rig(None)), ("bath", "stage")) as devices:
         assert isinstance(devices.clock, VirtualClock)
         devices.bath.start(33.0)
         assert set(devices.active) == {"bath", "pump"}
-        assert not _guardians()
+        assert not guardians_of(os.getpid())
     assert not devices.active
 
 
@@ -192,7 +189,6 @@ def test_a_pump_alone_is_switched_off_and_one_behind_a_heater_runs_on(tmp_path: 
 # ---- bench and guardian killed together
 
 
-@linux
 def test_a_controller_with_a_watchdog_stops_when_bench_and_guardian_are_killed(
     tmp_path: Path,
 ) -> None:
@@ -204,7 +200,6 @@ def test_a_controller_with_a_watchdog_stops_when_bench_and_guardian_are_killed(
     both_killed(mine, tmp_path)
 
 
-@linux
 @pytest.mark.weekly
 def test_the_watchdog_as_it_ships_stops_it_too(tmp_path: Path) -> None:
     both_killed(SHIPPED / "lauda-ascii.toml", tmp_path)
@@ -221,8 +216,8 @@ def both_killed(profile: Path, folder: Path) -> None:
         with on_a_terminal([script], folder / "none", script=True) as dying:
             dying.until(lambda: "@@ under way" in dying.said, "began")
             assert plant.running
-            (guardian,) = _guardians(dying.pid)
-            for process in (guardian, dying.pid):
+            (guardian,) = guardians_of(dying.pid)
+            for process in (guardian.pid, dying.pid):
                 os.kill(process, signal.SIGKILL)
             dying.process.wait(PATIENCE_S)
             standby_after(plant)
@@ -249,17 +244,3 @@ with open_instruments(rig, ("bath",)) as devices:
 def _of(hot: HotBath) -> LoadedRig:
     table = BathTable(url=hot.url, profile="julabo-presto")
     return rig_of(load_profile("julabo-presto"), bath=table)
-
-
-def _guardians(of: int | None = None) -> list[int]:
-    """Processes of guardians that a process has started, by its children in /proc."""
-    of = os.getpid() if of is None else of
-    found = []
-    for task in Path(f"/proc/{of}/task").iterdir():
-        children = (task / "children").read_text(encoding="ascii").split()
-        for child in map(int, children):
-            with suppress(OSError):
-                line = Path(f"/proc/{child}/cmdline").read_bytes()
-                if b"bench.rig.guardian" in line:
-                    found.append(child)
-    return found

@@ -6,8 +6,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 import threading
 from contextlib import closing
 from pathlib import Path
@@ -21,9 +19,9 @@ from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.world.plant import Plant
 from tests.bench.operated_runs import ONE
+from tests.bench.safety.guards import abandoned
 from tests.bench.test_config import rig_with
 
-ROOT = Path(__file__).parents[3]
 FAULT = (
     '\n[emulation]\nfaults = [{ instrument = "bath", name = "silence", at_s = 200.0, for_s = 8.0 }]'
 )
@@ -54,14 +52,7 @@ def test_the_guardian_puts_a_julabo_into_standby(tmp_path: Path) -> None:
         plant.run(33.0)
         with closing(Listener(device, clock, lock=threading.RLock(), name="bath")) as listener:
             record, url = tmp_path / "guardian.json", listener.url.replace("socket", "tcp")
-            command = [sys.executable, "-m", "bench.rig.guardian", "--profile=julabo-ascii"]
-            command += [f"--url={url}", "--record", str(record), "--bench", "1"]
-            pipe = subprocess.PIPE
-            with subprocess.Popen(command, cwd=ROOT, stdin=pipe, stdout=pipe) as process:
-                assert process.stdin is not None
-                assert process.stdout is not None
-                assert process.stdout.readline().split()[:1] == [b"ready"]
-                process.stdin.close()
-                assert process.wait(60) == 0
+            with abandoned("--profile=julabo-ascii", f"--url={url}", "--record", record):
+                pass
     assert not plant.running
     assert json.loads(record.read_text(encoding="utf-8"))["cause"] == "died"

@@ -91,17 +91,6 @@ def test_a_rate_just_above_the_limit_is_refused_in_no_more_than_5_percent(series
     falsely(failed, series)
 
 
-def test_a_fixed_rule_asked_again_is_not_such_a_one() -> None:
-    """What the ledger is there for: the same continuation without it."""
-    rng, met = np.random.default_rng(7), 0
-    for _ in range(FEW):
-        steps = np.cumsum([rng.binomial(n, 0.0501) for n in (59, *[34] * (LOOKS - 1))])
-        poses = 59 + 34 * np.arange(LOOKS)
-        allowed = {59: 0, 93: 1, 127: 2, 161: 3, 195: 4, 229: 6, 263: 7, 297: 8, 331: 10, 365: 11}
-        met += any(bad <= allowed[int(n)] for bad, n in zip(steps, poses, strict=True))
-    assert met > 0.1 * FEW
-
-
 @counts
 @pytest.mark.parametrize("u_mm", [0.0, 0.23])
 def test_an_error_beyond_its_limit_in_one_pose_of_twenty_is_accepted_in_no_more_than_5_percent(

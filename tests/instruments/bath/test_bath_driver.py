@@ -5,28 +5,12 @@ from __future__ import annotations
 
 import itertools
 import math
-import struct
 
 import pytest
 
 from instruments.bath.driver import Bath
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from tests.instruments.bath.devices import Stand
-
-
-def test_a_reading_says_it_all(stand: Stand) -> None:
-    bath = stand.bath()
-    bath.start(33.0)
-    stand.clock.sleep(300.0)
-    reading = bath.read()
-    assert reading.t_s == stand.clock.now()
-    assert reading.temp_c == pytest.approx(stand.plant.pv_c, abs=1e-5)
-    assert reading.raw == struct.unpack(">HH", struct.pack(">f", stand.plant.pv_c))
-    assert reading.external_c == pytest.approx(float(stand.plant.teat_c.mean()), abs=1e-5)
-    assert reading.safety_c == pytest.approx(stand.plant.bath_c, abs=1e-5)
-    assert reading.power_percent == 100.0
-    assert (reading.alarm, reading.warning, reading.remote) == (0, 0, True)
-    assert (reading.running, reading.set_point_c) == (True, 33.0)
 
 
 def test_identity(stand: Stand) -> None:
@@ -85,12 +69,6 @@ def test_what_the_profile_does_not_list_is_not_written(
     assert not stand.emulator.writes()
 
 
-def test_a_set_point_out_of_bounds_does_not_start(stand: Stand) -> None:
-    with pytest.raises(LimitError, match="5 to 36"):
-        stand.bath().start(80.0)
-    assert not stand.emulator.writes()
-
-
 def test_a_row_that_the_family_lacks(stand: Stand) -> None:
     bath = stand.bath()
     for call in (lambda: bath.get("flow"), lambda: bath.set("flow", 1.0), bath.acknowledge):
@@ -107,12 +85,6 @@ def test_a_row_that_the_family_lacks(stand: Stand) -> None:
 @pytest.mark.parametrize(
     ("fault", "error", "message"),
     [
-        (
-            "fahrenheit",
-            DeviceError,
-            r"speak degC \(asked its unit, got f\)\. Set the controller to degrees Celsius",
-        ),
-        ("sensor break", DeviceError, r"no temperature \(asked temperature, got alarm 5, working"),
         ("silence", LinkError, r"no answer \(asked holding registers 93 to 93, after 2 s\)"),
         ("busy", DeviceError, r"it is busy \(asked holding .* 93, got Modbus exception 6\)"),
         ("wrong length", ProtocolError, "0 registers were answered where 1 were asked"),

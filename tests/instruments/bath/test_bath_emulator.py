@@ -239,13 +239,6 @@ def frames(pieces: list[bytes]) -> list[bytes]:
     return [framed(frame.unit, frame.pdu) for piece in pieces for frame in reader.feed(piece, 0.0)]
 
 
-@pytest.mark.parametrize("request_", REQUESTS)
-def test_each_request_ends_where_it_ends(request_: bytes) -> None:
-    assert frames([request_]) == [request_]
-    assert frames([bytes((byte,)) for byte in request_]) == [request_]
-    assert frames([request_, REQUESTS[0][:3]]) == [request_]
-
-
 @given(
     order=st.lists(st.sampled_from(REQUESTS[:-1]), min_size=1, max_size=4),
     cuts=st.lists(st.integers(0, 60)),

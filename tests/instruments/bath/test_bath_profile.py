@@ -4,7 +4,6 @@ words, and numbers against bytes typed from the documents."""
 from __future__ import annotations
 
 import math
-import re
 import struct
 from pathlib import Path
 
@@ -12,15 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from instruments.bath.profile import (
-    RegisterProfile,
-    load_register_profile,
-)
+from instruments.bath.profile import load_register_profile
 from instruments.bath.register_access import RegisterAccess
 from instruments.bath.requests import blocks, markers
 from instruments.bath.rows import WORDS, Kind, Order, decode, encode
 from instruments.device_file import DeviceFileError
-from tests.instruments.bath.devices import EUROTHERMS, REGISTER_FAMILIES, WATLOWS
+from tests.instruments.bath.devices import REGISTER_FAMILIES
 from tests.instruments.bath.far_end import bath_on, rtu, shown_by
 
 ORDERS: list[Order] = ["ABCD", "CDAB", "BADC", "DCBA"]
@@ -220,115 +216,6 @@ def test_what_does_not_fit_the_registers_is_refused() -> None:
         encode(math.nan, "i16", "ABCD")
 
 
-SHIPPED = [*EUROTHERMS, "julabo-magio", "julabo-presto", "omega-cn7", *WATLOWS]
-
-# Fact sheet, sections 1.1 to 1.4: name, table, address, type, access, evidence.
-EUROTHERM = """
-temperature 0x8002 f32 r CERTAIN | set_point 0x8004 f32 rw CERTAIN | output_demand 0x8006 f32 r CERTAIN
-power 0x8008 f32 r CERTAIN | working_set_point 0x800A f32 r CERTAIN | range_low 0x8016 f32 r CERTAIN
-range_high 0x8018 f32 r CERTAIN | alarm1_high 0x801A f32 r CERTAIN | set_point_1 0x8030 f32 r CERTAIN
-set_point_2 0x8032 f32 r CERTAIN | remote_set_point 0x8034 f32 rw CERTAIN | heating_limit 0x803C f32 rw CERTAIN
-output_low 0x803E f32 r CERTAIN | sensor_break_output 0x8044 f32 rw CERTAIN | ramp 0x8046 f32 rw CERTAIN
-error 0x804E f32 r CERTAIN | set_point_high 0x80DE f32 r CERTAIN | set_point_low 0x80E0 f32 r CERTAIN
-set_point_select 15 u16 r CERTAIN | status 75 u16 r CERTAIN | version 107 u16 r CERTAIN | model 122 u16 r CERTAIN
-address 131 u16 r CERTAIN | run 199 u16 rw CERTAIN | sensor_break 258 u16 r CERTAIN | loop_break 263 u16 r CERTAIN
-auto_manual 273 u16 rw CERTAIN | acknowledge 274 u16 w CERTAIN | local_remote 276 u16 rw CERTAIN | unit 516 u16 r CERTAIN
-decimals 525 u16 r CERTAIN | resolution 12550 u16 r CERTAIN | ramp_unit 531 u16 r FIELD
-"""
-MAGIO = """
-run 0 u16 rw CERTAIN | actuating 1 u16 rw CERTAIN | set_point 2 f32 rw CERTAIN | heating_power 4 i16 r CERTAIN
-control_sensor 10 u16 r CERTAIN | band 12 f32 r CERTAIN | reset_time 14 u16 r CERTAIN | rate_time 15 u16 r CERTAIN
-cooling_limit 40 i16 r INFERRED | heating_limit 41 i16 rw INFERRED | pump_control 50 u16 r INFERRED
-pump_stage 52 u16 rw INFERRED | low_warning 60 f32 r INFERRED | high_warning 62 f32 r INFERRED
-cooling_gradient 64 f32 r INFERRED | heating_gradient 66 f32 r INFERRED | set_point_low 70 f32 r INFERRED
-set_point_high 72 f32 r INFERRED | unit 90 u16 r CERTAIN
-"""
-PRESTO = """
-run 0 u16 rw CERTAIN | actuating 1 u16 rw CERTAIN | set_point 2 f32 rw CERTAIN | heating_limit 41 i16 rw CERTAIN
-pump_stage 52 u16 rw CERTAIN | unit 90 u16 r CERTAIN | encoding 93 u16 r CERTAIN
-"""
-PRESTO_INPUT = """
-firmware 0 u32 r CERTAIN | remote 5 i16 r CERTAIN | alarm 6 i16 r CERTAIN | warning 7 i16 r CERTAIN
-temperature 10 f32 r CERTAIN | external 12 f32 r CERTAIN | power 14 i16 r CERTAIN | safety 15 f32 r CERTAIN
-cut_out 19 f32 r CERTAIN | pump_pressure 23 f32 r CERTAIN
-"""
-WATLOW_1 = """
-temperature 360 f32 r CERTAIN | input_error 362 u16 r INFERRED | set_point 2160 f32 rw CERTAIN | run 1880 u16 rw CERTAIN
-power 1904 f32 r FIELD | manual_power 2162 f32 r CERTAIN | alarm1_high 1480 f32 r CERTAIN | alarm1_low 1482 f32 r CERTAIN
-alarm1_state 1496 u16 r INFERRED | unit 2490 u16 r CERTAIN | unit_2 2510 u16 r CERTAIN
-"""
-WATLOW_2 = """
-temperature 360 f32 r FIELD | filtered 402 f32 r FIELD | input_error 362 u16 r FIELD | set_point 2640 f32 rw FIELD
-working_set_point 2652 f32 r FIELD | set_point_low 2644 f32 r FIELD | set_point_high 2646 f32 r FIELD | run 2360 u16 rw FIELD
-run_active 2362 u16 r FIELD | power 2384 f32 r FIELD | cooling_power 2386 f32 r FIELD | output 2388 f32 r FIELD
-manual_power 2642 f32 r FIELD | loop_error 2408 u16 r FIELD | alarm1_high 1880 f32 r FIELD | alarm1_low 1882 f32 r FIELD
-alarm1_state 1896 u16 r FIELD | limit_high 726 f32 r FIELD | limit_state 730 u16 r FIELD | device_status 30 u16 r FIELD
-display_unit 2308 u16 r FIELD
-"""
-OMEGA = """
-temperature 0x1000 i16 r FIELD | set_point 0x1001 i16 rw FIELD | control 0x1005 u16 rw FIELD | power 0x1012 u16 r FIELD
-alarm1_high 0x1024 i16 r FIELD | alarm1_low 0x1025 i16 r FIELD | lamps 0x102A u16 r FIELD | error_status 0x102E u16 r FIELD
-"""
-
-
-def test_what_ships() -> None:
-    assert REGISTER_FAMILIES == SHIPPED
-    assert all(load_register_profile(name).row("temperature").poll for name in SHIPPED)
-
-
-@pytest.mark.parametrize(
-    ("name", "sheet", "beside"),
-    [
-        ("eurotherm-2400", EUROTHERM, set()),
-        ("eurotherm-3200", EUROTHERM, {"rate"}),
-        ("watlow-pm-map1", WATLOW_1, set()),
-        ("watlow-pm-map2", WATLOW_2, set()),
-        ("omega-cn7", OMEGA, {"run", "unit", "write_enable"}),
-    ],
-)
-def test_the_families_are_as_the_sheet_says(name: str, sheet: str, beside: set[str]) -> None:
-    profile = load_register_profile(name)
-    assert {row.name for row in profile.rows} == note(profile, sheet, "holding") | beside
-
-
-def test_the_magio_is_as_its_pages_say() -> None:
-    profile = load_register_profile("julabo-magio")
-    note(profile, MAGIO, "holding")
-    assert profile.find("encoding") is None
-    assert profile.find("flow_set_point") is None
-    inputs = [
-        "firmware",
-        "remote",
-        "alarm",
-        "warning",
-        "temperature",
-        "external",
-        "power",
-        "safety",
-    ]
-    assert [profile.row(name).address for name in inputs] == [0, 5, 6, 7, 10, 12, 14, 15]
-    assert profile.row("cut_out").evidence == profile.row("pump_pressure").evidence == "INFERRED"
-
-
-def test_the_presto_is_as_its_manual_says() -> None:
-    profile = load_register_profile("julabo-presto")
-    for name in note(profile, PRESTO, "holding") | note(profile, PRESTO_INPUT, "input"):
-        row = profile.row(name)
-        assert row.spacing_s == (0.25 if row.access == "rw" else 0.0)
-
-
-def note(profile: RegisterProfile, sheet: str, table: str) -> set[str]:
-    """Check each row of ``sheet``; their names."""
-    names = set()
-    for text in re.split(r"[|\n]", sheet.strip()):
-        name, address, kind, access, evidence = text.split()
-        row = profile.row(name)
-        seen = (row.table, row.address, row.type, row.access, row.evidence)
-        assert seen == (table, int(address, 0), kind, access, evidence), name
-        names.add(name)
-    return names
-
-
 @pytest.mark.parametrize(
     ("name", "functions", "order", "transports", "pump", "comms_loss"),
     [
@@ -380,7 +267,7 @@ def test_a_polls_questions() -> None:
         name: [
             (b.function, b.address, b.count) for b in blocks(load_register_profile(name), gaps=True)
         ]
-        for name in SHIPPED
+        for name in REGISTER_FAMILIES
     }
     assert asked["eurotherm-3200"] == [(3, 75, 1), (3, 199, 1), (3, 516, 1), (3, 0x8002, 10)]
     omega = [(2, 0x0810, 5), (3, 0x1000, 2), (3, 0x1012, 1), (3, 0x102E, 1)]
@@ -391,7 +278,7 @@ def test_a_polls_questions() -> None:
     assert [block.address for block in with_inferred] == [360, 1496, 1880, 1904, 2160, 2490, 2510]
 
 
-@pytest.mark.parametrize("name", [name for name in SHIPPED if "julabo" not in name])
+@pytest.mark.parametrize("name", [name for name in REGISTER_FAMILIES if "julabo" not in name])
 def test_there_are_shapes_enough_to_prove_a_line_clean(name: str) -> None:
     """Whatever one question is owed, another is left that can't be taken for it."""
     assert (

@@ -141,19 +141,6 @@ def test_slow_fields_come_first_after_a_reset_and_then_in_turn(free: Board) -> N
     assert [i for i, report in enumerate(reports) if b"Ov:" in report] == [1, 11, 21]
 
 
-def test_two_runs_give_the_same_bytes(make_board: Make) -> None:
-    def run() -> bytes:
-        board = make_board()
-        said = board.say(b"$H\n", 30.0)
-        for n in range(12):
-            said += board.say(
-                b"G53G1X-%dY-%dF%d\n?" % (20 * n + 3, 7 * n + 2, 900 + 100 * n), 0.37
-            ) + board.say(b"?")
-        return said
-
-    assert run() == run()
-
-
 def test_a_fourth_axis_in_the_grblhal_dialect(make_board: Make) -> None:
     board = make_board(dialect=GRBL_HAL, axes=4)
     lines = board.say(b"$$\n").split(b"\r\n")

@@ -144,13 +144,13 @@ def test_after_a_lost_or_late_answer_it_is_recovered(newer: Bench, fault: StageF
 
 
 @pytest.mark.parametrize("fault", [StageFault.NO_SWITCH, StageFault.STUCK_SWITCH])
-def test_homing_that_fails_is_told(newer: Bench, fault: StageFault) -> None:
-    newer.stage.connect()
-    newer.emulator.inject(fault)
+def test_homing_that_fails_is_told(each: Bench, fault: StageFault) -> None:
+    each.stage.connect()
+    each.emulator.inject(fault)
     with pytest.raises(DeviceError):
-        newer.stage.home()
-    assert not newer.stage.homed
-    newer.stage.safe()
+        each.stage.home()
+    assert not each.stage.homed
+    each.stage.safe()
 
 
 def test_a_stage_that_homes_is_stopped(each: Bench) -> None:

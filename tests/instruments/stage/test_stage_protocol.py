@@ -141,27 +141,6 @@ def test_every_move_fits_the_controllers_line_buffer(
     assert "E" not in line.upper().replace("-", "")
 
 
-@pytest.mark.parametrize(
-    ("target_mm", "feed_mm_min"),
-    [
-        ({"X": float("nan")}, 100.0),
-        ({"X": float("inf")}, 100.0),
-        ({"X": 1e9}, 100.0),
-        ({}, 100.0),
-        ({"Q": 1.0}, 100.0),
-        ({"X": 1.0}, 0.0),
-        ({"X": 1.0}, -5.0),
-        ({"X": 1.0}, float("nan")),
-    ],
-)
-def test_a_move_that_cannot_be_written_is_refused(
-    target_mm: dict[str, float], feed_mm_min: float
-) -> None:
-    for line in (protocol.move_line, protocol.jog_line):
-        with pytest.raises(LimitError):
-            line(target_mm, feed_mm_min)
-
-
 @pytest.mark.parametrize("text", ["G1X1?", "!", "~", "G1\nX2", "é", "G1" + "0" * 78])
 def test_a_line_that_the_controller_would_mangle_is_refused(text: str) -> None:
     with pytest.raises(LimitError):
@@ -182,12 +161,3 @@ def test_every_code_of_the_sheet_has_a_sentence_and_advice() -> None:
     assert all("does not know" in what for what, _ in unknown)
     assert meaning(Alarm(10), "FluidNC").what != meaning(Alarm(10)).what
     assert meaning(ErrorReply("said so"), "Marlin").what == "said so"
-
-
-def test_real_time_bytes_are_those_of_the_sheet() -> None:
-    sent_while_moving = (protocol.STATUS_QUERY, protocol.HOLD, protocol.RESUME)
-    assert (*sent_while_moving, protocol.SOFT_RESET) == (b"?", b"!", b"~", b"\x18")
-    assert (protocol.DOOR, protocol.JOG_CANCEL) == (b"\x84", b"\x85")
-    feeds = {b"\x90": None, b"\x91": 10, b"\x92": -10, b"\x93": 1, b"\x94": -1}
-    assert feeds == protocol.FEED_OVERRIDES
-    assert set(protocol.RAPID_OVERRIDES) == {b"\x95", b"\x96", b"\x97"}

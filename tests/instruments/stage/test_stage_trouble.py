@@ -24,24 +24,6 @@ Make = Callable[..., Bench]
 
 
 @pytest.mark.parametrize(
-    ("fault", "alarm"), [(StageFault.NO_SWITCH, 9), (StageFault.STUCK_SWITCH, 8)]
-)
-def test_failed_homing(bench: Bench, fault: StageFault, alarm: int) -> None:
-    bench.stage.connect()
-    bench.emulator.inject(fault)
-    with pytest.raises(DeviceError, match=f"alarm {alarm}: "):
-        bench.stage.home()
-    assert bench.stage.status().state == "Alarm"  # asked while the board restarts
-    assert not bench.stage.homed
-    bench.emulator.cure(fault)
-    with pytest.raises(DeviceError, match=f"alarm {alarm}: "):
-        bench.stage.home()
-    bench.stage.recover()
-    bench.stage.home()
-    assert bench.stage.homed
-
-
-@pytest.mark.parametrize(
     ("fault", "error", "what", "refusal"),
     [
         (StageFault.RESTART, DeviceError, "restarted by itself", "no move before homing"),
