@@ -26,7 +26,7 @@ def run_with(failures: dict[str, Collection[int]]) -> RunRecord:
         far = tuple(mm + number for mm in score.match.distances_mm)
         scores = {
             name: replace(
-                score, success=number not in failed, match=replace(score.match, distances_mm=far)
+                score, success=number not in failed, match=score.match._replace(distances_mm=far)
             )
             for name, failed in failures.items()
         }
