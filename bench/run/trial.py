@@ -39,6 +39,7 @@ from bench.safety.stability import State
 from bench.script.model import LoadedScript, Rules
 from bench.script.planned_trials import PlannedTrial, shared
 from bench.truth.carrying import CarriedTruth, fixed_key, resumed
+from bench.truth.move_check import MoveCheck
 from bench.truth.registration import (
     Registration,
     RegistrationError,
@@ -277,6 +278,7 @@ class TrialRun:
         self.rehearsing = False
         self._teats_unknown = ""
         self._homed_in_vain = False
+        self._moves = MoveCheck()
         self._begun, self._so_far = "", SoFar()  # touches of a trial that was interrupted amid them
         self._teats_first_c: float | None = None  # as the thermal camera saw them
         self._before: Arrangement | None = None  # with a picture
@@ -330,6 +332,7 @@ class TrialRun:
         asked = replace(trial.arrangement(self._axes), unattended=self._truth.unattended(there))
         visible = ctx.ask(self._pictured(trial, asked)).visible
         ctx.wait(self._rig.cameras.settle_s)
+        notes = list[str]()
         while True:
             frames = self._capture_settled(trial.id)
             captured_s = ctx.devices.heard["cameras"] = ctx.clock.now()
@@ -337,7 +340,8 @@ class TrialRun:
                 ctx.live.frames(frames)
             bath, bath_state = ctx.watch.last, ctx.watch.state
             ctx.events.state("taking the truth")
-            truth = self._of_trial(there)
+            truth, doubt = self._of_trial(there)
+            notes += [doubt] if doubt else []
             ctx.check()
             # Wait for a sign of life of the bath's reading after the capture: the last value of a
             # sensor that stopped says nothing of the teats.
@@ -357,7 +361,8 @@ class TrialRun:
         truth_rows = self._truth_rows(trial.id, frames, ends)
         answers = self._detect(frames)
         away_s = ctx.states.away_s - settled_s
-        note = f"suspended for {away_s:.1f} s: the bath had left its band"
+        if away_s > 0.0:
+            notes.append(f"suspended for {away_s:.1f} s: the bath had left its band")
         head: Row = {
             **_head(trial),
             "started_s": started_s,
@@ -365,7 +370,7 @@ class TrialRun:
             "captured_s": captured_s,
             "bath_c": bath.temp_c if bath else None,
             "bath_state": bath_state.value,
-            "note": note if away_s > 0.0 else None,
+            "note": "; ".join(notes) or None,
             "stage_mm": None if truth.stage_mm is None else json.dumps(truth.stage_mm),
             "wall_time": wall_time().isoformat(timespec="milliseconds"),
         }
@@ -377,21 +382,26 @@ class TrialRun:
         if self._recorder and not self.rehearsing:
             self._recorder.trial(trial.id, frames, ends, confirmed=truth.how is How.TOUCHED)
 
-    def _of_trial(self, there: ExpectedScene) -> TrialTruth:
-        """The truth; DeviceError, once until there is one again, where the stage may have lost its
-        place: a carriage that something blocks goes unnoticed by its controller.
+    def _of_trial(self, there: ExpectedScene) -> tuple[TrialTruth, str]:
+        """The truth, and what speaks against the stage's place. Raises DeviceError, once until
+        there is a truth again, where a blocked carriage may have lost its place.
         """
+        stage, again, doubt = self._ctx.devices.stage, self._homed_in_vain, ""
         try:
             truth = self._truth.of_trial(there, self._so_far)
+            if stage and truth.how is How.TOUCHED:
+                doubt = self._moves.compare(there, truth.points, homed=again)
         except AstrayError as astray:
-            stage, again = self._ctx.devices.stage, self._homed_in_vain
             self._homed_in_vain = True
             if stage is None or again:
                 raise
             what = f"the phantom is not where the stage should have it: {astray.what}"
             raise DeviceError(stage.who, what, hint="It is homed again.") from astray
         self._homed_in_vain = False
-        return truth
+        if stage and doubt:
+            self._ctx.event("stage", f"{there.trial}: {doubt}")
+            self._ctx.events.warn(f"Trial {there.trial}: {doubt}.")
+        return truth, doubt
 
     def _refuse_astray(self, there: ExpectedScene, ends: Sequence[TrueEnd]) -> None:
         """Raises NoTruthError for an end that is nowhere near the script's place, or is called
