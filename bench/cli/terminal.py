@@ -7,6 +7,7 @@ markup.
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -112,6 +113,18 @@ def no_echo() -> Iterator[None]:
             termios.tcsetattr(at, termios.TCSANOW, before)
 
 
+COMMAND = re.compile(r":? '?(?=teatbench )(?!.* '?teatbench )([^\n]+?)'?\.?$")
+
+
+def print_wrapped(console: Console, text: str, style: str = "") -> None:
+    """``text`` wrapped between words; a command at its end on a line of its own, to be pasted."""
+    command = COMMAND.search(text)
+    before = f"{text[: command.start()]}:" if command else text
+    console.print(before, style=style, markup=False, highlight=False)
+    if command:
+        console.print(f"  {command[1]}", markup=False, highlight=False, soft_wrap=True)
+
+
 class TerminalProgress:
     """A context with a bar on ``console``, or a line a trial without a terminal. Each stretch
     between two questions has a new display: rich's would clear what was written since.
@@ -141,20 +154,17 @@ class TerminalProgress:
     def say(self, text: str) -> None:
         """A line that stays above the bar; a failure to show it is ignored."""
         with suppress(*FAILURES):
-            self._console.print(text, markup=False, highlight=False, soft_wrap=self._is_piped)
+            self._print(text)
 
     def warn(self, text: str) -> None:
-        self._console.print(
-            f"\n{text}" if self._asking else text,
-            style="bold red",
-            markup=False,
-            soft_wrap=self._is_piped,
-        )
+        self._print(f"\n{text}" if self._asking else text, "bold red")
 
-    @property
-    def _is_piped(self) -> bool:
-        """Where lines stay whole, for who searches them; a terminal's are wrapped between words."""
-        return not self._console.is_terminal
+    def _print(self, text: str, style: str = "") -> None:
+        """Lines stay whole for who searches them in a file."""
+        if self._console.is_terminal:
+            print_wrapped(self._console, text, style)
+        else:
+            self._console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
 
     @contextmanager
     def aside(self) -> Iterator[None]:

@@ -324,6 +324,7 @@ class TripHandler:
     def _report(self, trip: Exception, said: list[str]) -> None:
         """To the operator first; the record and the latch may fail without the others."""
         done = "; ".join(text.rstrip(".") for text in said)
+        whole = f"{str(trip).rstrip('.')}. Then: {done}."
         self._warn(f"{trip}\n{done}. The run ends; an open question needs no answer any more.")
         try:
             if isinstance(trip, InterlockTrip) and not self._beyond:
@@ -331,10 +332,8 @@ class TripHandler:
                     "trip", trip.as_dict() | {"t_s": self._devices.clock.now(), "done": said}
                 )
             if not self._beyond:
-                self._store.event(
-                    self._devices.clock.now(), "trip", f"{trip} ({done})", wall_time()
-                )
-            self.on_event("trip", f"{trip} ({done})")
+                self._store.event(self._devices.clock.now(), "trip", whole, wall_time())
+            self.on_event("trip", whole)
         except sqlite3.Error as error:
             self._warn(f"the trip could not be written down: {error}")
         try:

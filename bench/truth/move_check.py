@@ -49,8 +49,8 @@ class MoveCheck:
             raise AstrayError("truth", doubt)
         if doubt:
             doubt += (
-                ", after homing too. Something blocked the stage before, or the phantom was moved on"
-                f" it: in doubt is where the stage stood in {', '.join(self._trials)}"
+                ", after homing too. Something blocked the stage before, or the phantom was"
+                f" moved on it: in doubt is where the stage stood in {', '.join(self._trials)}"
             )
             self._trials.clear()
         self._trials.append(shown.trial)
