@@ -414,7 +414,7 @@ class OpenRig:
                 trip = ctx.watch.tripped or (ctx.before and ctx.before.watch.tripped)
                 if engine.is_warm:
                     engine.let_go()
-                self.ends = self.ends or (f"an interlock tripped: {trip}" if trip else "")
+                self.ends = self.ends or (f"tripped by {trip}" if trip else "")
                 unsafe = not engine.bath_is_safe or ctx.devices.active
                 self.ends = self.ends or ("an instrument is not safe" if unsafe else "")
                 if opened and (guardian := opened[2]) and engine.bath_is_safe:

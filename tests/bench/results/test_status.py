@@ -20,6 +20,7 @@ from bench.record.state import State, run_lock, state_of
 from bench.record.writer import Store
 from bench.results.headline import missing_text
 from bench.results.status import (
+    GOING_TO_SAFE,
     LIVE,
     InstrumentStatus,
     Link,
@@ -114,6 +115,7 @@ def test_what_is_missing_is_said_beside_the_requirement() -> None:
 def test_trials_that_were_skipped_are_counted() -> None:
     ended = replace(LIVES, state=State.FINISHED, verdicts={"fused": "met"}, done=16, planned=18)
     assert ended.headline == "met: 16 of 18 trials"
+    assert replace(LIVES, step=GOING_TO_SAFE).headline == "running: going to safe"
     assert replace(ended, skipped=2).headline == "met: 16 of 18 trials, 2 skipped"
 
 

@@ -155,7 +155,7 @@ def test_a_trip_ends_all(scripts: list[str], monkeypatch: pytest.MonkeyPatch, am
     monkeypatch.setattr(Engine, "_take_over", broken)
     code, queue, runs = run(scripts)
     assert code == 3
-    assert queue.ended.startswith("an interlock tripped: ")
+    assert queue.ended.startswith("tripped by interlock ")
     assert [status_of(one).state for one in runs] == ["finished", "tripped"]
     assert [len(twin_of), twin_of[0].world.plant.running] == [1, False]
     assert bath_safe(runs[1]) is Safe.READ_BACK
