@@ -197,7 +197,7 @@ def test_in_real_time_one_guardian_stays(
     assert stopwatch_s() - began_s > 2.0
     if killed:
         assert code == 3
-        assert queue.headline.startswith("ended early, 1 of 3 scripts finished: an interlock")
+        assert queue.headline.startswith("ended early, 1 of 3 scripts finished: tripped by")
         assert "guardian" in queue.ended
         assert queue.scripts[2].text == "not begun"
         assert (status_of(second).state, bath_safe(second)) == ("tripped", Safe.READ_BACK)
