@@ -55,19 +55,6 @@ def a_run(text: str) -> Path:
     return found.parent if found else Path(text)
 
 
-def refuse_none_yet(given: argparse.Namespace) -> None:
-    """Raises ConfigError where the latest run is asked for and there is none."""
-    from bench.config import ConfigError
-
-    runs = getattr(given, "run", None)
-    latest = Path(LATEST)
-    if latest in (runs if isinstance(runs, list) else [runs]) and not latest.exists():
-        raise ConfigError.plain(
-            f"there are no runs yet in {Path('runs').resolve()}. Make one:"
-            " teatbench run six-situations"
-        )
-
-
 def complain(text: str, code: int) -> int:
     """Say on standard error what is wrong; gives back ``code``."""
     print(f"teatbench: {text}", file=sys.stderr)

@@ -79,7 +79,7 @@ if TYPE_CHECKING:
     from detector.calibration.boards import Board
     from detector.calibration.diagnosis import Finding
     from instruments.camera.frame import FrameSet, Grey
-    from reports.page import Kind, Page
+    from reports.page import Page
 
 CHECK_VIEWS = 5
 SHOWN = 3  # pictures that are left out
@@ -395,13 +395,12 @@ def _write_step(given: argparse.Namespace, found: Part | Calibration, page: Page
 def _write_page(given: argparse.Namespace, page: Page, folder: Path | None) -> None:
     """Write it, where it is wanted; of a rig with what its instruments are."""
     if folder:
+        from bench.report.calibration import with_kind
         from reports.render import write_report
 
         if rig := getattr(given, "rig", None):
             used = {"cameras", "arm"} if given.called == "calibrate world" else {"cameras"}
-            emulated = used & {*bench.load_rig(rig).rig.emulated}
-            kind: Kind = "emulated" if emulated == used else "mixed" if emulated else "real"
-            page = replace(page, banner=replace(page.banner, kind=kind))
+            page = with_kind(page, used, bench.load_rig(rig).rig.emulated)
         print(f"page: {write_report(page, folder)}")
 
 

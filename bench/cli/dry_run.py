@@ -17,12 +17,11 @@ from bench.rig.loading import LoadedRig
 from bench.rig.urls import PEOPLE
 from bench.run.estimate import needs, no_room, read_durations
 from bench.run.lock import RigInUseError, lock_path, locked
-from bench.run.trial import refuse_carry
 from bench.safety.latch import latch_path, read_latch, unconfirmed
 from bench.scoring.rates import plural
 from bench.script.calibration_age import refuse_old_calibration
 from bench.script.detectors import introduced, make_detectors
-from bench.script.model import LoadedScript
+from bench.script.model import LoadedScript, refuse_carry
 from instruments.clock import wall_time
 from instruments.errors import InstrumentError
 from instruments.stage.settings import StageSettings

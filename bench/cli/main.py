@@ -15,7 +15,7 @@ from functools import cache
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-from bench.cli.arguments import CODES, EXIT_CODES, call, complain, refuse_none_yet
+from bench.cli.arguments import CODES, EXIT_CODES, call, complain
 from bench.cli.commands import (
     COMMANDS,
     FUNCTIONS,
@@ -118,7 +118,6 @@ def _run(given: argparse.Namespace) -> int:
     from instruments.operators.operator import OperatorAbort, OperatorSkip
 
     try:
-        refuse_none_yet(given)
         code = call(given)
         _say_next(given, code)
         sys.stdout.flush()

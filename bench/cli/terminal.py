@@ -117,10 +117,12 @@ COMMAND = re.compile(r":? '?(?=teatbench )(?!.* '?teatbench )([^\n]+?)'?\.?$")
 
 
 def print_wrapped(console: Console, text: str, style: str = "") -> None:
-    """``text`` wrapped between words; a command at its end on a line of its own, to be pasted."""
-    command = COMMAND.search(text)
-    before = f"{text[: command.start()]}:" if command else text
-    console.print(before, style=style, markup=False, highlight=False)
+    """``text`` wrapped between words; a command at its end on a line of its own, to be pasted.
+    In a file lines stay whole, for who searches them.
+    """
+    command = COMMAND.search(text) if console.is_terminal else None
+    before, piped = f"{text[: command.start()]}:" if command else text, not console.is_terminal
+    console.print(before, style=style, markup=False, highlight=False, soft_wrap=piped)
     if command:
         console.print(f"  {command[1]}", markup=False, highlight=False, soft_wrap=True)
 
@@ -154,17 +156,10 @@ class TerminalProgress:
     def say(self, text: str) -> None:
         """A line that stays above the bar; a failure to show it is ignored."""
         with suppress(*FAILURES):
-            self._print(text)
+            print_wrapped(self._console, text)
 
     def warn(self, text: str) -> None:
-        self._print(f"\n{text}" if self._asking else text, "bold red")
-
-    def _print(self, text: str, style: str = "") -> None:
-        """Lines stay whole for who searches them in a file."""
-        if self._console.is_terminal:
-            print_wrapped(self._console, text, style)
-        else:
-            self._console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
+        print_wrapped(self._console, f"\n{text}" if self._asking else text, "bold red")
 
     @contextmanager
     def aside(self) -> Iterator[None]:

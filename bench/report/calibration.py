@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import count
 from typing import Any
 
@@ -37,6 +38,7 @@ from reports.page import (
     Cell,
     Code,
     Figure,
+    Kind,
     Notes,
     Page,
     Paragraph,
@@ -118,6 +120,14 @@ def _page(
     banner = {"verdict": "not met" if failed else "no verdict", **banner}
     day = f"{'checked' if title == CHECK else 'made'} {record.made}"
     return page_of(title, day, Banner(kind="computed", **banner), shown, folded)
+
+
+def with_kind(page: Page, used: Collection[str], emulated: Collection[str]) -> Page:
+    """``page`` with what the instruments ``used`` are."""
+    there = {*used} & {*emulated}
+    kind: Kind = "mixed" if there else "real"
+    kind = "emulated" if there == {*used} else kind
+    return replace(page, banner=replace(page.banner, kind=kind))
 
 
 def _enough(name: str, mm: float, value: str, shows: str = "") -> Row:

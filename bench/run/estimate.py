@@ -328,10 +328,8 @@ def write_durations(
 
 def estimate_text(expected: TimeEstimate, spent: Mapping[str, float]) -> str:
     """``It took 20 min of the bench's time; 38 min had been expected.``"""
-    took, wanted = (
-        f"{seconds / 60:.0f} min" if seconds >= 30.0 else "less than a minute"
-        for seconds in (spent["total_s"], expected.total_s)
-    )
+    both_s = spent["total_s"], expected.total_s
+    took, wanted = (f"{s / 60:.0f} min" if s >= 30.0 else "less than a minute" for s in both_s)
     return f"It took {took} of the bench's time; {wanted} had been expected."
 
 

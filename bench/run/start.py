@@ -55,7 +55,7 @@ from bench.run.resume import (
     what_is_left,
 )
 from bench.run.rows import write_facts
-from bench.run.trial import refuse_carry, write_trial
+from bench.run.trial import write_trial
 from bench.safety.latch import refuse_latched, refuse_unknown_unit, refuse_untested_cut_out
 from bench.safety.signals import current, undisturbed
 from bench.scoring.rates import plural
@@ -72,6 +72,7 @@ from bench.script.model import (
     ArmRequirement,
     LoadedScript,
     Rules,
+    refuse_carry,
 )
 from bench.script.planned_trials import pose_set
 from bench.truth.touching import truth_row

@@ -4,9 +4,7 @@ a script asks for. A trial is whole in the store, or not there at all.
 
 from __future__ import annotations
 
-import ctypes
 import json
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -15,7 +13,7 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.config import ConfigError
+from bench.record.memory import release_memory
 from bench.record.reader import RunRecord, TrialRecord
 from bench.record.recording import TruthRow
 from bench.record.schema import Row
@@ -25,8 +23,8 @@ from bench.results.cameras_agree import where_seen
 from bench.results.doubts import out_of_sight
 from bench.results.teats_seen import TEATS_FACT, teats_seen
 from bench.rig.frame_capture import FrameTaker
-from bench.rig.loading import LoadedRig
 from bench.rig.model import Stage as StageSettings
+from bench.rig.move_check import MoveCheck
 from bench.rig.urls import PEOPLE
 from bench.run.cameras_so_far import CamerasSoFar
 from bench.run.context import RunContext
@@ -36,10 +34,9 @@ from bench.run.recordings import Recorder
 from bench.run.rows import detection_tables, stage_pictures
 from bench.run.set_up_picture import write_set_up_picture
 from bench.safety.stability import State
-from bench.script.model import LoadedScript, Rules
+from bench.script.model import Rules
 from bench.script.planned_trials import PlannedTrial, shared
 from bench.truth.carrying import CarriedTruth, fixed_key, resumed
-from bench.truth.move_check import MoveCheck
 from bench.truth.registration import (
     Registration,
     RegistrationError,
@@ -74,13 +71,6 @@ REGISTRATION_FILE = "stage-registration.toml"  # in the run's folder, where it w
 LEAVE_TOUCHES = ("stage", "bath", "cameras")  # where they drop out, touches may still count
 URGENT = ("invalid", "registration")  # what the operator has to see, not only the record
 Settled = Callable[[Sequence[str], bool], None]
-
-
-def refuse_carry(rig: LoadedRig, script: LoadedScript) -> None:
-    """Raises ConfigError for a script that carries on a rig that has no stage to carry with."""
-    if script.script.truth.mode == "carry" and rig.rig.stage is None:
-        why = f'{script.path}: [truth] mode = "carry" needs a stage, and {rig.path} has none.'
-        raise ConfigError.plain(f'{why} Use mode = "touch", or a rig with a [stage].')
 
 
 def shown(trial: PlannedTrial, axes: str) -> ExpectedScene:
@@ -345,10 +335,9 @@ class TrialRun:
             ctx.check()
             # Wait for a sign of life of the bath's reading after the capture: the last value of a
             # sensor that stopped says nothing of the teats.
-            watch = self._ctx.watch
-            while not (lived := watch.lived_since(captured_s)) and self._stable():
-                self._ctx.events.state("waiting for a sign of life of the bath's sensor")
-                self._ctx.wait(1.0)
+            while not (lived := ctx.watch.lived_since(captured_s)) and self._stable():
+                ctx.events.state("waiting for a sign of life of the bath's sensor")
+                ctx.wait(1.0)
             if lived or self._rig.cameras.recorded:
                 break
         ends = [
@@ -389,8 +378,17 @@ class TrialRun:
         stage, again, doubt = self._ctx.devices.stage, self._homed_in_vain, ""
         try:
             truth = self._truth.of_trial(there, self._so_far)
-            if stage and truth.how is How.TOUCHED:
-                doubt = self._moves.compare(there, truth.points, homed=again)
+            ends_mm = np.array([end.xyz_mm for end in truth.points])
+            moved = there.trial, there.fixed, there.ends.expected_mm, ends_mm
+            if stage and truth.how is How.TOUCHED and (doubt := self._moves.doubt(*moved)):
+                if not again:
+                    raise AstrayError("truth", doubt)
+                known, self._moves = ", ".join(self._moves.trials), MoveCheck()
+                self._moves.doubt(*moved)
+                doubt += ", after homing too. Something blocked the stage before, or the phantom"
+                doubt += f" was moved on it: in doubt is where the stage stood in {known}"
+                self._ctx.event("stage", f"{there.trial}: {doubt}")
+                self._ctx.events.warn(f"Trial {there.trial}: {doubt}.")
         except AstrayError as astray:
             self._homed_in_vain = True
             if stage is None or again:
@@ -398,9 +396,6 @@ class TrialRun:
             what = f"the phantom is not where the stage should have it: {astray.what}"
             raise DeviceError(stage.who, what, hint="It is homed again.") from astray
         self._homed_in_vain = False
-        if stage and doubt:
-            self._ctx.event("stage", f"{there.trial}: {doubt}")
-            self._ctx.events.warn(f"Trial {there.trial}: {doubt}.")
         return truth, doubt
 
     def _refuse_astray(self, there: ExpectedScene, ends: Sequence[TrueEnd]) -> None:
@@ -557,15 +552,6 @@ def write_trial(
     store.finished(TrialRecord(head, pictures, touches, truth_rows, detections, found, scores))
     if store.keeps_pictures:
         release_memory()
-
-
-def release_memory() -> None:
-    """Return freed memory to the system, where the C library is glibc (malloc_trim(3)): its heap
-    is fragmented by frames, and would grow with each trial.
-    """
-    if sys.platform == "linux":
-        with suppress(OSError, AttributeError):
-            ctypes.CDLL(None).malloc_trim(0)
 
 
 def _head(trial: PlannedTrial) -> dict[str, object]:

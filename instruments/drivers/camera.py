@@ -100,8 +100,7 @@ class PluggedGroup:
             what = "sd"
             return MakersCalibration(lenses, {str(n): float(sd) for n, sd in given.sd.items()})
         except (TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
-            said = f"its maker's calibration can't be read at {what!s}: {error}"
-            raise self._border.broken(said, given) from error
+            raise self._border.broken(f"its maker's calibration: {what}: {error}", given) from error
 
     def close(self) -> None:
         self._border.forget()

@@ -213,9 +213,7 @@ class PluggedStage(StageCalls):
         if state.fault or not state.homed:
             self._homed_at = 0
         if state.fault and not aside:
-            raise DeviceError(
-                self.who, state.fault, hint="Cure it. In a run it then homes by itself."
-            )
+            raise DeviceError(self.who, state.fault, hint="Cure it; a run then homes it.")
         return state
 
     def _checked(self, given: object) -> StageState:

@@ -177,17 +177,17 @@ def driver(kind: str, member: str, given: Any) -> type:
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        (MakersCalibration({"left": LENS, "right": None}), "can't be read at right: 'NoneType'"),  # type: ignore[dict-item]
-        (MakersCalibration({"left": MakersLens(None, np.eye(3))}), "can't be read at left: 'None"),  # type: ignore[arg-type]
-        (MakersCalibration(None), "can't be read at lenses: "),  # type: ignore[arg-type]
-        (MakersCalibration({"left": LENS}, None), "can't be read at sd: "),  # type: ignore[arg-type]
+        (MakersCalibration({"left": LENS, "right": None}), "right: 'NoneType'"),  # type: ignore[dict-item]
+        (MakersCalibration({"left": MakersLens(None, np.eye(3))}), "left: 'None"),  # type: ignore[arg-type]
+        (MakersCalibration(None), "lenses: "),  # type: ignore[arg-type]
+        (MakersCalibration({"left": LENS}, None), "sd: "),  # type: ignore[arg-type]
     ],
 )
 def test_a_makers_calibration_with_holes_is_refused_by_name(given: Any, says: str) -> None:
     group = PluggedGroup(
         Plugin("d", "pkg 1", driver("group", "makers_calibration()", given)), VirtualClock()
     )
-    with pytest.raises(ProtocolError, match=f"its maker's calibration {says}"):
+    with pytest.raises(ProtocolError, match=f"its maker's calibration: {says}"):
         group.makers_calibration()
 
 

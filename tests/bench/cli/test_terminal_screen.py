@@ -118,7 +118,7 @@ def test_an_enter_beside_the_bar_leaves_no_second_one(tmp_path: Path) -> None:
 )
 def test_a_command_to_paste_stays_on_one_line(text: str) -> None:
     written = io.StringIO()
-    print_wrapped(Console(file=written, width=80), text)
+    print_wrapped(Console(file=written, width=80, force_terminal=True, color_system=None), text)
     *wrapped, command = written.getvalue().splitlines()
     assert command == f"  teatbench resume {FOLDER}"
     assert wrapped[-1].endswith(":")
