@@ -20,11 +20,10 @@ from bench.run.estimate import (
     no_room,
     read_durations,
 )
-from bench.run.trial import refuse_carry
 from bench.safety.latch import latch_path, read_latch, unconfirmed
 from bench.script.calibration_age import refuse_old_calibration
 from bench.script.detectors import introduced, make_detectors
-from bench.script.model import LoadedScript
+from bench.script.model import LoadedScript, refuse_carry
 from bench.script.planned_trials import POSE_KEYS, pose_set
 from instruments.clock import wall_time
 

@@ -178,12 +178,6 @@ def calibrate_pair(
     size = views.image_size
     lens: dict[str, Any] = {"model": model, "square_pixels": square_pixels}
     alone = {name: calibrate_camera(name, seen[name], size[name], **lens) for name in PAIR}
-    if size["left"] != size["right"]:
-        left, right = ("{} x {}".format(*size[name]) for name in PAIR)
-        raise TooFewViewsError(
-            f"left and right pictures differ in size, {left} and {right} px: are they from the same"
-            " pair?"
-        )
     joint = join_cameras(alone, joint_lenses=PAIR, **lens)
     shown = {camera: _shown(views, camera, alone[camera]) for camera in PAIR}
     pairs, pair = views.pairs(), pair_of(joint)

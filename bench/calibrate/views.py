@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count, repeat
 from pathlib import Path
@@ -54,6 +55,8 @@ LAYOUT = (
 
 # paths by camera, then by the name of the view; every camera has at least one picture
 Pictures = Mapping[str, Mapping[str, Path]]
+Size = tuple[int, int]  # columns, rows
+Seen = DetectedBoard | ViewRefusedError
 
 
 def find_pictures(places: Sequence[Path | str], cameras: Sequence[str]) -> Pictures:
@@ -161,8 +164,11 @@ def find_views(
     sizes: dict[str, tuple[int, int]] = {}
     refused: list[RefusedPicture] = []
 
-    def look(path: Path, turn: bool) -> tuple[tuple[int, int], DetectedBoard | ViewRefusedError]:
-        image = _picture(path, turn=turn)
+    def look(path: Path, turn: bool) -> tuple[Size | None, Seen]:
+        try:
+            image = _picture(path, turn=turn)
+        except ConfigError as why:
+            return None, ViewRefusedError(str(why))
         size = image.shape[1], image.shape[0]
         try:
             return size, find_board(image, board, sub_pixel=SubPixel(window_px))
@@ -172,20 +178,24 @@ def find_views(
     threads = ThreadPoolExecutor()  # OpenCV looks for most of a board on one core
     try:
         for camera, chosen in chosen_views.items():
-            found[camera], turn = {}, camera in mirrored
+            found[camera], turn, readable = {}, camera in mirrored, dict(chosen)
             looked = threads.map(look, chosen.values(), repeat(turn))
             for name in chosen:
                 report(next(done), total)
                 size, seen = next(looked)
-                if sizes.setdefault(camera, size) != size:
-                    raise _other_size(camera, chosen)
+                if size is None:
+                    del readable[name]
+                else:
+                    _refuse_other_size(camera, size, sizes, readable)
                 if isinstance(seen, ViewRefusedError):
                     refused.append(RefusedPicture(camera, name, str(seen)))
                 else:
                     found[camera][name] = seen
                 if len(found[camera]) == 0 and name == [*chosen][:LOOKED_AT][-1]:
-                    _refuse_other_count(camera, chosen, found, board, turn=turn)
-            _refuse_other_count(camera, chosen, found, board, turn=turn)
+                    _refuse_other_count(camera, readable, found, board, turn=turn)
+            if not readable:
+                raise ConfigError.plain(f"no {camera} picture can be read: {refused[-1].reason}")
+            _refuse_other_count(camera, readable, found, board, turn=turn)
     finally:
         threads.shutdown(cancel_futures=True)
     _order_alike(found, board)
@@ -221,13 +231,28 @@ def _alone(
                 yield RefusedPicture(camera, view, why)
 
 
-def _other_size(camera: str, pictures: Mapping[str, Path]) -> ConfigError:
-    """For pictures that don't have the size of most."""
-    sizes = {path: read_grey(path).shape[::-1] for path in pictures.values()}
+def _refuse_other_size(
+    camera: str, size: Size, known: dict[str, Size], pictures: Mapping[str, Path]
+) -> None:
+    """Raise ConfigError where one camera's pictures, or left and right, differ in ``size``; the
+    first is ``known`` from then on.
+    """
+    if known.setdefault(camera, size) == size:
+        if camera == "right" and size != known.get("left", size):
+            left, right = ("{} x {}".format(*known[one]) for one in ("left", "right"))
+            raise ConfigError.plain(
+                f"left and right pictures differ in size, {left} and {right} px: are they from the"
+                " same pair?"
+            )
+        return
+    sizes = dict[Path, tuple[int, ...]]()
+    for path in pictures.values():
+        with suppress(RecordingError):
+            sizes[path] = read_grey(path).shape[::-1]
     (usual, count), *_ = Counter(sizes.values()).most_common()
-    odd, size = next((path, size) for path, size in sizes.items() if size != usual)
-    return ConfigError.plain(
-        f"{odd}: {size[0]} x {size[1]} px, but {count} of the {len(sizes)} {camera} pictures have"
+    odd, other = next((path, size) for path, size in sizes.items() if size != usual)
+    raise ConfigError.plain(
+        f"{odd}: {other[0]} x {other[1]} px, but {count} of the {len(sizes)} {camera} pictures have"
         f" {usual[0]} x {usual[1]}: one camera's pictures have one size. Take it out, or deliver it"
         " as the others"
     )
@@ -252,7 +277,10 @@ def _refuse_other_count(
     without = [view for view in paths if view not in found[camera]]
     counts: dict[tuple[int, int], list[Path]] = {}
     for view in (*list(found[camera])[:LOOKED_AT], *without[:LOOKED_AT]):
-        count = counted_corners(_picture(paths[view], turn=turn))
+        try:
+            count = counted_corners(_picture(paths[view], turn=turn))
+        except ConfigError:  # it is left out
+            continue
         # where the board was found, less is a part of it
         if count and sorted(count) != wanted and (max(count) > wanted[1] or not found[camera]):
             counts.setdefault(count, []).append(paths[view])

@@ -158,7 +158,7 @@ def check(given: argparse.Namespace) -> int:
     if given.ends:
         return _check_ends(given, part)
     findings, page, looked_at = (_check_points if given.points else _check_board)(given, part)
-    _write_page(page, given.page)
+    _write_page(given, page, given.page)
     if not findings and looked_at < LEAST_LOOKED_AT:
         what = "points" if given.points else "views of the board"
         text = f"{looked_at} {what} tell nothing, at least {LEAST_LOOKED_AT} are needed"
@@ -225,7 +225,8 @@ def _check_ends(given: argparse.Namespace, part: Part) -> int:
     print(f"{found.measured} of {found.ends} ends measured")
     for one in found.offsets:
         print(f"{one.text}, over {one.poses} {'ends' if anew else 'poses'}")
-    _write_page(check_ends_page(found, decision, _record(given), command_line()), given.page)
+    page = check_ends_page(found, decision, _record(given), command_line())
+    _write_page(given, page, given.page)
     if decision.verdict is bench.Verdict.MET:
         print("It still holds.")
         return CODES.met
@@ -300,14 +301,18 @@ def _write_step(given: argparse.Namespace, found: Part | Calibration, page: Page
     bench.write_calibration(found, given.out, command_line())
     print(f"written: {given.out}")
     if page is not None:
-        _write_page(page, given.out.with_suffix(".page"))
+        _write_page(given, page, given.out.with_suffix(".page"))
 
 
-def _write_page(page: Page, folder: Path | None) -> None:
-    """Write it, where it is wanted."""
+def _write_page(given: argparse.Namespace, page: Page, folder: Path | None) -> None:
+    """Write it, where it is wanted; of a rig with what its instruments are."""
     if folder:
+        from bench.report.calibration import with_kind
         from reports.render import write_report
 
+        if rig := getattr(given, "rig", None):
+            used = {"cameras", "arm"} if given.called == "calibrate world" else {"cameras"}
+            page = with_kind(page, used, bench.load_rig(rig).rig.emulated)
         print(f"page: {write_report(page, folder)}")
 
 

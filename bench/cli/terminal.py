@@ -7,6 +7,7 @@ markup.
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -112,6 +113,20 @@ def no_echo() -> Iterator[None]:
             termios.tcsetattr(at, termios.TCSANOW, before)
 
 
+COMMAND = re.compile(r":? '?(?=teatbench )(?!.* '?teatbench )([^\n]+?)'?\.?$")
+
+
+def print_wrapped(console: Console, text: str, style: str = "") -> None:
+    """``text`` wrapped between words; a command at its end on a line of its own, to be pasted.
+    In a file lines stay whole, for who searches them.
+    """
+    command = COMMAND.search(text) if console.is_terminal else None
+    before, piped = f"{text[: command.start()]}:" if command else text, not console.is_terminal
+    console.print(before, style=style, markup=False, highlight=False, soft_wrap=piped)
+    if command:
+        console.print(f"  {command[1]}", markup=False, highlight=False, soft_wrap=True)
+
+
 class TerminalProgress:
     """A context with a bar on ``console``, or a line a trial without a terminal. Each stretch
     between two questions has a new display: rich's would clear what was written since.
@@ -141,20 +156,10 @@ class TerminalProgress:
     def say(self, text: str) -> None:
         """A line that stays above the bar; a failure to show it is ignored."""
         with suppress(*FAILURES):
-            self._console.print(text, markup=False, highlight=False, soft_wrap=self._is_piped)
+            print_wrapped(self._console, text)
 
     def warn(self, text: str) -> None:
-        self._console.print(
-            f"\n{text}" if self._asking else text,
-            style="bold red",
-            markup=False,
-            soft_wrap=self._is_piped,
-        )
-
-    @property
-    def _is_piped(self) -> bool:
-        """Where lines stay whole, for who searches them; a terminal's are wrapped between words."""
-        return not self._console.is_terminal
+        print_wrapped(self._console, f"\n{text}" if self._asking else text, "bold red")
 
     @contextmanager
     def aside(self) -> Iterator[None]:

@@ -17,7 +17,7 @@ from rich.text import Text
 
 from bench import Decision, Judgement, Reported, RunRecord, Verdict
 from bench.cli.arguments import CODES, code_of
-from bench.cli.terminal import Terminal
+from bench.cli.terminal import Terminal, print_wrapped
 from bench.report.wording import limit, measured
 from bench.run.events import FAILURES
 from bench.scoring.rates import plural
@@ -58,7 +58,7 @@ def show_verdict(console: Terminal, found: Reported) -> int:
             for line in status.unsafe:
                 console.print(f"NOT SAFE: {line}", style="bold red", markup=False)
             then = " ".join(status.next[len(status.unsafe) :])
-            console.print(f"Next: {then}", markup=False)
+            print_wrapped(console, f"Next: {then}")
         console.print(f"Report: {report.resolve().as_uri()}", markup=False, soft_wrap=True)
     finished = status.state == "finished"
     return code_of(found.verdict) if finished else CODES.fault

@@ -60,6 +60,9 @@ def as_written(folder: Path) -> Iterator[sqlite3.Connection]:
 
 def database_in(folder: Path) -> Path:
     """Raises ConfigError where ``folder`` is no run."""
+    if not folder.exists() and folder == Path("latest"):
+        where = Path("runs").resolve()
+        raise ConfigError.plain(f"there are no runs yet in {where}: teatbench run six-situations")
     if not (folder / DATABASE).is_file():
         raise ConfigError.plain(
             f"{folder} is no run: there is no {DATABASE} in it. Give a folder under runs/."

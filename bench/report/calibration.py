@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import count
 from typing import Any
 
@@ -34,6 +35,7 @@ from reports.page import (
     Cell,
     Code,
     Figure,
+    Kind,
     Notes,
     Page,
     Paragraph,
@@ -122,6 +124,14 @@ def _page(
 def held(mm: float) -> PageVerdict:
     """Against `ENOUGH_MM`; up to `LIMIT_MM` it depends on how good the detector is."""
     return "met" if mm <= ENOUGH_MM else "inconclusive" if mm <= LIMIT_MM else "not met"
+
+
+def with_kind(page: Page, used: Collection[str], emulated: Collection[str]) -> Page:
+    """``page`` with what the instruments ``used`` are."""
+    there = {*used} & {*emulated}
+    kind: Kind = "mixed" if there else "real"
+    kind = "emulated" if there == {*used} else kind
+    return replace(page, banner=replace(page.banner, kind=kind))
 
 
 def _enough(name: str, mm: float, value: str, shows: str = "") -> Row:

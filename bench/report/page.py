@@ -190,8 +190,9 @@ def _pages(
         *gage_parts(run, limit_mm),
         *(*arm_parts(run), *record_parts(run)),
     )
+    trials = f"all {len(run.trials)}: filter, sort, frames" if run.trials else "none"
     yield behind(
-        *("page-trials", "Trials", f"all {len(run.trials)}: filter, sort, frames"),
+        *("page-trials", "Trials", trials),
         Section("trial-list", "All trials", listed),
         Section("deviations", "Deviations and exclusions", deviations),
         *([Section("blamed", "What went wrong where", blamed)] if blamed else []),

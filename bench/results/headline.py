@@ -14,7 +14,7 @@ from bench.results.doubts import AGAIN, DOUBTS_FACT
 from bench.results.verdicts import Judgement, calls_of, run_verdict
 from bench.rig.by_hand import BY_HAND
 from bench.scoring.decisions import Decision, Verdict
-from bench.scoring.rates import plural
+from bench.scoring.rates import full_stop, plural
 from detector.protocol import Outcome
 
 LONGEST_WORDS = 200
@@ -49,9 +49,8 @@ def stopped_why(run: RunRecord, state: State, trials: str) -> str:
         guardian = f" {guardian_text(run.guardian)}" if run.guardian else ""
         return f"The bench died before the run was over; {trials} are kept.{guardian}"
     message = [event["text"] for event in run.events if event["kind"] in ("fault", "aborted")]
-    how = "was tripped by an interlock" if state is State.TRIPPED else f"was {state}"
-    reason = message[-1].rstrip(".") if message else "no reason was recorded"
-    return f"The run {how} after {trials}: {reason}."
+    reason = message[-1] if message else "no reason was recorded"
+    return f"The run was {state} after {trials}: {full_stop(reason)}"
 
 
 def stopped_next(run: RunRecord, state: State) -> str:

@@ -60,7 +60,7 @@ class QueueStatus:
 
     @property
     def headline(self) -> str:
-        """``script 2 of 3: plane-map``; ``ended early, 2 of 3 scripts: an interlock tripped …``."""
+        """``script 2 of 3: plane-map``; ``ended early, 2 of 3 scripts: tripped by interlock …``."""
         of = plural(len(self.scripts), "script")
         if self.under_way:
             now = self.scripts[max(self.begun, 1) - 1]

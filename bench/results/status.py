@@ -201,7 +201,8 @@ class RunStatus:
     @property
     def headline(self) -> str:
         """``running: trial 3 of 18``; ``not met: 18 of 18 trials``."""
-        return f"{self.word}: {self.trials}"
+        safing = self.under_way and self.step == GOING_TO_SAFE
+        return f"{self.word}: {GOING_TO_SAFE if safing else self.trials}"
 
     @property
     def parts(self) -> dict[str, str]:

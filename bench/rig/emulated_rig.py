@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.config import located, toml_of
+from bench.rig.hand_over import forget_guardian
 from bench.rig.loading import LoadedRig
 from bench.rig.model import EmulatedFault, EmulatedStage, Rig, Stage, make_renderer
 from detector.geometry import Motion
@@ -128,6 +129,8 @@ class EmulatedRig:
                     key = ("emulation", "faults", at, "name")
                     raise located(rig.path, rig.text, [(key, str(error), False)]) from error
             self._serve(rig)
+            for name in {"bath", "stage"} & self.urls.keys():  # which of them a guardian has
+                forget_guardian(self.urls[name])
         except BaseException:
             self.close()
             raise

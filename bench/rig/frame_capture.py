@@ -333,4 +333,4 @@ def _refused(noticed: Sequence[FrameProblem], tries: int) -> DeviceError:
         f"no usable frame set in {tries} {'try' if tries == 1 else 'tries'}:"
         f" {'; '.join(str(one) for one in noticed)}"
     )
-    return DeviceError("cameras", what, asked="a frame set", hint=" ".join(hints))
+    return DeviceError("cameras", what, hint=" ".join(hints))

@@ -22,7 +22,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from instruments.bath.connection import LineError, is_loopback, parse_line
+from instruments.bath.connection import LineError, parse_line
 from instruments.errors import LimitError
 
 HAND_OVER_S = 5.0  # a guardian that acts answers within a tenth of a second
@@ -57,13 +57,28 @@ def bath_name(url: str) -> str:
     return f"{plain}-{sha256(place.lower().encode()).hexdigest()[:8]}"
 
 
+def _folder() -> Path:
+    return Path(tempfile.gettempdir()) / "teatbench-guardians"
+
+
+def forget_guardian(url: str) -> None:
+    """Of the emulator that has just begun to listen at ``url``: a note that a killed guardian left
+    there is of another one. A guardian that still acts keeps its own.
+    """
+    note = _folder() / f"{bath_name(url)}.json"
+    with suppress(OSError, Timeout):
+        if note.exists():
+            with FileLock(note.with_suffix(".owner"), mode=0o666).acquire(timeout=0):
+                note.unlink(missing_ok=True)
+
+
 class BathLock:
     """The lock of the bath at ``url``. ``record``: what its guardian writes; ``bench``: whom it
     guards.
     """
 
     def __init__(self, url: str, record: Path, bench: int) -> None:
-        folder = Path(tempfile.gettempdir()) / "teatbench-guardians"
+        folder = _folder()
         folder.mkdir(exist_ok=True)
         with suppress(OSError):  # for each user of this machine; another one made it
             folder.chmod(0o1777)
@@ -92,20 +107,11 @@ class BathLock:
             finally:
                 self._next.release()
         # one that has ended as it should takes its note away
-        if (before := self._read()) and not ended and not self._is_anothers(before):
+        if (before := self._read()) and not ended:
             how = "handed the bath over" if before.get(HANDED_OVER) else "ended without a last word"
             ended = f"{_named(before)} {how}"
         self._say()
         return ended
-
-    def _is_anothers(self, note: Mapping[str, Any]) -> bool:
-        """Whether a note is of another bath: an emulator's of this machine, whose run is gone and
-        whose port was given to the next one.
-        """
-        with suppress(LineError):
-            host = parse_line(self._url).host
-            return is_loopback(host or "") and not Path(str(note.get("record"))).parent.exists()
-        return False
 
     def acts(self) -> None:
         """The bench is gone: from here on the bath is handed over to whoever waits for it."""

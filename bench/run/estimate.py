@@ -321,9 +321,10 @@ def write_durations(
 
 
 def estimate_text(expected: TimeEstimate, spent: Mapping[str, float]) -> str:
-    """``It took 20 min of the bench's time; 38 min were expected.``"""
-    took_min, expected_min = spent["total_s"] / 60, expected.total_s / 60
-    return f"It took {took_min:.0f} min of the bench's time; {expected_min:.0f} min were expected."
+    """``It took 20 min of the bench's time; 38 min had been expected.``"""
+    both_s = spent["total_s"], expected.total_s
+    took, wanted = (f"{s / 60:.0f} min" if s >= 30.0 else "less than a minute" for s in both_s)
+    return f"It took {took} of the bench's time; {wanted} had been expected."
 
 
 def _name(rig: LoadedRig) -> str:

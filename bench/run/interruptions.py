@@ -249,8 +249,8 @@ class Requests:
         if not self.paused:
             return
         with ctx.states.during(RunState.PAUSED):
-            how = f"teatbench control {ctx.store.folder} go on (or type: go on)"
-            ctx.events.warn(f"Paused, as asked. To go on: {how}")
+            how = f"teatbench control {ctx.store.folder} go on"
+            ctx.events.warn(f"Paused, as asked. Type 'go on' here, or in another terminal: {how}")
             while self.paused:
                 ctx.events.state("paused, as asked")
                 if isinstance(ctx.clock, VirtualClock):

@@ -55,7 +55,7 @@ from bench.run.resume import (
     what_is_left,
 )
 from bench.run.rows import write_facts
-from bench.run.trial import refuse_carry, write_trial
+from bench.run.trial import write_trial
 from bench.safety.latch import refuse_latched, refuse_unknown_unit, refuse_untested_cut_out
 from bench.safety.signals import current, undisturbed
 from bench.scoring.rates import plural
@@ -72,6 +72,7 @@ from bench.script.model import (
     ArmRequirement,
     LoadedScript,
     Rules,
+    refuse_carry,
 )
 from bench.script.planned_trials import pose_set
 from bench.truth.touching import truth_row
@@ -414,7 +415,7 @@ class OpenRig:
                 trip = ctx.watch.tripped or (ctx.before and ctx.before.watch.tripped)
                 if engine.is_warm:
                     engine.let_go()
-                self.ends = self.ends or (f"an interlock tripped: {trip}" if trip else "")
+                self.ends = self.ends or (f"tripped by {trip}" if trip else "")
                 unsafe = not engine.bath_is_safe or ctx.devices.active
                 self.ends = self.ends or ("an instrument is not safe" if unsafe else "")
                 if opened and (guardian := opened[2]) and engine.bath_is_safe:

@@ -4,9 +4,7 @@ a script asks for. A trial is whole in the store, or not there at all.
 
 from __future__ import annotations
 
-import ctypes
 import json
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -15,7 +13,7 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.config import ConfigError
+from bench.record.memory import release_memory
 from bench.record.reader import RunRecord, TrialRecord
 from bench.record.recording import TruthRow
 from bench.record.schema import Row
@@ -25,8 +23,8 @@ from bench.results.cameras_agree import where_seen
 from bench.results.doubts import out_of_sight
 from bench.results.teats_seen import TEATS_FACT, teats_seen
 from bench.rig.frame_capture import FrameTaker
-from bench.rig.loading import LoadedRig
 from bench.rig.model import Stage as StageSettings
+from bench.rig.move_check import MoveCheck
 from bench.run.cameras_so_far import CamerasSoFar
 from bench.run.context import RunContext
 from bench.run.events import RunState
@@ -35,7 +33,7 @@ from bench.run.recordings import Recorder
 from bench.run.rows import detection_tables, stage_pictures
 from bench.run.set_up_picture import write_set_up_picture
 from bench.safety.stability import State
-from bench.script.model import LoadedScript, Rules
+from bench.script.model import Rules
 from bench.script.planned_trials import PlannedTrial, shared
 from bench.truth.carrying import CarriedTruth, CarryState, fixed_key, resumed
 from bench.truth.registration import (
@@ -72,13 +70,6 @@ REGISTRATION_FILE = "stage-registration.toml"  # in the run's folder, where it w
 LEAVE_TOUCHES = ("stage", "bath", "cameras")  # where they drop out, touches may still count
 URGENT = ("invalid", "registration")  # what the operator has to see, not only the record
 Settled = Callable[[Sequence[str], bool], None]
-
-
-def refuse_carry(rig: LoadedRig, script: LoadedScript) -> None:
-    """Raises ConfigError for a script that carries on a rig that has no stage to carry with."""
-    if script.script.truth.mode == "carry" and rig.rig.stage is None:
-        why = f'{script.path}: [truth] mode = "carry" needs a stage, and {rig.path} has none.'
-        raise ConfigError.plain(f'{why} Use mode = "touch", or a rig with a [stage].')
 
 
 def shown(trial: PlannedTrial, axes: str) -> ExpectedScene:
@@ -276,6 +267,7 @@ class TrialRun:
         self.rehearsing = False
         self._teats_unknown = ""
         self._homed_in_vain = False
+        self._moves = MoveCheck()
         self._begun, self._so_far = "", SoFar()  # touches of a trial that was interrupted amid them
         self._teats_first_c: float | None = None  # as the thermal camera saw them
         self._before: Arrangement | None = None  # with a picture
@@ -329,6 +321,7 @@ class TrialRun:
         asked = replace(trial.arrangement(self._axes), unattended=self._truth.unattended(there))
         visible = ctx.ask(self._pictured(trial, asked)).visible
         ctx.wait(self._rig.cameras.settle_s)
+        notes = list[str]()
         while True:
             frames = self._capture_settled(trial.id)
             captured_s = ctx.devices.heard["cameras"] = ctx.clock.now()
@@ -336,14 +329,14 @@ class TrialRun:
                 ctx.live.frames(frames)
             bath, bath_state = ctx.watch.last, ctx.watch.state
             ctx.events.state("taking the truth")
-            truth = self._of_trial(there)
+            truth, doubt = self._of_trial(there)
+            notes += [doubt] if doubt else []
             ctx.check()
             # Wait for a sign of life of the bath's reading after the capture: the last value of a
             # sensor that stopped says nothing of the teats.
-            watch = self._ctx.watch
-            while not (lived := watch.lived_since(captured_s)) and self._stable():
-                self._ctx.events.state("waiting for a sign of life of the bath's sensor")
-                self._ctx.wait(1.0)
+            while not (lived := ctx.watch.lived_since(captured_s)) and self._stable():
+                ctx.events.state("waiting for a sign of life of the bath's sensor")
+                ctx.wait(1.0)
             if lived or self._rig.cameras.recorded:
                 break
         ends = [
@@ -356,7 +349,8 @@ class TrialRun:
         truth_rows = self._truth_rows(trial.id, frames, ends)
         answers = self._detect(frames)
         away_s = ctx.states.away_s - settled_s
-        note = f"suspended for {away_s:.1f} s: the bath had left its band"
+        if away_s > 0.0:
+            notes.append(f"suspended for {away_s:.1f} s: the bath had left its band")
         head: Row = {
             **_head(trial),
             "started_s": started_s,
@@ -364,7 +358,7 @@ class TrialRun:
             "captured_s": captured_s,
             "bath_c": bath.temp_c if bath else None,
             "bath_state": bath_state.value,
-            "note": note if away_s > 0.0 else None,
+            "note": "; ".join(notes) or None,
             "stage_mm": None if truth.stage_mm is None else json.dumps(truth.stage_mm),
             "wall_time": wall_time().isoformat(timespec="milliseconds"),
         }
@@ -376,21 +370,32 @@ class TrialRun:
         if self._recorder and not self.rehearsing:
             self._recorder.trial(trial.id, frames, ends, confirmed=truth.how is How.TOUCHED)
 
-    def _of_trial(self, there: ExpectedScene) -> TrialTruth:
-        """The truth; DeviceError, once until there is one again, where the stage may have lost its
-        place: a carriage that something blocks goes unnoticed by its controller.
+    def _of_trial(self, there: ExpectedScene) -> tuple[TrialTruth, str]:
+        """The truth, and what speaks against the stage's place. Raises DeviceError, once until
+        there is a truth again, where a blocked carriage may have lost its place.
         """
+        stage, again, doubt = self._ctx.devices.stage, self._homed_in_vain, ""
         try:
             truth = self._truth.of_trial(there, self._so_far)
+            ends_mm = np.array([end.xyz_mm for end in truth.points])
+            moved = there.trial, there.fixed, there.ends.expected_mm, ends_mm
+            if stage and truth.how is How.TOUCHED and (doubt := self._moves.doubt(*moved)):
+                if not again:
+                    raise AstrayError("truth", doubt)
+                known, self._moves = ", ".join(self._moves.trials), MoveCheck()
+                self._moves.doubt(*moved)
+                doubt += ", after homing too. Something blocked the stage before, or the phantom"
+                doubt += f" was moved on it: in doubt is where the stage stood in {known}"
+                self._ctx.event("stage", f"{there.trial}: {doubt}")
+                self._ctx.events.warn(f"Trial {there.trial}: {doubt}.")
         except AstrayError as astray:
-            stage, again = self._ctx.devices.stage, self._homed_in_vain
             self._homed_in_vain = True
             if stage is None or again:
                 raise
             what = f"the phantom is not where the stage should have it: {astray.what}"
             raise DeviceError(stage.who, what, hint="It is homed again.") from astray
         self._homed_in_vain = False
-        return truth
+        return truth, doubt
 
     def _refuse_astray(self, there: ExpectedScene, ends: Sequence[TrueEnd]) -> None:
         """Raises NoTruthError for an end that is nowhere near the script's place, or is called
@@ -546,15 +551,6 @@ def write_trial(
     store.finished(TrialRecord(head, pictures, touches, truth_rows, detections, found, scores))
     if store.keeps_pictures:
         release_memory()
-
-
-def release_memory() -> None:
-    """Return freed memory to the system, where the C library is glibc (malloc_trim(3)): its heap
-    is fragmented by frames, and would grow with each trial.
-    """
-    if sys.platform == "linux":
-        with suppress(OSError, AttributeError):
-            ctypes.CDLL(None).malloc_trim(0)
 
 
 def _head(trial: PlannedTrial) -> dict[str, object]:

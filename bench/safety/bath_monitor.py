@@ -28,6 +28,7 @@ from bench.safety.interlocks import (
 from bench.safety.latch import latch_path, set_latch
 from bench.safety.liveness import Liveness
 from bench.safety.stability import StabilityGate, State
+from bench.scoring.rates import full_stop
 from instruments.bath.reading import BathReading
 from instruments.bath.sequence import heater_off, pump_on, pump_text
 from instruments.clock import Clock, wall_time
@@ -323,18 +324,17 @@ class TripHandler:
 
     def _report(self, trip: Exception, said: list[str]) -> None:
         """To the operator first; the record and the latch may fail without the others."""
-        done = "; ".join(text.rstrip(".") for text in said)
-        self._warn(f"{trip}\n{done}. The run ends; an open question needs no answer any more.")
+        done = full_stop("; ".join(text.rstrip(".") for text in said))
+        whole = f"{full_stop(str(trip))} Then: {done}"
+        self._warn(f"{trip}\n{done} The run ends; an open question needs no answer any more.")
         try:
             if isinstance(trip, InterlockTrip) and not self._beyond:
                 self._store.fact(
                     "trip", trip.as_dict() | {"t_s": self._devices.clock.now(), "done": said}
                 )
             if not self._beyond:
-                self._store.event(
-                    self._devices.clock.now(), "trip", f"{trip} ({done})", wall_time()
-                )
-            self.on_event("trip", f"{trip} ({done})")
+                self._store.event(self._devices.clock.now(), "trip", whole, wall_time())
+            self.on_event("trip", whole)
         except sqlite3.Error as error:
             self._warn(f"the trip could not be written down: {error}")
         try:

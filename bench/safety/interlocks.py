@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 from bench.rig.model import SafetyLimits
 from bench.safety.liveness import Liveness
+from bench.scoring.rates import full_stop
 from instruments.bath.profile import Profile
 from instruments.bath.reading import BathReading
 
@@ -321,7 +322,7 @@ class InterlockTrip(Exception):  # noqa: N818 - the field's word
         self.why = why
         self.then = then
         self.values = values
-        super().__init__(f"interlock {rule}: {why}. {then}")
+        super().__init__(f"interlock {rule}: {full_stop(why)} {then}")
 
     def as_dict(self) -> dict[str, object]:
         """For a record: plain text, numbers and None."""
@@ -380,7 +381,9 @@ class Interlocks:
         if silent_s < self._limits.bath_silence_s:
             return None
         rule = rule_named(IMPLAUSIBLE if answered else COMMUNICATIONS)
-        why = f"no {'usable ' if answered else ''}reading for {silent_s:.0f} s ({error})"
+        hint = getattr(error, "hint", None)  # the rule has its own
+        last = str(error).removesuffix(f". {hint}")
+        why = f"no {'usable ' if answered else ''}reading for {silent_s:.0f} s: {last}"
         return InterlockTrip(rule.name, why, rule.then, self.values)
 
     @property

@@ -89,6 +89,11 @@ def exact_percent(fraction: float) -> str:
     return f"{100 * fraction:.6g} %"
 
 
+def full_stop(text: str) -> str:
+    """``text`` as a sentence's end."""
+    return text if text.endswith((".", "?", "!")) else f"{text}."
+
+
 def plural(n: int, thing: str) -> str:
     """``1 pose``, ``59 poses``."""
     return f"{n} {thing}" if n == 1 else f"{n} {thing}s"

@@ -27,7 +27,7 @@ from bench.config import (
     parse_config,
     read_text,
 )
-from bench.rig.loading import find_shipped
+from bench.rig.loading import LoadedRig, find_shipped
 from bench.scoring.looks import Looks
 from bench.script.detectors import check_named
 from bench.script.phantom import Layout, find_layout, load_layout
@@ -460,3 +460,10 @@ def planned_of(script: Script, layouts: Mapping[str, Layout]) -> tuple[PlannedTr
         seed=script.seed,
         shuffled=script.order == "shuffled",
     )
+
+
+def refuse_carry(rig: LoadedRig, script: LoadedScript) -> None:
+    """Raises ConfigError for a script that carries on a rig that has no stage to carry with."""
+    if script.script.truth.mode == "carry" and rig.rig.stage is None:
+        why = f'{script.path}: [truth] mode = "carry" needs a stage, and {rig.path} has none.'
+        raise ConfigError.plain(f'{why} Use mode = "touch", or a rig with a [stage].')

@@ -16,6 +16,7 @@ from bench.truth.touching import Ends, Toucher
 from bench.truth.uncertainty import Triple, triple
 from instruments.drivers.protocols import Stage
 from instruments.errors import DeviceError
+from instruments.stage.protocol import HOME_AGAIN
 from instruments.world.phantom import Phantom, PlatePose
 
 
@@ -28,7 +29,7 @@ def stands_at(stage: Stage) -> Triple:
     """The stage's position as read back, machine mm. Raises DeviceError where it is lost."""
     place = np.asarray(stage.position(), dtype=np.float64)
     if not stage.homed:
-        raise DeviceError(stage.who, "its position is lost", hint="Call recover(), then home().")
+        raise DeviceError(stage.who, "its position is lost", hint=HOME_AGAIN)
     return triple(place[:3])
 
 

@@ -151,7 +151,8 @@ def read_question(function: int, address: int, count: int, unit_id: int) -> Ques
     size = -(-count // 8) if function in (1, 2) else 2 * count
     make, name = REQUESTS[function]
     request = make(address=address, count=count, dev_id=unit_id)
-    asked = f"{name} {address} to {address + count - 1}"
+    asked = f"{name.removesuffix('s') if count == 1 else name} {address}"
+    asked += f" to {address + count - 1}" if count > 1 else ""
     return Question(request, bytes((unit_id, function, size)), 3 + size, asked)
 
 

@@ -84,19 +84,23 @@ class PluggedGroup:
         given = ask() if ask else None
         if given is not None and not isinstance(given, MakersCalibration):
             raise self._border.broken("its maker's calibration is no MakersCalibration", given)
-        return given and MakersCalibration(
-            {
-                str(part): MakersLens(
+        if given is None:
+            return None
+        what: object = "lenses"
+        try:
+            lenses = {}
+            for what, one in given.lenses.items():
+                lenses[str(what)] = MakersLens(
                     (int(one.size_px[0]), int(one.size_px[1])),
                     np.asarray(one.matrix, dtype=np.float64),
                     tuple(map(float, one.distortion)),
                     np.asarray(one.R, dtype=np.float64),
                     tuple(map(float, one.T_mm)),
                 )
-                for part, one in given.lenses.items()
-            },
-            {str(name): float(sd) for name, sd in given.sd.items()},
-        )
+            what = "sd"
+            return MakersCalibration(lenses, {str(n): float(sd) for n, sd in given.sd.items()})
+        except (TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
+            raise self._border.broken(f"its maker's calibration: {what}: {error}", given) from error
 
     def close(self) -> None:
         self._border.forget()

@@ -179,7 +179,7 @@ class PluggedStage(StageCalls):
     def _go(self, target: Target, feed_mm_min: float | None, *, jog: bool) -> None:
         asked = ", ".join(f"{axis} {value:g}" for axis, value in target.items())
         if not self.homed:
-            raise LimitError(self.who, "no move before homing", asked=asked, hint="Call home().")
+            raise LimitError(self.who, "no move before homing", asked=asked, hint="Home it first.")
         check_within(target, self.settings, asked, who=self.who)
         state = self._state()
         if state.moving or self._move:
@@ -209,7 +209,7 @@ class PluggedStage(StageCalls):
         if state.fault or not state.homed:
             self._homed_at = 0
         if state.fault and not aside:
-            raise DeviceError(self.who, state.fault, hint="Cure it, then recover().")
+            raise DeviceError(self.who, state.fault, hint="Cure it; a run then homes it.")
         return state
 
     def _checked(self, given: object) -> StageState:

@@ -20,6 +20,7 @@ from instruments.errors import DeviceError, InstrumentError, LinkError, Protocol
 from instruments.link import Link, Reception
 from instruments.stage.protocol import (
     HOLD,
+    HOME_AGAIN,
     JOG_CANCEL,
     SOFT_RESET,
     STATUS_QUERY,
@@ -147,7 +148,7 @@ class Dialogue:
             in_time = self._clock.now() <= wait.until_s
             answer = self._next(wait) if in_time else None
             if answer is None:
-                hint = "Check power and cable; then recover() starts the controller anew."
+                hint = f"Check power and cable. {HOME_AGAIN}"
                 raise LinkError(self.who, "no answer", asked=text, seconds=timeout_s, hint=hint)
             if isinstance(answer, Ok):
                 return pushed
@@ -325,8 +326,7 @@ class Dialogue:
             raise self._alarmed(asked=text)
         if self.outstanding is not None:
             what = f"the answer to {self.outstanding!r} is still outstanding"
-            hint = "Call recover(): it starts the controller anew."
-            raise LinkError(self.who, what, asked=text, hint=hint)
+            raise LinkError(self.who, what, asked=text, hint=HOME_AGAIN)
 
     def _next(self, wait: Reception) -> Response | None:
         """The next good answer or push; None after the deadline. Raises for bad ones."""
@@ -346,8 +346,8 @@ class Dialogue:
         if isinstance(answer, Ok | ErrorReply):
             if self.outstanding is None:
                 self.upsets += 1
-                what, hint = "an answer that nothing was asked for", "Call recover()."
-                raise ProtocolError(self.who, what, seen=str(answer), hint=hint)
+                what = "an answer that nothing was asked for"
+                raise ProtocolError(self.who, what, seen=str(answer), hint=HOME_AGAIN)
             self.outstanding = None
         elif isinstance(answer, Alarm):
             self.upsets += 1
@@ -358,7 +358,7 @@ class Dialogue:
             self.outstanding = None
             if self.alarm is None:  # a failed homing ends in a restart
                 what = "the controller has restarted by itself: position lost"
-                raise DeviceError(self.who, what, hint="Check its power, then home().")
+                raise DeviceError(self.who, what, hint=f"Check its power. {HOME_AGAIN}")
         elif isinstance(answer, Status):
             self._offset = answer.wco_mm or self._offset
             if answer.state in LOCKED:  # whether or not we have seen why: its position is lost

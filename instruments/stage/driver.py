@@ -25,7 +25,7 @@ from instruments.link import Link
 from instruments.stage.calls import StageCalls
 from instruments.stage.connection import ANSWER_S, Dialogue
 from instruments.stage.marlin import MarlinDialogue
-from instruments.stage.protocol import Position, Status, axis_words
+from instruments.stage.protocol import HOME_AGAIN, Position, Status, axis_words
 from instruments.stage.settings import (
     DECLARABLE,
     StageIdentity,
@@ -122,7 +122,7 @@ class Stage(StageCalls):
         self._begin_moving()
         self._dialogue.home(self.axes, settings.homing_bound_s)
         upsets = self._dialogue.upsets
-        self._check_idle("not idle after homing", "Call recover(), then home().", asked="home")
+        self._check_idle("not idle after homing", HOME_AGAIN, asked="home")
         self._homed_at = upsets
         self.moves = False
 
@@ -156,8 +156,8 @@ class Stage(StageCalls):
         """Wait for a move or jog. Raises DeviceError when held, too slow, or it ends elsewhere."""
         move = self._under_way
         if move is None and self._move is not None:
-            what, hint = "the move was interrupted: position lost", "Call recover(), then home()."
-            raise DeviceError(self.who, what, hint=hint)
+            what = "the move was interrupted: position lost"
+            raise DeviceError(self.who, what, hint=HOME_AGAIN)
         if move is None:
             raise LimitError(self.who, "no move is under way", hint="Call begin_move().")
         status = self._until_over(move)
@@ -268,8 +268,7 @@ class Stage(StageCalls):
 
     def _check_homed(self, line: str) -> None:
         if not self.homed:
-            hint = "Call home(); after an alarm recover() first."
-            raise LimitError(self.who, "no move before homing", asked=line, hint=hint)
+            raise LimitError(self.who, "no move before homing", asked=line, hint=HOME_AGAIN)
 
     def _check_idle(self, what: str, hint: str, asked: str | None = None) -> Status:
         status = self._dialogue.status()
@@ -285,7 +284,7 @@ class Stage(StageCalls):
             what = "a move is still under way, or the stage is not idle"
             hint = "Call finish_move(), or stop()."
             if status.state == "Hold":
-                hint = "Call recover(), then home()."
+                hint = HOME_AGAIN
             raise LimitError(self.who, what, asked=line, seen=status.name, hint=hint)
         return self._here(status)
 
@@ -307,7 +306,7 @@ class Stage(StageCalls):
                 raise DeviceError(self.who, what, seen=seen, seconds=seconds, hint=hint)
             self._dialogue.wait(POLL_S)
         if status.state != "Idle":
-            hint = "See the controller's panel; then recover()."
+            hint = f"See the controller's panel. {HOME_AGAIN}"
             raise DeviceError(self.who, "the move was interrupted", seen=status.name, hint=hint)
         # Idle may be reported before the move has begun: only the dwell behind it shows that it is
         # over.

@@ -19,6 +19,7 @@ from instruments.errors import DeviceError, InstrumentError, LimitError, LinkErr
 from instruments.link import Link
 from instruments.stage.connection import ANSWER_S, QUIET_S, START_S, STATUS_S, Dialogue, whole
 from instruments.stage.protocol import (
+    HOME_AGAIN,
     Alarm,
     ErrorReply,
     MalformedLine,
@@ -222,7 +223,7 @@ class MarlinDialogue(Dialogue):
         if f"M113 S{BEAT_S}" not in self._told("M113"):
             self.upsets += 1
             what = "the controller has restarted unnoticed: position lost"
-            raise DeviceError(self.who, what, asked="M113", hint="Call recover(), then home().")
+            raise DeviceError(self.who, what, asked="M113", hint=HOME_AGAIN)
         counted = self._counts()
         at = tuple([counted.steps.get(x, 0.0) / n for x, n in zip("XYZ", self._steps, strict=True)])
         off = zip("XYZ", at, self._steps, strict=True)

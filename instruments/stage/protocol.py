@@ -276,6 +276,9 @@ class Meaning(NamedTuple):
     do: str
 
 
+HOME_AGAIN = (
+    "A run homes it again by itself; else: 'teatbench stage recover', then 'teatbench stage home'."
+)
 _REPORT = "The line that was sent is wrong: report it with the bench's log."
 
 
@@ -292,21 +295,19 @@ def codes() -> Mapping[str, Mapping[int, Meaning]]:
 def _read_meaning(table: str, what: str, do: str = "") -> Meaning:
     if table.endswith("errors"):
         return Meaning(what, _REPORT if do == "report" else do)
-    then = "recover() and home()."
-    return Meaning(what, f"{do}, then {then}" if do else f"Call {then}")
+    return Meaning(what, f"{do}. {HOME_AGAIN}" if do else HOME_AGAIN)
 
 
 def meaning(answer: ErrorReply | Alarm, firmware: str = "Grbl") -> Meaning:
     """What it means in that firmware, unknown numbers included. A sentence stands for itself."""
     code, alarm = answer.code, isinstance(answer, Alarm)
-    then = ", then recover() and home()."
     if isinstance(code, str):
         do = "Switch the controller off and on" if alarm else "See the firmware's documentation"
-        return Meaning(code, do + then)
+        return Meaning(code, f"{do}. {HOME_AGAIN}")
     kind = "alarm" if alarm else "error"
     unknown = Meaning(
         f"an {kind} that this program does not know",
-        f"Look the number up in the firmware's list of {kind}s{then if alarm else '.'}",
+        f"Look the number up in the firmware's list of {kind}s.{f' {HOME_AGAIN}' if alarm else ''}",
     )
     own = codes().get(f"{firmware} {kind}s", {})
     known = own.get(code) or codes()[f"{kind}s"].get(code, unknown)

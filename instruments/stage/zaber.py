@@ -21,6 +21,7 @@ from instruments.link import Link
 from instruments.stage.connection import ANSWER_S, QUIET_S, Dialogue, whole
 from instruments.stage.protocol import (
     AXES,
+    HOME_AGAIN,
     MalformedLine,
     Message,
     Reply,
@@ -217,8 +218,7 @@ class ZaberDialogue(Dialogue):
         for axis, flag in flags.items():
             if flag not in HARMLESS | UNHOMED:
                 what = f"axis {axis}: {FLAGS.get(flag, f'a warning that is not known, {flag}')}"
-                hint = "Cure the cause, then recover() and home()."
-                raise DeviceError(self.who, what, asked="get pos", seen=flag, hint=hint)
+                raise DeviceError(self.who, what, asked="get pos", seen=flag, hint=HOME_AGAIN)
         state = "Alarm" if UNHOMED & set(flags.values()) else "Idle"
         if any(reply.busy for reply, _ in replies.values()):
             state = "Run"

@@ -31,7 +31,7 @@ from instruments.drivers.bath import PluggedBath
 from instruments.drivers.camera import PluggedCamera, PluggedGroup
 from instruments.drivers.entry_points import Plugin
 from instruments.drivers.stage import PluggedStage
-from instruments.errors import InstrumentError
+from instruments.errors import InstrumentError, ProtocolError
 
 
 class OwnError(BaseException):
@@ -172,6 +172,23 @@ def driver(kind: str, member: str, given: Any) -> type:
             one if name.endswith("()") else property(one) if fails else value
         )
     return type("Driver", (), members)
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (MakersCalibration({"left": LENS, "right": None}), "right: 'NoneType'"),  # type: ignore[dict-item]
+        (MakersCalibration({"left": MakersLens(None, np.eye(3))}), "left: 'None"),  # type: ignore[arg-type]
+        (MakersCalibration(None), "lenses: "),  # type: ignore[arg-type]
+        (MakersCalibration({"left": LENS}, None), "sd: "),  # type: ignore[arg-type]
+    ],
+)
+def test_a_makers_calibration_with_holes_is_refused_by_name(given: Any, says: str) -> None:
+    group = PluggedGroup(
+        Plugin("d", "pkg 1", driver("group", "makers_calibration()", given)), VirtualClock()
+    )
+    with pytest.raises(ProtocolError, match=f"its maker's calibration: {says}"):
+        group.makers_calibration()
 
 
 @pytest.mark.parametrize("kind", MAKES)

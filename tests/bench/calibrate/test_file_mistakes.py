@@ -169,6 +169,35 @@ def test_a_picture_of_another_size_is_named_not_those_of_most(
         find_views(find_pictures([day], ("left", "right")), BOARD)
 
 
+def test_a_picture_that_cannot_be_read_is_left_out_by_name(drawn: Path, tmp_path: Path) -> None:
+    day = shutil.copytree(drawn, tmp_path / "day")
+    (day / "left" / "04.png").write_bytes(b"no picture")
+    found = find_views(find_pictures([day], ("left", "right")), BOARD)
+    (left_out,) = found.refused
+    assert (left_out.camera, left_out.view) == ("left", "04")
+    assert "04.png: is not an image that can be read" in left_out.reason
+    assert [pair.name for pair in found.pairs()] == [*found.found["left"]]
+    for path in (day / "right").iterdir():
+        path.write_bytes(b"no picture")
+    with pytest.raises(ConfigError, match=r"no right picture can be read: "):
+        find_views(find_pictures([day], ("left", "right")), BOARD)
+
+
+def test_a_right_hand_set_of_another_size_is_said_at_once(drawn: Path, tmp_path: Path) -> None:
+    day, looked = shutil.copytree(drawn, tmp_path / "day"), list[int]()
+    for path in (day / "right").iterdir():
+        image = cv2.imread(str(path))
+        assert image is not None
+        cv2.imwrite(str(path), cv2.resize(image, (320, 240)))
+    with pytest.raises(ConfigError, match="differ in size, 480 x 360 and 320 x 240 px"):
+        find_views(
+            find_pictures([day], ("left", "right")),
+            BOARD,
+            report=lambda done, _: looked.append(done),
+        )
+    assert looked[-1] == len(list((day / "left").iterdir())), "at the first right-hand picture"
+
+
 def test_a_check_that_looked_at_too_little_is_no_objection_of_none(
     drawn: Path, tmp_path: Path, said: Said, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,9 +10,11 @@ import pytest
 import scipy
 
 from detector.calibration import Part, load_calibration, load_part
+from reports.page import KINDS
 from tests.bench.calibrate.small_rig import small_calibration, write_rig
 from tests.bench.calibrate.touched import placed, there, within
 from tests.bench.commands import Said, teatbench
+from tests.plain_text import plain_text
 
 pytestmark = pytest.mark.slow
 
@@ -104,6 +106,7 @@ def test_the_table_comes_out_where_it_is(bench_room: Path) -> None:
     apart = found.apply(put_in.world_from_right.inverse().apply(places)) - places
     assert np.linalg.norm(apart, axis=1).max() < 1.5, "mm, among the touched places"
     assert placed(part, "world", found, put_in.world_from_right)
+    assert KINDS["emulated"] in plain_text(bench_room / "world.page" / "index.html")
     kept = {path.name for path in (bench_room / "world.pictures").iterdir()}
     assert kept == {
         "left",

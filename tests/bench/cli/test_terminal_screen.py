@@ -5,11 +5,15 @@ streams are terminals, and never in what the command writes.
 
 from __future__ import annotations
 
+import io
 import sys
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
+from bench.cli.terminal import print_wrapped
+from bench.results.headline import AFTER_END, AFTER_FAULT
 from tests.bench.calibrate.arm_terminal import at_terminal
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said
@@ -21,6 +25,7 @@ pytestmark = pytest.mark.skipif(
 
 ONE = SCRIPT.replace("poses = [", "poses = [{ x_mm = 12.0 }]\n#")
 IN_TRIAL = "s REASON = skip the trial, r = repeat it, "
+FOLDER = "/home/technician/teatbench/runs/20261120-101500-six-situations"
 LAST_WORDS = "? = explain, a = abort the run): "
 
 
@@ -101,3 +106,20 @@ def test_an_enter_beside_the_bar_leaves_no_second_one(tmp_path: Path) -> None:
     with at_terminal(files(tmp_path), 100) as terminal:
         assert terminal.press_enter_to_the_end(unasked=True) == 0
     assert len([row for row in terminal.screen.rows if row.startswith("trials ")]) == 1
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        AFTER_FAULT.format(FOLDER),
+        AFTER_END.format(FOLDER),
+        f"Paused, as asked. Type 'go on' here, or: teatbench resume {FOLDER}",
+    ],
+)
+def test_a_command_to_paste_stays_on_one_line(text: str) -> None:
+    written = io.StringIO()
+    print_wrapped(Console(file=written, width=80, force_terminal=True, color_system=None), text)
+    *wrapped, command = written.getvalue().splitlines()
+    assert command == f"  teatbench resume {FOLDER}"
+    assert wrapped[-1].endswith(":")
+    assert all(len(line) <= 80 for line in wrapped)

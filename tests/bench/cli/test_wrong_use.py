@@ -28,6 +28,8 @@ WRONG_USE = {  # code 2
     "run --seed x": "'x' is not a whole number",
     "run --seed -1": "'-1' is not a whole number",
     "report nowhere": "is no run",
+    "report latest": "there are no runs yet in ",
+    "compare latest nowhere": ": teatbench run six-situations",
     "runs nowhere": "no such folder",
     "score nowhere": "no such folder",
     "detect nowhere": "no such folder",

@@ -212,6 +212,6 @@ def test_a_queue_is_followed_from_one_run_to_the_next(tmp_path: Path) -> None:
             note.runs(second)
             expect(card).to_contain_text("Script 2 of 3: two", timeout=SOON_MS)
             page.wait_for_url(f"**/#/{second.name}", timeout=SOON_MS)
-        note.ends("an interlock tripped")
+        note.ends("tripped by interlock cold")
         expect(card).to_contain_text("Ended early, 1 of 3 scripts finished", timeout=SOON_MS)
         assert page.url.endswith(second.name), "a queue that has ended is left where it is"

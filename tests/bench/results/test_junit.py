@@ -93,7 +93,7 @@ ENDINGS = {
             ),
         ),
         (
-            "The run was tripped by an interlock after 0 of 18 trials: over-temperature: 36.10"
+            "The run was tripped after 0 of 18 trials: over-temperature: 36.10"
             " degC.\nSWITCH OFF THE BATH: no answer"
         ),
     ),

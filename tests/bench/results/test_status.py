@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,9 @@ from bench.console.watching import listed
 from bench.record.schema import GUARDIAN
 from bench.record.state import State, run_lock, state_of
 from bench.record.writer import Store
+from bench.results.headline import missing_text
 from bench.results.status import (
+    GOING_TO_SAFE,
     LIVE,
     InstrumentStatus,
     Link,
@@ -26,6 +29,8 @@ from bench.results.status import (
     read_status,
 )
 from bench.run.lock import locked
+from bench.scoring.decisions import decide_rate
+from bench.scoring.rates import Rate
 from instruments.clock import wall_time
 from instruments.operators.mailbox import FOLDER
 from tests.bench.commands import Said
@@ -100,9 +105,17 @@ BATH = InstrumentStatus("bath", Link.ANSWERS, Safe.IN_USE, last="33.00 degC, sta
 LIVES = RunStatus("a-run", "Short", State.RUNNING, "running", instruments=(BATH,), left_s=60.0)
 
 
+def test_what_is_missing_is_said_beside_the_requirement() -> None:
+    within = partial(decide_rate, "within 5 mm", required=0.95, confidence=0.95)
+    shown = "within 5 mm (54 more poses without a failure would show it)"
+    assert missing_text(within(Rate(26, 26))) == shown
+    assert missing_text(within(Rate(9, 59))) == "within 5 mm"
+
+
 def test_trials_that_were_skipped_are_counted() -> None:
     ended = replace(LIVES, state=State.FINISHED, verdicts={"fused": "met"}, done=16, planned=18)
     assert ended.headline == "met: 16 of 18 trials"
+    assert replace(LIVES, step=GOING_TO_SAFE).headline == "running: going to safe"
     assert replace(ended, skipped=2).headline == "met: 16 of 18 trials, 2 skipped"
 
 

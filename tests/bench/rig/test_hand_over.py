@@ -15,10 +15,14 @@ import pytest
 from filelock import FileLock
 
 from bench.results.headline import guardian_text
+from bench.rig.emulated_rig import PORTS, EmulatedRig
 from bench.rig.guardian import DONE
 from bench.rig.guardian_client import GuardianClient, GuardianTarget, Heartbeat
-from bench.rig.hand_over import HAND_OVER_S, BathLock, bath_name, free_bath
+from bench.rig.hand_over import HAND_OVER_S, BathLock, bath_name, forget_guardian, free_bath
+from bench.rig.loading import load_rig
+from instruments.clock import VirtualClock
 from instruments.errors import LimitError, LinkError
+from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.safety.guards import HotBath, guardian, guardian_record, standby_after
 from tests.conftest import ROOT
 from tests.waiting import within
@@ -154,17 +158,30 @@ def test_a_guardian_that_was_killed_keeps_no_bath_and_is_named(hot: HotBath, bat
         line.done()
 
 
-@pytest.mark.parametrize("url", ["tcp://10.0.0.7", "tcp://127.0.0.1:9101", "/dev/ttyUSB0"])
-@pytest.mark.parametrize("kept", [False, True])
-def test_a_note_of_an_emulator_whose_run_is_gone_is_told_to_nobody(
-    url: str, kept: bool, baths: Path, tmp_path: Path
+def test_the_note_of_a_killed_guardian_is_not_told_of_a_new_emulator(
+    baths: Path, tmp_path: Path
 ) -> None:
-    killed = BathLock(url, tmp_path / ("" if kept else "gone") / "guardian-1.json", ENDED)
-    assert killed.take() == ""
-    killed._owner.release()
-    told = BathLock(url, tmp_path / "guardian-2.json", ENDED)
-    assert ("ended without a last word" in told.take()) is (kept or "127" not in url)
-    told.release()
+    loaded, clock = load_rig(write_small_rig(tmp_path)), VirtualClock()
+
+    def told() -> str:
+        lock = BathLock(url, tmp_path / "guardian-2.json", ENDED)
+        said = lock.take()
+        lock._owner.release()  # killed
+        return said
+
+    with EmulatedRig(loaded, clock, 1) as twin:
+        url = twin.urls["bath"]
+        port = int(url.rpartition(":")[2])
+        assert told() == ""
+        assert told().endswith("ended without a last word")
+    kept = BathLock(url, tmp_path / "guardian-3.json", ENDED)
+    kept.take()
+    forget_guardian(url)
+    assert kept._read()["record"].endswith("guardian-3.json"), "it acts"
+    kept._owner.release()
+    with EmulatedRig(loaded, clock, 1, port_base=port - PORTS.index("bath")) as twin:
+        assert twin.urls["bath"] == url
+        assert told() == ""
 
 
 def test_a_note_of_a_process_that_is_no_guardian_ends_nobody(

@@ -88,7 +88,7 @@ def test_an_emulated_run_takes_as_long_as_estimated_and_says_what_is_left_all_th
     said, took_min = heated.said, f"{spent['total_s'] / 60:.0f}"
     left = f"3 trials, about {minutes} min left of the bench's time."
     assert said.startswith(f"{left} Run folder: {run.folder}\n")
-    assert f"It took {took_min} min of the bench's time; {minutes} min were expected." in said
+    assert f"It took {took_min} min of the bench's time; {minutes} min had been expected." in said
     lines = list(map(json.loads, (heated.folder / "events.jsonl").read_bytes().splitlines()))
     doing = [line for line in lines if line["what"] == "doing" and line["t_s"] is not None]
     after = [line for line in doing if "left" not in line]
@@ -139,6 +139,6 @@ def test_needs_by_hand() -> None:
     assert needs(by_hand, plane).time.touches_s == pytest.approx(7 * 3 * 8.0), (
         "the first, before every 26th further one, and the last"
     )
-    took_20_min = "It took 20 min of the bench's time; 72 min were expected."
+    took_20_min = "It took 20 min of the bench's time; 72 min had been expected."
     assert estimate_text(usual, {"total_s": 1200.0}) == took_20_min
     assert set(ASSUMED) >= {"heating", "touch", "set-up", "placing"}

@@ -116,6 +116,29 @@ class When(Bringer):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("blocked", "noticed"), [(1, 3), (2, 2)])
+def test_a_move_that_is_blocked_is_noticed_by_touched_ends(
+    blocked: int, noticed: int, tmp_path: Path
+) -> None:
+    """Blocked before the first trial it shows once the stage has homed for another reason."""
+    shifts = "{ x_mm = 30.0 }, { x_mm = -10.0, y_mm = 20.0 }, { y_mm = 30.0 }"
+    script = SCRIPT.split("poses = ")[0] + f"poses = [{shifts}]\n"
+    homes = fault("stage", "silent", 95.0, 15.0) if blocked == 1 else "prompt_s = 5.0"
+    files(tmp_path, stage=STAGE, script=script, emulation=homes)
+    lost = EmulatedFault(instrument="stage", name="lost step", amount=25.0, for_s=3.0)
+    record = ended(tmp_path, When(f"moving the phantom: place-{blocked}", 0.0, lost))
+    assert (record.ending, len(record.trials)) == ("finished", 3), texts(record, "fault")
+    trial, before = TRIALS[noticed - 1], TRIALS[noticed - 2]
+    dropped = texts(record, "dropped out")[-1]
+    assert dropped.startswith(f"trial {trial}: stage")
+    assert f"the ends are 25 mm from where the stage's move since {before} should" in dropped
+    doubts = [str(trial.head["note"]) for trial in record.trials if trial.head["note"]]
+    assert texts(record, "stage") == [f"{trial}: {doubt}" for doubt in doubts]
+    assert len(doubts) == (1 if blocked == 1 else 0)
+    assert all(doubt.endswith(f"stood in {TRIALS[0]}, {TRIALS[1]}") for doubt in doubts)
+
+
+@pytest.mark.slow
 def test_an_arm_that_drops_out_in_its_last_check_is_waited_for_too(tmp_path: Path) -> None:
     """What comes behind the last trial is done again like a trial is."""
     files(tmp_path, check_point=CHECK_POINT, emulation="prompt_s = 2.0")

@@ -5,6 +5,7 @@ his, or faults his script.
 from __future__ import annotations
 
 import json
+from collections import Counter
 from datetime import datetime
 from pathlib import Path
 
@@ -182,3 +183,14 @@ def test_a_mistake_of_the_hand_is_noticed_and_does_not_get_into_the_truth(tmp_pa
     refused = [row for trial in record.trials for row in trial.touches if row["refused"]]
     assert [(row["trial"], row["teat"]) for row in refused] == [(record.trials[0].id, "2")]
     assert np.linalg.norm(touched_ends(record) - WANTED, axis=2).max() < 2.0
+
+
+@pytest.mark.slow
+def test_what_a_person_is_asked_in_three_trials(tmp_path: Path) -> None:
+    """Five arm checks before, one after where nothing has moved, and nothing twice."""
+    record = record_of(tmp_path, check_point=CHECK_POINT.replace("= 2", "= 5"), touches=2)
+    assert (record.ending, len(record.trials)) == ("finished", 3), texts(record, "fault")
+    lines = (record.folder / "events.jsonl").read_text(encoding="utf-8").splitlines()
+    asked = Counter(one["kind"] for one in map(json.loads, lines) if one["what"] == "asked")
+    del asked[""], asked["release"]
+    assert asked == {"homing": 1, "check point": 6, "set up": 3, "touch": 24}

@@ -155,7 +155,7 @@ def test_a_trip_ends_all(scripts: list[str], monkeypatch: pytest.MonkeyPatch, am
     monkeypatch.setattr(Engine, "_take_over", broken)
     code, queue, runs = run(scripts)
     assert code == 3
-    assert queue.ended.startswith("an interlock tripped: ")
+    assert queue.ended.startswith("tripped by interlock ")
     assert [status_of(one).state for one in runs] == ["finished", "tripped"]
     assert [len(twin_of), twin_of[0].world.plant.running] == [1, False]
     assert bath_safe(runs[1]) is Safe.READ_BACK
@@ -197,7 +197,7 @@ def test_in_real_time_one_guardian_stays(
     assert stopwatch_s() - began_s > 2.0
     if killed:
         assert code == 3
-        assert queue.headline.startswith("ended early, 1 of 3 scripts finished: an interlock")
+        assert queue.headline.startswith("ended early, 1 of 3 scripts finished: tripped by")
         assert "guardian" in queue.ended
         assert queue.scripts[2].text == "not begun"
         assert (status_of(second).state, bath_safe(second)) == ("tripped", Safe.READ_BACK)

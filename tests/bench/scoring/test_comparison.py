@@ -107,7 +107,13 @@ FAILING = noisy(1)[:3]
             NOT_MET,
             "error along y grew by 1.",
         ),
-        (SIXTY, TRUTH + 0.5 * (SIXTY - TRUTH), (-9.0, 0.0), MET, ""),
+        (
+            np.tile(SIXTY, (2, 1, 1)),
+            np.tile(TRUTH + 0.5 * (SIXTY - TRUTH), (2, 1, 1)),
+            (-9.0, 0.0),
+            MET,
+            "over all poses the mean distance shrank by at least 0.",
+        ),
         (
             [ONE, TWO] * 2,
             [TWO, ONE] * 2,
@@ -138,7 +144,7 @@ def test_what_the_gate_says(
 ) -> None:
     found = compare(pairs(olds, news))
     assert found.gate.verdict is verdict
-    assert says in found.gate.reasons[0]
+    assert any(says in reason for reason in found.gate.reasons)
     assert found.pooled.radial.mean is not None
     assert grew_mm[0] <= found.pooled.radial.mean <= grew_mm[1]
 

@@ -20,8 +20,8 @@ from bench.record.schema import DATABASE, Row
 from bench.report.truth import deviation_parts
 from bench.results.verdicts import scored
 from bench.rig.loading import load_rig
-from bench.run.trial import REGISTRATION_FILE, refuse_carry
-from bench.script.model import load_script
+from bench.run.trial import REGISTRATION_FILE
+from bench.script.model import load_script, refuse_carry
 from bench.script.planned_trials import PlannedTrial
 from bench.truth.joint import joint_truth
 from bench.truth.registration import (

@@ -85,7 +85,7 @@ def test_a_row_that_the_family_lacks(stand: Stand) -> None:
 @pytest.mark.parametrize(
     ("fault", "error", "message"),
     [
-        ("silence", LinkError, r"no answer \(asked holding registers 93 to 93, after 2 s\)"),
+        ("silence", LinkError, r"no answer \(asked holding register 93, after 2 s\)"),
         ("busy", DeviceError, r"it is busy \(asked holding .* 93, got Modbus exception 6\)"),
         ("wrong length", ProtocolError, "0 registers were answered where 1 were asked"),
     ],

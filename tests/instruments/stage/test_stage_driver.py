@@ -189,7 +189,7 @@ def test_a_hold_at_the_panel_interrupts_the_move(bench: Bench) -> None:
     stage._dialogue.write(b"!")
     with pytest.raises(DeviceError, match=r"the move was interrupted \(got Hold:[01]\)"):
         stage.finish_move()
-    with pytest.raises(LimitError, match=r"not idle \(.*got Hold:[01]\)\. Call recover"):
+    with pytest.raises(LimitError, match=r"not idle \(.*got Hold:[01]\)\. A run homes"):
         stage.move_to(-5, -5)
 
 

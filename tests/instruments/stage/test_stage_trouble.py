@@ -148,7 +148,7 @@ def test_recovery_from_each_alarm_is_explicit(
 
     at_s = bench.clock.now() + 1.0
     bench.clock.call_at(at_s, strike)
-    with pytest.raises(DeviceError, match=rf"alarm {code}: .*home\(\)"):
+    with pytest.raises(DeviceError, match=rf"alarm {code}: .*A run homes it again"):
         stage.move_to(-250, -250)
     assert bench.clock.now() == pytest.approx(at_s)
     stage.stop()
