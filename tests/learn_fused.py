@@ -133,7 +133,7 @@ def shown_of(family: str, calibration: Calibration, data: Any) -> Shown | None:
         which = [i for i, _ in pairs]
         errors = np.array([found[i] - ends[j] for i, j in pairs]).reshape(-1, 3)
         own, rest = (world.R @ given.data[of][which] @ world.R.T for of in ("own", "rest"))
-        terms = variance_terms(fits, calibration)[which] @ world.R.T
+        terms = variance_terms(fits, given.data["held"], calibration)[which] @ world.R.T
     return Shown(
         family, ends, visible, measures(teats, evidence, prior), places,
         pass_through(teats, teats), errors, own, rest, terms,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from detector.calibration import Calibration
 from detector.fused.covariances import (
     end_covariances,
+    held,
     stated,
     unaliased,
     world_covariances,
@@ -34,7 +35,6 @@ from detector.fused.learned import learned
 from detector.fused.left_out import left_out, outside
 from detector.fused.parameters import Parameters
 from detector.fused.refine import (
-    one_sided,
     refine,
     refine_beside,
     refine_slid,
@@ -42,7 +42,7 @@ from detector.fused.refine import (
     slide_to_round,
     slide_to_stop,
 )
-from detector.fused.refits import doubts, shapes, unsure
+from detector.fused.refits import shapes, shifted, unsure
 from detector.fused.sharpness import Sharpness, blur_covariances, sharpness, too_blurred
 from detector.fused.thermal import (
     ROOM_PX,
@@ -66,7 +66,7 @@ from detector.fused.witness import (
 from detector.geometry import Array, Camera
 from detector.history import predicted
 from detector.outline import pictures
-from detector.outline.fine import Fitted, fine
+from detector.outline.fine import Fitted
 from detector.outline.fit import View, upright
 from detector.outline.model import COUNT, Rows, apexes, axes
 from detector.outline.prior import (
@@ -282,8 +282,8 @@ def _fit(
     calibration: Calibration,
     p: Parameters,
 ) -> _Judged:
-    """Fit and judge; again without what a neighbour may have bridged, where ends may be too high or
-    low, or not of the usual shape, and from beside what is unsure.
+    """Fit and judge; again where ends may be too high or low, or not of the usual shape, and from
+    beside what is unsure.
     """
 
     def weighed(fitted: Fitted) -> _Candidates:
@@ -293,16 +293,11 @@ def _fit(
         return _judge(candidates, p)
 
     judged = _from_starts(teats, views, thermal, ends, p)
-    bridging, shifted = doubts(judged.fitted.teats, judged.evidence, judged.decision, p)
-    if bridging or shifted:
-        more, doubtful = judged.candidates, judged.fitted.teats[shifted]
-        if bridging:
-            starts, left_out = one_sided(judged.fitted.teats[bridging], p, len(views))
-            more += weighed(fine(starts, left_out, views, p.prior))
-        if shifted:
-            slid = [slide(doubtful, views) for slide in (slide_to_round, slide_to_stop)]
-            more += weighed(refine_slid(np.concatenate(slid), views, p))
-        judged = judge(more)
+    rows = shifted(judged.fitted.teats, judged.evidence, judged.decision, p)
+    if rows:
+        doubtful = judged.fitted.teats[rows]
+        slid = [slide(doubtful, views) for slide in (slide_to_round, slide_to_stop)]
+        judged = judge(judged.candidates + weighed(refine_slid(np.concatenate(slid), views, p)))
     unlike = shapes(judged.fitted.teats, judged.evidence, judged.decision, p)
     if unlike:
         usual = np.delete(np.arange(len(judged.fitted.teats)), unlike)
@@ -434,9 +429,10 @@ def _answers(
     rest += turned.R @ between @ turned.R.T
     px_a_mm = calibration.right.fc[0] / ends[:, 2]
     rest += blur_covariances(edges, down, ends, px_a_mm, calibration.baseline_mm)
-    shown = {"rows": np.array(rows), "teats": teats, "ends": found, "own": own}
+    priors = held(fitted, p)
+    shown = {"rows": np.array(rows), "teats": teats, "ends": found, "own": own, "held": priors}
     trace.append(Stage("answers", shown | {"rest": turned.R.T @ rest @ turned.R}))
-    own = turned.R @ stated(own, fits, LEARNED, calibration) @ turned.R.T
+    own = turned.R @ stated(own, fits, priors, LEARNED, calibration) @ turned.R.T
     covariances = world_covariances(own + rest, ends, calibration)
     left_px, right_px = calibration.project(world)
     thermal_px = thermal.lens.project(thermal.view.camera_from_teats.apply(found))
