@@ -47,7 +47,7 @@ from instruments.world.situations import SITUATIONS, member
 from tests.detector.fused.difficult import DIFFICULT, Rendered, rendered
 
 Array = NDArray[np.float64]
-SEED, FIRST, MEMBERS, RIGS, ON_A_RIG = 1, 200, 60, 26, 6
+SEED, FIRST, MEMBERS, RIGS, ON_A_RIG = 1, 200, 120, 26, 6
 EXACT = ParameterCovariance((), np.zeros((0, 0)))
 RIDGE, NOT_SURE_MM, LESS = 5e-3, (2.5, 6.0), 0.3
 AGAIN, WITHIN = 2, 0.2

@@ -35,6 +35,7 @@ from detector.fused.learned import learned
 from detector.fused.left_out import left_out, outside
 from detector.fused.parameters import Parameters
 from detector.fused.refine import (
+    one_sided,
     refine,
     refine_beside,
     refine_slid,
@@ -42,7 +43,7 @@ from detector.fused.refine import (
     slide_to_round,
     slide_to_stop,
 )
-from detector.fused.refits import shapes, shifted, unsure
+from detector.fused.refits import doubts, shapes, unsure
 from detector.fused.sharpness import Sharpness, blur_covariances, sharpness, too_blurred
 from detector.fused.thermal import (
     ROOM_PX,
@@ -66,7 +67,7 @@ from detector.fused.witness import (
 from detector.geometry import Array, Camera
 from detector.history import predicted
 from detector.outline import pictures
-from detector.outline.fine import Fitted
+from detector.outline.fine import Fitted, fine
 from detector.outline.fit import View, upright
 from detector.outline.model import COUNT, Rows, apexes, axes
 from detector.outline.prior import (
@@ -94,7 +95,7 @@ class FusedDetector:
 
     settings: Parameters = field(default_factory=Parameters)
     name: str = "fused"  # in the registry
-    version: str = "20"  # counted up when an answer on any frame set changes
+    version: str = "21"  # counted up when an answer on any frame set changes
 
     covariance_leaves_out: ClassVar[str] = (
         "what the ends of one frame have in common (each end has its own covariance); where the"
@@ -282,8 +283,8 @@ def _fit(
     calibration: Calibration,
     p: Parameters,
 ) -> _Judged:
-    """Fit and judge; again where ends may be too high or low, or not of the usual shape, and from
-    beside what is unsure.
+    """Fit and judge; again without what a neighbour may have bridged, where ends may be too high or
+    low, or not of the usual shape, and from beside what is unsure.
     """
 
     def weighed(fitted: Fitted) -> _Candidates:
@@ -293,11 +294,16 @@ def _fit(
         return _judge(candidates, p)
 
     judged = _from_starts(teats, views, thermal, ends, p)
-    rows = shifted(judged.fitted.teats, judged.evidence, judged.decision, p)
-    if rows:
-        doubtful = judged.fitted.teats[rows]
-        slid = [slide(doubtful, views) for slide in (slide_to_round, slide_to_stop)]
-        judged = judge(judged.candidates + weighed(refine_slid(np.concatenate(slid), views, p)))
+    bridging, shifted = doubts(judged.fitted.teats, judged.evidence, judged.decision, p)
+    if bridging or shifted:
+        more, doubtful = judged.candidates, judged.fitted.teats[shifted]
+        if bridging:
+            starts, left_out = one_sided(judged.fitted.teats[bridging], p, len(views))
+            more += weighed(fine(starts, left_out, views, p.prior))
+        if shifted:
+            slid = [slide(doubtful, views) for slide in (slide_to_round, slide_to_stop)]
+            more += weighed(refine_slid(np.concatenate(slid), views, p))
+        judged = judge(more)
     unlike = shapes(judged.fitted.teats, judged.evidence, judged.decision, p)
     if unlike:
         usual = np.delete(np.arange(len(judged.fitted.teats)), unlike)

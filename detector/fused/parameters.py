@@ -24,7 +24,8 @@ class Parameters:
     most_starts: int = 48
     more_bar_starts: int = 4  # of bars without a clear end, which others crowd out
     most_fits: int = 36
-    most_shifted: int = 5  # fits whose ends may be too high or low
+    most_bridging: int = 3  # fits that may have bridged two
+    most_shifted: int = 5  # and whose ends may be too high or low
     most_shapes: int = 6  # fits that are tried again as short teats of any shape
     most_unsure: int = 4  # fits that aren't accepted and begin again from beside
     # what a short stretch of an outline has in common (paint, shadow, sampling): a share of how the

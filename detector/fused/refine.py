@@ -2,7 +2,8 @@
 where needed.
 
 The rough pass looks far for plain steps; the fine pass looks close with the full edge model. Then
-an end seen in part is slid up its sides, and an unsure one is begun from beside.
+a fit that may bridge two teats is begun again on one side; an end seen in part is slid up its
+sides, and an unsure one is begun from beside.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from detector.outline.fine import (
     Fitted,
     fine,
     look_again,
+    next_to,
 )
 from detector.outline.fit import Seen, View, look, step, weights
 from detector.outline.model import (
@@ -34,6 +36,9 @@ from detector.outline.model import (
     END,
     HEIGHT,
     RADIUS,
+    SIDE_A,
+    SIDE_B,
+    TAPER,
     Outline,
     apexes,
     axes,
@@ -179,6 +184,23 @@ def shaped_again(fitted: Fitted, views: tuple[View, ...], p: Parameters) -> Fitt
     hidden = np.tile(along > _SHORT_MM, (count, len(views)))
     found = fine(fitted.teats, hidden, views, any_shape(p).prior, steps=FINE_STEPS + 1)
     return replace(fitted, shaped=every) + replace(found, shaped=every)
+
+
+def one_sided(teats: Array, p: Parameters, views: int) -> tuple[Array, NDArray[np.bool_]]:
+    """Two starts for each teat (m, 8), each with one side and half the end; and what is left out.
+    Where teats touch, the other side is the neighbour's.
+    """
+    starts, masks = [], []
+    for lost, sign in ((SIDE_B, -1.0), (SIDE_A, 1.0)):
+        start = teats.copy()
+        start[:, CX] += sign * (start[:, RADIUS] - p.prior.radius_mm)
+        start[:, RADIUS], start[:, TAPER] = p.prior.radius_mm, 0.0
+        starts.append(start)
+        left_out = FINE_OUTLINE.part == lost
+        left_out[next_to(lost, 2)] = True
+        left_out = np.tile(left_out, views)
+        masks.append(np.repeat(left_out[None], len(teats), axis=0))
+    return np.concatenate(starts), np.concatenate(masks)
 
 
 def refine_slid(slid: Array, views: tuple[View, ...], p: Parameters) -> Fitted:

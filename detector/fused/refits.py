@@ -1,5 +1,5 @@
-"""Which fits are tried again: those whose ends may be too high or low, short teats of another
-shape, and those of an unsure place.
+"""Which fits are tried again: those that may bridge two teats, those whose ends may be too high or
+low, short teats of another shape, and those of an unsure place.
 """
 
 from __future__ import annotations
@@ -13,23 +13,29 @@ from detector.fused.parameters import Parameters
 from detector.fused.refine import on_one_bar
 from detector.geometry import Array
 
-_WHOLE_END, _LEAST_SIDE = 0.85, 0.5
+_WHOLE_END, _WHOLE_END_BOTH, _LEAST_SIDE = 0.7, 0.85, 0.5
 _SHAPED_END, _WHOLE_SIDE, _CLOSE_FIT_PX = 0.4, 0.97, 0.05
 _UNSURE_MM = 0.3  # of an end's sd
 
 
-def shifted(teats: Array, evidence: Evidence, decision: Decision, p: Parameters) -> list[int]:
-    """Of teats (m, 8), those that may be too high or low: both sides are seen, but not all of the
-    end. A few, one a place, the likeliest first.
+def doubts(
+    teats: Array, evidence: Evidence, decision: Decision, p: Parameters
+) -> tuple[list[int], list[int]]:
+    """Of teats (m, 8), those that may bridge two, and those that may be too high or low; a few
+    each. Both have their sides, but not all of their end. A teat with both sides hardly bridges
+    two.
     """
-    partial = evidence.both[:, :2].min(axis=1) > _LEAST_SIDE
-    partial &= evidence.end[:, :2].min(axis=1) < _WHOLE_END
+    end, both = evidence.end[:, :2], evidence.both[:, :2].min(axis=1) > _LEAST_SIDE
+    partial = end.min(axis=1) < np.where(both, _WHOLE_END_BOTH, _WHOLE_END)
+    partial &= evidence.side[:, :2].min(axis=1) > _LEAST_SIDE
     same = on_one_bar(teats)
     whole = [i for i in decision.accepted if not partial[i]]
     order = np.argsort(-decision.odds, kind="stable").tolist()
-    return _one_each([i for i in order if partial[i] and not same[i, whole].any()], same)[
-        : p.most_shifted
-    ]
+    open_ = [i for i in order if partial[i] and not same[i, whole].any()]
+    half = end.max(axis=1) > 0.5 * _WHOLE_END
+    bridging = _one_each([i for i in open_ if half[i] and not both[i]], same)
+    shifted = _one_each([i for i in open_ if both[i]], same)
+    return bridging[: p.most_bridging], shifted[: p.most_shifted]
 
 
 def _one_each(rows: list[int], same: NDArray[np.bool_]) -> list[int]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from detector.geometry import Array
 from detector.outline.fit import Seen, View, look, step, weights
-from detector.outline.model import Outline, Rows
+from detector.outline.model import END, SIDE_A, Outline, Rows
 from detector.outline.prior import Prior
 
 ROUGH_OUTLINE, FINE_OUTLINE = Outline.of(55.0, 8, 12), Outline.of(Prior().length_mm, 28, 24)
@@ -86,3 +86,12 @@ def _trusted(seen: Seen, hidden: NDArray[np.bool_], number: int) -> Array:
     counts = len(FINE_OUTLINE.along_mm), len(FINE_OUTLINE.over_end)
     kernels.trusted(weight, seen.offset_px, seen.floor_px, hidden, *counts, _LIMITS)
     return weight
+
+
+def next_to(side: int, parts: int) -> slice:
+    """The points of the end, in the part of so many that is next to a side."""
+    end = FINE_OUTLINE.slices[END]
+    count = (end.stop - end.start) // parts
+    return (
+        slice(end.start, end.start + count) if side == SIDE_A else slice(end.stop - count, end.stop)
+    )
