@@ -47,7 +47,7 @@ from instruments.world.situations import SITUATIONS, member
 from tests.detector.fused.difficult import DIFFICULT, Rendered, rendered
 
 Array = NDArray[np.float64]
-SEED, FIRST, MEMBERS, RIGS, ON_A_RIG = 1, 200, 60, 26, 6
+SEED, FIRST, MEMBERS, RIGS, ON_A_RIG = 1, 200, 120, 26, 6
 EXACT = ParameterCovariance((), np.zeros((0, 0)))
 RIDGE, NOT_SURE_MM, LESS = 5e-3, (2.5, 6.0), 0.3
 AGAIN, WITHIN = 2, 0.2
@@ -133,7 +133,7 @@ def shown_of(family: str, calibration: Calibration, data: Any) -> Shown | None:
         which = [i for i, _ in pairs]
         errors = np.array([found[i] - ends[j] for i, j in pairs]).reshape(-1, 3)
         own, rest = (world.R @ given.data[of][which] @ world.R.T for of in ("own", "rest"))
-        terms = variance_terms(fits, calibration)[which] @ world.R.T
+        terms = variance_terms(fits, given.data["held"], calibration)[which] @ world.R.T
     return Shown(
         family, ends, visible, measures(teats, evidence, prior), places,
         pass_through(teats, teats), errors, own, rest, terms,

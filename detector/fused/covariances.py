@@ -19,7 +19,7 @@ from detector.fused.refine import any_shape
 from detector.geometry import Array
 from detector.outline.fine import FINE_OUTLINE, Fitted
 from detector.outline.fit import apex_jacobian, normal_equations
-from detector.outline.model import END, HEIGHT, RADIUS, SIDE_A, SIDE_B, apexes, axes
+from detector.outline.model import END, HEIGHT, RADIUS, SIDE_A, SIDE_B, TAPER, apexes, axes
 from detector.outline.prior import disparities_px
 from detector.outline.views import THERMAL_FLOOR_PX
 
@@ -91,6 +91,7 @@ _SHOWN_PX = 0.6  # how far off an edge may be that shows an end
 # the half of an end that is farthest out, in both optical pictures: it says where the end is
 _TIP = np.tile(FINE_OUTLINE.part == END, 2)
 _TIP[np.flatnonzero(_TIP).reshape(2, 4, -1)[:, [0, -1]].ravel()] = False
+HELD = {"radius": RADIUS, "taper": TAPER, "height": HEIGHT}
 _LEAST_MM2 = 1e-6  # so that a covariance always has an inverse
 _LEFT_OVER = 0.4, 5.0  # at least and at most
 _STRETCH = 4  # points of an outline that share a shift: some 10 px
@@ -103,12 +104,33 @@ def end_covariances(fitted: Fitted, p: Parameters) -> Array:
     edges share (paint, shadow, sampling), by the scatter of stretches about the outline and by how
     unlike the lines' light is; the limb correction; the unseen part of the end.
     """
-    result = np.empty((len(fitted.teats), 3, 3))
+    return _by_shape(_by_edges, fitted, p, 3)
+
+
+def held(fitted: Fitted, p: Parameters) -> Array:
+    """How the ends move (m, 3, 3), the fits' frame, with the priors' means of `HELD`, mm a standard
+    deviation: little where the edges say what a number is.
+    """
+    return _by_shape(_held, fitted, p, len(HELD))
+
+
+def _by_shape(
+    of: Callable[[Fitted, Parameters], Array], fitted: Fitted, p: Parameters, columns: int
+) -> Array:
+    """What is ``of`` fits (m, 3, columns), each with its own priors."""
+    result = np.empty((len(fitted.teats), 3, columns))
     for shaped, priors in ((False, p), (True, any_shape(p))):
         at = np.flatnonzero(fitted.shaped == shaped)
         if len(at):
-            result[at] = _by_edges(fitted.take(at), priors)
+            result[at] = of(fitted.take(at), priors)
     return result
+
+
+def _held(fitted: Fitted, p: Parameters) -> Array:
+    H, _ = _equations(fitted, p)
+    of_ends = np.linalg.solve(H, apex_jacobian(fitted.teats).transpose(0, 2, 1))
+    sds = (p.prior.radius_sd_mm, p.prior.taper_sd, p.prior.height_sd)
+    return np.asarray(of_ends[:, list(HELD.values())].transpose(0, 2, 1) / sds)
 
 
 def _by_edges(fitted: Fitted, p: Parameters) -> Array:
@@ -177,11 +199,11 @@ def world_covariances(own: Array, ends_mm: Array, calibration: Calibration) -> A
 
 
 class Term(NamedTuple):
-    """What makes an end unsure in a ``way``, mm or, along the line of sight, px of disparity, a
-    learned factor.
+    """What makes an end unsure in a ``way``, mm or, along the line of sight, px of disparity, or in
+    standard deviations of the prior of a number that edges leave open; a learned factor.
     """
 
-    way: Literal["along", "across", "sight"]
+    way: Literal["along", "across", "sight", "radius", "taper", "height"]
     of: Callable[[Fits], Array]
 
 
@@ -195,6 +217,14 @@ def _beyond(f: Fits) -> Array:
 
 def _short(f: Fits) -> Array:
     return np.asarray(1.0 - f.of.side.max(axis=1))
+
+
+def _one(f: Fits) -> Array:
+    return np.ones(len(f.teats))
+
+
+def _off_usual(f: Fits) -> Array:
+    return np.abs(f.teats[:, RADIUS] - f.prior.radius_mm)
 
 
 # standard deviations, a unit of the factor
@@ -235,6 +265,10 @@ TERMS: dict[str, Term] = {
     "sight, widths unlike": Term("sight", lambda f: np.minimum(f.of.width_px, 1.0)),
     "sight, thermal outline aside": Term("sight", aside),
     "sight, short sides": Term("sight", _short),
+    "radius of the prior": Term("radius", _one),
+    "taper of the prior": Term("taper", _one),
+    "taper of the prior, radius off the usual": Term("taper", _off_usual),
+    "height of the prior": Term("height", _one),
     "along, outside of a teat's size": Term("along", lambda f: f.off_size),
     "across, outside of a teat's size": Term("across", lambda f: f.off_size),
     "sight, outside of a teat's size": Term("sight", lambda f: f.off_size),
@@ -244,9 +278,9 @@ TERMS: dict[str, Term] = {
 }
 
 
-def ways(fits: Fits, calibration: Calibration) -> dict[str, Array]:
-    """By way of `Term` vectors (m, 3), the fits' frame: mm a mm, and along the line of sight mm a
-    px of disparity.
+def ways(fits: Fits, held_mm: Array, calibration: Calibration) -> dict[str, Array]:
+    """By way of `Term` vectors (m, 3), the fits' frame: mm a mm, along the line of sight mm a px of
+    disparity, and `held`.
     """
     axis, ends = axes(fits.teats), apexes(fits.teats)
     distance = np.linalg.norm(ends, axis=1, keepdims=True)
@@ -254,20 +288,23 @@ def ways(fits: Fits, calibration: Calibration) -> dict[str, Array]:
     across = np.cross(axis, sight)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     px = disparities_px(ends, calibration)[:, None]
-    return {"along": axis, "across": across, "sight": sight * distance / px}
+    by = {"along": axis, "across": across, "sight": sight * distance / px}
+    return by | dict(zip(HELD, held_mm.transpose(2, 0, 1), strict=True))
 
 
-def variance_terms(fits: Fits, calibration: Calibration) -> Array:
-    """Vectors (m, k, 3) of `TERMS`, the fits' frame."""
-    by = ways(fits, calibration)
+def variance_terms(fits: Fits, held_mm: Array, calibration: Calibration) -> Array:
+    """Vectors (m, k, 3) of `TERMS`, the fits' frame, of fits and what `held` says of them."""
+    by = ways(fits, held_mm, calibration)
     every = (by[term.way] * np.asarray(term.of(fits))[:, None] for term in TERMS.values())
     return np.stack(list(every), axis=1)
 
 
-def stated(own: Array, fits: Fits, learned: Learned, calibration: Calibration) -> Array:
+def stated(
+    own: Array, fits: Fits, held_mm: Array, learned: Learned, calibration: Calibration
+) -> Array:
     """(m, 3, 3) mm^2 of ends, the fits' frame: ``own`` by their edges, and what was learned of
-    fits that show as much.
+    fits that show as much and whose priors hold as much.
     """
     factors = in_order(learned.factors, TERMS)
-    moves = variance_terms(fits, calibration) * factors[:, None]
+    moves = variance_terms(fits, held_mm, calibration) * factors[:, None]
     return np.asarray(learned.edges**2 * own + np.einsum("mki,mkj->mij", moves, moves))

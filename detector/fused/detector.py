@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from detector.calibration import Calibration
 from detector.fused.covariances import (
     end_covariances,
+    held,
     stated,
     unaliased,
     world_covariances,
@@ -94,7 +95,7 @@ class FusedDetector:
 
     settings: Parameters = field(default_factory=Parameters)
     name: str = "fused"  # in the registry
-    version: str = "20"  # counted up when an answer on any frame set changes
+    version: str = "21"  # counted up when an answer on any frame set changes
 
     covariance_leaves_out: ClassVar[str] = (
         "what the ends of one frame have in common (each end has its own covariance); where the"
@@ -434,9 +435,10 @@ def _answers(
     rest += turned.R @ between @ turned.R.T
     px_a_mm = calibration.right.fc[0] / ends[:, 2]
     rest += blur_covariances(edges, down, ends, px_a_mm, calibration.baseline_mm)
-    shown = {"rows": np.array(rows), "teats": teats, "ends": found, "own": own}
+    priors = held(fitted, p)
+    shown = {"rows": np.array(rows), "teats": teats, "ends": found, "own": own, "held": priors}
     trace.append(Stage("answers", shown | {"rest": turned.R.T @ rest @ turned.R}))
-    own = turned.R @ stated(own, fits, LEARNED, calibration) @ turned.R.T
+    own = turned.R @ stated(own, fits, priors, LEARNED, calibration) @ turned.R.T
     covariances = world_covariances(own + rest, ends, calibration)
     left_px, right_px = calibration.project(world)
     thermal_px = thermal.lens.project(thermal.view.camera_from_teats.apply(found))
