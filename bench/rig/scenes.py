@@ -4,7 +4,6 @@ recording with exact truth.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from bench.config import ConfigError, read_text, toml_of
+from bench.config import ConfigError, did_you_mean, read_text, toml_of
 from bench.files import write_synced
 from bench.record.recording import RecordingError, RecordingWriter, TruthRow
 from bench.rig.loading import LoadedRig, drawn
@@ -38,10 +37,9 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
     """The families of these names, all for none. Raises ConfigError for one that isn't known."""
     for name in names:
         if name not in SITUATIONS:
-            close = difflib.get_close_matches(name, SITUATIONS, n=1)
-            hint = f"; did you mean {close[0]!r}?" if close else ""
+            near = did_you_mean(name, SITUATIONS)
             raise ConfigError.plain(
-                f"there is no situation {name!r}{hint} (known: {', '.join(SITUATIONS)})"
+                f'there is no situation "{name}"{near} (known: {", ".join(SITUATIONS)})'
             )
     return tuple(dict.fromkeys(names)) or tuple(SITUATIONS)
 

@@ -50,7 +50,7 @@ WRONG_USE = {  # code 2
     "plan --u-mm 0.2": "--limit-mm and --u-mm belong together",
     "compare a b --confidence 1": "'1' is not a number from 0.5 to below 1",
     "compare a b --margin-mm nan": "'nan' is not a length in mm of 0 or more",
-    "scene record --situation overlaping": "did you mean 'overlapping'",
+    "scene record --situation overlaping": 'did you mean "overlapping"',
     "scene record --seeds 0": "'0' is not a whole number of 1 or more",
     "scene record --rig no-such-rig": "no-such-rig",
     "scene boards chessboard-9x6-40 --camera thermal --poses 1": "take a smaller board",

@@ -156,7 +156,7 @@ def test_every_code_of_the_sheet_has_a_sentence_and_advice() -> None:
     for what, do in (*(one for table in tables.values() for one in table.values()), *unknown):
         assert what
         assert do.endswith((".", ")."))
-    assert all(do.endswith("home().") for _, do in alarms)
+    assert all(do.endswith(protocol.HOME_AGAIN) for _, do in alarms)
     assert [what.split(": an ")[0] for what, _ in unknown] == ["error 999", "alarm 999"]
     assert all("does not know" in what for what, _ in unknown)
     assert meaning(Alarm(10), "FluidNC").what != meaning(Alarm(10)).what
