@@ -223,10 +223,6 @@ def _one(f: Fits) -> Array:
     return np.ones(len(f.teats))
 
 
-def _off_usual(f: Fits) -> Array:
-    return np.abs(f.teats[:, RADIUS] - f.prior.radius_mm)
-
-
 # standard deviations, a unit of the factor
 TERMS: dict[str, Term] = {
     "along, misfit of the end": Term("along", lambda f: f.of.end_misfit_px),
@@ -267,7 +263,7 @@ TERMS: dict[str, Term] = {
     "sight, short sides": Term("sight", _short),
     "radius of the prior": Term("radius", _one),
     "taper of the prior": Term("taper", _one),
-    "taper of the prior, radius off the usual": Term("taper", _off_usual),
+    "taper of the prior, radius off the usual": Term("taper", lambda f: f.off_usual),
     "height of the prior": Term("height", _one),
     "along, outside of a teat's size": Term("along", lambda f: f.off_size),
     "across, outside of a teat's size": Term("across", lambda f: f.off_size),

@@ -85,6 +85,11 @@ class Fits(NamedTuple):
         return np.asarray(np.maximum(np.maximum(low - radius, radius - high), 0.0))
 
     @property
+    def off_usual(self) -> Array:
+        """How far the radius (m,) is from a teat's mean, mm."""
+        return np.asarray(np.abs(self.teats[:, RADIUS] - self.prior.radius_mm))
+
+    @property
     def too_steep(self) -> Array:
         """How far the slope (m,) is beyond that of a teat."""
         return np.asarray(np.maximum(self.lean - np.tan(np.radians(self.prior.most_lean_deg)), 0.0))
@@ -167,9 +172,7 @@ MEASURES: dict[str, Measure] = {
     "middle line, to the usual teat, K": Measure(-6, 0, COLD, lambda f: f.lines[:, 1] - f.usual),
     "lines unlike in warmth, K": Measure(0, 3, COLD, lambda f: np.ptp(f.of.warmth, axis=1)),
     "radius outside of the range, mm": Measure(0, 5, SIZE, lambda f: f.off_size),
-    "radius off the usual, mm": Measure(
-        0, 5, SIZE, lambda f: np.abs(f.teats[:, RADIUS] - f.prior.radius_mm)
-    ),
+    "radius off the usual, mm": Measure(0, 5, SIZE, lambda f: f.off_usual),
     "from the nearest whole end, mm": Measure(150, 450, APART, lambda f: f.apart_mm),
     "lean beyond the range": Measure(0, 0.5, LEANS, lambda f: f.too_steep),
     "ln of the end's height": Measure(
