@@ -49,7 +49,8 @@ class OpenRig:
         self.loaded, self.devices, self._warn = loaded, devices, warn
         self._stands: Arrangement | None = None
         self._visible: tuple[bool, ...] = ()
-        self._pose = PlatePose()
+        # where homing leaves the plate nobody says
+        self._pose = None if devices.stage else PlatePose()
         self._watch: BathMonitor | None = None
         self._taker: FrameTaker | None = None
 
@@ -165,6 +166,7 @@ class OpenRig:
         if stage and not stage.homed:
             stage.connect()
             stage.home()
+            self._pose = None
         self.check()
 
     def move(
@@ -212,11 +214,18 @@ class OpenRig:
 
     def touch(self, teat: int | None = None) -> tuple[TruthRow, ...]:
         """Have the operator touch the end of ``teat`` (from 1), or of all that `set_up` has asked
-        for: world mm, with standard uncertainty. Raises NoTruthError, and as arm and operator.
+        for: world mm, with standard uncertainty. Raises NoTruthError, LimitError before `set_up`,
+        or `move` with a stage, or for a teat that isn't there, and as arm and operator.
         """
         if self._stands is None:
             raise LimitError("arm", "nothing was set up that could be touched", hint="set_up()")
+        if self._pose is None:
+            what = "nobody knows where the plate stands: it was not moved since the stage was homed"
+            raise LimitError("stage", what, hint="Call move(), to the reference place or another.")
         stands = self._stands
+        if teat is not None and not 1 <= teat <= len(stands.phantom.teats):
+            what = f"there is no teat {teat}: the phantom has {len(stands.phantom.teats)}, from 1"
+            raise LimitError("arm", what, asked="touch")
         toucher = Toucher(
             lambda request: self.operator.ask(request, self.check),
             self.tip,
@@ -251,9 +260,10 @@ class OpenRig:
         return replace(shot, truth=tuple(truth))
 
     def safe(self, *, keep_arm: bool = False) -> None:
-        """Heater off, stage at a stand, arm's session ended; as leaving the rig does. ``keep_arm``:
-        its session goes on, so that it stays homed. Raises DeviceError.
+        """Heater off and its watch ended, stage at a stand, arm's session ended; as leaving the rig
+        does. ``keep_arm``: its session goes on, so that it stays homed. Raises DeviceError.
         """
+        self.end_watch()  # else a heater that is off is a stranger's doing
         said: list[str] = []
         wanted = [name for name in self._open if name != "arm" or not keep_arm]
         unsafe = self.devices.make_safe(said.append, only=wanted)

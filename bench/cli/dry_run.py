@@ -39,7 +39,7 @@ def look_ahead(
             "needs": wanted,
         }
         print(json_of(found, indent=1))
-        return CODES.wrong_use if findings else CODES.met
+        return CODES.wrong_use if findings or done.room else CODES.met
     for finding in findings[:SHOWN]:
         print(f"{finding.trial}: {finding.kind}: {finding.text}")
     if (more := len(findings) - SHOWN) > 0:
@@ -53,9 +53,10 @@ def look_ahead(
         problems = "problem" if len(findings) == 1 else "problems"
         print(f"{many}: {len(findings)} {problems}. Nothing was moved.")
         return CODES.wrong_use
-    print(f"{many}: nothing wrong. Nothing was moved.")
+    wrong = "a run is refused: the disk is too full" if done.room else "nothing wrong"
+    print(f"{many}: {wrong}. Nothing was moved.")
     print(*wanted, sep="\n")
-    return CODES.met
+    return CODES.wrong_use if done.room else CODES.met
 
 
 def _gone_through(done: bench.ScriptCheck, trials: int) -> Iterator[str]:

@@ -93,7 +93,9 @@ class InstrumentStatus:
             return f"{self.name} {self.last}" if self.last else f"{self.name}: {self.link}"
         last = f" (last {self.last})" if self.last else ""
         if self.link in (Link.SILENT, Link.AWAY):
-            since = "" if self.age_s is None else f" for {self.age_s:.0f} s"
+            # a bath is asked every second, the others when they are needed
+            since = " for {:.0f} s" if self.name == "bath" else ", last heard {:.0f} s ago"
+            since = "" if self.age_s is None else since.format(self.age_s)
             return f"{self.name}: {self.how or 'no answer'}{since}{last}"
         return f"{self.name}: {SAFE_WORDS[self.safe]}{last}"
 

@@ -134,7 +134,7 @@ def test_a_run_without_room_is_refused_before_it_starts_in_the_words_of_its_dry_
     monkeypatch.setattr(estimate, "disk_usage", lambda _: SimpleNamespace(free=1e6 * wanted_mb - 1))
     sentence = f"NOT ENOUGH ROOM: {wanted_mb:.0f} MB are free in {tmp_path.resolve()}, and up to"
     assert sentence in said(2, "run {} --out {} --rig {}", one(tmp_path)[0], out, rig).err
-    assert sentence in said(0, f"{DRY} --rig {{}}", one(tmp_path)[0], out, rig).out
+    assert sentence in said(2, f"{DRY} --rig {{}}", one(tmp_path)[0], out, rig).out
     assert not out.parent.exists()
 
 

@@ -35,7 +35,7 @@ from bench.scoring.guard_band import (
     leak,
     refusal_limit_mm,
 )
-from bench.scoring.rates import Rate, guarded_n, shown_falsely
+from bench.scoring.rates import Rate, guarded_n, shown_falsely, shown_rate
 from bench.truth.touching import end_u_mm, reading_u_mm
 from instruments.microscribe.emulator import KinematicError, workspace
 from instruments.microscribe.unit import shipped_unit
@@ -478,3 +478,11 @@ def test_what_a_guard_band_lets_through() -> None:
     assert (leak(5.0, 5.0, 0.0), leak(5.1, 5.0, 0.0)) == (0.0, 1.0)
     for u in (4.99e-4, 5.01e-4):  # on both sides of where the sphere is taken to be flat
         assert leak(5.0 - u, 5.0, u) == pytest.approx(0.1586, abs=1e-4)
+
+
+@pytest.mark.parametrize("failures", [0, 1])
+def test_a_leak_of_next_to_nothing_leaves_the_exact_bound(failures: int) -> None:
+    for n in range(failures + 1, 120):
+        exact = shown_rate(failures, n)
+        found = [shown_rate(failures, n, leak=leak) for leak in (2e-57, 1e-17)]
+        assert found == pytest.approx([exact, exact], abs=1e-9)
