@@ -63,7 +63,7 @@ BREAKS: dict[str, Callable[[bench.OpenRig], object]] = {
     "Eyes.capture": lambda rig: rig.capture(),
     "Slide.move": lambda rig: rig.move(x_mm=5.0),
     "Slide.read": lambda rig: rig.move(x_mm=5.0),
-    "Probe.read": lambda rig: rig.touch(1),
+    "Probe.read": lambda rig: (rig.move(), rig.touch(1)),
     "Tank.read": lambda rig: rig.wait(700.0),
     **dict.fromkeys(("Slide.stop", "Probe.stop"), lambda _: None),
 }
