@@ -136,7 +136,7 @@ def notes(comparison: Comparison) -> Iterator[str]:
     if others := n - comparison.same_frames:
         frames = f"; {others} of them in different frames of the same pose, so their noise differs"
         frames += " as well."
-    yield f"{n} scenes{frames}"
+    yield f"{plural(n, 'scene')}{frames}"
     if comparison.only_old or comparison.only_new:
         yield (
             "Without a counterpart, and not compared:"

@@ -143,6 +143,11 @@ def compare_sides(
 ) -> Comparison:
     """Compare two detectors on their common trials. Raises ConfigError."""
     check_limits(old, new)
+    for side in (old, new):
+        if not side.trials:
+            raise ConfigError.plain(
+                f"{side.label} has no scored trial: 'teatbench runs' says how its run stands."
+            )
     matched, elsewhere = _paired(old.trials, new.trials)
     if not matched:
         moved = f" {elsewhere} have the same name, but their teats stood at other places."

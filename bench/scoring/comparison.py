@@ -369,8 +369,8 @@ def compare(
         unseen = Rate(0, n).upper_bound(1.0 - chance) or 0.0
         most = percent(1.0 - least_rate(n, n, chance) if again else unseen)
         same = (
-            f"identical answers in all {len(pairs)} frame sets: nothing changed in these; of other"
-            f" poses at most {most} have another answer ({plural(n, 'pose')},"
+            f"identical answers in all {plural(len(pairs), 'frame set')}: nothing changed in these;"
+            f" of other poses at most {most} have another answer ({plural(n, 'pose')},"
             f" {exact_percent(1.0 - chance)} confidence)"
         )
         # a margin of the rate says itself what scenes that were not run may hide
