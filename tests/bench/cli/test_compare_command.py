@@ -243,7 +243,7 @@ def test_runs_are_judged_together_by_their_counts(
     [
         ([], "", "name a second run"),
         ([], "--detector fusedd", 'did you mean "fused"'),
-        (["empty"], "--gate", "no scored trial in common"),
+        (["empty"], "--gate", "no scored trial: 'teatbench runs' says how its run stands"),
         (["nowhere"], "", "is no run"),
         (["same"], "--detector thesis", "no detector of those named is in both runs"),
         (["wider"], "--together", "different limits"),
