@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from bench.api.shots import Shot, detect, detectors, draw, families, labels, load_rig, member
     from bench.api.shots import open_detector, rigs, score
     from bench.calibrate.board_print import board_pdf
+    from bench.calibrate.board_scenes import record_boards
     from bench.calibrate.cameras import CamerasResult, ThermalFormat, calibrate_pair
     from bench.calibrate.cameras import calibrate_thermal, check_pair, delivered_by, map_pairs
     from bench.calibrate.exchange import read_foreign, write_bouguet, write_opencv, write_ros
@@ -55,7 +56,7 @@ if TYPE_CHECKING:
     from bench.rig.leaving import NotSafeError
     from bench.rig.loading import LoadedRig, find_board
     from bench.rig.opening import BringUpError
-    from bench.rig.scenes import record_boards, record_scenes, write_sheet
+    from bench.rig.scenes import record_scenes, write_sheet
     from bench.run.detections import detect_recording
     from bench.safety.interlocks import InterlockTrip
     from bench.safety.latch import latched
@@ -86,6 +87,7 @@ _PROMISED = {
         "open_detector", "rigs", "score",
     ),
     "bench.calibrate.board_print": ("board_pdf",),
+    "bench.calibrate.board_scenes": ("record_boards",),
     "bench.calibrate.cameras": (
         "CamerasResult", "ThermalFormat", "calibrate_pair", "calibrate_thermal", "check_pair",
         "delivered_by", "map_pairs",
@@ -122,7 +124,7 @@ _PROMISED = {
     "bench.rig.leaving": ("NotSafeError",),
     "bench.rig.loading": ("LoadedRig", "find_board"),
     "bench.rig.opening": ("BringUpError",),
-    "bench.rig.scenes": ("record_boards", "record_scenes", "write_sheet"),
+    "bench.rig.scenes": ("record_scenes", "write_sheet"),
     "bench.run.detections": ("detect_recording",),
     "bench.safety.interlocks": ("InterlockTrip",),
     "bench.safety.latch": ("latched",),

@@ -8,7 +8,6 @@ it can't place (an inline table's inside) falls to the key around it.
 
 from __future__ import annotations
 
-import difflib
 import json
 import re
 import typing
@@ -22,8 +21,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from detector.calibration import Calibration, CalibrationError, load_calibration
+from textfiles.bounds import Bounds
 from textfiles.documents import DocumentError, read_toml
 from textfiles.text import TextError, text_of
+from textfiles.words import did_you_mean as did_you_mean
+from textfiles.words import short as short
 
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\[\]=]+?)\s*\]\]?\s*(#.*)?$")
 _KEY = re.compile(
@@ -116,6 +118,7 @@ class Section(BaseModel):
 
 
 Model = TypeVar("Model", bound=BaseModel)
+Item = TypeVar("Item")
 SHOWN, TOLD = 120, 2000  # characters of a line of the file, and of a message
 
 
@@ -141,6 +144,22 @@ class ConfigError(Exception):
     def plain(cls, message: str) -> Self:
         """A fault that has no place in a file."""
         return cls(None, [FileFault(0, 0, 0, message)])
+
+
+def check_within(bounds: Bounds, **arguments: object) -> None:
+    """Raises ConfigError that names the argument beyond ``bounds``; None is one left out."""
+    for name, value in arguments.items():
+        if value is not None and not bounds.has(value):
+            raise ConfigError.plain(f"{name} is {value!r}, not {bounds.what}")
+
+
+def several(name: str, values: Iterable[Item], least: int = 0) -> tuple[Item, ...]:
+    """What a list holds. Raises ConfigError that names the argument for one thing, or too few."""
+    if isinstance(values, str) or not isinstance(values, Iterable):
+        raise ConfigError.plain(f"{name} is {short(repr(values))}, not a list")
+    if len(found := tuple(values)) < least:
+        raise ConfigError.plain(f"{name} has {len(found)} items, not {least} or more")
+    return found
 
 
 def read_config(path: Path, model: type[Model], *, stored: bool = False) -> Model:
@@ -176,6 +195,16 @@ def parse_config(path: Path, text: str, model: type[Model], *, stored: bool = Fa
             )
         ]
         raise located(path, text, found) from error
+
+
+def checked(model: type[Model], table: Any) -> Model:
+    """Arguments as ``model``. Raises ConfigError that names each one with a fault."""
+    try:
+        return model.model_validate(table)
+    except ValidationError as error:
+        faults = [(_dotted(_without_tags(f["loc"], table)), f) for f in error.errors()]
+        why = "; ".join(f"{name}: {_message(fault, model)}" for name, fault in faults)
+        raise ConfigError.plain(why) from error
 
 
 def read_text(path: Path) -> str:
@@ -235,17 +264,6 @@ def is_there(path: Path) -> bool:
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
         raise ValueError(f"can't be the name of a file: {why}") from error
-
-
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """``; did you mean "x"?`` when one of ``known`` is near, else the empty string."""
-    near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
-    return f'; did you mean "{near[0]}"?' if near else ""
-
-
-def short(text: str) -> str:
-    """``text`` as far as it has room in a message."""
-    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _rendered(path: Path | None, faults: Sequence[FileFault], lines: Sequence[str]) -> list[str]:

@@ -66,6 +66,8 @@ def write_synced(path: Path, data: bytes) -> None:
 
 def replace_whole(path: Path, data: bytes, *, synced: bool = False) -> None:
     """``data`` at ``path``: who reads it finds all of it, or what was there."""
+    if path.is_dir():  # before anything is left beside it
+        raise IsADirectoryError(f"{path} is a folder")
     part = path.with_name(path.name + ".part")
     with part.open("wb") as file:
         file.write(data)

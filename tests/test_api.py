@@ -8,6 +8,7 @@ import dataclasses
 import importlib
 import inspect
 import json
+import math
 import os
 import re
 import shlex
@@ -18,7 +19,7 @@ import sys
 import zipfile
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -102,6 +103,43 @@ def test_an_import_loads_nothing_heavy() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
     )
     assert said.stdout == "[]\n"
+
+
+BOARD = bench.find_board("chessboard-9x6-40")[0]
+VIEWS = {"views": bench.BoardViews(BOARD, {"left": {}}, {"left": (1, 1)}, ())}
+PART = bench.read_part(ROOT / "bench" / "rigs" / "calibration.toml").part
+DRAWN = {"rig": "emulated", "folder": "o", "seed": 1}
+# verbs with their arguments, of which the last is wrong
+WRONG: list[tuple[str, dict[str, Any]]] = [
+    *(("run_script", {name: wrong}) for name, wrong in
+      (("seed", "x"), ("seed", -1), ("speed", 0), ("speed", -1), ("speed", math.nan), ("detectors", "fused"))),
+    ("run_queue", {"scripts": "six-situations"}), ("run_queue", {"scripts": []}), ("check_script", {"seed": -1}),
+    ("score_recording", {"recording": "D", "detectors": []}), ("calibrate_pair", {**VIEWS, "model": "k1 k9"}),
+    ("calibrate_pair", VIEWS), ("find_views", {"pictures": {}, "board": BOARD, "max_views": 0}),
+    ("record_boards", {**DRAWN, "board": BOARD, "poses": 1, "cameras": ["middle"]}),
+    ("record_scenes", {**DRAWN, "names": ["ideal"], "seeds": [-1]}), ("calibrate_stage", {"rig": "emulated", "teat": 0}),
+    *((f"compare_{key}", {name: ["D"], **wrong}) for key, name in (("runs", "runs"), ("campaigns", "folders"))
+      for wrong in cast(list[dict[str, Any]], [{name: []}, {name: "D"}, {"confidence": 2}, {"confidence": 0}])),
+    ("judge_together", {"runs": []}), ("write_comparison", {"folder": "o", "found": []}),
+    ("write_opencv", {"part": PART, "path": "no/a"}), ("write_bouguet", {"part": PART, "path": "no/a"}),
+    ("write_calibration", {"found": PART, "out": "D"}), ("open_stage", {"url": "socket://h:1", "axes": "XQ"}),
+    ("open_stage", {"url": "socket://h:1", "dialect": "gbrl"}), ("run_campaign", {"out": "o", "plan": {"familes": 1}}),
+    ("run_campaign", {"plan": {}, "out": "o", "workers": -1}), ("read_foreign", {"files": ["F"], "kind": "matlap"}),
+    ("plan_poses", {"failures": -1}), ("plan_poses", {"poses": 2.5}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("verb", "given"), WRONG)
+def test_wrong_arguments_are_refused_by_name_and_nothing_is_made(
+    verb: str, given: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "D").mkdir()
+    name, wrong = [*given.items()][-1]
+    word = next(iter(wrong), name) if isinstance(wrong, dict) else f"{name}|{re.escape(str(wrong))}"
+    with pytest.raises((bench.ConfigError, ValueError), match=rf"^({word})\b"):
+        list(getattr(found := getattr(bench, verb)(**given), "gen", found))
+    assert [*tmp_path.rglob("*")] == [tmp_path / "D"]
 
 
 @pytest.mark.parametrize("name", ROWS)

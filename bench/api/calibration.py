@@ -58,7 +58,7 @@ def open_cameras_of(
 def take_views(
     rig: AnyRig,
     board: Board,
-    out: Path,
+    out: Path | str,
     wanted: ViewsRequest = STEREO,
     *,
     known: Part | None = None,
@@ -70,7 +70,7 @@ def take_views(
     pictures beside ``out``, and the cameras' identities. Raises as `open_cameras_of`, and
     OperatorAbort, NoPlaceError.
     """
-    folder = free_folder(out)
+    folder = free_folder(Path(out))
     with open_cameras_of(rig, known=known, seed=seed, capture=capture) as (opened, look):
         kept = gather(look, opened.operator, board, wanted, folder, say)
         opened.operator.ask(Finish())
@@ -82,7 +82,7 @@ def take_views(
 def touch_points(
     rig: AnyRig,
     board: Board,
-    out: Path,
+    out: Path | str,
     *,
     known: Part | None = None,
     seed: int | None = None,
@@ -92,7 +92,7 @@ def touch_points(
     """Have the operator touch points of a board that both cameras see: a table of them for
     `read_points`, in a new folder beside ``out``. Raises as `take_views`.
     """
-    folder, names = free_folder(out), ("arm", "operator", "cameras")
+    folder, names = free_folder(Path(out)), ("arm", "operator", "cameras")
     with open_cameras_of(rig, names, known=known, seed=seed, capture=capture) as (opened, look):
         try:
             opened.home()

@@ -11,6 +11,8 @@ from bench.campaign.plan import CampaignPlan, make_plan
 from bench.campaign.pool import Say, executor
 from bench.campaign.run import Campaign, locked
 from bench.campaign.run import Status as Status
+from bench.config import check_within
+from textfiles.bounds import COUNT
 
 if TYPE_CHECKING:
     from bench.campaign.numbers import FamilyRate
@@ -51,6 +53,7 @@ def run_campaign(
     from bench.results.answers import close_detectors
 
     folder = Path(out)
+    check_within(COUNT, workers=workers)
     campaign = Campaign(make_plan(plan), folder)
     with locked(folder):
         campaign.begin()

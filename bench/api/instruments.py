@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from bench.api.shots import AnyRig, load_rig
-from bench.config import ConfigError, read_text
+from bench.config import ConfigError, check_within, read_text, writing
 from bench.record.recording import RecordingWriter
 from bench.rig.alone import OpenCameras, open_bath
 from bench.rig.alone import attached as attached
@@ -23,6 +23,7 @@ from bench.rig.leaving import to_stderr
 from bench.safety import latch
 from instruments.bath.driver import Bath
 from instruments.captures.capture import CaptureFile
+from textfiles.bounds import COUNT
 
 
 def describe_bath(bath: Bath) -> Mapping[str, object]:
@@ -63,7 +64,9 @@ def record_frames(
         raise ConfigError.plain(
             "one camera alone makes no frame set: name left, right and perhaps thermal, or a rig"
         )
-    writer, table, clock = RecordingWriter(Path(folder)), cameras.table, cameras.clock
+    check_within(COUNT, count=count)
+    with writing(Path(folder)):
+        writer, table, clock = RecordingWriter(folder), cameras.table, cameras.clock
     if cameras.rig.made_calibration is not None:
         writer.add_calibration(read_text(cameras.rig.calibration_path))
     say, checks = (lambda _, text: warn(text)), cameras.checks

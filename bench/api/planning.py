@@ -9,6 +9,7 @@ from typing import Any
 
 from bench.api.runs import OUT, AnyScript, load_script
 from bench.api.shots import AnyRig, load_rig
+from bench.config import check_within
 from bench.dry_run.pose_checks import Finding, ScriptCheck, dry_run, stage_settings
 from bench.dry_run.rehearsal import NoTwinError, rehearse
 from bench.run.estimate import (
@@ -26,6 +27,7 @@ from bench.script.detectors import introduced, make_detectors
 from bench.script.model import LoadedScript, refuse_carry
 from bench.script.planned_trials import POSE_KEYS, pose_set
 from instruments.clock import wall_time
+from textfiles.bounds import FROM_0
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +73,7 @@ def check_script(
     --dry-run`. Moves nothing. ``out``: where runs are kept; ``shown`` gets how many trials have
     begun, of how many. Raises ConfigError.
     """
+    check_within(FROM_0, seed=seed)
     on, today = load_rig(rig), wall_time().date()
     loaded = load_script(script, on)
     on.refuse_unfilled()

@@ -9,13 +9,14 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from bench.config import ConfigError, writing
+from bench.config import ConfigError, check_within, several, writing
 from bench.files import write_synced
 from bench.record.check import NOT_AS_WRITTEN, checked_first
 from bench.results.comparison import Comparison, Together, compare_folders, judge_folders
 from bench.results.status import read_status
 from bench.run.interruptions import leave_request, was_taken
 from instruments.clock import RealClock
+from textfiles.bounds import SHARE
 
 DAMAGED = "NOT-AS-WRITTEN.txt"  # beside what was exported of a damaged record
 TAKEN_S = 10.0  # a run looks once a second; a capture or a detection may take longer
@@ -47,7 +48,8 @@ def compare_runs(
     of the limit for None). The look is written into the records. Raises ConfigError where nothing
     can be compared.
     """
-    folders = [Path(run) for run in runs]
+    folders, detectors = [*map(Path, several("runs", runs, 1))], several("detectors", detectors)
+    check_within(SHARE, confidence=confidence)
     with known(folders, damage) as there:
         return compare_folders(
             folders, detectors, margin_mm=margin_mm, confidence=confidence, damage=there
@@ -65,7 +67,7 @@ def judge_together(
     --together`. The look is written into the records. Raises ConfigError, also for runs of several
     scripts without ``across_scripts``.
     """
-    folders = [Path(run) for run in runs]
+    folders, detectors = [*map(Path, several("runs", runs, 1))], several("detectors", detectors)
     with known(folders, damage) as there:
         return judge_folders(folders, detectors, there, across_scripts=across_scripts)
 

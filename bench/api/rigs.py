@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from bench.api.shots import AnyRig, Shot, load_rig
-from bench.config import ConfigError
+from bench.config import ConfigError, check_within, several
 from bench.record.recording import TruthRow
 from bench.rig.devices import Devices
 from bench.rig.frame_capture import FrameChecks, FrameTaker
@@ -37,6 +37,7 @@ from instruments.errors import DeviceError, LimitError
 from instruments.operators.operator import Arrangement, Homing, Operator
 from instruments.world.phantom import PlatePose
 from instruments.world.setups import Situation
+from textfiles.bounds import FROM_0
 
 LOOK_S = 1.0
 Opened = TypeVar("Opened")
@@ -319,7 +320,8 @@ def open_rig(
     dies. ``leave_running``: it goes on. Raises ConfigError, BringUpError, NotSafeError.
     """
     loaded = load_rig(rig)
-    if unknown := [name for name in instruments if name not in ALL]:
+    check_within(FROM_0, seed=seed)
+    if unknown := [name for name in several("instruments", instruments) if name not in ALL]:
         raise ConfigError.plain(f"no instrument {unknown[0]!r} (there are: {', '.join(ALL)})")
     with open_instruments(
         loaded,

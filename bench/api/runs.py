@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Protocol, TypeVar, cast
 
 from bench.api.records import Damage, known
 from bench.api.shots import AnyRig, load_rig
-from bench.config import ConfigError
+from bench.config import ConfigError, check_within, several
 from bench.record.reader import RunRecord, opened
 from bench.record.schema import tables_of
 from bench.results.status import Reported
@@ -26,6 +26,7 @@ from bench.run.resume import ASKED, files_of
 from bench.script.model import TRIALS, LoadedScript, find_script
 from bench.script.model import load_script as load_script_file
 from instruments.captures.capture import CaptureFile
+from textfiles.bounds import FROM_0, SPEED
 
 OUT = Path("runs")
 AnyScript = str | Path | LoadedScript | None
@@ -61,7 +62,7 @@ def run_script(
     out: Path | str = OUT,
     detectors: Sequence[str] = (),
     seed: int | None = None,
-    record: Path | None = None,
+    record: Path | str | None = None,
     realtime: bool = False,
     speed: float | None = None,
     capture: CaptureFile | None = None,
@@ -98,7 +99,7 @@ def run_queue(
     out: Path | str = OUT,
     detectors: Sequence[str] = (),
     seed: int | None = None,
-    record: Path | None = None,
+    record: Path | str | None = None,
     realtime: bool = False,
     speed: float | None = None,
     capture: CaptureFile | None = None,
@@ -112,11 +113,14 @@ def run_queue(
     from bench.run.start import RunOptions
     from bench.run.start import run_queue as started
 
-    loaded, shown = load_rig(rig), progress or Quiet()
-    found = [load_script(one, loaded) for one in scripts]
-    how = RunOptions(
-        seed, tuple(detectors), record, realtime or speed is not None, speed, capture, typed, begun
-    )
+    loaded, shown, tested = load_rig(rig), progress or Quiet(), several("detectors", detectors)
+    check_within(FROM_0, seed=seed)
+    check_within(SPEED, speed=speed)
+    if speed is not None and not loaded.rig.simulated:
+        raise ConfigError.plain("speed is for an emulated rig: no real instrument is hurried.")
+    found = [load_script(one, loaded) for one in several("scripts", scripts, 1)]
+    to = Path(record) if record is not None else None
+    how = RunOptions(seed, tested, to, realtime or speed is not None, speed, capture, typed, begun)
     ended = started(loaded, found, Path(out), shown, how)
     shown.state("writing the report")
     reports = [write_report(folder, damage=()) for folder, _ in ended]
@@ -187,7 +191,7 @@ def score_recording(
     from bench.run.start import score_recording as scored
 
     shown = SafeProgress(progress or Quiet())
-    folder = scored(Path(recording), Path(out), shown, tuple(detectors))
+    folder = scored(Path(recording), Path(out), shown, several("detectors", detectors, 1))
     shown.state("writing the report")
     return write_report(folder, damage=())
 

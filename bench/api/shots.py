@@ -13,7 +13,8 @@ from bench.campaign.chunk import LIMIT_MM
 from bench.config import ConfigError
 from bench.record.recording import TruthRow
 from bench.results.answers import TIMEOUT_S, Answer, close_detectors, examine, score_answer
-from bench.rig.loading import NO_RIGS, RIGS, LoadedRig, find_rig, shipped
+from bench.rig.loading import NO_RIGS, RIGS, LoadedRig, any_rig, shipped
+from bench.rig.loading import AnyRig as AnyRig
 from bench.rig.loading import load_rig as load_rig_file
 from bench.rig.scenes import Perturbation, rig_renderer, warm
 from bench.rig.scenes import draw as draw_state
@@ -30,7 +31,7 @@ from instruments.world.situations import SITUATIONS, situation
 from instruments.world.state import SceneState
 
 Scene = str | Situation | SceneState
-AnyRig = str | Path | LoadedRig
+load_rig = any_rig
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,13 +44,6 @@ class Shot:
     calibration: Calibration
     truth: tuple[TruthRow, ...] = ()
     state: SceneState | None = None
-
-
-def load_rig(rig: AnyRig | None = "emulated") -> LoadedRig:
-    """A shipped rig by name, or any by its file; None: the emulated one. Raises ConfigError with
-    all faults.
-    """
-    return rig if isinstance(rig, LoadedRig) else load_rig_file(find_rig(str(rig or "emulated")))
 
 
 def rigs() -> tuple[str, ...]:

@@ -16,10 +16,10 @@ import numpy as np
 from scipy.special import stdtrit
 
 from bench.calibrate.merge import pair_of_part
-from bench.calibrate.views import BoardViews
+from bench.calibrate.views import BoardViews, refuse_missing
 from bench.calibrate.world import read_table
 from bench.config import ConfigError
-from bench.rig.loading import LoadedRig
+from bench.rig.loading import AnyRig, any_rig
 from detector.calibration import (
     Homographies,
     ParameterCovariance,
@@ -33,6 +33,7 @@ from detector.calibration.boards import Board
 from detector.calibration.bundle import POSE, BundleError
 from detector.calibration.cameras import (
     DISTANCE_RATIO,
+    LENS_MODELS,
     CameraFit,
     Coverage,
     Halves,
@@ -174,6 +175,9 @@ def calibrate_pair(
     views: BoardViews, *, model: str = "k1 k2 p1 p2", square_pixels: bool = False
 ) -> CamerasResult:
     """The whole job, with a lens ``model`` of `LENS_MODELS`. Raises ConfigError."""
+    if model not in LENS_MODELS:
+        raise ConfigError.plain(f"model is {model!r}, not one of: {', '.join(LENS_MODELS)}")
+    refuse_missing(views, *PAIR)
     seen = {camera: views.views(camera) for camera in PAIR}
     size = views.image_size
     lens: dict[str, Any] = {"model": model, "square_pixels": square_pixels}
@@ -228,6 +232,7 @@ def _shown(views: BoardViews, camera: str, alone: CameraFit) -> Coverage:
 def check_pair(part: Part, views: BoardViews) -> tuple[MeasuredBoard, tuple[Finding, ...]]:
     """The board measured with the pair, and findings. Raises ConfigError without pair or view."""
     pair = replace(pair_of_part(part), world_from_right=Motion.identity())
+    refuse_missing(views, *PAIR)
     for camera, lens in (("left", pair.left), ("right", pair.right)):
         sizes = views.image_size[camera], lens.image_size
         if sizes[0] != sizes[1]:
@@ -259,8 +264,9 @@ class ThermalFormat:
         return ThermalCamera(size, self.sensor_size, self.mirrored, self.polarity, lens)
 
 
-def delivered_by(rig: LoadedRig) -> ThermalFormat:
+def delivered_by(rig: AnyRig) -> ThermalFormat:
     """How a rig's thermal pictures come, by its calibration, else by its file."""
+    rig = any_rig(rig)
     if rig.made_calibration is not None:
         known = rig.made_calibration.thermal
         return ThermalFormat(known.sensor_size, known.mirrored, known.polarity)
@@ -298,6 +304,7 @@ def calibrate_thermal(
 ) -> ThermalResult:
     """The third camera against a pair, by un-mirrored pictures. Raises ConfigError."""
     pair = pair_of_part(cameras)
+    refuse_missing(views, "left", "thermal")
     size = views.image_size["thermal"]
     alone = calibrate_camera("thermal", views.views("thermal"), size, model=delivered.model)
     both = {"left": place_board("left", views.views("left"), pair.left), "thermal": alone}

@@ -22,7 +22,7 @@ from scipy.io import savemat
 
 from bench.calibrate.foreign import Foreign, read_mat, read_storage, read_yaml
 from bench.calibrate.mat_values import OBJECT
-from bench.config import ConfigError
+from bench.config import ConfigError, several, writing
 from detector.calibration import ParameterCovariance, Part
 from detector.calibration.gate import lens_faults
 from detector.geometry import Array, Camera, Motion
@@ -84,9 +84,11 @@ def _storage_size(found: Foreign) -> tuple[int, int]:
     return _size(found, name, found.whole(name, 2, value=value))
 
 
-def write_opencv(part: Part, path: Path) -> None:
-    """OpenCV's YAML, keys as `read_opencv` wants them."""
+def write_opencv(part: Part, path: Path | str) -> None:
+    """OpenCV's YAML, keys as `read_opencv` wants them. Raises ConfigError."""
     left, right, motion = _pair(part)
+    with writing(Path(path)):  # OpenCV doesn't say
+        Path(path).touch()
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     storage.write("image_size", np.array(left.image_size, dtype=np.int32).reshape(1, 2))
     for number, camera in ((1, left), (2, right)):
@@ -157,7 +159,7 @@ def read_bouguet(path: Path) -> Part:
     return Part(left=cameras[0], right=cameras[1], right_from_left=motion)
 
 
-def write_bouguet(part: Part, path: Path) -> None:
+def write_bouguet(part: Part, path: Path | str) -> None:
     """A .mat file as Bouguet's toolbox loads it. Raises ConfigError without a stereo motion."""
     left, right, motion = _pair(part)
     if motion is None:
@@ -173,7 +175,7 @@ def write_bouguet(part: Part, path: Path) -> None:
             for key in ("fc", "cc", "kc")
         }
         values |= {f"alpha_c_{side}": camera.alpha_c, f"KK_{side}": camera.matrix}
-    with path.open("wb") as file:
+    with writing(Path(path)), Path(path).open("wb") as file:
         savemat(file, values)
 
 
@@ -289,18 +291,21 @@ READERS: dict[str, Callable[[Path], Part]] = {
 
 
 def read_foreign(
-    files: Sequence[Path], kind: str, image_size: tuple[int, int] | None = None
+    files: Sequence[Path | str], kind: str, image_size: tuple[int, int] | None = None
 ) -> Part:
     """The files of another tool, with lenses that can be. Raises ConfigError."""
+    paths = [*map(Path, several("files", files, 1))]
+    if kind not in (kinds := ("opencv", "ros", *READERS)):
+        raise ConfigError.plain(f"kind is {kind!r}, not one of: {', '.join(kinds)}")
     if len(files) > (2 if kind == "ros" else 1):
         most = "two files at most, left and right" if kind == "ros" else "one file"
         raise ConfigError.plain(f"{kind} takes {most}")
     if kind == "opencv":
-        return read_opencv(files[0], image_size)
-    return read_ros(*files) if kind == "ros" else READERS[kind](files[0])
+        return read_opencv(paths[0], image_size)
+    return read_ros(*paths) if kind == "ros" else READERS[kind](paths[0])
 
 
-def write_ros(part: Part, path: Path, camera: str) -> None:
+def write_ros(part: Part, path: Path | str, camera: str) -> None:
     """The camera_info of one camera, unrectified. Raises ConfigError if it isn't there."""
     lens = {
         "left": part.left,
@@ -327,7 +332,9 @@ def write_ros(part: Part, path: Path, camera: str) -> None:
         "rectification_matrix": matrix(np.eye(3)),
         "projection_matrix": matrix(np.column_stack([K, np.zeros(3)])),
     }
-    path.write_text(yaml.safe_dump(read, sort_keys=False), encoding="utf-8", newline="\n")
+    text = yaml.safe_dump(read, sort_keys=False)
+    with writing(Path(path)):
+        Path(path).write_text(text, encoding="utf-8", newline="\n")
 
 
 def _refuse_other_model(found: Foreign) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from scipy.linalg import block_diag
 
-from bench.config import ConfigError, located, read_text
+from bench.config import ConfigError, located, read_text, several, writing
 from bench.files import write_synced
 from bench.version import __version__
 from detector.calibration import (
@@ -138,7 +138,7 @@ def _whole_record(files: Sequence[PartFile], record: Record) -> Record:
 
 
 def calibration_record(
-    inputs: Sequence[Path] = (),
+    inputs: Sequence[Path | str] = (),
     *,
     by: str = "",
     cameras: Mapping[str, str] | None = None,
@@ -147,9 +147,10 @@ def calibration_record(
     """The record of a step: made today, with this program, from the files ``inputs``, with
     ``cameras`` of these identities, and with the file of a ``pair``.
     """
-    names = [path.name for path in inputs]
-    again = {path: names.count(path.name) > 1 for path in inputs}
-    hashes = {f"{p.parent.name}/{p.name}" if again[p] else p.name: file_hash(p) for p in inputs}
+    paths = [*map(Path, several("inputs", inputs))]
+    names = [path.name for path in paths]
+    again = {path: names.count(path.name) > 1 for path in paths}
+    hashes = {f"{p.parent.name}/{p.name}" if again[p] else p.name: file_hash(p) for p in paths}
     today, program = wall_time().date().isoformat(), f"teatbench {__version__}"
     hashes |= {CAMERAS_INPUT: pair.sha256} if pair else {}
     return Record(today, by, program, cameras or {}, hashes)
@@ -160,10 +161,11 @@ def write_calibration(found: Part | Calibration, out: Path | str, command: str =
     Raises ConfigError.
     """
     out = Path(out)
-    out.resolve().parent.mkdir(parents=True, exist_ok=True)
     text = dump_calibration(found, command)
     try:
         check_text(out, text, whole=isinstance(found, Calibration))
     except CalibrationError as error:
         raise ConfigError.plain(f"not written, for it can't be: {error}") from error
-    write_synced(out, text.encode("utf-8"))
+    with writing(out):
+        out.resolve().parent.mkdir(parents=True, exist_ok=True)
+        write_synced(out, text.encode("utf-8"))

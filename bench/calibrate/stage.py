@@ -7,8 +7,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from math import hypot
 
-from bench.config import ConfigError
-from bench.rig.loading import LoadedRig
+from bench.config import ConfigError, check_within
+from bench.rig.loading import AnyRig, any_rig
 from bench.rig.opening import open_instruments
 from bench.script.phantom import find_layout, load_layout
 from bench.truth.registration import Registration, RegistrationError
@@ -18,12 +18,13 @@ from instruments.captures.capture import CaptureFile
 from instruments.clock import wall_time
 from instruments.operators.operator import Arrangement, Homing
 from instruments.world.phantom import PlatePose
+from textfiles.bounds import COUNT, FROM_0
 
 SPAN_MM = 200.0  # of the positions where none are named
 
 
 def calibrate_stage(
-    rig: LoadedRig,
+    rig: AnyRig,
     *,
     layout: str = "table-5-1",
     teat: int = 1,
@@ -37,6 +38,9 @@ def calibrate_stage(
     touched ``readings`` times at each place ``at_mm`` from the reference place (none: corners and
     middle of 200 x 200 mm). Raises ConfigError before anything moves.
     """
+    check_within(FROM_0, seed=seed)
+    check_within(COUNT, teat=teat, readings=readings)
+    rig = any_rig(rig)
     seed = rig.rig.seed if seed is None else seed
     settings = rig.rig.stage
     if settings is None:

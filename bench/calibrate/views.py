@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.config import ConfigError
+from bench.config import ConfigError, check_within
 from bench.files import png_bytes, write_synced
 from bench.record.recording import RecordingError, read_grey
 from bench.rig.loading import drawn
@@ -44,6 +44,7 @@ from detector.calibration.diagnosis import PairView
 from instruments.camera.frame import Grey
 from instruments.operators.operator import BoardPose, Operator, OperatorEnough
 from instruments.world.boards import Pattern
+from textfiles.bounds import COUNT
 
 CAMERAS = ("left", "right", "thermal")
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
@@ -146,6 +147,12 @@ class BoardViews:
         return pairs
 
 
+def refuse_missing(views: BoardViews, *cameras: str) -> None:
+    """Raises ConfigError where there are no views of one of ``cameras``."""
+    if missing := [camera for camera in cameras if camera not in views.found]:
+        raise ConfigError.plain(f"views: none of the {' and the '.join(missing)} camera")
+
+
 def find_views(
     pictures: Pictures,
     board: Board,
@@ -158,6 +165,7 @@ def find_views(
     """The board in every picture, or in ``max_views`` spread over the set; ``mirrored`` cameras are
     turned first. Raises ConfigError.
     """
+    check_within(COUNT, max_views=max_views, window_px=window_px)
     chosen_views = {camera: _spread(views, max_views) for camera, views in pictures.items()}
     done, total = count(), sum(map(len, chosen_views.values()))
     found: dict[str, dict[str, DetectedBoard]] = {}

@@ -20,7 +20,7 @@ from bench.campaign.ledger import Ledger
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.run import plan_of
 from bench.campaign.shards import Shards
-from bench.config import ConfigError
+from bench.config import ConfigError, check_within, several
 from bench.record.looks import GATE, InterimLook, claim_of
 from bench.record.reader import RunRecord
 from bench.results.comparison import Comparison, Side, sides
@@ -28,6 +28,7 @@ from bench.scoring.comparison import ScenePair, compare
 from bench.scoring.decisions import Verdict
 from bench.scoring.matching import GATE_CEILING_MM, Match
 from bench.scoring.scene import SceneScore
+from textfiles.bounds import SHARE
 
 MARGIN_RATE = 0.01  # of right scenes
 SCORES = """
@@ -47,7 +48,9 @@ def compare_campaigns(
     confidence: float = 0.95,
 ) -> tuple[Comparison, ...]:
     """Each later campaign with the first, or the detectors of one. Raises ConfigError."""
-    plans = {folder: plan_of(folder) for folder in map(Path, folders)}
+    check_within(SHARE, confidence=confidence)
+    detectors = several("detectors", detectors)
+    plans = {folder: plan_of(folder) for folder in map(Path, several("folders", folders, 1))}
     runs = [_as_run(folder, plan) for folder, plan in plans.items()]
     found = []
     for old, new in sides(runs, detectors):

@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 import detector
 import instruments.world
@@ -22,6 +22,7 @@ from bench.config import (
     ConfigError,
     Positive,
     Section,
+    checked,
     read_calibration,
     read_config,
     read_text,
@@ -211,11 +212,7 @@ def make_plan(plan: CampaignPlan | Path | str | Mapping[str, Any]) -> CampaignPl
         return plan
     if isinstance(plan, str | Path):
         return read_plan(Path(plan))
-    try:
-        return with_whole_paths(CampaignPlan.model_validate(plan), Path())
-    except ValidationError as error:
-        why = "; ".join(str(one["msg"]).removeprefix("Value error, ") for one in error.errors())
-        raise ConfigError.plain(why) from error
+    return with_whole_paths(checked(CampaignPlan, plan), Path())
 
 
 def open_plan(plan: CampaignPlan) -> tuple[Job, dict[str, str]]:

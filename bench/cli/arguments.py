@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bench.version import __version__
+from textfiles.bounds import Bounds
 
 PATHS = ("FILE", "DIR", "FOLDER", "CSV", "PART", "CAL", "FRAMES", "RUN")
 Argument = Callable[[argparse._ActionsContainer], object]  # adds itself to a parser
@@ -181,21 +182,22 @@ def one_of(*arguments: Argument, required: bool = False) -> Argument:
 
 
 def number(
-    what: str = "a number",
+    what: str | Bounds = "a number",
     *,
     above: float = -math.inf,
     least: float = -math.inf,
     below: float = math.inf,
 ) -> Callable[[str], float]:
     """A finite number within these bounds; ``what`` says which, for the message."""
+    bounds = what if isinstance(what, Bounds) else Bounds(what, above, least, below)
 
     def take(text: str) -> float:
         try:
             value = float(text)
         except ValueError:
             value = math.nan
-        if not (above < value < below and value >= least):
-            raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
+        if not bounds.has(value):
+            raise argparse.ArgumentTypeError(f"{text!r} is not {bounds.what}")
         return value
 
     return take

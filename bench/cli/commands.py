@@ -20,6 +20,7 @@ from bench.cli.arguments import (
     size,
     whole,
 )
+from textfiles.bounds import SPEED
 
 # the help of all: what a user wants to do, and the commands and groups for it
 TASKS = {
@@ -269,7 +270,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option(
             "--speed N",
             "emulated rig only: --realtime, N times as fast, to practise",
-            number("a number of 1 or more, below 21", least=1.0, below=21.0),
+            number(SPEED),
         ),
         flag("--dry-run", "move nothing: check each pose, then try all trials on emulators"),
         flag("--json", "with --dry-run: one JSON object with each finding by its trial"),

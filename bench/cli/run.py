@@ -32,8 +32,6 @@ def run(given: argparse.Namespace) -> int:
     names = given.script or [None]
     if len(names) > 1 and given.record:
         raise ConfigError.plain("--record is of one script. Give one, or leave --record out.")
-    if given.speed and not rig.rig.simulated:
-        raise ConfigError.plain("--speed is for an emulated rig: no real instrument is hurried.")
     scripts = [bench.load_script(name, rig) for name in names]
     if given.dry_run:
         from bench.cli.dry_run import look_ahead

@@ -26,6 +26,7 @@ from instruments.errors import InstrumentError
 NOT_AS_WRITTEN = "The record is NOT as it was written"
 PRINTED = Path("report") / "run.json"
 COUNTED = ("trials", "frames", "events", "bath")
+Folders = Sequence[Path | str]
 SHOWN = 5  # damages of a run, in one message
 
 
@@ -98,11 +99,11 @@ def check_record(run: Path | str, digest: str | None = None) -> CheckResult:
 
 
 @contextmanager
-def checked_first(folders: Sequence[Path], *, despite_damage: bool) -> Iterator[tuple[str, ...]]:
+def checked_first(folders: Folders, *, despite_damage: bool) -> Iterator[tuple[str, ...]]:
     """Checks these runs, then gives the damage, in sentences. Raises ConfigError where there is any
     and ``despite_damage`` isn't set; where it is, for what fails since the record is damaged.
     """
-    checked = {folder: check_record(folder) for folder in dict.fromkeys(folders)}
+    checked = {folder: check_record(folder) for folder in dict.fromkeys(map(Path, folders))}
     damage = tuple(
         f"{folder.resolve().name}: {finding.text}"
         for folder, one in checked.items()

@@ -7,9 +7,10 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from shutil import rmtree
 from typing import Any
 
 import cv2
@@ -222,15 +223,15 @@ class RecordingWriter:
 
     def add(self, frame_id: str, frames: FrameSet) -> None:
         """Write a frame's images as PNG; the folder appears when all of them are there."""
+        if not isinstance(frames, FrameSet):
+            raise RecordingError(f"frames is {frames!r}, no FrameSet")
         with self._made(frame_id) as making:
             for name, field in zip(FILES, FIELDS, strict=True):
-                image = getattr(frames, field)
-                if image is None:
+                if (image := getattr(frames, field)) is None:
                     continue
                 good, data = cv2.imencode(".png", image, PNG_FAST)
                 if not good:
-                    kind = f"{image.shape} of {image.dtype}"
-                    raise RecordingError(f"an image {kind} can't be written as PNG")
+                    raise RecordingError(f"{image.shape} of {image.dtype} can't be written as PNG")
                 replace_whole(making / name, data.tobytes())
 
     def copy(self, frame_id: str, folder: Path) -> None:
@@ -254,8 +255,10 @@ class RecordingWriter:
         # beside frames/, not in it: a reader must not take it for a frame
         making = self.path / f"making {frame_id}"
         making.mkdir(exist_ok=True)
-        yield making
-        making.replace(folder)
+        with ExitStack() as at_end:
+            at_end.callback(rmtree, making, ignore_errors=True)
+            yield making
+            making.replace(folder)
 
     def add_truth(self, frame_id: str, rows: Sequence[TruthRow]) -> None:
         """Add the truth of a frame, which `add` has written, and write truth.csv anew."""

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from bench.config import writing
+from bench.config import several, writing
 from bench.files import write_synced
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
@@ -289,8 +289,9 @@ def as_json(found: Sequence[Comparison]) -> dict[str, Any]:
     return {"schema_version": JSON_VERSION, "comparisons": whole}
 
 
-def write_comparison(found: Sequence[Comparison], folder: Path) -> Path:
+def write_comparison(found: Sequence[Comparison], folder: Path | str) -> Path:
     """Write ``index.html`` and ``comparison.json``; return the page's path. Raises ConfigError."""
+    found, folder = several("found", found, 1), Path(folder)
     text = json.dumps(as_json(found), indent=1, ensure_ascii=False)
     with writing(folder):
         path = write_report(comparison_page(found), folder)

@@ -13,10 +13,10 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from bench.config import ConfigError, did_you_mean
+from bench.config import ConfigError, checked, did_you_mean
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.frame_capture import FrameChecks
-from bench.rig.loading import LoadedRig, find_rig, load_rig
+from bench.rig.loading import AnyRig, LoadedRig, any_rig, find_rig, load_rig
 from bench.rig.model import Bath as BathTable
 from bench.rig.model import Cameras as CamerasTable
 from bench.rig.model import OneCamera, camera_url
@@ -179,7 +179,7 @@ _STEP = re.compile(r"([XYZA])([-+]?(?:\d+\.?\d*|\.\d+))", re.IGNORECASE)
 def open_stage(
     url: str | None = None,
     *,
-    rig: str = "",
+    rig: AnyRig = "",
     axes: str = "XY",
     dialect: str = "grbl",
     capture: CaptureFile | None = None,
@@ -188,9 +188,9 @@ def open_stage(
     ``rig``; connected, in real time, stopped at the end. Raises ConfigError, InstrumentError.
     """
     if url:
-        at = StageTable.model_validate({"url": url, "axes": axes, "dialect": dialect})
+        at = checked(StageTable, {"url": url, "axes": axes, "dialect": dialect})
     else:
-        of = load_rig(find_rig(rig))
+        of = any_rig(rig)
         if of.rig.stage is None or is_emulated(of.rig.stage.url):
             emulated = "its stage is emulated; 'teatbench emulate' serves one at a port, for --port"
             none = "this rig has no stage; the operator moves its phantom"
@@ -302,9 +302,10 @@ def jog(stage: Stage, way: dict[str, float], feed_mm_min: float | None) -> None:
 
 
 def check_rig(
-    rig: LoadedRig, capture: CaptureFile | None = None
+    rig: AnyRig, capture: CaptureFile | None = None
 ) -> Iterator[tuple[str, bool, list[str]]]:
     """For each instrument: its name, whether it has a fault, and lines to print."""
+    rig = any_rig(rig)
     remote = rig.rig.operator.url.startswith(ELSEWHERE)
     names = [n for n in ALL if n in rig.rig.urls and (n != "operator" or remote)]
     with ExitStack() as stack:

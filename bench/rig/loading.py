@@ -196,6 +196,16 @@ def load_rig(path: Path) -> LoadedRig:
     return loaded
 
 
+AnyRig = str | Path | LoadedRig
+
+
+def any_rig(rig: AnyRig | None = "emulated") -> LoadedRig:
+    """A shipped rig by name, or any by its file; None: the emulated one. Raises ConfigError with
+    all faults.
+    """
+    return rig if isinstance(rig, LoadedRig) else load_rig(find_rig(str(rig or "emulated")))
+
+
 def _of_plugin(plug: PluginUrl, refuse: Callable[..., ConfigError]) -> Profile:
     """What a plug-in's class says of its bath. Raises ConfigError."""
     try:

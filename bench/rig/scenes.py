@@ -12,22 +12,29 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from bench.config import ConfigError, did_you_mean, read_text, toml_of
+from bench.config import (
+    ConfigError,
+    check_within,
+    did_you_mean,
+    read_text,
+    several,
+    toml_of,
+    writing,
+)
 from bench.files import write_synced
-from bench.record.recording import RecordingError, RecordingWriter, TruthRow
-from bench.rig.loading import LoadedRig, drawn
+from bench.record.recording import RecordingWriter, TruthRow
+from bench.rig.loading import AnyRig, LoadedRig, any_rig
 from bench.rig.model import make_renderer
 from detector.calibration import Calibration, dump_calibration
-from detector.calibration.boards import Board
 from instruments.camera.emulator import frame_set
 from instruments.camera.frame import FrameSet
-from instruments.world import boards
-from instruments.world.phantom import Phantom
+from instruments.world.optics import CameraModel
 from instruments.world.plant import PlantConstants
 from instruments.world.scene import Renderer, contact_sheet
 from instruments.world.setups import Situation
 from instruments.world.situations import SITUATIONS, situation, spoken
 from instruments.world.state import SceneState
+from textfiles.bounds import FROM_0
 from textfiles.documents import read_toml
 
 BOARD_DEPTHS_MM = (450.0, 1300.0)
@@ -48,6 +55,15 @@ def rig_renderer(rig: LoadedRig, seed: int) -> Renderer:
     """The cameras of a rig file as emulated; ``seed`` is theirs."""
     table, emulation = toml_of(rig.calibration_path), rig.rig.emulation
     return make_renderer(table, seed, emulation.optical, emulation.thermal, emulation.depth)
+
+
+def named_cameras(renderer: Renderer, names: Sequence[str]) -> list[CameraModel]:
+    """A renderer's cameras of these names. Raises ConfigError for another name, and for none."""
+    there = {camera.name: camera for camera in renderer.cameras}
+    for name in several("cameras", names, 1):
+        if name not in there:
+            raise ConfigError.plain(f"cameras has {name!r}, not one of: {', '.join(there)}")
+    return [camera for name, camera in there.items() if name in names]
 
 
 def renderer_of(calibration: Calibration, usual: Renderer, seed: int) -> Renderer:
@@ -78,21 +94,28 @@ def teat_temp_c(water_c: float, ambient_c: float) -> float:
 
 
 def write_sheet(
-    rig: LoadedRig, names: Sequence[str], seeds: Sequence[int], path: Path | str, seed: int
+    rig: AnyRig, names: Sequence[str], seeds: Sequence[int], path: Path | str, seed: int
 ) -> None:
     """One PNG, a row for each family and seed. Raises ConfigError."""
+    names, seeds = _asked(names, seeds, seed)
     states = {
-        f"{spoken(name)} {one}": warm(situation(name, one))
-        for name in chosen(names)
-        for one in seeds
+        f"{spoken(name)} {one}": warm(situation(name, one)) for name in names for one in seeds
     }
-    good, data = cv2.imencode(".png", contact_sheet(states, rig_renderer(rig, seed), seed))
+    good, data = cv2.imencode(".png", contact_sheet(states, rig_renderer(any_rig(rig), seed), seed))
     if not good:
         raise ConfigError.plain(f"{path}: the sheet is too large for a PNG: ask for fewer seeds")
-    try:
+    with writing(Path(path)):
         write_synced(Path(path), data.tobytes())
-    except OSError as error:
-        raise ConfigError.plain(f"{path}: can't be written: {error}") from error
+
+
+def _asked(
+    names: Sequence[str], seeds: Sequence[int], seed: int
+) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    """Families and members that can be drawn. Raises ConfigError."""
+    for one in (members := several("seeds", seeds)):
+        check_within(FROM_0, seeds=one)
+    check_within(FROM_0, seed=seed)
+    return chosen(several("names", names)), members
 
 
 class Perturbation(Protocol):
@@ -105,7 +128,7 @@ class Perturbation(Protocol):
 
 
 def record_scenes(
-    rig: LoadedRig,
+    rig: AnyRig,
     names: Sequence[str],
     seeds: Sequence[int],
     folder: Path | str,
@@ -115,7 +138,8 @@ def record_scenes(
     """Add a frame for each family and seed to a recording; yields their names. Raises ConfigError,
     RecordingError.
     """
-    families = chosen(names)
+    families, seeds = _asked(names, seeds, seed)
+    rig = any_rig(rig)
     renderer, stated = rig_renderer(rig, seed), rig.calibration
     for one in perturbations:
         stated = one.rig(stated, [seed])
@@ -126,7 +150,7 @@ def record_scenes(
     text = read_text(rig.calibration_path)
     if stated is not rig.calibration:
         text = dump_calibration(stated, "perturbed: not what the cameras are")
-    try:
+    with writing(Path(folder)):
         writer = RecordingWriter(Path(folder))
         writer.add_calibration(text)
         for name in families:
@@ -137,8 +161,6 @@ def record_scenes(
                 writer.add(frame, shot.frames)
                 writer.add_truth(frame, shot.truth)
                 yield frame
-    except OSError as error:
-        raise ConfigError.plain(f"{folder}: can't be written: {error}") from error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,7 +185,7 @@ def draw(
     """
     for one in perturbations:
         state = one.state(state, chance)
-    frames = _taken(renderer, state, np.random.default_rng([*seeds, *name.encode()]))
+    frames = taken(renderer, state, np.random.default_rng([*seeds, *name.encode()]))
     for one in perturbations:
         frames = one.frames(frames, chance)
     ends = zip(state.phantom.ends_mm.tolist(), renderer.visible_ends(state), strict=True)
@@ -174,45 +196,6 @@ def draw(
     return Drawn(frames, tuple(rows), state)
 
 
-def _taken(renderer: Renderer, state: SceneState, rng: np.random.Generator) -> FrameSet:
+def taken(renderer: Renderer, state: SceneState, rng: np.random.Generator) -> FrameSet:
+    """What the cameras see of a state."""
     return frame_set(renderer.render(state, rng))
-
-
-def record_boards(
-    rig: LoadedRig,
-    board: Board,
-    cameras: Sequence[str],
-    poses: int,
-    folder: Path | str,
-    seed: int,
-    *,
-    warmer_k: float = 0.0,
-) -> Iterator[str]:
-    """A recording of a board in ``poses`` poses that ``cameras`` see whole, its dark parts
-    ``warmer_k`` warmer; yields the frames' names. Raises ConfigError.
-    """
-    pattern = drawn(board, 0.3)
-    renderer = rig_renderer(rig, seed)
-    ambient_c = rig.rig.emulation.ambient_c
-    watching = [camera for camera in renderer.cameras if camera.name in cameras]
-    try:
-        held = boards.poses(pattern, watching, BOARD_DEPTHS_MM, seed, poses)
-        writer = RecordingWriter(Path(folder))
-        writer.add_calibration(read_text(rig.calibration_path))
-        for number, one in enumerate(held):
-            state = SceneState(
-                Phantom(()),
-                (),
-                ambient_c,
-                ambient_c,
-                boards=(replace(one, light=ambient_c, dark=ambient_c + warmer_k),),
-            )
-            rng = np.random.default_rng([seed, number, *b"boards"])
-            writer.add(f"pose-{number:02d}", _taken(renderer, state, rng))
-            yield f"pose-{number:02d}"
-    except ValueError as error:
-        raise (
-            error if isinstance(error, RecordingError) else ConfigError.plain(f"the board: {error}")
-        ) from error
-    except OSError as error:
-        raise ConfigError.plain(f"{folder}: can't be written: {error}") from error

@@ -17,7 +17,7 @@ from typing import Any
 
 from bench.config import ConfigError, located
 from bench.files import write_synced
-from bench.rig.loading import LoadedRig
+from bench.rig.loading import AnyRig, LoadedRig, any_rig
 from bench.safety.interlocks import InterlockTrip, rule_named
 from instruments.bath.reading import BathReading
 from instruments.clock import wall_time
@@ -79,9 +79,9 @@ def read_latch(path: Path | None) -> Latch | None:
     return Latch(path, content if isinstance(content, dict) else {})
 
 
-def latched(rig: LoadedRig) -> Latch | None:
+def latched(rig: AnyRig) -> Latch | None:
     """The trip that stopped a rig, and waits to be acknowledged."""
-    return read_latch(latch_path(rig))
+    return read_latch(latch_path(any_rig(rig)))
 
 
 def refuse_latched(rig: LoadedRig) -> None:

@@ -26,6 +26,7 @@ from bench.scoring.rates import (
     trials_needed,
     zero_failure_n,
 )
+from textfiles.bounds import FROM_0
 
 RATES = (0.95, 0.99, 0.999)
 RARE = 1e-100  # a share so small is none: scipy's distributions overflow there
@@ -235,6 +236,9 @@ def plan_poses(
     ``confidence``, their difference ``shift_mm`` with the standard deviation ``sd_mm`` over poses.
     With ``limit_mm`` of the error and ``u_mm`` of the truth, near the limit. Raises ValueError.
     """
+    for name, bounds, value in (("failures", FROM_0, failures), ("poses", FROM_0, poses)):
+        if value is not None and not bounds.has(value):
+            raise ValueError(f"{name} is {value!r}, not {bounds.what}")
     alpha, there = round(1.0 - confidence, 12), poses or None
     accept = None if limit_mm is None or u_mm is None else acceptance_limit_mm(limit_mm, u_mm)
     claims = []

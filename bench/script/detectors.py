@@ -21,7 +21,7 @@ from typing import Annotated
 
 from pydantic import Field, StringConstraints
 
-from bench.config import ConfigError, Positive, Section, did_you_mean, read_config
+from bench.config import ConfigError, Positive, Section, did_you_mean, read_config, several
 from detector import registry
 from detector.calibration import Calibration
 from detector.external import ExternalDetector, ProcessLimits
@@ -57,7 +57,7 @@ def make_detectors(
     """The detectors of these names, files from ``folder``; without ``gives_up`` a program is
     restarted after any number of faults. Raises ConfigError.
     """
-    made = [_make(name, folder, gives_up) for name in dict.fromkeys(names)]
+    made = [_make(name, folder, gives_up) for name in dict.fromkeys(several("detectors", names))]
     for detector in made:
         if sum(other.name == detector.name for other in made) > 1:
             raise ConfigError.plain(

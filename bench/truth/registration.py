@@ -400,9 +400,9 @@ def registration_text(registration: Registration) -> str:
     return toml_text(as_dict(registration), HEADING)
 
 
-def write_registration(path: Path, registration: Registration) -> None:
+def write_registration(path: Path | str, registration: Registration) -> None:
     """Write its file, whole or not at all. Raises ConfigError where the folder can't be written."""
-    write_file(path, registration_text(registration))
+    write_file(Path(path), registration_text(registration))
 
 
 def load_registration(path: Path) -> Registration:
