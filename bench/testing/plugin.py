@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from types import FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -20,7 +21,8 @@ if TYPE_CHECKING:
     from bench.testing.trials import TrialsOfTests
     from detector.protocol import Detector
 
-MARK, PROFILE = "requirement", "teatbench scenes"
+MARK = "requirement"
+OWN_PROFILES = ("default", "ci")  # of hypothesis itself
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -46,15 +48,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Hypothesis gives up no example for its time, and looks for one fault at a time."""
-    if "bench.testing.strategies" in sys.modules:
-        from hypothesis import settings
-
-        if settings.get_current_profile_name() == "default":
-            settings.register_profile(
-                PROFILE, settings.default, deadline=None, report_multiple_bugs=False
-            )
-            settings.load_profile(PROFILE)
+    _give_time(items)
     required: dict[str, list[str]] = {}
     for item in items:
         for mark in item.iter_markers(MARK):
@@ -64,6 +58,38 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     config.stash[_REQUIRED] = required
     if required:
         _trials(config)
+
+
+def _give_time(items: Sequence[pytest.Item]) -> None:
+    """Hypothesis gives up no example for its time, and looks for one fault at a time: in modules
+    that import `bench.testing`, under a profile of hypothesis itself. ``@given`` has taken its
+    settings from the profile by then, so that they are changed on the test.
+    """
+    hypothesis = sys.modules.get("hypothesis")
+    if not hypothesis:
+        return
+    settings = hypothesis.settings
+    if settings.get_current_profile_name().split("-with-")[0] not in OWN_PROFILES:
+        return
+    usual = settings().deadline
+    for item in items:
+        test: Any = getattr(item, "obj", None)
+        test = getattr(test, "__func__", test)
+        given = getattr(test, "_hypothesis_internal_use_settings", None)
+        if test and given and _draws_scenes(getattr(item, "module", None)):
+            limit = None if given.deadline == usual else given.deadline
+            test._hypothesis_internal_use_settings = settings(
+                given, deadline=limit, report_multiple_bugs=False
+            )
+
+
+def _draws_scenes(module: ModuleType | None) -> bool:
+    for one in vars(module).values() if module else ():
+        if isinstance(one, FunctionType | type | ModuleType):
+            place = one.__name__ if isinstance(one, ModuleType) else one.__module__
+            if place == "bench" or str(place).startswith("bench.testing"):
+                return True
+    return False
 
 
 _REQUIRED = pytest.StashKey[Mapping[str, Sequence[str]]]()
