@@ -207,9 +207,13 @@ class Answer:
     load: float | None = None
 
 
-def name_of(detector: Detector) -> str:
-    """Its class's name for an object that has none."""
-    return str(getattr(detector, "name", type(detector).__name__))
+def name_of(detector: str | Detector) -> str:
+    """As it is called in sentences: its class's name for an object that has none."""
+    return (
+        detector
+        if isinstance(detector, str)
+        else str(getattr(detector, "name", type(detector).__name__))
+    )
 
 
 class Examiner:

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from bench.api.shots import Shot, load_rig, open_detector, score
 from bench.campaign.chunk import LIMIT_MM
-from bench.results import answers
-from bench.results.answers import Answer, examine
+from bench.results.answers import Answer, examine, name_of
 from bench.rig.scenes import rig_renderer
 from bench.scoring.scene import SceneScore
 from bench.testing.scene import Scene
@@ -149,11 +148,6 @@ def asked(detector: str | Detector, shot: Shot) -> Answer:
     """The answer of a detector whose process goes on to live."""
     one = _named(detector) if isinstance(detector, str) else detector
     return examine(one, shot.frames, shot.calibration, timeout_s=PATIENCE_S)
-
-
-def name_of(detector: str | Detector) -> str:
-    """As it is called in sentences."""
-    return detector if isinstance(detector, str) else answers.name_of(detector)
 
 
 def _as_python(detector: str | Detector) -> tuple[str, str]:
