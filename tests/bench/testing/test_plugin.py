@@ -220,7 +220,8 @@ def test_the_page_word_by_word(pytester: pytest.Pytester, rig: str) -> None:
     page = (ROOT / "docs" / "testing.md").read_text(encoding="utf-8")
     programs = re.findall(r"Save this as `(\w+)\.py`:\n\n```python\n(.*?)```", page, re.DOTALL)
     pytester.makepyfile(**dict(programs))
-    pytester.makepyfile(test_own=OWN, test_slow=SLOW)
+    patient = OWN + SLOW.replace("test_slow", "test_patient")
+    pytester.makepyfile(test_own=patient, test_slow=SLOW)
     pytester.makeconftest(f"import bench.testing as t\nt.check.__kwdefaults__['rig'] = {rig!r}\n")
     pytester.syspathinsert()
     first = pytester.runpytest_subprocess(
@@ -229,7 +230,7 @@ def test_the_page_word_by_word(pytester: pytest.Pytester, rig: str) -> None:
     with bare():
         words = ("test_rig.py", "--detector", "fused", "--rig", rig, "found/test_own/test_scene.py")
         second = pytester.runpytest_inprocess(*PLUGIN, *words)
-    first.assert_outcomes(failed=3)
+    first.assert_outcomes(failed=3, passed=1)
     text = first.stdout.str()
     assert "STEPS" not in text
     assert re.search(r"scene=Scene\(teats=.*\),\n", text)
