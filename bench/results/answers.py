@@ -207,6 +207,15 @@ class Answer:
     load: float | None = None
 
 
+def name_of(detector: str | Detector) -> str:
+    """As it is called in sentences: its class's name for an object that has none."""
+    return (
+        detector
+        if isinstance(detector, str)
+        else str(getattr(detector, "name", type(detector).__name__))
+    )
+
+
 class Examiner:
     """Asks detectors, and marks first calls. An answer slower than ``timeout_s`` is none."""
 
@@ -216,8 +225,8 @@ class Examiner:
 
     def ask(self, detector: Detector, frames: Frames, context: Context | None = None) -> Answer:
         """One detector on one frame set, with what is known beside it."""
-        first = detector.name not in self._asked
-        self._asked.add(detector.name)
+        first = name_of(detector) not in self._asked
+        self._asked.add(name_of(detector))
         return examine(
             detector,
             frames,
@@ -273,7 +282,7 @@ def examine(
         outcome, detection = Outcome.FAILED, _nothing(why)
     start_up_s = served.start_up_s if served else None
     return Answer(
-        detector.name,
+        name_of(detector),
         detection,
         seconds,
         outcome,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import atexit
 import importlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bench.api.shots import Shot, load_rig, open_detector, score
 from bench.campaign.chunk import LIMIT_MM
-from bench.results.answers import Answer, examine
+from bench.results.answers import Answer, examine, name_of
 from bench.rig.scenes import rig_renderer
 from bench.scoring.scene import SceneScore
 from bench.testing.scene import Scene
@@ -74,13 +74,16 @@ class SceneFailedError(AssertionError):
         return marked(shot, asked(self.detector, shot), self.rig)
 
     def lines(self) -> str:
-        """A test of this scene alone, to be pasted."""
+        """A test of this scene alone, to be pasted. An object is imported by the name that a
+        module has for it; without one a comment says what ``detector`` has to be.
+        """
         rig = f", rig={self.rig!r}" if self.rig != "emulated" else ""
         words = ("Scene", "Teat", "Pose", "Object", "Applied")
         names = sorted({"check", *(name for name in words if f"{name}(" in repr(self.scene))})
+        called, needed = _as_python(self.detector)
         return (
-            f"from bench.testing import {', '.join(names)}\n\n\ndef test_simplest_scene():\n"
-            f"    check({name_of(self.detector)!r}, {self.scene!r},"
+            f"from bench.testing import {', '.join(names)}\n{needed}\n\n"
+            f"def test_simplest_scene():\n    check({called}, {self.scene!r},"
             f" limit_mm={self.limit_mm:g}{rig})\n"
         )
 
@@ -111,7 +114,8 @@ def look(
     detector: str | Detector, scene: Scene, limit_mm: float = LIMIT_MM, *, rig: str = "emulated"
 ) -> Look:
     """As `check`, without raising for a failure of the detector."""
-    return _look(cast(Any, detector), scene, limit_mm, rig)
+    looked = _look if isinstance(detector, Hashable) else _look.__wrapped__
+    return looked(cast(Any, detector), scene, limit_mm, rig)
 
 
 @lru_cache(maxsize=MOST_KEPT)
@@ -146,9 +150,16 @@ def asked(detector: str | Detector, shot: Shot) -> Answer:
     return examine(one, shot.frames, shot.calibration, timeout_s=PATIENCE_S)
 
 
-def name_of(detector: str | Detector) -> str:
-    """As it is called in sentences."""
-    return detector if isinstance(detector, str) else detector.name
+def _as_python(detector: str | Detector) -> tuple[str, str]:
+    """An expression for a detector, and a line that it needs."""
+    if isinstance(detector, str):
+        return repr(detector), ""
+    for module, there in list(sys.modules.items()):
+        for name, one in list(getattr(there, "__dict__", {}).items()):
+            if one is detector:
+                return name, f"from {module} import {name}\n"
+    kind = type(detector)
+    return "detector", f"# detector: the {kind.__qualname__} of {kind.__module__} that failed\n"
 
 
 @cache

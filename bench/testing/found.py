@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,8 @@ from bench.campaign.chunk import digest_of_frames
 from bench.config import ConfigError, read_text, toml_of, writing
 from bench.files import write_synced
 from bench.record.recording import RecordingError, RecordingWriter
-from bench.testing.checking import SceneFailedError, name_of
+from bench.results.answers import name_of
+from bench.testing.checking import SceneFailedError
 from bench.testing.scene import Scene
 from bench.toml import toml_text
 from detector.calibration import dump_calibration
@@ -38,7 +38,7 @@ def write_found(error: SceneFailedError, folder: Path) -> Path:
         "frames": digest_of_frames(error.scene.draw(error.rig).frames),
         "neighbours": of,
         "neighbours_failing": failing,
-        "scene": _given(error.scene),
+        "scene": TypeAdapter(Scene).dump_python(error.scene, mode="json", exclude_defaults=True),
     }
     folder.mkdir(parents=True, exist_ok=True)
     _, png = cv2.imencode(".png", error.picture())
@@ -103,18 +103,3 @@ def keep(folder: Path, recording: Path, name: str | None = None) -> str:
             shutil.rmtree(recording)
         raise ConfigError.plain(f"{error}; give another --name") from error
     return frame
-
-
-def _given(part: Any) -> dict[str, Any]:
-    """What differs from the plainest, of a scene and its parts."""
-    found: dict[str, Any] = {}
-    for one in fields(part):
-        value = getattr(part, one.name)
-        if one.default is not MISSING and value == one.default:
-            continue
-        if isinstance(value, tuple):
-            value = [_given(item) for item in value]
-        elif hasattr(value, "STEPS"):
-            value = _given(value)
-        found[one.name] = value
-    return found

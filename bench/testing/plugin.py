@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from types import FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -20,25 +21,20 @@ if TYPE_CHECKING:
     from bench.testing.trials import TrialsOfTests
     from detector.protocol import Detector
 
-MARK, PROFILE = "requirement", "teatbench scenes"
+MARK = "requirement"
+OWN_PROFILES = ("default", "ci")  # of hypothesis itself
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("teatbench", "a bench, or its emulators")
-    group.addoption("--rig", default="emulated", help="a rig by name or file (emulated)")
-    group.addoption("--detector", default="fused", help="a detector by name or file (fused)")
-    group.addoption(
-        "--trial-rules", type=Path, help="requirements of recorded trials, a .toml file"
-    )
-    group.addoption(
-        "--trial-runs", type=Path, default=Path("runs"), help="where trials are kept (runs)"
-    )
-    group.addoption(
-        "--found-scenes",
-        type=Path,
-        default=Path("found"),
-        help="where found scenes are written (found)",
-    )
+    for name, usual, what in (
+        ("--rig", "emulated", "a rig by name or file (emulated)"),
+        ("--detector", "fused", "a detector by name or file (fused)"),
+        ("--trial-runs", Path("runs"), "where trials are kept (runs)"),
+        ("--found-scenes", Path("found"), "where found scenes are written (found)"),
+    ):
+        group.addoption(name, type=type(usual), default=usual, help=what)
+    group.addoption("--trial-rules", type=Path, help="recorded trials' requirements, a .toml file")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -46,15 +42,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Hypothesis gives up no example for its time, and looks for one fault at a time."""
-    if "bench.testing.strategies" in sys.modules:
-        from hypothesis import settings
-
-        if settings.get_current_profile_name() == "default":
-            settings.register_profile(
-                PROFILE, settings.default, deadline=None, report_multiple_bugs=False
-            )
-            settings.load_profile(PROFILE)
+    _give_time(items)
     required: dict[str, list[str]] = {}
     for item in items:
         for mark in item.iter_markers(MARK):
@@ -64,6 +52,33 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     config.stash[_REQUIRED] = required
     if required:
         _trials(config)
+
+
+def _give_time(items: Sequence[pytest.Item]) -> None:
+    """Hypothesis gives up no example for its time, and looks for one fault at a time: in modules
+    that import `bench.testing`, under a profile of hypothesis itself. ``@given`` has taken its
+    settings from the profile by then, so that they are changed on the test.
+    """
+    settings: Any = getattr(sys.modules.get("hypothesis"), "settings", None)
+    profile = settings.get_current_profile_name() if settings else ""
+    if profile.split("-with-")[0] not in OWN_PROFILES:
+        return
+    usual = settings().deadline
+    for item in items:
+        test: Any = getattr(item, "obj", None)
+        test = getattr(test, "__func__", test)
+        given = getattr(test, "_hypothesis_internal_use_settings", None)
+        if test and given and _draws_scenes(getattr(item, "module", None)):
+            limits = {"deadline": None} if given.deadline == usual else {}
+            own = settings(given, report_multiple_bugs=False, **limits)
+            test._hypothesis_internal_use_settings = own
+
+
+def _draws_scenes(module: ModuleType | None) -> bool:
+    kept = vars(module).values() if module else ()
+    named = [one for one in kept if isinstance(one, FunctionType | type | ModuleType)]
+    places = [str(getattr(one, "__module__", None) or one.__name__) for one in named]
+    return any(one == "bench" or one.startswith("bench.testing") for one in places)
 
 
 _REQUIRED = pytest.StashKey[Mapping[str, Sequence[str]]]()
@@ -78,13 +93,8 @@ def _trials(config: pytest.Config) -> TrialsOfTests:
 
         given = config.option
         try:
-            config.stash[_TRIALS] = TrialsOfTests(
-                given.rig,
-                given.detector,
-                given.trial_runs,
-                given.trial_rules,
-                config.stash[_REQUIRED],
-            )
+            where = given.rig, given.detector, given.trial_runs, given.trial_rules
+            config.stash[_TRIALS] = TrialsOfTests(*where, config.stash[_REQUIRED])
         except ConfigError as error:
             raise pytest.UsageError(str(error)) from error
     return config.stash[_TRIALS]
@@ -211,20 +221,17 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     """The run of recorded trials ends with its report; a requirement that is not met fails the
     session.
     """
-    if _TRIALS in session.config.stash:
-        reported = session.config.stash[_TRIALS].end()
-        if reported:
-            session.config.stash[_TEXT] = f"{reported.verdict}. Report: {reported.page}"
-            if reported.verdict == "not met" and session.exitstatus == pytest.ExitCode.OK:
-                session.exitstatus = pytest.ExitCode.TESTS_FAILED
+    trials = session.config.stash.get(_TRIALS, None)
+    if trials and (reported := trials.end()):
+        session.config.stash[_TEXT] = f"{reported.verdict}. Report: {reported.page}"
+        if reported.verdict == "not met" and session.exitstatus == pytest.ExitCode.OK:
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
 _TEXT = pytest.StashKey[str]()
 
 
-def pytest_terminal_summary(
-    terminalreporter: pytest.TerminalReporter, config: pytest.Config
-) -> None:
-    if text := config.stash.get(_TEXT, ""):
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    if text := terminalreporter.config.stash.get(_TEXT, ""):
         terminalreporter.section("requirements")
         terminalreporter.write_line(text)

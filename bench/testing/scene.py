@@ -8,7 +8,7 @@ import inspect
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import MISSING, dataclass, fields, replace
-from typing import ClassVar, Literal, NamedTuple, Self, TypeVar
+from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar
 
 from bench.api.shots import AnyRig, Shot, draw
 from bench.campaign.perturbations import KINDS as PERTURBATIONS
@@ -62,6 +62,10 @@ class _Differences:
             if (value := getattr(self, one.name)) != one.default
         ]
         return f"{type(self).__name__}({', '.join(shown)})"
+
+    def _repr_pretty_(self, printer: Any, *_: object) -> None:
+        """As hypothesis prints it."""
+        printer.text(repr(self))
 
     def differing(self) -> int:
         """How many of its numbers are not plain."""

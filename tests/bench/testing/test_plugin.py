@@ -1,4 +1,4 @@
-"""The plug-in for pytest: each test is a session of its own, in this process."""
+"""The plug-in for pytest: each test is a session of its own, mostly in this process."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import json
 import re
 from importlib.metadata import entry_points
 from pathlib import Path
-from unittest.mock import patch
 
 import pytest
 
@@ -41,6 +40,31 @@ SCENE = """
 import bench
 from bench.testing import Scene, Teat, check
 FOUR = Scene((Teat(),) * 4)
+"""
+
+OWN = """
+from dataclasses import dataclass
+from bench.testing import Scene, check
+from detector.protocol import Detection
+
+@dataclass
+class Blind:
+    limit: int = 3
+    def detect(self, frames, calibration):
+        return Detection(())
+
+blind = Blind()
+
+def test_own():
+    check(blind, Scene(), limit_mm=5)
+"""
+SLOW = """
+import time
+from hypothesis import given, strategies as st
+
+@given(st.just(0))
+def test_slow(number):
+    time.sleep(0.3)
 """
 
 
@@ -189,18 +213,28 @@ def test_an_unknown_requirement_rig_or_detector_is_wrong_use(pytester: pytest.Py
 
 @pytest.mark.slow
 def test_the_page_word_by_word(pytester: pytest.Pytester, rig: str) -> None:
-    """Its first program finds a scene; its second one runs on an emulated rig. Small cameras stand
-    in for those of the rig where none is named.
+    """Its first program finds a scene, beside tests of others, in a process whose hypothesis is
+    fresh; its second one runs on an emulated rig, beside a scene found for an object. Small cameras
+    stand in for those of the rig where none is named.
     """
     page = (ROOT / "docs" / "testing.md").read_text(encoding="utf-8")
     programs = re.findall(r"Save this as `(\w+)\.py`:\n\n```python\n(.*?)```", page, re.DOTALL)
     pytester.makepyfile(**dict(programs))
-    small = patch.dict(bench.testing.check.__kwdefaults__, rig=rig)
-    with bare(), small:
-        first = pytester.runpytest_inprocess(*PLUGIN, "test_detector.py")
-        words = ("test_rig.py", "--detector", "fused", "--rig", rig)
+    patient = OWN + SLOW.replace("test_slow", "test_patient")
+    pytester.makepyfile(test_own=patient, test_slow=SLOW)
+    pytester.makeconftest(f"import bench.testing as t\nt.check.__kwdefaults__['rig'] = {rig!r}\n")
+    pytester.syspathinsert()
+    first = pytester.runpytest_subprocess(
+        *PLUGIN, "test_detector.py", "test_own.py", "test_slow.py"
+    )
+    with bare():
+        words = ("test_rig.py", "--detector", "fused", "--rig", rig, "found/test_own/test_scene.py")
         second = pytester.runpytest_inprocess(*PLUGIN, *words)
-    first.assert_outcomes(failed=1)
+    first.assert_outcomes(failed=3, passed=1)
+    text = first.stdout.str()
+    assert "STEPS" not in text
+    assert re.search(r"scene=Scene\(teats=.*\),\n", text)
+    assert re.findall(r"FAILED (\w+).*DeadlineExc", text) == ["test_slow"], text
     first.stdout.fnmatch_lines(
         [
             "*simplest scene*",
@@ -209,7 +243,7 @@ def test_the_page_word_by_word(pytester: pytest.Pytester, rig: str) -> None:
             "*Keep it:*",
         ]
     )
-    (found,) = (pytester.path / "found").iterdir()
+    found = pytester.path / "found" / "test_every_end_within_20_mm"
     assert {path.name for path in found.iterdir()} == {"scene.toml", "scene.png", "test_scene.py"}
-    second.assert_outcomes(passed=2)
-    second.stdout.fnmatch_lines("*Report: *")
+    second.assert_outcomes(passed=2, failed=1)
+    second.stdout.fnmatch_lines(["*Blind misses 1 of 1 visible ends in Scene()*", "*Report: *"])
