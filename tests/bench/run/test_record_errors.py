@@ -22,6 +22,7 @@ from bench.config import ConfigError
 from bench.record.reader import read_run
 from bench.record.schema import DATABASE
 from bench.record.writer import FolderGoneError, Store
+from bench.results.status import read_status
 from bench.run.events import Events, RunState, event_lines
 from instruments.clock import stopwatch_s
 from instruments.operators.emulated import EmulatedOperator
@@ -65,8 +66,8 @@ class FullDisk:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("error", "for_good"),
-    [(FULL[0], False), (FULL[1], True)],
-    ids=["frames, once", "database, for good"],
+    [(FULL[0], False), (FULL[1], False), (FULL[1], True)],
+    ids=["frames, once", "database, once", "database, for good"],
 )
 def test_a_full_disk_ends_safely_and_the_run_goes_on_where_there_is_room_again(
     error: Exception, for_good: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -86,6 +87,11 @@ def test_a_full_disk_ends_safely_and_the_run_goes_on_where_there_is_room_again(
     kept = [trial.id for trial in run.trials]
     note = [text for text in progress.warned if "the record could not be written" in text]
     assert any("teatbench resume" in text for text in note)
+    if not for_good:
+        status = read_status(run.folder)
+        assert status.headline.startswith("faulted")
+        assert status.why.endswith("trials: the record could not be written: the disk is full.")
+        assert status.next[-1].startswith(f"Make room in {run.folder}, then resume: teatbench res")
     assert resume(tmp_path, "runs")[1] is RunState.FINISHED
     whole = read_run(only_run(tmp_path, "runs"))
     assert [trial.id for trial in whole.trials][: len(kept)] == kept
