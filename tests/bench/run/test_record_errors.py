@@ -51,7 +51,7 @@ class FullDisk:
 
         def counted(*arguments: Any, **more: Any) -> Any:
             self._trials += 1
-            return (frames if self._method == "_write" else failing)(*arguments, **more)
+            return (failing if self._method == "frames" else frames)(*arguments, **more)
 
         def failing(*arguments: Any, **more: Any) -> Any:
             if self._trials >= 2 and (self._for_good or not self._struck):
@@ -67,13 +67,13 @@ class FullDisk:
 @pytest.mark.parametrize(
     ("error", "for_good"),
     [(FULL[0], False), (FULL[1], False), (FULL[1], True)],
-    ids=["frames, once", "database, once", "database, for good"],
+    ids=["frames, once", "bath's row, once", "database, for good"],
 )
 def test_a_full_disk_ends_safely_and_the_run_goes_on_where_there_is_room_again(
     error: Exception, for_good: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files(tmp_path)
-    method = "frames" if isinstance(error, OSError) else "_write"
+    method = "frames" if isinstance(error, OSError) else "_write" if for_good else "bath"
     fails = FullDisk(method, error, for_good=for_good)
     progress = Silent()
     with monkeypatch.context() as patch:
