@@ -7,6 +7,7 @@ noise (docs/record.md has the figures).
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import sys
@@ -28,6 +29,7 @@ PNG = (
 )
 STORED = (cv2.IMWRITE_PNG_COMPRESSION, 0, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE)
 AT_ONCE = 4  # files; a disk syncs several in little more time than one
+UNWRITTEN, FULL = "the record could not be written", "the disk is full"
 
 
 def png_bytes(image: Picture) -> bytes:
@@ -116,3 +118,20 @@ def sha256_of(path: Path) -> str:
     """SHA-256 of a file's bytes. Raises OSError."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def is_unreadable(error: OSError) -> bool:
+    """Whether ``error`` refused a file or folder that is there, and that nobody here may read."""
+    if not isinstance(error, PermissionError) or not isinstance(error.filename, str | Path):
+        return False
+    path = Path(error.filename)
+    if not os.access(path.parent, os.X_OK):
+        return True
+    wanted = os.R_OK | os.X_OK if path.is_dir() else os.R_OK
+    return path.exists() and not os.access(path, wanted)
+
+
+def unwritten(error: Exception) -> str:
+    """Why a record, SQLite's too, could not be written: in a sentence without its stop."""
+    full = getattr(error, "errno", None) == errno.ENOSPC or "disk is full" in str(error)
+    return f"{UNWRITTEN}: {FULL if full else getattr(error, 'strerror', None) or error}"

@@ -129,11 +129,8 @@ def _run(given: argparse.Namespace) -> int:
     except (OperatorAbort, OperatorSkip) as stop:
         return complain(f"{stop}; nothing was written", CODES.fault)
     except sqlite3.Error as error:
-        return complain(
-            f"the run's record can't be written or read: {error}. Is the disk full, or the folder"
-            " read-only?",
-            CODES.fault,
-        )
+        why = f"the run's record can't be written or read: {error}. {HINT}"
+        return complain(why, CODES.fault)
     except BrokenPipeError:  # the reader of our output has gone (`| head`)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return CODES.met
@@ -155,6 +152,7 @@ def _say_next(given: argparse.Namespace, code: int) -> None:
     print("Then, for instance:", *(f"teatbench {text}" for text in then), sep="\n  ")
 
 
+HINT = "Is the disk full, or the folder read-only?"
 MEMORY_WORDS = (
     "insufficient memory",
     "cannot allocate memory",
@@ -178,13 +176,15 @@ def _unforeseen(error: Exception) -> int:
     if _is_of_memory(error):
         return complain(f"out of memory: {LIMIT}, or ask for less at once ({error})", CODES.fault)
     if isinstance(error, OSError):
+        from bench.files import is_unreadable
+
         windows_says = getattr(error, "winerror", 0) == FILENAME_EXCED_RANGE
         if error.errno == errno.ENAMETOOLONG or windows_says:
             return complain(f"{error}: give it a shorter name", CODES.wrong_use)
-        return complain(
-            f"{error}. Is the disk full, or the folder read-only?" if error.errno else str(error),
-            CODES.fault,
-        )
+        if is_unreadable(error):
+            return complain(f"{error.filename} can't be read: {error.strerror}", CODES.wrong_use)
+        text = ": ".join(str(part) for part in (error.filename, error.strerror) if part)
+        return complain(f"{text}. {HINT}" if error.errno else str(error), CODES.fault)
     traceback.print_exception(error)
     return complain("internal error; please report the traceback above", CODES.fault)
 

@@ -199,7 +199,7 @@ def _show_runs(found: Runs) -> None:
 
     from bench.cli.terminal import Terminal
     from bench.report.runs import counted
-    from bench.report.wording import number
+    from bench.report.wording import NOT_MEASURED, number
 
     console = Terminal()
     table = Table()
@@ -207,9 +207,10 @@ def _show_runs(found: Runs) -> None:
         table.add_column(column, overflow="fold", justify="right" if column[0] in "fl" else "left")
     for run in found.runs:
         for at, one in enumerate(run.results):
-            share, largest = f"{one.found} of {one.visible}", number(one.max_error_mm, "mm")
-            name = "" if at else run.folder.name
-            table.add_row(name, one.detector, one.verdict, share, str(one.false), largest)
+            share = f"{one.found} of {one.visible}" if one.visible else NOT_MEASURED
+            false = str(one.false) if run.status["done"] else NOT_MEASURED
+            name, largest = "" if at else run.folder.name, number(one.max_error_mm, "mm")
+            table.add_row(name, one.detector, one.verdict, share, false, largest)
         table.add_section()
     console.print(f"{found.folder}: {counted(found)}", highlight=False, soft_wrap=True)
     if found.runs:

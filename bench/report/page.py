@@ -95,7 +95,8 @@ def write_run_report(
     # by another reading of the run: it may not stand beside this one
     (folder / REPORT / PDF).unlink(missing_ok=True)
     path = write_report(page, folder / REPORT)
-    write_exports(run, status, judgements, folder / REPORT)
+    listed = judgements if status.decided else judge(run, rules)  # its requirements, too
+    write_exports(run, status, listed, folder / REPORT)
     return Reported(folder, path, run, judgements, status)
 
 

@@ -51,8 +51,12 @@ def list_runs(folder: Path | str = "runs") -> Runs:
         try:
             runs.append(_listed(one))
         except (ConfigError, OSError) as error:
-            there_is = (one / DATABASE).is_file()
-            others.append((one.name, str(error) if there_is else f"There is no {DATABASE} in it."))
+            if isinstance(error, OSError) and error.filename and error.strerror:
+                others.append((one.name, f"{error.filename} can't be read: {error.strerror}"))
+            else:
+                there_is = (one / DATABASE).is_file()
+                why = str(error) if there_is else f"There is no {DATABASE} in it."
+                others.append((one.name, why))
     runs.sort(key=lambda run: (run.started, run.folder.name), reverse=True)
     whole = {run.folder.name for run in runs if not run.damage}
     drawn = list(charts([one for one in history(folder) if one.run in whole]))

@@ -5,8 +5,10 @@ every surface shows.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+from bench.files import FULL, UNWRITTEN
 from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord
 from bench.record.state import State
@@ -48,9 +50,13 @@ def stopped_why(run: RunRecord, state: State, trials: str) -> str:
     if state is State.INTERRUPTED:
         guardian = f" {guardian_text(run.guardian)}" if run.guardian else ""
         return f"The bench died before the run was over; {trials} are kept.{guardian}"
-    message = [event["text"] for event in run.events if event["kind"] in ("fault", "aborted")]
-    reason = message[-1] if message else "no reason was recorded"
+    reason = _last_reason(run) or "no reason was recorded"
     return f"The run was {state} after {trials}: {full_stop(reason)}"
+
+
+def _last_reason(run: RunRecord) -> str:
+    message = [event["text"] for event in run.events if event["kind"] in ("fault", "aborted")]
+    return message[-1] if message else ""
 
 
 def stopped_next(run: RunRecord, state: State) -> str:
@@ -58,7 +64,16 @@ def stopped_next(run: RunRecord, state: State) -> str:
     if run.damage:
         then = "Put back the run's folder from a copy; 'teatbench store check' lists all that is"
         return f"{then} damaged."
-    return THEN[state].format(run.folder)
+    cure = cure_of(_last_reason(run), run.folder) if state is State.FAULTED else ""
+    return cure or THEN[state].format(run.folder)
+
+
+def cure_of(reason: str, folder: Path) -> str:
+    """What to do where the ``reason`` is that the record could not be written; else empty."""
+    if not reason.startswith(UNWRITTEN):
+        return ""
+    cure = f"Make room in {folder}" if FULL in reason else f"Make {folder} writable"
+    return f"{cure}, then resume: teatbench resume {folder}"
 
 
 def judged(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[str, str]:

@@ -32,6 +32,7 @@ from bench.run.estimate import gate_of
 from bench.run.events import EVENT, FAILURES, Events, RunStates
 from bench.run.live import Live, bath_state, interlock_states
 from bench.safety.bath_monitor import BathMonitor, TripHandler
+from bench.safety.interlocks import InterlockTrip
 from bench.safety.stability import StabilityGate
 from bench.script.model import LoadedScript
 from bench.truth.stage_registration import stands_at
@@ -176,8 +177,8 @@ class RunContext:
     def status(self) -> RunStatus:
         """The run as it is now; may be asked on any thread."""
         progress, watch, events = self.progress(), self.watch, self.events
-        tripped = str(watch.tripped) if watch.tripped else ""
-        safing = self.safing or bool(tripped)
+        tripped = str(watch.tripped) if isinstance(watch.tripped, InterlockTrip) else ""
+        safing = self.safing or watch.tripped is not None
         instruments = tuple(map(self._instrument, self._names))
         left_s = progress.get("left_s")
         if left_s is not None:
@@ -192,7 +193,7 @@ class RunContext:
             pose=events.pose,
             done=int(progress.get("done", 0)),
             planned=len(self.script.planned),
-            left_s=None if tripped else left_s,
+            left_s=None if watch.tripped else left_s,
             paused=bool(progress.get("paused")),
             asked=OpenPrompt(self._asked) if self._asked and not safing else None,
             instruments=instruments,

@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.files import unwritten
 from bench.record.state import TRIP
 from bench.record.writer import FolderGoneError
+from bench.results.headline import cure_of
 from bench.results.stated_arm import unmoved_mm
 from bench.results.status import INSTRUMENTS_FACT
 from bench.rig.by_hand import not_safe_text
@@ -203,7 +205,8 @@ class Engine:
             before.trips.watch.stop()
         ctx.watch.start()
         if before and (trip := before.watch.tripped):
-            ctx.event(TRIP, str(trip))
+            if isinstance(trip, InterlockTrip):
+                ctx.event(TRIP, str(trip))
             raise trip
 
     def _check_arm(self, when: str) -> None:
@@ -306,15 +309,14 @@ class Engine:
         if isinstance(cause, FolderGoneError):  # there is nothing that a report could be made of
             self._write_down("fault", str(cause))
             raise cause
-        named = f"{type(cause).__name__}: {cause}"
         if isinstance(cause, RECORD_FAULTS):
-            then = f"teatbench resume {self._ctx.store.folder}"
-            cure = f"Make room or make the folder writable, then: {then}"
-            why_not = f"the record could not be written: {named}. {cure}"
-            self._write_down("fault", why_not, aloud=True)
+            reason = unwritten(cause)
+            self._kept(self._ctx.event, "fault", reason)
+            self._ctx.events.warn(f"{reason}. {cure_of(reason, self._ctx.store.folder)}")
         elif isinstance(cause, InstrumentError | InterlockTrip):
             self._write_down("fault", str(cause))
         else:
+            named = f"{type(cause).__name__}: {cause}"
             self._write_down("fault", f"a mistake of the bench: {named}")
             raise cause
         return RunState.FAULTED
@@ -374,9 +376,9 @@ class Engine:
                 self._ctx.show()
             clock.call_at(clock.now() + LOOK_S, self._show_safing)
 
-    def _write_down(self, kind: str, text: str, *, aloud: bool = False) -> None:
+    def _write_down(self, kind: str, text: str) -> None:
         """An event, of which the run's end doesn't depend on whether it can be written."""
-        if not self._kept(self._ctx.event, kind, text) or aloud:
+        if not self._kept(self._ctx.event, kind, text):
             self._ctx.events.warn(text)
 
     def _kept(self, write: Callable[..., object], *what: object) -> bool:

@@ -56,6 +56,7 @@ from bench.run.resume import (
 )
 from bench.run.rows import write_facts
 from bench.run.trial import write_trial
+from bench.safety.interlocks import InterlockTrip
 from bench.safety.latch import refuse_latched, refuse_unknown_unit, refuse_untested_cut_out
 from bench.safety.signals import current, undisturbed
 from bench.scoring.rates import plural
@@ -415,7 +416,8 @@ class OpenRig:
                 trip = ctx.watch.tripped or (ctx.before and ctx.before.watch.tripped)
                 if engine.is_warm:
                     engine.let_go()
-                self.ends = self.ends or (f"tripped by {trip}" if trip else "")
+                by = "tripped by" if isinstance(trip, InterlockTrip) else "the watch failed:"
+                self.ends = self.ends or (f"{by} {trip}" if trip else "")
                 unsafe = not engine.bath_is_safe or ctx.devices.active
                 self.ends = self.ends or ("an instrument is not safe" if unsafe else "")
                 if opened and (guardian := opened[2]) and engine.bath_is_safe:

@@ -14,7 +14,9 @@ import threading
 from collections.abc import Callable, Hashable
 from dataclasses import KW_ONLY, dataclass, replace
 
+from bench.files import unwritten
 from bench.record.schema import Row
+from bench.record.state import TRIP
 from bench.record.writer import Store
 from bench.rig.devices import Devices, Evidence, Safing, attempt
 from bench.rig.guardian_client import GuardianClient, Heartbeat
@@ -39,6 +41,7 @@ from instruments.stage.protocol import Status
 PERIOD_S = 1.0
 LATE_S = 3.0  # without a reading: shown as silent
 AGAIN_S = 5.0  # between attempts to make safe
+ENDS = "The run ends; an open question needs no answer any more."
 
 
 @dataclass(eq=False)
@@ -323,18 +326,24 @@ class TripHandler:
         return safe
 
     def _report(self, trip: Exception, said: list[str]) -> None:
-        """To the operator first; the record and the latch may fail without the others."""
+        """To the operator first; the record and the latch may fail without the others. A record
+        that can't be written is no trip: the run's end, for which room is kept, writes it down.
+        """
         done = full_stop("; ".join(text.rstrip(".") for text in said))
+        if isinstance(trip, sqlite3.Error):
+            self._warn(f"{unwritten(trip)}\n{done} {ENDS}")
+            return
+        kind = TRIP if isinstance(trip, InterlockTrip) else "fault"
         whole = f"{full_stop(str(trip))} Then: {done}"
-        self._warn(f"{trip}\n{done} The run ends; an open question needs no answer any more.")
+        self._warn(f"{trip}\n{done} {ENDS}")
         try:
             if isinstance(trip, InterlockTrip) and not self._beyond:
                 self._store.fact(
                     "trip", trip.as_dict() | {"t_s": self._devices.clock.now(), "done": said}
                 )
             if not self._beyond:
-                self._store.event(self._devices.clock.now(), "trip", whole, wall_time())
-            self.on_event("trip", whole)
+                self._store.event(self._devices.clock.now(), kind, whole, wall_time())
+            self.on_event(kind, whole)
         except sqlite3.Error as error:
             self._warn(f"the trip could not be written down: {error}")
         try:

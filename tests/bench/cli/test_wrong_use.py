@@ -9,6 +9,7 @@ import re
 import sys
 import threading
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -159,6 +160,13 @@ def test_a_port_that_cannot_be_opened_is_named(said: Said) -> None:
 @pytest.mark.parametrize("command", ["run", "run --rig", "score", "detect", "report", "emulate"])
 def test_a_name_that_is_too_long_is_named_as_that(command: str, tmp_path: Path, said: Said) -> None:
     assert "disk full" not in said(2, f"{command} {{}}", tmp_path / ("long" * 80)).err
+
+
+def test_what_may_not_be_read(tmp_path: Path, said: Said, monkeypatch: pytest.MonkeyPatch) -> None:
+    denied = Mock(side_effect=PermissionError(13, "Permission denied", str(tmp_path)))
+    monkeypatch.setattr("bench.cli.main.call", denied)
+    monkeypatch.setattr("bench.files.os.access", lambda *_: False)
+    assert said(2, "runs").err.endswith(f"{tmp_path} can't be read: Permission denied\n")
 
 
 def caused(error: Exception, by: Exception) -> Exception:

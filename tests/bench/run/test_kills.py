@@ -282,6 +282,7 @@ def compare_the_surfaces(run: Path, status: RunStatus, watch: Watch) -> None:
         assert code == 3
         assert f"Verdict: {status.word}" in said
         assert junit.count("<error") == len(status.verdicts)
+        assert "<skipped" in junit, "the requirements, too"
         assert {one.verdict for one in listed.results} == {status.word}
         assert f"{status.headline[0].upper()}{status.headline[1:]}." in queued
         assert status.why.split("\n")[0] in " ".join(junit.split())

@@ -22,6 +22,7 @@ from bench.config import ConfigError
 from bench.record.reader import read_run
 from bench.record.schema import DATABASE
 from bench.record.writer import FolderGoneError, Store
+from bench.results.status import read_status
 from bench.run.events import Events, RunState, event_lines
 from instruments.clock import stopwatch_s
 from instruments.operators.emulated import EmulatedOperator
@@ -50,7 +51,7 @@ class FullDisk:
 
         def counted(*arguments: Any, **more: Any) -> Any:
             self._trials += 1
-            return (frames if self._method == "_write" else failing)(*arguments, **more)
+            return (failing if self._method == "frames" else frames)(*arguments, **more)
 
         def failing(*arguments: Any, **more: Any) -> Any:
             if self._trials >= 2 and (self._for_good or not self._struck):
@@ -65,14 +66,14 @@ class FullDisk:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("error", "for_good"),
-    [(FULL[0], False), (FULL[1], True)],
-    ids=["frames, once", "database, for good"],
+    [(FULL[0], False), (FULL[1], False), (FULL[1], True)],
+    ids=["frames, once", "bath's row, once", "database, for good"],
 )
 def test_a_full_disk_ends_safely_and_the_run_goes_on_where_there_is_room_again(
     error: Exception, for_good: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files(tmp_path)
-    method = "frames" if isinstance(error, OSError) else "_write"
+    method = "frames" if isinstance(error, OSError) else "_write" if for_good else "bath"
     fails = FullDisk(method, error, for_good=for_good)
     progress = Silent()
     with monkeypatch.context() as patch:
@@ -86,6 +87,11 @@ def test_a_full_disk_ends_safely_and_the_run_goes_on_where_there_is_room_again(
     kept = [trial.id for trial in run.trials]
     note = [text for text in progress.warned if "the record could not be written" in text]
     assert any("teatbench resume" in text for text in note)
+    if not for_good:
+        status = read_status(run.folder)
+        assert status.headline.startswith("faulted")
+        assert status.why.endswith("trials: the record could not be written: the disk is full.")
+        assert status.next[-1].startswith(f"Make room in {run.folder}, then resume: teatbench res")
     assert resume(tmp_path, "runs")[1] is RunState.FINISHED
     whole = read_run(only_run(tmp_path, "runs"))
     assert [trial.id for trial in whole.trials][: len(kept)] == kept
