@@ -25,8 +25,7 @@ def look_ahead(
     """
     with working(REHEARSING) as shown:
         done = bench.check_script(script, rig, shown=shown, **how)
-    wanted = list(_needs(rig, done))
-    findings = done.findings
+    findings, wanted = done.findings, list(_needs(rig, done))
     if as_json:
         found = {
             "trials": done.trials,

@@ -59,11 +59,18 @@ bath.url = "emulator:tank"
 cameras.url = "emulator:eyes"
 stage = { url = "emulator:slide", reference_mm = [150.0, 150.0] }
 """
+
+
+def touches(rig: bench.OpenRig) -> None:
+    rig.move()
+    rig.touch(1)
+
+
 BREAKS: dict[str, Callable[[bench.OpenRig], object]] = {
     "Eyes.capture": lambda rig: rig.capture(),
     "Slide.move": lambda rig: rig.move(x_mm=5.0),
     "Slide.read": lambda rig: rig.move(x_mm=5.0),
-    "Probe.read": lambda rig: (rig.move(), rig.touch(1)),
+    "Probe.read": touches,
     "Tank.read": lambda rig: rig.wait(700.0),
     **dict.fromkeys(("Slide.stop", "Probe.stop"), lambda _: None),
 }
