@@ -241,7 +241,7 @@ class RunContext:
             elif link is Link.ANSWERS and last:
                 last += f", {self.watch.state.value}"
         if found and not found.is_safe and acts in BY_HAND:
-            how, by_hand = found.detail or found.evidence.value, BY_HAND[acts]
+            how, by_hand = found.brief or found.evidence.value, BY_HAND[acts]
         safe = Safe.IN_USE if name in devices.active else Safe.AT_REST
         if found and (safe is Safe.AT_REST or not found.is_safe):
             safe = Safe(found.evidence.value)
