@@ -180,9 +180,6 @@ class RunContext:
         tripped = str(watch.tripped) if isinstance(watch.tripped, InterlockTrip) else ""
         safing = self.safing or watch.tripped is not None
         instruments = tuple(map(self._instrument, self._names))
-        left_s = progress.get("left_s")
-        if left_s is not None:
-            left_s += watch.stable_in_s(float(progress.get("settling_s", 0.0)))
         status = RunStatus(
             run=self.store.folder.name,
             title=self.script.script.title,
@@ -193,7 +190,7 @@ class RunContext:
             pose=events.pose,
             done=int(progress.get("done", 0)),
             planned=len(self.script.planned),
-            left_s=None if watch.tripped else left_s,
+            left_s=None if watch.tripped else progress.get("left_s"),
             paused=bool(progress.get("paused")),
             asked=OpenPrompt(self._asked) if self._asked and not safing else None,
             instruments=instruments,
