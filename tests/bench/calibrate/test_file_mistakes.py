@@ -230,6 +230,7 @@ def test_by_command_the_verdict_and_its_limit_are_said_and_set_the_code(
     (day / "right" / "03.png").unlink()
     found = said(1, f"{COMMAND} --distance 4000", *given)
     assert "left out: left 03: it has no partner right 03, so it is no pair" in found.out
+    assert found.out.count("left 03") == 1
     assert re.search(
         r"Verdict: not met\. Not good enough: .* at 4\.00 m; at most 1\.25 mm", found.out
     )
