@@ -12,7 +12,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import permutations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -265,12 +264,6 @@ def _views_of(
             raise ConfigError.plain(f"--board {given.board}: {error}") from error
         given.frames = [folder]
     found = bench.find_pictures(given.frames, request.cameras)
-    alone = sorted(
-        f"{camera} {view}: no picture of the {other} camera"
-        for camera, other in permutations(request.cameras, 2)
-        for view in found[camera].keys() - found[other].keys()
-    )
-    _print_some("without its partner", alone)
     with working("finding the board in the pictures") as report:
         views = bench.find_views(
             found,

@@ -13,6 +13,7 @@ import sqlite3
 import sys
 import traceback
 from collections.abc import Sequence
+from difflib import get_close_matches
 from functools import cache
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
@@ -22,6 +23,7 @@ from bench.cli.commands import COMMANDS, FUNCTIONS, GROUPS, MODULES, NEXT, ONCE,
 from bench.safety.signals import installed
 from bench.version import __version__
 from reports.sanitize import sanitizing
+from textfiles.words import did_you_mean
 
 if TYPE_CHECKING:
     SubParsers = argparse._SubParsersAction[argparse.ArgumentParser]
@@ -192,12 +194,17 @@ def _unforeseen(error: Exception) -> int:
 class Parser(argparse.ArgumentParser):
     """Names what was meant where a word is not known, and lists choices only where they are few."""
 
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        found, odd = super().parse_known_args(args, namespace)
+        if odd:  # told with the usage of the command that they were given to
+            meant = did_you_mean(odd[0].partition("=")[0], self._option_string_actions)
+            self.error(f"unrecognized arguments: {' '.join(odd)}{meant}")
+        return found, odd
+
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         choices = list(action.choices or ())
         if action.choices is None or value in choices:
             return
-        from difflib import get_close_matches
-
         near = get_close_matches(str(value), map(str, choices), n=3, cutoff=0.6)
         said = " or ".join(f"'{one}'" for one in near)
         rest = f"choose from {', '.join(map(str, choices))}"

@@ -185,7 +185,7 @@ def success_table(comparison: Comparison) -> Table:
         won, change = row.success, row.success.difference
         span, points = won.interval(confidence), None
         if span is not None and change is not None:
-            points = f"{100 * change:+.0f} ({100 * span[0]:+.0f} to {100 * span[1]:+.0f})"
+            points = f"{100 * change:+z.0f} ({100 * span[0]:+z.0f} to {100 * span[1]:+z.0f})"
         p = p_text(won.p_value if row.success_holm is None else row.success_holm)
         counts = (row.new.false - row.old.false, row.new.missed - row.old.missed)
         rows.append((_name(row), row.poses, won.only_old, won.only_new, points, p, *counts))
@@ -244,17 +244,17 @@ def _mark(difference: PairedDifference) -> str:
 
 def _mean(difference: PairedDifference) -> str:
     """``+0.12 mm`` of one that was measured."""
-    return f"{difference.mean:+.2f} mm{_mark(difference)}"
+    return f"{difference.mean:+z.2f} mm{_mark(difference)}"
 
 
 def _difference(difference: PairedDifference, form: str = ".2f") -> str:
     """``+0.12 (-0.03 to +0.27)``; without an interval where there is none."""
     if difference.mean is None:
         return NOT_MEASURED
-    mean = f"{difference.mean:+{form}}{_mark(difference)}"
+    mean = f"{difference.mean:+z{form}}{_mark(difference)}"
     if difference.low is None or difference.high is None:
         return mean
-    low, high = (f"{bound:+{form}}" for bound in (difference.low, difference.high))
+    low, high = (f"{bound:+z{form}}" for bound in (difference.low, difference.high))
     return f"{mean} ({low} to {high})"
 
 
@@ -458,7 +458,7 @@ def _sure(one: Comparison) -> str:
     if change.poses < fewest_that_show():
         few = f"{plural(change.poses, 'pose')} in which both found teats"
         return f"{few} can show nothing by themselves: {fewest_that_show()} can."
-    span = f"{change.low:+.2f} to {change.high:+.2f} mm"
+    span = f"{change.low:+z.2f} to {change.high:+z.2f} mm"
     return (
         f"For all such poses, not only these {change.poses}, the mean distance changes by {span},"
         f" {confidence:g} % sure."
@@ -494,7 +494,7 @@ def _scoreboard(one: Comparison) -> Scoreboard:
 
     lost = any(pair.old.success and not pair.new.success for pair in one.pairs)
     span = won.interval(one.compared.confidence)
-    change = "" if span is None else f" ({100 * span[0]:+.0f} to {100 * span[1]:+.0f} % points)"
+    change = "" if span is None else f" ({100 * span[0]:+z.0f} to {100 * span[1]:+z.0f} % points)"
     verdict: PageVerdict = "worse" if lost else "not worse"
     if allowed is not None and span is not None:
         verdict = "not worse" if -span[0] <= allowed else "inconclusive"
@@ -624,7 +624,7 @@ def _changed(comparison: Comparison) -> Table:
     shown.sort(key=lambda one: (one[0], -abs(one[1] or 0.0)))
     rows = []
     for _, mm, pair in shown[:50]:
-        change = Cell(NOT_MEASURED if mm is None else f"{mm:+.2f}", sort=mm)
+        change = Cell(NOT_MEASURED if mm is None else f"{mm:+z.2f}", sort=mm)
         both = (outcome(pair.old), outcome(pair.new))
         rows.append((pair.scene, spoken(pair.situation), *both, change))
     return table(

@@ -24,7 +24,7 @@ from bench.record.state import NO_ENDING, TRIP, State, holder_of, state_of
 from bench.results.doubts import DOUBTS_FACT
 from bench.results.headline import judged, stopped_next, stopped_why
 from bench.results.verdicts import Judgement, judge, run_verdict, stored_rules
-from bench.rig.by_hand import BY_HAND
+from bench.rig.by_hand import BY_HAND, silent
 from bench.rig.devices import Evidence
 from bench.safety.bath_monitor import NO_GUARDIAN
 from bench.scoring.rates import plural
@@ -88,7 +88,7 @@ class InstrumentStatus:
     def text(self) -> str:
         """``bath: no answer for 12 s (last 20.04 degC)``; ``bath 20.04 degC, heating``."""
         if self.by_hand:
-            return f"{self.by_hand}: {self.how}" if self.how else self.by_hand
+            return ": ".join(filter(None, (self.by_hand, silent(self.how, self.age_s))))
         if self.link is Link.ANSWERS:
             return f"{self.name} {self.last}" if self.last else f"{self.name}: {self.link}"
         last = f" (last {self.last})" if self.last else ""
@@ -401,13 +401,13 @@ def _orphaned(
     if not guardian or one.name not in BY_HAND:
         return replace(one, safe=Safe.UNKNOWN)
     if one.name == "stage":
-        found = guardian.get("stage") or {"stands": False, "error": "nobody has asked it"}
-        safe, error = found["stands"], found.get("error", "")
+        found = guardian.get("stage") or {"stands": False}
+        safe, error = found["stands"], "not stopped" if "error" in found else "nobody has asked it"
     else:
-        safe, error = guardian["standby"], guardian.get("error", "")
+        safe, error = guardian["standby"], f"not reached in {guardian['tries']} tries"
     if safe:
         return replace(one, safe=Safe.READ_BACK)
-    return replace(one, safe=Safe.FAILED, how=str(error), by_hand=BY_HAND[one.name])
+    return replace(one, safe=Safe.FAILED, how=error, by_hand=BY_HAND[one.name])
 
 
 def _look(status: RunStatus) -> tuple[str, ...]:

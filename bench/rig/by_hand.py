@@ -13,6 +13,11 @@ BY_HAND = {
 }
 
 
+def silent(brief: str, age_s: float | None) -> str:
+    """``no answer for 12 s``, where no answer is all that is wrong and its age is known."""
+    return brief if brief != "no answer" or age_s is None else f"{brief} for {age_s:.0f} s"
+
+
 def not_safe_text(unsafe: Mapping[str, str]) -> str:
     """What ``make_safe`` gave back, for a person: a line an instrument."""
     return "\n".join((f"NOT SAFE: {', '.join(unsafe)}.", *unsafe.values()))

@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.rig.by_hand import BY_HAND
+from bench.rig.by_hand import BY_HAND, silent
 from instruments.bath.sequence import cause_of, heater_off, pump_off, run_pump_on
 from instruments.clock import Clock
 from instruments.drivers.protocols import Arm, Bath, Cameras, Stage
+from instruments.errors import InstrumentError
 from instruments.operators.operator import Operator
 
 
@@ -29,13 +30,14 @@ class Evidence(StrEnum):
 @dataclass(frozen=True, slots=True)
 class Safing:
     """A step of going to safe. ``done``: what the instrument said of itself; ``detail``: why the
-    step failed, or what else there is to say.
+    step failed, or what else there is to say; ``brief``: why it failed, for one who has to act.
     """
 
     name: str
     evidence: Evidence
     done: str = "is safe"
     detail: str = ""
+    brief: str = ""
 
     @property
     def is_safe(self) -> bool:
@@ -59,7 +61,8 @@ def attempt(name: str, step: Callable[[], object], done: str = "is safe") -> Saf
     try:
         return Safing(name, Evidence.READ_BACK, done, str(step() or ""))
     except BaseException as error:  # whatever it is, the next step is tried too
-        return Safing(name, Evidence.FAILED, done, cause_of(error))
+        brief = error.what if isinstance(error, InstrumentError) else cause_of(error)
+        return Safing(name, Evidence.FAILED, done, cause_of(error), brief)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +138,11 @@ class Devices:
             found = attempt("robot" if robot else name.split()[0], step)
             self.safed[found.name] = found
             if not found.is_safe and found.name in BY_HAND:
-                unsafe[found.name] = f"{BY_HAND[found.name]}: {found.detail}"
+                unsafe[found.name] = f"{BY_HAND[found.name]}: {self._brief(found)}"
             for text in found.texts[name.startswith("pump") and found.is_safe :]:
                 report(text)
         return unsafe
+
+    def _brief(self, found: Safing) -> str:
+        heard_s = self.heard.get(found.name)
+        return silent(found.brief, None if heard_s is None else self.clock.now() - heard_s)

@@ -180,9 +180,6 @@ class RunContext:
         tripped = str(watch.tripped) if isinstance(watch.tripped, InterlockTrip) else ""
         safing = self.safing or watch.tripped is not None
         instruments = tuple(map(self._instrument, self._names))
-        left_s = progress.get("left_s")
-        if left_s is not None:
-            left_s += watch.stable_in_s(float(progress.get("settling_s", 0.0)))
         status = RunStatus(
             run=self.store.folder.name,
             title=self.script.script.title,
@@ -193,7 +190,7 @@ class RunContext:
             pose=events.pose,
             done=int(progress.get("done", 0)),
             planned=len(self.script.planned),
-            left_s=None if watch.tripped else left_s,
+            left_s=None if watch.tripped else progress.get("left_s"),
             paused=bool(progress.get("paused")),
             asked=OpenPrompt(self._asked) if self._asked and not safing else None,
             instruments=instruments,
@@ -241,7 +238,7 @@ class RunContext:
             elif link is Link.ANSWERS and last:
                 last += f", {self.watch.state.value}"
         if found and not found.is_safe and acts in BY_HAND:
-            how, by_hand = found.detail or found.evidence.value, BY_HAND[acts]
+            how, by_hand = found.brief or found.evidence.value, BY_HAND[acts]
         safe = Safe.IN_USE if name in devices.active else Safe.AT_REST
         if found and (safe is Safe.AT_REST or not found.is_safe):
             safe = Safe(found.evidence.value)

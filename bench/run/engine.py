@@ -96,6 +96,7 @@ class Engine:
             self._recovery.run,
             left.poison if left else {},
             expected.each_s(planned) if expected else None,
+            lambda: ctx.watch.stable_in_s(self._settling_s),
         )
         self._attempts.done = len(left.done) if left and goes_on else 0
         self._reserve = Reserve(store.folder)
@@ -288,12 +289,16 @@ class Engine:
         ending = self._ctx.safing or self._ctx.away or watch.tripped or watch.silence
         return None if ending else self._attempts.left_s
 
+    @property
+    def _settling_s(self) -> float:
+        return self._expected.settling_s if self._expected else 0.0
+
     def _progress(self) -> dict[str, Any]:
         return {
             "done": self._attempts.done,
             "left_s": self._left_s,
             "paused": self._requests.paused,
-            "settling_s": self._expected.settling_s if self._expected else 0.0,
+            "settling_s": self._settling_s,
         }
 
     def _ended_by(self, why: BaseException) -> RunState:

@@ -61,8 +61,8 @@ def lock_path(rig: LoadedRig) -> Path | None:
 def locked(
     path: Path | None, what: str, report: Callable[[str], None], who: str = "rig"
 ) -> Iterator[None]:
-    """Hold the lock at ``path`` (None: there is none) for ``what``; ``report`` gets a line where a
-    dead bench's lock was taken over. Raises RigInUseError, ConfigError.
+    """Hold the lock at ``path`` (None: there is none) for ``what`` ("": not told); ``report``
+    gets a line where a dead bench's lock was taken over. Raises RigInUseError, ConfigError.
     """
     if path is None:
         yield
@@ -99,5 +99,6 @@ def _in_use(path: Path, holder: dict[str, Any], who: str) -> RigInUseError:
 
 
 def _named(holder: dict[str, Any]) -> str:
-    known = [f"{name} {holder[name]}" for name in ("pid", "host", "since", "run") if name in holder]
+    named = ("pid", "host", "since", "run")
+    known = [f"{name} {holder[name]}" for name in named if holder.get(name)]
     return ", ".join(known) or "it doesn't say who it is"

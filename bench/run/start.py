@@ -160,7 +160,7 @@ def run_queue(
             with introduced(detectors, script.scenes, rig.calibration):
                 store = _begun(rig, script, out, detectors, how, warm=held.is_warm)
                 note.runs(store.folder)
-                with locked(run_lock(store.folder), "itself", events.warn, "run"):
+                with locked(run_lock(store.folder), "", events.warn, "run"):
                     run = partial(_run, script, store, detectors, held, recorded, warned=warned)
                     ended.append(_of_a_queue(run, store, events) if len(scripts) > 1 else run())
             if ended[-1][1] is RunState.ABORTED:

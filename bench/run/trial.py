@@ -170,7 +170,7 @@ def _made(ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Touch
 class Attempts:
     """Runs planned trials by ``once``, each until done or skipped. ``through`` repeats work that an
     instrument interrupts; ``poison``: trials not tried again, with the reason; ``each_s``: expected
-    of a trial.
+    of a trial; ``settling_s``: until the bath lets trials go on.
     """
 
     def __init__(
@@ -180,8 +180,9 @@ class Attempts:
         through: Callable[[str, Callable[[], None]], None] = lambda _, work: work(),
         poison: Mapping[str, str] | None = None,
         each_s: float | None = None,
+        settling_s: Callable[[], float] = lambda: 0.0,
     ) -> None:
-        self._ctx = ctx
+        self._ctx, self._settling_s = ctx, settling_s
         self._once = once
         self._through = through
         self._planned = len(ctx.script.planned)
@@ -194,7 +195,7 @@ class Attempts:
     def run(self, trial: PlannedTrial) -> None:
         """Until the trial is stored or skipped. Raises whatever else ``once`` raises."""
         started_s = self._started_s = self._working_s()
-        self._ctx.ask(NextTrial(trial.number, self._planned, self.left_s))
+        self._ctx.ask(NextTrial(trial.number, self._planned, lambda: self.left_s))
         worked = 0
         try:
             if why := self._poison.get(trial.id):
@@ -220,7 +221,8 @@ class Attempts:
         if each_s is None:
             return None
         under_way_s = self._working_s() - self._started_s if self._started_s is not None else 0.0
-        return each_s * (self._planned - self.done) - min(each_s, under_way_s)
+        trials_s = each_s * (self._planned - self.done) - min(each_s, under_way_s)
+        return trials_s + self._settling_s()
 
     def _tried(self, trial: PlannedTrial) -> bool:
         try:

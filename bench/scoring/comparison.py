@@ -398,8 +398,7 @@ def gate(
     names = ("distance to the teat end", "error along x", "error along y", "error along z")
     for what, change in zip(names, (pooled.radial, *pooled.axes), strict=True):
         if change.mean is not None and change.mean > margin_mm:
-            most = " or more" if change.capped else ""
-            by = f"grew by {change.mean:.2f} mm{most}, more than the margin of {margin_mm:g} mm"
+            by = f"{_changed(change)}, more than the margin of {margin_mm:g} mm"
             worse.append(f"the mean {what} {by}")
     shown, perhaps = _grown_in(situations, margin_mm)
     worse, left_open = worse + shown, left_open + perhaps
@@ -414,7 +413,7 @@ def gate(
     elif high > margin_mm:
         needed = _needed(pairs, margin_mm, chance / 2.0)
         left_open.append(
-            f"the mean distance changed by {pooled.radial.mean:+.2f} mm in"
+            f"the mean distance {_changed(pooled.radial)} in"
             f" {plural(pooled.radial.poses, 'pose')}; poses that were not run may hide that it grew"
             f" by {high:.2f} mm (margin {margin_mm:g} mm): {needed}"
         )
@@ -433,6 +432,14 @@ def gate(
         bounds = f"over all poses the mean distance {grew}, and {fell}"
         return Gate(Verdict.MET, (bounds,), margin_mm, margin_rate)
     return Gate(Verdict.MET, ("no scene lost, no false or missed teat more", bounds), margin_mm)
+
+
+def _changed(change: PairedDifference) -> str:
+    """``grew by 5.00 mm or more``, of one that was measured."""
+    if change.mean is None:
+        raise ValueError("nothing was compared")
+    more = " or more" if change.capped else ""
+    return f"{'shrank' if round(change.mean, 2) < 0 else 'grew'} by {abs(change.mean):.2f} mm{more}"
 
 
 def _not_run(

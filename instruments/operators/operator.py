@@ -140,11 +140,11 @@ class Coordinates:
 
 @dataclass(frozen=True, slots=True)
 class NextTrial:
-    """Trial ``number`` (from 1) of ``of`` is next; ``left_s`` of the run (None: unknown)."""
+    """Trial ``number`` (from 1) of ``of`` is next; ``left_s`` of the run, when asked (None: unknown)."""
 
     number: int
     of: int
-    left_s: float | None
+    left_s: Callable[[], float | None] = lambda: None
 
 
 @dataclass(frozen=True, slots=True)

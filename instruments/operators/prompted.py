@@ -155,7 +155,7 @@ class PromptedOperator(ABC):
         if self._trial is None:
             return ", ".join(further)
         said = ", ".join([f"trial {self._trial.number} of {self._trial.of}", *further])
-        left_s = self._trial.left_s
+        left_s = self._trial.left_s()
         return said if left_s is None else f"{said}; {op.time_left(left_s)}"
 
 

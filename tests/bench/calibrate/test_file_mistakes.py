@@ -87,6 +87,7 @@ NO_PAIR = "^left 03 and right 03 are no pair like the 6 others: "
     ("mistake", "why"),
     [
         (exchanged, f"{NO_PAIR}exchanged they fit the other pairs. Exchange them$"),
+        (lambda views: views.update(left=views["right"], right=views["left"]), "are swapped. Exch"),
         (turned("right"), f"{NO_PAIR}turned by half a turn, right 03 fits. Turn it$"),
         (turned("left"), f"{NO_PAIR}turned by half a turn, left 03 fits. Turn it$"),
         (of_another_moment, f"{NO_PAIR}the board was elsewhere in the one than in the other"),
@@ -229,6 +230,7 @@ def test_by_command_the_verdict_and_its_limit_are_said_and_set_the_code(
     (day / "right" / "03.png").unlink()
     found = said(1, f"{COMMAND} --distance 4000", *given)
     assert "left out: left 03: it has no partner right 03, so it is no pair" in found.out
+    assert found.out.count("left 03") == 1
     assert re.search(
         r"Verdict: not met\. Not good enough: .* at 4\.00 m; at most 1\.25 mm", found.out
     )

@@ -40,6 +40,7 @@ WRONG_USE = {  # code 2
     "score r --detector thesis-no-refinement": "before refinement",
     "fly": "invalid choice: 'fly' ('teatbench --help' lists all",
     "runn": "invalid choice: 'runn' (did you mean 'run' or 'runs'?)",
+    "run quick --dry-rn": 'unrecognized arguments: --dry-rn; did you mean "--dry-run"?',
     "arm vrify": "invalid choice: 'vrify' (did you mean 'verify'?)",
     "trials show": "arguments are required: SCRIPT",
     "trials show plain-map": 'did you mean "plane-map"',

@@ -53,7 +53,7 @@ class Context:
 
     def ask(self, request: Request) -> Answer:
         assert isinstance(request, NextTrial)
-        self.trials.append((request.number, request.of, request.left_s))
+        self.trials.append((request.number, request.of, request.left_s()))
         return DONE
 
     def event(self, kind: str, text: str) -> None:

@@ -186,7 +186,7 @@ def test_a_script_that_can_not_make_its_bath_safe_says_so_and_the_guardian_goes_
     with pytest.raises(NotSafeError, match=r"NOT SAFE: bath\.\nSWITCH OFF THE BATH AT ITS MAINS: "):
         script()
     said = capsys.readouterr().err
-    assert "NOT SAFE: bath.\nSWITCH OFF THE BATH AT ITS MAINS: bath at tcp:" in said
+    assert "NOT SAFE: bath.\nSWITCH OFF THE BATH AT ITS MAINS: no answer for " in said
     assert "The guardian goes on trying." in said
     assert hot.plant.running
     hot.emulator.fault("silence", on=False)

@@ -16,7 +16,9 @@ from scipy.optimize import minimize_scalar
 from bench.scoring.comparison import (
     MANY,
     Discordance,
+    PairedDifference,
     ScenePair,
+    _changed,
     bound_again,
     common_errors,
     compare,
@@ -61,6 +63,10 @@ def pairs(olds: Any, news: Any, repeats: int = 1) -> list[ScenePair]:
         )
         for k, (old, new) in enumerate(zip(olds, news, strict=True))
     ]
+
+
+def test_a_change_that_is_capped_is_told_as_that_or_more() -> None:
+    assert _changed(PairedDifference(1, -5.0, capped=1)) == "shrank by 5.00 mm or more"
 
 
 @pytest.mark.parametrize(("n", "verdict"), [(1, OPEN), (71, OPEN), (72, MET)])

@@ -46,7 +46,7 @@ def test_it_says_what_to_do_and_waits_for_enter() -> None:
 
 def test_one_prompt_asks_for_all_touches_of_a_teat_end() -> None:
     who, out = asked("\n\n\n\ns loose\n")
-    who.ask(op.NextTrial(3, 18, None))
+    who.ask(op.NextTrial(3, 18))
     who.ask(ASKED)
     for number in (1, 2):
         who.ask(op.Touch(2, 4, number, 3))
@@ -73,7 +73,7 @@ def test_one_prompt_asks_for_all_touches_of_a_teat_end() -> None:
 
 def test_it_says_how_far_the_run_is() -> None:
     who, out = asked("\n" * 5)
-    who.ask(op.NextTrial(3, 18, 754.0))
+    who.ask(op.NextTrial(3, 18, lambda: 754.0))
     who.ask(ASKED)
     who.ask(op.Touch(2, 4, number=1, numbers=3))
     who.ask(op.CheckPoint(4, 5))
@@ -83,7 +83,7 @@ def test_it_says_how_far_the_run_is() -> None:
     assert f"{touch} Touch the end of teat 2, right rear (RR), with" in said
     assert "[touch 4 of 5] Arm check" in said
 
-    who.ask(op.NextTrial(1, 18, None))
+    who.ask(op.NextTrial(1, 18))
     who.ask(ASKED)
     unknown = out.getvalue().removeprefix(said)
     assert "[trial 1 of 18] " in unknown

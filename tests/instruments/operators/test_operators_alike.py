@@ -48,7 +48,7 @@ RUN: tuple[op.Request, ...] = (
     PEG,
     *(op.CheckPoint(touch, 5) for touch in range(1, 6)),
     op.Release(),
-    *(op.NextTrial(1, 2, None), *EACH_TRIAL, op.NextTrial(2, 2, 60.0), *EACH_TRIAL),
+    *(op.NextTrial(1, 2), *EACH_TRIAL, op.NextTrial(2, 2, lambda: 60.0), *EACH_TRIAL),
     op.Finish(),
 )
 EACH_POSITION: tuple[op.Request, ...] = (
@@ -89,5 +89,5 @@ def test_a_request_may_come_again_and_ends_with_what_the_check_raises(
 
 
 def test_what_is_not_waited_for_checks_nothing(who: op.Operator) -> None:
-    for notice in (op.NextTrial(1, 2, None), op.Release(), op.Finish()):
+    for notice in (op.NextTrial(1, 2), op.Release(), op.Finish()):
         who.ask(notice, tripped)

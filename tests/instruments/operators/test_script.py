@@ -53,7 +53,7 @@ def test_an_answer_waits_for_the_prompt_that_it_is_for() -> None:
     skip = ScriptedAnswer("touch", "skip worn", says="trial 2 of 3, TEAT 3")
     who, _ = scripted(skip, otherwise={"touch": "go", "set up": "go"})
     for trial in (1, 2):
-        who.ask(op.NextTrial(trial, 3, None))
+        who.ask(op.NextTrial(trial, 3))
         who.ask(arrangement())
         who.ask(op.Touch(1, 4))
         if trial == 1:
@@ -65,7 +65,7 @@ def test_an_answer_waits_for_the_prompt_that_it_is_for() -> None:
 
 def test_an_unexpected_prompt_says_what_was_asked_and_what_is_next() -> None:
     who, _ = scripted(ScriptedAnswer("set up", "go", says="overlapping", where="line 7"))
-    who.ask(op.NextTrial(1, 6, None))
+    who.ask(op.NextTrial(1, 6))
     with pytest.raises(ProtocolError) as error:
         who.ask(arrangement())
     for words in (
