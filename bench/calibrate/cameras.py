@@ -197,8 +197,7 @@ def calibrate_pair(
             )
             held_out = MeasuredBoard(views.board, (*first.views, *second.views))
     found = _units(views.board, shown, pair.right_from_left)
-    for wrong in swapped(pair.right_from_left):
-        raise ConfigError.plain(f"{wrong.sentence}. Exchange left and right")
+    found += swapped(pair.right_from_left)
     if not found:
         used = remeasure(pair, views.board, pairs)
         found += measured_again(held_out or used, pair)

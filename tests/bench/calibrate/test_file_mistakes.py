@@ -87,7 +87,6 @@ NO_PAIR = "^left 03 and right 03 are no pair like the 6 others: "
     ("mistake", "why"),
     [
         (exchanged, f"{NO_PAIR}exchanged they fit the other pairs. Exchange them$"),
-        (lambda views: views.update(left=views["right"], right=views["left"]), "are swapped. Exch"),
         (turned("right"), f"{NO_PAIR}turned by half a turn, right 03 fits. Turn it$"),
         (turned("left"), f"{NO_PAIR}turned by half a turn, left 03 fits. Turn it$"),
         (of_another_moment, f"{NO_PAIR}the board was elsewhere in the one than in the other"),
