@@ -10,8 +10,8 @@ in their terms: factors, none negative, are those of the greatest likelihood of 
 made (an end taken for another's counts for none of them). Both are done twice, as the
 first answers change which fits are tried.
 
-The gate: each family is judged by weights that were learned without it. A change passes that loses
-no more ends and gives no more false ones than the file says.
+The gate: each family is judged by weights that were learned without it. A change passes that has as
+many ends found, less four for each false one, as the file says.
 """
 
 from __future__ import annotations

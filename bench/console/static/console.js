@@ -186,7 +186,16 @@ function practice() {
   if (!now) return;
   const row = (one) => make("li", { className: "row" }, make("span", { className: "of" }, words(one.of)), make("b", { className: /^[A-Z]+$/.test(one.is) ? "bad" : "" }, one.is),
     ...Object.entries(one.words).map(([label, text]) => make("button", { className: "quiet", ariaLabel: text, onclick: () => ask(at("/practice"), { words: text }).catch((error) => problem(error.message)) }, words(label))));
-  byId("rig").replaceChildren(...now.choices.map(row));
+  const rows = byId("rig"), state = now.choices.map((one) => JSON.stringify(one));
+  while (rows.children.length > state.length) rows.lastChild.remove();
+  // a row that stays is not made anew: a click that is under way would be lost
+  now.choices.forEach((one, at) => {
+    const old = rows.children[at];
+    if (old?.dataset.state === state[at]) return;
+    const made = row(one);
+    made.dataset.state = state[at];
+    if (old) old.replaceWith(made); else rows.append(made);
+  });
 }
 let plot = null;
 const CHART_PX = 215;
