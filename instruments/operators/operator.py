@@ -140,7 +140,7 @@ class Coordinates:
 
 @dataclass(frozen=True, slots=True)
 class NextTrial:
-    """Trial ``number`` (from 1) of ``of`` is next; ``left_s`` of the run, when asked (None: unknown)."""
+    """Trial ``number`` (from 1) of ``of`` is next; ``left_s`` of the run, when asked, or None."""
 
     number: int
     of: int

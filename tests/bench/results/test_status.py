@@ -144,7 +144,11 @@ UNREACHED = {"standby": False, "error": "no answer"}
     [
         (None, Safe.UNKNOWN, "Look whether the bath is in standby."),
         (GUARDED | SAFED, Safe.READ_BACK, "Look whether"),
-        (GUARDED | UNREACHED, Safe.FAILED, "SWITCH OFF THE BATH AT ITS MAINS: not reached in 9 tries"),
+        (
+            GUARDED | UNREACHED,
+            Safe.FAILED,
+            "SWITCH OFF THE BATH AT ITS MAINS: not reached in 9 tries",
+        ),
     ],
     ids=["no word of it", "in standby", "not reached"],
 )
