@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from bench.record.memory import release_memory
+from bench.record.writer import release_memory
 from bench.script.model import TRIALS
 from instruments.clock import RealClock
 from tests.examples import examples

@@ -50,10 +50,8 @@ def calibrate_stage(
     except ValueError as error:
         raise ConfigError.plain(f"--layout {layout}: {error}") from error
     phantom = load_layout(path).phantom(seed)
-    if teat > len(phantom.teats):
-        raise ConfigError.plain(
-            f"--teat {teat}: the layout {layout} has {len(phantom.teats)} teats"
-        )
+    if teat > (many := len(phantom.teats)):
+        raise ConfigError.plain(f"--teat {teat}: the layout {layout} has {many} teats")
     poses = [PlatePose(x, y) for x, y in at_mm] or around([PlatePose()], SPAN_MM)
     if len(poses) < 3:
         raise ConfigError.plain(

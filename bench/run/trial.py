@@ -13,11 +13,10 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.record.memory import release_memory
 from bench.record.reader import RunRecord, TrialRecord
 from bench.record.recording import TruthRow
 from bench.record.schema import Row
-from bench.record.writer import Store
+from bench.record.writer import Store, release_memory
 from bench.results.answers import Answer, Examiner, score_answers
 from bench.results.cameras_agree import where_seen
 from bench.results.doubts import out_of_sight

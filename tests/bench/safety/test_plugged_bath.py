@@ -72,7 +72,7 @@ BREAKS: dict[str, Callable[[bench.OpenRig], object]] = {
     "Slide.read": lambda rig: rig.move(x_mm=5.0),
     "Probe.read": touches,
     "Tank.read": lambda rig: rig.wait(700.0),
-    **dict.fromkeys(("Slide.stop", "Probe.stop"), lambda _: None),
+    **dict.fromkeys(("Slide.stop", "Probe.stop"), lambda rig: rig.safe()),
 }
 # "same": what it gave first, as where the driver's own thread, which asks the device, has died
 GIVES = [*product(BREAKS, (SystemExit("bye"), MemoryError(), None)), ("Tank.read", "same")]
@@ -144,9 +144,10 @@ def test_no_driver_leaves_the_bath_on(
 ) -> None:
     write_calibration(tmp_path)
     (tmp_path / "lab.toml").write_text(ALL_PLUGGED, encoding="utf-8")
-    plants: list[Plant] = []
+    plants, asked = list[Plant](), list[object]()
 
     def broken(driver: object, *_: object) -> object:
+        asked.append(driver)
         if isinstance(gives, BaseException):
             raise gives
         return vars(driver).setdefault("first", reads(driver)) if gives == "same" else gives
@@ -160,6 +161,7 @@ def test_no_driver_leaves_the_bath_on(
             return emulator(world, clock)
 
         monkeypatch.setattr(drivers, "TankEmulator", seen)
+        monkeypatch.setattr(drivers.Probe, "touches", member == "Probe.stop")  # only a robot stops
         with suppress(*EXPECTED), bench.open_rig(tmp_path / "lab.toml", warn=lambda _: None) as rig:
             rig.home()
             rig.set_up(bench.member("ideal", 3))
@@ -168,6 +170,7 @@ def test_no_driver_leaves_the_bath_on(
             assert plants[0].running
             monkeypatch.setattr(f"lab_drivers.{member}", broken)
             BREAKS[member](rig)
+    assert asked
     assert not plants[0].running
 
 
