@@ -222,7 +222,11 @@ def test_the_page_word_by_word(pytester: pytest.Pytester, rig: str) -> None:
     pytester.makepyfile(**dict(programs))
     patient = OWN + SLOW.replace("test_slow", "test_patient")
     pytester.makepyfile(test_own=patient, test_slow=SLOW)
-    pytester.makeconftest(f"import bench.testing as t\nt.check.__kwdefaults__['rig'] = {rig!r}\n")
+    pytester.makeconftest(
+        "import bench.testing, hypothesis\n"
+        f"bench.testing.check.__kwdefaults__['rig'] = {rig!r}\n"
+        "hypothesis.settings.load_profile('default')  # that of a CI has no deadline\n"
+    )
     pytester.syspathinsert()
     first = pytester.runpytest_subprocess(
         *PLUGIN, "test_detector.py", "test_own.py", "test_slow.py"
