@@ -36,10 +36,10 @@ from detector.geometry import Array
 from detector.outline.known_ends import (
     NO_THERMAL_MM,
     REACH_PX,
-    THERMAL_REACH_PX,
     EndOffsets,
     offsets_at,
 )
+from detector.outline.offsets import THERMAL_REACH_PX
 from detector.outline.pictures import UnusableError
 from instruments.camera.frame import FrameSet
 

@@ -43,7 +43,7 @@ from detector.fused.refine import (
     slide_to_round,
     slide_to_stop,
 )
-from detector.fused.refits import doubts, shapes, unsure
+from detector.fused.refits import doubts, shapes, unsure, whole_ends
 from detector.fused.sharpness import Sharpness, blur_covariances, sharpness, too_blurred
 from detector.fused.thermal import (
     ROOM_PX,
@@ -95,7 +95,7 @@ class FusedDetector:
 
     settings: Parameters = field(default_factory=Parameters)
     name: str = "fused"  # in the registry
-    version: str = "21"  # counted up when an answer on any frame set changes
+    version: str = "22"  # counted up when an answer on any frame set changes
 
     covariance_leaves_out: ClassVar[str] = (
         "what the ends of one frame have in common (each end has its own covariance); where the"
@@ -200,7 +200,10 @@ def _detect(
     shown["odds"] = decision.odds
     shown["reasons"] = np.array([reason or "" for reason in decision.reasons], dtype=np.str_)
     which = decision.accepted or np.flatnonzero(decision.by_witness).tolist()
-    cameras = agreement(judged.fitted.take(which), calibration, p, thermal.px_a_sensor_px)
+    size = thermal.px_a_sensor_px
+    whole = whole_ends(judged.fitted.teats, judged.evidence, decision)
+    some, others = judged.fitted.take(which), judged.fitted.take(whole)
+    cameras = agreement(some, others, thermal.view, size, calibration, p)
     shown["cameras_px"] = np.array([cameras.rows_px, *cameras.thermal_px])
     trace.append(Stage("decisions", shown))
     if wrong := disagreement(cameras, judged.fitted, calibration):

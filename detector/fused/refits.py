@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.fused.decide import Decision, pass_through
-from detector.fused.evidence import Evidence
+from detector.fused.evidence import WHOLE_END, Evidence
 from detector.fused.parameters import Parameters
 from detector.fused.refine import on_one_bar
 from detector.geometry import Array
@@ -41,6 +41,14 @@ def doubts(
 def _one_each(rows: list[int], same: NDArray[np.bool_]) -> list[int]:
     """The first of ``rows`` in each place."""
     return [i for n, i in enumerate(rows) if not same[i, rows[:n]].any()]
+
+
+def whole_ends(teats: Array, evidence: Evidence, decision: Decision) -> list[int]:
+    """Of teats (m, 8), those that are accepted or show a whole end in both optical pictures."""
+    whole = evidence.end[:, :2].min(axis=1) > WHOLE_END
+    order = np.argsort(-decision.odds, kind="stable").tolist()
+    open_ = [i for i in order if whole[i] and decision.reasons[i]]
+    return _one_each([*decision.accepted, *open_], on_one_bar(teats))
 
 
 def shapes(teats: Array, evidence: Evidence, decision: Decision, p: Parameters) -> list[int]:

@@ -21,8 +21,9 @@ from detector.calibration.bundle import LENS, POSE
 from detector.fused.parameters import Parameters
 from detector.geometry import Array, Camera, Motion
 from detector.outline.fine import Fitted
+from detector.outline.fit import View
 from detector.outline.model import apexes
-from detector.outline.offsets import row_offsets, thermal_offsets
+from detector.outline.offsets import row_offsets, thermal_offsets, thermal_offsets_far
 from detector.outline.prior import right_from_teats
 from detector.protocol import CamerasOff, Detection
 
@@ -49,25 +50,35 @@ class Agreement:
     ratio: float
 
 
-def agreement(some: Fitted, calibration: Calibration, p: Parameters, size: float) -> Agreement:
-    """Pooled over ``some`` fits: the accepted ones, else what only a witness speaks against."""
+def agreement(
+    some: Fitted, whole: Fitted, thermal: View, size: float, calibration: Calibration, p: Parameters
+) -> Agreement:
+    """Pooled over ``some`` fits: the accepted ones, else what only a witness speaks against. Where
+    more of the ``whole`` ones in the optical pictures have a thermal outline farther off, all by
+    the same, than near them: over those.
+    """
     lens, pose = _thermal_camera(calibration)
     thermal_mm = abs(float((pose.R.T @ pose.T)[0]))
     optical = calibration.right.fc[0] * calibration.baseline_mm
     ratio = max(lens.fc[0] / size * thermal_mm / optical, 1e-3)
     nothing = Agreement(0, np.nan, (np.nan, np.nan), 0.0, ratio)
-    if len(some.teats) == 0:
+    if len(some.teats) + len(whole.teats) == 0:
         return nothing
     rows, row_weight = row_offsets(some, p.prior)
     shift, weight = thermal_offsets(some)
     known = weight > _LEAST_INFORMATION
+    near = thermal_offsets(whole)[1][:, 0] > _LEAST_INFORMATION
+    if not near.all():
+        far = thermal_offsets_far(whole.teats, np.ones(len(near), dtype=bool), thermal)
+        if (np.abs(np.median(far[np.isfinite(far[:, 0])], axis=0)) > _THERMAL_PX).any():
+            shift, known = far, np.isfinite(far)
     columns, down = (
         _middle(shift[known[:, i], i]) if known[:, i].any() else np.nan for i in range(2)
     )
     pooled = float(rows @ row_weight / max(row_weight.sum(), 1e-9))
     across = shift[known[:, 0], 0]
     disparity = abs(float(np.median(across))) / ratio if len(across) else 0.0
-    return Agreement(len(some.teats), pooled, (columns, down), disparity, ratio)
+    return Agreement(len(shift), pooled, (columns, down), disparity, ratio)
 
 
 def _middle(shifts: Array) -> float:

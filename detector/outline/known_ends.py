@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,13 @@ from detector.outline import pictures
 from detector.outline.fine import FINE_OUTLINE, ROUGH_OUTLINE, Fitted, fine
 from detector.outline.fit import View, look, step, upright, weights
 from detector.outline.model import COUNT, END, apexes
-from detector.outline.offsets import row_offsets, thermal_offsets
+from detector.outline.offsets import (
+    LEAST_END,
+    LEAST_SEEN,
+    STAYS_PX,
+    row_offsets,
+    thermal_offsets_far,
+)
 from detector.outline.prior import Prior, disparities_px, world_from_teats
 from detector.outline.views import optical_views, thermal_view
 from detector.protocol import Frames
@@ -34,22 +39,16 @@ from detector.protocol import Frames
 _BESIDE_PX = np.arange(-7.5, 7.6, 2.5)  # disparities about the known one
 _ROUGH_STEPS, _ROUGH_SCALE = 4, 20.0
 _CLOSE_PX = 0.3  # of an edge to the fitted outline
-_LEAST_SEEN = 0.6  # share of an outline's edges that are close
 _NEAR_MM = 8.0  # across the line of sight; farther off it is another thing
-_LEAST_INFORMATION = 15.0  # of a thermal outline: sd 0.26 px; one far off counts for less anyway
 REACH_PX = (25.0, 10.0)  # of the right picture, columns and rows
-THERMAL_REACH_PX = 10.0  # of the thermal sensor
 NO_THERMAL_MM = 1.0  # `EndOffsets.thermal_mm_a_px` where no thermal picture was looked at
 # (left columns, right columns, right rows) tried, px
 _ROW_SHIFTS = tuple((0.0, 0.0, y) for y in (-4.0, 4.0, -8.0, 8.0))
 _COLUMN_SHIFTS = tuple(
     (*at, 0.0) for x in (-12.5, 12.5, -25.0, 25.0) for at in ((x, 0.0), (0.0, x))
 )
-_THERMAL_SHIFTS = sorted(product((0.0, -4.0, 4.0, -8.0, 8.0), repeat=2), key=np.linalg.norm)
-_LEAST_END = 0.5  # of the end's outline, in either picture: wrong fits have 0.46 at most
 _AGREE_PX = 2.0  # ends of one frame: a camera that is off is off alike for all of them
-_THERMAL_CLOSE_PX = 0.5
-_STAYS_PX, _AGAIN, _AGAIN_SHIFTED = 0.3, 5, 3
+_AGAIN, _AGAIN_SHIFTED = 5, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +82,9 @@ def offsets_at(frames: Frames, calibration: Calibration, ends_mm: Array) -> list
     thermal, thermal_mm = np.full((len(known), 2), np.nan), np.full(len(known), NO_THERMAL_MM)
     with suppress(pictures.UnusableError):  # no lens, no thermal picture
         warm = thermal_view(frames, calibration)
-        thermal = _thermal(seen, warm, known)
+        there = seen.fitted.teats.copy()
+        there[:, :3] += known - apexes(there)
+        thermal = thermal_offsets_far(there, seen.measured, warm)
         depth = warm.camera_from_teats.apply(known)[:, 2]
         thermal_mm = depth / warm.camera.fc[0]
     figures = np.column_stack([seen.disparity_px, seen.rows_px, thermal])
@@ -101,12 +102,11 @@ def offsets_at(frames: Frames, calibration: Calibration, ends_mm: Array) -> list
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """What both optical pictures show of k ends: the best fit to each, the views, which ends were
-    measured (k,), and their offsets (k,), px.
+    """What both optical pictures show of k ends: the best fit to each, which ends were measured
+    (k,), and their offsets (k,), px.
     """
 
     fitted: Fitted
-    views: tuple[View, ...]
     measured: NDArray[np.bool_]
     disparity_px: Array
     rows_px: Array
@@ -144,56 +144,15 @@ def _seen(
         some = fitted.take(np.maximum(best, 0))
         rows, _ = row_offsets(some, prior)
         down = float(np.median(rows[best >= 0])) if (best >= 0).any() else np.nan
-        stays = abs(down) < _STAYS_PX
+        stays = abs(down) < STAYS_PX
         if stays or not abs(y + down) < REACH_PX[1]:
             break
         y += down
     off = _disparity(calibration, apexes(some.teats)) - _disparity(calibration, known)
-    measured = (best >= 0) & (_end_share(some) >= _LEAST_END) & stays
+    measured = (best >= 0) & (_end_share(some) >= LEAST_END) & stays
     if measured.any():
         measured &= np.abs(off - np.median(off[measured])) < _AGREE_PX
-    return _Seen(some, views, measured, off + x_left - x_right, rows + y)
-
-
-def _thermal(seen: _Seen, view: View, known: Array) -> Array:
-    """Columns and rows (k, 2), sensor px, that the thermal outlines are off; not-a-number where
-    none is seen.
-    """
-    # the same teats with their ends where they are known to be
-    there = seen.fitted.teats.copy()
-    there[:, :3] += known - apexes(there)
-    found = np.full((len(known), 2), np.nan)
-    for shift in _THERMAL_SHIFTS if seen.ends else ():
-        one = _thermal_near(seen, there, view, np.array(shift))
-        ends = np.isfinite(one[:, 0]).sum()
-        if 2 * ends >= seen.ends and (ends > 1 or not any(shift)):
-            return one
-        found = found if any(shift) else one
-    return found
-
-
-def _thermal_near(seen: _Seen, there: Array, view: View, moved: Array) -> Array:
-    """The same, looked for where the picture is moved by (2,), and again where it is found."""
-    n = len(FINE_OUTLINE.part)
-    for _ in range(_AGAIN):
-        camera = replace(view.camera, cc=tuple((np.array(view.camera.cc) + moved).tolist()))
-        views = (*seen.views, replace(view, camera=camera))
-        looked = look(there, views, FINE_OUTLINE, fine=True)
-        hidden = np.zeros(looked.offset_px.shape, dtype=bool)
-        off, weight = thermal_offsets(replace(seen.fitted, seen=looked, hidden=hidden))
-        near = np.abs(looked.offset_px[:, 2 * n :]) < _THERMAL_CLOSE_PX
-        shown = near.mean(axis=1) >= _LEAST_SEEN
-        shown &= near[:, FINE_OUTLINE.part == END].mean(axis=1) >= _LEAST_END
-        some = (weight > _LEAST_INFORMATION) & seen.measured[:, None]
-        pairs = zip(off.T, some.T, strict=True)
-        step_px = np.array([np.median(o[c]) if c.any() else 0.0 for o, c in pairs])
-        if (np.abs(step_px) < _STAYS_PX).all():
-            some &= shown[:, None] & (np.abs(off - step_px) < _THERMAL_CLOSE_PX)
-            return np.where(some, off + moved, np.nan)
-        moved = moved + step_px
-        if np.abs(moved).max() > THERMAL_REACH_PX:
-            break
-    return np.full((len(there), 2), np.nan)
+    return _Seen(some, measured, off + x_left - x_right, rows + y)
 
 
 def _fitted(teats: Array, views: tuple[View, ...], prior: Prior) -> Fitted:
@@ -214,7 +173,7 @@ def _best(fitted: Fitted, known: Array) -> NDArray[np.intp]:
     share = np.where(near, _close(fitted).mean(axis=1).reshape(near.shape), 0.0)
     at = share.argmax(axis=1)
     rows = np.arange(len(known))
-    return np.where(share[rows, at] >= _LEAST_SEEN, rows * near.shape[1] + at, -1)
+    return np.where(share[rows, at] >= LEAST_SEEN, rows * near.shape[1] + at, -1)
 
 
 def _close(fitted: Fitted) -> NDArray[np.bool_]:

@@ -4,16 +4,27 @@ the thermal outlines against what the stereo fit predicts.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import product
+
 import numpy as np
+from numpy.typing import NDArray
 
 from detector.geometry import Array
 from detector.outline.edges import CLEAR
 from detector.outline.fine import FINE_OUTLINE, Fitted
-from detector.outline.fit import normal_equations
+from detector.outline.fit import View, look, normal_equations
+from detector.outline.model import END
 from detector.outline.prior import Prior
 
 _EDGE_PX, _ROBUST_PX = 0.2, 0.3  # of thermal edges: sd beyond noise; farther off counts for less
 _SHIFT_SD, _SWELL_SD = 0.5, 0.5  # px, before a teat is looked at: no end, no rows
+THERMAL_REACH_PX = 10.0  # sensor px
+_THERMAL_SHIFTS = sorted(product((0.0, -4.0, 4.0, -8.0, 8.0), repeat=2), key=np.linalg.norm)
+LEAST_SEEN = 0.6  # share of an outline's edges that are close
+LEAST_END = 0.5  # the same of its end: wrong fits have 0.46 at most
+_CLOSE_PX, STAYS_PX, _AGAIN = 0.5, 0.3, 5
+_LEAST_INFORMATION = 15.0  # of an outline: sd 0.26 px; one far off counts for less anyway
 
 
 def row_offsets(fitted: Fitted, prior: Prior) -> tuple[Array, Array]:
@@ -35,9 +46,9 @@ def row_offsets(fitted: Fitted, prior: Prior) -> tuple[Array, Array]:
 
 
 def thermal_offsets(fitted: Fitted) -> tuple[Array, Array]:
-    """Shifts (m, 2) sensor px of thermal outlines, each free to swell; their weights (m, 2)."""
+    """Shifts (m, 2) sensor px of the last view's outlines, each free to swell; weights (m, 2)."""
     n = len(FINE_OUTLINE.part)
-    at = slice(2 * n, 3 * n)
+    at = slice(-n, None)
     seen, off = fitted.seen, fitted.seen.offset_px[:, at]
     clear = np.isfinite(off) & (seen.clarity[:, at] > CLEAR) & ~fitted.hidden[:, at]
     weight = np.where(clear, 1.0 / (seen.sd_px[:, at] ** 2 + _EDGE_PX**2), 0.0)
@@ -52,3 +63,43 @@ def thermal_offsets(fitted: Fitted) -> tuple[Array, Array]:
         left = off - np.einsum("mki,mi->mk", moves, shift)
         trusted = weight / (1 + (left / _ROBUST_PX) ** 2)
     return shift[:, :2], np.diagonal(G, axis1=1, axis2=2)[:, :2]
+
+
+def thermal_offsets_far(teats: Array, shown: NDArray[np.bool_], view: View) -> Array:
+    """Columns and rows (m, 2), sensor px, that the thermal outlines of teats (m, 8) are off, up to
+    `THERMAL_REACH_PX`, of those that are ``shown`` (m,); not-a-number where none is seen. An
+    outline is found within some pixels of where it is looked for: where most teats show none, they
+    are looked for at other shifts, the same for all.
+    """
+    best = np.full((len(teats), 2), np.nan)
+    for shift in _THERMAL_SHIFTS if shown.any() else ():
+        found = _thermal_near(teats, shown, view, np.array(shift))
+        ends, most = (int(np.isfinite(one[:, 0]).sum()) for one in (found, best))
+        if ends > most:
+            best = found
+        if ends == shown.sum():
+            break
+    return best
+
+
+def _thermal_near(teats: Array, shown: NDArray[np.bool_], view: View, moved: Array) -> Array:
+    """The same, looked for where the picture is moved by (2,), and again where it is found."""
+    no = np.zeros(len(teats), dtype=bool)
+    for _ in range(_AGAIN):
+        camera = replace(view.camera, cc=tuple((np.array(view.camera.cc) + moved).tolist()))
+        seen = look(teats, (replace(view, camera=camera),), FINE_OUTLINE, fine=True)
+        hidden = np.zeros(seen.offset_px.shape, dtype=bool)
+        off, weight = thermal_offsets(Fitted(teats, seen, seen.clarity, hidden, no, no))
+        near = np.abs(seen.offset_px) < _CLOSE_PX
+        whole = near.mean(axis=1) >= LEAST_SEEN
+        whole &= near[:, FINE_OUTLINE.part == END].mean(axis=1) >= LEAST_END
+        some = (weight > _LEAST_INFORMATION) & shown[:, None]
+        pairs = zip(off.T, some.T, strict=True)
+        step_px = np.array([np.median(o[c]) if c.any() else 0.0 for o, c in pairs])
+        if (np.abs(step_px) < STAYS_PX).all():
+            some &= whole[:, None] & (np.abs(off - step_px) < _CLOSE_PX)
+            return np.where(some, off + moved, np.nan)
+        moved = moved + step_px
+        if np.abs(moved).max() > THERMAL_REACH_PX:
+            break
+    return np.full((len(teats), 2), np.nan)

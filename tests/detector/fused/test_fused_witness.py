@@ -28,6 +28,8 @@ def frames(draw_scene: Draw) -> Pictures:
         ("vergence=-0.1", "thermal against optical"),
         ("column=2", "thermal against optical"),
         ("row=1", "rows of left and right"),
+        ("thermal-pose=0.3", "thermal against optical"),
+        ("thermal-pose=-0.5", "thermal against optical"),
     ],
 )
 def test_cameras_that_disagree_are_a_reason(
