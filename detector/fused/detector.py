@@ -70,6 +70,7 @@ from detector.outline import pictures
 from detector.outline.fine import Fitted, fine
 from detector.outline.fit import View, upright
 from detector.outline.model import COUNT, Rows, apexes, axes
+from detector.outline.offsets import thermal_offsets_far
 from detector.outline.prior import (
     OutOfDomainError,
     Prior,
@@ -200,10 +201,8 @@ def _detect(
     shown["odds"] = decision.odds
     shown["reasons"] = np.array([reason or "" for reason in decision.reasons], dtype=np.str_)
     which = decision.accepted or np.flatnonzero(decision.by_witness).tolist()
-    size = thermal.px_a_sensor_px
-    whole = whole_ends(judged.fitted.teats, judged.evidence, decision)
-    some, others = judged.fitted.take(which), judged.fitted.take(whole)
-    cameras = agreement(some, others, thermal.view, size, calibration, p)
+    some, far_px = judged.fitted.take(which), _far_px(judged, thermal)
+    cameras = agreement(some, far_px, calibration, p, thermal.px_a_sensor_px)
     shown["cameras_px"] = np.array([cameras.rows_px, *cameras.thermal_px])
     trace.append(Stage("decisions", shown))
     if wrong := disagreement(cameras, judged.fitted, calibration):
@@ -220,6 +219,17 @@ def _detect(
     reason = "; ".join(said) or None
     hidden = len(_unexplained(fitted.teats, thermal, ends))
     return Detection(answers, hidden, reason, tuple(trace))
+
+
+def _far_px(judged: _Judged, thermal: _Thermal) -> Array:
+    """How far (k, 2) the thermal outlines of ends that both optical pictures show whole are off,
+    sensor px, if near most of them there is none; not-a-number where there is none at all.
+    """
+    teats, evidence = judged.fitted.teats, judged.evidence
+    whole = whole_ends(teats, evidence, judged.decision)
+    if 2 * np.isfinite(evidence.thermal_px[whole]).all(axis=1).sum() > len(whole):
+        return np.zeros((0, 2))
+    return thermal_offsets_far(teats[whole], thermal.view)
 
 
 def _said(

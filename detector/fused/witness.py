@@ -21,10 +21,10 @@ from detector.calibration.bundle import LENS, POSE
 from detector.fused.parameters import Parameters
 from detector.geometry import Array, Camera, Motion
 from detector.outline.fine import Fitted
-from detector.outline.fit import View
 from detector.outline.model import apexes
-from detector.outline.offsets import row_offsets, thermal_offsets, thermal_offsets_far
+from detector.outline.offsets import row_offsets, thermal_offsets
 from detector.outline.prior import right_from_teats
+from detector.outline.views import THERMAL
 from detector.protocol import CamerasOff, Detection
 
 # beyond these no calibration of a rig that is fit for use is off
@@ -51,27 +51,23 @@ class Agreement:
 
 
 def agreement(
-    some: Fitted, whole: Fitted, thermal: View, size: float, calibration: Calibration, p: Parameters
+    some: Fitted, far_px: Array, calibration: Calibration, p: Parameters, size: float
 ) -> Agreement:
     """Pooled over ``some`` fits: the accepted ones, else what only a witness speaks against. Where
-    more of the ``whole`` ones in the optical pictures have a thermal outline farther off, all by
-    the same, than near them: over those.
+    thermal outlines lie farther off than edges are looked for, by ``far_px`` (k, 2), over those.
     """
     lens, pose = _thermal_camera(calibration)
     thermal_mm = abs(float((pose.R.T @ pose.T)[0]))
     optical = calibration.right.fc[0] * calibration.baseline_mm
     ratio = max(lens.fc[0] / size * thermal_mm / optical, 1e-3)
     nothing = Agreement(0, np.nan, (np.nan, np.nan), 0.0, ratio)
-    if len(some.teats) + len(whole.teats) == 0:
+    if len(some.teats) + len(far_px) == 0:
         return nothing
     rows, row_weight = row_offsets(some, p.prior)
     shift, weight = thermal_offsets(some)
     known = weight > _LEAST_INFORMATION
-    near = thermal_offsets(whole)[1][:, 0] > _LEAST_INFORMATION
-    if not near.all():
-        far = thermal_offsets_far(whole.teats, np.ones(len(near), dtype=bool), thermal)
-        if (np.abs(np.median(far[np.isfinite(far[:, 0])], axis=0)) > _THERMAL_PX).any():
-            shift, known = far, np.isfinite(far)
+    if (np.abs(far_px) > THERMAL.search_px).any():
+        shift, known = far_px, np.isfinite(far_px)
     columns, down = (
         _middle(shift[known[:, i], i]) if known[:, i].any() else np.nan for i in range(2)
     )

@@ -82,9 +82,9 @@ def offsets_at(frames: Frames, calibration: Calibration, ends_mm: Array) -> list
     thermal, thermal_mm = np.full((len(known), 2), np.nan), np.full(len(known), NO_THERMAL_MM)
     with suppress(pictures.UnusableError):  # no lens, no thermal picture
         warm = thermal_view(frames, calibration)
-        there = seen.fitted.teats.copy()
-        there[:, :3] += known - apexes(there)
-        thermal = thermal_offsets_far(there, seen.measured, warm)
+        there = seen.fitted.teats[seen.measured]
+        there[:, :3] += known[seen.measured] - apexes(there)
+        thermal[seen.measured] = thermal_offsets_far(there, warm)
         depth = warm.camera_from_teats.apply(known)[:, 2]
         thermal_mm = depth / warm.camera.fc[0]
     figures = np.column_stack([seen.disparity_px, seen.rows_px, thermal])

@@ -8,7 +8,6 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from detector.geometry import Array
 from detector.outline.edges import CLEAR
@@ -65,24 +64,23 @@ def thermal_offsets(fitted: Fitted) -> tuple[Array, Array]:
     return shift[:, :2], np.diagonal(G, axis1=1, axis2=2)[:, :2]
 
 
-def thermal_offsets_far(teats: Array, shown: NDArray[np.bool_], view: View) -> Array:
+def thermal_offsets_far(teats: Array, view: View) -> Array:
     """Columns and rows (m, 2), sensor px, that the thermal outlines of teats (m, 8) are off, up to
-    `THERMAL_REACH_PX`, of those that are ``shown`` (m,); not-a-number where none is seen. An
-    outline is found within some pixels of where it is looked for: where most teats show none, they
-    are looked for at other shifts, the same for all.
+    `THERMAL_REACH_PX`; not-a-number where none is seen. An outline is found within some pixels of
+    where it is looked for: so other shifts are tried, the same for all teats, until all show one.
     """
     best = np.full((len(teats), 2), np.nan)
-    for shift in _THERMAL_SHIFTS if shown.any() else ():
-        found = _thermal_near(teats, shown, view, np.array(shift))
+    for shift in _THERMAL_SHIFTS if len(teats) else ():
+        found = _thermal_near(teats, view, np.array(shift))
         ends, most = (int(np.isfinite(one[:, 0]).sum()) for one in (found, best))
         if ends > most:
             best = found
-        if ends == shown.sum():
+        if ends == len(teats):
             break
     return best
 
 
-def _thermal_near(teats: Array, shown: NDArray[np.bool_], view: View, moved: Array) -> Array:
+def _thermal_near(teats: Array, view: View, moved: Array) -> Array:
     """The same, looked for where the picture is moved by (2,), and again where it is found."""
     no = np.zeros(len(teats), dtype=bool)
     for _ in range(_AGAIN):
@@ -93,7 +91,7 @@ def _thermal_near(teats: Array, shown: NDArray[np.bool_], view: View, moved: Arr
         near = np.abs(seen.offset_px) < _CLOSE_PX
         whole = near.mean(axis=1) >= LEAST_SEEN
         whole &= near[:, FINE_OUTLINE.part == END].mean(axis=1) >= LEAST_END
-        some = (weight > _LEAST_INFORMATION) & shown[:, None]
+        some = weight > _LEAST_INFORMATION
         pairs = zip(off.T, some.T, strict=True)
         step_px = np.array([np.median(o[c]) if c.any() else 0.0 for o, c in pairs])
         if (np.abs(step_px) < STAYS_PX).all():
