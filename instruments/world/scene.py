@@ -140,13 +140,13 @@ def seen_share(
     if not parts:
         return np.zeros(0)
     points, of = np.concatenate(parts), np.repeat(np.arange(len(parts)) // 2, [*map(len, parts)])
-    seen = stage.solids.in_camera(camera)
-    # no solid but the teat itself stands between
-    x, y, z = np.tile(camera.camera_from_world(points), (len(seen), 1)).T
-    which = np.repeat(np.arange(len(seen)), len(points))
+    seen, sights = stage.solids.in_camera(camera), camera.camera_from_world(points)
+    # no solid but the teat itself stands between; most are far from every line of sight
+    which, at = np.nonzero(seen.near_lines(sights) & (stage.owner[:, None] != of))
+    x, y, z = sights[at].T
     depth, _, hit = intersect(seen, which, x / z, y / z)
-    blocks = hit & (depth > 0.0) & (depth < z) & (stage.owner[which] != np.tile(of, len(seen)))
-    free = ~blocks.reshape(-1, len(points)).any(axis=0)
+    free = np.ones(len(points), dtype=np.bool_)
+    free[at[hit & (depth > 0.0) & (depth < z)]] = False
     away = points - camera.centre_mm
     for board in boards:
         towards, corner = away @ board.normal, np.asarray(board.corner_mm)
