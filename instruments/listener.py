@@ -12,7 +12,7 @@ import contextlib
 import select
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Protocol
 from weakref import WeakSet
@@ -121,13 +121,17 @@ class ServedConnection(Connection):
             if self._pacer:
                 self._pacer.run(receive)
             else:
-                with contextlib.suppress(OSError):
-                    while data := self._read(65536):
-                        receive(data)
+                for data in self._pieces():
+                    receive(data)
         finally:
             with self._lock:
                 self.open = False
                 device.disconnect(self)
+
+    def _pieces(self) -> Iterator[bytes]:
+        with contextlib.suppress(OSError):
+            while data := self._read(65536):
+                yield data
 
 
 class Loopback(Connection):
