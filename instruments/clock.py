@@ -15,7 +15,11 @@ import threading
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime
-from typing import Protocol
+from types import CodeType
+from typing import ParamSpec, Protocol, TypeVar
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 class Clock(Protocol):
@@ -60,7 +64,29 @@ def load_per_processor() -> float | None:
     return os.getloadavg()[0] / (os.cpu_count() or 1) if hasattr(os, "getloadavg") else None
 
 
-HUNG_S = 10.0  # real time that an emulator's thread gets to take bytes before it is called hung
+UNBROKEN: set[CodeType] = set()
+
+
+def unbroken(work: Callable[P, T]) -> Callable[P, T]:
+    """A request to end the program, such as Ctrl-C, waits until ``work`` is done."""
+    UNBROKEN.add(work.__code__)
+    return work
+
+
+class HostPort(Protocol):
+    """The host's end of a link."""
+
+    def read_some(self, timeout_s: float) -> bytes:
+        """What has come, after ``timeout_s`` at most; empty for nothing. Raises OSError."""
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``. Raises OSError."""
+
+    def set_baud(self, baud: int) -> None:
+        """Change the rate. Raises OSError, ValueError."""
+
+    def close(self) -> None:
+        """May be repeated."""
 
 
 class RealClock:
@@ -129,7 +155,8 @@ class VirtualClock:
         self._planned: list[tuple[float, int, Callable[[], None]]] = []
         self._order = itertools.count()
         self._lock = threading.Lock()
-        self._wires: dict[int, Wire] = {}
+        # by TCP port: what links a host of this process to the emulator there
+        self.emulators: dict[int, Callable[[], HostPort]] = {}
 
     def now(self) -> float:
         return self._now
@@ -144,9 +171,7 @@ class VirtualClock:
             heapq.heappush(self._planned, (when_s, next(self._order), action))
 
     def step(self, limit_s: float) -> bool:
-        """Run the next planned action, or move to ``limit_s`` (False), once all bytes are taken."""
-        for wire in list(self._wires.values()):
-            wire.wait_taken(HUNG_S)
+        """Run the next planned action, or move to ``limit_s`` (False)."""
         with self._lock:
             due = bool(self._planned) and self._planned[0][0] <= limit_s
             when, _, action = heapq.heappop(self._planned) if due else (limit_s, 0, None)
@@ -156,20 +181,10 @@ class VirtualClock:
         action()
         return True
 
-    def wire(self, port: int) -> Wire:
-        """The bytes in flight on the loopback connection whose near end is TCP port ``port``."""
-        with self._lock:
-            return self._wires.setdefault(port, Wire())
-
-    def forget_wire(self, port: int) -> None:
-        """Drop an account; the system may give its port number to another connection later."""
-        with self._lock:
-            self._wires.pop(port, None)
-
 
 class PacedClock(VirtualClock):
     """Virtual time from ``start_s`` on that a person can watch: it passes ``speed`` times as fast
-    as the world's, and stands still while something is computed for longer or on its way.
+    as the world's, and stands still while something is computed for longer.
     """
 
     def __init__(self, speed: float, start_s: float = 0.0) -> None:
@@ -185,88 +200,3 @@ class PacedClock(VirtualClock):
         time.sleep(max(0.0, due - time.monotonic()))
         self._moved = time.monotonic()
         return super().step(limit_s)
-
-
-class Wire:
-    """Counts the bytes between a link and an emulator: time stands still while any is in flight,
-    and so doesn't depend on load. Ctrl-C may come anywhere: only the interpreter's own locks are
-    used, which `with` always releases.
-    """
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._waiter: threading.Lock | None = None
-        self._accepted = False
-        self._closed = False
-        self._to_device = 0
-        self._to_host = 0
-        self.sending = False  # bytes were counted that may not be on their way yet
-
-    def accepted(self) -> None:
-        """The emulator has the connection and has said what it says unasked."""
-        with self._lock:
-            self._accepted = True
-            self._notify()
-
-    def closed(self) -> None:
-        """The emulator has hung up; nothing more will come."""
-        with self._lock:
-            self._closed = True
-            self._notify()
-
-    def add(self, *, to_device: int = 0, to_host: int = 0) -> None:
-        """Bytes sent (positive) or taken (negative) in either direction."""
-        with self._lock:
-            self._to_device += to_device
-            self._to_host += to_host
-            self._notify()
-
-    def send(self, count: int, write: Callable[[], None]) -> None:
-        """The emulator's ``write`` of ``count`` bytes, counted first, so the host waits for it."""
-        try:
-            self.sending = True
-            self.add(to_host=count)
-            write()
-        finally:
-            self.sending = False
-
-    def settle(self, timeout_s: float) -> bool:
-        """Wait for bytes for the host (True) or nothing in flight (False). Raises TimeoutError."""
-        self._wait_for(self._settled, timeout_s)
-        return self._to_host > 0 or self._closed
-
-    def wait_taken(self, timeout_s: float) -> None:
-        """Wait until the emulator took all bytes. Raises TimeoutError as ``settle``."""
-        self._wait_for(lambda: self._closed or self._to_device <= 0, timeout_s)
-
-    def before_write(self) -> None:
-        """Forget bytes that were taken and never counted: an interrupt came between the two."""
-        if self._to_device < 0:
-            with self._lock:
-                self._to_device = max(0, self._to_device)
-
-    def nothing_came(self) -> None:
-        """Reset the count: an interrupt came between reading and counting."""
-        with self._lock:
-            self._to_host = 0
-
-    def _wait_for(self, done: Callable[[], bool], timeout_s: float) -> None:
-        if done():  # most often: each count is read whole, and `_to_host` last
-            return
-        deadline = time.monotonic() + timeout_s
-        while True:
-            with self._lock:
-                if done():
-                    return
-                waiter = self._waiter = threading.Lock()
-                waiter.acquire()
-            if not waiter.acquire(timeout=max(0.0, deadline - time.monotonic())):
-                raise TimeoutError(f"{self._to_device} bytes stayed untaken for {timeout_s} s")
-
-    def _notify(self) -> None:
-        if self._waiter is not None:
-            waiter, self._waiter = self._waiter, None
-            waiter.release()
-
-    def _settled(self) -> bool:
-        return self._to_host > 0 or self._closed or (self._accepted and self._to_device <= 0)

@@ -23,7 +23,7 @@ from urllib.parse import urlsplit
 import serial
 from serial.tools import list_ports
 
-from instruments.clock import HUNG_S, Clock, VirtualClock, Wire
+from instruments.clock import Clock, HostPort, VirtualClock
 from instruments.errors import LinkError, ProtocolError
 from instruments.port_settings import PortSettings, with_lines
 
@@ -35,7 +35,6 @@ SOCKETS = ("socket://", "tcp://", "rtu+tcp://")
 MOST_BYTES = 1 << 20
 LATE_S = 1.0  # what came in time on a busy machine is read until so long after the deadline
 SEEN_BYTES = 60  # of what came, in an error
-COUNTED_S = 2.0  # real time until bytes that an emulator has counted must have come over loopback
 
 SYSFS = Path("/sys")
 FTDI_DEVICES = r"SYSTEM\CurrentControlSet\Enum\FTDIBUS"  # in the registry
@@ -131,9 +130,9 @@ class Link:
 
     def _open(self) -> None:
         self._buffer = b""
-        self._port: _TcpPort | _SerialPort
+        self._port: HostPort
         if self.url.startswith(SOCKETS):
-            self._port = _TcpPort(self.url, self.who, self._connect_timeout_s)
+            self._port = _socket(self.url, self.who, self._connect_timeout_s, self.clock)
         else:
             try:
                 place, settings = with_lines(self.url, self._settings)
@@ -141,27 +140,16 @@ class Link:
                 raise LinkError(self.who, str(error), hint="Correct the port's URL.") from error
             self._port = _SerialPort(place, self.who, self.baud, settings)
         self._is_open = self.connected = True
-        self._virtual: tuple[VirtualClock, Wire] | None = None
         self._tap.opened(self.url)
-        if isinstance(self.clock, VirtualClock) and isinstance(self._port, _TcpPort):
-            self._near_end = self._port.near_end
-            self._virtual = self.clock, self.clock.wire(self._near_end)
-            self._settle(self._virtual[1])
 
     def write(self, data: bytes) -> None:
         """Send all of ``data``. Raises LinkError when the link is broken or closed."""
         self._refuse_closed()
         self._tap.sent(data)
-        if self._virtual:
-            self._virtual[1].before_write()
         try:
             self._port.write(data)
         except OSError as error:
             raise self._broke("sending", error, asked=data) from error
-        # counted after: an interrupt between the two must not leave bytes that nothing will ever
-        # take
-        if self._virtual:
-            self._virtual[1].add(to_device=len(data))
 
     def receive(self, timeout_s: float) -> bytes:
         """What has come, after ``timeout_s`` at most; empty for nothing. Raises LinkError."""
@@ -169,13 +157,13 @@ class Link:
         if self._buffer:
             data, self._buffer = self._buffer, b""
             return data
-        if self._virtual:
-            return self._receive_virtually(*self._virtual, timeout_s)
+        if isinstance(self.clock, VirtualClock):  # an emulator's port moves the time itself
+            return self._receive(timeout_s)
         # looks at the clock every second: a sign of life, and on Windows the moment for Ctrl-C
         deadline = self.clock.now() + timeout_s
         while True:
             left_s = max(0.0, deadline - self.clock.now())
-            data = self._receive_really(min(left_s, SLICE_S))
+            data = self._receive(min(left_s, SLICE_S))
             if data or left_s <= SLICE_S:
                 return data
 
@@ -222,8 +210,6 @@ class Link:
         """May be repeated. Until ``reopen`` all other calls raise LinkError."""
         self._is_open = False
         self._disconnected()
-        if self._virtual:
-            self._virtual[0].forget_wire(self._near_end)
         self._port.close()
 
     def _disconnected(self, why: str = "") -> None:
@@ -251,7 +237,7 @@ class Link:
                 return data[:at]
         return data
 
-    def _receive_really(self, timeout_s: float) -> bytes:
+    def _receive(self, timeout_s: float) -> bytes:
         try:
             data = self._port.read_some(timeout_s)
         except OSError as error:
@@ -260,46 +246,30 @@ class Link:
             self._tap.received(data)
         return data
 
-    def _receive_virtually(self, clock: VirtualClock, wire: Wire, timeout_s: float) -> bytes:
-        deadline = clock.now() + timeout_s
-        while True:
-            while not self._settle(wire):
-                if clock.now() >= deadline:
-                    return b""
-                clock.step(deadline)
-            # or what the emulator's thread counted but had no time to send
-            data = self._receive_really(COUNTED_S) or self._receive_really(
-                HUNG_S if wire.sending else 0.0
-            )
-            if data:
-                wire.add(to_host=-len(data))
-                return data
-            wire.nothing_came()
 
-    def _settle(self, wire: Wire) -> bool:
-        try:
-            return wire.settle(HUNG_S)
-        except TimeoutError as error:
-            raise LinkError(self.who, f"the emulator hangs: {error}") from error
+def _socket(url: str, who: str, connect_timeout_s: float, clock: Clock) -> HostPort:
+    """The port at a socket's URL: under virtual time that of an emulator in this process."""
+    try:
+        parts = urlsplit(url)
+        host, port = parts.hostname, parts.port
+        if not host or not port:
+            raise ValueError("host or port is missing")
+    except ValueError as error:
+        what, hint = f"not a link: {error}", "Write socket://host:port."
+        raise LinkError(who, what, hint=hint) from error
+    if isinstance(clock, VirtualClock) and port in clock.emulators:
+        return clock.emulators[port]()
+    try:
+        return _TcpPort(host, port, connect_timeout_s)
+    except OSError as error:
+        hint = "Is the device on, and the address right?"
+        raise LinkError(who, f"nothing takes the connection: {error}", hint=hint) from error
 
 
 class _TcpPort:
-    def __init__(self, url: str, who: str, connect_timeout_s: float) -> None:
-        try:
-            parts = urlsplit(url)
-            host, port = parts.hostname, parts.port
-            if not host or not port:
-                raise ValueError("host or port is missing")
-        except ValueError as error:
-            what, hint = f"not a link: {error}", "Write socket://host:port."
-            raise LinkError(who, what, hint=hint) from error
-        try:
-            self._socket = socket.create_connection((host, port), timeout=connect_timeout_s)
-        except OSError as error:
-            hint = "Is the device on, and the address right?"
-            raise LinkError(who, f"nothing takes the connection: {error}", hint=hint) from error
+    def __init__(self, host: str, port: int, connect_timeout_s: float) -> None:
+        self._socket = socket.create_connection((host, port), timeout=connect_timeout_s)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self.near_end: int = self._socket.getsockname()[1]
 
     def read_some(self, timeout_s: float) -> bytes:
         if not select.select([self._socket], [], [], timeout_s)[0]:

@@ -1,5 +1,5 @@
 """The emulators' end of a link: listens on loopback TCP and hands bytes to a device that never
-waits.
+waits. Under virtual time a host of this process needs no socket.
 
 One listener a device, on a port that the system chooses. A device answers at once or through
 ``Connection.after``. All emulators of a world share one lock, so no device is called by two threads
@@ -12,11 +12,13 @@ import contextlib
 import select
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Protocol
+from weakref import WeakSet
 
-from instruments.clock import Clock, VirtualClock, Wire
-from instruments.pacing import Pacer, Port, check_pace
+from instruments.clock import Clock, VirtualClock, unbroken
+from instruments.pacing import Pacer, Port, ServedPort, check_pace
 
 
 class Device(Protocol):
@@ -33,7 +35,7 @@ class Device(Protocol):
 
 
 class Connection:
-    """One host's connection to a device. ``pace``: baud and latency, as of `Listener`."""
+    """One host's connection to a device. ``pacer``: between it and the port."""
 
     def __init__(
         self,
@@ -41,26 +43,18 @@ class Connection:
         clock: Clock,
         lock: threading.RLock,
         *,
-        wire: Wire | None = None,
-        pace: tuple[int | None, float] = (None, 0.0),
+        pacer: Pacer | None = None,
     ) -> None:
         self._port = port
         self._clock = clock
         self._lock = lock
-        self._wire = wire
-        self._pacer = None if pace == (None, 0.0) else Pacer(port, clock, *pace)
+        self._pacer = pacer
         self.open = True
 
     def send(self, data: bytes) -> None:
         """Send now. Bytes for a host that has gone are dropped, as on a real wire."""
         if not self.open or not data:
             return
-        if self._wire:
-            self._wire.send(len(data), lambda: self._write(data))
-        else:
-            self._write(data)
-
-    def _write(self, data: bytes) -> None:
         if self._pacer:
             self._pacer.send(data)
             return
@@ -88,9 +82,6 @@ class Connection:
     def hang_up(self) -> None:
         """Break the connection: a cable or power loss. What was sent before arrives."""
         self.open = False
-        if self._wire:
-            # at once, so that virtual time does not run on while the host waits
-            self._wire.closed()
         if self._pacer:
             self._pacer.hang_up()
         else:
@@ -102,36 +93,117 @@ class Connection:
         if self._pacer:
             self._pacer.abort()
 
+
+class ServedConnection(Connection):
+    """One that a thread of the listener serves. ``pace``: baud and latency, as of `Listener`."""
+
+    def __init__(
+        self,
+        port: ServedPort,
+        clock: Clock,
+        lock: threading.RLock,
+        pace: tuple[int | None, float],
+    ) -> None:
+        pacer = None if pace == (None, 0.0) else Pacer(port, clock, *pace)
+        super().__init__(port, clock, lock, pacer=pacer)
+        self._read = port.read
+
     def serve(self, device: Device) -> None:
-        """Hand ``device`` what comes until the connection ends: the listener's thread."""
+        """Hand ``device`` what comes until the connection ends."""
+
+        def receive(data: bytes) -> None:
+            with self._lock:
+                device.receive(self, data)
+
         with self._lock:
             device.connect(self)
-        if self._wire:
-            self._wire.accepted()
         try:
             if self._pacer:
-                self._pacer.run(lambda data: self._receive(device, data))
+                self._pacer.run(receive)
             else:
-                while data := self._read():
-                    self._receive(device, data)
+                for data in self._pieces():
+                    receive(data)
         finally:
             with self._lock:
                 self.open = False
                 device.disconnect(self)
-            if self._wire:
-                self._wire.closed()
 
-    def _read(self) -> bytes:
-        try:
-            return self._port.read(65536)
-        except OSError:
-            return b""
+    def _pieces(self) -> Iterator[bytes]:
+        with contextlib.suppress(OSError):
+            while data := self._read(65536):
+                yield data
 
-    def _receive(self, device: Device, data: bytes) -> None:
+
+class Loopback(Connection):
+    """One with a host of this process under virtual time, and that host's port: the device takes
+    bytes on the thread that sends them, so no thread's pace has a part in what a run does.
+    """
+
+    def __init__(self, device: Device, clock: VirtualClock, lock: threading.RLock) -> None:
+        self._answers = _Answers()
+        super().__init__(self._answers, clock, lock)
+        self._device, self._time = device, clock
+        self._connected = False
+
+    @unbroken
+    def connect(self) -> None:
+        """The cable is in."""
         with self._lock:
-            device.receive(self, data)
-        if self._wire:
-            self._wire.add(to_device=-len(data))
+            self._connected = True
+            self._device.connect(self)
+
+    def read_some(self, timeout_s: float) -> bytes:
+        """As `HostPort`; time moves where nothing has come."""
+        until_s = self._time.now() + timeout_s
+        while not self._answers.data:
+            if self._answers.ended:
+                self.close()
+                raise ConnectionResetError("the other end hung up")
+            if self._time.now() >= until_s:
+                return b""
+            self._time.step(until_s)
+        data, self._answers.data = self._answers.data, b""
+        return data
+
+    @unbroken
+    def write(self, data: bytes) -> None:
+        """As `HostPort`. A device that has hung up hears nothing; the host notices as it reads."""
+        with self._lock:
+            if self.open:
+                self._device.receive(self, data)
+
+    def set_baud(self, baud: int) -> None:
+        """As `HostPort`: there is no rate."""
+
+    @unbroken
+    def close(self) -> None:
+        """As `HostPort`: the cable is out."""
+        with self._lock:
+            self.open = False
+            if self._connected:
+                self._connected = False
+                self._device.disconnect(self)
+
+    def abort(self) -> None:
+        self.hang_up()
+        self.close()
+
+
+class _Answers:
+    """A device's end of a `Loopback`: keeps what it says until the host reads."""
+
+    def __init__(self) -> None:
+        self.data, self.ended = b"", False
+
+    def write(self, data: bytes) -> None:
+        self.data += data
+
+    def hang_up(self) -> None:
+        self.ended = True
+
+    def baud(self) -> int | None:
+        """It isn't known."""
+        return None
 
 
 class Listener:
@@ -161,10 +233,12 @@ class Listener:
         self._server = socket.create_server((host, port))
         self.port: int = self._server.getsockname()[1]
         self.url = f"socket://{host}:{self.port}"
-        self._connections: set[Connection] = set()
+        self._connections: WeakSet[Connection] = WeakSet()
         self._threads: list[threading.Thread] = []
         self._closing = False
         self.pulled = False
+        if isinstance(clock, VirtualClock):
+            clock.emulators[self.port] = partial(self._connected, clock)
         self._start(self._accept)
 
     def pull(self, *, out: bool) -> None:
@@ -177,6 +251,8 @@ class Listener:
     def close(self) -> None:
         """Stop listening, break all connections and wait for the threads to end."""
         self._closing = True
+        if isinstance(self._clock, VirtualClock):
+            self._clock.emulators.pop(self.port, None)
         with (
             contextlib.suppress(OSError),
             socket.create_connection(self._server.getsockname(), timeout=1.0),
@@ -199,31 +275,34 @@ class Listener:
     def _accept(self) -> None:
         while True:
             try:
-                sock, peer = self._server.accept()
+                sock = self._server.accept()[0]
             except OSError:
                 return
             if self._closing:
                 sock.close()
                 return
-            self._start(lambda sock=sock, port=peer[1]: self._serve(sock, port))  # type: ignore[misc]
+            self._start(partial(self._serve, sock))
 
-    def _serve(self, sock: socket.socket, host_port: int) -> None:
+    def _serve(self, sock: socket.socket) -> None:
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        wire = self._clock.wire(host_port) if isinstance(self._clock, VirtualClock) else None
         with sock:
             with self._lock:
                 if self._closing or self.pulled:
-                    if wire:
-                        wire.closed()
                     return
-                port = _TcpPort(sock)
-                connection = Connection(port, self._clock, self._lock, wire=wire, pace=self._pace)
+                connection = ServedConnection(_TcpPort(sock), self._clock, self._lock, self._pace)
                 self._connections.add(connection)
-            try:
-                connection.serve(self._device)
-            finally:
-                with self._lock:
-                    self._connections.discard(connection)
+            connection.serve(self._device)
+
+    def _connected(self, clock: VirtualClock) -> Loopback:
+        """A host of this process comes; one whose cable is out is hung up on."""
+        with self._lock:
+            loop = Loopback(self._device, clock, self._lock)
+            if self.pulled:
+                loop.hang_up()
+            else:
+                self._connections.add(loop)
+                loop.connect()
+            return loop
 
 
 class _TcpPort:

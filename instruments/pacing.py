@@ -26,7 +26,20 @@ SPIN_S = 0.00008
 
 
 class Port(Protocol):
-    """The listener's end of one host's cable."""
+    """A device's end of one host's cable."""
+
+    def write(self, data: bytes) -> None:
+        """Hand all of ``data`` to the host. Raises OSError when it has gone."""
+
+    def hang_up(self) -> None:
+        """Break the cable, which ends a read. Called from any thread, more than once too."""
+
+    def baud(self) -> int | None:
+        """The rate that the host has set its end to; None where that can't be known."""
+
+
+class ServedPort(Port, Protocol):
+    """One that a thread reads."""
 
     def fileno(self) -> int:
         """What `select` waits for."""
@@ -39,15 +52,6 @@ class Port(Protocol):
 
     def read(self, count: int) -> bytes:
         """At most ``count`` bytes, waiting for the first; empty or OSError at the end."""
-
-    def write(self, data: bytes) -> None:
-        """Hand all of ``data`` to the host. Raises OSError when it has gone."""
-
-    def hang_up(self) -> None:
-        """Break the cable, which ends a read. Called from any thread, more than once too."""
-
-    def baud(self) -> int | None:
-        """The rate that the host has set its end to; None where that can't be known."""
 
 
 def check_pace(clock: Clock, baud: int | None, latency_s: float) -> None:
@@ -80,7 +84,7 @@ class Line:
 class Pacer:
     """Both directions of one host's cable. ``run`` is the listener's thread."""
 
-    def __init__(self, port: Port, clock: Clock, baud: int | None, latency_s: float) -> None:
+    def __init__(self, port: ServedPort, clock: Clock, baud: int | None, latency_s: float) -> None:
         byte_s = BITS_PER_BYTE / baud if baud else 0.0
         self._port = port
         self._clock = clock

@@ -14,7 +14,7 @@ import select
 import threading
 
 from instruments.clock import Clock, VirtualClock
-from instruments.listener import Connection, Device
+from instruments.listener import Device, ServedConnection
 from instruments.pacing import check_pace
 
 _CLOSE = 0x08 | 0x10  # inotify(7): IN_CLOSE_WRITE, IN_CLOSE_NOWRITE
@@ -65,7 +65,7 @@ class PtyListener:
         self._lock = lock
         self._pace = baud, latency_s
         self._closing = threading.Event()
-        self._connection: Connection | None = None
+        self._connection: ServedConnection | None = None
         self.pulled = False
         self._terminal = _Terminal(name)
         self._thread = threading.Thread(target=self._run, name=f"{name} emulator", daemon=True)
@@ -112,7 +112,7 @@ class PtyListener:
         with self._lock:
             if self._closing.is_set():
                 return
-            self._connection = Connection(terminal, self._clock, self._lock, pace=self._pace)
+            self._connection = ServedConnection(terminal, self._clock, self._lock, self._pace)
         self._connection.serve(self._device)
         with self._lock:
             self._connection = None

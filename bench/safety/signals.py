@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from instruments.clock import RealClock, stopwatch_s
+from instruments.clock import UNBROKEN, RealClock, stopwatch_s
 
 # wincon.h
 CTRL_C_EVENT, CTRL_BREAK_EVENT, CTRL_CLOSE_EVENT = 0, 1, 2
@@ -94,7 +94,7 @@ class Exits:
         self._terminals = [number for number in (0, 1, 2) if _is_terminal(number)]
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        if _amid_a_lock(frame):
+        if _must_go_on(frame):
             # The signal comes once more, in a moment
             def later() -> None:
                 RealClock().sleep(MOMENT_S)
@@ -199,10 +199,15 @@ def undisturbed() -> Iterator[None]:
         exits.let_go()
 
 
-def _amid_a_lock(frame: FrameType | None) -> bool:
-    """Whether Python's own code is taking or giving back a lock, which would stay held."""
+def _must_go_on(frame: FrameType | None) -> bool:
+    """Whether Python's own code is taking or giving back a lock, which would stay held, or an
+    emulator is at work on this thread.
+    """
     while frame is not None:
-        if frame.f_code.co_filename == threading.__file__ and frame.f_code.co_name in AMID_A_LOCK:
+        code = frame.f_code
+        if code in UNBROKEN or (
+            code.co_filename == threading.__file__ and code.co_name in AMID_A_LOCK
+        ):
             return True
         frame = frame.f_back
     return False

@@ -94,13 +94,6 @@ for _i, (_row, _column) in enumerate(((0, 0), (1, 1), (0, 1), (2, 2), (0, 2), (1
     _ENTRIES[_i, _row, _column] = 1.0 if _row == _column else -1.0
 
 
-def bent_mm(q: Floats, way_mm: Floats) -> Floats:
-    """(3, 6): the error of a carry by ``way_mm`` (3,) for each entry of E."""
-    inverse = np.linalg.inv(np.sum(q**2) * np.eye(3) - q.T @ q)
-    turned = [inverse @ np.sum(np.cross(q, q @ entry.T), axis=0) for entry in _ENTRIES]
-    return np.asarray(np.cross(turned, way_mm) - _ENTRIES @ way_mm).T
-
-
 DOUBT, ALPHA = 0.4, 0.01
 # rms extent across; nearer together, an arm of 0.23 mm turns the fit by more than 3 mrad
 SPREAD_MM = 40.0
@@ -221,8 +214,8 @@ class Registration:
         """Covariance (3, 3), world axes, of a carry between stage positions (3,)."""
         way = np.subtract(stage_to_mm, stage_from_mm)
         turn = cross_matrix(way)
-        noise = turn @ rotation_covariance(self.stage_mm, self.u_mm) @ turn.T
-        bent = bent_mm(self._q, way)
+        noise = turn @ self._turn_covariance @ turn.T
+        bent = self._bent_mm(way)
         deformed = bent @ self._deformation @ bent.T
         R = self.world_from_stage.R
         return np.asarray(
@@ -233,13 +226,28 @@ class Registration:
         """What carries by ``ways_mm`` (n, 3), machine axes, share: columns (n, 3, 9) of unit
         variance for turn and axes; they make `carry_covariance_mm2` but for the repeatability.
         """
-        turn = _root(rotation_covariance(self.stage_mm, self.u_mm))
+        turn = _root(self._turn_covariance)
         bend, R = _root(self._deformation), self.world_from_stage.R
         parts = [
-            np.column_stack([cross_matrix(way) @ turn, bent_mm(self._q, way) @ bend])
+            np.column_stack([cross_matrix(way) @ turn, self._bent_mm(way) @ bend])
             for way in ways_mm
         ]
         return np.asarray(R @ np.array(parts).reshape(-1, 3, 9))
+
+    @cached_property
+    def _turn_covariance(self) -> Floats:
+        return rotation_covariance(self.stage_mm, self.u_mm)
+
+    @cached_property
+    def _turned(self) -> Floats:
+        """(6, 3): how each entry of E turns the fit."""
+        inverse = np.linalg.inv(np.sum(self._q**2) * np.eye(3) - self._q.T @ self._q)
+        turns = [np.sum(np.cross(self._q, self._q @ entry.T), axis=0) for entry in _ENTRIES]
+        return np.array([inverse @ turn for turn in turns])
+
+    def _bent_mm(self, way_mm: Floats) -> Floats:
+        """(3, 6): the error of a carry by ``way_mm`` (3,) for each entry of E."""
+        return np.asarray(np.cross(self._turned, way_mm) - _ENTRIES @ way_mm).T
 
     def carry_mm(self, stage_from_mm: ArrayLike, stage_to_mm: ArrayLike) -> Floats:
         """By how much (3,) every teat end moves in the world."""

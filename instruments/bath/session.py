@@ -112,7 +112,7 @@ class Session(ABC):
 
     def receive_until(self, until_s: float, done: Callable[[], bool]) -> None:
         """Take in what comes until ``done``, ``until_s``, or the link breaks. An exception closes
-        the link. Raises LinkError when an emulator's thread hangs.
+        the link.
         """
         link, clock = self.up(), self.clock
         virtual = clock if isinstance(clock, VirtualClock) else None

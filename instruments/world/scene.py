@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -29,7 +30,7 @@ from instruments.world.optics import (
     cameras_from_calibration,
     depth_from_calibration,
 )
-from instruments.world.phantom import Phantom, TeatShape
+from instruments.world.phantom import Phantom
 from instruments.world.sensor import OpticalSensor
 from instruments.world.solids import Bools, intersect, square_to
 from instruments.world.state import SceneState, Stage
@@ -135,18 +136,19 @@ def seen_share(
     The ``stage`` begins with the teats; a teat doesn't hide its own end.
     """
     ends, parts = phantom.ends_mm, list[Floats]()
-    for end, axis, teat in zip(ends, phantom.axes, phantom.teats, strict=True):
-        parts += [end[None, :], _near_side(end, axis, teat.shape, camera)]
+    for end, (on_rings, outward, middle) in zip(ends, _rounded_ends(phantom), strict=True):
+        faces = outward @ (camera.centre_mm - middle) > 0.0
+        parts += [end[None, :], on_rings[faces]]
     if not parts:
         return np.zeros(0)
     points, of = np.concatenate(parts), np.repeat(np.arange(len(parts)) // 2, [*map(len, parts)])
-    seen = stage.solids.in_camera(camera)
-    # no solid but the teat itself stands between
-    x, y, z = np.tile(camera.camera_from_world(points), (len(seen), 1)).T
-    which = np.repeat(np.arange(len(seen)), len(points))
+    seen, sights = stage.solids.in_camera(camera), camera.camera_from_world(points)
+    # no solid but the teat itself stands between; most are far from every line of sight
+    which, at = np.nonzero(seen.near_lines(sights) & (stage.owner[:, None] != of))
+    x, y, z = sights[at].T
     depth, _, hit = intersect(seen, which, x / z, y / z)
-    blocks = hit & (depth > 0.0) & (depth < z) & (stage.owner[which] != np.tile(of, len(seen)))
-    free = ~blocks.reshape(-1, len(points)).any(axis=0)
+    free = np.ones(len(points), dtype=np.bool_)
+    free[at[hit & (depth > 0.0) & (depth < z)]] = False
     away = points - camera.centre_mm
     for board in boards:
         towards, corner = away @ board.normal, np.asarray(board.corner_mm)
@@ -163,23 +165,30 @@ def seen_share(
     return np.where(inside, seen_of, 0.0)
 
 
-def _near_side(end_mm: Floats, axis: Floats, shape: TeatShape, camera: CameraModel) -> Floats:
-    """Points of the hemisphere that face the camera, (n, 3); of another form, on rings as far
-    behind the end as those of a hemisphere.
+@lru_cache(maxsize=4)  # each camera asks for the same
+def _rounded_ends(phantom: Phantom) -> tuple[tuple[Floats, Floats, Floats], ...]:
+    """Of each end: points of its hemisphere, the ways outward there, (n, 3), and its middle (3,);
+    of another form, points on rings as far behind the end as those of a hemisphere.
     """
-    radius_mm, ((u,), (v,)) = shape.radius_mm, square_to(axis[None])
-    middle = end_mm - radius_mm * axis
-    polar, round_ = np.meshgrid(np.radians(RINGS_DEG), np.arange(ROUND) * 2.0 * np.pi / ROUND)
-    if shape.form:
-        behind = radius_mm * (1.0 - np.cos(polar.ravel()))
-        outward = np.cos(round_.ravel())[:, None] * u + np.sin(round_.ravel())[:, None] * v
-        points = shape.form.middles(end_mm, axis, behind)
-        points = points + shape.form.radii_mm(behind)[:, None] * outward
-        return np.asarray(points[outward @ (camera.centre_mm - middle) > 0.0])
-    across = np.cos(round_.ravel())[:, None] * u + np.sin(round_.ravel())[:, None] * v
-    outward = np.cos(polar.ravel())[:, None] * axis + np.sin(polar.ravel())[:, None] * across
-    towards = camera.centre_mm - middle
-    return np.asarray(middle + radius_mm * outward[outward @ towards > 0.0])
+    polar, round_ = (
+        grid.ravel()
+        for grid in np.meshgrid(np.radians(RINGS_DEG), np.arange(ROUND) * 2.0 * np.pi / ROUND)
+    )
+    found = []
+    for end_mm, axis, teat in zip(phantom.ends_mm, phantom.axes, phantom.teats, strict=True):
+        shape, ((u,), (v,)) = teat.shape, square_to(axis[None])
+        radius_mm = shape.radius_mm
+        middle = end_mm - radius_mm * axis
+        outward = np.cos(round_)[:, None] * u + np.sin(round_)[:, None] * v
+        if shape.form:
+            behind = radius_mm * (1.0 - np.cos(polar))
+            points = shape.form.middles(end_mm, axis, behind)
+            points = points + shape.form.radii_mm(behind)[:, None] * outward
+        else:
+            outward = np.cos(polar)[:, None] * axis + np.sin(polar)[:, None] * outward
+            points = middle + radius_mm * outward
+        found.append((points, outward, middle))
+    return tuple(found)
 
 
 ROW_PX = 340

@@ -141,6 +141,17 @@ class Solids:
         low_b = self.b[:, 2] - self.radius_b * np.where(self.flat_b, across, 1.0)
         return np.asarray(np.minimum(low_a, low_b))
 
+    def near_lines(self, ends: Floats) -> Bools:
+        """Whether a ball about each of k solids comes near the line from the origin to each of
+        ``ends`` (n, 3): (k, n). Without it the solid can't be in the way.
+        """
+        middle, half_mm = 0.5 * (self.a + self.b), 0.5 * np.linalg.norm(self.b - self.a, axis=1)
+        radius_mm = half_mm + np.maximum(self.radius_a, self.radius_b) + 1.0
+        along, length = middle @ ends.T, np.sum(ends * ends, axis=1)
+        part = np.clip(along / length, 0.0, 1.0)
+        away = np.sum(middle * middle, axis=1)[:, None] - part * (2.0 * along - part * length)
+        return np.asarray(away <= radius_mm[:, None] ** 2)
+
 
 BLOCK = 8192  # pairs at a time: what is worked out on the way stays in the processor's cache
 

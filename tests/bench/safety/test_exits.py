@@ -37,8 +37,11 @@ from bench.safety.signals import (
 from instruments.bath.driver import Bath
 from instruments.bath.profile import load_profile
 from instruments.bath.sequence import heater_off
+from instruments.clock import VirtualClock
+from instruments.listener import Connection
 from tests.bench.safety.guards import HotBath
 from tests.conftest import ROOT
+from tests.instruments.listening_in import Echo, linked
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
 
@@ -105,6 +108,20 @@ def test_what_came_while_nothing_was_raised_can_be_heeded_afterwards() -> None:
         with pytest.raises(Interrupted, match="SIGTERM"):
             exits.check_interrupts()
         exits.check_interrupts()
+
+
+@posix
+def test_an_emulator_on_this_thread_answers_to_the_end() -> None:
+    class Asking(Echo):
+        def receive(self, connection: Connection, data: bytes) -> None:
+            os.kill(os.getpid(), signal.SIGINT)
+            super().receive(connection, data)
+
+    with linked(Asking(), VirtualClock()) as (link, _), installed():
+        with pytest.raises(Interrupted):  # noqa: PT012 - a moment after the answer
+            link.write(b"a")
+            time.sleep(10.0)
+        assert link.receive(0.0) == b"hello\nA"
 
 
 @posix
