@@ -168,7 +168,7 @@ class ImageView:
 
     def __post_init__(self) -> None:
         what = f"image {self.label!r}"
-        for path in (self.src, self.original or self.src):
+        for path in self.files:
             if path.startswith("#"):
                 raise PageError(
                     f"{what}: {path!r} is no file; give a path relative to the page's folder"
@@ -183,6 +183,11 @@ class ImageView:
                 f"{what}: view_box {self.view_box} leaves the image of {self.width} x {self.height}"
                 " pixels"
             )
+
+    @property
+    def files(self) -> tuple[str, str]:
+        """What is shown, and what a click opens."""
+        return self.src, self.original or self.src
 
     @property
     def shown(self) -> tuple[int, int, int, int]:

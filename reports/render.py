@@ -32,8 +32,8 @@ from reports.frames import (
     layers,
     places_of,
 )
-from reports.glossary import GlossaryLinks, style_rules
-from reports.page import Cell, Column, Figure, Page, Part, Section, Table, TrialPart, Verdict
+from reports.glossary import GlossaryLinks, Term, style_rules
+from reports.page import Cell, Column, Drawn, Figure, Page, Part, Section, Table, TrialPart, Verdict
 from reports.sanitize import sanitized
 from reports.trust import PageError, address
 
@@ -80,13 +80,41 @@ class Place:
         return self.picture(image.original or image.src)
 
 
+class TrialPress:
+    """Draws of a trial what its own file shows of that trial alone."""
+
+    def __init__(self, detectors: Sequence[str], glossary: Sequence[Term]) -> None:
+        explain = GlossaryLinks(glossary, f"../{GLOSSARY}", detectors)
+        context = _context(Place((), base="../"), places_of(detectors), explain, _outward)
+        self._views: dict[View, str] = {}
+        context["view_name"] = lambda image: self._views[_view(image)]
+        self._parts: Any = environment().get_template("parts.html.j2").make_module(context)
+
+    def __call__(self, trial: TrialPart) -> Drawn:
+        self._views, rules = _views(trial.images)
+        shown = layers(trial.images)
+        switches = self._parts.layer_switches(shown) if shown else ""
+        files = dict.fromkeys(path for image in trial.images for path in image.files)
+        return Drawn(str(switches), str(self._parts.trial_body(trial)), rules, tuple(files))
+
+
+def _outward(href: str) -> str:
+    """Raises PageError for a link into the page, of which the trial's file knows nothing."""
+    if href.startswith("#"):
+        raise PageError(f"a trial links to {href!r}; its own file leads to files alone")
+    return address(href, "link")
+
+
 class Press:
     """Writes the files of one page."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
+        self._ids = {trial.id for trial in page.trials}
+        self._places = places_of(page.detectors)
+        self._drawn = TrialPress(page.detectors, page.glossary)
         self._style = assets("style.css", "frames.css", "print.css") + style_rules(page.glossary)
-        for who in places_of(page.detectors).values():
+        for who in self._places.values():
             self._style += (
                 f".who-{who}{{color:var(--who-{(who - 1) % len(MARKS) + 1})}}\n"
                 f"body:has(#who-{who}:not(:checked)) .pane .who-{who}{{display:none}}\n"
@@ -115,23 +143,31 @@ class Press:
 
     def trial(self, number: int, apart: Mapping[str, str]) -> str:
         """The file of the trial at `number`, from 0 in the page's order, in the folder `trials`."""
-        before, trial, after = (None, *self._page.trials, None)[number : number + 3]
-        own = self._page.trials[number]
-        place = Place((own,), base="../", file=f"{TRIALS}/{own.id}.html", apart=apart)
-        return self._fill("trial.html.j2", place, trial=trial, before=before, after=after)
+        trials = self._page.trials
+        trial, before = trials[number], trials[number - 1] if number else None
+        after = trials[number + 1] if number + 1 < len(trials) else None
+        place = Place((), base="../", file=f"{TRIALS}/{trial.id}.html", apart=apart)
+        drawn = trial.drawn or self._drawn(trial)
+        body = drawn.body
+        if "glossary" not in apart:
+            body = body.replace(f'href="../{GLOSSARY}#', 'href="../index.html#')
+        texts = {"switches": Markup(drawn.switches), "body": Markup(body)}  # noqa: S704 our own
+        near = {"trial": trial, "before": before, "after": after}
+        return self._fill("trial.html.j2", place, drawn.rules, **near, **texts)
 
-    def _fill(self, template: str, place: Place, **values: Any) -> str:
+    def _fill(self, template: str, place: Place, rules: str = "", **values: Any) -> str:
         shown = [image for trial in place.trials for image in trial.images]
         looks = self._page.looks() if template == "page.html.j2" and not values.get("only") else ()
-        cut = [image for look in looks for image in look.images]
-        away = {trial.id for trial in self._page.trials} - {trial.id for trial in place.trials}
-        away -= place.apart.keys()
-        named: set[str] = set()
+        views, own_rules = _views([*(image for look in looks for image in look.images), *shown])
+        here, named = {trial.id for trial in place.trials}, set[str]()
+
+        def is_away(name: str) -> bool:
+            return name in self._ids and name not in here and name not in place.apart
 
         def row_id(row: Sequence[str | Cell]) -> str:
             """Of several rows of a trial the first has its id: an id stands for one thing."""
             name = _trial_of(row)
-            if name not in away or name in named:
+            if not is_away(name) or name in named:
                 return ""
             named.add(name)
             return name
@@ -140,13 +176,11 @@ class Press:
             file = place.apart.get(href[1:], place.file) if href.startswith("#") else place.file
             if file != place.file:
                 return f"{place.base}{file}{href}"
-            if href.startswith("#") and href[1:] in away:
+            if href.startswith("#") and is_away(href[1:]):
                 return f"{place.base}{TRIALS}/{href[1:]}.html"
             return address(href, "link")
 
-        different = dict.fromkeys(map(_view, (*cut, *shown)))
-        views = {view: f"v{number}" for number, view in enumerate(different)}
-        style = self._style + "".join(_view_rule(name, view) for view, name in views.items())
+        style = self._style + own_rules + rules
         file = place.apart.get("glossary", "index.html")
         glossary = "" if file == place.file else place.base + file
         if glossary not in self._explained:
@@ -154,21 +188,12 @@ class Press:
             self._explained[glossary] = links
         by_style, by_script = map(policy_hash, (style, self._script))
         return self._environment.get_template(template).render(
+            _context(place, self._places, self._explained[glossary], to),
             page=self._page,
-            place=place,
             layers=layers(shown),
-            places=(places := places_of(self._page.detectors)),
-            alone=next(iter(places.values())) if len(places) == 1 else 0,
-            # in Python, not in the template: the shapes of 1 000 trials are most of a report's text
-            shapes=lambda layer: Markup("".join(map(_shape, layer.shapes))),  # noqa: S704 escaped
-            cell=lambda value: _cell(value, to),
-            cells=lambda row, columns: _cells(row, columns, to),
-            look=_look,
-            answer_mark=lambda who: Markup(_shape(answer_mark(who, 10, 10, 5))),  # noqa: S704 numbers
             view_name=lambda image: views[_view(image)],
             row_id=row_id,
             lone=_lone,
-            explain=self._explained[glossary],
             drawing=lambda figure: _drawing(figure, to if place.apart else None),
             index=f"{place.base}index.html",
             listed=place.base + place.apart.get(self._page.trials_in, "index.html"),
@@ -183,6 +208,30 @@ class Press:
             ),
             **{"only": None, "named": "", **values},
         )
+
+
+def _context(
+    place: Place, places: Mapping[str, int], explain: GlossaryLinks, link: Callable[[str], str]
+) -> dict[str, Any]:
+    """What the templates need of any page."""
+    return {
+        "place": place,
+        "places": places,
+        "alone": next(iter(places.values())) if len(places) == 1 else 0,
+        # in Python, not in the template: the shapes of 1 000 trials are most of a report's text
+        "shapes": lambda layer: Markup("".join(map(_shape, layer.shapes))),  # noqa: S704 escaped
+        "cell": lambda value: _cell(value, link),
+        "cells": lambda row, columns: _cells(row, columns, link),
+        "look": _look,
+        "answer_mark": lambda who: Markup(_shape(answer_mark(who, 10, 10, 5))),  # noqa: S704 numbers
+        "explain": explain,
+    }
+
+
+def _views(images: Sequence[ImageView]) -> tuple[dict[View, str], str]:
+    """The names of their views, and the style rules of these."""
+    views = {view: f"v{at}" for at, view in enumerate(dict.fromkeys(map(_view, images)))}
+    return views, "".join(_view_rule(name, view) for view, name in views.items())
 
 
 def _trial_of(row: Sequence[str | Cell]) -> str:
@@ -201,7 +250,7 @@ def write_report(page: Page, folder: Path) -> Path:
     Raises PageError for images that are not there, OSError.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    refuse_missing(page.images(), folder)
+    refuse_missing(page.files(), folder)
     press = Press(page)
     place = _own(page)
     whole = press.page(place)
@@ -250,12 +299,9 @@ def write_whole(target: Path, html: str) -> Path:
     return target
 
 
-def refuse_missing(images: Iterable[ImageView], folder: Path) -> None:
-    """Raises PageError that lists the images which are not in `folder`."""
-    wanted = dict.fromkeys(
-        path for image in images for path in (image.src, image.original or image.src)
-    )
-    missing = [path for path in wanted if not (folder / path).is_file()]
+def refuse_missing(files: Iterable[str], folder: Path) -> None:
+    """Raises PageError that lists the image files which are not in `folder`."""
+    missing = [path for path in dict.fromkeys(files) if not (folder / path).is_file()]
     if missing:
         more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
         raise PageError(
