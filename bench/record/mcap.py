@@ -43,7 +43,7 @@ from mcap_protobuf.writer import Writer
 from scipy.spatial.transform import Rotation
 
 from bench.config import ConfigError, read_calibration
-from bench.record.reader import HEADS, opened
+from bench.record.reader import ALL, HEADS, opened
 from bench.record.schema import Row
 from detector.calibration.values import Calibration
 from detector.geometry import Camera
@@ -257,7 +257,7 @@ def _run_messages(db: sqlite3.Connection, run: Path, times: _Times) -> Iterator[
         for row in db.execute(f"SELECT * FROM {table}"):  # noqa: S608 - our names
             at = times.of(row["session"], row["t_s"], row["wall_time"])
             yield TimedMessage(at, f"/{table}", partial(make, row=row))
-    for head in db.execute(HEADS).fetchall():
+    for head in db.execute(HEADS, ALL).fetchall():
         captured = times.of(head["session"], head["captured_s"], head["wall_time"])
         yield TimedMessage(captured, "/trial", partial(trial, row=head))
         if head["stage_mm"]:

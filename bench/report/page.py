@@ -22,6 +22,7 @@ from bench.report.accuracy import accuracy_tables, gage_parts, limit_parts
 from bench.report.bath import bath_parts, sparkline
 from bench.report.comparison import detectors_section
 from bench.report.glossary import terms
+from bench.report.growing import REPORT, TrialParts
 from bench.report.spread import pose_parts, spread_parts
 from bench.report.statements import note_on_statements
 from bench.report.thesis import published_counts, thesis_chapter
@@ -30,7 +31,7 @@ from bench.report.trials import (
     first_trials,
     look_at,
     trial_id,
-    trial_parts,
+    trial_part,
     trial_table,
     undecided_of,
     worst_trials,
@@ -79,19 +80,24 @@ from reports.page import (
 )
 from reports.render import in_page, write_report
 
-REPORT, PDF = "report", "report.pdf"
+PDF = "report.pdf"
 
 
 def write_run_report(
-    folder: Path, chapters: tuple[Section, ...] = (), damage: tuple[str, ...] = ()
+    folder: Path,
+    chapters: tuple[Section, ...] = (),
+    damage: tuple[str, ...] = (),
+    parts: TrialParts | None = None,
 ) -> Reported:
-    """Write a run's report and exports, with ``chapters`` after the results. Raises ConfigError."""
+    """Write a run's report and exports, with ``chapters`` after the results and the ``parts`` that
+    have grown with the run. Raises ConfigError.
+    """
     run = read_run(folder, damage)
     rules = stored_rules(folder)
     judgements = judge(run, rules) if any(trial.scores for trial in run.trials) else ()
     calibration = read_calibration(folder / "calibration.toml", doubtful=True)
     status = status_of(run, judgements)
-    page = build_page(run, status, rules, judgements, calibration, folder / REPORT, chapters)
+    page = build_page(run, status, rules, judgements, calibration, folder / REPORT, chapters, parts)
     # by another reading of the run: it may not stand beside this one
     (folder / REPORT / PDF).unlink(missing_ok=True)
     path = write_report(page, folder / REPORT)
@@ -108,6 +114,7 @@ def build_page(
     calibration: Calibration,
     folder: Path,
     chapters: tuple[Section, ...] = (),
+    parts: TrialParts | None = None,
 ) -> Page:
     """The page; writes copies of frames into ``folder``/images. ``chapters`` come later."""
     facts = run.facts
@@ -143,7 +150,10 @@ def build_page(
     looked, few = first_trials(run, undecided), in_page(len(run.trials), len(run.detectors))
     behind = tuple(_pages(run, status, rules, calibration, chapters, undecided))
     drawn = tuple(_figures(run, rules, calibration)) if run.trials and judgements else ()
-    made = tuple(trial_parts(run, calibration, folder, copied=None if few else looked))
+    if few:
+        made = tuple(trial_part(run, trial, calibration, folder) for trial in run.trials)
+    else:
+        made = tuple((parts or TrialParts()).of(run, calibration, folder, looked))
     if judgements:
         statements = note_on_statements((*requirements, *behind), rules, len(judgements))
         with_note = replace(folded, parts=(*folded.parts, statements))

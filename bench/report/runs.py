@@ -16,7 +16,7 @@ from bench.config import ConfigError, read_calibration
 from bench.record.check import checked_first
 from bench.record.reader import RunRecord, database_in, read_run
 from bench.record.schema import DATABASE
-from bench.report.page import REPORT
+from bench.report.growing import REPORT
 from bench.report.trials import round_teats, shown, views_of, worst_trials
 from bench.results.health import Chart, charts, history
 from bench.results.queue import QueueStatus, queues

@@ -64,18 +64,18 @@ def trial_id(trial: TrialRecord) -> str:
     return f"trial-{int(trial.head['number']):03d}"
 
 
-def trial_parts(
+def trial_part(
     run: RunRecord,
+    trial: TrialRecord,
     calibration: Calibration,
     folder: Path,
     up: str = "../",
     copied: Collection[str] | None = None,
-) -> Iterator[TrialPart]:
-    """A part a trial, in order, for a page in ``folder``, from which ``up`` leads to the run's. The
-    frames of the trials ``copied``, by default of all, are written into ``folder``/images.
+) -> TrialPart:
+    """A trial's part for a page in ``folder``, from which ``up`` leads to the run's. The frames of
+    the trials ``copied``, by default of all, are written into ``folder``/images.
     """
-    for trial in run.trials:
-        yield _part(run, trial, tuple(_pictures(run, trial, calibration, (folder, up), copied)))
+    return _part(run, trial, tuple(_pictures(run, trial, calibration, (folder, up), copied)))
 
 
 def undecided_of(judgements: Sequence[Judgement]) -> frozenset[str]:

@@ -99,7 +99,7 @@ INTERRUPTED = "interrupted (Ctrl-C)"
 class RunOptions:
     """``seed`` and ``detectors`` instead of the rig's and the script's; ``speed`` of emulators that
     are watched; ``typed`` gives typed lines; ``begun`` gets where the run is kept, and how long it
-    takes.
+    takes; ``between`` two trials gets the folder, how many have passed, and of how many.
     """
 
     seed: int | None = None
@@ -110,6 +110,7 @@ class RunOptions:
     capture: CaptureFile | None = None
     typed: Callable[[], str | None] = lambda: None
     begun: Callable[[str], None] = lambda _: None
+    between: Callable[[Path, int, int], None] = lambda *_: None
 
 
 def run_script(
@@ -404,6 +405,7 @@ class OpenRig:
             typed=self.how.typed,
             expected=expected,
             more=self.more,
+            between=partial(self.how.between, store.folder),
         )
         return self._engine
 
