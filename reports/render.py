@@ -12,7 +12,8 @@ import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -377,6 +378,7 @@ def _drawing(figure: Figure, link: Callable[[str], str] | None) -> Markup:
     return Markup(svg)  # noqa: S704 page.Figure has checked every element and attribute
 
 
+@lru_cache(maxsize=1 << 12)
 def _escaped(text: str) -> str:
     """Others' text, as plain as HTML takes it."""
     return str(escape(sanitized(text)))
@@ -429,7 +431,8 @@ def _shape(it: Shape) -> str:
         drawn = f'<rect x="{n(it.x_px)}" y="{n(it.y_px)}" width="{n(it.width_px)}"'
         drawn += f' height="{n(it.height_px)}"'
     elif isinstance(it, Polyline):
-        line = "L".join(f"{n(x)} {n(y)}" for x, y in it.points_px)
+        line = "L".join(["%.2f %.2f"] * len(it.points_px)) % tuple(chain(*it.points_px))
+        line = _ZEROS.sub("", line)
         drawn = f'<path d="M{line}{"z" if it.closed else ""}"'
     elif it.turned:
         a, b = n(it.arm_px * 0.7071), n(it.arm_px * 1.4142)
@@ -441,6 +444,9 @@ def _shape(it: Shape) -> str:
         return f"{drawn}/>"
     tag = drawn[1 : drawn.index(" ")]
     return f"{drawn}><title>{_escaped(it.title)}</title></{tag}>"
+
+
+_ZEROS = re.compile(r"-(?=0\.00)|\.00|(?<=\.\d)0(?!\d)")  # which `_number` doesn't write
 
 
 def _number(value: float) -> str:
