@@ -48,12 +48,13 @@ class TrialParts:
             return
         self._next[folder] = last + 1
         try:
-            self._draw(read_trials(folder, first, last), planned)
+            self.draw(read_trials(folder, first, last), planned)
         except Exception as error:
             self._next[folder] = ALL[1]
             self._warn(f"The report of {folder} is drawn when the run has ended: {error}")
 
-    def _draw(self, run: RunRecord, planned: int) -> None:
+    def draw(self, run: RunRecord, planned: int) -> None:
+        """Draw the trials of ``run``, which holds some of those ``planned``. Raises ConfigError."""
         if in_page(planned, len(run.detectors)):
             self._next[run.folder] = ALL[1]
             return
@@ -78,6 +79,7 @@ class TrialParts:
         """
         press = TrialPress(run.detectors, terms())
         sha256 = sha256_of(run.folder / CALIBRATION) if self._kept else ""
+        folder.mkdir(parents=True, exist_ok=True)  # images are found from it
         for trial in run.trials:
             if trial.id in copied:
                 yield trial_part(run, trial, calibration, folder, copied=copied)
