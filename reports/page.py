@@ -42,6 +42,18 @@ KINDS: dict[Kind, str] = {
     "real": "REAL INSTRUMENTS",
     "recorded": "RECORDED FRAMES",
 }
+SIGNS: dict[Verdict, str] = {
+    "met": "✓",
+    "not met": "✕",
+    "inconclusive": "?",
+    "not measured": "–",
+    **dict.fromkeys(UNFINISHED, "!"),
+    "running": "…",
+    "no verdict": "○",
+    "not worse": "✓",
+    "worse": "✕",
+}
+WORDS = {"kinds": KINDS, "signs": SIGNS}  # of templates
 NARROW_BELOW = 500.0  # units of a drawing's viewBox: points
 RESERVED_IDS = (  # what the template itself uses
     *("top", "main", "verdict", "top-verdict", "contents", "trials", "layers", "keys"),
@@ -311,11 +323,6 @@ class Banner:
         """The verdict whose colour the banner has; none where the detectors' verdicts differ."""
         found = {verdict for _, verdict in self.verdicts}
         return found.pop() if len(found) == 1 else "no verdict"
-
-    @property
-    def kind_text(self) -> str:
-        """What the badge says."""
-        return KINDS[self.kind]
 
 
 @dataclass(frozen=True, slots=True)

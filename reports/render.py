@@ -34,7 +34,7 @@ from reports.frames import (
     places_of,
 )
 from reports.glossary import GlossaryLinks, Term, style_rules
-from reports.page import Cell, Column, Drawn, Figure, Page, Part, Section, Table, TrialPart, Verdict
+from reports.page import WORDS, Cell, Column, Drawn, Figure, Page, Part, Section, Table, TrialPart
 from reports.sanitize import sanitized
 from reports.trust import PageError, address
 
@@ -44,20 +44,6 @@ MOST_BYTES = 1_000_000  # of a page: where it is larger its folded chapters get 
 GLOSSARY = "glossary.html"
 WHOLE = "whole.html"  # all of them in one, for paper
 _TEMPLATES = Path(__file__).parent / "templates"
-SIGNS: dict[Verdict, str] = {
-    "met": "✓",
-    "not met": "✕",
-    "inconclusive": "?",
-    "not measured": "–",
-    "running": "…",
-    "faulted": "!",
-    "aborted": "!",
-    "tripped": "!",
-    "interrupted": "!",
-    "no verdict": "○",
-    "not worse": "✓",
-    "worse": "✕",
-}
 
 # size of an image, and the part of it that is shown: all that a view's style rule needs
 View = tuple[int, int, int, int, int, int]
@@ -75,10 +61,6 @@ class Place:
     def picture(self, src: str) -> str:
         """What an image's `src` says."""
         return self.base + address(src, "image")
-
-    def original(self, image: ImageView) -> str:
-        """What a click on an image opens."""
-        return self.picture(image.original or image.src)
 
 
 class TrialPress:
@@ -199,7 +181,6 @@ class Press:
             index=f"{place.base}index.html",
             listed=place.base + place.apart.get(self._page.trials_in, "index.html"),
             link=to,
-            signs=SIGNS,
             style=Markup(style),  # noqa: S704 our own file and numbers
             script=Markup(self._script),  # noqa: S704 our own file
             policy=(
@@ -342,11 +323,12 @@ def environment() -> Environment:
         loader=FileSystemLoader(_TEMPLATES, encoding="utf-8"),
         autoescape=True,
         undefined=StrictUndefined,
-        finalize=_printable,
+        finalize=lambda x: sanitized(x) if isinstance(x, str) and not isinstance(x, Markup) else x,
         auto_reload=False,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    made.globals.update(WORDS)
     made.filters.update(number=_number, slug=lambda word: word.replace(" ", "-"))
     return made
 
@@ -363,10 +345,6 @@ def assets(*names: str) -> str:
     if unfit:
         raise PageError(f"reports/templates/{unfit[0]} holds '</', which would end its own element")
     return "".join(texts)
-
-
-def _printable(value: Any) -> Any:
-    return value if isinstance(value, Markup) or not isinstance(value, str) else sanitized(value)
 
 
 def _drawing(figure: Figure, link: Callable[[str], str] | None) -> Markup:

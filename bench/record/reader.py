@@ -242,14 +242,11 @@ def read_run(folder: Path, damage: tuple[str, ...] = (), *, whole: bool = True) 
 
 
 def read_trials(folder: Path, first: int, last: int) -> RunRecord:
-    """Of the run in ``folder`` no more than its facts, the trials of the numbers ``first`` to
-    ``last``, and the readings from a minute before the first of their captures. Raises ConfigError.
-    """
+    """Of a run the facts, trials ``first`` to ``last``, readings about these. Raises ConfigError."""
     with opened(folder) as db:
         db.row_factory = sqlite3.Row
         trials = tuple(_trials(db, first, last))
-        captured_s = (trial.head["captured_s"] for trial in trials)
-        begun_s = min((t_s for t_s in captured_s if t_s is not None), default=math.inf)
+        begun_s = min((one.head["captured_s"] or math.inf for one in trials), default=math.inf)
         return RunRecord(folder, _facts(db), trials, **_readings(db, begun_s - 60.0))
 
 
@@ -262,8 +259,7 @@ def _readings(db: sqlite3.Connection, since_s: float) -> dict[str, Any]:
     columns = "t_s, temp_c, power_percent, external_c, state"
     query = f"SELECT {columns} FROM bath WHERE t_s >= ? ORDER BY session, t_s"  # noqa: S608
     bath = db.execute(query, (since_s,)).fetchall()
-    rows = [[np.nan if row[k] is None else row[k] for k in range(4)] for row in bath]
-    table = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    table = np.array([tuple(row)[:4] for row in bath], dtype=np.float64).reshape(-1, 4)
     states = tuple(row["state"] for row in bath)
     return {"bath": table[:, :3], "external_c": table[:, 3], "bath_states": states}
 
@@ -322,8 +318,7 @@ def _trials(db: sqlite3.Connection, *numbers: int) -> Iterator[TrialRecord]:
     those = "trial IN (SELECT id FROM trials WHERE number BETWEEN ? AND ?)"
     by_table: dict[str, dict[str, list[Row]]] = {table: {} for table in OF_A_TRIAL}
     for table, grouped in by_table.items():
-        query = f"SELECT * FROM {table} WHERE {those} ORDER BY rowid"  # noqa: S608 - our own names
-        for row in db.execute(query, numbers):
+        for row in db.execute(f"SELECT * FROM {table} WHERE {those} ORDER BY rowid", numbers):  # noqa: S608 - our own names
             grouped.setdefault(row["trial"], []).append(dict(row))
     for head in db.execute(HEADS, numbers):
         rows = {table: tuple(grouped.get(head["id"], ())) for table, grouped in by_table.items()}

@@ -34,8 +34,8 @@ class TrialParts:
     def __init__(self, warn: Callable[[str], None] = lambda _: None) -> None:
         self._warn = warn
         self._next: dict[Path, int] = {}  # number of the first trial that is not drawn
-        self._calibrations: dict[Path, tuple[Calibration, str]] = {}
-        self._kept: sqlite3.Connection | None = None
+        self._kept = sqlite3.connect("", isolation_level=None)  # a temporary file without a name
+        self._kept.execute("CREATE TABLE parts (digest TEXT PRIMARY KEY, part BLOB)")
 
     def grow(self, folder: Path, done: int, planned: int) -> None:
         """Draw trials of the run in ``folder``, where ``done`` of ``planned`` have passed: the last
@@ -58,13 +58,8 @@ class TrialParts:
         if in_page(planned, len(run.detectors)):
             self._next[run.folder] = ALL[1]
             return
-        if run.folder not in self._calibrations:
-            file = run.folder / CALIBRATION
-            self._calibrations[run.folder] = read_calibration(file, doubtful=True), sha256_of(file)
-        if self._kept is None:
-            self._kept = sqlite3.connect("", isolation_level=None)  # a temporary file without name
-            self._kept.execute("CREATE TABLE parts (digest TEXT PRIMARY KEY, part BLOB)")
-        calibration, sha256 = self._calibrations[run.folder]
+        file = run.folder / CALIBRATION
+        sha256, calibration = sha256_of(file), read_calibration(file, doubtful=True)
         press = TrialPress(run.detectors, terms())
         for trial in run.trials:
             part = _drawn(run, trial, calibration, run.folder / REPORT, press)
@@ -72,25 +67,30 @@ class TrialParts:
             self._kept.execute("REPLACE INTO parts VALUES (?, ?)", row)
 
     def of(
-        self, run: RunRecord, calibration: Calibration, folder: Path, copied: Collection[str]
+        self,
+        run: RunRecord,
+        calibration: Calibration,
+        folder: Path,
+        copied: Collection[str] | None,
     ) -> Iterator[TrialPart]:
-        """Each trial's part, for a page in ``folder``; those of the trials ``copied`` with their
-        images, of the others as drawn.
+        """Each trial's part for a page in ``folder``: with its images where it is ``copied``, as
+        all are for None; else as drawn.
         """
         press = TrialPress(run.detectors, terms())
-        sha256 = sha256_of(run.folder / CALIBRATION) if self._kept else ""
+        grown = self._kept.total_changes > 0
+        sha256 = sha256_of(run.folder / CALIBRATION) if grown else ""
         folder.mkdir(parents=True, exist_ok=True)  # images are found from it
         for trial in run.trials:
-            if trial.id in copied:
+            if copied is None or trial.id in copied:
                 yield trial_part(run, trial, calibration, folder, copied=copied)
                 continue
-            kept = self._found(_digest(run, trial, sha256), folder) if self._kept else None
+            kept = self._found(_digest(run, trial, sha256), folder) if grown else None
             yield kept or _drawn(run, trial, calibration, folder, press)
 
     def _found(self, digest: str, folder: Path) -> TrialPart | None:
         """The part, where the images that it shows are still there."""
-        query = "SELECT part FROM parts WHERE digest = ?"
-        row = self._kept.execute(query, (digest,)).fetchone() if self._kept else None
+        found = self._kept.execute("SELECT part FROM parts WHERE digest = ?", (digest,))
+        row = found.fetchone()
         part: TrialPart | None = pickle.loads(row[0]) if row else None  # noqa: S301 our own
         there = part and part.drawn and all((folder / one).is_file() for one in part.drawn.files)
         return part if there else None

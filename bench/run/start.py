@@ -384,16 +384,8 @@ class OpenRig:
         if before and isinstance(devices.operator, Console):
             devices.operator.asked_in(store.folder)
         refuse_other_cameras(self.rig.calibration.record, devices.cameras.identity)
-        ctx = RunContext(
-            self.rig,
-            script,
-            devices,
-            store,
-            self.events,
-            heartbeat,
-            guardian,
-            before.context if before else None,
-        )
+        of_rig = (devices, store, self.events, heartbeat, guardian)
+        ctx = RunContext(self.rig, script, *of_rig, before.context if before else None)
         if guardian:
             guardian.heats = True
         self._engine = Engine(
