@@ -242,7 +242,7 @@ def read_run(folder: Path, damage: tuple[str, ...] = (), *, whole: bool = True) 
 
 
 def read_trials(folder: Path, first: int, last: int) -> RunRecord:
-    """Of a run the facts, trials ``first`` to ``last``, readings about these. Raises ConfigError."""
+    """Facts of a run, trials ``first`` to ``last``, readings about these. Raises ConfigError."""
     with opened(folder) as db:
         db.row_factory = sqlite3.Row
         trials = tuple(_trials(db, first, last))
