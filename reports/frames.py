@@ -5,12 +5,12 @@ Coordinates are pixels of the image file `src`: x right, y down, the first pixel
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from hashlib import sha256
 from itertools import chain
 from operator import attrgetter
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from reports.trust import PageError, address
 
@@ -81,10 +81,10 @@ class Label:
 
 
 Shape = Circle | Ellipse | Cross | Rect | Polyline | Label
-_NUMBERS = {
+_NUMBERS: dict[type, Callable[[Any], Iterable[float]]] = {
     kind: attrgetter(*(one.name for one in fields(kind) if one.type is float))
     for kind in (Circle, Ellipse, Cross, Rect, Label)
-}
+} | {Polyline: lambda line: chain(*line.points_px)}
 
 
 def places_of(detectors: Iterable[str]) -> dict[str, int]:
@@ -136,12 +136,7 @@ class Overlay:
 
     def __post_init__(self) -> None:
         for shape in self.shapes:
-            numbers: Iterable[float]
-            if isinstance(shape, Polyline):
-                numbers = chain(*shape.points_px)
-            else:
-                numbers = _NUMBERS[type(shape)](shape)
-            if not all(map(math.isfinite, numbers)):
+            if not all(map(math.isfinite, _NUMBERS[type(shape)](shape))):
                 raise PageError(
                     f"overlay {self.name!r}: {shape} has a coordinate that is not finite; leave the"
                     " shape out"
@@ -168,11 +163,9 @@ class ImageView:
 
     def __post_init__(self) -> None:
         what = f"image {self.label!r}"
-        for path in (self.src, self.original or self.src):
+        for path in self.files:
             if path.startswith("#"):
-                raise PageError(
-                    f"{what}: {path!r} is no file; give a path relative to the page's folder"
-                )
+                raise PageError(f"{what}: {path!r} is no file; give a path from the page's folder")
             address(path, what)
         if self.width <= 0 or self.height <= 0:
             raise PageError(f"{what}: {self.width} x {self.height} pixels; both must be above 0")
@@ -183,6 +176,11 @@ class ImageView:
                 f"{what}: view_box {self.view_box} leaves the image of {self.width} x {self.height}"
                 " pixels"
             )
+
+    @property
+    def files(self) -> tuple[str, str]:
+        """What is shown, and what a click opens."""
+        return self.src, self.original or self.src
 
     @property
     def shown(self) -> tuple[int, int, int, int]:

@@ -42,6 +42,18 @@ KINDS: dict[Kind, str] = {
     "real": "REAL INSTRUMENTS",
     "recorded": "RECORDED FRAMES",
 }
+SIGNS: dict[Verdict, str] = {
+    "met": "✓",
+    "not met": "✕",
+    "inconclusive": "?",
+    "not measured": "–",
+    **dict.fromkeys(UNFINISHED, "!"),
+    "running": "…",
+    "no verdict": "○",
+    "not worse": "✓",
+    "worse": "✕",
+}
+WORDS = {"kinds": KINDS, "signs": SIGNS}  # of templates
 NARROW_BELOW = 500.0  # units of a drawing's viewBox: points
 RESERVED_IDS = (  # what the template itself uses
     *("top", "main", "verdict", "top-verdict", "contents", "trials", "layers", "keys"),
@@ -312,15 +324,24 @@ class Banner:
         found = {verdict for _, verdict in self.verdicts}
         return found.pop() if len(found) == 1 else "no verdict"
 
-    @property
-    def kind_text(self) -> str:
-        """What the badge says."""
-        return KINDS[self.kind]
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """What a trial's own file shows of the trial alone, as HTML: switches of its layers, its body,
+    the style rules of its views; and the image files that it names.
+    """
+
+    switches: str
+    body: str
+    rules: str
+    files: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class TrialPart:
-    """One trial's part of the page, at the anchor `id` (`trial-007`): data, not a verdict."""
+    """One trial's part of the page, at the anchor `id` (`trial-007`): data, not a verdict. One that
+    is ``drawn`` has a file of its own, and neither images, summary, tables nor notes.
+    """
 
     id: str
     heading: str
@@ -330,6 +351,7 @@ class TrialPart:
     images: tuple[ImageView, ...] = ()
     tables: tuple[Table, ...] = ()
     notes: tuple[str, ...] = ()
+    drawn: Drawn | None = None
 
     def __post_init__(self) -> None:
         checked_slug(self.id, f"trial {self.heading!r}")
@@ -416,10 +438,11 @@ class Page:
         """Every trial of the strips of pictures."""
         return (look for strip in self.parts_of(Highlights) for look in strip.looks)
 
-    def images(self) -> Iterator[ImageView]:
-        """Every image, in order."""
+    def files(self) -> Iterator[str]:
+        """Every image file, in order."""
         shown: Iterator[Highlight | TrialPart] = chain(self.looks(), self.trials)
-        return (image for one in shown for image in one.images)
+        yield from (path for one in shown for image in one.images for path in image.files)
+        yield from (path for one in self.trials if one.drawn for path in one.drawn.files)
 
     def _cells(self) -> Iterator[Cell]:
         tables = chain(self.parts_of(Table), *(trial.tables for trial in self.trials))

@@ -12,7 +12,8 @@ import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +33,8 @@ from reports.frames import (
     layers,
     places_of,
 )
-from reports.glossary import GlossaryLinks, style_rules
-from reports.page import Cell, Column, Figure, Page, Part, Section, Table, TrialPart, Verdict
+from reports.glossary import GlossaryLinks, Term, style_rules
+from reports.page import WORDS, Cell, Column, Drawn, Figure, Page, Part, Section, Table, TrialPart
 from reports.sanitize import sanitized
 from reports.trust import PageError, address
 
@@ -43,20 +44,6 @@ MOST_BYTES = 1_000_000  # of a page: where it is larger its folded chapters get 
 GLOSSARY = "glossary.html"
 WHOLE = "whole.html"  # all of them in one, for paper
 _TEMPLATES = Path(__file__).parent / "templates"
-SIGNS: dict[Verdict, str] = {
-    "met": "✓",
-    "not met": "✕",
-    "inconclusive": "?",
-    "not measured": "–",
-    "running": "…",
-    "faulted": "!",
-    "aborted": "!",
-    "tripped": "!",
-    "interrupted": "!",
-    "no verdict": "○",
-    "not worse": "✓",
-    "worse": "✕",
-}
 
 # size of an image, and the part of it that is shown: all that a view's style rule needs
 View = tuple[int, int, int, int, int, int]
@@ -75,9 +62,30 @@ class Place:
         """What an image's `src` says."""
         return self.base + address(src, "image")
 
-    def original(self, image: ImageView) -> str:
-        """What a click on an image opens."""
-        return self.picture(image.original or image.src)
+
+class TrialPress:
+    """Draws of a trial what its own file shows of that trial alone."""
+
+    def __init__(self, detectors: Sequence[str], glossary: Sequence[Term]) -> None:
+        explain = GlossaryLinks(glossary, f"../{GLOSSARY}", detectors)
+        context = _context(Place((), base="../"), places_of(detectors), explain, _outward)
+        self._views: dict[View, str] = {}
+        context["view_name"] = lambda image: self._views[_view(image)]
+        self._parts: Any = environment().get_template("parts.html.j2").make_module(context)
+
+    def __call__(self, trial: TrialPart) -> Drawn:
+        self._views, rules = _views(trial.images)
+        shown = layers(trial.images)
+        switches = self._parts.layer_switches(shown) if shown else ""
+        files = dict.fromkeys(path for image in trial.images for path in image.files)
+        return Drawn(str(switches), str(self._parts.trial_body(trial)), rules, tuple(files))
+
+
+def _outward(href: str) -> str:
+    """Raises PageError for a link into the page, of which the trial's file knows nothing."""
+    if href.startswith("#"):
+        raise PageError(f"a trial links to {href!r}; its own file leads to files alone")
+    return address(href, "link")
 
 
 class Press:
@@ -85,8 +93,11 @@ class Press:
 
     def __init__(self, page: Page) -> None:
         self._page = page
+        self._ids = {trial.id for trial in page.trials}
+        self._places = places_of(page.detectors)
+        self._drawn = TrialPress(page.detectors, page.glossary)
         self._style = assets("style.css", "frames.css", "print.css") + style_rules(page.glossary)
-        for who in places_of(page.detectors).values():
+        for who in self._places.values():
             self._style += (
                 f".who-{who}{{color:var(--who-{(who - 1) % len(MARKS) + 1})}}\n"
                 f"body:has(#who-{who}:not(:checked)) .pane .who-{who}{{display:none}}\n"
@@ -115,23 +126,31 @@ class Press:
 
     def trial(self, number: int, apart: Mapping[str, str]) -> str:
         """The file of the trial at `number`, from 0 in the page's order, in the folder `trials`."""
-        before, trial, after = (None, *self._page.trials, None)[number : number + 3]
-        own = self._page.trials[number]
-        place = Place((own,), base="../", file=f"{TRIALS}/{own.id}.html", apart=apart)
-        return self._fill("trial.html.j2", place, trial=trial, before=before, after=after)
+        trials = self._page.trials
+        trial, before = trials[number], trials[number - 1] if number else None
+        after = trials[number + 1] if number + 1 < len(trials) else None
+        place = Place((), base="../", file=f"{TRIALS}/{trial.id}.html", apart=apart)
+        drawn = trial.drawn or self._drawn(trial)
+        body = drawn.body
+        if "glossary" not in apart:
+            body = body.replace(f'href="../{GLOSSARY}#', 'href="../index.html#')
+        texts = {"switches": Markup(drawn.switches), "body": Markup(body)}  # noqa: S704 our own
+        near = {"trial": trial, "before": before, "after": after}
+        return self._fill("trial.html.j2", place, drawn.rules, **near, **texts)
 
-    def _fill(self, template: str, place: Place, **values: Any) -> str:
+    def _fill(self, template: str, place: Place, rules: str = "", **values: Any) -> str:
         shown = [image for trial in place.trials for image in trial.images]
         looks = self._page.looks() if template == "page.html.j2" and not values.get("only") else ()
-        cut = [image for look in looks for image in look.images]
-        away = {trial.id for trial in self._page.trials} - {trial.id for trial in place.trials}
-        away -= place.apart.keys()
-        named: set[str] = set()
+        views, own_rules = _views([*(image for look in looks for image in look.images), *shown])
+        here, named = {trial.id for trial in place.trials}, set[str]()
+
+        def is_away(name: str) -> bool:
+            return name in self._ids and name not in here and name not in place.apart
 
         def row_id(row: Sequence[str | Cell]) -> str:
             """Of several rows of a trial the first has its id: an id stands for one thing."""
             name = _trial_of(row)
-            if name not in away or name in named:
+            if not is_away(name) or name in named:
                 return ""
             named.add(name)
             return name
@@ -140,13 +159,11 @@ class Press:
             file = place.apart.get(href[1:], place.file) if href.startswith("#") else place.file
             if file != place.file:
                 return f"{place.base}{file}{href}"
-            if href.startswith("#") and href[1:] in away:
+            if href.startswith("#") and is_away(href[1:]):
                 return f"{place.base}{TRIALS}/{href[1:]}.html"
             return address(href, "link")
 
-        different = dict.fromkeys(map(_view, (*cut, *shown)))
-        views = {view: f"v{number}" for number, view in enumerate(different)}
-        style = self._style + "".join(_view_rule(name, view) for view, name in views.items())
+        style = self._style + own_rules + rules
         file = place.apart.get("glossary", "index.html")
         glossary = "" if file == place.file else place.base + file
         if glossary not in self._explained:
@@ -154,26 +171,16 @@ class Press:
             self._explained[glossary] = links
         by_style, by_script = map(policy_hash, (style, self._script))
         return self._environment.get_template(template).render(
+            _context(place, self._places, self._explained[glossary], to),
             page=self._page,
-            place=place,
             layers=layers(shown),
-            places=(places := places_of(self._page.detectors)),
-            alone=next(iter(places.values())) if len(places) == 1 else 0,
-            # in Python, not in the template: the shapes of 1 000 trials are most of a report's text
-            shapes=lambda layer: Markup("".join(map(_shape, layer.shapes))),  # noqa: S704 escaped
-            cell=lambda value: _cell(value, to),
-            cells=lambda row, columns: _cells(row, columns, to),
-            look=_look,
-            answer_mark=lambda who: Markup(_shape(answer_mark(who, 10, 10, 5))),  # noqa: S704 numbers
             view_name=lambda image: views[_view(image)],
             row_id=row_id,
             lone=_lone,
-            explain=self._explained[glossary],
             drawing=lambda figure: _drawing(figure, to if place.apart else None),
             index=f"{place.base}index.html",
             listed=place.base + place.apart.get(self._page.trials_in, "index.html"),
             link=to,
-            signs=SIGNS,
             style=Markup(style),  # noqa: S704 our own file and numbers
             script=Markup(self._script),  # noqa: S704 our own file
             policy=(
@@ -183,6 +190,30 @@ class Press:
             ),
             **{"only": None, "named": "", **values},
         )
+
+
+def _context(
+    place: Place, places: Mapping[str, int], explain: GlossaryLinks, link: Callable[[str], str]
+) -> dict[str, Any]:
+    """What the templates need of any page."""
+    return {
+        "place": place,
+        "places": places,
+        "alone": next(iter(places.values())) if len(places) == 1 else 0,
+        # in Python, not in the template: the shapes of 1 000 trials are most of a report's text
+        "shapes": lambda layer: Markup("".join(map(_shape, layer.shapes))),  # noqa: S704 escaped
+        "cell": lambda value: _cell(value, link),
+        "cells": lambda row, columns: _cells(row, columns, link),
+        "look": _look,
+        "answer_mark": lambda who: Markup(_shape(answer_mark(who, 10, 10, 5))),  # noqa: S704 numbers
+        "explain": explain,
+    }
+
+
+def _views(images: Sequence[ImageView]) -> tuple[dict[View, str], str]:
+    """The names of their views, and the style rules of these."""
+    views = {view: f"v{at}" for at, view in enumerate(dict.fromkeys(map(_view, images)))}
+    return views, "".join(_view_rule(name, view) for view, name in views.items())
 
 
 def _trial_of(row: Sequence[str | Cell]) -> str:
@@ -201,7 +232,7 @@ def write_report(page: Page, folder: Path) -> Path:
     Raises PageError for images that are not there, OSError.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    refuse_missing(page.images(), folder)
+    refuse_missing(page.files(), folder)
     press = Press(page)
     place = _own(page)
     whole = press.page(place)
@@ -250,12 +281,9 @@ def write_whole(target: Path, html: str) -> Path:
     return target
 
 
-def refuse_missing(images: Iterable[ImageView], folder: Path) -> None:
-    """Raises PageError that lists the images which are not in `folder`."""
-    wanted = dict.fromkeys(
-        path for image in images for path in (image.src, image.original or image.src)
-    )
-    missing = [path for path in wanted if not (folder / path).is_file()]
+def refuse_missing(files: Iterable[str], folder: Path) -> None:
+    """Raises PageError that lists the image files which are not in `folder`."""
+    missing = [path for path in dict.fromkeys(files) if not (folder / path).is_file()]
     if missing:
         more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
         raise PageError(
@@ -295,11 +323,12 @@ def environment() -> Environment:
         loader=FileSystemLoader(_TEMPLATES, encoding="utf-8"),
         autoescape=True,
         undefined=StrictUndefined,
-        finalize=_printable,
+        finalize=lambda x: sanitized(x) if isinstance(x, str) and not isinstance(x, Markup) else x,
         auto_reload=False,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    made.globals.update(WORDS)
     made.filters.update(number=_number, slug=lambda word: word.replace(" ", "-"))
     return made
 
@@ -318,10 +347,6 @@ def assets(*names: str) -> str:
     return "".join(texts)
 
 
-def _printable(value: Any) -> Any:
-    return value if isinstance(value, Markup) or not isinstance(value, str) else sanitized(value)
-
-
 def _drawing(figure: Figure, link: Callable[[str], str] | None) -> Markup:
     """Its links lead through `link`; without one to the page's own rows."""
     svg = figure.svg
@@ -331,6 +356,7 @@ def _drawing(figure: Figure, link: Callable[[str], str] | None) -> Markup:
     return Markup(svg)  # noqa: S704 page.Figure has checked every element and attribute
 
 
+@lru_cache(maxsize=1 << 12)
 def _escaped(text: str) -> str:
     """Others' text, as plain as HTML takes it."""
     return str(escape(sanitized(text)))
@@ -383,7 +409,8 @@ def _shape(it: Shape) -> str:
         drawn = f'<rect x="{n(it.x_px)}" y="{n(it.y_px)}" width="{n(it.width_px)}"'
         drawn += f' height="{n(it.height_px)}"'
     elif isinstance(it, Polyline):
-        line = "L".join(f"{n(x)} {n(y)}" for x, y in it.points_px)
+        line = "L".join(["%.2f %.2f"] * len(it.points_px)) % tuple(chain(*it.points_px))
+        line = _ZEROS.sub("", line)
         drawn = f'<path d="M{line}{"z" if it.closed else ""}"'
     elif it.turned:
         a, b = n(it.arm_px * 0.7071), n(it.arm_px * 1.4142)
@@ -395,6 +422,9 @@ def _shape(it: Shape) -> str:
         return f"{drawn}/>"
     tag = drawn[1 : drawn.index(" ")]
     return f"{drawn}><title>{_escaped(it.title)}</title></{tag}>"
+
+
+_ZEROS = re.compile(r"-(?=0\.00)|\.00|(?<=\.\d)0(?!\d)")  # which `_number` doesn't write
 
 
 def _number(value: float) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 from markupsafe import Markup
 
 from reports.page import KINDS, Figure, Kind, Verdict
-from reports.render import SIGNS, assets, environment, policy_hash, write_whole
+from reports.render import assets, environment, policy_hash, write_whole
 from reports.trust import address, one_of
 
 PAGE = "index.html"
@@ -76,11 +76,6 @@ class Run:
         """``2026-11-22 14:05``."""
         return datetime.fromisoformat(self.started).strftime("%Y-%m-%d %H:%M")
 
-    @property
-    def kind_text(self) -> str:
-        """What the badge says."""
-        return KINDS[self.kind]
-
     def hint(self, result: Result) -> str:
         """What is shown on hovering over a step of a detector's history."""
         version = f" {result.version}" if result.version else ""
@@ -134,19 +129,12 @@ def write_runs(
     """
     style = assets("style.css", "runs.css")
     policy = f"default-src 'none'; img-src data:; style-src '{policy_hash(style)}'"
-    html = (
-        environment()
-        .get_template("runs.html.j2")
-        .render(
-            page=runs,
-            title=title,
-            rest=rest,
-            summary=summary,
-            signs=SIGNS,
-            style=Markup(style),  # noqa: S704 our own file
-            policy=f"{policy}; base-uri 'none'; form-action 'none'",
-            link=lambda href: address(href, "link"),
-            drawing=lambda figure: Markup(figure.svg),  # noqa: S704 page.Figure has checked it
-        )
+    template = environment().get_template("runs.html.j2")
+    html = template.render(
+        {"page": runs, "title": title, "rest": rest, "summary": summary},
+        style=Markup(style),  # noqa: S704 our own file
+        policy=f"{policy}; base-uri 'none'; form-action 'none'",
+        link=lambda href: address(href, "link"),
+        drawing=lambda figure: Markup(figure.svg),  # noqa: S704 page.Figure has checked it
     )
     return write_whole(runs.folder / name, html)

@@ -133,13 +133,6 @@ class _SvgReader(HTMLParser):
             )
 
     def handle_comment(self, data: str) -> None:
-        self._refuse(f"the comment {data[:40]!r}")
+        self._refuse(f"the comment or declaration {data[:40]!r}")
 
-    def handle_decl(self, decl: str) -> None:
-        self._refuse(f"the declaration {decl[:40]!r}")
-
-    def handle_pi(self, data: str) -> None:
-        self._refuse(f"the instruction {data[:40]!r}")
-
-    def unknown_decl(self, data: str) -> None:
-        self._refuse(f"the declaration {data[:40]!r}")
+    handle_decl = handle_pi = unknown_decl = handle_comment  # type: ignore[assignment]

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar, cast
 
 from bench.api.records import Damage, known
 from bench.api.shots import AnyRig, load_rig
@@ -27,6 +27,9 @@ from bench.script.model import TRIALS, LoadedScript, find_script
 from bench.script.model import load_script as load_script_file
 from instruments.captures.capture import CaptureFile
 from textfiles.bounds import FROM_0, SPEED
+
+if TYPE_CHECKING:
+    from bench.report.growing import TrialParts
 
 OUT = Path("runs")
 AnyScript = str | Path | LoadedScript | None
@@ -53,6 +56,26 @@ def load_script(script: AnyScript = None, rig: AnyRig | None = None) -> LoadedSc
         return script
     limits_c = load_rig(rig).rig.limits.set_point_c if rig is not None else None
     return load_script_file(find_script(str(script) if script else None), limits_c)
+
+
+class _Parts:
+    """Of the reports of runs under way, drawn between trials; what they need is loaded then."""
+
+    def __init__(self, shown: Progress) -> None:
+        self._warn = shown.warn
+        self._parts: TrialParts | None = None
+
+    def grow(self, folder: Path, done: int, planned: int) -> None:
+        if done > 1:
+            from bench.report.growing import TrialParts
+
+            self._parts = self._parts or TrialParts(self._warn)
+            self._parts.grow(folder, done, planned)
+
+    def report(self, folder: Path, damage: tuple[str, ...] = ()) -> Reported:
+        from bench.report.page import write_run_report
+
+        return write_run_report(folder, (), damage, self._parts)
 
 
 def run_script(
@@ -121,9 +144,10 @@ def run_queue(
     found = [load_script(one, loaded) for one in several("scripts", scripts, 1)]
     to = Path(record) if record is not None else None
     how = RunOptions(seed, tested, to, realtime or speed is not None, speed, capture, typed, begun)
-    ended = started(loaded, found, Path(out), shown, how)
+    parts = _Parts(shown)
+    ended = started(loaded, found, Path(out), shown, replace(how, between=parts.grow))
     shown.state("writing the report")
-    reports = [write_report(folder, damage=()) for folder, _ in ended]
+    reports = [parts.report(folder) for folder, _ in ended]
     return tuple(_timed(one, loaded, script) for one, script in zip(reports, found, strict=False))
 
 
@@ -170,11 +194,12 @@ def resume_run(
     from bench.run.start import resume_run as resumed
 
     shown = progress or Quiet()
-    how = RunOptions(capture=capture, typed=typed, begun=begun)
+    parts = _Parts(shown)
+    how = RunOptions(capture=capture, typed=typed, begun=begun, between=parts.grow)
     with known([Path(folder)], damage) as there:
         resumed(Path(folder), shown, how)
         shown.state("writing the report")
-        return write_report(folder, damage=there)
+        return parts.report(Path(folder), there)
 
 
 def score_recording(

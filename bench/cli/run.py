@@ -204,7 +204,8 @@ def score(given: argparse.Namespace) -> int:
 
 def report(given: argparse.Namespace) -> int:
     from bench.cli.verdict import open_report, show_verdict
-    from bench.report.page import PDF, REPORT
+    from bench.report.growing import REPORT
+    from bench.report.page import PDF
     from reports.pdf import find_browser, print_pdf
     from reports.render import WHOLE
     from reports.trust import PageError

@@ -21,8 +21,7 @@ from bench.cli.terminal import Terminal, print_wrapped
 from bench.report.wording import limit, measured
 from bench.run.events import FAILURES
 from bench.scoring.rates import plural
-from reports.page import UNFINISHED
-from reports.render import SIGNS
+from reports.page import SIGNS, UNFINISHED
 
 COLOURS: dict[str, str] = {  # the others are yellow
     **dict.fromkeys(UNFINISHED, "red"),

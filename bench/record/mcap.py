@@ -43,7 +43,7 @@ from mcap_protobuf.writer import Writer
 from scipy.spatial.transform import Rotation
 
 from bench.config import ConfigError, read_calibration
-from bench.record.reader import HEADS, opened
+from bench.record.reader import ALL, HEADS, opened
 from bench.record.schema import Row
 from detector.calibration.values import Calibration
 from detector.geometry import Camera
@@ -68,9 +68,8 @@ def _own(name: str, fields: str) -> Any:
     message.field.add(name="timestamp", number=1, label=optional, type=kind)
     message.field[0].type_name = f".{Timestamp.DESCRIPTOR.full_name}"
     for word in fields.split():
-        if word in _KINDS:
-            kind = _KINDS[word]
-        else:
+        kind = _KINDS.get(word, kind)
+        if word not in _KINDS:
             number = len(message.field) + 1
             message.field.add(name=word, number=number, label=optional, type=kind)
     file = FileDescriptorProto(
@@ -123,16 +122,11 @@ def frames_of_reference(at: Timestamp, known: Calibration) -> FrameTransforms:
             motions.append(("left", name, pose.inverse()))
     transforms = []
     for parent, child, motion in motions:
-        x, y, z, w = (float(value) for value in Rotation.from_matrix(motion.R).as_quat())
-        transforms.append(
-            FrameTransform(
-                timestamp=at,
-                parent_frame_id=parent,
-                child_frame_id=child,
-                translation=_metres(motion.T),
-                rotation=Quaternion(x=x, y=y, z=z, w=w),
-            )
-        )
+        x, y, z, w = Rotation.from_matrix(motion.R).as_quat().tolist()
+        turn = Quaternion(x=x, y=y, z=z, w=w)
+        names: dict[str, Any] = {"parent_frame_id": parent, "child_frame_id": child}
+        place: dict[str, Any] = {"translation": _metres(motion.T), "rotation": turn}
+        transforms.append(FrameTransform(timestamp=at, **names, **place))
     return FrameTransforms(transforms=transforms)
 
 
@@ -202,11 +196,8 @@ def export_mcap(run: Path, out: Path) -> list[Path]:
     """Write ``out/run.mcap``; its path. Times are the bench's clock from the time of day of its
     session, else the time of day. Raises ConfigError with a damaged frame; OSError.
     """
-    known = (
-        read_calibration(run / CALIBRATION, doubtful=True)
-        if (run / CALIBRATION).is_file()
-        else None
-    )
+    file = run / CALIBRATION
+    known = read_calibration(file, doubtful=True) if file.is_file() else None
     with opened(run) as db:
         db.row_factory = sqlite3.Row
         found = sorted(_run_messages(db, run, _Times(db)), key=lambda message: message.time_ns)
@@ -216,8 +207,8 @@ def export_mcap(run: Path, out: Path) -> list[Path]:
     out.mkdir(parents=True, exist_ok=True)
     part = out / f"{NAME}.part"
     try:
-        with part.open("wb") as file:
-            writer = Writer(file)
+        with part.open("wb") as to:
+            writer = Writer(to)
             writer.add_metadata("teatbench", facts)
             for one in found:
                 seconds, nanos = divmod(one.time_ns, NS)
@@ -257,7 +248,7 @@ def _run_messages(db: sqlite3.Connection, run: Path, times: _Times) -> Iterator[
         for row in db.execute(f"SELECT * FROM {table}"):  # noqa: S608 - our names
             at = times.of(row["session"], row["t_s"], row["wall_time"])
             yield TimedMessage(at, f"/{table}", partial(make, row=row))
-    for head in db.execute(HEADS).fetchall():
+    for head in db.execute(HEADS, ALL).fetchall():
         captured = times.of(head["session"], head["captured_s"], head["wall_time"])
         yield TimedMessage(captured, "/trial", partial(trial, row=head))
         if head["stage_mm"]:
@@ -313,15 +304,9 @@ def _image(at: Timestamp, run: Path, row: sqlite3.Row) -> Message:
     if pixels is None or pixels.dtype != np.uint16 or pixels.ndim != 2:
         raise ConfigError.plain(f"{path} can't be exported: it is no grey picture of 16 bits")
     height, width = pixels.shape
-    return RawImage(
-        timestamp=at,
-        frame_id=frame,
-        width=width,
-        height=height,
-        encoding="mono16",
-        step=2 * width,
-        data=pixels.astype("<u2").tobytes(),
-    )
+    size = {"width": width, "height": height, "step": 2 * width}
+    whole = pixels.astype("<u2").tobytes()
+    return RawImage(timestamp=at, frame_id=frame, encoding="mono16", data=whole, **size)
 
 
 def _cameras(known: Calibration, time_ns: int) -> Iterator[TimedMessage]:

@@ -5,6 +5,7 @@ stored.
 from __future__ import annotations
 
 import json
+import math
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
@@ -32,8 +33,9 @@ from bench.scoring.scene import SceneScore, scene_from_dict
 
 HEADS = (
     "SELECT trials.*, invalidated.reason AS invalid FROM trials LEFT JOIN invalidated ON"
-    " invalidated.trial = trials.id ORDER BY trials.number"
+    " invalidated.trial = trials.id WHERE trials.number BETWEEN ? AND ? ORDER BY trials.number"
 )
+ALL = (0, 1 << 62)  # the numbers of trials
 
 
 @contextmanager
@@ -239,29 +241,46 @@ def read_run(folder: Path, damage: tuple[str, ...] = (), *, whole: bool = True) 
     return record
 
 
+def read_trials(folder: Path, first: int, last: int) -> RunRecord:
+    """Facts of a run, trials ``first`` to ``last``, readings about these. Raises ConfigError."""
+    with opened(folder) as db:
+        db.row_factory = sqlite3.Row
+        trials = tuple(_trials(db, first, last))
+        begun_s = min((one.head["captured_s"] or math.inf for one in trials), default=math.inf)
+        return RunRecord(folder, _facts(db), trials, **_readings(db, begun_s - 60.0))
+
+
+def _facts(db: sqlite3.Connection) -> dict[str, Any]:
+    return {key: json.loads(value) for key, value in db.execute("SELECT key, value FROM facts")}
+
+
+def _readings(db: sqlite3.Connection, since_s: float) -> dict[str, Any]:
+    """Bath and external sensor."""
+    columns = "t_s, temp_c, power_percent, external_c, state"
+    query = f"SELECT {columns} FROM bath WHERE t_s >= ? ORDER BY session, t_s"  # noqa: S608
+    bath = db.execute(query, (since_s,)).fetchall()
+    table = np.array([tuple(row)[:4] for row in bath], dtype=np.float64).reshape(-1, 4)
+    states = tuple(row["state"] for row in bath)
+    return {"bath": table[:, :3], "external_c": table[:, 3], "bath_states": states}
+
+
 def _read(
     folder: Path, db: sqlite3.Connection, damage: tuple[str, ...], *, whole: bool
 ) -> RunRecord:
     db.row_factory = sqlite3.Row
     holder = holder_of(folder)  # first: a run that ends from here on has its ending
-    facts = {key: json.loads(value) for key, value in db.execute("SELECT key, value FROM facts")}
-    query = "SELECT t_s, temp_c, power_percent, external_c, state FROM bath ORDER BY session, t_s"
-    bath = list(db.execute(query)) if whole else []
+    facts = _facts(db)
     (done,) = db.execute("SELECT COUNT(*) FROM trials").fetchone()
-    columns = [[np.nan if row[k] is None else row[k] for k in range(4)] for row in bath]
-    table = np.array(columns, dtype=np.float64).reshape(-1, 4)
     sessions = [number for (number,) in db.execute("SELECT number FROM sessions")]
     return RunRecord(
         folder=folder,
         facts=facts,
-        trials=tuple(_trials(db)) if whole else (),
+        trials=tuple(_trials(db, *ALL)) if whole else (),
         counted_trials=None if whole else done,
         skipped=tuple(map(dict, db.execute("SELECT * FROM skipped ORDER BY number"))),
         checks=tuple(map(dict, db.execute("SELECT * FROM checks ORDER BY number, teat"))),
         events=tuple(map(dict, db.execute("SELECT * FROM events ORDER BY number"))),
-        bath=table[:, :3],
-        bath_states=tuple(row["state"] for row in bath),
-        external_c=table[:, 3],
+        **_readings(db, -math.inf if whole else math.inf),
         sessions=max(sessions, default=1),
         guardians=_guardians(folder, sessions, facts),
         head=head_of(db),
@@ -294,12 +313,14 @@ def _guardians(
     return {number: record for number, record in records.items() if record}
 
 
-def _trials(db: sqlite3.Connection) -> Iterator[TrialRecord]:
+def _trials(db: sqlite3.Connection, *numbers: int) -> Iterator[TrialRecord]:
+    """Those of the numbers from the first to the last."""
+    those = "trial IN (SELECT id FROM trials WHERE number BETWEEN ? AND ?)"
     by_table: dict[str, dict[str, list[Row]]] = {table: {} for table in OF_A_TRIAL}
     for table, grouped in by_table.items():
-        for row in db.execute(f"SELECT * FROM {table} ORDER BY rowid"):  # noqa: S608 - our own names
+        for row in db.execute(f"SELECT * FROM {table} WHERE {those} ORDER BY rowid", numbers):  # noqa: S608 - our own names
             grouped.setdefault(row["trial"], []).append(dict(row))
-    for head in db.execute(HEADS):
+    for head in db.execute(HEADS, numbers):
         rows = {table: tuple(grouped.get(head["id"], ())) for table, grouped in by_table.items()}
         scores = {
             row["detector"]: scene_from_dict(

@@ -49,9 +49,7 @@ def export_parquet(run: Path, out: Path) -> list[Path]:
     with opened(run) as db:
         about = {"run": run.name, "wall_digest": head_of(db).wall_digest}
         for name, names, kinds, rows in _tables(db):
-            fields = [
-                arrow.field(column, types[kind]) for column, kind in zip(names, kinds, strict=True)
-            ]
+            fields = list(map(arrow.field, names, map(types.get, kinds)))
             columns = list(zip(*rows, strict=True)) or [()] * len(fields)
             table = arrow.Table.from_arrays(
                 [arrow.array(c, type=f.type) for c, f in zip(columns, fields, strict=True)],

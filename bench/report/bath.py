@@ -83,14 +83,13 @@ def surface_at(run: RunRecord, trial: TrialRecord) -> Surface | None:
     figures = run.facts.get("bath figures")
     if figures is None or trial.head["captured_s"] is None:
         return None
-    return surface(*_readings(run, trial), Figures(**figures))
+    return surface(*readings_at(run, trial), Figures(**figures))
 
 
 def capture_text(run: RunRecord, trial: TrialRecord) -> str:
     """The bath at a trial's capture: value, range of the readings about then, and state."""
     text = number(trial.head["bath_c"], "°C")
-    readings = _readings(run, trial)[0] if trial.head["captured_s"] is not None else []
-    if readings:
+    if readings := readings_at(run, trial)[0]:
         text += f" ({spanned(readings)} within {AROUND_S:g} s)"
     return f"{text}, {trial.head['bath_state']}" if trial.head["bath_state"] else text
 
@@ -102,8 +101,10 @@ def surface_text(found: Surface | None) -> str:
     return f"{found.temp_c:.2f} ± {2 * found.u_k:.2f} °C ({found.how})"
 
 
-def _readings(run: RunRecord, trial: TrialRecord) -> tuple[list[float], list[float]]:
-    """What bath and external sensor read about the capture."""
+def readings_at(run: RunRecord, trial: TrialRecord) -> tuple[list[float], list[float]]:
+    """What bath and external sensor read about the capture, if any."""
+    if trial.head["captured_s"] is None:
+        return [], []
     near = np.abs(run.bath[:, 0] - trial.head["captured_s"]) <= AROUND_S
     external = run.external_c[near]
     return run.bath[near, 1].tolist(), external[np.isfinite(external)].tolist()
@@ -112,7 +113,7 @@ def _readings(run: RunRecord, trial: TrialRecord) -> tuple[list[float], list[flo
 def _capture_parts(run: RunRecord, shown: Sequence[TrialRecord], left_out: str) -> Iterator[Part]:
     rows = []
     for trial in shown:
-        bath, external = _readings(run, trial)
+        bath, external = readings_at(run, trial)
         figures = (_mean(bath), min(bath, default=None), max(bath, default=None), _mean(external))
         found = surface_at(run, trial)
         estimate = (None, "") if found is None else (found.temp_c, 2 * found.u_k)

@@ -117,9 +117,7 @@ def _banner(folder: Path, plan: CampaignPlan, numbers: Numbers) -> Banner:
     lines = []
     for name in numbers.detectors:
         rates = list(numbers.of(name).values())
-        failures, scenes = (
-            sum(getattr(one, key) for one in rates) for key in ("failures", "scenes")
-        )
+        failures, scenes = sum(r.failures for r in rates), sum(r.scenes for r in rates)
         if not scenes:
             continue
         worst = max(rates, key=lambda one: one.failures / one.scenes if one.scenes else -1.0)

@@ -238,20 +238,16 @@ def capped_text(comparison: Comparison) -> str:
     )
 
 
-def _mark(difference: PairedDifference) -> str:
-    return CAPPED if difference.capped else ""
-
-
 def _mean(difference: PairedDifference) -> str:
     """``+0.12 mm`` of one that was measured."""
-    return f"{difference.mean:+z.2f} mm{_mark(difference)}"
+    return f"{difference.mean:+z.2f} mm{CAPPED if difference.capped else ''}"
 
 
 def _difference(difference: PairedDifference, form: str = ".2f") -> str:
     """``+0.12 (-0.03 to +0.27)``; without an interval where there is none."""
     if difference.mean is None:
         return NOT_MEASURED
-    mean = f"{difference.mean:+z{form}}{_mark(difference)}"
+    mean = f"{difference.mean:+z{form}}{CAPPED if difference.capped else ''}"
     if difference.low is None or difference.high is None:
         return mean
     low, high = (f"{bound:+z{form}}" for bound in (difference.low, difference.high))
@@ -260,7 +256,7 @@ def _difference(difference: PairedDifference, form: str = ".2f") -> str:
 
 def as_json(found: Sequence[Comparison]) -> dict[str, Any]:
     """Plain numbers and text; every figure that is printed, unrounded (docs/json.md)."""
-    whole = []
+    whole, counted = [], ("same_frames", "only_old", "only_new", "elsewhere")
     for one in found:
         compared, gate = one.compared, one.compared.gate
         rate = {} if gate.margin_rate is None else {"margin_rate": gate.margin_rate}
@@ -276,10 +272,7 @@ def as_json(found: Sequence[Comparison]) -> dict[str, Any]:
                 "old": {"run": str(one.old.run.folder), "detector": one.old.detector},
                 "new": {"run": str(one.new.run.folder), "detector": one.new.detector},
                 "scenes": len(one.pairs),
-                "same_frames": one.same_frames,
-                "only_old": one.only_old,
-                "only_new": one.only_new,
-                "elsewhere": one.elsewhere,
+                **{key: getattr(one, key) for key in counted},
                 "identical": compared.identical,
                 "confidence": compared.confidence,
                 "gate": {**said, "margin_mm": gate.margin_mm, **rate},
@@ -525,14 +518,8 @@ def _scoreboard(one: Comparison) -> Scoreboard:
         verdict = "not worse" if mm <= margin else "worse" if sure else "inconclusive"
         why = chance_text(worst.radial.poses, "of it", len(one.compared.situations))
         note = f", {why}" if verdict == "inconclusive" else ""
-        add(
-            WORST,
-            limit,
-            None,
-            verdict,
-            _mean(worst.radial),
-            f"{spoken(worst.situation or '')}{note}",
-        )
+        which = f"{spoken(worst.situation or '')}{note}"
+        add(WORST, limit, None, verdict, _mean(worst.radial), which)
     heads = ("Compared", "May be worse by")
     return Scoreboard(f"{names[0]} and {names[1]}", names, tuple(rows), heads, HINTS)
 
@@ -557,14 +544,8 @@ def _mean_mm(errors_mm: Floats, one: Comparison) -> str:
 def _by_situation(comparison: Comparison, number: int) -> Figure:
     rows = _rows(comparison)
     names = [*map(_name, rows)]
-    right = [
-        (
-            row.success.both + row.success.only_old,
-            row.success.both + row.success.only_new,
-            row.poses,
-        )
-        for row in rows
-    ]
+    won = [(row.success, row.poses) for row in rows]
+    right = [(of.both + of.only_old, of.both + of.only_new, n) for of, n in won]
     spans = [(row.radial.mean, row.radial.low, row.radial.high) for row in rows]
     change = [
         None if mean is None or low is None or high is None else (mean, low, high)

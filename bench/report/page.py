@@ -22,6 +22,7 @@ from bench.report.accuracy import accuracy_tables, gage_parts, limit_parts
 from bench.report.bath import bath_parts, sparkline
 from bench.report.comparison import detectors_section
 from bench.report.glossary import terms
+from bench.report.growing import REPORT, TrialParts
 from bench.report.spread import pose_parts, spread_parts
 from bench.report.statements import note_on_statements
 from bench.report.thesis import published_counts, thesis_chapter
@@ -30,7 +31,6 @@ from bench.report.trials import (
     first_trials,
     look_at,
     trial_id,
-    trial_parts,
     trial_table,
     undecided_of,
     worst_trials,
@@ -79,19 +79,24 @@ from reports.page import (
 )
 from reports.render import in_page, write_report
 
-REPORT, PDF = "report", "report.pdf"
+PDF = "report.pdf"
 
 
 def write_run_report(
-    folder: Path, chapters: tuple[Section, ...] = (), damage: tuple[str, ...] = ()
+    folder: Path,
+    chapters: tuple[Section, ...] = (),
+    damage: tuple[str, ...] = (),
+    parts: TrialParts | None = None,
 ) -> Reported:
-    """Write a run's report and exports, with ``chapters`` after the results. Raises ConfigError."""
+    """Write a run's report and exports, with ``chapters`` after the results and the ``parts`` that
+    have grown with the run. Raises ConfigError.
+    """
     run = read_run(folder, damage)
     rules = stored_rules(folder)
     judgements = judge(run, rules) if any(trial.scores for trial in run.trials) else ()
     calibration = read_calibration(folder / "calibration.toml", doubtful=True)
     status = status_of(run, judgements)
-    page = build_page(run, status, rules, judgements, calibration, folder / REPORT, chapters)
+    page = build_page(run, status, rules, judgements, calibration, folder / REPORT, chapters, parts)
     # by another reading of the run: it may not stand beside this one
     (folder / REPORT / PDF).unlink(missing_ok=True)
     path = write_report(page, folder / REPORT)
@@ -108,6 +113,7 @@ def build_page(
     calibration: Calibration,
     folder: Path,
     chapters: tuple[Section, ...] = (),
+    parts: TrialParts | None = None,
 ) -> Page:
     """The page; writes copies of frames into ``folder``/images. ``chapters`` come later."""
     facts = run.facts
@@ -143,7 +149,8 @@ def build_page(
     looked, few = first_trials(run, undecided), in_page(len(run.trials), len(run.detectors))
     behind = tuple(_pages(run, status, rules, calibration, chapters, undecided))
     drawn = tuple(_figures(run, rules, calibration)) if run.trials and judgements else ()
-    made = tuple(trial_parts(run, calibration, folder, copied=None if few else looked))
+    drawing = parts or TrialParts()
+    made = tuple(drawing.of(run, calibration, folder, copied=None if few else looked))
     if judgements:
         statements = note_on_statements((*requirements, *behind), rules, len(judgements))
         with_note = replace(folded, parts=(*folded.parts, statements))
@@ -341,10 +348,8 @@ def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> I
         svg = per_axis_errors([*map(spoken, names)], errors, limit_mm, name=f"axes-{name}")
         caption = f"Errors along the world's axes by situation, {detector}"
         yield Figure(svg, caption, "strips of signed errors", wide=True)
-        yield Fold(
-            f"By axis, situation and teat in figures, and tolerance limits, {detector}",
-            tuple(accuracy_tables(run, detector, limit_mm, camera_from_world)),
-        )
+        title = f"By axis, situation and teat in figures, and tolerance limits, {detector}"
+        yield Fold(title, tuple(accuracy_tables(run, detector, limit_mm, camera_from_world)))
         yield from spread_parts(run, detector, limit_mm, anchors_of(run), camera_from_world)
     yield from limit_parts(run, calibration)
 
@@ -448,8 +453,8 @@ def provenance_parts(run: RunRecord, status: RunStatus) -> Iterator[Part]:
     frames = sum(len(trial.frames) for trial in run.trials)
     note = (
         f"The calibration's at the start was {run.facts['calibration_sha256']}. {frames} pictures"
-        " of frames and stages: each one's SHA-256 is in the record."
     )
+    note += " of frames and stages: each one's SHA-256 is in the record."
     yield table("Files as used", "file | what | SHA-256", rows, note)
     links = {
         what: Cell(path.removeprefix("../"), href=path)
@@ -479,14 +484,13 @@ def fault_parts(run: RunRecord) -> Iterator[Part]:
     looked = Counter[str]()
     for fact in (fact for fact in run.facts if fact.startswith(FRAMES_FACT)):  # one a session
         looked.update(run.facts[fact])
-    if looked:
-        rows = (f"{name}: {looked_at(count)}" for name, count in sorted(looked.items()))
-        yield Notes("What the frames were checked for", tuple(rows))
-
-
-def looked_at(count: int) -> str:
-    """A check that looked at nothing has found nothing."""
-    return f"{plural(count, 'picture')} looked at" if count else "not checked"
+    # a check that looked at nothing has found nothing
+    texts = [
+        f"{name}: {plural(count, 'picture')} looked at" if count else f"{name}: not checked"
+        for name, count in sorted(looked.items())
+    ]
+    if texts:
+        yield Notes("What the frames were checked for", tuple(texts))
 
 
 def record_parts(run: RunRecord) -> Iterator[Part]:
@@ -496,11 +500,9 @@ def record_parts(run: RunRecord) -> Iterator[Part]:
         return
     if fact["made"] is None:
         emulated = fact["emulated"]
-        yield Paragraph(
-            "The calibration has no record of who made it, when and with what."
-            f" {'The emulated cameras are made from it.' if emulated else UNKNOWN_AGE}",
-            tone="plain" if emulated else "warn",
-        )
+        how = "The emulated cameras are made from it." if emulated else UNKNOWN_AGE
+        text = f"The calibration has no record of who made it, when and with what. {how}"
+        yield Paragraph(text, tone="plain" if emulated else "warn")
         return
     yield key_values(
         "Calibration",

@@ -16,7 +16,7 @@ from bench.config import ConfigError, read_calibration
 from bench.record.check import checked_first
 from bench.record.reader import RunRecord, database_in, read_run
 from bench.record.schema import DATABASE
-from bench.report.page import REPORT
+from bench.report.growing import REPORT
 from bench.report.trials import round_teats, shown, views_of, worst_trials
 from bench.results.health import Chart, charts, history
 from bench.results.queue import QueueStatus, queues
@@ -104,17 +104,11 @@ def _listed(folder: Path) -> Run:
 def _results(run: RunRecord, status: RunStatus) -> Iterator[Result]:
     for name in run.detectors:
         pool, item = scored(run, name), run.facts["items"].get(name, {})
-        radial = np.linalg.norm(pool.errors_mm, axis=1)
-        yield Result(
-            detector=name,
-            version=str(item.get("version", "")),
-            verdict=cast(Verdict, status.verdicts[name]),
-            visible=pool.counts.visible,
-            found=pool.counts.matched,
-            false=pool.counts.false,
-            median_error_mm=float(np.median(radial)) if len(radial) else None,
-            max_error_mm=float(radial.max()) if len(radial) else None,
-        )
+        radial, counts = np.linalg.norm(pool.errors_mm, axis=1), pool.counts
+        errors_mm = (float(of(radial)) if len(radial) else None for of in (np.median, np.max))
+        verdict, version = cast(Verdict, status.verdicts[name]), str(item.get("version", ""))
+        numbers = (counts.visible, counts.matched, counts.false)
+        yield Result(name, version, verdict, *numbers, *errors_mm)
 
 
 def run_thumbnails(run: RunRecord) -> Iterator[tuple[str, str]]:

@@ -16,7 +16,7 @@ from bench.campaign.shards import Shards
 from bench.config import ConfigError, writing
 from bench.files import write_pictures
 from bench.record.reader import RunRecord, TrialRecord
-from bench.report.trials import trial_parts
+from bench.report.trials import trial_part
 from bench.results.answers import close_detectors, examine, score_answers
 from bench.run.rows import detection_tables
 from bench.scoring.comparison import why_failed
@@ -65,7 +65,8 @@ def draw_again(
 def scene_parts(run: RunRecord, stated: Calibration, folder: Path) -> Iterator[TrialPart]:
     """A part a scene for a page in ``folder``, which is in the campaign's or in its ``scenes``."""
     up = "../" if folder.parent == run.folder else f"../{run.folder.name}/"
-    for trial, part in zip(run.trials, trial_parts(run, stated, folder, up), strict=True):
+    for trial in run.trials:
+        part = trial_part(run, trial, stated, folder, up)
         about = ("what it is", SITUATIONS[str(trial.head["situation"])][0])
         summary = (about, *(entry for entry in part.summary if entry[0] not in OF_A_RUN))
         yield replace(part, summary=summary)

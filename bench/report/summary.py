@@ -11,8 +11,7 @@ from bench.report import comparison as of_comparison
 from bench.report.wording import limit, measured
 from bench.results.comparison import Comparison
 from bench.results.status import Reported
-from reports.page import Table
-from reports.render import SIGNS
+from reports.page import SIGNS
 from reports.sanitize import sanitized
 
 MARKS = {str(word): sign for word, sign in SIGNS.items()}
@@ -50,17 +49,14 @@ def of_comparisons(found: Sequence[Comparison]) -> str:
     for one in found:
         tables = of_comparison.success_table(one), of_comparison.distance_table(one)
         parts.append(f"### {_plain(of_comparison.worded(one, of_comparison.heading(one)))}")
-        parts += ["\n".join(_of_page(of_comparison.worded(one, table))) for table in tables]
+        for table in (of_comparison.worded(one, table) for table in tables):
+            heads = [f"{of.title}, {of.unit}" if of.unit else of.title for of in table.columns]
+            cells = [[of if isinstance(of, str) else of.text for of in row] for row in table.rows]
+            parts.append("\n".join(_table(heads, cells)))
         reasons = of_comparison.gate_reasons(one)
         said = [*of_comparison.notes(one), of_comparison.verdict_text(one), *reasons]
         parts += [_plain(of_comparison.worded(one, line)) for line in said]
     return "\n\n".join(parts) + "\n"
-
-
-def _of_page(table: Table) -> Iterator[str]:
-    heads = [f"{one.title}, {one.unit}" if one.unit else one.title for one in table.columns]
-    cells = [[one if isinstance(one, str) else one.text for one in row] for row in table.rows]
-    return _table(heads, cells)
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -201,7 +202,11 @@ def _narrow(rate: Rate, name: str) -> str:
 
 def covariance_of(row: Row) -> Floats | None:
     """The covariance (3, 3) of a row, mm^2; None where there is none or it is malformed."""
-    text = row.get("covariance_mm2")
+    return _covariance(row.get("covariance_mm2"))
+
+
+@lru_cache(maxsize=64)  # each camera's picture of a trial has them
+def _covariance(text: str | None) -> Floats | None:
     matrix = np.array(json.loads(text) if text else [], dtype=np.float64)
     return matrix if matrix.shape == (3, 3) and np.isfinite(matrix).all() else None
 

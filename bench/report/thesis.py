@@ -171,10 +171,8 @@ def _pictured(
 
 def _by_teat(seen: InPictures, known: Sequence[Situation]) -> Iterator[tuple[object, ...]]:
     for one in known:
-        teats = dict.fromkeys(
-            t for s, t in zip(seen.situations, seen.teats, strict=True) if s == one.name
-        )
-        for teat in teats:
+        each = zip(seen.situations, seen.teats, strict=True)
+        for teat in dict.fromkeys(t for s, t in each if s == one.name):
             rows = seen.of(one.name, teat)
             values = np.hstack([seen.off_px, seen.off_mm])[rows]
             found = values[np.isfinite(values[:, 1])]
@@ -189,10 +187,8 @@ def _first_test(figures: Thesis, ours: Mapping[str, Floats]) -> Iterator[Row]:
     printed = {SIGNED_MEAN: test.average_mm, "components.max_abs_mm": test.largest_mm}
     theirs = summarise(errors_of_test_mm(figures, 1))
     stats = {name: summarise(errors) for name, errors in ours.items()}
-    same = (
-        "In this run the same ends (table 5.1's) were found by a detector, in scenes that have"
-        " them; n counts ends. "
-    )
+    same = "In this run the same ends (table 5.1's) were found by a detector, in scenes that have"
+    same += " them; n counts ends. "
     for key, what in STATISTICS.items():
         said = f"{printed[key]:g} mm" if key in printed else ""
         sentence = _each({name: _figure(one, key) for name, one in stats.items()})
@@ -325,28 +321,18 @@ def _rig(run: RunRecord, figures: Thesis, calibration: Calibration) -> Iterator[
     mapped = _homographies(ends, figures, calibration)
     yield "homography from thermal to optical", maps.section, printed, "", mapped, maps.wrong
     depth = calibration.world_from_right.inverse().apply(ends)[:, 2] if len(ends) else ends
-    yield (
-        "distance of the teats from the cameras",
-        off.section,
-        f"{off.stated_mm:g} mm",
-        spanned(off.implied_mm, ".0f", "mm"),
-        spanned(depth, ".0f", "mm"),
-        off.wrong,
-    )
+    what, stated = "distance of the teats from the cameras", f"{off.stated_mm:g} mm"
+    implied, ours = (spanned(one, ".0f", "mm") for one in (off.implied_mm, depth))
+    yield what, off.section, stated, implied, ours, off.wrong
     one, pixel = figures.one_pixel, NOT_MEASURED
     if len(ends):
         worth = calibration.depth_per_disparity_px_mm(ends)
         pixel = f"{spanned(worth, '.1f', 'mm')} of depth (Z² / f B)"
     yield "what one pixel is worth", one.section, f"{one.error_mm:g} mm", "", pixel, one.wrong
     world, arm, bath = figures.world, figures.arm, figures.bath
-    yield (
-        "camera to table: determinant and singular values",
-        world.section,
-        _stretch(np.array(world.matrix)),
-        "",
-        _stretch(calibration.world_from_right.R),
-        world.wrong,
-    )
+    what = "camera to table: determinant and singular values"
+    printed, ours = map(_stretch, (np.array(world.matrix), calibration.world_from_right.R))
+    yield what, world.section, printed, "", ours, world.wrong
     known_mm = truth_known_mm(run)
     sentence = NOT_MEASURED if known_mm is None else f"truth known to {known_mm:.2f} mm in 95 %"
     printed = f"{arm.accuracy_mm[0]:g} mm, {arm.accuracy_mm[1]:g} mm"

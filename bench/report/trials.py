@@ -64,18 +64,37 @@ def trial_id(trial: TrialRecord) -> str:
     return f"trial-{int(trial.head['number']):03d}"
 
 
-def trial_parts(
+def trial_part(
     run: RunRecord,
+    trial: TrialRecord,
     calibration: Calibration,
     folder: Path,
     up: str = "../",
     copied: Collection[str] | None = None,
-) -> Iterator[TrialPart]:
-    """A part a trial, in order, for a page in ``folder``, from which ``up`` leads to the run's. The
-    frames of the trials ``copied``, by default of all, are written into ``folder``/images.
+) -> TrialPart:
+    """A trial's part for a page in ``folder``, from which ``up`` leads to the run's. The frames of
+    the trials ``copied``, by default of all, are written into ``folder``/images.
     """
-    for trial in run.trials:
-        yield _part(run, trial, tuple(_pictures(run, trial, calibration, (folder, up), copied)))
+    head, detections, budget = trial.head, trial.detections, trial_truth(trial)
+    notes = [f"In no count: {trial.invalid}"] if trial.invalid else []
+    notes += [f"Note: {head['note']}"] if head["note"] else []
+    return TrialPart(
+        id=trial_id(trial),
+        heading=trial.id,
+        situation=spoken(head["situation"]),
+        results=_results(trial),
+        summary=(
+            ("situation", spoken(head["situation"])),
+            ("repeat", str(head["repeat"])),
+            ("bath at capture", capture_text(run, trial)),
+            ("teats' surface", surface_text(surface_at(run, trial))),
+            *((f"time, {d['detector']}", _time_text(d)) for d in detections),
+            *((f"hidden, {d['detector']}", f"claims {d['hidden']}") for d in detections),
+        ),
+        images=tuple(_pictures(run, trial, calibration, (folder, up), copied)),
+        tables=(*(_teats(trial, d["detector"]) for d in detections), *([budget] if budget else [])),
+        notes=(*notes, *(note for d in detections for note in _notes(d))),
+    )
 
 
 def undecided_of(judgements: Sequence[Judgement]) -> frozenset[str]:
@@ -214,29 +233,6 @@ def first_looks(run: RunRecord, undecided: Collection[str] = ()) -> KeyValues | 
         text = f"{name}: {text}" if len(run.detectors) > 1 else text
         entries.append((trial.id, Cell(text, tone, href=f"#{trial_id(trial)}")))
     return KeyValues("Look at these first", tuple(entries)) if entries else None
-
-
-def _part(run: RunRecord, trial: TrialRecord, images: tuple[ImageView, ...]) -> TrialPart:
-    head, detections, budget = trial.head, trial.detections, trial_truth(trial)
-    notes = [f"In no count: {trial.invalid}"] if trial.invalid else []
-    notes += [f"Note: {head['note']}"] if head["note"] else []
-    return TrialPart(
-        id=trial_id(trial),
-        heading=trial.id,
-        situation=spoken(head["situation"]),
-        results=_results(trial),
-        summary=(
-            ("situation", spoken(head["situation"])),
-            ("repeat", str(head["repeat"])),
-            ("bath at capture", capture_text(run, trial)),
-            ("teats' surface", surface_text(surface_at(run, trial))),
-            *((f"time, {d['detector']}", _time_text(d)) for d in detections),
-            *((f"hidden, {d['detector']}", f"claims {d['hidden']}") for d in detections),
-        ),
-        images=images,
-        tables=(*(_teats(trial, d["detector"]) for d in detections), *([budget] if budget else [])),
-        notes=(*notes, *(note for d in detections for note in _notes(d))),
-    )
 
 
 def _time_text(detection: Row) -> str:

@@ -57,7 +57,8 @@ REQUESTS = (KeyboardInterrupt, OperatorAbort, OperatorSkip, OperatorRepeat)
 class Engine:
     """One run. ``exact_ends``: the scene's exact truth, never scored against; ``left``: of the last
     session; ``typed`` gives typed lines; ``expected``: how long it takes; ``more``: another script
-    follows on this rig, which stays warm where this one finishes.
+    follows on this rig, which stays warm where this one finishes; ``between`` two trials gets how
+    many have passed, and of how many.
     """
 
     def __init__(
@@ -71,8 +72,9 @@ class Engine:
         typed: Callable[[], str | None] = lambda: None,
         expected: TimeEstimate | None = None,
         more: bool = False,
+        between: Callable[[int, int], None] = lambda *_: None,
     ) -> None:
-        self._more = more
+        self._more, self._between = more, between
         self.is_warm = False  # ended, with the rig open, heated and watched
         self._ctx = ctx
         self._left = left
@@ -183,6 +185,7 @@ class Engine:
             ctx.events.trial(trial.number - 1, len(planned), trial.name)
             # A trial that has its result is gone through again or passed over.
             if not self._left:
+                self._between(trial.number - 1, len(planned))
                 self._requests.pause_if_asked(self._ctx)
                 self._ctx.check_interrupts = self._requests.look
                 self._attempts.run(trial)

@@ -99,7 +99,7 @@ INTERRUPTED = "interrupted (Ctrl-C)"
 class RunOptions:
     """``seed`` and ``detectors`` instead of the rig's and the script's; ``speed`` of emulators that
     are watched; ``typed`` gives typed lines; ``begun`` gets where the run is kept, and how long it
-    takes.
+    takes; ``between`` two trials gets the folder, how many have passed, and of how many.
     """
 
     seed: int | None = None
@@ -110,6 +110,7 @@ class RunOptions:
     capture: CaptureFile | None = None
     typed: Callable[[], str | None] = lambda: None
     begun: Callable[[str], None] = lambda _: None
+    between: Callable[[Path, int, int], None] = lambda *_: None
 
 
 def run_script(
@@ -383,16 +384,8 @@ class OpenRig:
         if before and isinstance(devices.operator, Console):
             devices.operator.asked_in(store.folder)
         refuse_other_cameras(self.rig.calibration.record, devices.cameras.identity)
-        ctx = RunContext(
-            self.rig,
-            script,
-            devices,
-            store,
-            self.events,
-            heartbeat,
-            guardian,
-            before.context if before else None,
-        )
+        of_rig = (devices, store, self.events, heartbeat, guardian)
+        ctx = RunContext(self.rig, script, *of_rig, before.context if before else None)
         if guardian:
             guardian.heats = True
         self._engine = Engine(
@@ -404,6 +397,7 @@ class OpenRig:
             typed=self.how.typed,
             expected=expected,
             more=self.more,
+            between=partial(self.how.between, store.folder),
         )
         return self._engine
 

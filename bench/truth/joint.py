@@ -17,6 +17,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +88,7 @@ class _Ends:
         self._trials = [trial for trial, _ in ends]
         self._rows = [row for _, row in ends]
         self._places_mm = points_mm(self._rows)
-        self._budgets = [_budget(row) for row in self._rows]
+        self._budgets = [_budget(row.get("budget"), row.get("u_mm")) for row in self._rows]
         self._by_id = {trial.id: trial for trial in run.trials}
         carried = any(row.get("how") == How.CARRIED for row in self._rows)
         self._registration = registration_from_facts(run.facts) if carried else None
@@ -180,12 +181,13 @@ _OF_A_TOUCH = ("definition", "resolution", "scatter")
 _KNOWN = {*_OF_A_TOUCH, ARM, REGISTRATION, TIP_RADIUS, CARRY}
 
 
-def _budget(row: Row) -> dict[str, float]:
+@lru_cache(maxsize=1 << 14)  # a report asks for those of one end a dozen times
+def _budget(text: str | None, u_mm: float | None) -> Mapping[str, float]:
     """Standard uncertainty along an axis by component; one that isn't known is not said."""
-    if not row.get("budget"):
-        return {UNSAID: float(row.get("u_mm") or 0.0)}
+    if not text:
+        return {UNSAID: float(u_mm or 0.0)}
     found: dict[str, float] = {}
-    for line in json.loads(row["budget"])["components"]:
+    for line in json.loads(text)["components"]:
         name = line["name"] if line["name"] in _KNOWN else UNSAID
         found[name] = float(np.hypot(found.get(name, 0.0), line["u_mm"]))
     return found

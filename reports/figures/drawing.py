@@ -15,6 +15,7 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import suppress
 from functools import wraps
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, Literal, ParamSpec
 
 import numpy as np
@@ -74,31 +75,14 @@ _DETECTOR_MARKS: tuple[Marker, ...] = ("X", "s", "^", "D")
 LegendForm = Literal["-", "--", "patch"] | Marker
 LegendEntry = tuple[str, str, LegendForm]  # text, role, form
 _ROLES = {colour: role for role, colour in COLOURS.items()}
-_SETTINGS = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "teatbench",
-    "text.parse_math": False,
-    "font.size": 8.5,
-    "text.color": COLOURS["ink"],
-    "axes.edgecolor": COLOURS["muted"],
-    "axes.labelcolor": COLOURS["ink"],
-    "axes.titlesize": 8.5,
-    "axes.titley": 1.0,  # where it stands anyway: else each layout looks for it among the ticks
-    "axes.labelsize": 8.5,
-    "axes.linewidth": 0.7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
+_INK, _MUTED = COLOURS["ink"], COLOURS["muted"]
+_STYLE = str(Path(__file__).with_name("plots.mplstyle"))
+_COLOURED = {
+    **dict.fromkeys(
+        ("text.color", *(f"{of}tick.labelcolor" for of in "xy"), "axes.labelcolor"), _INK
+    ),
+    **dict.fromkeys(("axes.edgecolor", "xtick.color", "ytick.color"), _MUTED),
     "grid.color": COLOURS["grid"],
-    "grid.linewidth": 0.6,
-    "xtick.color": COLOURS["muted"],
-    "ytick.color": COLOURS["muted"],
-    "xtick.labelcolor": COLOURS["ink"],
-    "ytick.labelcolor": COLOURS["ink"],
-    "lines.linewidth": 1.4,
-    "hatch.linewidth": 0.6,
-    "axes.formatter.useoffset": False,
 }
 _TAG = re.compile(r"<(/?)([A-Za-z]+)([^<>]*?)(/?)>")
 _ATTRIBUTE = re.compile(r'([\w:-]+)="([^"]*)"')
@@ -138,7 +122,7 @@ def draw(plot: Plot) -> str:
     """A user's matplotlibrc changes nothing, and is as before afterwards."""
     name, inches, nothing = next(plot)
     checked_slug(name, "figure name")
-    with warnings.catch_warnings(), style.context(["default", _SETTINGS]):
+    with warnings.catch_warnings(), style.context(["default", _STYLE, _COLOURED]):
         # matplotlib's font only measures the text here; the page's font draws it, and may well have
         # the letter.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")

@@ -17,6 +17,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from bench.cli.main import main
 from bench.config import read_calibration
 from bench.record.reader import RunRecord, read_run
+from bench.report.growing import TrialParts
 from bench.report.page import build_page
 from bench.results.status import status_of
 from bench.results.verdicts import judge, stored_rules
@@ -49,18 +50,30 @@ def run(tmp_path_factory: pytest.TempPathFactory, short_script: Path) -> RunReco
     )
 
 
-def written(run: RunRecord) -> Path:
+def written(run: RunRecord, parts: TrialParts) -> Path:
     rules = stored_rules(run.folder)
     folder = run.folder / "report"
     calibration, judged = read_calibration(run.folder / "calibration.toml"), judge(run, rules)
-    page = build_page(run, status_of(run, judged), rules, judged, calibration, folder)
+    status = status_of(run, judged)
+    page = build_page(run, status, rules, judged, calibration, folder, parts=parts)
     return write_report(page, folder)
+
+
+def test_report_of_1000_trials_that_grew(benchmark: BenchmarkFixture, run: RunRecord) -> None:
+    parts, begun_s = TrialParts(), time.process_time()
+    parts.draw(run, TRIALS)
+    each_ms = 1e3 * (time.process_time() - begun_s) / TRIALS
+    figure(benchmark, "drawn between two trials, ms of a processor", each_ms, "at most 20")
+    begun_s = time.process_time()
+    benchmark.pedantic(written, args=(run, parts), rounds=1, iterations=1)
+    spent_s = time.process_time() - begun_s
+    beside_fixed(benchmark, "report of 1 000 trials, what is left at the end", spent_s, "2")
 
 
 @pytest.mark.browser
 def test_report_of_1000_trials(benchmark: BenchmarkFixture, run: RunRecord) -> None:
     begun_s = time.process_time()
-    path = benchmark.pedantic(written, args=(run,), rounds=1, iterations=1)
+    path = benchmark.pedantic(written, args=(run, TrialParts()), rounds=1, iterations=1)
     beside_fixed(benchmark, "report of 1 000 trials", time.process_time() - begun_s, "10")
     assert len(list((path.parent / "trials").iterdir())) == TRIALS
     assert path.stat().st_size <= 1_000_000  # no matter of speed, so it may be asserted
@@ -72,7 +85,8 @@ def test_report_of_1000_trials(benchmark: BenchmarkFixture, run: RunRecord) -> N
             "() => performance.getEntriesByType('navigation')[0].loadEventEnd"
         )
         figure(benchmark, "its page loads in, s", loaded_ms / 1000, "at most 0.3")
-        trial = page.locator("#trial-500 a").get_attribute("href")  # in a folded table
+        listed = seen.open(path.parent / "page-trials.html")
+        trial = listed.locator("#trial-500 a").get_attribute("href")
         assert trial is not None
         seen.open(path.parent / trial)
         assert set(seen.image_widths().values()) == {640, 1360}

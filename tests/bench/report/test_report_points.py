@@ -21,7 +21,7 @@ from bench.config import read_calibration
 from bench.record.reader import read_run
 from bench.report.page import build_page
 from bench.report.thesis import thesis_chapter
-from bench.report.trials import trial_parts
+from bench.report.trials import trial_part
 from bench.results.status import status_of
 from bench.results.verdicts import judge, stored_rules
 from instruments.camera.settings import AUTOMATIC, UNSEEN_SIZE
@@ -166,7 +166,9 @@ def test_frames_are_jpeg_of_quality_80_and_link_their_originals(
 
 def test_frames_that_are_not_copied_are_shown_where_they_lie(folder: Path, tmp_path: Path) -> None:
     run, calibration = read_run(folder), read_calibration(folder / "calibration.toml")
-    one, other, *_ = trial_parts(run, calibration, tmp_path, copied={run.trials[0].id})
+    copied = {run.trials[0].id}
+    parts = (trial_part(run, t, calibration, tmp_path, copied=copied) for t in run.trials)
+    one, other, *_ = parts
     assert len([image for image in one.images if image.src.startswith("images/")]) == 3
     assert {image.src.startswith("../frames/") for image in other.images} == {True}
     shown = {image.camera: image.shown_as for image in other.images}

@@ -1,0 +1,114 @@
+"""The trials' parts of a report with many trials, drawn while the run goes on.
+
+A part is known by the SHA-256 of all that it is made from. The report takes what was drawn of the
+same, and draws the rest: its bytes are the same either way. Parts wait in a temporary file of this
+process, so a process that dies leaves none, and none is taken on another's word.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+import sqlite3
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from bench.config import read_calibration
+from bench.files import sha256_of
+from bench.record.reader import ALL, RunRecord, TrialRecord, read_trials
+from bench.record.recording import png_size
+from bench.report.bath import readings_at
+from bench.report.glossary import terms
+from bench.report.trials import trial_part
+from detector.calibration import Calibration
+from reports.page import TrialPart
+from reports.render import TrialPress, in_page
+
+REPORT, CALIBRATION = "report", "calibration.toml"
+
+
+class TrialParts:
+    """Of the runs of one process; ``warn`` gets why those of a run grow no more."""
+
+    def __init__(self, warn: Callable[[str], None] = lambda _: None) -> None:
+        self._warn = warn
+        self._next: dict[Path, int] = {}  # number of the first trial that is not drawn
+        self._kept = sqlite3.connect("", isolation_level=None)  # a temporary file without a name
+        self._kept.execute("CREATE TABLE parts (digest TEXT PRIMARY KEY, part BLOB)")
+
+    def grow(self, folder: Path, done: int, planned: int) -> None:
+        """Draw trials of the run in ``folder``, where ``done`` of ``planned`` have passed: the last
+        but one, about whose capture all is written by now, and of those that a session before left
+        a share. Raises nothing, since the report draws what was not drawn.
+        """
+        first = self._next.get(folder, 1)
+        last = min(done - 1, first + max(0, done - first) // max(1, planned - done))
+        if last < first:
+            return
+        self._next[folder] = last + 1
+        try:
+            self.draw(read_trials(folder, first, last), planned)
+        except Exception as error:
+            self._next[folder] = ALL[1]
+            self._warn(f"The report of {folder} is drawn when the run has ended: {error}")
+
+    def draw(self, run: RunRecord, planned: int) -> None:
+        """Draw the trials of ``run``, which holds some of those ``planned``. Raises ConfigError."""
+        if in_page(planned, len(run.detectors)):
+            self._next[run.folder] = ALL[1]
+            return
+        file = run.folder / CALIBRATION
+        sha256, calibration = sha256_of(file), read_calibration(file, doubtful=True)
+        press = TrialPress(run.detectors, terms())
+        for trial in run.trials:
+            part = _drawn(run, trial, calibration, run.folder / REPORT, press)
+            row = (_digest(run, trial, sha256), pickle.dumps(part))
+            self._kept.execute("REPLACE INTO parts VALUES (?, ?)", row)
+
+    def of(
+        self,
+        run: RunRecord,
+        calibration: Calibration,
+        folder: Path,
+        copied: Collection[str] | None,
+    ) -> Iterator[TrialPart]:
+        """Each trial's part for a page in ``folder``: with its images where it is ``copied``, as
+        all are for None; else as drawn.
+        """
+        press = TrialPress(run.detectors, terms())
+        grown = self._kept.total_changes > 0
+        sha256 = sha256_of(run.folder / CALIBRATION) if grown else ""
+        folder.mkdir(parents=True, exist_ok=True)  # images are found from it
+        for trial in run.trials:
+            if copied is None or trial.id in copied:
+                yield trial_part(run, trial, calibration, folder, copied=copied)
+                continue
+            kept = self._found(_digest(run, trial, sha256), folder) if grown else None
+            yield kept or _drawn(run, trial, calibration, folder, press)
+
+    def _found(self, digest: str, folder: Path) -> TrialPart | None:
+        """The part, where the images that it shows are still there."""
+        found = self._kept.execute("SELECT part FROM parts WHERE digest = ?", (digest,))
+        row = found.fetchone()
+        part: TrialPart | None = pickle.loads(row[0]) if row else None  # noqa: S301 our own
+        there = part and part.drawn and all((folder / one).is_file() for one in part.drawn.files)
+        return part if there else None
+
+
+def _drawn(
+    run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: Path, press: TrialPress
+) -> TrialPart:
+    part = trial_part(run, trial, calibration, folder, copied=())
+    return replace(part, images=(), summary=(), tables=(), notes=(), drawn=press(part))
+
+
+def _digest(run: RunRecord, trial: TrialRecord, calibration_sha256: str) -> str:
+    """Of all that a part is made from."""
+    scores = [score.as_dict() for score in trial.scores.values()]
+    sizes = [png_size(run.folder / row["path"]) for row in trial.frames]
+    rows = (trial.head, trial.frames, trial.truth, trial.detections, trial.found)
+    of_run = (str(run.folder), run.detectors, run.facts.get("bath figures"), calibration_sha256)
+    return hashlib.sha256(
+        repr((of_run, rows, [*trial.scores], scores, sizes, readings_at(run, trial))).encode()
+    ).hexdigest()

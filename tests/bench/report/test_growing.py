@@ -1,0 +1,110 @@
+"""A report that grows with its run has the bytes of one that is made afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bench
+from bench.cli.main import main
+from bench.config import read_calibration
+from bench.record.reader import RunRecord, read_run
+from bench.report import growing
+from bench.report.growing import TrialParts
+from bench.report.page import write_run_report
+from tests.bench.killed_runs import Silent
+from tests.bench.operated_runs import SCRIPT, files, run_of
+from tests.bench.small_run import KEPT
+
+POSES = ", ".join(f"{{ x_mm = {x}.0 }}" for x in range(8))
+EIGHT = SCRIPT[: SCRIPT.index("poses =")] + f"poses = [{POSES}]\n"
+
+
+class Stopped(Silent):
+    """Ctrl-C before the sixth trial."""
+
+    def trial(self, done: int, total: int, name: str) -> None:
+        if done == 5:
+            raise KeyboardInterrupt
+
+
+@pytest.fixture(autouse=True)
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The trials that are drawn; each has a file of its own."""
+    monkeypatch.setattr("reports.render.IN_PAGE", 0)
+    draw, seen = growing._drawn, list[str]()
+
+    def noted(run: RunRecord, trial: Any, *more: Any) -> Any:
+        seen.append(trial.id)
+        return draw(run, trial, *more)
+
+    monkeypatch.setattr(growing, "_drawn", noted)
+    return seen
+
+
+def bytes_of(folder: Path) -> Mapping[str, bytes]:
+    return {str(path): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.slow
+def test_it_grows_with_a_run_and_with_what_resumes_it(tmp_path: Path, drawn: list[str]) -> None:
+    _, script, _, rig, _, out = files(tmp_path, script=EIGHT)
+    for grown in (3, 6):
+        if grown == 3:
+            bench.run_script(script, rig, out=out, progress=Stopped())
+        else:
+            assert main(["resume", str(run_of(tmp_path).folder)]) in (0, 1, 4)
+        run = run_of(tmp_path)
+        names = [trial.id for trial in run.trials]
+        assert drawn[:grown] == names[:grown]
+        assert not set(drawn[grown:]) & set(names[:grown]), "each is drawn once"
+        report = run.folder / "report"
+        assert len([*report.glob("trials/*.html")]) == len(names)
+        written = bytes_of(report)
+        write_run_report(run.folder)
+        assert bytes_of(report) == written
+        drawn.clear()
+
+
+def changed(run: RunRecord, **rows: Any) -> RunRecord:
+    """With these changes to its first trial."""
+    return replace(run, trials=(replace(run.trials[0], **rows), *run.trials[1:]))
+
+
+def test_what_is_drawn_of_something_else_is_not_taken(drawn: list[str]) -> None:
+    parts, run = TrialParts(), read_run(KEPT)
+    for _ in run.trials:
+        parts.grow(KEPT, 3, 100)
+    calibration = read_calibration(KEPT / "calibration.toml")
+    one = run.trials[0]
+    near = np.vstack([[one.head["captured_s"], 20.0, 0.0], run.bath])
+    others = [
+        changed(run, head={**one.head, "invalid": "the check said so"}),
+        changed(run, truth=[{**row, "x_mm": row["x_mm"] + 1.0} for row in one.truth]),
+        changed(run, detections=[{**row, "trace": "{}"} for row in one.detections]),
+        changed(run, found=[{**row, "z_mm": row["z_mm"] + 1.0} for row in one.found]),
+        changed(run, scores={}),
+        changed(run, frames=[{**row, "path": "gone.png"} for row in one.frames]),
+        replace(run, bath=near, external_c=np.append(np.nan, run.external_c)),
+        replace(run, facts={**run.facts, "bath figures": None}),
+    ]
+    for other in (run, *others):
+        drawn.clear()
+        taken = [*parts.of(other, calibration, KEPT / "report", ())]
+        assert (one.id in drawn) == (other is not run)
+        assert taken == [*TrialParts().of(other, calibration, KEPT / "report", ())]
+
+
+def test_what_can_t_be_drawn_is_said_once(tmp_path: Path) -> None:
+    said = list[str]()
+    parts = TrialParts(said.append)
+    for done in (2, 3, 4):
+        parts.grow(tmp_path, done, 100)
+    assert [text.partition(":")[0] for text in said] == [
+        f"The report of {tmp_path} is drawn when the run has ended"
+    ]
