@@ -366,8 +366,8 @@ def _touched(
     missed_mm: Array, bound_mm: float, bound: str, name: str, caption: str, alt: str
 ) -> Figure:
     """What touched points (n, 3) are off by, along each axis."""
-    words = {"point": "one touched point", "bound": bound, "name": name}
-    svg = per_axis_errors(["touched points"], [missed_mm], bound_mm, **words)
+    errors, point = [missed_mm], "one touched point"
+    svg = per_axis_errors(["touched points"], errors, bound_mm, point=point, bound=bound, name=name)
     return Figure(svg, caption, alt, wide=True)
 
 
@@ -599,9 +599,9 @@ def _worth(result: CamerasResult, seen_m: tuple[float, float]) -> Iterator[Part]
     pair = result.pair
     focal = 0.5 * (pair.left.fc[0] + pair.right.fc[0])
     per_px = 1e6 / (focal * float(np.linalg.norm(pair.right_from_left.T)))
-    worth = ", ".join(f"{z:g} m, {z**2 * per_px:.1f} mm" for z in (1.0, 1.2, 1.5, 1.75))
+    worth = ", ".join(f"{z**2 * per_px:.1f} mm at {z:g} m" for z in (1.0, 1.2, 1.5, 1.75))
     yield Paragraph(
-        f"An error of one pixel of disparity is an error in depth: at {worth}. That is the geometry"
+        f"An error of one pixel of disparity is an error in depth of {worth}. That is the geometry"
         " of this pair, whatever the method."
     )
 
