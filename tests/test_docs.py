@@ -133,6 +133,14 @@ def test_the_program_knows_the_command(
         pytest.fail(f"{where}: {line}\n{capsys.readouterr().err}")
 
 
+def test_drawings_are_read_in_a_terminal_too() -> None:
+    drawn = [block for block in BLOCKS if "-->" in block.text]
+    assert len(drawn) > 5
+    for block in drawn:
+        assert block.text.isascii(), block
+        assert max(map(len, block.text.splitlines())) <= 78, block
+
+
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 

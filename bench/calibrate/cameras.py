@@ -311,7 +311,15 @@ def calibrate_thermal(
     joint = join_cameras(both, joint_lenses=("thermal",), model=delivered.model)
     lens, pose = joint.fit.rig.cameras["thermal"], joint.fit.rig.from_reference["thermal"]
     poses = pose, pair.right_from_left
-    maps = derive_homographies(lens, pair.left, pair.right, *poses, plane_depth_mm)
+    rms_px = float(np.sqrt(np.mean(np.square([*joint.view_rms_px("thermal").values()]))))
+    if rms_px > size[0] / delivered.sensor_size[0]:
+        hint = "do its pictures come mirrored (--mirrored), or not?"
+        what = f"the thermal camera's corners miss by {rms_px:.1f} px, more than its sensor's pixel"
+        raise ConfigError.plain(f"{what}: {hint}")
+    try:
+        maps = derive_homographies(lens, pair.left, pair.right, *poses, plane_depth_mm)
+    except ValueError as why:
+        raise ConfigError.plain(f"{why} (--plane)") from why
     camera = delivered.camera(size, lens)
     return ThermalResult(views, camera, pose, maps, alone, joint, _shown(views, "thermal", alone))
 

@@ -219,11 +219,11 @@ def slope_intervals(slopes: Sequence[Slope], *, name: str = "slope-intervals") -
     for axes, panel in zip(every, panels, strict=True):
         axes.axvline(0, color=COLOURS["muted"], linewidth=0.8)
         for slope in (one for one in slopes if one.response == panel):
-            y, role = rows.index(slope.against), "limit" if slope.shown else "ours"
+            y, role = rows.index(slope.against), "limit" if slope.shown else "ink"
             axes.plot([slope.low, slope.high], [y, y], color=COLOURS[role], linewidth=1.4)
             form: Marker = "D" if slope.shown else "o"
             marks(axes, [slope.value], [y], role, 4.5, form, line="-")
         axes.set(xlim=(-reach, reach), xlabel=f"{plain(panel)} (mm)")
         row_names(axes, rows)
-    unshown: LegendEntry = ("no trend shown, 95 % interval", "ours", "o")
+    unshown: LegendEntry = ("no trend shown, 95 % interval", "ink", "o")
     legend(figure, [unshown, ("trend shown", "limit", "D")])
