@@ -64,7 +64,6 @@ MAY_JUDGE = {
 AT_A_TERMINAL = {"arm home", "arm frame", "arm read", "arm verify"}
 # what a page names and its reader has, and what stands in for it here; whatever fits, in this order
 STAND_INS = {
-    r" run$": " run short.toml --rig my-rig.toml",  # the shipped script on the shipped rig: CI's demo
     r"plane-map --dry-run": "short.toml --rig my-rig.toml --dry-run",
     r"/dev/ttyUSB0": "emulator:",
     r"--page$": "--page --seconds 0.1",
