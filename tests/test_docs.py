@@ -64,7 +64,6 @@ MAY_JUDGE = {
 AT_A_TERMINAL = {"arm home", "arm frame", "arm read", "arm verify"}
 # what a page names and its reader has, and what stands in for it here; whatever fits, in this order
 STAND_INS = {
-    r" run$": " run short.toml --rig my-rig.toml",  # the shipped script on the shipped rig: CI's demo
     r"plane-map --dry-run": "short.toml --rig my-rig.toml --dry-run",
     r"/dev/ttyUSB0": "emulator:",
     r"--page$": "--page --seconds 0.1",
@@ -131,6 +130,14 @@ def test_the_program_knows_the_command(
         parser().parse_args(words_of(line))
     except SystemExit:
         pytest.fail(f"{where}: {line}\n{capsys.readouterr().err}")
+
+
+def test_drawings_are_read_in_a_terminal_too() -> None:
+    drawn = [block for block in BLOCKS if "-->" in block.text]
+    assert len(drawn) > 5
+    for block in drawn:
+        assert block.text.isascii(), block
+        assert max(map(len, block.text.splitlines())) <= 78, block
 
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")

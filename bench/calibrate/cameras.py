@@ -108,15 +108,15 @@ class CamerasResult:
             focal = []
             for name, value in zip(("fx", "fy"), fit.rig.cameras[camera].fc, strict=True):
                 sd = fit.sd(camera, name)
-                focal.append(
-                    f"{name} {value:.2f}" + ("" if sd is None else f" ± {NORMAL_95 * sd:.2f}")
-                )
+                within = "" if sd is None else f" ± {NORMAL_95 * sd:.2f}"
+                focal.append(f"{name} {value:.2f}{within}")
             lines.append(f"focal lengths, {camera}: {', '.join(focal)} px")
         for camera in PAIR:
             views = [*self.joint.view_rms_px(camera).values()]
             rms, (low, high) = float(np.sqrt(np.mean(np.square(views)))), _rms_interval(views)
-            text = f"{rms:.3f} px rms ({low:.3f} to {high:.3f})"
-            lines.append(f"reprojection error, {camera}: {text}")
+            lines.append(
+                f"reprojection error, {camera}: {rms:.3f} px rms ({low:.3f} to {high:.3f})"
+            )
         return [*lines, "intervals: 95 %; that of the reprojection error by the views' scatter"]
 
     @property
@@ -311,6 +311,9 @@ def calibrate_thermal(
     joint = join_cameras(both, joint_lenses=("thermal",), model=delivered.model)
     lens, pose = joint.fit.rig.cameras["thermal"], joint.fit.rig.from_reference["thermal"]
     poses = pose, pair.right_from_left
+    if joint.fit.rms_px > size[0] / delivered.sensor_size[0]:
+        what = f"corners miss by {joint.fit.rms_px:.1f} px, more than a pixel of the thermal sensor"
+        raise ConfigError.plain(f"{what}: do its pictures come mirrored (--mirrored), or not?")
     maps = derive_homographies(lens, pair.left, pair.right, *poses, plane_depth_mm)
     camera = delivered.camera(size, lens)
     return ThermalResult(views, camera, pose, maps, alone, joint, _shown(views, "thermal", alone))

@@ -76,12 +76,12 @@ def _pose_table(script: bench.LoadedScript, rows: Sequence[Mapping[str, float]])
         "situation": [spoken(one.situation) for one in script.planned],
         "layout": [one.phantom.name for one in script.planned],
         **{
-            head: [f"{row[key]:+.1f}" for row in rows]
+            head: [f"{row[key]:+z.1f}" for row in rows]
             for head, key in (("x", "x_mm"), ("y", "y_mm"), ("z", "z_mm"), ("yaw", "yaw_deg"))
         },
         "from": [one.side or "" for one in script.planned],
     }
-    zero = [head for head, column in cells.items() if set(column) <= {"+0.0", "-0.0", ""}]
+    zero = [head for head, column in cells.items() if set(column) <= {"+0.0", ""}]
     text = [head for head in zero if head != "from"]
     table = Table(
         title=f"{script.script.title}: {many}",

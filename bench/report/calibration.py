@@ -366,8 +366,8 @@ def _touched(
     missed_mm: Array, bound_mm: float, bound: str, name: str, caption: str, alt: str
 ) -> Figure:
     """What touched points (n, 3) are off by, along each axis."""
-    words = {"point": "one touched point", "bound": bound, "name": name}
-    svg = per_axis_errors(["touched points"], [missed_mm], bound_mm, **words)
+    errors, point = [missed_mm], "one touched point"
+    svg = per_axis_errors(["touched points"], errors, bound_mm, point=point, bound=bound, name=name)
     return Figure(svg, caption, alt, wide=True)
 
 
@@ -381,7 +381,7 @@ def check_page(
         record,
         command,
         scores=(
-            _figure_only("Lengths against the print", f"{100 * (again.scale[0] - 1.0):+.2f} %"),
+            _figure_only("Lengths against the print", f"{100 * (again.scale[0] - 1.0):+z.2f} %"),
             _figure_only("Distance of neighbours off by", f"{again.spacing_rms_mm:.3f} mm"),
             _figure_only("Board flat to", f"{again.flatness_rms_mm:.3f} mm"),
             _figure_only("Rows off by", f"{again.epipolar_rms_px:.2f} px"),
@@ -437,7 +437,7 @@ def check_ends_page(found: CamerasCheck, decision: Decision, record: Record, com
     off = decision.verdict is Verdict.NOT_MET
     shown = table(
         "What touched teat ends are off in the pictures",
-        "figure | >off [px] ~+z.2f | >± [px] ~.2f | >poses or ends",
+        "figure | >off [px] ~+.2f | >± [px] ~.2f | >poses or ends",
         [(one.name, one.value, one.uncertainty, one.poses) for one in found.offsets],
         f"{found.measured} of {found.ends} ends measured. px of the sensor for the thermal camera;"
         " 95 %.",
@@ -447,7 +447,7 @@ def check_ends_page(found: CamerasCheck, decision: Decision, record: Record, com
         [Finding("cameras off", decision.sentence)] if off else [],
         record,
         command,
-        scores=[_figure_only(o.name, f"{o.value:+.2f} px", "") for o in found.offsets[:1]],
+        scores=[_figure_only(o.name, f"{o.value:+z.2f} px", "") for o in found.offsets[:1]],
         first="ends",
         tested=f"An existing calibration on {found.ends} teat ends that the arm touched.",
         confidence=decision.sentence,
@@ -561,8 +561,8 @@ def _held_out(result: CamerasResult) -> Iterator[Part]:
         "lengths against the print": f"{scale:.5f} ± {scale_sd:.5f} (1 sd)",
         "distance of neighbours": f"{again.spacing_rms_mm:.3f} mm rms from {pitch:g} mm",
         "flatness": f"{again.flatness_rms_mm:.3f} mm rms",
-        "bend of the board": f"{bend:+.3f} ± {bend_sd:.3f} mm, middle over rim",
-        "rows against each other": f"{row:+.3f} ± {row_sd:.3f} px, {rows_px:.3f} px rms",
+        "bend of the board": f"{bend:+z.3f} ± {bend_sd:.3f} mm, middle over rim",
+        "rows against each other": f"{row:+z.3f} ± {row_sd:.3f} px, {rows_px:.3f} px rms",
     }
     whose = "Each half of the views, measured with the calibration that the other half made"
     yield key_values(whose, entries)
@@ -599,9 +599,9 @@ def _worth(result: CamerasResult, seen_m: tuple[float, float]) -> Iterator[Part]
     pair = result.pair
     focal = 0.5 * (pair.left.fc[0] + pair.right.fc[0])
     per_px = 1e6 / (focal * float(np.linalg.norm(pair.right_from_left.T)))
-    worth = ", ".join(f"{z:g} m, {z**2 * per_px:.1f} mm" for z in (1.0, 1.2, 1.5, 1.75))
+    worth = ", ".join(f"{z**2 * per_px:.1f} mm at {z:g} m" for z in (1.0, 1.2, 1.5, 1.75))
     yield Paragraph(
-        f"An error of one pixel of disparity is an error in depth: at {worth}. That is the geometry"
+        f"An error of one pixel of disparity is an error in depth of {worth}. That is the geometry"
         " of this pair, whatever the method."
     )
 

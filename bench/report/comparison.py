@@ -555,7 +555,7 @@ def _by_situation(comparison: Comparison, number: int) -> Figure:
     name = f"situations-{number}"
     sides = comparison.old.detector, comparison.new.detector
     places = places_of(sides)
-    who = (places[sides[0]], places[sides[1]]) if len(places) > 1 else None  # else two versions
+    who = places[sides[0]], places[sides[1]]
     svg = change_by_situation(names, right, change, margin_mm, called=called, who=who, name=name)
     alt = "; ".join(
         f"{name}: {a} and {b} of {plural(n, 'pose')} right, distance {_difference(row.radial)}"

@@ -268,12 +268,13 @@ def _result_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
     names = tables.situations(run)
     theirs = [published.get(name, (None,))[0] for name in names]
     called = [*map(spoken, names)]
-    for detector in run.detectors:
+    for detector, who in places_of(run.detectors).items():
         counts = [scored(run, detector, name).counts for name in names]
         found, visible = [c.matched for c in counts], [c.visible for c in counts]
         each = zip(called, found, visible, strict=True)
         alt = "; ".join(f"{name}: {k} of {n}" for name, k, n in each) or "not measured"
-        svg = found_bars(called, found, visible, theirs, name=f"found-{id_of(detector)}")
+        name = f"found-{id_of(detector)}"
+        svg = found_bars(called, found, visible, theirs, who=who, name=name)
         yield Figure(svg, f"Teats found by {detector}, beside the thesis's own count", alt)
         yield tables.rates(run, detector)
         listed = [tables.found_by_situation(run, detector, published)]
@@ -337,15 +338,17 @@ def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> I
     limit_mm = rules.visible_within_mm
     names = tables.situations(run)
     camera_from_world = calibration.world_from_right.inverse().R
-    for detector in run.detectors:
+    for detector, who in places_of(run.detectors).items():
         pool, name = scored(run, detector), id_of(detector)
         radial = np.linalg.norm(pool.errors_mm, axis=1)
         accept_mm = _accepted_mm(run, rules, detector)
-        svg = error_histogram(radial, limit_mm, accept_mm=accept_mm, name=f"histogram-{name}")
+        bars = f"histogram-{name}"
+        svg = error_histogram(radial, limit_mm, accept_mm=accept_mm, who=who, name=bars)
         alt = f"{int((radial <= limit_mm).sum())} of {len(radial)} within the limit"
         yield Figure(svg, f"Distance to the teat end, {detector}", alt)
         errors = [scored(run, detector, situation).errors_mm for situation in names]
-        svg = per_axis_errors([*map(spoken, names)], errors, limit_mm, name=f"axes-{name}")
+        called = [*map(spoken, names)]
+        svg = per_axis_errors(called, errors, limit_mm, who=who, name=f"axes-{name}")
         caption = f"Errors along the world's axes by situation, {detector}"
         yield Figure(svg, caption, "strips of signed errors", wide=True)
         title = f"By axis, situation and teat in figures, and tolerance limits, {detector}"
@@ -366,10 +369,10 @@ def _accepted_mm(run: RunRecord, rules: Rules, detector: str) -> float | None:
 def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
     limits = sorted({r.limit_s for r in rules.requirements if isinstance(r, TimeRequirement)})
     rows = []
-    for detector in run.detectors:
+    for detector, who in places_of(run.detectors).items():
         times = latency_of(run, detector)
         seconds = times.seconds
-        svg = latency_strip(seconds, limits, name=f"latency-{id_of(detector)}")
+        svg = latency_strip(seconds, limits, who=who, name=f"latency-{id_of(detector)}")
         yield Figure(svg, f"Detection time, {detector}", f"{len(seconds)} detections")
         if times.starved:
             yield Paragraph(f"{detector}: {times.starved}", tone="warn")

@@ -72,8 +72,7 @@ def _drawn(chart: Chart, name: str) -> Figure:
     broken, dates = [bool(rule) for rule in chart.rules], (chart.dates[0], chart.dates[-1])
     svg = control_chart(chart.values, limits, broken, BASE, dates, name=name)
     runs = plural(len(chart.values), "run")
-    few = "" if chart.limits or len(chart.values) >= BASE else f"; limits come with {BASE} runs"
-    return Figure(svg, chart.warning or f"{chart.last}{few}", f"{chart.name}, {runs}: {chart.last}")
+    return Figure(svg, chart.warning or chart.last, f"{chart.name}, {runs}: {chart.last}")
 
 
 def _listed(folder: Path) -> Run:

@@ -221,7 +221,8 @@ def spread_parts(
     of = np.array(rows.of_found(rows.teats), dtype=np.str_)
     each = [distances[of == name] for name in names]
     alt = "; ".join(f"{name}: {len(mm)} found" for name, mm in zip(names, each, strict=True))
-    svg = teat_boxes(names, each, limit_mm, name=f"teats-{id_of(detector)}")
+    who = places_of(run.detectors)[detector]
+    svg = teat_boxes(names, each, limit_mm, who=who, name=f"teats-{id_of(detector)}")
     yield Figure(svg, f"Distance by teat, {detector}", alt or "none")
     minutes = rows.time_s[rows.found] / 60.0
     timed = np.isfinite(minutes)
@@ -231,7 +232,7 @@ def spread_parts(
             error_drift(
                 *(minutes[timed], distances[timed], limit_mm),
                 links=links,
-                who=places_of(run.detectors)[detector],
+                who=who,
                 name=f"drift-{id_of(detector)}",
             ),
             f"Drift: distance over the time of the run, {detector}; each point opens its trial",

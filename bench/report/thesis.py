@@ -200,7 +200,7 @@ def _figure(of: ErrorSummary, key: str) -> str:
     value: float | None = attrgetter(key)(of)
     if value is None:
         return NOT_MEASURED
-    text = f"{value:+.2f}" if key == SIGNED_MEAN else number(value)
+    text = f"{value:+z.2f}" if key == SIGNED_MEAN else number(value)
     return f"{text} mm (n = {of.n})"
 
 

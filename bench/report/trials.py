@@ -277,21 +277,21 @@ def _teats(trial: TrialRecord, detector: str) -> Table:
     )
     rows: list[tuple[object, ...]] = []
     for index, row in enumerate(trial.truth):
-        answered: tuple[object, ...] = ("",) * 5
+        errors: tuple[object, ...] = ("",) * 5
         text = Cell("missed", "bad") if row["visible"] else Cell("hidden", "muted")
         if score and index in pairs:
             answer, k = pairs[index]
             mm = score.radial_mm[k]
-            answered = (xyz(found[answer]), *score.errors_mm[k], mm)
+            errors = (mm, *score.errors_mm[k], xyz(found[answer]))
             beyond = Cell("found, beyond the limit", "warn")
             text = beyond if mm > score.limit_mm else Cell("found", "good")
-        rows.append((str(row["teat"]), xyz(row), row["u_mm"], *answered, text))
+        rows.append((str(row["teat"]), text, *errors, xyz(row), row["u_mm"]))
     text = Cell("false", "bad") if score else Cell("not scored", "muted")
     for answer in score.match.false if score else range(len(found)):
-        rows.append((*[""] * 3, xyz(found[answer]), *[""] * 4, text))
+        rows.append(("", text, *[""] * 4, xyz(found[answer]), "", ""))
     heads = (
-        "teat | >truth x, y, z [mm] | >u [mm] ~.2f? | >found x, y, z [mm] | >dx [mm] ~+.2f"
-        " | >dy [mm] ~+.2f | >dz [mm] ~+.2f | >distance [mm] ~.2f | is"
+        "teat | is | >distance [mm] ~.2f | >dx [mm] ~+.2f | >dy [mm] ~+.2f | >dz [mm] ~+.2f"
+        " | >found x, y, z [mm] | >truth x, y, z [mm] | >u [mm] ~.2f?"
     )
     return table(f"Teat ends, detector {detector}", heads, rows)
 
@@ -310,7 +310,7 @@ NAMES: dict[LayerTone, str] = {
     "point": "final point",
     "model": "fitted model",
     "spread": "95 % region stated",
-    "other": "other stages",
+    "other": "rejected fits, other stages",
 }
 FINAL = {"ends"}  # stages that repeat the answer
 

@@ -71,7 +71,7 @@ def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Ite
     thermal = "" if check.thermal is None else f", {check.thermal} in the thermal picture"
     yield table(
         "Cameras and answers against the known ends",
-        "of | figure | >off [px] ~+z.2f | >± [px] ~.2f | >poses"
+        "of | figure | >off [px] ~+.2f | >± [px] ~.2f | >poses"
         " | >a pixel is, in depth [mm] ~.1f | >as if a camera were turned by [°] ~.3f",
         [
             (who, one.name, one.value, one.uncertainty, one.poses)

@@ -26,17 +26,23 @@ def id_of(name: str) -> str:
     return f"{plain[: LONGEST - 7]}-{hashlib.sha256(name.encode()).hexdigest()[:6]}".lstrip("-")
 
 
+def formatted(value: Any, form: str) -> str:
+    """The value by its format; what rounds to zero has no minus."""
+    return f"{value:{form.replace('.', 'z.') if form.endswith('f') else form}}"
+
+
 def number(value: float | None, unit: str = "", digits: int = 2) -> str:
     """``1.23 mm``; ``not measured`` for None. Whole numbers (counts) without decimals."""
     if value is None:
         return NOT_MEASURED
-    text = f"{value:.0f}" if not unit and float(value).is_integer() else f"{value:.{digits}f}"
+    whole = not unit and float(value).is_integer()
+    text = formatted(value, ".0f" if whole else f".{digits}f")
     return f"{text} {unit}".rstrip()
 
 
 def listed(values: Iterable[float], form: str = ".2f") -> str:
     """``1.00, 2.00, 3.00``."""
-    return ", ".join(f"{value:{form}}" for value in values)
+    return ", ".join(formatted(value, form) for value in values)
 
 
 def p_text(p: float | None) -> str:
@@ -53,7 +59,7 @@ def spanned(values: Any, form: str = ".2f", unit: str = "") -> str:
     """``1.00 to 2.00 mm``, the least and the greatest; ``not measured`` where there is none."""
     if not len(values):
         return NOT_MEASURED
-    return f"{min(values):{form}} to {max(values):{form}} {unit}".rstrip()
+    return f"{formatted(min(values), form)} to {formatted(max(values), form)} {unit}".rstrip()
 
 
 def shown(value: Any, form: str = "") -> str | Cell:
@@ -67,7 +73,7 @@ def shown(value: Any, form: str = "") -> str | Cell:
     form = form.removesuffix("?")
     if np.ndim(value):
         return listed(value, form)
-    return f"{value:{form}}" if form else number(value)
+    return formatted(value, form) if form else number(value)
 
 
 def table(
@@ -129,4 +135,5 @@ def margin(decision: Decision) -> str:
     """What is left to the limit; negative beyond it."""
     if decision.margin is None:
         return ""
-    return f"{decision.margin:+.{DIGITS.get(decision.unit, 2)}f} {decision.unit}".rstrip()
+    text = formatted(decision.margin, f"+.{DIGITS.get(decision.unit, 2)}f")
+    return f"{text} {decision.unit}".rstrip()

@@ -25,9 +25,7 @@ AFTER_FAULT = (
     " with 'teatbench resume {}'."
 )
 AFTER_END = "It is unfinished. Go on with 'teatbench resume {}'."
-AFTER_RUN = (
-    "Wait for its end, which writes the report anew; 'teatbench console' shows it meanwhile."
-)
+AFTER_RUN = "Wait for its end, which writes the report anew."
 THEN: Mapping[State, str] = {
     State.RUNNING: AFTER_RUN,
     State.FAULTED: AFTER_FAULT,

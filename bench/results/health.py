@@ -67,7 +67,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "calibration_days": Quantity("calibration: age", "days", 0, 1.0, limits=False),
 }
 FOUND = "found by {}, {}:"  # detector, script: of the visible ends
-RATE = Quantity("", "%", 0, 1.0)
+RATE = Quantity("", "%", 1, 1.0)
 
 
 @dataclass(frozen=True, slots=True)

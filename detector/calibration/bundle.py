@@ -54,7 +54,7 @@ class Freedom:
 
 
 class BundleError(ValueError):
-    """Too few observations, or a parameter that moves no corner."""
+    """Too few observations, a parameter that moves no corner, or a plane behind a camera."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from detector.calibration.bundle import BundleError
 from detector.calibration.values import Homographies
 from detector.geometry import Array, Camera, Motion, apply_homography
 
@@ -93,14 +94,14 @@ def plane_homography(
     plane_depth_mm: float,
 ) -> Array:
     """(3, 3) from un-mirrored thermal to optical pixels on Z = plane_depth_mm (right camera's
-    frame). Raises ValueError unless the plane is before both cameras.
+    frame). Raises BundleError unless the plane is before both cameras.
     """
     grid = thermal_grid(thermal.image_size)
     on_plane = through_plane(grid, thermal, thermal_from_right, plane_depth_mm)
     seen = optical.project(optical_from_right.apply(on_plane))
     if not plane_depth_mm > 0 or not np.isfinite(seen).all():
         what = "isn't in front of both cameras over the whole thermal picture"
-        raise ValueError(f"the plane at {plane_depth_mm} mm {what}")
+        raise BundleError(f"the plane at {plane_depth_mm:g} mm {what}")
     # every pair counted alike: a plain least-squares fit
     H, _ = cv2.findHomography(grid, seen, 0)
     return np.asarray(H / H[2, 2], dtype=np.float64)
@@ -114,7 +115,7 @@ def derive_homographies(
     right_from_left: Motion,
     plane_depth_mm: float = DEFAULT_PLANE_DEPTH_MM,
 ) -> Homographies:
-    """Both homographies of a rig at one plane. Raises ValueError as `plane_homography` does."""
+    """Both homographies of a rig at one plane. Raises BundleError as `plane_homography` does."""
     left_from_right = right_from_left.inverse()
     thermal_from_right = thermal_from_left @ left_from_right
     return Homographies(

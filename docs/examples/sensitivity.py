@@ -21,6 +21,8 @@ from bench.testing import Applied
 from instruments.world.phantom import Phantom, PlatePose
 from instruments.world.setups import Situation
 from instruments.world.shading import Lighting, Paint
+from reports.figures.drawing import COLOURS, detector_look
+from reports.frames import places_of
 
 
 class Quantity(NamedTuple):
@@ -103,15 +105,18 @@ def drawn(name: str, rows: Sequence[dict[str, Any]], path: Path) -> None:
     """Errors on a logarithmic scale, and below the share found."""
     figure = Figure((6.0, 5.0), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-    for detector in dict.fromkeys(row["detector"] for row in rows):
+    for detector, place in places_of(row["detector"] for row in rows).items():
+        role, mark = detector_look(place)  # as on the pages
+        look: dict[str, Any] = {"color": COLOURS[role], "marker": mark}
         own = [row for row in rows if row["detector"] == detector]
         found = [row for row in own if row["found"]]
         x = [row["value"] for row in found]
-        (line,) = above.plot(x, [row["median_mm"] for row in found], "o-", label=detector)
-        above.plot(x, [row["p95_mm"] for row in found], "v--", color=line.get_color())
+        above.plot(x, [row["median_mm"] for row in found], **look, label=f"{detector}, median")
+        p95_mm = [row["p95_mm"] for row in found]
+        above.plot(x, p95_mm, **look, linestyle="--", label=f"{detector}, 95th percentile")
         shares = [row["found"] / max(row["visible"], 1) for row in own]
-        below.plot([row["value"] for row in own], shares, "o-", color=line.get_color())
-    above.set(yscale="log", ylabel="3-D error: median, 95th percentile (mm)")
+        below.plot([row["value"] for row in own], shares, **look)
+    above.set(yscale="log", ylabel="3-D error (mm)")
     above.legend()
     below.set(ylim=(-0.05, 1.05), ylabel="found", xlabel=QUANTITIES[name].label)
     figure.savefig(path)

@@ -19,6 +19,7 @@ from reports.figures.drawing import (
     LegendEntry,
     Marker,
     Plot,
+    detector_look,
     envelope,
     finite,
     legend,
@@ -136,14 +137,15 @@ def control_chart(
 
 @plotted
 def latency_strip(
-    times_s: ArrayLike, limits_s: Sequence[float], *, name: str = "latency-strip"
+    times_s: ArrayLike, limits_s: Sequence[float], *, who: int = 0, name: str = "latency-strip"
 ) -> Plot:
     """Every detection time (n,) in order, with limits; p50, p95 and the longest written out."""
     times = finite("latency_strip", "times_s", times_s)
     figure = yield name, _TIMES, "" if times.size else "no detection was timed"
     axes = figure.add_subplot()
     order, shown = np.arange(1, times.size + 1), subsample(times)
-    marks(axes, order[shown], times[shown])
+    role, form = detector_look(who)
+    marks(axes, order[shown], times[shown], role, form=form)
     top = 1.12 * max(float(times.max()), *limits_s, 1e-6)
     axes.set(xlim=(0.5, times.size + 0.5), ylim=(0, top))
     axes.set(xlabel="detection, in order", ylabel="time (s)")
@@ -164,21 +166,23 @@ def found_bars(
     present: Sequence[int],
     thesis_found: Sequence[int | None],
     *,
+    who: int = 0,
     name: str = "found-bars",
 ) -> Plot:
     """Share found in each situation, ours over the thesis's (None: no figure), with counts."""
     inches = (HALF_INCHES, 0.9 + 0.52 * max(len(situations), 3))
     figure = yield name, inches, "" if situations else "no situation was run"
     axes = figure.add_subplot()
+    role, _ = detector_look(who)
     for row, (ours, of, theirs) in enumerate(zip(found, present, thesis_found, strict=True)):
-        _share_bar(axes, row - 0.2, ours, of, "ours")
+        _share_bar(axes, row - 0.2, ours, of, role)
         if theirs is not None:
-            _share_bar(axes, row + 0.2, theirs, _THESIS_PRESENT, "theirs")
+            _share_bar(axes, row + 0.2, theirs, _THESIS_PRESENT, "muted")
     row_names(axes, situations)
     axes.set(xlim=(0, 1.28), ylim=(len(situations) - 0.45, -0.55))
     axes.set(xlabel="share of visible teats found", xticks=[0, 0.25, 0.5, 0.75, 1])
     axes.xaxis.set_major_formatter(PercentFormatter(1))
-    legend(figure, [("this run", "ours", "patch"), ("thesis, section 5.2", "theirs", "patch")])
+    legend(figure, [("this run", role, "patch"), ("thesis, section 5.2", "muted", "patch")])
 
 
 def _share_bar(axes: Axes, y: float, found: int, of: int, role: str) -> None:
@@ -215,11 +219,11 @@ def slope_intervals(slopes: Sequence[Slope], *, name: str = "slope-intervals") -
     for axes, panel in zip(every, panels, strict=True):
         axes.axvline(0, color=COLOURS["muted"], linewidth=0.8)
         for slope in (one for one in slopes if one.response == panel):
-            y, role = rows.index(slope.against), "limit" if slope.shown else "ours"
+            y, role = rows.index(slope.against), "limit" if slope.shown else "ink"
             axes.plot([slope.low, slope.high], [y, y], color=COLOURS[role], linewidth=1.4)
             form: Marker = "D" if slope.shown else "o"
             marks(axes, [slope.value], [y], role, 4.5, form, line="-")
         axes.set(xlim=(-reach, reach), xlabel=f"{plain(panel)} (mm)")
         row_names(axes, rows)
-    unshown: LegendEntry = ("no trend shown, 95 % interval", "ours", "o")
+    unshown: LegendEntry = ("no trend shown, 95 % interval", "ink", "o")
     legend(figure, [unshown, ("trend shown", "limit", "D")])

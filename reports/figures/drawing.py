@@ -171,7 +171,9 @@ def legend(figure: Figure, entries: Sequence[LegendEntry]) -> None:
         return Line2D([], [], **_mark(role, 4.5, form), label=text)
 
     handles = [handle(*entry) for entry in entries]
-    where: dict[str, Any] = {"loc": "outside upper center", "frameon": False, "handlelength": 1.8}
+    # a wide figure begins at its left where the screen is narrow
+    side = "left" if figure.get_figwidth() > HALF_INCHES else "center"
+    where: dict[str, Any] = {"loc": f"outside upper {side}", "frameon": False, "handlelength": 1.8}
     for columns in range(len(entries), 0, -1):
         made = figure.legend(handles=handles, ncols=columns, **where)
         if columns == 1 or made.get_window_extent().width <= figure.bbox.width:

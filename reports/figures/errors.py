@@ -5,7 +5,6 @@ strips of each axis, boxes by teat, and drift. In millimetres and minutes.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib import cbook
@@ -22,7 +21,6 @@ from reports.figures.drawing import (
     WIDE_INCHES,
     Floats,
     LegendEntry,
-    Marker,
     Plot,
     circle,
     count_text,
@@ -42,8 +40,6 @@ from reports.figures.drawing import (
 
 _SQUARE = (HALF_INCHES, 4.2)
 _FLAT = (HALF_INCHES, 3.6)
-_SIDES = ("theirs", "ours")  # of the old and the new one
-_FORMS: tuple[Marker, Marker] = ("o", "D")
 _MOST_BEYOND = 60  # points beyond the whiskers of a box
 
 
@@ -64,7 +60,7 @@ def change_scatter(
     for grown, role in ((new > old, "limit"), (new <= old, "good")):
         linked(axes, old, new, drawn[grown[drawn]], role=role, alpha=0.75)
     grew: list[LegendEntry] = [("grew", "limit", "o"), ("not grown", "good", "o")]
-    legend(figure, [*grew, ("no change", "muted", "-")])
+    legend(figure, [*grew, ("no change", "muted", "-"), *limits(limit_mm)])
 
 
 @plotted
@@ -75,23 +71,24 @@ def change_by_situation(
     margin_mm: float,
     *,
     called: tuple[str, str],
-    who: tuple[int, int] | None = None,
+    who: tuple[int, int],
     name: str = "change-by-situation",
 ) -> Plot:
     """Of each situation the poses right (old, new, of) as shares, and beside it the change of the
-    mean distance (mean, low, high) with the margin; None where no teat was found by both.
+    mean distance (mean, low, high) with the margin; None where no teat was found by both. ``who``:
+    the places of both detectors; of two versions of one, the old one is grey.
     """
     known = finite("change_by_situation", "change_mm", [c for c in change_mm if c is not None])
     inches = (WIDE_INCHES, 1.1 + 0.28 * max(len(situations), 2))
-    sides_look: Any = (_SIDES, _FORMS)
-    if who:
-        sides_look = tuple(zip(*map(detector_look, who), strict=True))
+    looks = [*map(detector_look, who)]
+    if who[0] == who[1]:
+        looks[0] = ("muted", looks[0][1])
     figure = yield name, inches, ""
     poses, distance = figure.subplots(1, 2, sharey=True)
     for y, (old, new, of) in enumerate(right):
         shares = [old / of, new / of] if of else []
         poses.plot(shares, [y] * len(shares), color=COLOURS["grid"], linewidth=3)
-        for share, role, form, size in zip(shares, *sides_look, (6.5, 4.5), strict=False):
+        for share, (role, form), size in zip(shares, looks, (6.5, 4.5), strict=False):
             marks(poses, [share], [y], role, size, form)
     poses.set(xlim=(-0.03, 1.03), xlabel="poses right")
     poses.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
@@ -105,16 +102,16 @@ def change_by_situation(
             )  # fmt: skip
             continue
         mean, low, high = change
-        distance.plot([low, high], [y, y], color=COLOURS["ours"], linewidth=1.4)
-        marks(distance, [mean], [y], "ours", 4.5, "D")
+        distance.plot([low, high], [y, y], color=COLOURS["ink"], linewidth=1.4)
+        marks(distance, [mean], [y], "ink", 4.5)
     reach = 1.1 * max([4 * margin_mm, 1e-3, *np.abs(known).ravel()])
     distance.set(xlim=(-reach, reach), xlabel="change of the mean distance (mm); left: nearer")
     for axes in (poses, distance):
         row_names(axes, situations)
     sides: list[LegendEntry] = [
-        (plain(text, 40), role, form) for text, role, form in zip(called, *sides_look, strict=True)
+        (plain(text, 40), *look) for text, look in zip(called, looks, strict=True)
     ]
-    legend(figure, [*sides, ("margin", "limit", "--")])
+    legend(figure, [*sides, ("change", "ink", "o"), ("margin", "limit", "--")])
 
 
 @plotted
@@ -142,7 +139,7 @@ def error_scatter(
     drawn = subsample(np.hypot(across, along))
     role, form = detector_look(who)
     linked(axes, across, along, drawn, links, role=role, marker=form, alpha=0.7)
-    legend(figure, limits(limit_mm, accept_mm))
+    legend(figure, [("one teat end", role, form), *limits(limit_mm, accept_mm)])
     if len(drawn) < across.size:
         left_out = count_text(len(drawn), across.size)
         axes.set_title(left_out, loc="left", color=COLOURS["muted"])
@@ -154,6 +151,7 @@ def error_histogram(
     limit_mm: float,
     *,
     accept_mm: float | None = None,
+    who: int = 0,
     name: str = "error-histogram",
 ) -> Plot:
     """Radial errors (n,) in bins of at most a tenth of the limit, cumulative share, limit."""
@@ -162,7 +160,7 @@ def error_histogram(
     axes = figure.add_subplot()
     reach = 1.12 * max(limit_mm, float(errors.max()))
     bins = np.linspace(0, reach, 23).tolist()
-    axes.hist(errors, bins, color=COLOURS["span"], edgecolor=COLOURS["ours"], linewidth=0.7)
+    axes.hist(errors, bins, color=COLOURS[detector_look(who)[0]], edgecolor=COLOURS["grid"])
     axes.set(xlim=(0, reach), xlabel="radial error (mm)", ylabel="teat ends")
     axes.yaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     share = axes.twinx()
@@ -176,7 +174,8 @@ def error_histogram(
     share.axvline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
     if accept_mm is not None:
         share.axvline(accept_mm, color=COLOURS["accept"], linestyle="--", linewidth=1)
-    legend(figure, [("cumulative", "ink", "-"), *limits(limit_mm, accept_mm)])
+    bars: LegendEntry = ("teat ends", detector_look(who)[0], "patch")
+    legend(figure, [bars, ("cumulative", "ink", "-"), *limits(limit_mm, accept_mm)])
 
 
 @plotted
@@ -187,6 +186,7 @@ def per_axis_errors(
     *,
     point: str = "one teat end",
     bound: str = "limit",
+    who: int = 0,
     name: str = "per-axis-errors",
 ) -> Plot:
     """Signed errors of each situation (n_k, 3) mm: points, mean, limits; a panel an axis. `point`
@@ -203,24 +203,26 @@ def per_axis_errors(
         for side in (-limit_mm, limit_mm):
             panel.axvline(side, color=COLOURS["limit"], linewidth=1)
         for row, array in enumerate(arrays):
-            _strip(panel, row, array[:, axis], each)
+            _strip(panel, row, array[:, axis], each, who)
         panel.set(xlim=(-reach, reach), xlabel=f"{'xyz'[axis]} error (mm)")
         row_names(panel, situations)
     every = all(len(array) <= each for array in arrays)
     points = f"teat ends, at most {each} drawn, the worst among them"
-    shown: LegendEntry = (point if every else points, "ours", "o")
+    shown: LegendEntry = (point if every else points, *detector_look(who))
     limit: LegendEntry = (f"{bound} ± {limit_mm:.3g} mm", "limit", "-")
     legend(figure, [shown, ("mean", "ink", "-"), limit])
 
 
-def _strip(axes: Axes, row: int, values: Floats, most: int) -> None:
+def _strip(axes: Axes, row: int, values: Floats, most: int, who: int) -> None:
     """Points of one situation in a fixed zigzag, so equal values stay apart, and their mean."""
     if not values.size:
         muted = COLOURS["muted"]
         axes.text(0, row, "not measured", ha="center", va="center", color=muted, fontsize=7.5)
         return
     drawn = values[subsample(np.abs(values), most)]
-    marks(axes, drawn, row + 0.11 * (np.arange(drawn.size) % 5 - 2), size=3, alpha=0.6)
+    role, form = detector_look(who)
+    y = row + 0.11 * (np.arange(drawn.size) % 5 - 2)
+    marks(axes, drawn, y, role, 3, form, alpha=0.6)
     mean = float(values.mean())
     axes.plot([mean, mean], [row - 0.36, row + 0.36], color=COLOURS["ink"], linewidth=1.6)
 
@@ -231,6 +233,7 @@ def teat_boxes(
     errors_mm: Sequence[ArrayLike],
     limit_mm: float,
     *,
+    who: int = 0,
     name: str = "teat-boxes",
 ) -> Plot:
     """Radial errors of each teat (n_k,) as box plots (whiskers 1.5 quartile ranges)."""
@@ -238,21 +241,22 @@ def teat_boxes(
     figure = yield name, _FLAT, "" if any(array.size for array in arrays) else NO_PAIR
     axes = figure.add_subplot()
     places = [k for k, array in enumerate(arrays) if array.size]
-    ours, line = COLOURS["ours"], {"color": COLOURS["ours"], "linewidth": 1.1}
+    role, form = detector_look(who)
+    line = {"color": COLOURS[role], "linewidth": 1.1}
     boxes = [cbook.boxplot_stats(arrays[k])[0] for k in places]
     for box in boxes:
         box["fliers"] = box["fliers"][subsample(box["fliers"], _MOST_BEYOND)]
-    fliers = {"marker": "o", "markersize": 3, "markerfacecolor": ours, "markeredgewidth": 0}
+    fliers = {"marker": form, "markersize": 3, "markerfacecolor": COLOURS[role]}
     axes.bxp(
         boxes,
         positions=places,
         widths=0.5,
         patch_artist=True,
-        boxprops={"facecolor": COLOURS["span"], "edgecolor": ours, "linewidth": 1.1},
+        boxprops={"facecolor": COLOURS["span"], "edgecolor": COLOURS[role], "linewidth": 1.1},
         whiskerprops=line,
         capprops=line,
         medianprops={"color": COLOURS["ink"], "linewidth": 1.6},
-        flierprops=fliers,
+        flierprops=fliers | {"markeredgewidth": 0},
     )
     axes.axhline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
     axes.set(xlim=(-0.6, len(teats) - 0.4), ylim=(0, None))
@@ -262,7 +266,7 @@ def teat_boxes(
     axes.set_xticks(range(len(teats)), counted)
     axes.grid(visible=False, axis="x")
     boxed: list[LegendEntry] = [("middle half", "span", "patch"), ("median", "ink", "-")]
-    legend(figure, [*boxed, *limits(limit_mm)])
+    legend(figure, [*boxed, ("far from it", role, form), *limits(limit_mm)])
 
 
 @plotted
@@ -288,7 +292,7 @@ def error_drift(
         ends = np.array([time.min(), time.max()])
         line = level + slope * (ends - time.mean())
         axes.plot(ends, line, color=COLOURS["ink"], linewidth=1.4)
-        entries.append((f"line: {slope * np.ptp(time):+.2f} mm over the run", "ink", "-"))
+        entries.append((f"line: {slope * np.ptp(time):+z.2f} mm over the run", "ink", "-"))
     axes.axhline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
     axes.set(ylim=(0, 1.1 * max(limit_mm, float(errors.max()))))
     axes.set(xlabel="time of the capture (min)", ylabel="distance (mm)")

@@ -168,7 +168,7 @@ function page() {
     card({ id: "problem", className: "bad", hidden: true, role: "alert" }),
     card({ className: "wide" }, make("p", { id: "doing", className: "big" }), make("ul", { id: "unsafe", className: "next" }), make("p", { id: "tripped", className: "big bad" }), make("p", { id: "step", className: "step" }), make("ul", { id: "next", className: "next" }), make("p", { id: "trial", className: "soft" }), make("progress", { id: "done", max: 1, value: 0, ariaLabel: "trials done" }), make("div", { id: "ending" })),
     card({ id: "bath", className: "third" }, heading("Bath"), make("p", { id: "temperature", className: "huge" }, "–"), make("p", { id: "gate", className: "soft" })),
-    card({ className: "half" }, heading("Temperature of the bath"), make("div", { id: "curve" }), make("p", { className: "soft" }, "Dashed: set point. Shaded: its band.")),
+    card({ className: "half" }, heading("Temperature of the bath"), make("div", { id: "curve" }), make("p", { className: "soft" }, "Line: the bath. Dashed: its set point. Shaded: the band.")),
     card({ className: "half" }, heading("What happened"), make("ol", { id: "log", className: "log", tabIndex: 0, ariaLabel: "what happened" })),
     card({ id: "seen", hidden: true }, heading("Last frames"), make("div", { id: "frames", className: "frames" })),
     card({ id: "result", hidden: true }, heading("Last trial with its truth"), make("div", { id: "scored" })),
@@ -344,7 +344,8 @@ function cut(trial, camera, w, h) {
   return [middle(xs, wide, w), middle(ys, (wide * 3) / 4, h), wide];
 }
 function events() {
-  const lines = run.events.filter((one) => ["event", "warning"].includes(one.what)).reverse();
+  const states = run.events.filter((one) => one.kind === "run state").map((one) => one.text); // each is also told as what is done
+  const lines = run.events.filter((one) => ["event", "warning"].includes(one.what) && !(one.kind === "state" && states.includes(one.text))).reverse();
   byId("log").replaceChildren(...lines.map((one) => make("li", { className: one.what === "warning" || BAD.includes(one.kind) ? "bad" : "" }, `${one.wall_time.slice(11, 19)} ${one.kind ? one.kind + ": " : ""}${one.text}`)));
 }
 const resumed = (name) => started(ask(`/runs/${encodeURIComponent(name)}/resume`, {}));

@@ -68,3 +68,12 @@ def test_without_the_pair_it_is_refused(lab: Path, in_lab: Said) -> None:
     (lab / "empty.toml").write_text(dump_calibration(empty), encoding="utf-8")
     why = in_lab(2, CALIBRATE, "empty.toml", "t.toml").err
     assert "holds no stereo pair ([cameras.left], [cameras.right], [stereo])" in why
+
+
+def test_pictures_that_come_mirrored_without_a_word_of_it_are_refused(
+    lab: Path, in_lab: Said
+) -> None:
+    """They fit a lens that looks away."""
+    why = in_lab(2, CALIBRATE, "cameras.toml", "unsaid.toml").err
+    assert not (lab / "unsaid.toml").exists()
+    assert "do its pictures come mirrored (--mirrored)" in why

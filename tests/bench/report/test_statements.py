@@ -1,9 +1,16 @@
-"""How many statements of a page chance may make wrong, counted from what the page shows."""
+"""How many statements of a page chance may make wrong, counted from what the page shows; and how a
+number is written.
+"""
 
 from __future__ import annotations
 
+import re
+
+from hypothesis import given
+from hypothesis import strategies as st
+
 from bench.report.statements import note_on_statements
-from bench.report.wording import NOT_MEASURED, table
+from bench.report.wording import NOT_MEASURED, number, shown, spanned, table
 from bench.script.model import Rules
 from reports.page import Fold, Section
 
@@ -38,3 +45,9 @@ def test_decisions_intervals_and_p_values_are_counted_wherever_they_stand() -> N
 def test_a_plan_for_looks_is_said() -> None:
     two = RULES.model_copy(update={"looks": 2})
     assert "first look at these poses, of 2 planned" in note_on_statements((), two, 1).items[1]
+
+
+@given(st.floats(-1e4, 1e4), st.sampled_from(["", ".0f", ".2f", "+.3f"]))
+def test_what_rounds_to_zero_has_no_minus(value: float, form: str) -> None:
+    texts = (str(shown(value, form)), spanned([value, value]), number(value, "mm", 1))
+    assert not any(re.search(r"-0(\.0*)?(?![.\d])", text) for text in texts)
