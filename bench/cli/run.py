@@ -17,7 +17,7 @@ from bench.cli.arguments import CODES
 from bench.cli.store import undamaged
 from bench.cli.terminal import Terminal, TerminalProgress, working
 from bench.config import ConfigError
-from bench.run.events import ENDED, PROMPTED, Events, event_lines
+from bench.run.events import ENDED, Events, event_lines
 from instruments.operators.console import keyboard_of
 
 WORST = (CODES.met, CODES.inconclusive, CODES.not_met, CODES.fault)  # of several runs
@@ -95,19 +95,14 @@ def _words(given: argparse.Namespace, rig: bench.LoadedRig, events: Events) -> I
     """Sends word of what happens; gives what sends the last one, of all runs as they ended."""
     from bench.run.notify import notifying, text_of
 
-    person = rig.rig.by_person
     with notifying(given.notify or rig.rig.notify.urls, events.warn) as send:
-
-        def now(kind: str) -> None:
-            if kind != PROMPTED or person:
-                send(kind, lambda: text_of(kind, events.status()))
 
         def ended(runs: Sequence[bench.RunStatus]) -> None:
             first, *others = (text_of(ENDED, status) or ("", "") for status in runs)
             title = first[0] if not others else f"{len(runs)} runs: {ENDED}"
             send(ENDED, lambda: (title, "\n\n".join(text for _, text in (first, *others))))
 
-        events.notify = now
+        events.notify = lambda kind: send(kind, lambda: text_of(kind, events.status()))
         yield ended
 
 

@@ -82,7 +82,7 @@ class RunContext:
         self.away = self.away_how = self.check_away = ""
         self.last: dict[str, str] = {}  # an instrument's last value, in words
         self.under_test: Sequence[str] = ()
-        self._asked = ""
+        self._asked, self._asked_s = "", 0.0
         self._touching = self._touched = False
         self._stage_seen_s = 0.0
         self._stage_mm: Triple | None = None
@@ -112,9 +112,10 @@ class RunContext:
                 self.events.asked("release")
             return self.devices.operator.ask(request, self.look)
         self._heartbeat.sign(f"waiting for the operator: {kind}", math.inf)
-        self._asked, self._touching = kind, isinstance(request, Touch | BoardTouch)
+        self._asked, self._asked_s = kind, self.clock.now()
+        self._touching = isinstance(request, Touch | BoardTouch)
         if not self._touching or not self._touched:
-            self._stage_seen_s, self._stage_mm = self.clock.now(), None
+            self._stage_seen_s, self._stage_mm = self._asked_s, None
         self._touched = self._touching
         self.events.asked(kind)
         try:
@@ -192,13 +193,19 @@ class RunContext:
             planned=len(self.script.planned),
             left_s=None if watch.tripped else progress.get("left_s"),
             paused=bool(progress.get("paused")),
-            asked=OpenPrompt(self._asked) if self._asked and not safing else None,
+            asked=None if safing else self._open_prompt,
             instruments=instruments,
             tripped=tripped,
             last_error=events.error,
             wall_time=wall_time().isoformat(timespec="milliseconds"),
         )
         return replace(status, next=(*status.unsafe, *self._next(status)))
+
+    @property
+    def _open_prompt(self) -> OpenPrompt | None:
+        if not self._asked or not self.rig.rig.by_person:
+            return None
+        return OpenPrompt(self._asked, waited_s=self.clock.now() - self._asked_s)
 
     def _next(self, status: RunStatus) -> Iterator[str]:
         """What a person does beside making safe what is not."""

@@ -295,15 +295,21 @@ def figures(
 
 def read_durations(folder: Path, rig: LoadedRig) -> dict[str, float]:
     """The figures measured of ``rig`` from the last runs in ``folder``; the newest counts half."""
-    known: dict[str, float] = {}
-    for path in sorted(folder.glob(f"*/{FILE}"))[-LOOKS_BACK:]:
+    last: list[dict[str, float]] = []
+    for path in sorted(folder.glob(f"*/{FILE}"), reverse=True):
         # another rig's run, or a file that can't be understood: an estimate isn't worth a fault
         with suppress(OSError, ValueError, KeyError, TypeError):
             kept = json.loads(path.read_text(encoding="utf-8"))
             if kept["rig"] == _name(rig):
-                for name in ASSUMED & kept["figures"].keys():
-                    value = float(kept["figures"][name])
-                    known[name] = KEEPS * known.get(name, value) + (1.0 - KEEPS) * value
+                last.append(
+                    {k: float(kept["figures"][k]) for k in ASSUMED & kept["figures"].keys()}
+                )
+        if len(last) == LOOKS_BACK:
+            break
+    known: dict[str, float] = {}
+    for figures in reversed(last):
+        for name, value in figures.items():
+            known[name] = KEEPS * known.get(name, value) + (1.0 - KEEPS) * value
     return known
 
 

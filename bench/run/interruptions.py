@@ -27,6 +27,7 @@ from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
 from instruments.microscribe.errors import AnotherArmError, UnusableArmError
 from instruments.operators.operator import (
+    KEYS,
     Homing,
     OperatorAbort,
     OperatorRepeat,
@@ -187,7 +188,7 @@ def parse_request(words: str) -> tuple[str, str]:
     request = SHORT.get(first.lower(), first.lower())
     if request not in (SKIP, REPEAT):
         raise ValueError(f"not understood: {text!r}. There are: {HELP}")
-    if not reason:
+    if reason.lower() in ("", *KEYS):
         raise ValueError(
             f"{request} needs a reason, for the record: {request} the plate was touched"
         )

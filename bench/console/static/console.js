@@ -224,7 +224,7 @@ const under = () => run.status.state === "running";
 function stands() {
   const now = run.status, going = under();
   byId("doing").textContent = words(going ? now.step : now.word) + (now.paused ? ", a pause is asked for" : "");
-  byId("step").textContent = going ? (now.asked ? `waiting for an answer${run.prompt ? "" : " at its terminal"}: ${now.asked.kind}` : now.doing) : now.why;
+  byId("step").textContent = going ? now.waiting || now.doing : now.why;
   byId("tripped").textContent = going ? now.tripped : ""; // else it is why
   byId("unsafe").replaceChildren(...now.unsafe.map((line) => make("li", { className: "big bad" }, line)));
   const then = now.next.filter((line) => line && !now.unsafe.includes(line) && !(now.asked && line.startsWith("Answer what")));

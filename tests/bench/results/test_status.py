@@ -24,6 +24,7 @@ from bench.results.status import (
     LIVE,
     InstrumentStatus,
     Link,
+    OpenPrompt,
     RunStatus,
     Safe,
     read_status,
@@ -122,15 +123,36 @@ def test_trials_that_were_skipped_are_counted() -> None:
 def test_a_bench_that_hangs_has_its_last_words_with_their_age(tmp_path: Path) -> None:
     run = stopped(State.RUNNING, tmp_path)
     then = wall_time() - timedelta(seconds=40)
-    said_by(run, replace(LIVES, wall_time=then.isoformat()))
+    asked = OpenPrompt("touch", waited_s=30.0)
+    said_by(run, replace(LIVES, wall_time=then.isoformat(), asked=asked))
     with locked(run_lock(run), "a run", print, "run"):
         status = read_status(run)
     assert status.state is State.RUNNING
+    assert status.waiting == ""
+    assert status.asked is not None
+    assert status.asked.waited_s >= 70.0
     assert status.left_s is None
     assert status.doing.startswith("the bench has said nothing for 4")
     (bath,) = status.instruments
     assert bath.age_s is not None
     assert bath.age_s >= 40.0
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        (OpenPrompt("touch", number=3, waited_s=59.0), "waiting for an answer: touch"),
+        (OpenPrompt("touch", number=3, waited_s=200.0), "waiting for an answer for 3 min: touch"),
+        (
+            OpenPrompt("set up", waited_s=60),
+            "waiting for an answer at its terminal for 1 min: set up",
+        ),
+    ],
+)
+def test_an_open_prompt_says_for_how_long(asked: OpenPrompt, words: str) -> None:
+    status = replace(LIVES, asked=asked, doing="taking the truth")
+    assert status.waiting == status.as_dict()["waiting"] == words
+    assert status.line == f"{words}; bath 33.00 degC, stable; about 1 min left"
 
 
 GUARDED = {"wall_noticed": "2026-11-26T22:01:30+00:00", "why": "", "cause": "died", "tries": 9}
