@@ -180,7 +180,9 @@ class RunContext:
         progress, watch, events = self.progress(), self.watch, self.events
         tripped = str(watch.tripped) if isinstance(watch.tripped, InterlockTrip) else ""
         safing = self.safing or watch.tripped is not None
-        instruments = tuple(map(self._instrument, self._names))
+        instruments, asked = tuple(map(self._instrument, self._names)), None
+        if self._asked and self.rig.rig.by_person and not safing:
+            asked = OpenPrompt(self._asked, waited_s=self.clock.now() - self._asked_s)
         status = RunStatus(
             run=self.store.folder.name,
             title=self.script.script.title,
@@ -193,19 +195,13 @@ class RunContext:
             planned=len(self.script.planned),
             left_s=None if watch.tripped else progress.get("left_s"),
             paused=bool(progress.get("paused")),
-            asked=None if safing else self._open_prompt,
+            asked=asked,
             instruments=instruments,
             tripped=tripped,
             last_error=events.error,
             wall_time=wall_time().isoformat(timespec="milliseconds"),
         )
         return replace(status, next=(*status.unsafe, *self._next(status)))
-
-    @property
-    def _open_prompt(self) -> OpenPrompt | None:
-        if not self._asked or not self.rig.rig.by_person:
-            return None
-        return OpenPrompt(self._asked, waited_s=self.clock.now() - self._asked_s)
 
     def _next(self, status: RunStatus) -> Iterator[str]:
         """What a person does beside making safe what is not."""

@@ -300,17 +300,15 @@ def read_durations(folder: Path, rig: LoadedRig) -> dict[str, float]:
         # another rig's run, or a file that can't be understood: an estimate isn't worth a fault
         with suppress(OSError, ValueError, KeyError, TypeError):
             kept = json.loads(path.read_text(encoding="utf-8"))
-            if kept["rig"] == _name(rig):
-                last.append(
-                    {k: float(kept["figures"][k]) for k in ASSUMED & kept["figures"].keys()}
-                )
+            known = {k: float(v) for k, v in kept["figures"].items() if k in ASSUMED}
+            last += [known] if kept["rig"] == _name(rig) else []
         if len(last) == LOOKS_BACK:
             break
-    known: dict[str, float] = {}
-    for figures in reversed(last):
-        for name, value in figures.items():
-            known[name] = KEEPS * known.get(name, value) + (1.0 - KEEPS) * value
-    return known
+    mean: dict[str, float] = {}
+    for known in reversed(last):
+        for name, value in known.items():
+            mean[name] = KEEPS * mean.get(name, value) + (1.0 - KEEPS) * value
+    return mean
 
 
 def write_durations(

@@ -1,14 +1,12 @@
 """What interrupts a run: an instrument that drops out, and a person's request to pause, go on, skip
-or repeat the trial in flight, or end.
+or repeat the trial in flight, or end (docs/runs.md).
 
 A table says for each kind of fault how often it is tried again and what a person has to check; what
-is not in it ends the run at once. An instrument that drops out pauses the run; the work is done
-again whole when it is back. Interlocks are looked at meanwhile, and may end the wait; so may a
-request: then what comes next waits on.
+is not in it ends the run at once. The work is done again whole when the instrument is back;
+interlocks and requests are looked at meanwhile, and may end the wait.
 
-`teatbench control RUN WORDS` leaves a request as a file in the run's folder; where no operator sits
-at the run's own terminal, the same words may be typed there. A pause takes effect before the next
-trial, the others at once, and the trial in flight leaves no trace. Each is answered in a line.
+A request is a file in the run's folder, or a line typed at a terminal where no operator sits. The
+trial in flight leaves no trace. Each is answered in a line.
 """
 
 from __future__ import annotations

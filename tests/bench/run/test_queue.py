@@ -8,7 +8,9 @@ import json
 import os
 import platform
 import re
+import shutil
 import signal
+import sqlite3
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -18,9 +20,12 @@ import pytest
 
 from bench.cli.main import main
 from bench.record.reader import RunRecord, read_run
+from bench.record.schema import Row
+from bench.record.writer import Store
 from bench.results.queue import DIED, ENDED, QueueStatus, queues, read_queue
 from bench.results.status import Safe, status_of
 from bench.rig.emulated_rig import EmulatedRig
+from bench.run import estimate
 from bench.run.engine import STAYS_WARM, Engine
 from bench.safety.bath_monitor import WATCHING
 from instruments.clock import stopwatch_s
@@ -44,7 +49,7 @@ def scripts(tmp_path: Path) -> list[str]:
 def run(scripts: list[str], *more: str) -> tuple[int, QueueStatus, list[RunRecord]]:
     """The exit code of `run`, its queue, and the runs."""
     here = Path(scripts[0]).parent
-    out = here / "runs"
+    out = next((Path(word[6:]) for word in more if word.startswith("--out=")), here / "runs")
     code = main(["run", *scripts, "--rig", str(here / "rig.toml"), "--out", str(out), *more])
     (queue,) = queues(out)
     return code, queue, [read_run(out / one.run) for one in queue.scripts if one.run]
@@ -126,6 +131,40 @@ def test_a_mistake_in_one_script_ends_only_that_one(
     assert "bath is safe" in kinds(second, "safe")
     assert bath_safe(second) is bath_safe(third) is Safe.READ_BACK
     assert not third.facts["asked"]["warm"]  # it opened the rig anew
+
+
+def test_a_disk_that_is_full_amid_one_script_ends_it_alone_and_without_room_none_follows(
+    scripts: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The watch of the second script finds it full; there is room again, and then none."""
+    take_over, bath, scarce = Engine._take_over, Store.bath, list[int]()
+
+    def full(self: Store, reading: Row) -> None:
+        if scarce == [1]:
+            scarce.append(2)
+            raise sqlite3.OperationalError("database or disk is full")
+        bath(self, reading)
+
+    def begun(self: Engine) -> None:
+        scarce.append(1) if self.context.before else None
+        take_over(self)
+        self.context.wait(5.0)
+
+    def used(path: Path) -> Any:
+        return shutil._ntuple_diskusage(1, 1, 0 if len(scarce) >= most else 1 << 40)
+
+    monkeypatch.setattr(Store, "bath", full)
+    monkeypatch.setattr(Engine, "_take_over", begun)
+    monkeypatch.setattr(estimate, "disk_usage", used)
+    for most, begin in ((9, 3), (2, 2)):
+        scarce.clear()
+        code, queue, runs = run(scripts, f"--out={Path(scripts[0]).parent / str(most)}")
+        assert code == 3
+        assert [one.ending for one in runs] == ["finished", "faulted", "finished"][:begin]
+        assert kinds(runs[1], "fault") == ["the record could not be written: the disk is full"]
+        assert bath_safe(runs[-1]) is Safe.READ_BACK
+    assert "c and what follows are not begun. NOT ENOUGH ROOM: " in capsys.readouterr().out
+    assert queue.ended.startswith("NOT ENOUGH ROOM: ")
 
 
 def test_an_abort_ends_all(scripts: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
