@@ -238,7 +238,7 @@ class RunContext:
                 last, heard_s = f"{reading.temp_c:.2f} degC", reading.t_s
             if failing := self.watch.failing:
                 link, how = (Link.AWAY if name == self.away else Link.SILENT), failing
-            elif link is Link.ANSWERS and last:
+            elif link is Link.ANSWERS and last and name in devices.active:
                 last += f", {self.watch.state.value}"
         if found and not found.is_safe and acts in BY_HAND:
             how, by_hand = found.brief or found.evidence.value, BY_HAND[acts]

@@ -46,6 +46,7 @@ class Policy:
     check: str
 
 
+PICTURES = ("cameras", REFUSES)  # they answer, and none of their pictures is of use
 HOMES = "keep your hands off it, it will home."
 POLICIES: Mapping[tuple[str, str], Policy] = {
     ("arm", GONE): Policy(3, "Check the arm's power and its cable."),
@@ -57,7 +58,7 @@ POLICIES: Mapping[tuple[str, str], Policy] = {
     ("bath", GARBLED): Policy(3, "Check the bath's cable, its address and what disturbs it."),
     ("cameras", GONE): Policy(3, "Check the cameras' power and cables."),
     ("cameras", GARBLED): Policy(3, "Check the cameras' cables and settings."),
-    ("cameras", REFUSES): Policy(2, "Look at the cameras: lens caps, light, focus, trigger."),
+    PICTURES: Policy(2, "Look at the cameras: cables, lens caps, light, focus, trigger."),
 }
 
 
@@ -116,10 +117,10 @@ class Recovery:
 
     def _pause(self, what: str, fault: InstrumentError, policy: Policy, count: str) -> None:
         """Until the instrument is back. Raises ``fault`` where it stays away."""
-        ctx, name = self._ctx, diagnosis(fault)[0]
+        ctx, (name, kind) = self._ctx, diagnosis(fault)
         are = "are" if name == "cameras" else "is"
         self._missing = (fault, policy)
-        ctx.away, ctx.away_how = name, HOW[diagnosis(fault)[1]]
+        ctx.away, ctx.away_how = name, HOW[GARBLED if (name, kind) == PICTURES else kind]
         ctx.check_away = f"{policy.check} It goes on by itself when the {name} {are} back."
         started_s, patience_s = ctx.clock.now(), self._patience_s
         if ctx.states.current is RunState.PREPARING:
@@ -148,6 +149,7 @@ class Recovery:
             if name == "arm":
                 ctx.long("looking for the arm", 120.0)
                 devices.arm.recover(EVERY_S)
+                ctx.away = ""  # it answers; the person who homes it is what is waited for
                 ctx.ask(Homing(devices.arm.homing_again))
                 devices.arm.home()
             elif name == "stage" and devices.stage:
@@ -164,6 +166,7 @@ class Recovery:
             else:
                 devices.bath.read()  # its driver connects again by itself
         except InstrumentError:
+            ctx.away = name
             return False
         return True
 
@@ -187,9 +190,8 @@ def parse_request(words: str) -> tuple[str, str]:
     if request not in (SKIP, REPEAT):
         raise ValueError(f"not understood: {text!r}. There are: {HELP}")
     if reason.lower() in ("", *KEYS):
-        raise ValueError(
-            f"{request} needs a reason, for the record: {request} the plate was touched"
-        )
+        needs = f"{request} needs a reason, for the record"
+        raise ValueError(f"{needs}: {request} the plate was touched")
     return request, reason
 
 
@@ -273,9 +275,8 @@ class Requests:
             self._report(f"Request accepted: {request} {reason}")
             raise OperatorSkip(reason) if request == SKIP else OperatorRepeat(reason)
         else:
-            self._report(
-                f"No trial is in flight just now, so nothing is done about: {request} {reason}"
-            )
+            none = "No trial is in flight just now, so nothing is done about"
+            self._report(f"{none}: {request} {reason}")
 
     def _left(self) -> str | None:
         """Taken away first, then read: a request that is left meanwhile is the next look's."""

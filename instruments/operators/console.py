@@ -234,7 +234,7 @@ class Console(PromptedOperator):
                 return "\n"
             if self._clock.now() >= remind_s:
                 remind_s += self._remind_s
-                waited = f"Still waiting for you, since {self._clock.now() - asked_s:.0f} s"
+                waited = f"Still waiting for you, {self._clock.now() - asked_s:.0f} s so far"
                 patience = self._wrapped(f"{waited}; nothing is lost by taking longer.")
                 self._write(f"\n{patience}\n{question}")
         if not self._terminal:  # no Enter has ended the question's row
