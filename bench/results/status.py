@@ -410,7 +410,8 @@ def _orphaned(
     one: InstrumentStatus, guardian: Mapping[str, Any] | None, *, alone: bool
 ) -> InstrumentStatus:
     """An instrument whose bench has died: what the guardian found, if it had to act."""
-    one = replace(one, link=Link.UNKNOWN, how="", by_hand="")
+    last = one.last.partition(",")[0] if one.name == "bath" else one.last  # it heats no more
+    one = replace(one, link=Link.UNKNOWN, last=last, how="", by_hand="")
     if one.safe in (Safe.AT_REST, Safe.READ_BACK) or alone:  # emulators end with their bench
         return replace(one, safe=Safe.AT_REST if alone else one.safe)
     if not guardian or one.name not in BY_HAND:

@@ -149,13 +149,15 @@ class Recovery:
             if name == "arm":
                 ctx.long("looking for the arm", 120.0)
                 devices.arm.recover(EVERY_S)
-                ctx.away = ""  # it answers; the person who homes it is what is waited for
+                ctx.away = ""  # it answers
                 ctx.ask(Homing(devices.arm.homing_again))
                 devices.arm.home()
             elif name == "stage" and devices.stage:
                 ctx.long("homing the stage again", 600.0)
                 devices.stage.reconnect()
                 ctx.look()  # a stage that a trip has braked meanwhile is not to move
+                ctx.away = ""
+                ctx.events.state("homing the stage again")
                 devices.stage.home()
             elif name == "cameras":
                 ctx.wait(SETTLED_S)

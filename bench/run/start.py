@@ -125,7 +125,8 @@ def run_queue(
     room for the next end them all. Raises ConfigError, LatchedError, RigInUseError before anything
     is opened.
     """
-    how, events = how or RunOptions(), _stream(progress)
+    how = how or RunOptions()
+    events = progress if isinstance(progress, Events) else Events(progress)
     for script in scripts:
         refuse_carry(rig, script)
     under_test = [_allowed(rig, script, how.detectors) for script in scripts]
@@ -189,7 +190,8 @@ def resume_run(
     """Continue the run in ``folder`` at its first trial without a result, as it was begun. Raises
     ConfigError, LatchedError, RigInUseError.
     """
-    how, events = how or RunOptions(), _stream(progress)
+    how = how or RunOptions()
+    events = progress if isinstance(progress, Events) else Events(progress)
     rig, script = files_of(run := read_run(folder))
     if rig.rig.cameras.recorded:
         raise ConfigError.plain(
@@ -230,10 +232,6 @@ def _contradicted(rig: LoadedRig, script: LoadedScript) -> Iterator[str]:
         if isinstance(rule, ArmRequirement):
             said = contradictions(rule, stated_fact(arm), touches, rig.verification)
             yield from (f"{rule.name}: {text}" for text in said)
-
-
-def _stream(progress: Progress) -> Events:
-    return progress if isinstance(progress, Events) else Events(progress)
 
 
 def _allowed(rig: LoadedRig, script: LoadedScript, names: Sequence[str]) -> list[Detector]:

@@ -102,6 +102,7 @@ def said_by(folder: Path, status: RunStatus) -> None:
     place.write_text(json.dumps({"status": status.as_dict()}), encoding="utf-8")
 
 
+HERE = " at its terminal for 1 min"
 BATH = InstrumentStatus("bath", Link.ANSWERS, Safe.IN_USE, last="33.00 degC, stable", age_s=1.0)
 LIVES = RunStatus("a-run", "Short", State.RUNNING, "running", instruments=(BATH,), left_s=60.0)
 
@@ -138,21 +139,13 @@ def test_a_bench_that_hangs_has_its_last_words_with_their_age(tmp_path: Path) ->
     assert bath.age_s >= 40.0
 
 
-@pytest.mark.parametrize(
-    ("asked", "words"),
-    [
-        (OpenPrompt("touch", number=3, waited_s=59.0), "waiting for an answer: touch"),
-        (OpenPrompt("touch", number=3, waited_s=200.0), "waiting for an answer for 3 min: touch"),
-        (
-            OpenPrompt("set up", waited_s=60),
-            "waiting for an answer at its terminal for 1 min: set up",
-        ),
-    ],
-)
-def test_an_open_prompt_says_for_how_long(asked: OpenPrompt, words: str) -> None:
-    status = replace(LIVES, asked=asked, doing="taking the truth")
-    assert status.waiting == status.as_dict()["waiting"] == words
-    assert status.line == f"{words}; bath 33.00 degC, stable; about 1 min left"
+def test_an_open_prompt_says_for_how_long() -> None:
+    for number, waited_s, more in ((3, 59.0, ""), (3, 200.0, " for 3 min"), (None, 60.0, HERE)):
+        asked = OpenPrompt("touch", number=number, waited_s=waited_s)
+        status = replace(LIVES, asked=asked, doing="taking the truth")
+        words = f"waiting for an answer{more}: touch"
+        assert status.waiting == status.as_dict()["waiting"] == words
+        assert status.line == f"{words}; bath 33.00 degC, stable; about 1 min left"
 
 
 GUARDED = {"wall_noticed": "2026-11-26T22:01:30+00:00", "why": "", "cause": "died", "tries": 9}

@@ -126,9 +126,6 @@ def test_the_newest_runs_count_most_and_rigs_are_kept_apart(tmp_path: Path) -> N
         (tmp_path / f"6-other-{number}").mkdir()
         shutil.copy(tmp_path / "4-other" / FILE, tmp_path / f"6-other-{number}")
     assert read_durations(tmp_path, rig) == {"touch": 15.0, "heating": 0.4}
-    for number in range(LOOKS_BACK):
-        write_durations(tmp_path / f"7-{number}", rig, expected, {"total_s": 5.0}, {"touch": 8.0})
-    assert read_durations(tmp_path, rig) == {"touch": 8.0}
     kept = json.loads((tmp_path / "1-first" / FILE).read_text(encoding="utf-8"))
     assert kept["rig"] == f"{rig.rig.name}, operator emulator:"
     assert kept["expected_s"]["total_s"] == expected.total_s

@@ -4,11 +4,11 @@ end, whatever ends it.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import platform
 import re
-import shutil
 import signal
 import sqlite3
 from collections.abc import Callable
@@ -33,6 +33,7 @@ from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.operated_runs import ONE
 
 pytestmark = pytest.mark.slow
+NO_ROOM = "NOT ENOUGH ROOM"
 
 
 @pytest.fixture
@@ -49,9 +50,9 @@ def scripts(tmp_path: Path) -> list[str]:
 def run(scripts: list[str], *more: str) -> tuple[int, QueueStatus, list[RunRecord]]:
     """The exit code of `run`, its queue, and the runs."""
     here = Path(scripts[0]).parent
-    out = next((Path(word[6:]) for word in more if word.startswith("--out=")), here / "runs")
+    out = here / "runs"
     code = main(["run", *scripts, "--rig", str(here / "rig.toml"), "--out", str(out), *more])
-    (queue,) = queues(out)
+    queue = next(queues(out))
     return code, queue, [read_run(out / one.run) for one in queue.scripts if one.run]
 
 
@@ -137,34 +138,31 @@ def test_a_disk_that_is_full_amid_one_script_ends_it_alone_and_without_room_none
     scripts: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The watch of the second script finds it full; there is room again, and then none."""
-    take_over, bath, scarce = Engine._take_over, Store.bath, list[int]()
+    bath = Store.bath
 
     def full(self: Store, reading: Row) -> None:
-        if scarce == [1]:
-            scarce.append(2)
+        if self.folder.name.endswith("-b"):
             raise sqlite3.OperationalError("database or disk is full")
         bath(self, reading)
 
-    def begun(self: Engine) -> None:
-        scarce.append(1) if self.context.before else None
-        take_over(self)
-        self.context.wait(5.0)
-
-    def used(path: Path) -> Any:
-        return shutil._ntuple_diskusage(1, 1, 0 if len(scarce) >= most else 1 << 40)
+    def no_space(*_: object) -> Path:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(Store, "bath", full)
-    monkeypatch.setattr(Engine, "_take_over", begun)
-    monkeypatch.setattr(estimate, "disk_usage", used)
-    for most, begin in ((9, 3), (2, 2)):
-        scarce.clear()
-        code, queue, runs = run(scripts, f"--out={Path(scripts[0]).parent / str(most)}")
-        assert code == 3
-        assert [one.ending for one in runs] == ["finished", "faulted", "finished"][:begin]
+    for third, begin in (("", 3), (NO_ROOM, 2)):
+        of = iter(["", "", third])  # of all, of the second, of the third
+        monkeypatch.setattr(estimate, "no_room", lambda *_, of=of: next(of))
+        code, queue, runs = run(scripts)
+        endings = [one.ending for one in runs]
+        assert (code, endings) == (3, ["finished", "faulted", "finished"][:begin])
         assert kinds(runs[1], "fault") == ["the record could not be written: the disk is full"]
         assert bath_safe(runs[-1]) is Safe.READ_BACK
-    assert "c and what follows are not begun. NOT ENOUGH ROOM: " in capsys.readouterr().out
-    assert queue.ended.startswith("NOT ENOUGH ROOM: ")
+        monkeypatch.setattr("bench.report.page.write_report", no_space)
+    assert queue.ended == NO_ROOM
+    said = capsys.readouterr().out
+    assert f"c and what follows are not begun. {NO_ROOM}" in said
+    then = f"No space left on device. Make room, then: teatbench report {runs[0].folder}"
+    assert f"{runs[0].folder / 'report'}: {then}" in said
 
 
 def test_an_abort_ends_all(scripts: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
