@@ -34,8 +34,13 @@ class Result:
 
     @property
     def share(self) -> str:
-        """``97 %`` of the visible teats found; a dash where none was visible."""
-        return f"{100 * self.found // self.visible} %" if self.visible else "–"
+        """``97 %`` of the visible teats found; empty where none was visible."""
+        return f"{100 * self.found // self.visible} %" if self.visible else ""
+
+    @property
+    def brief(self) -> str:
+        """``met (97 % found)``; the verdict alone where no teat was visible."""
+        return f"{self.verdict} ({self.share} found)" if self.share else self.verdict
 
     @property
     def text(self) -> str:

@@ -147,8 +147,15 @@ def run_queue(
     parts = _Parts(shown)
     ended = started(loaded, found, Path(out), shown, replace(how, between=parts.grow))
     shown.state("writing the report")
-    reports = [parts.report(folder) for folder, _ in ended]
-    return tuple(_timed(one, loaded, script) for one, script in zip(reports, found, strict=False))
+    reports: list[Reported] = []
+    for (folder, _), script in zip(ended, found, strict=False):
+        try:
+            reports.append(_timed(parts.report(folder), loaded, script))
+        except OSError as error:  # of a full disk: each run is kept, whatever becomes of the others
+            if len(found) == 1:
+                raise
+            shown.warn(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+    return tuple(reports)
 
 
 def _timed(found: Reported, rig: LoadedRig, script: LoadedScript) -> Reported:

@@ -64,6 +64,7 @@ SCRIPT_HELP = "a shipped script by name ('teatbench trials' lists them), or a .t
 
 CAPTURE = option("--capture FILE", "record the bytes of every link in a new file (help record)")
 JSON = flag("--json", "one JSON object, units in its keys")
+LISTED = flag("--json", "one JSON object instead of lines")
 TABLES_JSON = flag("--json", "print JSON instead of tables")
 RIG = option("rig RIG", RIG_HELP, nargs="?")
 RIG_OPTION = option("--rig RIG", RIG_HELP)
@@ -867,10 +868,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *_part("cameras.toml"),
     ),
     "calibrate stage": (
-        (
-            "register the stage in the world: one teat end touched at several stage positions"
-            " (help trials)"
-        ),
+        "register the stage in the world by touching one end at several positions (help trials)",
         "calibrate stage --rig my-rig.toml --out registration.toml",
         CAPTURE,
         RIG_OPTION,
@@ -900,7 +898,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "trials": (
         "list the trial scripts that ship ('trials show' lists a script's poses)",
         "trials",
-        flag("--json", "one JSON object instead of lines"),
+        LISTED,
     ),
     "trials show": (
         "list the poses of a script, and estimate its time",
@@ -909,10 +907,11 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         RIG_OPTION,
         flag("--json", "one JSON object instead of a table"),
     ),
-    "rigs": ("list the rig files that ship, and the one to copy for a real rig", "rigs"),
+    "rigs": ("list the rig files that ship, and the one to copy for a real rig", "rigs", LISTED),
     "detectors": (
         "list the detectors: shipped, of other packages, declared in ./detectors",
         "detectors",
+        LISTED,
     ),
     "detectors new": (
         "write a program that answers, and its file, to make your own detector from",
@@ -948,7 +947,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option("name NAME", "the driver, or plugin:NAME?key=value for a device"),
         option("--kind", "of which kind, where several have this name", choices=KINDS),
         flag("--works", "a real device may be made to heat or to move"),
-        flag("--json", "print JSON instead of a line a check"),
+        LISTED,
     ),
 }
 # where a command's or a group's functions are, unless in the module of the same name

@@ -69,8 +69,12 @@ CURES = {
 }
 
 
-def listed(_: argparse.Namespace) -> None:
-    print_values(bench.detectors())
+def listed(given: argparse.Namespace) -> None:
+    found = bench.detectors()
+    if given.json:
+        print(json_of({"detectors": found}))
+    else:
+        print_values(found)
 
 
 def new(given: argparse.Namespace) -> None:

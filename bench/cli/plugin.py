@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import asdict
 
-from bench.cli.arguments import CODES, print_values
+from bench.cli.arguments import CODES, json_of, print_values
 from bench.config import ConfigError
 from instruments.drivers.entry_points import EMULATORS, GROUPS, KINDS, Kind, available, plugin_url
 
@@ -54,5 +53,5 @@ def check(given: argparse.Namespace) -> int:
     except LimitError as error:
         raise ConfigError.plain(str(error)) from error
     if given.json:
-        print(json.dumps({"kind": kind, "checks": lines}))
+        print(json_of({"kind": kind, "checks": lines}))
     return CODES.not_met if failed else CODES.met

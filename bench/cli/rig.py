@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bench
-from bench.cli.arguments import CODES, complain, print_values, refuse_existing
+from bench.cli.arguments import CODES, complain, json_of, print_values, refuse_existing
 from bench.cli.terminal import working
 from bench.config import ConfigError, did_you_mean
 from bench.rig.loading import TO_COPY
@@ -25,13 +25,12 @@ if TYPE_CHECKING:
 def check(given: argparse.Namespace) -> int:
     rig = bench.load_rig(given.rig)
     print("".join(f"{note}\n" for note in bench.rig_notes(rig)), end="")
-    failed = False
+    code = CODES.wrong_use if rig.unfilled() else CODES.met
     for name, fault, lines in bench.check_rig(rig, given.capture):
-        failed |= fault
-        print(f"{name}: {'FAULT' if fault else 'ok'}")
-        for line in lines:
-            print(f"  {line}")
-    return CODES.fault if failed else CODES.met
+        found = "not checked" if rig.unfilled(name) else "FAULT" if fault else "ok"
+        code = CODES.fault if found == "FAULT" else code
+        print(f"{name}: {found}", *(f"  {line}" for line in lines), sep="\n")
+    return code
 
 
 def emulate(given: argparse.Namespace) -> int:
@@ -125,7 +124,10 @@ def _rig_text(rig: bench.LoadedRig, urls: Mapping[str, str], valid: str) -> str:
     return toml_text(table, f"Written by 'teatbench emulate', and good {valid}.")
 
 
-def rigs(_: argparse.Namespace) -> None:
+def rigs(given: argparse.Namespace) -> None:
+    if given.json:
+        print(json_of({"rigs": bench.rigs(), "to_copy": str(TO_COPY)}))
+        return
     names = dict.fromkeys(bench.rigs(), "")
     print_values(names | {"for a real rig": f"copy {TO_COPY}, where every key is explained"})
 

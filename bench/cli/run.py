@@ -17,7 +17,7 @@ from bench.cli.arguments import CODES
 from bench.cli.store import undamaged
 from bench.cli.terminal import Terminal, TerminalProgress, working
 from bench.config import ConfigError
-from bench.run.events import ENDED, PROMPTED, Events, event_lines
+from bench.run.events import ENDED, Events, event_lines
 from instruments.operators.console import keyboard_of
 
 WORST = (CODES.met, CODES.inconclusive, CODES.not_met, CODES.fault)  # of several runs
@@ -25,9 +25,7 @@ WORST = (CODES.met, CODES.inconclusive, CODES.not_met, CODES.fault)  # of severa
 
 def run(given: argparse.Namespace) -> int:
     if given.json and not given.dry_run:
-        raise ConfigError.plain(
-            "--json is for --dry-run. What a run found is JSON in its report/run.json."
-        )
+        raise ConfigError.plain("--json is for --dry-run. A run's JSON is its report/run.json.")
     rig = bench.load_rig(given.rig)
     names = given.script or [None]
     if len(names) > 1 and given.record:
@@ -95,19 +93,14 @@ def _words(given: argparse.Namespace, rig: bench.LoadedRig, events: Events) -> I
     """Sends word of what happens; gives what sends the last one, of all runs as they ended."""
     from bench.run.notify import notifying, text_of
 
-    person = rig.rig.by_person
     with notifying(given.notify or rig.rig.notify.urls, events.warn) as send:
 
-        def now(kind: str) -> None:
-            if kind != PROMPTED or person:
-                send(kind, lambda: text_of(kind, events.status()))
-
         def ended(runs: Sequence[bench.RunStatus]) -> None:
-            first, *others = (text_of(ENDED, status) or ("", "") for status in runs)
-            title = first[0] if not others else f"{len(runs)} runs: {ENDED}"
-            send(ENDED, lambda: (title, "\n\n".join(text for _, text in (first, *others))))
+            said = [text_of(ENDED, status) or ("", "") for status in runs]
+            title = said[0][0] if len(said) == 1 else f"{len(runs)} runs: {ENDED}"
+            send(ENDED, lambda: (title, "\n\n".join(text for _, text in said)))
 
-        events.notify = now
+        events.notify = lambda kind: send(kind, lambda: text_of(kind, events.status()))
         yield ended
 
 
@@ -126,12 +119,15 @@ def _shown(
         _summarize(given, found)
         if found.took:
             print(found.took)
-    page = reports[-1].page
+    page = reports[-1].page if reports else None
     if len(scripts) > 1:
-        queue, page = bench.write_queue_page(given.out)
-        print(f"Queue: {queue.headline}\nPage: {page}")
+        try:
+            queue, page = bench.write_queue_page(given.out)
+            print(f"Queue: {queue.headline}\nPage: {page}")
+        except OSError as error:
+            print(f"Page: not written: {error.strerror or error}")
         codes += [CODES.fault] * (len(scripts) - len(reports))
-    if given.open:
+    if given.open and page:
         open_report(page)
     return max(codes, key=WORST.index)
 

@@ -216,7 +216,7 @@ def _show_runs(found: Runs) -> None:
     if found.runs:
         console.print(table)
     for (detector, script), of in found.histories().items():
-        steps = " → ".join(f"{one.verdict} ({one.share} found)" for _, one in of)
+        steps = " → ".join(one.brief for _, one in of)
         console.print(f"{detector}, {script}: {steps}", highlight=False)
     for run in found.runs:
         if run.note:

@@ -44,6 +44,7 @@ BEAT_S = 10.0  # a comment, so that a connection that went away is noticed
 SPEEDS = {1: ["--realtime"], 10: ["--speed", "10"]}  # of a run on emulators that is watched
 LONGEST = 400  # of a name or an answer
 MOST_PAGES, QUEUED = 500, 2000  # pages that follow runs; news that one may not have read yet
+NO_CLIENT = "a page says its own number in the header X-Client"
 BODY_S = 8.0  # a request's body has come by then
 # a report has scripts and styles of its own, and may reach nothing of the console's
 REPORT_POLICY = (
@@ -267,10 +268,11 @@ class Console:
     async def answer(self, request: Request) -> Response:
         """``{"words": "go"}`` as at the terminal. 409: not open, or another came first."""
         folder, given = self._folder(request), await _body(request)
-        words, client, name = _text(given, "words"), _client(request), _text(given, "name")
+        words, name = _text(given, "words"), _text(given, "name")
         number = request.path_params["number"]
-        if words.strip().lower() not in ABORTS and not self.lease.held_by(client, name):
-            return _refused(403, f"{self.lease.name} answers prompts; take over first")
+        ends = words.strip().lower() in ABORTS
+        if not ends and (refused := self._held_by_another(request, name)):
+            return refused
         if not under_way(folder):
             return _refused(409, "this run is not under way")
         try:
@@ -291,12 +293,22 @@ class Console:
             wish, _ = parse_request(words)
         except ValueError as error:
             return _refused(422, str(error))
-        if wish != ABORT and not self.lease.held_by(_client(request), _text(given, "name")):
-            return _refused(403, f"{self.lease.name} has the controls; take over first")
+        name = _text(given, "name")
+        if wish != ABORT and (refused := self._held_by_another(request, name)):
+            return refused
         if not under_way(folder):
             return _refused(409, "this run is not under way")
         await _off(leave_request, folder, words)
         return JSONResponse({"left": words})
+
+    def _held_by_another(self, request: Request, name: str) -> Response | None:
+        """The refusal of who has not the lease."""
+        client = _client(request)
+        if self.lease.held_by(client, name):
+            return None
+        if not client:
+            return _refused(422, NO_CLIENT)
+        return _refused(403, f"{self.lease.name} answers prompts; take over first")
 
     async def practise(self, request: Request) -> Response:
         """``{"words": "pull arm"}``: one of those that the emulated rig shows."""
@@ -310,7 +322,7 @@ class Console:
     async def take_lease(self, request: Request) -> Response:
         given, client = await _body(request), _client(request)
         if not client:
-            return _refused(422, "a page says its own number in the header X-Client")
+            return _refused(422, NO_CLIENT)
         self.lease.take(client, _text(given, "name"))
         return JSONResponse(self.lease.as_seen_by(client))
 

@@ -1,8 +1,7 @@
 """A run's folder, read and never written, for those who watch the run: snapshot, new events,
 frames, and trials with their scores.
 
-A detection comes from the record alone, which has a trial whole, with its truth, or not at all: no
-one can touch where a detector answered.
+A detection comes from the record, which has a trial with its truth: no one touches where it is.
 """
 
 from __future__ import annotations
@@ -26,6 +25,7 @@ from bench.results.status import LIVE, RUN_JSON, RunStatus, live_status, read_st
 from bench.rig.practice import SHOWN as PRACTICE
 from bench.run.events import EVENTS_FILE
 from bench.run.set_up_picture import FOLDER as SET_UP
+from bench.safety.latch import latch_beside
 from instruments.camera.cameras import KNOWN as CAMERAS
 from instruments.operators.mailbox import FOLDER, read_prompt
 from reports.frames import places_of
@@ -36,7 +36,7 @@ CURVE = 600  # points of the bath's curve
 
 
 class NoRunError(LookupError):
-    """There is no run of this name."""
+    """No run has this name."""
 
 
 def run_folder(runs: Path, name: str) -> Path:
@@ -76,7 +76,7 @@ def status(folder: Path) -> dict[str, Any]:
     """How the run stands, as JSON; of one under way by what it says of itself."""
     if under_way(folder) and (found := live_status(folder)):
         return found.as_dict()
-    files = [folder / name for name in (DATABASE, f"{DATABASE}-wal", RUN_JSON)]
+    files = [*(folder / name for name in (DATABASE, f"{DATABASE}-wal", RUN_JSON)), _latch(folder)]
     marks = map(_mark, (*files, *sorted(folder.glob(GUARDIAN_FILES))))
     return _read(folder, under_way(folder), *marks).as_dict()
 
@@ -84,6 +84,14 @@ def status(folder: Path) -> dict[str, Any]:
 @lru_cache(maxsize=512)
 def _read(folder: Path, *_: float) -> RunStatus:
     return read_status(folder)
+
+
+@lru_cache(maxsize=512)
+def _latch(folder: Path) -> Path:
+    """That of the rig on which the run was begun."""
+    with opened(folder) as db:
+        (asked,) = db.execute("SELECT value FROM facts WHERE key = 'asked'").fetchone() or ("{}",)
+    return latch_beside(Path(json.loads(asked).get("rig") or folder))
 
 
 def _mark(path: Path) -> float:

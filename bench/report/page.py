@@ -4,6 +4,7 @@ bench, run, calibration, checksums, faults, command.
 
 from __future__ import annotations
 
+import errno
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -89,9 +90,21 @@ def write_run_report(
     parts: TrialParts | None = None,
 ) -> Reported:
     """Write a run's report and exports, with ``chapters`` after the results and the ``parts`` that
-    have grown with the run. Raises ConfigError.
+    have grown with the run. Raises ConfigError, OSError.
     """
     run = read_run(folder, damage)
+    try:
+        return _written(run, folder, chapters, parts)
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        why = f"{error.strerror}. Make room, then: teatbench report {folder}"
+        raise OSError(error.errno, why, str(folder / REPORT)) from error
+
+
+def _written(
+    run: RunRecord, folder: Path, chapters: tuple[Section, ...], parts: TrialParts | None
+) -> Reported:
     rules = stored_rules(folder)
     judgements = judge(run, rules) if any(trial.scores for trial in run.trials) else ()
     calibration = read_calibration(folder / "calibration.toml", doubtful=True)

@@ -51,12 +51,7 @@ def list_runs(folder: Path | str = "runs") -> Runs:
         try:
             runs.append(_listed(one))
         except (ConfigError, OSError) as error:
-            if isinstance(error, OSError) and error.filename and error.strerror:
-                others.append((one.name, f"{error.filename} can't be read: {error.strerror}"))
-            else:
-                there_is = (one / DATABASE).is_file()
-                why = str(error) if there_is else f"There is no {DATABASE} in it."
-                others.append((one.name, why))
+            others.append((one.name, _unread(one, error)))
     runs.sort(key=lambda run: (run.started, run.folder.name), reverse=True)
     whole = {run.folder.name for run in runs if not run.damage}
     drawn = list(charts([one for one in history(folder) if one.run in whole]))
@@ -65,6 +60,13 @@ def list_runs(folder: Path | str = "runs") -> Runs:
         health.setdefault(chart.rig, []).append(_drawn(chart, f"health-{number}"))
     warned = [chart.warning for chart in drawn if chart.warning]
     return Runs(folder, tuple(runs), tuple(others), health, warned)
+
+
+def _unread(folder: Path, error: Exception) -> str:
+    """Why the run in ``folder`` is not shown."""
+    if isinstance(error, OSError) and error.filename and error.strerror:
+        return f"{error.filename} can't be read: {error.strerror}"
+    return str(error) if (folder / DATABASE).is_file() else f"There is no {DATABASE} in it."
 
 
 def _drawn(chart: Chart, name: str) -> Figure:
@@ -147,7 +149,7 @@ def write_queue_page(out: Path | str = "runs") -> tuple[QueueStatus, Path]:
         try:
             runs.append(_listed(folder / name))
         except (ConfigError, OSError) as error:
-            others.append((name, str(error)))
+            others.append((name, _unread(folder / name, error)))
     found = Runs(folder, tuple(runs), tuple(others))
     title = f"Queue of {plural(len(queue.scripts), 'script')}"
     summary = f"{queue.rig}, begun {queue.started[:16].replace('T', ' ')}; {queue.headline}."

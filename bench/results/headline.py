@@ -15,6 +15,7 @@ from bench.record.state import State
 from bench.results.doubts import AGAIN, DOUBTS_FACT
 from bench.results.verdicts import Judgement, calls_of, run_verdict
 from bench.rig.by_hand import BY_HAND
+from bench.safety.latch import latch_beside
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.rates import full_stop, plural
 from detector.protocol import Outcome
@@ -23,6 +24,10 @@ LONGEST_WORDS = 200
 AFTER_FAULT = (
     "See the events, remove the cause, check the instruments with 'teatbench check', then go on"
     " with 'teatbench resume {}'."
+)
+AFTER_LATCH = (
+    "See the events, remove the cause, check the instruments with 'teatbench check', acknowledge it"
+    " with 'teatbench bath acknowledge {}', then go on with 'teatbench resume {}'."
 )
 AFTER_END = "It is unfinished. Go on with 'teatbench resume {}'."
 AFTER_RUN = "Wait for its end, which writes the report anew."
@@ -63,6 +68,9 @@ def stopped_next(run: RunRecord, state: State) -> str:
         then = "Put back the run's folder from a copy; 'teatbench store check' lists all that is"
         return f"{then} damaged."
     cure = cure_of(_last_reason(run), run.folder) if state is State.FAULTED else ""
+    rig = Path(run.facts.get("asked", {}).get("rig") or run.folder)
+    if not cure and THEN[state] is AFTER_FAULT and latch_beside(rig).exists():
+        return AFTER_LATCH.format(rig, run.folder)
     return cure or THEN[state].format(run.folder)
 
 

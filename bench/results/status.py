@@ -117,12 +117,13 @@ SAFE_WORDS: Mapping[Safe, str] = {
 @dataclass(frozen=True, slots=True)
 class OpenPrompt:
     """What a person is asked: its kind (`operator.Kind`), and the prompt's words where a browser
-    answers too, with its number.
+    answers too, with its number; for how long it has been asked.
     """
 
     kind: str
     text: str = ""
     number: int | None = None
+    waited_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,9 +216,20 @@ class RunStatus:
         return shown | ({"last error": self.last_error} if self.last_error else {})
 
     @property
+    def waiting(self) -> str:
+        """``waiting for an answer for 3 min: touch``; empty where nothing is asked."""
+        if self.asked is None or self.age_s >= SILENT_S:
+            return ""
+        where = " at its terminal" if self.asked.number is None else ""
+        minutes = int(self.asked.waited_s / 60.0)
+        since = f" for {minutes} min" if minutes else ""
+        return f"waiting for an answer{where}{since}: {self.asked.kind}"
+
+    @property
     def line(self) -> str:
         """All that a terminal's one line has room for."""
-        doing = self.step if self.step == GOING_TO_SAFE else self.doing or self.step
+        safing = self.step == GOING_TO_SAFE
+        doing = self.step if safing else self.waiting or self.doing or self.step
         parts = self.parts
         error = parts.pop("last error", "")
         parts |= {"error": f"last error: {error[:LONGEST_ERROR]}"} if error else {}
@@ -228,7 +240,8 @@ class RunStatus:
         said_s = (now() - datetime.fromisoformat(self.wall_time)).total_seconds()
         age_s = float(max(0, int(said_s)))  # a computer's clock may have been set back
         instruments = tuple(one.later(age_s) for one in self.instruments)
-        older = replace(self, age_s=age_s, instruments=instruments)
+        asked = self.asked and replace(self.asked, waited_s=self.asked.waited_s + age_s)
+        older = replace(self, age_s=age_s, instruments=instruments, asked=asked)
         if age_s < SILENT_S:
             return older
         doing = f"the bench has said nothing for {age_s:.0f} s; last: {self.doing or self.step}"
@@ -240,6 +253,7 @@ class RunStatus:
         for of, one in zip(shown["instruments"], self.instruments, strict=True):
             of |= {"text": one.text, "trouble": one.trouble}
         said = {"word": self.word, "headline": self.headline, "trials": self.trials}
+        said |= {"waiting": self.waiting}
         return {"schema_version": VERSION, **shown, **said, "unsafe": [*self.unsafe]}
 
 
@@ -370,7 +384,8 @@ def _as_asked(status: RunStatus, folder: Path) -> RunStatus:
     prompt = read_prompt(folder)
     if not prompt or not prompt["open"] or status.step == GOING_TO_SAFE:
         return status
-    asked = OpenPrompt(prompt["kind"], prompt["text"], prompt["number"])
+    waited_s = status.asked.waited_s if status.asked else 0.0
+    asked = OpenPrompt(prompt["kind"], prompt["text"], prompt["number"], waited_s)
     return replace(status, asked=asked)
 
 
@@ -395,7 +410,8 @@ def _orphaned(
     one: InstrumentStatus, guardian: Mapping[str, Any] | None, *, alone: bool
 ) -> InstrumentStatus:
     """An instrument whose bench has died: what the guardian found, if it had to act."""
-    one = replace(one, link=Link.UNKNOWN, how="", by_hand="")
+    last = one.last.partition(",")[0] if one.name == "bath" else one.last  # it heats no more
+    one = replace(one, link=Link.UNKNOWN, last=last, how="", by_hand="")
     if one.safe in (Safe.AT_REST, Safe.READ_BACK) or alone:  # emulators end with their bench
         return replace(one, safe=Safe.AT_REST if alone else one.safe)
     if not guardian or one.name not in BY_HAND:

@@ -82,7 +82,7 @@ class RunContext:
         self.away = self.away_how = self.check_away = ""
         self.last: dict[str, str] = {}  # an instrument's last value, in words
         self.under_test: Sequence[str] = ()
-        self._asked = ""
+        self._asked, self._asked_s = "", 0.0
         self._touching = self._touched = False
         self._stage_seen_s = 0.0
         self._stage_mm: Triple | None = None
@@ -112,9 +112,10 @@ class RunContext:
                 self.events.asked("release")
             return self.devices.operator.ask(request, self.look)
         self._heartbeat.sign(f"waiting for the operator: {kind}", math.inf)
-        self._asked, self._touching = kind, isinstance(request, Touch | BoardTouch)
+        self._asked, self._asked_s = kind, self.clock.now()
+        self._touching = isinstance(request, Touch | BoardTouch)
         if not self._touching or not self._touched:
-            self._stage_seen_s, self._stage_mm = self.clock.now(), None
+            self._stage_seen_s, self._stage_mm = self._asked_s, None
         self._touched = self._touching
         self.events.asked(kind)
         try:
@@ -179,7 +180,9 @@ class RunContext:
         progress, watch, events = self.progress(), self.watch, self.events
         tripped = str(watch.tripped) if isinstance(watch.tripped, InterlockTrip) else ""
         safing = self.safing or watch.tripped is not None
-        instruments = tuple(map(self._instrument, self._names))
+        instruments, asked = tuple(map(self._instrument, self._names)), None
+        if self._asked and self.rig.rig.by_person and not safing:
+            asked = OpenPrompt(self._asked, waited_s=self.clock.now() - self._asked_s)
         status = RunStatus(
             run=self.store.folder.name,
             title=self.script.script.title,
@@ -192,7 +195,7 @@ class RunContext:
             planned=len(self.script.planned),
             left_s=None if watch.tripped else progress.get("left_s"),
             paused=bool(progress.get("paused")),
-            asked=OpenPrompt(self._asked) if self._asked and not safing else None,
+            asked=asked,
             instruments=instruments,
             tripped=tripped,
             last_error=events.error,
@@ -235,7 +238,7 @@ class RunContext:
                 last, heard_s = f"{reading.temp_c:.2f} degC", reading.t_s
             if failing := self.watch.failing:
                 link, how = (Link.AWAY if name == self.away else Link.SILENT), failing
-            elif link is Link.ANSWERS and last:
+            elif link is Link.ANSWERS and last and name in devices.active:
                 last += f", {self.watch.state.value}"
         if found and not found.is_safe and acts in BY_HAND:
             how, by_hand = found.brief or found.evidence.value, BY_HAND[acts]

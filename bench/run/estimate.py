@@ -295,16 +295,20 @@ def figures(
 
 def read_durations(folder: Path, rig: LoadedRig) -> dict[str, float]:
     """The figures measured of ``rig`` from the last runs in ``folder``; the newest counts half."""
-    known: dict[str, float] = {}
-    for path in sorted(folder.glob(f"*/{FILE}"))[-LOOKS_BACK:]:
+    last: list[dict[str, float]] = []
+    for path in sorted(folder.glob(f"*/{FILE}"), reverse=True):
         # another rig's run, or a file that can't be understood: an estimate isn't worth a fault
         with suppress(OSError, ValueError, KeyError, TypeError):
             kept = json.loads(path.read_text(encoding="utf-8"))
-            if kept["rig"] == _name(rig):
-                for name in ASSUMED & kept["figures"].keys():
-                    value = float(kept["figures"][name])
-                    known[name] = KEEPS * known.get(name, value) + (1.0 - KEEPS) * value
-    return known
+            known = {k: float(v) for k, v in kept["figures"].items() if k in ASSUMED}
+            last += [known] if kept["rig"] == _name(rig) else []
+        if len(last) == LOOKS_BACK:
+            break
+    mean: dict[str, float] = {}
+    for known in reversed(last):
+        for name, value in known.items():
+            mean[name] = KEEPS * mean.get(name, value) + (1.0 - KEEPS) * value
+    return mean
 
 
 def write_durations(

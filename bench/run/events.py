@@ -1,15 +1,11 @@
-"""What happens in a run: its states, which may follow which (docs/runs.md has the table), and one
-numbered stream of events with its listeners.
+"""What happens in a run: its states, which may follow which, and one numbered stream of events for
+its listeners: the screen, ``--events FILE``, and `events.jsonl` in the run's folder, which goes on
+with its numbers when the run is resumed (docs/runs.md has the states and the lines).
 
-An event is a line of JSON: ``number``, ``wall_time``, ``t_s`` (the bench's time, null before it has
-one), ``what`` (`doing`, `trial`, `asked`, `warning`, `event`) and what belongs to it. Listeners are
-the screen, ``--events FILE``, and `events.jsonl` in the run's folder, which goes on with its
-numbers when the run is resumed. A listener that fails is named once, to the others and in the
-record, and gets no more (but for what a person has to see at once); none can stop a run.
-
-The record is no listener: it comes first, and what it can't take ends the run. Each line is one
-write at the end of the file, so a killed bench leaves whole lines; half a line of a machine that
-lost its power is cut off when the run goes on.
+A listener that fails is named once, to the others and in the record, and gets no more (but for what
+a person has to see at once); none can stop a run. The record is no listener: it comes first, and
+what it can't take ends the run. Each line is one write at the end of the file, so a killed bench
+leaves whole lines; half a line of a machine that lost its power is cut off when the run goes on.
 """
 
 from __future__ import annotations

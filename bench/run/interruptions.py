@@ -1,14 +1,12 @@
 """What interrupts a run: an instrument that drops out, and a person's request to pause, go on, skip
-or repeat the trial in flight, or end.
+or repeat the trial in flight, or end (docs/runs.md).
 
 A table says for each kind of fault how often it is tried again and what a person has to check; what
-is not in it ends the run at once. An instrument that drops out pauses the run; the work is done
-again whole when it is back. Interlocks are looked at meanwhile, and may end the wait; so may a
-request: then what comes next waits on.
+is not in it ends the run at once. The work is done again whole when the instrument is back;
+interlocks and requests are looked at meanwhile, and may end the wait.
 
-`teatbench control RUN WORDS` leaves a request as a file in the run's folder; where no operator sits
-at the run's own terminal, the same words may be typed there. A pause takes effect before the next
-trial, the others at once, and the trial in flight leaves no trace. Each is answered in a line.
+A request is a file in the run's folder, or a line typed at a terminal where no operator sits. The
+trial in flight leaves no trace. Each is answered in a line.
 """
 
 from __future__ import annotations
@@ -27,6 +25,7 @@ from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
 from instruments.microscribe.errors import AnotherArmError, UnusableArmError
 from instruments.operators.operator import (
+    KEYS,
     Homing,
     OperatorAbort,
     OperatorRepeat,
@@ -47,6 +46,7 @@ class Policy:
     check: str
 
 
+PICTURES = ("cameras", REFUSES)  # they answer, and none of their pictures is of use
 HOMES = "keep your hands off it, it will home."
 POLICIES: Mapping[tuple[str, str], Policy] = {
     ("arm", GONE): Policy(3, "Check the arm's power and its cable."),
@@ -58,7 +58,7 @@ POLICIES: Mapping[tuple[str, str], Policy] = {
     ("bath", GARBLED): Policy(3, "Check the bath's cable, its address and what disturbs it."),
     ("cameras", GONE): Policy(3, "Check the cameras' power and cables."),
     ("cameras", GARBLED): Policy(3, "Check the cameras' cables and settings."),
-    ("cameras", REFUSES): Policy(2, "Look at the cameras: lens caps, light, focus, trigger."),
+    PICTURES: Policy(2, "Look at the cameras: cables, lens caps, light, focus, trigger."),
 }
 
 
@@ -117,10 +117,10 @@ class Recovery:
 
     def _pause(self, what: str, fault: InstrumentError, policy: Policy, count: str) -> None:
         """Until the instrument is back. Raises ``fault`` where it stays away."""
-        ctx, name = self._ctx, diagnosis(fault)[0]
+        ctx, (name, kind) = self._ctx, diagnosis(fault)
         are = "are" if name == "cameras" else "is"
         self._missing = (fault, policy)
-        ctx.away, ctx.away_how = name, HOW[diagnosis(fault)[1]]
+        ctx.away, ctx.away_how = name, HOW[GARBLED if (name, kind) == PICTURES else kind]
         ctx.check_away = f"{policy.check} It goes on by itself when the {name} {are} back."
         started_s, patience_s = ctx.clock.now(), self._patience_s
         if ctx.states.current is RunState.PREPARING:
@@ -149,12 +149,15 @@ class Recovery:
             if name == "arm":
                 ctx.long("looking for the arm", 120.0)
                 devices.arm.recover(EVERY_S)
+                ctx.away = ""  # it answers
                 ctx.ask(Homing(devices.arm.homing_again))
                 devices.arm.home()
             elif name == "stage" and devices.stage:
                 ctx.long("homing the stage again", 600.0)
                 devices.stage.reconnect()
                 ctx.look()  # a stage that a trip has braked meanwhile is not to move
+                ctx.away = ""
+                ctx.events.state("homing the stage again")
                 devices.stage.home()
             elif name == "cameras":
                 ctx.wait(SETTLED_S)
@@ -165,6 +168,7 @@ class Recovery:
             else:
                 devices.bath.read()  # its driver connects again by itself
         except InstrumentError:
+            ctx.away = name
             return False
         return True
 
@@ -187,10 +191,9 @@ def parse_request(words: str) -> tuple[str, str]:
     request = SHORT.get(first.lower(), first.lower())
     if request not in (SKIP, REPEAT):
         raise ValueError(f"not understood: {text!r}. There are: {HELP}")
-    if not reason:
-        raise ValueError(
-            f"{request} needs a reason, for the record: {request} the plate was touched"
-        )
+    if reason.lower() in ("", *KEYS):
+        needs = f"{request} needs a reason, for the record"
+        raise ValueError(f"{needs}: {request} the plate was touched")
     return request, reason
 
 
@@ -274,9 +277,8 @@ class Requests:
             self._report(f"Request accepted: {request} {reason}")
             raise OperatorSkip(reason) if request == SKIP else OperatorRepeat(reason)
         else:
-            self._report(
-                f"No trial is in flight just now, so nothing is done about: {request} {reason}"
-            )
+            none = "No trial is in flight just now, so nothing is done about"
+            self._report(f"{none}: {request} {reason}")
 
     def _left(self) -> str | None:
         """Taken away first, then read: a request that is left meanwhile is the next look's."""

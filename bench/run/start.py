@@ -37,7 +37,7 @@ from bench.rig.opening import in_virtual_time, open_instruments
 from bench.rig.urls import is_emulated
 from bench.run.cameras_so_far import CamerasSoFar
 from bench.run.context import RunContext
-from bench.run.engine import Engine
+from bench.run.engine import RECORD_FAULTS, Engine
 from bench.run.estimate import TimeEstimate, needs, read_durations, refuse_no_room
 from bench.run.events import Events, Progress, RunState
 from bench.run.interruptions import Requests
@@ -113,20 +113,6 @@ class RunOptions:
     between: Callable[[Path, int, int], None] = lambda *_: None
 
 
-def run_script(
-    rig: LoadedRig,
-    script: LoadedScript,
-    out: Path,
-    progress: Progress,
-    how: RunOptions | None = None,
-) -> tuple[Path, RunState]:
-    """Run ``script`` on ``rig``, shown on ``progress``; the run's folder and how it ended. Raises
-    ConfigError, LatchedError, RigInUseError before anything is opened.
-    """
-    (ended,) = run_queue(rig, [script], out, progress, how)
-    return ended
-
-
 def run_queue(
     rig: LoadedRig,
     scripts: Sequence[LoadedScript],
@@ -134,11 +120,14 @@ def run_queue(
     progress: Progress,
     how: RunOptions | None = None,
 ) -> list[tuple[Path, RunState]]:
-    """As `run_script`, one after the other. From one that finished to the next the rig stays open
-    and warm; what faults is made safe, and the next one opens the rig anew. A trip, an abort and
-    what could not be made safe end them all.
+    """Run ``scripts`` on ``rig``, shown on ``progress``; each run's folder and how it ended. From
+    one that finished to the next the rig stays open and warm; what faults is made safe, and the
+    next one opens the rig anew. A trip, an abort, what could not be made safe and a disk without
+    room for the next end them all. Raises ConfigError, LatchedError, RigInUseError before anything
+    is opened.
     """
-    how, events = how or RunOptions(), _stream(progress)
+    how = how or RunOptions()
+    events = progress if isinstance(progress, Events) else Events(progress)
     for script in scripts:
         refuse_carry(rig, script)
     under_test = [_allowed(rig, script, how.detectors) for script in scripts]
@@ -159,7 +148,16 @@ def run_queue(
             if how.record:
                 recorded = Recorder(how.record, rig.calibration_path, events.warn)
             with introduced(detectors, script.scenes, rig.calibration):
-                store = _begun(rig, script, out, detectors, how, warm=held.is_warm)
+                try:
+                    if ended:
+                        refuse_no_room(rig, len(script.planned), out)
+                    store = _begun(rig, script, out, detectors, how, warm=held.is_warm)
+                except ConfigError as error:
+                    if not ended:
+                        raise
+                    events.warn(f"{script.name} and what follows are not begun. {error}")
+                    note.ends(str(error))
+                    break
                 note.runs(store.folder)
                 with locked(run_lock(store.folder), "", events.warn, "run"):
                     run = partial(_run, script, store, detectors, held, recorded, warned=warned)
@@ -193,7 +191,8 @@ def resume_run(
     """Continue the run in ``folder`` at its first trial without a result, as it was begun. Raises
     ConfigError, LatchedError, RigInUseError.
     """
-    how, events = how or RunOptions(), _stream(progress)
+    how = how or RunOptions()
+    events = progress if isinstance(progress, Events) else Events(progress)
     rig, script = files_of(run := read_run(folder))
     if rig.rig.cameras.recorded:
         raise ConfigError.plain(
@@ -234,10 +233,6 @@ def _contradicted(rig: LoadedRig, script: LoadedScript) -> Iterator[str]:
         if isinstance(rule, ArmRequirement):
             said = contradictions(rule, stated_fact(arm), touches, rig.verification)
             yield from (f"{rule.name}: {text}" for text in said)
-
-
-def _stream(progress: Progress) -> Events:
-    return progress if isinstance(progress, Events) else Events(progress)
 
 
 def _allowed(rig: LoadedRig, script: LoadedScript, names: Sequence[str]) -> list[Detector]:
@@ -411,7 +406,8 @@ class OpenRig:
                 if engine.is_warm:
                     engine.let_go()
                 by = "tripped by" if isinstance(trip, InterlockTrip) else "the watch failed:"
-                self.ends = self.ends or (f"{by} {trip}" if trip else "")
+                of_run = isinstance(trip, RECORD_FAULTS)  # it ended that one
+                self.ends = self.ends or ("" if of_run or not trip else f"{by} {trip}")
                 unsafe = not engine.bath_is_safe or ctx.devices.active
                 self.ends = self.ends or ("an instrument is not safe" if unsafe else "")
                 if opened and (guardian := opened[2]) and engine.bath_is_safe:

@@ -52,7 +52,12 @@ class Latch:
 
 def latch_path(rig: LoadedRig) -> Path | None:
     """Where the rig's latch is; None for an emulated rig."""
-    return None if rig.rig.simulated else rig.path.with_name(rig.path.stem + ENDING)
+    return None if rig.rig.simulated else latch_beside(rig.path)
+
+
+def latch_beside(rig: Path) -> Path:
+    """Where the latch of the rig file ``rig`` is."""
+    return rig.with_name(rig.stem + ENDING)
 
 
 def set_latch(path: Path, trip: Exception, run: str) -> None:

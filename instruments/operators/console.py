@@ -115,6 +115,7 @@ TURN_S = 0.05  # between two looks at keyboard and interlocks
 REMIND_S = 120.0
 LEAST_COLUMNS = 20  # a pseudo-terminal whose size nobody has set has 0
 GONE = "the terminal gives no more input"
+WHY = "Why? (a few words for the record; Enter alone: don't skip): "
 REQUESTS = (op.OperatorAbort, op.OperatorSkip, op.OperatorRepeat, op.OperatorEnough)
 
 Pedal = Callable[[float], bool]
@@ -168,9 +169,8 @@ class Console(PromptedOperator):
             while self._terminal and (line := self._keyboard.line()):
                 if line.strip().lower() in op.ABORT:
                     raise op.OperatorAbort("the operator aborted the run")
-            progress = f"[{prompt.progress}] " if prompt.progress else ""
             first = "" if prompt.press else "\n"
-            self._write(self._wrapped(f"{first}{progress}{prompt.text}\n"))
+            self._write(self._wrapped(f"{first}{prompt.head}{prompt.text}\n"))
             if self._mailbox:
                 self._mailbox.open(prompt)
             try:
@@ -195,10 +195,9 @@ class Console(PromptedOperator):
 
     def _words(self, prompt: op.Prompt, check: Callable[[], None]) -> str:
         """Words that ``prompt`` understands."""
+        keys, key = prompt.keys(pedal=self._watch is not None), ""
         while True:
-            words = self._line(
-                prompt.keys(pedal=self._watch is not None), check, pedal=prompt.pedal
-            )
+            words, key = key or self._line(keys, check, pedal=prompt.pedal), ""
             if words.strip() == op.EXPLAIN:
                 self._write(self._wrapped(f"{prompt.explained()}\n"))
                 continue
@@ -206,18 +205,19 @@ class Console(PromptedOperator):
                 op.understood(words, prompt)
             except op.NotUnderstoodError as error:
                 self._write(self._wrapped(f"{error}\n"))
-                continue
             except op.OperatorSkip as skip:
-                why = "Why? (a few words for the record; Enter alone: don't skip): "
                 if skip.reason:
                     return words
-                if reason := self._line(why, check).strip():
-                    given = self._mailbox.answer() if self._mailbox else None
-                    return given.words if given else f"skip {reason}"
-                continue
+                reason = self._line(WHY, check).strip()
+                if self._mailbox and (given := self._mailbox.answer()):
+                    return given.words
+                if reason and reason.lower() not in op.KEYS:
+                    return f"skip {reason}"
+                key = reason  # it does what it does at the question
             except REQUESTS:
                 return words
-            return words
+            else:
+                return words
 
     def _line(self, question: str, check: Callable[[], None], *, pedal: bool = False) -> str:
         """A line from terminal or browser, or an empty one for a pedal; reminds at intervals."""
@@ -234,7 +234,7 @@ class Console(PromptedOperator):
                 return "\n"
             if self._clock.now() >= remind_s:
                 remind_s += self._remind_s
-                waited = f"Still waiting for you, since {self._clock.now() - asked_s:.0f} s"
+                waited = f"Still waiting for you, {self._clock.now() - asked_s:.0f} s so far"
                 patience = self._wrapped(f"{waited}; nothing is lost by taking longer.")
                 self._write(f"\n{patience}\n{question}")
         if not self._terminal:  # no Enter has ended the question's row

@@ -209,6 +209,7 @@ SKIP = ("s", "skip")
 REPEAT = ("r", "repeat")
 ENOUGH = ("e", "enough")
 EXPLAIN = "?"
+KEYS = (*GO, *ABORT, *SKIP, *REPEAT, *ENOUGH, EXPLAIN)  # none is a reason for the record
 ABORT_KEY = "? = explain, a = abort the run"
 EXPLAINED: Mapping[Kind, str] = {
     "homing": (
@@ -250,7 +251,7 @@ class NotUnderstoodError(ValueError):
 @dataclass(frozen=True, slots=True)
 class Prompt:
     """``hidden_to``: hidden teat ends may be named, 1 to that; ``enough``: may be answered;
-    ``press``: one more touch of the prompt before, said in short.
+    ``press``: one more touch of the prompt before, said in short; ``left``: of the run, when asked.
     """
 
     kind: Kind
@@ -260,6 +261,13 @@ class Prompt:
     pedal: bool = False
     enough: bool = False
     press: bool = False
+    left: str = ""
+
+    @property
+    def head(self) -> str:
+        """``[trial 3 of 18; about 12 min left] ``; empty where there is nothing to say."""
+        said = "; ".join(filter(None, (self.progress, self.left)))
+        return f"[{said}] " if said else ""
 
     @property
     def in_trial(self) -> bool:
@@ -332,7 +340,7 @@ def understood(answer: str, prompt: Prompt) -> frozenset[int]:
     if prompt.enough and first in ENOUGH and not more:
         raise OperatorEnough("the operator has shown enough")
     if prompt.in_trial and first in SKIP:
-        raise OperatorSkip(reason)
+        raise OperatorSkip("" if reason.lower() in KEYS else reason)
     if prompt.kind == "coordinates":
         point_in(answer)
         return frozenset()

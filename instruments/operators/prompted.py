@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import get_args
+from typing import Any, get_args
 
 from instruments.errors import ProtocolError
 from instruments.operators import operator as op
@@ -127,7 +127,7 @@ class PromptedOperator(ABC):
         else:
             more = [request.details, f"Picture: {request.picture}" if request.picture else ""]
         text = "\n".join(filter(None, (scene, request.instruction, *more)))
-        return op.Prompt("set up", text, progress=self._progress(), hidden_to=request.teats)
+        return self._prompt("set up", text, hidden_to=request.teats)
 
     def _touch_prompt(self, request: op.Touch) -> op.Prompt:
         """By the teat's name, with how many touches of the trial are left."""
@@ -148,15 +148,16 @@ class PromptedOperator(ABC):
             text = f"Touch the end of {which} with the tip and hold it still."
             if request.numbers > 1:
                 text = f"{text.rstrip('.')}: {request.numbers} touches, lifted in between."
-        progress = self._progress(f"teat {teat} of {of}", f"{left_of} touches left")
-        return op.Prompt("touch", text, progress=progress, pedal=True)
+        further = f"teat {teat} of {of}", f"{left_of} touches left"
+        return self._prompt("touch", text, *further, pedal=True)
 
-    def _progress(self, *further: str) -> str:
-        if self._trial is None:
-            return ", ".join(further)
-        said = ", ".join([f"trial {self._trial.number} of {self._trial.of}", *further])
-        left_s = self._trial.left_s()
-        return said if left_s is None else f"{said}; {op.time_left(left_s)}"
+    def _prompt(self, kind: op.Kind, text: str, *further: str, **more: Any) -> op.Prompt:
+        """Amid the trial under way."""
+        if (trial := self._trial) is None:
+            return op.Prompt(kind, text, ", ".join(further), **more)
+        said, left_s = ", ".join([f"trial {trial.number} of {trial.of}", *further]), trial.left_s()
+        left = "" if left_s is None else op.time_left(left_s)
+        return op.Prompt(kind, text, said, left=left, **more)
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +222,7 @@ class ScriptedAnswers(PromptedOperator):
         if prompt.press and not self._names(prompt):
             return op.GO[0]
         answer = self._next(prompt)
-        self._show(f"{_words(prompt)} > {answer}")
+        self._show(f"{prompt.head}{prompt.text} > {answer}")
         try:
             op.understood(answer, prompt)
         except op.NotUnderstoodError as error:
@@ -229,7 +230,7 @@ class ScriptedAnswers(PromptedOperator):
                 f"{error.wrong} There are {prompt.hidden_to} teats here",
                 f"Correct {self._source}.",
             )
-            asked = f"{prompt.kind}: {_words(prompt)}"
+            asked = f"{prompt.kind}: {prompt.head}{prompt.text}"
             raise ProtocolError("operator", what, asked=asked, hint=hint) from error
         return answer
 
@@ -254,15 +255,9 @@ class ScriptedAnswers(PromptedOperator):
             return following.answer
         if prompt.kind in self._otherwise:
             return self._otherwise[prompt.kind]
-        what, asked = (
-            f"{self._source} has no answer to this prompt",
-            f"{prompt.kind}: {_words(prompt)}",
-        )
+        what = f"{self._source} has no answer to this prompt"
+        asked = f"{prompt.kind}: {prompt.head}{prompt.text}"
         seen = str(following) if following else "no further answer"
         add = f'Add an answer to = "{prompt.kind}" before it'
         hint = f'{add}, or one for all such prompts under "otherwise".'
         raise ProtocolError("operator", what, asked=asked, seen=seen, hint=hint)
-
-
-def _words(prompt: op.Prompt) -> str:
-    return f"[{prompt.progress}] {prompt.text}" if prompt.progress else prompt.text

@@ -19,7 +19,7 @@ from unittest.mock import patch
 from bench.record.schema import DATABASE
 from bench.rig.loading import load_rig
 from bench.run.events import Progress, RunState
-from bench.run.start import RunOptions, resume_run, run_script
+from bench.run.start import RunOptions, resume_run, run_queue
 from bench.script.model import load_script
 from instruments.clock import VirtualClock
 
@@ -81,7 +81,7 @@ def start(
     script = load_script(folder / "script.toml", rig.rig.limits.set_point_c)
     if isinstance(shown, Person):
         how = RunOptions(typed=shown.typed)
-    return run_script(rig, script, folder / out, shown, how)
+    return run_queue(rig, [script], folder / out, shown, how)[0]
 
 
 def only_run(folder: Path, out: str) -> Path:

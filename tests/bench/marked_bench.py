@@ -32,7 +32,7 @@ from bench.rig.guardian_client import GuardianClient
 from bench.rig.loading import load_rig
 from bench.run import start
 from bench.run.events import RunState
-from bench.run.start import resume_run, run_script
+from bench.run.start import resume_run, run_queue
 from bench.run.trial import TrialRun
 from bench.safety.bath_monitor import BathMonitor
 from bench.safety.signals import CTRL_CLOSE_EVENT, Handler, installed
@@ -200,7 +200,7 @@ def child(
             _, ending = resume_run(run, progress)
         else:
             loaded_script = load_script(script, loaded.rig.limits.set_point_c)
-            _, ending = run_script(loaded, loaded_script, out, progress)
+            ((_, ending),) = run_queue(loaded, [loaded_script], out, progress)
     print(f"ended: {ending.value}", flush=True)
     sys.exit(CODES[ending])
 

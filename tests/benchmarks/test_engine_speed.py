@@ -16,7 +16,7 @@ from bench.cli.main import main
 from bench.record.reader import TrialRecord
 from bench.rig.loading import load_rig
 from bench.run.events import RunState
-from bench.run.start import run_script
+from bench.run.start import run_queue
 from bench.run.trial import TrialRun
 from bench.script.model import load_script
 from bench.script.planned_trials import PlannedTrial
@@ -57,7 +57,7 @@ def test_overhead_of_a_trial_without_frames(
     files(tmp_path, script=script)
     began = empty_trials(monkeypatch)
     rig, loaded = load_rig(tmp_path / "rig.toml"), load_script(tmp_path / "script.toml")
-    benchmark.pedantic(lambda: run_script(rig, loaded, tmp_path / "runs", Silent()), rounds=1)
+    benchmark.pedantic(lambda: run_queue(rig, [loaded], tmp_path / "runs", Silent()), rounds=1)
     assert len(began) == TRIALS
     in_order = [1e3 * (b - a) for a, b in pairwise(began)]
     figure(

@@ -224,7 +224,7 @@ const under = () => run.status.state === "running";
 function stands() {
   const now = run.status, going = under();
   byId("doing").textContent = words(going ? now.step : now.word) + (now.paused ? ", a pause is asked for" : "");
-  byId("step").textContent = going ? (now.asked ? `waiting for an answer${run.prompt ? "" : " at its terminal"}: ${now.asked.kind}` : now.doing) : now.why;
+  byId("step").textContent = going ? now.waiting || now.doing : now.why;
   byId("tripped").textContent = going ? now.tripped : ""; // else it is why
   byId("unsafe").replaceChildren(...now.unsafe.map((line) => make("li", { className: "big bad" }, line)));
   const then = now.next.filter((line) => line && !now.unsafe.includes(line) && !(now.asked && line.startsWith("Answer what")));
@@ -254,7 +254,7 @@ function live() {
   const steady = bath.state === "stable";
   byId("temperature").className = said?.trouble ? "huge bad" : steady ? "huge good" : "huge warn";
   const why = bath.why_not_stable && !run.status.doing.includes("waiting for the bath") ? ` ${words(bath.why_not_stable)}${/[.?]$/.test(bath.why_not_stable) ? "" : "."}` : "";
-  byId("gate").textContent = said?.trouble ? said.text : run.status.step === "going to safe" ? run.status.step : `${bath.state}${bath.state === "heating" ? " to" : " at"} ${number(bath.set_point_c, "°C", 1)} ± ${number(bath.band_k, "K")}` + (steady ? "" : `; stable in about ${minutes(bath.stable_in_s)}.${why}`);
+  byId("gate").textContent = said?.trouble ? said.text : run.status.step === "going to safe" ? run.status.step : said?.safe === "at rest" ? "not heated" : `${bath.state}${bath.state === "heating" ? " to" : " at"} ${number(bath.set_point_c, "°C", 1)} ± ${number(bath.band_k, "K")}` + (steady ? "" : `; stable in about ${minutes(bath.stable_in_s)}.${why}`);
   if (plot && bath.t_s !== null && bath.t_s > (run.curve[0].at(-1) ?? -1)) {
     run.curve[0].push(bath.t_s); run.curve[1].push(bath.temp_c);
     if (run.curve[0].length > 1200) run.curve = run.curve.map((one) => one.filter((_, k) => k % 2 === 0));

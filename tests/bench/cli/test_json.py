@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 import shutil
@@ -11,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from bench.cli.commands import COMMANDS as COMMAND_LINE
 from bench.record.state import State
 from bench.results.queue import QueueEntry, QueueStatus
 from bench.results.status import InstrumentStatus, Link, RunStatus, Safe
@@ -63,9 +65,23 @@ COMMANDS = {
     "compare": "compare {run} {run} --json",
     "compare --together": "compare {run} --together --json",
     "trials": "trials --json",
+    "rigs": "rigs --json",
+    "detectors": "detectors --json",
     "trials show": "trials show six-situations --json",
     "plan": "plan --trials 93 --json",
 }
+
+
+def test_each_command_that_prints_json_is_on_the_page_and_says_the_version() -> None:
+    there = {name for first in table("command") for name in re.findall(r"`([^`]+)`", first)}
+    for name, (_, _, *arguments) in COMMAND_LINE.items():
+        parser = argparse.ArgumentParser()
+        for add in arguments:
+            add(parser)
+        if "--json" in parser.format_help():
+            assert any(one.partition(" --")[0] == name for one in there), name
+    sources = {path.stem: path.read_text("utf-8") for path in (ROOT / "bench" / "cli").glob("*.py")}
+    assert [name for name, text in sources.items() if "json.dumps" in text] == ["arguments"]
 
 
 @pytest.mark.slow

@@ -181,6 +181,8 @@ def test_one_operator_at_a_time_and_whoever_has_the_token_may_abort(console: Con
     assert post("/api/lease", "one", name="the desk")[1]["mine"]
     status, said = post(answers, "two", words="go")
     assert (status, said["error"]) == (403, "the desk answers prompts; take over first")
+    status, said = post(answers, "", words="go")
+    assert (status, said["error"]) == (422, "a page says its own number in the header X-Client")
     assert post(answers, "two", words="abort")[0] == 200
     status, said = post(answers, "one", words="go", name="the desk")
     assert (status, said["by"]) == (409, "a browser")

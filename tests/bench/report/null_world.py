@@ -40,7 +40,7 @@ from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig, load_rig
 from bench.rig.model import ROUNDING_MM, EmulatedStage
 from bench.rig.model import Stage as StageTable
-from bench.run.start import run_script
+from bench.run.start import run_queue
 from bench.script.model import load_script
 from bench.truth.touching import TipReader, Toucher
 from detector.protocol import Detection, Teat
@@ -363,7 +363,7 @@ def done(world: World, off: Off, seed: int, *, arm_rule: str = ARM_RULE) -> Done
         frame = _write(folder, world, errors, arm_rule)
         rig, script = load_rig(folder / "rig.toml"), load_script(folder / "script.toml")
         with _world(errors, off, frame):
-            run, state = run_script(rig, script, folder / "runs", Silent())
+            ((run, state),) = run_queue(rig, [script], folder / "runs", Silent())
             assert state == "finished", state
             path = write_run_report(run).page
         first = sorted(path.parent.glob("trials/*.html"))[:1]

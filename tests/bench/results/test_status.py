@@ -24,6 +24,7 @@ from bench.results.status import (
     LIVE,
     InstrumentStatus,
     Link,
+    OpenPrompt,
     RunStatus,
     Safe,
     read_status,
@@ -101,6 +102,7 @@ def said_by(folder: Path, status: RunStatus) -> None:
     place.write_text(json.dumps({"status": status.as_dict()}), encoding="utf-8")
 
 
+HERE = " at its terminal for 1 min"
 BATH = InstrumentStatus("bath", Link.ANSWERS, Safe.IN_USE, last="33.00 degC, stable", age_s=1.0)
 LIVES = RunStatus("a-run", "Short", State.RUNNING, "running", instruments=(BATH,), left_s=60.0)
 
@@ -122,15 +124,28 @@ def test_trials_that_were_skipped_are_counted() -> None:
 def test_a_bench_that_hangs_has_its_last_words_with_their_age(tmp_path: Path) -> None:
     run = stopped(State.RUNNING, tmp_path)
     then = wall_time() - timedelta(seconds=40)
-    said_by(run, replace(LIVES, wall_time=then.isoformat()))
+    asked = OpenPrompt("touch", waited_s=30.0)
+    said_by(run, replace(LIVES, wall_time=then.isoformat(), asked=asked))
     with locked(run_lock(run), "a run", print, "run"):
         status = read_status(run)
     assert status.state is State.RUNNING
+    assert status.waiting == ""
+    assert status.asked is not None
+    assert status.asked.waited_s >= 70.0
     assert status.left_s is None
     assert status.doing.startswith("the bench has said nothing for 4")
     (bath,) = status.instruments
     assert bath.age_s is not None
     assert bath.age_s >= 40.0
+
+
+def test_an_open_prompt_says_for_how_long() -> None:
+    for number, waited_s, more in ((3, 59.0, ""), (3, 200.0, " for 3 min"), (None, 60.0, HERE)):
+        asked = OpenPrompt("touch", number=number, waited_s=waited_s)
+        status = replace(LIVES, asked=asked, doing="taking the truth")
+        words = f"waiting for an answer{more}: touch"
+        assert status.waiting == status.as_dict()["waiting"] == words
+        assert status.line == f"{words}; bath 33.00 degC, stable; about 1 min left"
 
 
 GUARDED = {"wall_noticed": "2026-11-26T22:01:30+00:00", "why": "", "cause": "died", "tries": 9}

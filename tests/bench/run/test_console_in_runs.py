@@ -114,7 +114,7 @@ def test_a_trip_ends_a_prompt_without_enter_and_reminders_come_before(tmp_path: 
     with started(tmp_path, operator_more="remind_s = 0.5", emulation=fault) as terminal:
         terminal.expect(ABORT_KEY)
         for _ in range(2):
-            terminal.expect("Still waiting for you, since")
+            terminal.expect("Still waiting for you, ")
             terminal.expect(ABORT_KEY)
         terminal.expect("No answer is needed any more: interlock controller alarm")
         assert terminal.code() == 3

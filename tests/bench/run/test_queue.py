@@ -4,11 +4,13 @@ end, whatever ends it.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import platform
 import re
 import signal
+import sqlite3
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -18,9 +20,12 @@ import pytest
 
 from bench.cli.main import main
 from bench.record.reader import RunRecord, read_run
+from bench.record.schema import Row
+from bench.record.writer import Store
 from bench.results.queue import DIED, ENDED, QueueStatus, queues, read_queue
 from bench.results.status import Safe, status_of
 from bench.rig.emulated_rig import EmulatedRig
+from bench.run import estimate
 from bench.run.engine import STAYS_WARM, Engine
 from bench.safety.bath_monitor import WATCHING
 from instruments.clock import stopwatch_s
@@ -28,6 +33,7 @@ from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.operated_runs import ONE
 
 pytestmark = pytest.mark.slow
+NO_ROOM = "NOT ENOUGH ROOM"
 
 
 @pytest.fixture
@@ -46,7 +52,7 @@ def run(scripts: list[str], *more: str) -> tuple[int, QueueStatus, list[RunRecor
     here = Path(scripts[0]).parent
     out = here / "runs"
     code = main(["run", *scripts, "--rig", str(here / "rig.toml"), "--out", str(out), *more])
-    (queue,) = queues(out)
+    queue = next(queues(out))
     return code, queue, [read_run(out / one.run) for one in queue.scripts if one.run]
 
 
@@ -126,6 +132,37 @@ def test_a_mistake_in_one_script_ends_only_that_one(
     assert "bath is safe" in kinds(second, "safe")
     assert bath_safe(second) is bath_safe(third) is Safe.READ_BACK
     assert not third.facts["asked"]["warm"]  # it opened the rig anew
+
+
+def test_a_disk_that_is_full_amid_one_script_ends_it_alone_and_without_room_none_follows(
+    scripts: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The watch of the second script finds it full; there is room again, and then none."""
+    bath = Store.bath
+
+    def full(self: Store, reading: Row) -> None:
+        if self.folder.name.endswith("-b"):
+            raise sqlite3.OperationalError("database or disk is full")
+        bath(self, reading)
+
+    def no_space(*_: object) -> Path:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Store, "bath", full)
+    for third, begin in (("", 3), (NO_ROOM, 2)):
+        of = iter(["", "", third])  # of all, of the second, of the third
+        monkeypatch.setattr(estimate, "no_room", lambda *_, of=of: next(of))
+        code, queue, runs = run(scripts)
+        endings = [one.ending for one in runs]
+        assert (code, endings) == (3, ["finished", "faulted", "finished"][:begin])
+        assert kinds(runs[1], "fault") == ["the record could not be written: the disk is full"]
+        assert bath_safe(runs[-1]) is Safe.READ_BACK
+        monkeypatch.setattr("bench.report.page.write_report", no_space)
+    assert queue.ended == NO_ROOM
+    said = capsys.readouterr().out
+    assert f"c and what follows are not begun. {NO_ROOM}" in said
+    then = f"No space left on device. Make room, then: teatbench report {runs[0].folder}"
+    assert f"{runs[0].folder / 'report'}: {then}" in said
 
 
 def test_an_abort_ends_all(scripts: list[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,7 @@ from bench.record.writer import Store
 from bench.rig.loading import RIGS, LoadedRig, load_rig
 from bench.run.context import RunContext
 from bench.run.events import RunState
-from bench.run.start import run_script
+from bench.run.start import run_queue
 from bench.run.trial import Attempts
 from bench.script.model import LoadedScript, find_script, load_script
 from bench.script.planned_trials import PlannedTrial
@@ -157,7 +157,7 @@ def rig(folder: Path, axes: str) -> LoadedRig:
 
 
 def run(rig: LoadedRig, loaded: LoadedScript, out: Path) -> RunRecord:
-    folder, ending = run_script(rig, loaded, out, Silent())
+    ((folder, ending),) = run_queue(rig, [loaded], out, Silent())
     assert ending is RunState.FINISHED
     return read_run(folder)
 

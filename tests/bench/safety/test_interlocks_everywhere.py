@@ -8,6 +8,7 @@ on its way.
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 import time
 from collections.abc import Callable
@@ -21,6 +22,7 @@ import pytest
 
 from bench.cli.main import main
 from bench.record.reader import RunRecord, read_run
+from bench.results.status import read_status
 from tests.bench.commands import teatbench
 from tests.bench.real_rig import RealRig, real_rig
 
@@ -122,6 +124,7 @@ def test_a_trip_in_any_step_acts_at_once_and_is_latched(
     def acknowledged(rig: RealRig) -> None:
         """Once the bath has cooled, and no earlier; nobody pressed Enter."""
         acknowledge = ["bath", "acknowledge", str(rig.rig_path)]
+        assert shlex.join(["teatbench", *acknowledge]) in read_status(rig.run_folder()).next[-1]
         assert main(acknowledge) == 3
         assert "has to cool below 36 degC" in capsys.readouterr().err
         with rig.twin.world.lock:
@@ -132,6 +135,7 @@ def test_a_trip_in_any_step_acts_at_once_and_is_latched(
         within(240.0, lambda: main(acknowledge) == 0, "acknowledged")
         assert not rig.rig_path.with_name("lab.tripped.json").exists()
         assert main(acknowledge) == 0
+        assert "acknowledge" not in read_status(rig.run_folder()).next[-1]
         assert "nothing is latched" in capsys.readouterr().out
 
     with ThreadPoolExecutor(3) as pool:

@@ -182,6 +182,15 @@ def test_a_skip_without_a_reason_is_asked_for_one_and_without_it_there_is_none()
     assert out.getvalue().count("Why?") == out.getvalue().count("Enter to go on") == 2
 
 
+@pytest.mark.parametrize("key", ["r", "Q"])
+def test_a_key_is_no_reason_and_does_what_it_does_at_the_question(key: str) -> None:
+    for answers in (f"s\n{key}\n", f"s {key}\n{key}\n", f"s\n?\n{key}\n", f"s\ns\n{key}\n"):
+        with pytest.raises(op.OperatorRepeat if key == "r" else op.OperatorAbort):
+            asked(answers)[0].ask(op.Touch(1, 4))
+    with pytest.raises(ValueError, match="needs a reason"):
+        op.check_words(f"skip {key}", op.Prompt("touch", "x"))  # a browser's
+
+
 def test_a_trip_is_reported_and_ends_the_prompt() -> None:
     who, out = asked("\n")
 
