@@ -9,11 +9,7 @@ if TYPE_CHECKING:
     from detector.calibration import Calibration
     from detector.protocol import Context, Detection, Detector, Frames, Stage, Teat
 
-_PROMISED = {
-    "detector.calibration": ("Calibration",),
-    "detector.protocol": ("Context", "Detection", "Detector", "Frames", "Stage", "Teat"),
-}
 __all__ = [
     "Calibration", "Context", "Detection", "Detector", "Frames", "Stage", "Teat",
 ]  # fmt: skip
-__getattr__ = lazily(__name__, _PROMISED)
+__getattr__ = lazily(__name__, __file__)

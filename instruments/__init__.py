@@ -7,6 +7,7 @@ from textfiles.lazy import lazily
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from instruments.camera.frame import FrameError, FrameFault, Ranging, RawFrame
+    from instruments.captures.capture import CaptureError, CaptureFile
     from instruments.clock import Clock, RealClock, VirtualClock
     from instruments.drivers.plugin import (
         ArmDriver,
@@ -29,22 +30,10 @@ if TYPE_CHECKING:
     )
     from instruments.link import Link
 
-_PROMISED = {
-    "instruments.camera.frame": ("FrameError", "FrameFault", "Ranging", "RawFrame"),
-    "instruments.clock": ("Clock", "RealClock", "VirtualClock"),
-    "instruments.drivers.plugin": (
-        *("ArmDriver", "ArmPoint", "BathDriver", "BathState", "Camera", "CameraGroup"),
-        *("MakersCalibration", "MakersLens", "StageDriver", "StageState"),
-    ),
-    "instruments.errors": (
-        *("DeviceError", "InstrumentError", "LimitError", "LinkError", "ProtocolError"),
-    ),
-    "instruments.link": ("Link",),
-}
 __all__ = [
-    "ArmDriver", "ArmPoint", "BathDriver", "BathState", "Camera", "CameraGroup", "Clock",
-    "DeviceError", "FrameError", "FrameFault", "InstrumentError", "LimitError", "Link", "LinkError",
-    "MakersCalibration", "MakersLens", "ProtocolError", "Ranging", "RawFrame", "RealClock",
-    "StageDriver", "StageState", "VirtualClock",
+    "ArmDriver", "ArmPoint", "BathDriver", "BathState", "Camera", "CameraGroup", "CaptureError",
+    "CaptureFile", "Clock", "DeviceError", "FrameError", "FrameFault", "InstrumentError",
+    "LimitError", "Link", "LinkError", "MakersCalibration", "MakersLens", "ProtocolError",
+    "Ranging", "RawFrame", "RealClock", "StageDriver", "StageState", "VirtualClock",
 ]  # fmt: skip
-__getattr__ = lazily(__name__, _PROMISED)
+__getattr__ = lazily(__name__, __file__)

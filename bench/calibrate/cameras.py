@@ -244,7 +244,7 @@ def check_pair(part: Part, views: BoardViews) -> tuple[MeasuredBoard, tuple[Find
     pairs = views.pairs()
     if not pairs:
         raise ConfigError.plain(
-            "the board was found in no view of both cameras: is --board the one in the pictures,"
+            "the board was found in no view of both cameras: is the board the one in the pictures,"
             " and all of it in view of both?"
         )
     again = remeasure(pair, views.board, pairs)

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import bench
-from bench.api.calibration import LEAST_LOOKED_AT, STEREO
 from bench.cli.arguments import CODES, code_of, command_line, complain, refuse_existing
 from bench.cli.commands import CAMERAS
 from bench.cli.terminal import working
@@ -31,7 +30,6 @@ from detector.calibration import (
     Record,
 )
 from detector.calibration.gate import pair_faults
-from instruments.world.boards import NoPlaceError
 
 if TYPE_CHECKING:
     from detector.calibration.diagnosis import Finding
@@ -151,6 +149,8 @@ def merge(given: argparse.Namespace) -> None:
 
 
 def check(given: argparse.Namespace) -> int:
+    from bench.report.calibration import LEAST_LOOKED_AT
+
     part = bench.read_part(given.calibration).part
     # whose pictures are kept beside the calibration that they check
     given.by, given.out = "", given.calibration
@@ -246,13 +246,14 @@ def _one_source(given: argparse.Namespace, files: object, what: str) -> None:
 def _views_of(
     given: argparse.Namespace,
     known: Part | None = None,
-    request: bench.ViewsRequest = STEREO,
+    request: bench.ViewsRequest | None = None,
     others: str = "",
 ) -> tuple[bench.BoardViews, tuple[Path, ...], dict[str, str]]:
     """The board as the cameras of ``request`` see it, in the pictures named or taken live; the
     files that this came from; and of a rig the cameras' identities. Raises ConfigError,
     InstrumentError, OperatorAbort.
     """
+    request = request or bench.ViewsRequest()
     _one_source(given, given.frames, FOLDERS + others)
     board, files = bench.find_board(given.board)
     identity: dict[str, str] = {}
@@ -260,7 +261,7 @@ def _views_of(
         wanted = given.rig, board, given.out, request
         try:
             folder, identity = bench.take_views(*wanted, known=known, **_live(given))
-        except NoPlaceError as error:  # of the emulated operator
+        except bench.NoPlaceError as error:  # of the emulated operator
             raise ConfigError.plain(f"--board {given.board}: {error}") from error
         given.frames = [folder]
     found = bench.find_pictures(given.frames, request.cameras)

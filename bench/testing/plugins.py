@@ -4,17 +4,22 @@ package has one, else on the device itself.
 
 from __future__ import annotations
 
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import closing, suppress
+from functools import partial
 from typing import Any
 
-from bench.testing.conformance import NotCheckedError, Subject, Wired
-from instruments.clock import Clock
+from bench.config import ConfigError
+from bench.rig.opening import emulated_world
+from bench.testing.conformance import Finding, NotCheckedError, Subject, Wired, conform
+from instruments.clock import Clock, RealClock
+from instruments.drivers import entry_points as plugs
 from instruments.drivers.arm import PluggedArm
 from instruments.drivers.bath import PluggedBath
 from instruments.drivers.camera import PluggedCamera, PluggedGroup
-from instruments.drivers.entry_points import EMULATORS, Kind, Plugin, PluginUrl, available, load
+from instruments.drivers.entry_points import Kind, Plugin, available, load
 from instruments.drivers.stage import PluggedStage
-from instruments.errors import InstrumentError
+from instruments.errors import InstrumentError, LimitError
 
 LATE_S = 1.0
 SET_POINT_C = 30.0
@@ -27,17 +32,14 @@ class OfPlugin(Subject):
         self.kind, self.plugged, self.clock, self.works = kind, plugged, clock, works
 
     def open(self) -> None:
-        if self.kind == "bath":
-            self.driver = PluggedBath(self.plugged, self.clock)
+        of, clock = self.plugged, self.clock
+        if self.kind == "camera":
+            group = hasattr(of.maker, "capture")
+            self.driver = PluggedGroup(of, clock) if group else PluggedCamera(of, "left", clock)
         elif self.kind == "stage":
-            axes = getattr(self.plugged.maker, "axes", "XY")
-            self.driver = PluggedStage(self.plugged, self.clock, axes)
-        elif self.kind == "arm":
-            self.driver = PluggedArm(self.plugged, self.clock)
-        elif hasattr(self.plugged.maker, "capture"):
-            self.driver = PluggedGroup(self.plugged, self.clock)
+            self.driver = PluggedStage(of, clock, getattr(of.maker, "axes", "XY"))
         else:
-            self.driver = PluggedCamera(self.plugged, "left", self.clock)
+            self.driver = {"arm": PluggedArm, "bath": PluggedBath}[self.kind](of, clock)
 
     def identify(self) -> str:
         ask = {"stage": "connect", "arm": "sign_on"}.get(self.kind)
@@ -67,7 +69,7 @@ class OfPlugin(Subject):
             return
         if not self.works:
             does = "heat" if self.kind == "bath" else "move"
-            raise NotCheckedError(f"it may not {does} here (--works)")
+            raise NotCheckedError(f"it may not {does} here (`works`)")
         if self.kind == "bath":
             self.driver.start(SET_POINT_C)
             return
@@ -117,10 +119,61 @@ class OnEmulator(OfPlugin, Wired):
         return bool(asked()) if asked else super().is_safe()
 
 
-def subject_of(kind: Kind, url: PluginUrl, clock: Clock, world: Any, *, works: bool) -> Subject:
-    """On its emulator where there is one and no key names a device. Raises LimitError."""
-    plugged = load(kind, url)
-    if url.keys or url.name not in available(EMULATORS[kind]):
-        return OfPlugin(kind, plugged, clock, works=works)
-    emulator = load(kind, url, emulator=True).make(world, clock)
-    return OnEmulator(kind, plugged, clock, emulator)
+def subject_of(
+    driver: str | Callable[..., Any],
+    kind: Kind | None,
+    clock: Clock,
+    world: Any,
+    *,
+    emulator: Callable[..., Any] | None = None,
+    works: bool = False,
+) -> Subject:
+    """As `check_driver` takes it. Raises LimitError, ValueError."""
+    if isinstance(driver, str):
+        url, there = plugs.plugin_url("plugin:" + driver.removeprefix("plugin:")), drivers()
+        kinds = [one for one in plugs.KINDS if url and f"{one} {url.name}" in there]
+        kinds = [one for one in kinds if kind in (None, one)]
+        if url is None or len(kinds) != 1:
+            many = f"several: name one by `kind` ({', '.join(kinds)})"
+            none = "none is installed. 'teatbench plugin' lists them"
+            raise ValueError(f"the driver {driver!r}: {many if kinds else none}")
+        kind, plugged = kinds[0], load(kinds[0], url)
+        if not url.keys and url.name in available(plugs.EMULATORS[kind]):
+            emulator = load(kind, url, emulator=True).make
+    elif kind is None:
+        raise ValueError(f"`kind` is needed of a class: {', '.join(plugs.KINDS)}")
+    else:
+        plugged = Plugin(getattr(driver, "__name__", "driver"), "this program", driver)
+    if emulator:
+        return OnEmulator(kind, plugged, clock, emulator(world, clock))
+    return OfPlugin(kind, plugged, clock, works=works)
+
+
+def drivers() -> dict[str, str]:
+    """Each driver of other packages, as ``bath tank``, with where it comes from; none is loaded."""
+    return {
+        f"{kind} {name}": source + ", with an emulator" * (name in available(plugs.EMULATORS[kind]))
+        for kind in plugs.KINDS
+        for name, source in available(plugs.GROUPS[kind]).items()
+    }
+
+
+def check_driver(
+    driver: str | Callable[..., Any],
+    kind: Kind | None = None,
+    *,
+    emulator: Callable[..., Any] | None = None,
+    works: bool = False,
+) -> Iterator[Finding]:
+    """Each check on a driver: ``NAME`` or ``plugin:NAME?key=value`` of another package, on its
+    emulator where that has one and no key names a device; or a class of yours, of this ``kind``,
+    with its ``emulator``. ``works``: a device may heat and move. Raises ConfigError.
+    """
+    try:
+        with closing(RealClock()) as clock, emulated_world(clock) as world:
+            how = partial(subject_of, emulator=emulator, works=works)
+            made = partial(how, driver, kind, clock, world)
+            made().end()  # what can't be made is wrong use, and no finding
+            yield from conform(made)
+    except (LimitError, ValueError) as error:
+        raise ConfigError.plain(str(error)) from error

@@ -56,7 +56,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[World, Vir
 @pytest.mark.parametrize("name", KINDS)
 def test_the_pages_drivers_conform(name: str, world: tuple[World, VirtualClock]) -> None:
     there, clock = world
-    found = conform(lambda: subject_of(KINDS[name], PluginUrl(name), clock, there, works=False))
+    found = conform(lambda: subject_of(name, KINDS[name], clock, there))
     assert [one for one in found if one.outcome != "passed"] == []
 
 
@@ -88,8 +88,8 @@ def test_a_broken_promise_is_found(mode: str, world: tuple[World, VirtualClock])
 
 def test_a_device_that_nothing_can_be_done_to_is_not_checked() -> None:
     with closing(RealClock()) as clock:
-        url = PluginUrl("tank", {"url": "socket://127.0.0.1:9"})
-        found = list(conform(lambda: subject_of("bath", url, clock, None, works=False)))
+        url = "plugin:tank?url=socket://127.0.0.1:9"
+        found = list(conform(lambda: subject_of(url, "bath", clock, None)))
     assert {one.outcome for one in found} == {"failed"}  # nobody is there
     assert all("can't be opened" in one.why or "127.0.0.1:9" in one.why for one in found)
 
