@@ -36,7 +36,7 @@ def guarded(thing: Any, package: str) -> Any:
 
     @wraps(thing)
     def call(*args: Any, **more: Any) -> Any:
-        given = shape.bind(*args, **more)
+        given = shape.bind_partial(*args, **more)
         for name, value in given.arguments.items():
             if isinstance(value, Iterator):  # is looked at, and used then
                 given.arguments[name] = value = tuple(value)

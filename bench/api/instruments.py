@@ -4,6 +4,7 @@ rig's are opened by `open_rig`, which also watches what heats.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from bench.rig.leaving import to_stderr
 from bench.rig.model import Arm as ArmTable
 from bench.rig.model import Baud
 from bench.safety import latch
-from bench.safety.approach import Approach
+from bench.safety.approach import RATE_S, seconds_to_stable
 from bench.safety.liveness import Liveness
 from bench.safety.stability import StabilityGate, State
 from instruments.bath.driver import Bath as OwnBath
@@ -82,14 +83,12 @@ def watch_arm(arm: Arm, every_s: float = 0.2) -> Generator[ArmView, None, None]:
         samples: list[Sample] = []
         for sample in stream:
             samples.append(sample)
-            span_s = sample.t_s - samples[0].t_s
-            if span_s >= every_s:
-                down = {
-                    one.name.lower(): bool(sample.buttons & one.value) for one in reversed(Pedal)
-                }
-                tip_mm, rate = arm.position(samples).tip_mm, (len(samples) - 1) / span_s
-                yield ArmView(sample.t_s, tip_mm, down, rate, arm.damaged)
-                samples = []
+            if (span_s := sample.t_s - samples[0].t_s) < every_s:
+                continue
+            down = {one.name.lower(): bool(sample.buttons & one.value) for one in reversed(Pedal)}
+            tip_mm, rate = arm.position(samples).tip_mm, (len(samples) - 1) / span_s
+            yield ArmView(sample.t_s, tip_mm, down, rate, arm.damaged)
+            samples = []
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +114,7 @@ def watch_bath(
     """
     check_within(ABOVE_0, every_s=every_s, window_s=window_s)
     moving, gate = Liveness(bath.profile), StabilityGate(bath.get("set_point"), window_s=window_s)
-    approach, works, started = Approach(gate), bath.profile.row("run").values["started"], True
+    works, started, seen = bath.profile.row("run").values["started"], True, deque[BathReading]()
     with nullcontext(clock) if clock else closing(RealClock()) as time:
         while True:
             reading, fault = None, ""
@@ -123,10 +122,14 @@ def watch_bath(
                 reading, set_point_c = bath.read(), bath.get("set_point")
                 started = bath.get("run") == works
                 gate.change_set_point(set_point_c)
-                approach.add(reading, moving(reading))
+                raw, alarm, teat_c = moving(reading), bool(reading.alarm), reading.external_c
+                gate.add(reading.t_s, reading.temp_c, raw=raw, alarm=alarm, teat_c=teat_c)
+                seen.append(reading)
+                while reading.t_s - seen[0].t_s > RATE_S:
+                    seen.popleft()
             except InstrumentError as error:  # it may come back
                 reading, fault = None, str(error)
-            left_s, why = approach.seconds_to_stable(), tuple(gate.reasons)
+            left_s, why = seconds_to_stable(gate, seen), tuple(gate.reasons)
             yield BathView(reading, gate.set_point_c, started, gate.state, left_s, why, fault)
             time.sleep(every_s)
 

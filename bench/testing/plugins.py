@@ -5,9 +5,8 @@ package has one, else on the device itself.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import closing, suppress
-from functools import partial
-from typing import Any
+from contextlib import ExitStack, closing, suppress
+from typing import Any, cast
 
 from bench.config import ConfigError
 from bench.rig.opening import emulated_world
@@ -17,7 +16,7 @@ from instruments.drivers import entry_points as plugs
 from instruments.drivers.arm import PluggedArm
 from instruments.drivers.bath import PluggedBath
 from instruments.drivers.camera import PluggedCamera, PluggedGroup
-from instruments.drivers.entry_points import Kind, Plugin, available, load
+from instruments.drivers.entry_points import Kind, Plugin, PluginUrl, available, load
 from instruments.drivers.stage import PluggedStage
 from instruments.errors import InstrumentError, LimitError
 
@@ -119,36 +118,6 @@ class OnEmulator(OfPlugin, Wired):
         return bool(asked()) if asked else super().is_safe()
 
 
-def subject_of(
-    driver: str | Callable[..., Any],
-    kind: Kind | None,
-    clock: Clock,
-    world: Any,
-    *,
-    emulator: Callable[..., Any] | None = None,
-    works: bool = False,
-) -> Subject:
-    """As `check_driver` takes it. Raises LimitError, ValueError."""
-    if isinstance(driver, str):
-        url, there = plugs.plugin_url("plugin:" + driver.removeprefix("plugin:")), drivers()
-        kinds = [one for one in plugs.KINDS if url and f"{one} {url.name}" in there]
-        kinds = [one for one in kinds if kind in (None, one)]
-        if url is None or len(kinds) != 1:
-            many = f"several: name one by `kind` ({', '.join(kinds)})"
-            none = "none is installed. 'teatbench plugin' lists them"
-            raise ValueError(f"the driver {driver!r}: {many if kinds else none}")
-        kind, plugged = kinds[0], load(kinds[0], url)
-        if not url.keys and url.name in available(plugs.EMULATORS[kind]):
-            emulator = load(kind, url, emulator=True).make
-    elif kind is None:
-        raise ValueError(f"`kind` is needed of a class: {', '.join(plugs.KINDS)}")
-    else:
-        plugged = Plugin(getattr(driver, "__name__", "driver"), "this program", driver)
-    if emulator:
-        return OnEmulator(kind, plugged, clock, emulator(world, clock))
-    return OfPlugin(kind, plugged, clock, works=works)
-
-
 def drivers() -> dict[str, str]:
     """Each driver of other packages, as ``bath tank``, with where it comes from; none is loaded."""
     return {
@@ -158,22 +127,48 @@ def drivers() -> dict[str, str]:
     }
 
 
+def _installed(driver: str, kind: Kind | None) -> tuple[Kind, Plugin, Callable[..., Any] | None]:
+    """Its kind, itself, and its emulator where no key names a device. Raises LimitError,
+    ValueError.
+    """
+    url = cast(PluginUrl, plugs.plugin_url("plugin:" + driver.removeprefix("plugin:")))
+    kinds = [one for one in plugs.KINDS if url.name in available(plugs.GROUPS[one])]
+    if len(kinds := [one for one in kinds if kind in (None, one)]) != 1:
+        many = f"several: name one by `kind` ({', '.join(kinds)})"
+        none = "none is installed. 'teatbench plugin' lists them"
+        raise ValueError(f"the driver {driver!r}: {many if kinds else none}")
+    emulated = not url.keys and url.name in available(plugs.EMULATORS[kinds[0]])
+    emulator = load(kinds[0], url, emulator=True).make if emulated else None
+    return kinds[0], load(kinds[0], url), emulator
+
+
 def check_driver(
     driver: str | Callable[..., Any],
     kind: Kind | None = None,
     *,
     emulator: Callable[..., Any] | None = None,
     works: bool = False,
+    clock: Clock | None = None,
 ) -> Iterator[Finding]:
     """Each check on a driver: ``NAME`` or ``plugin:NAME?key=value`` of another package, on its
     emulator where that has one and no key names a device; or a class of yours, of this ``kind``,
-    with its ``emulator``. ``works``: a device may heat and move. Raises ConfigError.
+    with its ``emulator``. ``works``: a device may heat and move; ``clock``: a virtual one is for
+    emulators, real time for None. Raises ConfigError.
     """
-    try:
-        with closing(RealClock()) as clock, emulated_world(clock) as world:
-            how = partial(subject_of, emulator=emulator, works=works)
-            made = partial(how, driver, kind, clock, world)
-            made().end()  # what can't be made is wrong use, and no finding
+    with ExitStack() as stack:
+        time = clock or stack.enter_context(closing(RealClock()))
+        try:
+            if isinstance(driver, str):
+                of, plugged, emulator = _installed(driver, kind)
+            elif kind:
+                of, plugged = kind, Plugin(driver.__name__, "this program", driver)
+            else:
+                raise ValueError(f"`kind` is needed of a class: {', '.join(plugs.KINDS)}")
+        except (LimitError, ValueError) as error:
+            raise ConfigError.plain(str(error)) from error
+        if emulator:
+            world = stack.enter_context(emulated_world(time))
+            made = lambda: OnEmulator(of, plugged, time, emulator(world, time))  # noqa: E731
             yield from conform(made)
-    except (LimitError, ValueError) as error:
-        raise ConfigError.plain(str(error)) from error
+        else:
+            yield from conform(lambda: OfPlugin(of, plugged, time, works=works))
