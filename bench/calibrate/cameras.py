@@ -54,7 +54,11 @@ from detector.calibration.diagnosis import (
     remeasure,
     swapped,
 )
-from detector.calibration.homographies import MappedPairs, fit_homography
+from detector.calibration.homographies import (
+    DEFAULT_PLANE_DEPTH_MM,
+    MappedPairs,
+    fit_homography,
+)
 from detector.calibration.values import Pair, covariance_of_points
 from detector.geometry import Array, Camera, Motion
 
@@ -300,7 +304,10 @@ class ThermalResult:
 
 @_fitting("the thermal camera")
 def calibrate_thermal(
-    views: BoardViews, cameras: Part, delivered: ThermalFormat, plane_depth_mm: float
+    views: BoardViews,
+    cameras: Part,
+    delivered: ThermalFormat,
+    plane_depth_mm: float = DEFAULT_PLANE_DEPTH_MM,
 ) -> ThermalResult:
     """The third camera against a pair, by un-mirrored pictures. Raises ConfigError."""
     pair = pair_of_part(cameras)

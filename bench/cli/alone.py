@@ -11,7 +11,7 @@ import sys
 import webbrowser
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING
+from typing import Any
 
 import bench
 from bench.cli.arguments import CODES, complain, json_of, print_values
@@ -19,11 +19,7 @@ from bench.cli.commands import CAMERAS
 from bench.cli.verdict import on_a_desktop
 from bench.config import ConfigError
 from bench.rig.live_page import live_page
-from instruments import Clock, FrameError, LimitError
-
-if TYPE_CHECKING:
-    from instruments.camera.frame import Grey
-    from instruments.drivers.protocols import Stage
+from instruments import Clock, FrameError, LimitError, Stage
 
 AXES = {"X": "x_mm", "Y": "y_mm", "Z": "z_mm", "A": "a_deg"}
 _STEP = re.compile(r"([XYZA])([-+]?(?:\d+\.?\d*|\.\d+))", re.IGNORECASE)
@@ -136,7 +132,7 @@ def show(given: argparse.Namespace) -> int:
 
 def _next_look(
     alone: bench.OpenCameras, clock: Clock, end_s: float, every_s: float
-) -> Mapping[str, Grey]:
+) -> Mapping[str, Any]:
     """Pictures of all cameras, as soon as all come whole: no frame ends the wait. Raises FrameError
     after ``end_s``.
     """

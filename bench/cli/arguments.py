@@ -133,7 +133,7 @@ def call(given: argparse.Namespace) -> int:
         )
     if getattr(given, "capture", None) is None:
         return work(given) or CODES.met
-    from instruments.captures.capture import CaptureFile
+    from instruments import CaptureFile
 
     facts = {
         "teatbench": __version__,

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing
 from dataclasses import asdict
 from itertools import takewhile
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +24,8 @@ from rich.text import Text
 import bench
 from bench.cli.arguments import CODES, complain, json_of, print_values
 from bench.cli.terminal import Terminal
-from instruments import InstrumentError, LimitError, RealClock
+from instruments import BathReading, InstrumentError, LimitError, RealClock
 from instruments.bath.access import NOT_READ
-
-if TYPE_CHECKING:
-    from instruments.bath.driver import Bath
-    from instruments.bath.reading import BathReading
 
 PERIOD_S = 1.0
 KEPT_S = 3600.0
@@ -39,7 +35,7 @@ POINT, LINE = "•", "─"
 BARS = "▁▂▃▄▅▆▇█"  # 0 to 100 %
 
 
-def _opened(given: argparse.Namespace, **how: Any) -> AbstractContextManager[Bath]:
+def _opened(given: argparse.Namespace, **how: Any) -> AbstractContextManager[Any]:
     return bench.open_bath(given.port, given.profile, capture=given.capture, **how)
 
 
