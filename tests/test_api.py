@@ -178,7 +178,7 @@ WRONG: list[tuple[str, dict[str, Any]]] = [
     ("write_calibration", {"found": PART, "out": "D"}), ("open_stage", {"url": "socket://h:1", "axes": "XQ"}),
     ("open_stage", {"url": "socket://h:1", "dialect": "gbrl"}), ("run_campaign", {"out": "o", "plan": {"familes": 1}}),
     ("run_campaign", {"plan": {}, "out": "o", "workers": -1}), ("read_foreign", {"files": ["F"], "kind": "matlap"}),
-    ("plan_poses", {"failures": -1}), ("pack_run", {"run": "D", "out": "o", "licence": "mine"}),
+    ("plan_poses", {"failures": -1}), ("plan_poses", {"shift_mm": 1.0}), ("plan_poses", {"u_mm": 1.0}), ("pack_run", {"run": "D", "out": "o", "licence": "mine"}),
 ]  # fmt: skip
 
 

@@ -21,6 +21,7 @@ from bench.calibrate.world import read_table
 from bench.config import ConfigError
 from bench.rig.loading import AnyRig, any_rig
 from detector.calibration import (
+    DEFAULT_PLANE_DEPTH_MM,
     Homographies,
     ParameterCovariance,
     Part,
@@ -54,11 +55,7 @@ from detector.calibration.diagnosis import (
     remeasure,
     swapped,
 )
-from detector.calibration.homographies import (
-    DEFAULT_PLANE_DEPTH_MM,
-    MappedPairs,
-    fit_homography,
-)
+from detector.calibration.homographies import MappedPairs, fit_homography
 from detector.calibration.values import Pair, covariance_of_points
 from detector.geometry import Array, Camera, Motion
 
@@ -310,17 +307,16 @@ def calibrate_thermal(
     plane_depth_mm: float = DEFAULT_PLANE_DEPTH_MM,
 ) -> ThermalResult:
     """The third camera against a pair, by un-mirrored pictures. Raises ConfigError."""
-    pair = pair_of_part(cameras)
+    pair, size = pair_of_part(cameras), views.image_size.get("thermal", (0, 0))
     refuse_missing(views, "left", "thermal")
-    size = views.image_size["thermal"]
     alone = calibrate_camera("thermal", views.views("thermal"), size, model=delivered.model)
     both = {"left": place_board("left", views.views("left"), pair.left), "thermal": alone}
     joint = join_cameras(both, joint_lenses=("thermal",), model=delivered.model)
     lens, pose = joint.fit.rig.cameras["thermal"], joint.fit.rig.from_reference["thermal"]
     poses = pose, pair.right_from_left
     maps = derive_homographies(lens, pair.left, pair.right, *poses, plane_depth_mm)
-    camera = delivered.camera(size, lens)
-    return ThermalResult(views, camera, pose, maps, alone, joint, _shown(views, "thermal", alone))
+    given = views, delivered.camera(size, lens), pose, maps, alone, joint
+    return ThermalResult(*given, _shown(views, "thermal", alone))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

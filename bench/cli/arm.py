@@ -94,9 +94,8 @@ def read(given: argparse.Namespace) -> None:
 def _refuse_points(session: ArmSession) -> None:
     """Raises ConfigError for points of another arm."""
     if not session.arm.pedals:
-        raise ConfigError.plain(
-            "only a MicroScribe can be watched and homed: the software of another arm does that"
-        )
+        does = "the software of another arm does that"
+        raise ConfigError.plain(f"only a MicroScribe can be watched and homed: {does}")
 
 
 def watch(given: argparse.Namespace) -> None:

@@ -44,10 +44,8 @@ def read(given: argparse.Namespace) -> None:
         values = bench.describe_bath(bath)
     if given.json:
         print(json_of(values))
-    else:
-        print_values(
-            {key: "not reported" if value is None else value for key, value in values.items()}
-        )
+        return
+    print_values({key: "not reported" if one is None else one for key, one in values.items()})
 
 
 def learn(given: argparse.Namespace) -> int:
@@ -181,19 +179,14 @@ class BathPlot:
         if not self._samples:
             return problem
         reading, left_s = self._samples[-1], view.stable_in_s
-        output = (
-            "not reported" if reading.power_percent is None else f"{reading.power_percent:.0f} %"
-        )
-        parts = [
-            f"{reading.temp_c:.2f} degC",
-            f"set point {view.set_point_c:.2f} degC",
-            f"output {output}",
-        ]
+        percent = reading.power_percent
+        output = "not reported" if percent is None else f"{percent:.0f} %"
+        parts = [f"{reading.temp_c:.2f} degC", f"set point {view.set_point_c:.2f} degC"]
         minutes, seconds = divmod(int(left_s or 0), 60)
         when = {None: "not getting nearer", 0.0: "stable now"}.get(
             left_s, f"stable in {minutes}:{seconds:02d} min at the earliest"
         )
-        parts += [view.state, when] if view.started else ["in standby"]
+        parts += [f"output {output}", *([view.state, when] if view.started else ["in standby"])]
         parts += [f"alarm {reading.alarm}"] if reading.alarm else []
         return ", ".join(filter(None, [*parts, problem]))
 

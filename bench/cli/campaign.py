@@ -85,9 +85,9 @@ def query(given: argparse.Namespace) -> None:
 
 
 def keep(given: argparse.Namespace) -> None:
-    from bench import testing
+    from bench.testing import keep as kept
 
-    frame = testing.keep(given.folder, given.into, given.name)
+    frame = kept(given.folder, given.into, given.name)
     print(f"{frame} in {given.into}")
 
 

@@ -150,15 +150,12 @@ def _show(found: Sequence[bench.Comparison]) -> None:
             console.print(f"  {reason}")
 
 
-def control(given: argparse.Namespace) -> int:
+def control(given: argparse.Namespace) -> None:
     if bench.control_run(given.run, " ".join(given.words), within_s=TAKEN_S):
         print("request accepted; see the run's terminal")
-    else:
-        print(
-            f"request left; the run has not read it for {TAKEN_S:g} s: it is busy, or its process"
-            " has ended."
-        )
-    return CODES.met
+        return
+    why = f"the run has not read it for {TAKEN_S:g} s: it is busy, or its process has ended."
+    print(f"request left; {why}")
 
 
 def runs(given: argparse.Namespace) -> None:
