@@ -146,6 +146,15 @@ class ConfigError(Exception):
         return cls(None, [FileFault(0, 0, 0, message)])
 
 
+@contextmanager
+def wrong_use() -> Iterator[None]:
+    """A ValueError of a room that knows no ConfigError becomes one."""
+    try:
+        yield
+    except ValueError as error:
+        raise ConfigError.plain(str(error)) from error
+
+
 def check_within(bounds: Bounds, **arguments: object) -> None:
     """Raises ConfigError that names the argument beyond ``bounds``; None is one left out."""
     for name, value in arguments.items():

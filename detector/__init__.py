@@ -6,14 +6,11 @@ from textfiles.lazy import lazily
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from detector.calibration import Calibration
-    from detector.protocol import Context, Detection, Detector, Frames, Stage, Teat
+    from detector.calibration import Calibration, Part, Record
+    from detector.protocol import Context, Detection, Detector, Frames, Outcome, Stage, Teat
 
-_PROMISED = {
-    "detector.calibration": ("Calibration",),
-    "detector.protocol": ("Context", "Detection", "Detector", "Frames", "Stage", "Teat"),
-}
 __all__ = [
-    "Calibration", "Context", "Detection", "Detector", "Frames", "Stage", "Teat",
+    "Calibration", "Context", "Detection", "Detector", "Frames", "Outcome", "Part", "Record",
+    "Stage", "Teat",
 ]  # fmt: skip
-__getattr__ = lazily(__name__, _PROMISED)
+__getattr__ = lazily(__name__, __file__)

@@ -196,13 +196,15 @@ class DetectionFailure(Exception):  # noqa: N818 - a failure of the detector, no
 class DetectorProcess(Protocol):
     """A detector in another process: `Detector`, and what happens around a call.
 
-    patience_s: the longest `prepare` and `detect` together. start_up_s: of the last `prepare`, None
-    where it ran already. introduce: start the process, so that it says what it was trained on and
-    its device; where it can't be started, `prepare` fails. prepare: start it where none runs, and
-    write its pictures; check: its limits between calls, outside of its time; both raise
-    DetectionFailure. said: its standard error since the last call, the end of it where long. close:
-    end its processes and remove its files; once more is no error.
+    patience_s: the longest `prepare` and `detect` together; most_s: the same, as a caller wants it.
+    start_up_s: of the last `prepare`, None where it ran already. introduce: start the process, so
+    that it says what it was trained on and its device; where it can't be started, `prepare` fails.
+    prepare: start it where none runs, and write its pictures; check: its limits between calls,
+    outside of its time; both raise DetectionFailure. said: its standard error since the last call,
+    the end of it where long. close: end its processes and remove its files; once more is no error.
     """
+
+    most_s: float
 
     @property
     def patience_s(self) -> float: ...

@@ -6,7 +6,9 @@ from textfiles.lazy import lazily
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from instruments.bath.reading import BathReading
     from instruments.camera.frame import FrameError, FrameFault, Ranging, RawFrame
+    from instruments.captures.capture import CaptureError, CaptureFile
     from instruments.clock import Clock, RealClock, VirtualClock
     from instruments.drivers.plugin import (
         ArmDriver,
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
         StageDriver,
         StageState,
     )
+    from instruments.drivers.protocols import Arm, Bath, Cameras, Stage
     from instruments.errors import (
         DeviceError,
         InstrumentError,
@@ -29,22 +32,11 @@ if TYPE_CHECKING:
     )
     from instruments.link import Link
 
-_PROMISED = {
-    "instruments.camera.frame": ("FrameError", "FrameFault", "Ranging", "RawFrame"),
-    "instruments.clock": ("Clock", "RealClock", "VirtualClock"),
-    "instruments.drivers.plugin": (
-        *("ArmDriver", "ArmPoint", "BathDriver", "BathState", "Camera", "CameraGroup"),
-        *("MakersCalibration", "MakersLens", "StageDriver", "StageState"),
-    ),
-    "instruments.errors": (
-        *("DeviceError", "InstrumentError", "LimitError", "LinkError", "ProtocolError"),
-    ),
-    "instruments.link": ("Link",),
-}
 __all__ = [
-    "ArmDriver", "ArmPoint", "BathDriver", "BathState", "Camera", "CameraGroup", "Clock",
-    "DeviceError", "FrameError", "FrameFault", "InstrumentError", "LimitError", "Link", "LinkError",
-    "MakersCalibration", "MakersLens", "ProtocolError", "Ranging", "RawFrame", "RealClock",
-    "StageDriver", "StageState", "VirtualClock",
+    "Arm", "ArmDriver", "ArmPoint", "Bath", "BathDriver", "BathReading", "BathState", "Camera",
+    "CameraGroup", "Cameras", "CaptureError", "CaptureFile", "Clock", "DeviceError", "FrameError",
+    "FrameFault", "InstrumentError", "LimitError", "Link", "LinkError", "MakersCalibration",
+    "MakersLens", "ProtocolError", "Ranging", "RawFrame", "RealClock", "Stage", "StageDriver",
+    "StageState", "VirtualClock",
 ]  # fmt: skip
-__getattr__ = lazily(__name__, _PROMISED)
+__getattr__ = lazily(__name__, __file__)

@@ -224,7 +224,7 @@ class Link:
 
     def _refuse_closed(self) -> None:
         if not self._is_open:
-            hint = "Check cable and power, then connect again."
+            hint = "Open it again; outside of its with block an instrument is closed."
             raise LinkError(self.who, "the link is closed", hint=hint)
 
     def _collect(self, end: Callable[[bytes], int | None], timeout_s: float) -> bytes:

@@ -25,6 +25,7 @@ class Bounds:
         return self.above < number < self.below and number >= self.least
 
 
+ABOVE_0 = Bounds("a number above 0", above=0.0)
 COUNT = Bounds("a whole number of 1 or more", least=1, whole=True)
 FROM_0 = Bounds("a whole number of 0 or more", least=0, whole=True)
 SHARE = Bounds("a number between 0 and 1, both excluded", above=0.0, below=1.0)

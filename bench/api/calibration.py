@@ -8,11 +8,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bench.api.rigs import OpenRig, open_rig
 from bench.api.shots import AnyRig
-from bench.calibrate.cameras import LEAST_LOOKED_AT as LEAST_LOOKED_AT
 from bench.calibrate.exchange import read_maker
 from bench.calibrate.merge import calibration_record
 from bench.calibrate.views import ViewsRequest, free_folder, gather
@@ -21,12 +19,10 @@ from bench.config import ConfigError
 from bench.rig.alone import TakePictures, pictures, with_retries
 from bench.script.calibration_age import refuse_other_cameras
 from detector.calibration import Part
+from detector.calibration.boards import Board
+from instruments.camera.frame import Grey
 from instruments.captures.capture import CaptureFile
 from instruments.operators.operator import Finish
-
-if TYPE_CHECKING:
-    from detector.calibration.boards import Board
-    from instruments.camera.frame import Grey
 
 Say = Callable[[str], None]
 STEREO = ViewsRequest()

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from bench.campaign.plan import CampaignPlan, make_plan
 from bench.campaign.pool import Say, executor
-from bench.campaign.run import Campaign, locked
-from bench.campaign.run import Status as Status
+from bench.campaign.run import Campaign, Status, locked
 from bench.config import check_within
 from textfiles.bounds import COUNT
 

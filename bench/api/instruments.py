@@ -4,29 +4,137 @@ rig's are opened by `open_rig`, which also watches what heats.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import closing, contextmanager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bench.api.shots import AnyRig, load_rig
+from bench.calibrate.arm import open_arm as open_session
 from bench.config import ConfigError, check_within, read_text, writing
 from bench.record.recording import RecordingWriter
 from bench.rig.alone import OpenCameras, open_bath
-from bench.rig.alone import attached as attached
-from bench.rig.alone import cameras_of_rig as cameras_of_rig
-from bench.rig.alone import check_target as check_target
-from bench.rig.alone import figures as figures
-from bench.rig.alone import jog as jog
-from bench.rig.alone import pictures as pictures
-from bench.rig.alone import shown as shown
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.leaving import to_stderr
+from bench.rig.model import Arm as ArmTable
+from bench.rig.model import Baud
 from bench.safety import latch
-from instruments.bath.driver import Bath
+from bench.safety.approach import RATE_S, seconds_to_stable
+from bench.safety.liveness import Liveness
+from bench.safety.stability import StabilityGate, State
+from instruments.bath.driver import Bath as OwnBath
+from instruments.bath.interface import Bath
+from instruments.bath.reading import BathReading
 from instruments.captures.capture import CaptureFile
-from textfiles.bounds import COUNT
+from instruments.clock import Clock, RealClock
+from instruments.drivers.protocols import Arm
+from instruments.errors import InstrumentError, LimitError
+from instruments.microscribe.driver import MicroScribe, Sample
+from instruments.microscribe.pedals import Pedal
+from textfiles.bounds import ABOVE_0, COUNT
+
+ARM = ArmTable.model_fields
 
 
-def describe_bath(bath: Bath) -> Mapping[str, object]:
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmView:
+    """What `watch_arm` sees: the tip (3,) in the arm's frame, which pedals are down, packets a
+    second, and how many were damaged so far. ``t_s`` is by the arm's clock.
+    """
+
+    t_s: float
+    tip_mm: NDArray[np.float64]
+    pedals: Mapping[str, bool]
+    packets_per_s: float
+    damaged: int
+
+
+@contextmanager
+def open_arm(
+    url: str,
+    *,
+    baud: Baud = ARM["baud"].default,
+    answer_s: float = ARM["answer_s"].default,
+    homed: bool = False,
+    capture: CaptureFile | None = None,
+) -> Iterator[Arm]:
+    """The arm at ``url``, as in a rig file's [arm], signed on, in real time. ``homed``: its stylus
+    was on its peg when it was switched on, or it was homed since; before, there is no position.
+    Raises ConfigError, InstrumentError.
+    """
+    check_within(ABOVE_0, answer_s=answer_s)
+    with open_session(url, baud, answer_s, capture) as session:
+        if homed:
+            session.arm.confirm_homed()
+        yield session.arm
+
+
+def watch_arm(arm: Arm, every_s: float = 0.2) -> Generator[ArmView, None, None]:
+    """Views of a homed arm as it streams, one each ``every_s``, until you leave. Raises
+    InstrumentError; LimitError for one that is no MicroScribe.
+    """
+    if not isinstance(arm, MicroScribe):
+        raise LimitError(arm.who, "only a MicroScribe can be watched", asked="watch")
+    with arm.stream() as stream:
+        samples: list[Sample] = []
+        for sample in stream:
+            samples.append(sample)
+            if (span_s := sample.t_s - samples[0].t_s) < every_s:
+                continue
+            down = {one.name.lower(): bool(sample.buttons & one.value) for one in reversed(Pedal)}
+            tip_mm, rate = arm.position(samples).tip_mm, (len(samples) - 1) / span_s
+            yield ArmView(sample.t_s, tip_mm, down, rate, arm.damaged)
+            samples = []
+
+
+@dataclass(frozen=True, slots=True)
+class BathView:
+    """What `watch_bath` sees: a ``reading``, or why there was none (``fault``); ``stable_in_s`` at
+    the least, None while the bath doesn't get nearer; ``reasons``: what the gate waits for.
+    """
+
+    reading: BathReading | None
+    set_point_c: float
+    started: bool
+    state: State
+    stable_in_s: float | None
+    reasons: tuple[str, ...]
+    fault: str = ""
+
+
+def watch_bath(
+    bath: Bath, every_s: float = 1.0, *, clock: Clock | None = None, window_s: float = 600.0
+) -> Iterator[BathView]:
+    """Read a bath again and again, until you leave: when is it stable within ``window_s``? Changes
+    nothing. ``clock``: a rig's own; real time for None. A reading that fails is a view too.
+    """
+    check_within(ABOVE_0, every_s=every_s, window_s=window_s)
+    moving, gate = Liveness(bath.profile), StabilityGate(bath.get("set_point"), window_s=window_s)
+    works, started, seen = bath.profile.row("run").values["started"], True, deque[BathReading]()
+    with nullcontext(clock) if clock else closing(RealClock()) as time:
+        while True:
+            reading, fault = None, ""
+            try:
+                reading, set_point_c = bath.read(), bath.get("set_point")
+                started = bath.get("run") == works
+                gate.change_set_point(set_point_c)
+                raw, alarm, teat_c = moving(reading), bool(reading.alarm), reading.external_c
+                gate.add(reading.t_s, reading.temp_c, raw=raw, alarm=alarm, teat_c=teat_c)
+                seen.append(reading)
+                while reading.t_s - seen[0].t_s > RATE_S:
+                    seen.popleft()
+            except InstrumentError as error:  # it may come back
+                reading, fault = None, str(error)
+            left_s, why = seconds_to_stable(gate, seen), tuple(gate.reasons)
+            yield BathView(reading, gate.set_point_c, started, gate.state, left_s, why, fault)
+            time.sleep(every_s)
+
+
+def describe_bath(bath: OwnBath) -> Mapping[str, object]:
     """Who it is, and what it reports; units are in the names, None is what it doesn't report."""
     reading, run = bath.read(), bath.profile.row("run")
     return {

@@ -9,7 +9,7 @@ from typing import Any
 
 from bench.api.runs import OUT, AnyScript, load_script
 from bench.api.shots import AnyRig, load_rig
-from bench.config import check_within
+from bench.config import check_within, wrong_use
 from bench.dry_run.pose_checks import Finding, ScriptCheck, dry_run, stage_settings
 from bench.dry_run.rehearsal import NoTwinError, rehearse
 from bench.run.estimate import (
@@ -22,12 +22,15 @@ from bench.run.estimate import (
     read_durations,
 )
 from bench.safety.latch import latch_path, read_latch, unconfirmed
+from bench.scoring import sample_size
 from bench.script.calibration_age import refuse_old_calibration
 from bench.script.detectors import introduced, make_detectors
 from bench.script.model import LoadedScript, refuse_carry
 from bench.script.planned_trials import POSE_KEYS, pose_set
 from instruments.clock import wall_time
 from textfiles.bounds import FROM_0
+
+plan_poses = wrong_use()(sample_size.plan_poses)
 
 
 @dataclass(frozen=True, slots=True)

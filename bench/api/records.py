@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from bench.config import ConfigError, check_within, several, writing
+from bench.config import ConfigError, check_within, several, writing, wrong_use
 from bench.files import write_synced
 from bench.record.check import NOT_AS_WRITTEN, checked_first
 from bench.results.comparison import Comparison, Together, compare_folders, judge_folders
@@ -99,9 +99,15 @@ def pack_run(
     run: Path | str, out: Path | str, *, title: str = "", licence: str = "", damage: Damage = None
 ) -> Path:
     """Write a run as a recording to publish, whole or not at all: `teatbench recording pack`.
-    ``licence`` is an SPDX identifier. Raises ConfigError, RecordingError.
+    ``licence`` is an SPDX identifier, or several in an expression. Raises ConfigError,
+    RecordingError.
     """
+    from packaging.licenses import canonicalize_license_expression
+
     from bench.run.packing import pack_run as packed
+
+    with wrong_use():
+        licence = licence and canonicalize_license_expression(licence)
 
     with writing(Path(out)), known([Path(run)], damage):
         return packed(Path(run), Path(out), title, licence)
@@ -110,10 +116,10 @@ def pack_run(
 def control_run(run: Path | str, words: str, *, within_s: float = TAKEN_S) -> bool:
     """Ask a run that is under way to ``pause``, ``go on``, ``skip REASON``, ``repeat REASON`` or
     ``abort``: `teatbench control`; whether it took that within so many seconds. Raises ConfigError
-    for other words; ValueError where the run has ended.
+    for other words, and where the run has ended.
     """
     status = read_status(Path(run))
     if not status.under_way:
-        raise ValueError(f"{run} has ended ({status.state}): it takes no requests any more.")
+        raise ConfigError.plain(f"{run} has ended ({status.state}): it takes no requests any more.")
     leave_request(Path(run), words)
     return was_taken(Path(run), RealClock(), within_s)

@@ -20,9 +20,8 @@ from bench.rig.opening import ALL, open_instruments
 from bench.safety.bath_monitor import BathMonitor, SafeAtOnce
 from bench.safety.interlocks import Interlocks
 from bench.safety.latch import unconfirmed
-from bench.safety.liveness import Liveness as Liveness
-from bench.safety.stability import StabilityGate as StabilityGate
-from bench.safety.stability import State as State
+from bench.safety.liveness import Liveness
+from bench.safety.stability import StabilityGate, State
 from bench.script.detectors import refusals
 from bench.truth.stage_registration import ends_of
 from bench.truth.touching import Ends, TipReader, Toucher
@@ -40,20 +39,31 @@ from instruments.world.setups import Situation
 from textfiles.bounds import FROM_0
 
 LOOK_S = 1.0
+INSIDE = "Use it inside of its with block: with open_rig(…) as rig."
 Opened = TypeVar("Opened")
 
 
 class OpenRig:
-    """The instruments of a rig, opened by `open_rig`. What isn't opened raises LimitError."""
+    """The instruments of a rig, opened by `open_rig`. What isn't opened raises LimitError, as does
+    any use after the rig was left.
+    """
 
     def __init__(self, loaded: LoadedRig, devices: Devices, warn: Callable[[str], None]) -> None:
-        self.loaded, self.devices, self._warn = loaded, devices, warn
+        self.loaded, self._devices, self._warn = loaded, devices, warn
+        self._left = False
         self._stands: Arrangement | None = None
         self._visible: tuple[bool, ...] = ()
         # where homing leaves the plate nobody says
         self._pose = None if devices.stage else PlatePose()
         self._watch: BathMonitor | None = None
         self._taker: FrameTaker | None = None
+
+    @property
+    def devices(self) -> Devices:
+        """All that is open, None for what isn't."""
+        if self._left:
+            raise LimitError("rig", "it was left, and is closed", hint=INSIDE)
+        return self._devices
 
     @property
     def clock(self) -> Clock:
@@ -184,6 +194,8 @@ class OpenRig:
             if amount and axis not in table.axes:
                 raise LimitError("stage", f"it has no axis {axis}", asked="move")
         self.check()
+        if not stage.homed:
+            raise LimitError("stage", "it is not homed", asked="move", hint="Call home() first.")
         stage.move_to(**table.machine(pose), feed_mm_min=table.feed_mm_per_min)
         self._pose = pose
         self.check()
@@ -210,7 +222,7 @@ class OpenRig:
 
     @property
     def tip(self) -> TipReader:
-        """Reads the arm's tip in the world."""
+        """Reads the arm's tip in the world, once `home` was called."""
         return TipReader(self.arm, self.loaded.rig.arm, self.loaded.frame)
 
     def touch(self, teat: int | None = None) -> tuple[TruthRow, ...]:
@@ -218,6 +230,8 @@ class OpenRig:
         for: world mm, with standard uncertainty. Raises NoTruthError, LimitError before `set_up`,
         or `move` with a stage, or for a teat that isn't there, and as arm and operator.
         """
+        if not self.arm.homed:
+            raise LimitError("arm", "it is not homed", asked="touch", hint="Call home() first.")
         if self._stands is None:
             raise LimitError("arm", "nothing was set up that could be touched", hint="set_up()")
         if self._pose is None:
@@ -282,6 +296,11 @@ class OpenRig:
         if self._watch:
             self._watch.end()
 
+    def leave(self) -> None:
+        """Its with block ends: it can't be used any more."""
+        self.end_watch()
+        self._left = True
+
     def _there(self, name: str, device: Opened | None) -> Opened:
         if device is None:
             what = f"this rig has no {name}, or it was not opened"
@@ -336,4 +355,4 @@ def open_rig(
         try:
             yield opened
         finally:
-            opened.end_watch()
+            opened.leave()

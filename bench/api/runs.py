@@ -143,6 +143,8 @@ def run_queue(
         raise ConfigError.plain("speed is for an emulated rig: no real instrument is hurried.")
     found = [load_script(one, loaded) for one in several("scripts", scripts, 1)]
     to = Path(record) if record is not None else None
+    if to and len(found) > 1:
+        raise ConfigError.plain("`record` is of one script. Give one, or leave `record` out.")
     how = RunOptions(seed, tested, to, realtime or speed is not None, speed, capture, typed, begun)
     parts = _Parts(shown)
     ended = started(loaded, found, Path(out), shown, replace(how, between=parts.grow))

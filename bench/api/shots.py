@@ -10,7 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from bench.campaign.chunk import LIMIT_MM
-from bench.config import ConfigError
+from bench.config import ConfigError, check_within, wrong_use
 from bench.record.recording import TruthRow
 from bench.results.answers import TIMEOUT_S, Answer, close_detectors, examine, score_answer
 from bench.rig.loading import NO_RIGS, RIGS, LoadedRig, any_rig, shipped
@@ -22,13 +22,14 @@ from bench.scoring.scene import SceneScore
 from bench.script.detectors import declared, make_detectors, refusals
 from detector import registry
 from detector.calibration import Calibration
-from detector.protocol import Detection, Detector
+from detector.protocol import Detection, Detector, DetectorProcess
 from instruments.camera.frame import FrameSet
 from instruments.world.labels import Labeller, Labels
 from instruments.world.scene import Renderer
 from instruments.world.setups import Situation
 from instruments.world.situations import SITUATIONS, situation
 from instruments.world.state import SceneState
+from textfiles.bounds import ABOVE_0, FROM_0
 
 Scene = str | Situation | SceneState
 load_rig = any_rig
@@ -57,8 +58,9 @@ def families() -> tuple[str, ...]:
 
 
 def member(family: str, number: int) -> Situation:
-    """Member ``number`` (from 0) of a situation family. Raises ValueError for an unknown name."""
-    return situation(family, number)
+    """Member ``number`` (from 0) of a situation family. Raises ConfigError for an unknown name."""
+    with wrong_use():
+        return situation(family, number)
 
 
 @lru_cache(maxsize=4)
@@ -77,30 +79,33 @@ def draw(
 ) -> Shot:
     """Draw a scene with the emulated cameras of ``rig``, with exact truth. ``scene`` is a family,
     of which member ``number`` is drawn, a situation, or a state. ``seed``: of the cameras' noise
-    and fixed patterns. Raises ValueError for an unknown name or a thing too near a camera.
+    and fixed patterns. Raises ConfigError for an unknown name or a thing too near a camera.
     """
+    check_within(FROM_0, number=number, seed=seed)
     found = load_rig(rig)
     found, renderer = _cameras(found.path, found.text, seed)
     name = scene if isinstance(scene, str) else getattr(scene, "name", "scene")
     if isinstance(scene, str):
-        scene = situation(scene, number)
+        scene = member(scene, number)
     state = warm(scene) if isinstance(scene, Situation) else scene
     number = scene.seed if isinstance(scene, Situation) else number
     calibration = found.calibration
     for one in perturbations:
         calibration = one.stated(calibration)
     chance = (seed, number, *name.encode())
-    drawn = draw_state(renderer, name, state, [seed, number], perturbations, chance)
+    with wrong_use():
+        drawn = draw_state(renderer, name, state, [seed, number], perturbations, chance)
     return Shot(drawn.frames, calibration, drawn.truth, drawn.state)
 
 
 def labels(shot: Shot, *, rig: AnyRig = "emulated") -> tuple[Labels, Labels, Labels]:
     """Which teat each pixel of a drawn shot shows, and where ends and bases are: of the left, the
-    right and the thermal picture, as the cameras of ``rig`` drew it. Raises ValueError without a
+    right and the thermal picture, as the cameras of ``rig`` drew it. Raises ConfigError without a
     scene.
     """
     if shot.state is None:
-        raise ValueError("this shot was not drawn, so that nobody knows what its pixels show")
+        why = "shot was not drawn, so that nobody knows what its pixels show"
+        raise ConfigError.plain(why)
     found = load_rig(rig)
     return _labeller(found.path, found.text).of(shot.state)
 
@@ -136,12 +141,18 @@ def open_detector(
         close_detectors(made)
 
 
-def detect(detector: str | Detector, shot: Shot, *, timeout_s: float = TIMEOUT_S) -> Answer:
-    """Ask a detector about a shot, and check its answer. A failure of the detector is an answer
-    with an ``outcome``, never an exception. Raises ConfigError for a detector that isn't there.
+def detect(detector: str | Detector, shot: Shot, *, timeout_s: float | None = None) -> Answer:
+    """Ask a detector about a shot, and check its answer, which counts as none when it comes later:
+    for a program ``timeout_s`` ends start and answer together, None leaves it its own limits. A
+    failure of the detector is an answer with an ``outcome``, never an exception. Raises ConfigError
+    for a detector that isn't there.
     """
+    check_within(ABOVE_0, timeout_s=timeout_s)
     with open_detector(detector) as asked:
-        return examine(asked, shot.frames, shot.calibration, timeout_s=timeout_s)
+        if isinstance(asked, DetectorProcess):
+            asked.most_s = timeout_s or math.inf
+        limit_s = timeout_s or TIMEOUT_S
+        return examine(asked, shot.frames, shot.calibration, timeout_s=limit_s)
 
 
 def score(
@@ -151,12 +162,13 @@ def score(
     limit_mm: float = LIMIT_MM,
     time_limit_s: float = math.inf,
 ) -> SceneScore:
-    """Score an answer: ``counts``, ``errors_mm`` (k, 3) found - truth, ``success``. Raises
-    ValueError without truth.
+    """Score an answer: ``counts``, ``errors_mm`` (k, 3) found - truth, ``success``. An empty
+    ``truth`` says that there is no end to be found. Raises ConfigError for a shot without truth.
     """
+    check_within(ABOVE_0, limit_mm=limit_mm)
     rows = truth.truth if isinstance(truth, Shot) else truth
     if isinstance(truth, Shot) and not rows and truth.state is None:
-        raise ValueError("this shot has no truth: touch its teat ends, or draw the scene")
+        raise ConfigError.plain("truth: this shot has none: touch its teat ends, or draw the scene")
     if isinstance(answer, Detection):
         answer = Answer("detector", answer, 0.0)
     return score_answer(answer, rows, limit_mm=limit_mm, time_limit_s=time_limit_s)

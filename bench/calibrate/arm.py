@@ -110,7 +110,7 @@ def open_arm(
     try:
         arm_url(port)
     except ValueError as error:
-        raise ConfigError.plain(f"--port {port}: {error}") from error
+        raise ConfigError.plain(f"{port}: {error}") from error
     with ExitStack() as stack:
         clock = stack.enter_context(closing(RealClock()))
         trying = None

@@ -21,6 +21,7 @@ from bench.calibrate.world import read_table
 from bench.config import ConfigError
 from bench.rig.loading import AnyRig, any_rig
 from detector.calibration import (
+    DEFAULT_PLANE_DEPTH_MM,
     Homographies,
     ParameterCovariance,
     Part,
@@ -244,7 +245,7 @@ def check_pair(part: Part, views: BoardViews) -> tuple[MeasuredBoard, tuple[Find
     pairs = views.pairs()
     if not pairs:
         raise ConfigError.plain(
-            "the board was found in no view of both cameras: is --board the one in the pictures,"
+            "the board was found in no view of both cameras: is the board the one in the pictures,"
             " and all of it in view of both?"
         )
     again = remeasure(pair, views.board, pairs)
@@ -300,12 +301,14 @@ class ThermalResult:
 
 @_fitting("the thermal camera")
 def calibrate_thermal(
-    views: BoardViews, cameras: Part, delivered: ThermalFormat, plane_depth_mm: float
+    views: BoardViews,
+    cameras: Part,
+    delivered: ThermalFormat,
+    plane_depth_mm: float = DEFAULT_PLANE_DEPTH_MM,
 ) -> ThermalResult:
     """The third camera against a pair, by un-mirrored pictures. Raises ConfigError."""
-    pair = pair_of_part(cameras)
+    pair, size = pair_of_part(cameras), views.image_size.get("thermal", (0, 0))
     refuse_missing(views, "left", "thermal")
-    size = views.image_size["thermal"]
     alone = calibrate_camera("thermal", views.views("thermal"), size, model=delivered.model)
     both = {"left": place_board("left", views.views("left"), pair.left), "thermal": alone}
     joint = join_cameras(both, joint_lenses=("thermal",), model=delivered.model)
@@ -315,8 +318,8 @@ def calibrate_thermal(
         what = f"corners miss by {joint.fit.rms_px:.1f} px, more than a pixel of the thermal sensor"
         raise ConfigError.plain(f"{what}: do its pictures come mirrored (--mirrored), or not?")
     maps = derive_homographies(lens, pair.left, pair.right, *poses, plane_depth_mm)
-    camera = delivered.camera(size, lens)
-    return ThermalResult(views, camera, pose, maps, alone, joint, _shown(views, "thermal", alone))
+    given = views, delivered.camera(size, lens), pose, maps, alone, joint
+    return ThermalResult(*given, _shown(views, "thermal", alone))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -79,7 +79,7 @@ def _storage_size(found: Foreign) -> tuple[int, int]:
         name, value = "image_size", [found.values.get(key) for key in keys]
     if None in (value if isinstance(value, list) else ()):
         raise ConfigError.plain(
-            f"{found.path}: lacks image_size; say it with --image-size COLUMNSxROWS"
+            f"{found.path}: lacks image_size; say it with `image_size`, columns and rows"
         )
     return _size(found, name, found.whole(name, 2, value=value))
 
@@ -314,7 +314,7 @@ def write_ros(part: Part, path: Path | str, camera: str) -> None:
     }.get(camera)
     if lens is None:
         raise ConfigError.plain(
-            f"the calibration has no lens of the {camera} camera: name another with --camera"
+            f"the calibration has no lens of the {camera} camera: name another as `camera`"
         )
     K = lens.matrix
 

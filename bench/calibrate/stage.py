@@ -48,15 +48,15 @@ def calibrate_stage(
     try:
         path = find_layout(layout)
     except ValueError as error:
-        raise ConfigError.plain(f"--layout {layout}: {error}") from error
+        raise ConfigError.plain(f"`layout` {layout}: {error}") from error
     phantom = load_layout(path).phantom(seed)
     if teat > (many := len(phantom.teats)):
-        raise ConfigError.plain(f"--teat {teat}: the layout {layout} has {many} teats")
+        raise ConfigError.plain(f"`teat` {teat}: the layout {layout} has {many} teats")
     poses = [PlatePose(x, y) for x, y in at_mm] or around([PlatePose()], SPAN_MM)
     if len(poses) < 3:
         raise ConfigError.plain(
-            f"--at: {len(poses)} positions; a registration needs three or more that don't lie on a"
-            " line"
+            f"`at_mm`: {len(poses)} positions; a registration needs three or more that don't lie on"
+            " a line"
         )
     with open_instruments(rig, seed=seed, capture=capture, warn=say) as devices:
         stage = devices.stage

@@ -298,7 +298,7 @@ def _refuse_other_count(
         squares = sorted((columns + 1, rows + 1)) == wanted
         why = ": squares are counted there, inner corners are wanted" if squares else ""
         raise ConfigError.plain(
-            f"{places[0]}: holds a chessboard of {columns} x {rows} inner corners, --board has"
+            f"{places[0]}: holds a chessboard of {columns} x {rows} inner corners, the board has"
             f" {board.columns} x {board.rows}{why}. Write columns = {columns}, rows = {rows}"
         )
 

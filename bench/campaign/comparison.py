@@ -58,14 +58,14 @@ def compare_campaigns(
         if plan.limit_mm != other.limit_mm:
             raise ConfigError.plain(
                 f"{old.run.folder} was held against {plan.limit_mm:g} mm, {new.run.folder} against"
-                f" {other.limit_mm:g} mm: run both with one --limit-mm"
+                f" {other.limit_mm:g} mm: run both with one `limit_mm`"
             )
         scores = _scores(old, plan), _scores(new, other)
         both = [scene for scene in scores[0] if scene in scores[1]]
         if not both:
             raise ConfigError.plain(
                 f"{old.label} and {new.label} have no scored scene in common: run both on the same"
-                " families and members (--family, --first, --scenes)"
+                " families and members (`families`, `first`, `scenes`)"
             )
         same = [scores[0][scene][1] == scores[1][scene][1] for scene in both]
         if not all(same):

@@ -122,7 +122,7 @@ class Ledger:
         if self.state().get(name) != hashlib.sha256(data).hexdigest():
             raise ConfigError.plain(
                 f"{path} is not as the campaign wrote it ({LEDGER} beside it has another SHA-256)."
-                " Put the folder back from a copy, or name another --out."
+                " Put the folder back from a copy, or name another `out`."
             )
         return data
 

@@ -269,7 +269,7 @@ def executor(
             from bench.campaign.dask_cluster import DaskPool
         except ImportError as error:
             raise ConfigError.plain(
-                f"--dask needs another package: pip install 'teatbench[campaign]' ({error})"
+                f"`dask` needs another package: pip install 'teatbench[campaign]' ({error})"
             ) from error
         pool = DaskPool(job, dask, say=say)
     with closing(pool):

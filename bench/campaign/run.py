@@ -94,16 +94,16 @@ class Campaign:
             if not kept.made_by:
                 raise ConfigError.plain(
                     f"{path} was written by a person, not by a campaign: give the campaign a folder"
-                    " of its own by --out"
+                    " of its own as `out`"
                 )
             if lines := differences(kept, kept.made_by, plan, self.made_by):
                 raise ConfigError.plain(
                     f"{folder} holds a campaign of another kind, whose rows don't go with these:\n"
-                    f"{lines}\nName another --out, or go back to what made it."
+                    f"{lines}\nName another `out`, or go back to what made it."
                 )
             self.shards.ledger.checked_bytes(PLAN)
         elif (folder / SHARDS).exists() and not self._restorable():
-            raise ConfigError.plain(f"{folder} has {SHARDS} but no {PLAN}; name another --out")
+            raise ConfigError.plain(f"{folder} has {SHARDS} but no {PLAN}; name another `out`")
 
     def _restorable(self) -> bool:
         """Whether the folder's plan was this one, whatever has become of its file."""
@@ -225,7 +225,7 @@ def locked(folder: Path) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         why = "a file of this name is there" if folder.is_file() else error
-        raise ConfigError.plain(f"--out {folder}: no folder can be made: {why}") from error
+        raise ConfigError.plain(f"`out` {folder}: no folder can be made: {why}") from error
     lock = FileLock(folder / LOCK)
     try:
         lock.acquire(timeout=0)

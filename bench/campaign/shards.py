@@ -241,8 +241,7 @@ def quoted(path: Path) -> str:
 
 def no_campaign(folder: Path) -> ConfigError:
     return ConfigError.plain(
-        f"{folder}: no campaign is there; name the folder that 'teatbench campaign run --out' was"
-        " given"
+        f"{folder}: no campaign is there; name the folder that 'teatbench campaign run' wrote"
     )
 
 

@@ -6,25 +6,35 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 import sys
 import webbrowser
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from typing import Any
 
 import bench
-from bench.api import instruments as api
 from bench.cli.arguments import CODES, complain, json_of, print_values
+from bench.cli.commands import CAMERAS
 from bench.cli.verdict import on_a_desktop
 from bench.config import ConfigError
 from bench.rig.live_page import live_page
-from instruments.camera.cameras import KNOWN
-from instruments.camera.frame import FrameError, Grey
-from instruments.camera.quality import edge_blur_px
-from instruments.clock import Clock
-from instruments.drivers.protocols import Stage
-from instruments.errors import LimitError
+from instruments import Clock, FrameError, LimitError, Stage
 
-Pictures = Mapping[str, Grey]
+AXES = {"X": "x_mm", "Y": "y_mm", "Z": "z_mm", "A": "a_deg"}
+_STEP = re.compile(r"([XYZA])([-+]?(?:\d+\.?\d*|\.\d+))", re.IGNORECASE)
+
+
+def step(text: str) -> dict[str, float]:
+    """A way as ``X-5Y2.5``: arguments of a stage's ``jog``. Raises ValueError."""
+    found = _STEP.findall(text)
+    axes = [axis.upper() for axis, _ in found]
+    whole = "".join(axis + way for axis, way in found) == text
+    if not found or not whole or len(set(axes)) != len(axes):
+        raise ValueError(
+            f"{text!r} is no way to go; write X-5, or X-5Y2.5 for both at once (mm, degrees for A)"
+        )
+    return {AXES[axis]: float(way) for axis, (_, way) in zip(axes, found, strict=True)}
 
 
 @contextmanager
@@ -42,24 +52,34 @@ def _opened(given: argparse.Namespace) -> Iterator[Stage]:
         raise ConfigError.plain(str(error)) from error
 
 
+def _at(stage: Stage) -> str:
+    at = bench.describe_stage(stage)
+    return ", ".join(f"{axis} {at[key]:.3f} {key[2:]}" for axis, key in AXES.items() if key in at)
+
+
 def _home(stage: Stage, _: argparse.Namespace) -> Iterator[str]:
     stage.home()
-    yield f"homed: {api.shown(stage)}"
+    yield f"homed: {_at(stage)}"
 
 
 def _move(stage: Stage, given: argparse.Namespace) -> Iterator[str]:
     target, more = (given.x_mm, given.y_mm), {"z_mm": given.z_mm, "a_deg": given.a_deg}
-    api.check_target(stage, *target, **more)
+    bench.check_target(stage, *target, **more)
     yield from _home(stage, given)
     stage.move_to(*target, **more, feed_mm_min=given.feed)
-    yield f"moved: {api.shown(stage)}"
+    yield f"moved: {_at(stage)}"
 
 
 def _jog(stage: Stage, given: argparse.Namespace) -> Iterator[str]:
     yield from _home(stage, given)
     for way in given.steps:
-        api.jog(stage, way, given.feed)
-        yield f"moved: {api.shown(stage)}"
+        stage.jog(**way, feed_mm_min=given.feed)
+        try:
+            stage.finish_move()
+        except KeyboardInterrupt:
+            stage.cancel_jog()
+            raise
+        yield f"moved: {_at(stage)}"
 
 
 def _recover(stage: Stage, _: argparse.Namespace) -> Iterator[str]:
@@ -88,7 +108,7 @@ def status(given: argparse.Namespace) -> None:
 
 
 def attached(given: argparse.Namespace) -> None:
-    rows = list(api.cameras_of_rig(given.rig) if given.rig else api.attached())
+    rows = list(bench.list_cameras(given.rig))
     for name, what in rows:
         print(f"{name}  {what}")
     if not rows:
@@ -96,29 +116,23 @@ def attached(given: argparse.Namespace) -> None:
 
 
 def show(given: argparse.Namespace) -> int:
-    faults: list[str] = []
     with bench.open_cameras(given.sources) as alone:
-        if alone.frame_set is None:
-            taken = alone.look()
-        else:
-            frames = bench.with_retries(alone.frame_set.capture)()
-            taken = api.pictures(frames)
-            faults = [str(one) for one in alone.checks.notice(frames)]
-        seen = {name: api.figures(picture) for name, picture in taken.items()}
-        identity = dict(alone.identity())
+        seen = alone.describe()
     if given.json:
-        print(json_of({"identity": identity, "cameras": seen, "faults": faults}))
+        print(json_of(seen))
     else:
-        for name, values in seen.items():
-            print(f"{name}: {identity.get(name, '')}")
+        for name, values in seen["cameras"].items():
+            print(f"{name}: {seen['identity'].get(name, '')}")
             for key, value in values.items():
                 print(f"  {key}: {'none seen' if value is None else value}")
-    for sentence in faults:
+    for sentence in seen["faults"]:
         complain(sentence, CODES.fault)
-    return CODES.fault if faults else CODES.met
+    return CODES.fault if seen["faults"] else CODES.met
 
 
-def _next_look(alone: bench.OpenCameras, clock: Clock, end_s: float, every_s: float) -> Pictures:
+def _next_look(
+    alone: bench.OpenCameras, clock: Clock, end_s: float, every_s: float
+) -> Mapping[str, Any]:
     """Pictures of all cameras, as soon as all come whole: no frame ends the wait. Raises FrameError
     after ``end_s``.
     """
@@ -151,7 +165,7 @@ def focus(given: argparse.Namespace) -> None:
             while clock.now() < end_s:
                 parts, seen = [], _next_look(alone, clock, end_s, given.every)
                 for name, picture in seen.items():
-                    blur_px = edge_blur_px(picture)
+                    blur_px = bench.edge_blur_px(picture)
                     if blur_px is None:
                         parts.append(f"{name} no edge")
                         continue
@@ -173,11 +187,11 @@ def focus(given: argparse.Namespace) -> None:
 
 def focus_line(best: Mapping[str, float]) -> str:
     """The least blur (px) of each camera, as a rig file takes it; never 0, which has no limit."""
-    places = {name if name in KNOWN else KNOWN[0]: px for name, px in best.items()}
+    places = {name if name in CAMERAS else CAMERAS[0]: px for name, px in best.items()}
     values = ", ".join(f"{place} = {max(0.01, px):.2f}" for place, px in places.items())
     where = "of [cameras.checks] in the rig file"
-    if set(best) - set(KNOWN):
-        where += f"; write {' or '.join(KNOWN[1:])} for {KNOWN[0]} where it is that camera"
+    if set(best) - set(CAMERAS):
+        where += f"; write {' or '.join(CAMERAS[1:])} for {CAMERAS[0]} where it is that camera"
     return f"focus_px = {{ {values} }}  # {where}"
 
 

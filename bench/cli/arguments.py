@@ -62,6 +62,22 @@ def complain(text: str, code: int) -> int:
     return code
 
 
+def in_switches(text: object, given: argparse.Namespace) -> str:
+    """A message of the API, whose `arguments` stand in backquotes, with the command's own words."""
+    words = {one.dest: (*one.option_strings, one.dest.upper())[0] for one in given.parser._actions}
+
+    def word(found: re.Match[str]) -> str:
+        name = {"url": "port"}.get(found[1], found[1])
+        forms = (
+            name,
+            name.rpartition("_")[0],
+            name.removesuffix("s"),
+        )  # without unit; one of several
+        return next((words[one] for one in forms if one in words), found[1])
+
+    return re.sub(r"`(\w+)`", word, str(text))
+
+
 def refuse_existing(
     out: Path, *, replace: bool, option: str = "--out", makes_folder: bool = False
 ) -> None:
@@ -117,7 +133,7 @@ def call(given: argparse.Namespace) -> int:
         )
     if getattr(given, "capture", None) is None:
         return work(given) or CODES.met
-    from instruments.captures.capture import CaptureFile
+    from instruments import CaptureFile
 
     facts = {
         "teatbench": __version__,

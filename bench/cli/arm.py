@@ -6,12 +6,13 @@ import argparse
 import math
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
+import bench
 from bench.calibrate.arm import (
     ArmSession,
     VerificationPlan,
@@ -43,11 +44,7 @@ from bench.rig.arm_files import (
 )
 from bench.rig.model import Arm
 from bench.scoring.stated_u import refuted
-from instruments.microscribe.driver import MicroScribe
-from instruments.microscribe.pedals import Pedal
 from instruments.points import points_url
-
-SHOW_S = 0.2
 
 
 @contextmanager
@@ -70,7 +67,7 @@ def read(given: argparse.Namespace) -> None:
         serial_number = session.arm.identity.serial_number
         if frame:
             frame = load_frame(given.frame, serial_number=serial_number)
-        if isinstance(session.arm, MicroScribe):
+        if session.arm.pedals:
             reading = session.arm.read(given.packets)
         else:
             step = Step("point", 0, "Touch the point that is to be read.")
@@ -94,42 +91,32 @@ def read(given: argparse.Namespace) -> None:
         print(f"    {mm(line['world_mm'], 2)} in the world (frame of {frame.made:%Y-%m-%d})")
 
 
-def _microscribe(session: ArmSession) -> MicroScribe:
+def _refuse_points(session: ArmSession) -> None:
     """Raises ConfigError for points of another arm."""
-    if not isinstance(session.arm, MicroScribe):
-        raise ConfigError.plain(
-            "only a MicroScribe can be watched and homed: the software of another arm does that"
-        )
-    return session.arm
+    if not session.arm.pedals:
+        does = "the software of another arm does that"
+        raise ConfigError.plain(f"only a MicroScribe can be watched and homed: {does}")
 
 
 def watch(given: argparse.Namespace) -> None:
     live = sys.stdout.isatty()
-    with _homed(given) as session, ExitStack() as ending:
-        if live:
-            ending.callback(print, flush=True)
-        arm, clock = _microscribe(session), session.clock
-        shown, samples = clock.now(), []
-        end_s = shown + (given.seconds or math.inf)
-        with suppress(KeyboardInterrupt), arm.stream() as stream:
-            for sample in stream:
-                samples.append(sample)
-                now = clock.now()
-                if now - shown >= SHOW_S:
-                    x, y, z = arm.position(samples).tip_mm
-                    pedals = ", ".join(
-                        f"{pedal.name.lower()} {'DOWN' if sample.buttons & pedal.value else 'up'}"
-                        for pedal in reversed(Pedal)
-                    )
-                    print(
-                        f"tip {x:8.2f} {y:8.2f} {z:8.2f} mm   pedals: {pedals:<22}"
-                        f" {len(samples) / (now - shown):6.1f} packets/s   damaged: {arm.damaged}",
-                        end="\r" if live else "\n",
-                        flush=True,
-                    )
-                    samples, shown = [], now
-                if now >= end_s:
+    with _homed(given) as session:
+        _refuse_points(session)
+        end_s = session.clock.now() + (given.seconds or math.inf)
+        with suppress(KeyboardInterrupt), closing(bench.watch_arm(session.arm)) as views:
+            for seen in views:
+                each = (f"{one} {'DOWN' if down else 'up'}" for one, down in seen.pedals.items())
+                (x, y, z), pedals = seen.tip_mm, ", ".join(each)
+                print(
+                    f"tip {x:8.2f} {y:8.2f} {z:8.2f} mm   pedals: {pedals:<22}"
+                    f" {seen.packets_per_s:6.1f} packets/s   damaged: {seen.damaged}",
+                    end="\r" if live else "\n",
+                    flush=True,
+                )
+                if session.clock.now() >= end_s:
                     break
+    if live:
+        print(flush=True)
 
 
 def home(given: argparse.Namespace) -> None:
@@ -139,14 +126,14 @@ def home(given: argparse.Namespace) -> None:
             " --on-peg to say so."
         )
     with open_arm(given.port, given.baud, given.answer_s, given.capture) as session:
-        arm = _microscribe(session)
+        _refuse_points(session)
         if not given.on_peg:
             session.ask(
                 "Put the arm's stylus on its peg and let go of it. Anywhere else, homing makes"
                 " every position wrong."
             )
-        arm.home()
-        reading = arm.read()
+        session.arm.home()
+        reading = session.arm.read()
     print(
         f"Homed. The tip stands at {mm(reading.tip_mm, 2)} in the arm's frame. Leave the arm"
         " switched on."

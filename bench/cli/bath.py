@@ -9,9 +9,10 @@ from __future__ import annotations
 import argparse
 import math
 from collections import deque
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing
 from dataclasses import asdict
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -21,25 +22,20 @@ from rich.live import Live
 from rich.text import Text
 
 import bench
-from bench.api.rigs import Liveness, StabilityGate, State
 from bench.cli.arguments import CODES, complain, json_of, print_values
 from bench.cli.terminal import Terminal
+from instruments import BathReading, InstrumentError, LimitError, RealClock
 from instruments.bath.access import NOT_READ
-from instruments.bath.driver import Bath
-from instruments.bath.reading import BathReading
-from instruments.clock import Clock, RealClock
-from instruments.errors import InstrumentError, LimitError
 
 PERIOD_S = 1.0
 KEPT_S = 3600.0
 WIDTH, HEIGHT = 72, 14
-RATE_S = 60.0  # the rate that a forecast is made from
 LEAST_SPAN_K = 0.2  # or noise would fill the plot
 POINT, LINE = "•", "─"
 BARS = "▁▂▃▄▅▆▇█"  # 0 to 100 %
 
 
-def _opened(given: argparse.Namespace, **how: Any) -> AbstractContextManager[Bath]:
+def _opened(given: argparse.Namespace, **how: Any) -> AbstractContextManager[Any]:
     return bench.open_bath(given.port, given.profile, capture=given.capture, **how)
 
 
@@ -48,10 +44,8 @@ def read(given: argparse.Namespace) -> None:
         values = bench.describe_bath(bath)
     if given.json:
         print(json_of(values))
-    else:
-        print_values(
-            {key: "not reported" if value is None else value for key, value in values.items()}
-        )
+        return
+    print_values({key: "not reported" if one is None else one for key, one in values.items()})
 
 
 def learn(given: argparse.Namespace) -> int:
@@ -98,8 +92,10 @@ def change(given: argparse.Namespace) -> int:
 
 def watch(given: argparse.Namespace) -> None:
     with _opened(given) as bath, closing(RealClock()) as clock:
+        end_s = clock.now() + (given.seconds or math.inf)
+        views = bench.watch_bath(bath, PERIOD_S, clock=clock)
         try:
-            watch_bath(bath, clock, Terminal(), given.seconds or math.inf)
+            show_views(takewhile(lambda _: clock.now() < end_s, views), Terminal())
         except KeyboardInterrupt:
             print("left as it is; 'teatbench bath standby' switches the heater off")
 
@@ -125,30 +121,6 @@ def acknowledge(given: argparse.Namespace) -> None:
     print(f"latched: {found}")
     bench.acknowledge(given.rig, capture=given.capture)
     print("acknowledged; the rig may run again")
-
-
-def seconds_to_stable(gate: StabilityGate, rate_k_per_s: float | None) -> float | None:
-    """The least time until the gate opens: the way at the present rate and a window, or what is
-    left of the window. None where the bath doesn't approach its set point.
-    """
-    if gate.state is State.STABLE:
-        return 0.0
-    if gate.last_c is None:
-        return None
-    if gate.state is State.SETTLING:
-        return max(0.0, gate.window_s - gate.near.span_s) or PERIOD_S
-    away_k = gate.set_point_c - gate.last_c
-    if not rate_k_per_s or away_k * rate_k_per_s <= 0.0:
-        return None
-    return (abs(away_k) - gate.leave_k) / abs(rate_k_per_s) + gate.window_s
-
-
-def rate_k_per_s(samples: Sequence[BathReading]) -> float | None:
-    """Over the last minute; None before there are ten seconds of readings."""
-    last = samples[-1]
-    first = next(sample for sample in samples if last.t_s - sample.t_s <= RATE_S)
-    span_s = last.t_s - first.t_s
-    return (last.temp_c - first.temp_c) / span_s if span_s >= 10.0 else None
 
 
 def plot(samples: Sequence[BathReading], set_point_c: float) -> list[str]:
@@ -187,76 +159,54 @@ def _columns(samples: Sequence[BathReading]) -> tuple[NDArray[np.int_], float]:
     return np.minimum(WIDTH - 1, after_s / span_s * (WIDTH - 1)).astype(int), span_s
 
 
-class BathView:
-    """What is shown after each reading."""
+class BathPlot:
+    """What is shown of each view of a bath."""
 
-    def __init__(self, gate: StabilityGate, moving: Callable[[BathReading], Hashable]) -> None:
-        self._gate = gate
-        self._moving = moving
+    def __init__(self) -> None:
         self._samples: deque[BathReading] = deque()
-        self._started = True
-        self.problem = ""
 
-    def add(self, reading: BathReading, set_point_c: float, *, started: bool) -> None:
-        """Take a reading in."""
-        self._started = started
-        self._gate.change_set_point(set_point_c)
-        raw, teat_c = self._moving(reading), reading.external_c
-        self._gate.add(
-            reading.t_s, reading.temp_c, raw=raw, alarm=bool(reading.alarm), teat_c=teat_c
-        )
-        self._samples.append(reading)
-        while reading.t_s - self._samples[0].t_s > KEPT_S:
-            self._samples.popleft()
-        self.problem = ""
+    def add(self, view: bench.BathView) -> None:
+        """Take a view in."""
+        self._view = view
+        if (reading := view.reading) is not None:
+            self._samples.append(reading)
+            while reading.t_s - self._samples[0].t_s > KEPT_S:
+                self._samples.popleft()
 
     def line(self) -> str:
         """The state in one line."""
+        view, problem = self._view, self._view.fault and f"NO READING: {self._view.fault}"
         if not self._samples:
-            return self.problem or "no reading yet"
-        reading = self._samples[-1]
-        gate = self._gate
-        left_s = seconds_to_stable(gate, rate_k_per_s(self._samples))
-        output = (
-            "not reported" if reading.power_percent is None else f"{reading.power_percent:.0f} %"
-        )
-        parts = [
-            f"{reading.temp_c:.2f} degC",
-            f"set point {gate.set_point_c:.2f} degC",
-            f"output {output}",
-        ]
+            return problem
+        reading, left_s = self._samples[-1], view.stable_in_s
+        percent = reading.power_percent
+        output = "not reported" if percent is None else f"{percent:.0f} %"
+        parts = [f"{reading.temp_c:.2f} degC", f"set point {view.set_point_c:.2f} degC"]
         minutes, seconds = divmod(int(left_s or 0), 60)
         when = {None: "not getting nearer", 0.0: "stable now"}.get(
             left_s, f"stable in {minutes}:{seconds:02d} min at the earliest"
         )
-        parts += [gate.state.value, when] if self._started else ["in standby"]
+        parts += [f"output {output}", *([view.state, when] if view.started else ["in standby"])]
         parts += [f"alarm {reading.alarm}"] if reading.alarm else []
-        return ", ".join(filter(None, [*parts, self.problem]))
+        return ", ".join(filter(None, [*parts, problem]))
 
     def lines(self) -> Iterator[str]:
         """Plot, state, and what the gate still waits for."""
         if self._samples:
-            yield from plot(self._samples, self._gate.set_point_c)
+            yield from plot(self._samples, self._view.set_point_c)
             yield from filter(None, [output_strip(self._samples)])
         yield self.line()
-        yield from (
-            f"  {reason}" for reason in self._gate.reasons if self._gate.state is not State.HEATING
-        )
+        if self._view.state != "heating":
+            yield from (f"  {reason}" for reason in self._view.reasons)
 
 
-def watch_bath(bath: Bath, clock: Clock, console: Console, seconds: float) -> None:
-    """Read and show once a second for ``seconds``; a line a reading without a terminal."""
-    view = BathView(StabilityGate(bath.get("set_point")), Liveness(bath.profile))
-    started = bath.profile.row("run").values["started"]
-    end_s = clock.now() + seconds
+def show_views(views: Iterable[bench.BathView], console: Console) -> None:
+    """Show each; a line a view without a terminal."""
+    shown = BathPlot()
     with Live(console=console, auto_refresh=False, transient=False) as live:
-        while clock.now() < end_s:
-            try:
-                view.add(bath.read(), bath.get("set_point"), started=bath.get("run") == started)
-            except InstrumentError as error:  # it may come back
-                view.problem = f"NO READING: {error}"
+        for view in views:
+            shown.add(view)
             if console.is_terminal:
-                live.update(Group(*(Text(line) for line in view.lines())), refresh=True)
+                live.update(Group(*(Text(line) for line in shown.lines())), refresh=True)
             else:
-                console.print(view.line(), markup=False, highlight=False, soft_wrap=True)
-            clock.sleep(min(PERIOD_S, max(0.0, end_s - clock.now())))
+                console.print(shown.line(), markup=False, highlight=False, soft_wrap=True)

@@ -18,24 +18,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import bench
-from bench.api.calibration import LEAST_LOOKED_AT, STEREO
 from bench.cli.arguments import CODES, code_of, command_line, complain, refuse_existing
 from bench.cli.commands import CAMERAS
 from bench.cli.terminal import working
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
-from detector.calibration import (
-    DEFAULT_PLANE_DEPTH_MM,
-    Calibration,
-    Part,
-    Record,
-)
 from detector.calibration.gate import pair_faults
-from instruments.world.boards import NoPlaceError
 
 if TYPE_CHECKING:
-    from detector.calibration.diagnosis import Finding
-    from instruments.camera.frame import FrameSet
+    from detector import Calibration, Part, Record
     from reports.page import Page
 
 CHECK_VIEWS = 5
@@ -101,8 +92,8 @@ def thermal(given: argparse.Namespace) -> None:
     )
     views, paths, identity = _views_of(given, pair.part, how)
     with working("fitting the thermal camera"):
-        plane_mm = given.plane or DEFAULT_PLANE_DEPTH_MM
-        result = bench.calibrate_thermal(views, pair.part, delivered, plane_mm)
+        plane = {"plane_depth_mm": given.plane} if given.plane else {}
+        result = bench.calibrate_thermal(views, pair.part, delivered, **plane)
     record = _record(given, paths, cameras=identity, pair=pair)
     _write_step(given, result.part(record), thermal_page(result, record, command_line()))
     of_views = [*result.joint.view_rms_px("thermal").values()]
@@ -151,6 +142,8 @@ def merge(given: argparse.Namespace) -> None:
 
 
 def check(given: argparse.Namespace) -> int:
+    from bench.report.calibration import LEAST_LOOKED_AT
+
     part = bench.read_part(given.calibration).part
     # whose pictures are kept beside the calibration that they check
     given.by, given.out = "", given.calibration
@@ -166,7 +159,7 @@ def check(given: argparse.Namespace) -> int:
     return _say(findings)
 
 
-def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Finding], Page, int]:
+def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Any], Page, int]:
     """Findings, their page, and how many views were looked at."""
     from bench.report.calibration import check_page
 
@@ -183,7 +176,7 @@ def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Findin
     return findings, page, len(again.views)
 
 
-def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Finding], Page, int]:
+def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Any], Page, int]:
     """As `_check_board`, of points."""
     from bench.report.calibration import check_points_page
 
@@ -207,7 +200,7 @@ def _check_ends(given: argparse.Namespace, part: Part) -> int:
     if given.frames or given.points or given.board:
         raise ConfigError.plain("--ends is in the place of pictures, --points and --board")
     calibration = read_calibration(given.calibration)
-    anew: list[FrameSet] = []
+    anew: list[Any] = []
     if given.rig:
         say(f"The phantom has to stand as in the last trial of {given.ends}.")
         how = {"known": part, "seed": given.seed, "capture": given.capture}
@@ -246,13 +239,14 @@ def _one_source(given: argparse.Namespace, files: object, what: str) -> None:
 def _views_of(
     given: argparse.Namespace,
     known: Part | None = None,
-    request: bench.ViewsRequest = STEREO,
+    request: bench.ViewsRequest | None = None,
     others: str = "",
 ) -> tuple[bench.BoardViews, tuple[Path, ...], dict[str, str]]:
     """The board as the cameras of ``request`` see it, in the pictures named or taken live; the
     files that this came from; and of a rig the cameras' identities. Raises ConfigError,
     InstrumentError, OperatorAbort.
     """
+    request = request or bench.ViewsRequest()
     _one_source(given, given.frames, FOLDERS + others)
     board, files = bench.find_board(given.board)
     identity: dict[str, str] = {}
@@ -260,7 +254,7 @@ def _views_of(
         wanted = given.rig, board, given.out, request
         try:
             folder, identity = bench.take_views(*wanted, known=known, **_live(given))
-        except NoPlaceError as error:  # of the emulated operator
+        except bench.NoPlaceError as error:  # of the emulated operator
             raise ConfigError.plain(f"--board {given.board}: {error}") from error
         given.frames = [folder]
     found = bench.find_pictures(given.frames, request.cameras)
@@ -309,7 +303,7 @@ def _write_page(given: argparse.Namespace, page: Page, folder: Path | None) -> N
         print(f"page: {write_report(page, folder)}")
 
 
-def _say(findings: Sequence[Finding], *, on_page: bool = False) -> int:
+def _say(findings: Sequence[Any], *, on_page: bool = False) -> int:
     """Print the findings, with ``on_page`` one of each kind; gives back the exit code."""
     kinds = Counter(finding.name for finding in findings)
     said: set[str] = set()

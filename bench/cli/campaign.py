@@ -5,14 +5,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import bench
 from bench.cli.arguments import CODES, complain, json_of
 from bench.config import ConfigError
-
-if TYPE_CHECKING:
-    from bench.api.campaigns import Status
 
 # flag -> key of a plan, in its order
 SAME = ("first", "seed", "rig", "calibration", "limit_mm", "chunk_scenes")
@@ -32,7 +29,7 @@ def working_on(what: str) -> Iterator[dict[str, Any]]:
     """Arguments of `run_campaign` that show on a bar how far it is. What stops it is printed."""
     from bench.cli.terminal import working
 
-    def progress(status: Status) -> tuple[int, int, str]:
+    def progress(status: Any) -> tuple[int, int, str]:
         failed = ", ".join(f"{name} {count}" for name, count in sorted(status.failures.items()))
         aside = f"; set aside {status.aside}" if status.aside else ""
         return status.done, status.planned, f"failures: {failed or 'none yet'}{aside}"
@@ -88,7 +85,7 @@ def query(given: argparse.Namespace) -> None:
 
 
 def keep(given: argparse.Namespace) -> None:
-    from bench.testing.found import keep as kept
+    from bench.testing import keep as kept
 
     frame = kept(given.folder, given.into, given.name)
     print(f"{frame} in {given.into}")

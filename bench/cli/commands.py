@@ -706,7 +706,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option(
             "steps STEP",
             "X-5, or X-5Y2.5 for both at once: mm, degrees for A",
-            parsed("bench.rig.alone:step"),
+            parsed("bench.cli.alone:step"),
             nargs="+",
         ),
         FEED,

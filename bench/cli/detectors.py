@@ -19,11 +19,10 @@ import bench
 from bench.cli.arguments import CODES, complain, json_of, print_values
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
-from detector.protocol import Outcome
+from detector import Outcome
 
 if TYPE_CHECKING:
-    from detector.calibration import Calibration
-    from detector.protocol import Detector, Teat
+    from detector import Calibration, Detector, Teat
 
 # whose first member that the detector was not trained on is shown where no recording is named
 SITUATION = "ideal"
@@ -78,13 +77,13 @@ def listed(given: argparse.Namespace) -> None:
 
 
 def new(given: argparse.Namespace) -> None:
-    import detector.external
+    import detector
     from bench.toml import toml_text
 
     name = given.name
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,60}", name):
         raise ConfigError.plain(f"--name {name}: letters, digits, - and _ only")
-    skeletons = Path(detector.external.__file__).parent / "skeletons"
+    skeletons = Path(detector.__file__).parent / "external" / "skeletons"
     files = {given.out / f"{name}{end}": one for one, end in SKELETONS[given.language].items()}
     program, file = next(iter(files)), given.out / f"{name}.toml"
     if there := [path for path in (*files, file) if path.exists()]:
@@ -181,10 +180,8 @@ def try_out(given: argparse.Namespace) -> int:
 
 def _unseen(detector: Detector) -> int:
     """The first member that it doesn't say it was trained on."""
-    from detector.protocol import DetectorProcess
-
-    if isinstance(detector, DetectorProcess):
-        detector.introduce()
+    if introduce := getattr(detector, "introduce", None):
+        introduce()
     member = 0
     for first, last in sorted(getattr(detector, "trained_on", {}).get(SITUATION, ())):
         member = last + 1 if first <= member <= last else member

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Mapping
 from contextlib import closing
 from datetime import date
 
-from bench.api.instruments import attached
+import bench
 from bench.cli.arguments import CODES, refuse_existing
 from bench.config import ConfigError, parse_config, read_text
 from bench.files import write_synced
@@ -28,7 +28,7 @@ Ask = Callable[[str, str], str]
 def init(given: argparse.Namespace) -> int:
     refuse_existing(given.out, replace=given.replace)
     found = _found(given.port)
-    cameras = dict(one for one in attached() if one[0] != "genicam:")
+    cameras = dict(one for one in bench.list_cameras() if one[0] != "genicam:")
     for url, name in cameras.items():
         print(f"{url}: camera, {name}")
 

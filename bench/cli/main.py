@@ -18,7 +18,7 @@ from functools import cache
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-from bench.cli.arguments import CODES, EXIT_CODES, call, complain
+from bench.cli.arguments import CODES, EXIT_CODES, call, complain, in_switches
 from bench.cli.commands import COMMANDS, FUNCTIONS, GROUPS, MODULES, NEXT, ONCE, REMOVED, TASKS
 from bench.safety.signals import installed
 from bench.version import __version__
@@ -114,10 +114,8 @@ def _is_text(word: str) -> bool:
 
 
 def _run(given: argparse.Namespace) -> int:
-    from bench import ConfigError, RecordingError
-    from instruments.captures.capture import CaptureError
-    from instruments.errors import InstrumentError
-    from instruments.operators.operator import OperatorAbort, OperatorSkip
+    from bench import ConfigError, OperatorAbort, OperatorSkip, RecordingError
+    from instruments import CaptureError, InstrumentError
 
     try:
         code = call(given)
@@ -125,9 +123,9 @@ def _run(given: argparse.Namespace) -> int:
         sys.stdout.flush()
         return code
     except (ConfigError, RecordingError, CaptureError) as error:
-        return complain(str(error), CODES.wrong_use)
+        return complain(in_switches(error, given), CODES.wrong_use)
     except InstrumentError as error:
-        return complain(str(error), CODES.fault)
+        return complain(in_switches(error, given), CODES.fault)
     except (OperatorAbort, OperatorSkip) as stop:
         return complain(f"{stop}; nothing was written", CODES.fault)
     except sqlite3.Error as error:
@@ -278,5 +276,5 @@ def parser() -> argparse.ArgumentParser:
             argument(parser)
         first, last = name.split()[0], name.split()[-1]
         module = next((one for one, words in MODULES.items() if first in words), first)
-        parser.set_defaults(command=(module, FUNCTIONS.get(name, last)), called=name)
+        parser.set_defaults(command=(module, FUNCTIONS.get(name, last)), called=name, parser=parser)
     return top

@@ -28,8 +28,6 @@ def run(given: argparse.Namespace) -> int:
         raise ConfigError.plain("--json is for --dry-run. A run's JSON is its report/run.json.")
     rig = bench.load_rig(given.rig)
     names = given.script or [None]
-    if len(names) > 1 and given.record:
-        raise ConfigError.plain("--record is of one script. Give one, or leave --record out.")
     scripts = [bench.load_script(name, rig) for name in names]
     if given.dry_run:
         from bench.cli.dry_run import look_ahead

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from reports.runs import Runs
 
 NARROW = 76
+TAKEN_S = 10.0  # that a capture or a detection may take, before a request is read
 WIDE = 110  # columns that a comparison's axes need; page and JSON have them always
 
 
@@ -149,22 +150,12 @@ def _show(found: Sequence[bench.Comparison]) -> None:
             console.print(f"  {reason}")
 
 
-def control(given: argparse.Namespace) -> int:
-    from bench.api.records import TAKEN_S
-
-    try:
-        taken = bench.control_run(given.run, " ".join(given.words), within_s=TAKEN_S)
-    except ValueError as ended:
-        print(ended)
-        return CODES.wrong_use
-    if taken:
+def control(given: argparse.Namespace) -> None:
+    if bench.control_run(given.run, " ".join(given.words), within_s=TAKEN_S):
         print("request accepted; see the run's terminal")
-    else:
-        print(
-            f"request left; the run has not read it for {TAKEN_S:g} s: it is busy, or its process"
-            " has ended."
-        )
-    return CODES.met
+        return
+    why = f"the run has not read it for {TAKEN_S:g} s: it is busy, or its process has ended."
+    print(f"request left; {why}")
 
 
 def runs(given: argparse.Namespace) -> None:

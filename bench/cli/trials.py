@@ -100,16 +100,6 @@ def plan(given: argparse.Namespace) -> None:
         raise ConfigError.plain(
             "--script and --trials both say how many poses there are; give one of them"
         )
-    if given.shift_mm is not None and given.sd_mm is None:
-        raise ConfigError.plain(
-            "--shift-mm needs --sd-mm: how much the difference varies from pose to pose ('teatbench"
-            " compare' shows it)"
-        )
-    if (given.limit_mm is None) != (given.u_mm is None):
-        raise ConfigError.plain(
-            "--limit-mm and --u-mm belong together: the limit of the error, and the uncertainty of"
-            " the truth"
-        )
     poses, confidence = given.trials, given.confidence
     if given.script:
         script = bench.load_script(given.script)

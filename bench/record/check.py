@@ -112,7 +112,7 @@ def checked_first(folders: Folders, *, despite_damage: bool) -> Iterator[tuple[s
     )
     if damage and not despite_damage:
         hint = (
-            "'teatbench store check RUN' lists all of it; --despite-damage goes on all the same,"
+            "'teatbench store check RUN' lists all of it; `despite_damage` goes on all the same,"
             " and says so in what it writes."
         )
         raise ConfigError.plain(f"{NOT_AS_WRITTEN}, and is refused. {shortened(damage)}\n{hint}")

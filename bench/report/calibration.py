@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from bench.calibrate.cameras import LEAST_LOOKED_AT as LEAST_LOOKED_AT
 from bench.calibrate.cameras import (
-    LEAST_LOOKED_AT,
     PAIR,
     WORKING_MM,
     CamerasResult,

@@ -354,7 +354,7 @@ def judge_folders(
     if len(scripts) > 1 and not across_scripts:
         raise ConfigError.plain(
             f"these runs are of different scripts ({'; '.join(map(_called, runs))}): a rate over"
-            " both is of neither's situations. --across-scripts pools them all the same, and says"
+            " both is of neither's situations. `across_scripts` pools them all the same, and says"
             " so."
         )
     found = [_together(runs, name, rules) for name in names]

@@ -4,7 +4,6 @@ connected to once, for who it is and one reading. Opening a stage's port resets 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, is_dataclass
@@ -61,6 +60,18 @@ class OpenCameras:
         """The rig's looks; a phantom that is still cold is no fault here."""
         table, calibration = self.table, self.rig.made_calibration
         return FrameChecks(table.checks, table.max_skew_s, calibration, flat=False)
+
+    def describe(self) -> dict[str, Any]:
+        """``identity``; of all ``cameras`` what a picture says, units in its keys; and the
+        ``faults`` that a run would find in a frame set. Raises FrameError.
+        """
+        if self.frame_set is None:
+            taken, faults = self.look(), []
+        else:
+            frames = with_retries(self.frame_set.capture)()
+            taken, faults = pictures(frames), [str(one) for one in self.checks.notice(frames)]
+        seen = {name: figures(picture) for name, picture in taken.items()}
+        return {"identity": dict(self.identity()), "cameras": seen, "faults": faults}
 
 
 @contextmanager
@@ -144,8 +155,17 @@ def figures(picture: Grey) -> dict[str, object]:
     }
 
 
-def attached() -> Iterator[tuple[str, str]]:
-    """URL and name of each camera that this machine lists; OpenCV's devices are not opened."""
+def list_cameras(rig: AnyRig | None = None) -> Iterator[tuple[str, str]]:
+    """URL and name of each camera that this machine lists, of which OpenCV's are not opened; or
+    each one of ``rig``, with its URL and what becomes of its frames. Raises ConfigError.
+    """
+    if rig is not None:
+        cameras = any_rig(rig).rig.cameras
+        if cameras.url:
+            yield "all", cameras.url
+        for camera, table in cameras.tables.items():
+            yield camera, f"{table.url} {conversion_of(table, any_rig(rig).made_calibration)}"
+        return
     for device in sorted(Path("/sys/class/video4linux").glob("video*")):
         name = (device / "name").read_text(encoding="utf-8").strip()
         yield f"opencv:{device.name.removeprefix('video')}", name
@@ -161,18 +181,7 @@ def attached() -> Iterator[tuple[str, str]]:
         yield f"genicam:{aravis.get_device_id(i)}", f"{who} at {aravis.get_device_address(i)}"
 
 
-def cameras_of_rig(name: str) -> Iterator[tuple[str, str]]:
-    """Each camera of a rig with its URL and what becomes of its frames; nothing is opened."""
-    rig = load_rig(find_rig(name))
-    cameras = rig.rig.cameras
-    if cameras.url:
-        yield "all", cameras.url
-    for camera, table in cameras.tables.items():
-        yield camera, f"{table.url} {conversion_of(table, rig.made_calibration)}"
-
-
 KEYS = {"X": "x_mm", "Y": "y_mm", "Z": "z_mm", "A": "a_deg"}
-_STEP = re.compile(r"([XYZA])([-+]?(?:\d+\.?\d*|\.\d+))", re.IGNORECASE)
 
 
 @contextmanager
@@ -192,7 +201,7 @@ def open_stage(
     else:
         of = any_rig(rig)
         if of.rig.stage is None or is_emulated(of.rig.stage.url):
-            emulated = "its stage is emulated; 'teatbench emulate' serves one at a port, for --port"
+            emulated = "its stage is emulated; 'teatbench emulate' serves one at a port, for `url`"
             none = "this rig has no stage; the operator moves its phantom"
             raise ConfigError.plain(f"{of.path}: {emulated if of.rig.stage else none}")
         at = of.rig.stage
@@ -277,28 +286,6 @@ def check_target(
     wanted = {"X": x_mm, "Y": y_mm, "Z": z_mm, "A": a_deg}
     target = declared(wanted, stage.axes, who="stage")
     check_within(target, stage.settings, "move", who="stage")
-
-
-def step(text: str) -> dict[str, float]:
-    """A way as ``X-5Y2.5``: arguments of `Stage.jog`. Raises ValueError."""
-    found = _STEP.findall(text)
-    axes = [axis.upper() for axis, _ in found]
-    whole = "".join(axis + way for axis, way in found) == text
-    if not found or not whole or len(set(axes)) != len(axes):
-        raise ValueError(
-            f"{text!r} is no way to go; write X-5, or X-5Y2.5 for both at once (mm, degrees for A)"
-        )
-    return {KEYS[axis]: float(way) for axis, (_, way) in zip(axes, found, strict=True)}
-
-
-def jog(stage: Stage, way: dict[str, float], feed_mm_min: float | None) -> None:
-    """Go by ``way`` and wait; an interrupt ends the jog where it is. Raises InstrumentError."""
-    stage.jog(**way, feed_mm_min=feed_mm_min)
-    try:
-        stage.finish_move()
-    except KeyboardInterrupt:
-        stage.cancel_jog()
-        raise
 
 
 def check_rig(

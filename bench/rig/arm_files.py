@@ -521,7 +521,7 @@ def write_file(path: Path, text: str) -> None:
         write_synced(path, text.encode("utf-8"))
     except OSError as error:
         raise ConfigError.plain(
-            f"{path} can't be written: {error.strerror or error}. Name another place with --out."
+            f"{path} can't be written: {error.strerror or error}. Name another place as `out`."
         ) from error
 
 

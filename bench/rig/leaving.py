@@ -28,7 +28,7 @@ from instruments.bath.profile import PUMP
 from instruments.bath.reading import BathReading
 from instruments.clock import wall_time
 from instruments.drivers.protocols import Bath, Stage
-from instruments.errors import InstrumentError, LinkError
+from instruments.errors import InstrumentError, LimitError, LinkError
 
 FED_TIMES = 5  # in the time after which a controller's own watchdog stops it
 OF = {"pump": "bath"}  # what cannot be made safe without the other
@@ -115,7 +115,12 @@ class Leaving:
         return NotSafeError("rig", what) if real else None
 
     def _guard(self, name: str, bath: Bath | None, stage: Stage | None) -> None:
-        """Before anything is sent that heats or moves. Raises LinkError without a guardian."""
+        """Before anything is sent that heats or moves. Raises LinkError without a guardian, and
+        LimitError once all was left.
+        """
+        if self._left:
+            what = "it was left: nothing is heated or moved any more"
+            raise LimitError("rig", what, hint="Use it inside of its with block.")
         if bath:
             self._feed(bath)
         if name not in self._guards or self._leave_running:

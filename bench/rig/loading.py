@@ -287,7 +287,7 @@ def find_board(name: str | None) -> tuple[Board, tuple[Path, ...]]:
             raise ConfigError.plain(f"{name}: {error}") from error
     if not name:
         raise ConfigError.plain(
-            "--board is needed: what is in the pictures. Shipped:"
+            "a board is needed: what is in the pictures. Shipped:"
             f" {', '.join(shipped(BOARDS))}; or checkerboard:5x7:30mm (inner corners, and their"
             " distance), or the path of a .toml file."
         )

@@ -105,7 +105,7 @@ def pack_run(run: Path, out: Path, title: str = "", licence: str = "") -> Path:
     ``licence`` is an SPDX identifier. Raises ConfigError, RecordingError, OSError.
     """
     if out.exists():
-        raise ConfigError.plain(f"--out {out}: is there already. Name a new folder.")
+        raise ConfigError.plain(f"`out` {out}: is there already. Name a new folder.")
     record = read_run(run)
     making = out.with_name(f"{out.name}.part")
     shutil.rmtree(making, ignore_errors=True)

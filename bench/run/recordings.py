@@ -41,11 +41,11 @@ class Recorder:
         self._open: dict[str, Sequence[TruthRow]] = {}
         try:
             if before is None and folder.exists() and any(folder.iterdir()):
-                why = f"--record {folder}: the folder is not empty. Name a new one."
+                why = f"`record` {folder}: the folder is not empty. Name a new one."
                 raise ConfigError.plain(why)
             known = {trial.id for trial in before.trials} if before else set()
             if others := _has(folder)[0] - known:
-                why = f"--record {folder}: has frames of another run, {min(others)} for one."
+                why = f"`record` {folder}: has frames of another run, {min(others)} for one."
                 raise ConfigError.plain(why)
             for unfinished in folder.glob("making *"):
                 shutil.rmtree(unfinished)
@@ -54,7 +54,7 @@ class Recorder:
             if before:
                 self._catch_up(before)
         except (OSError, RecordingError) as error:
-            raise ConfigError.plain(f"--record {folder}: {error}.") from error
+            raise ConfigError.plain(f"`record` {folder}: {error}.") from error
 
     def trial(
         self, trial_id: str, frames: FrameSet, truth: Sequence[TruthRow], *, confirmed: bool

@@ -642,7 +642,7 @@ def _new_store(out: Path, name: str, files: dict[str, str], calibration: Path) -
         return Store.create_next(out, name, wall_time(), files)
     except OSError as error:
         why = f"a run can't be kept in {out}: {error.strerror or error}"
-        raise ConfigError.plain(f"{why}. Name another folder with --out.") from error
+        raise ConfigError.plain(f"{why}. Name another folder as `out`.") from error
 
 
 def _end(store: Store, ending: RunState, why: str = "") -> RunState:

@@ -209,11 +209,6 @@ class StabilityGate:
         left_s = max(self.max_gap_s, self.window_s - self.near.span_s)
         return 0.0 if self._state is State.STABLE else left_s
 
-    @property
-    def last_c(self) -> float | None:
-        """The last reading; None before the first."""
-        return self._last[1] if self._last else None
-
     def _criteria(self, w: Window) -> Iterator[tuple[bool, str, float]]:
         """Of each criterion but the span: whether ``w`` fails it, what was seen, and the limit."""
         yield w.distinct < self.min_distinct, f"{w.distinct} distinct readings", self.min_distinct

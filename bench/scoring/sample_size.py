@@ -239,6 +239,11 @@ def plan_poses(
     for name, bounds, value in (("failures", FROM_0, failures), ("poses", FROM_0, poses)):
         if value is not None and not bounds.has(value):
             raise ValueError(f"{name} is {value!r}, not {bounds.what}")
+    if shift_mm is not None and sd_mm is None:
+        varies = "how much the difference varies from pose to pose"
+        raise ValueError(f"`shift_mm` needs `sd_mm`: {varies} ('teatbench compare' shows it)")
+    if (limit_mm is None) != (u_mm is None):
+        raise ValueError("`limit_mm` and `u_mm` belong together: of the error, and of its truth")
     alpha, there = round(1.0 - confidence, 12), poses or None
     accept = None if limit_mm is None or u_mm is None else acceptance_limit_mm(limit_mm, u_mm)
     claims = []

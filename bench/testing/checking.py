@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from bench.api.shots import Shot, load_rig, open_detector, score
 from bench.campaign.chunk import LIMIT_MM
+from bench.config import ConfigError
 from bench.results.answers import Answer, examine, name_of
 from bench.rig.scenes import rig_renderer
 from bench.scoring.scene import SceneScore
@@ -62,7 +63,7 @@ class SceneFailedError(AssertionError):
         for one in near[:: -(-len(near) // NEIGHBOURS) or 1]:
             try:
                 looks.append(look(self.detector, one, self.limit_mm, rig=self.rig))
-            except ValueError:  # too near a camera
+            except (ConfigError, ValueError):  # too near a camera
                 continue
         return sum(bool(one.fault) for one in looks), len(looks)
 

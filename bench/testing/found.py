@@ -65,8 +65,9 @@ def read_scene(path: Path) -> tuple[Scene, dict[str, Any]]:
         raise ConfigError.plain(f"{path}: is no scene that a test found: {error}") from error
 
 
-def keep(folder: Path, recording: Path, name: str | None = None) -> str:
+def keep(folder: Path | str, into: Path | str, name: str | None = None) -> str:
     """Add a found scene to a recording; gives back the frame's name. Raises ConfigError."""
+    folder, recording = Path(folder), Path(into)
     path = folder if folder.is_file() else folder / SCENE
     if not path.exists():
         raise ConfigError.plain(
@@ -77,7 +78,7 @@ def keep(folder: Path, recording: Path, name: str | None = None) -> str:
     frame = name or path.resolve().parent.name
     try:
         shot = scene.draw(rig)
-    except ValueError as error:
+    except (ConfigError, ValueError) as error:
         raise ConfigError.plain(f"{path}: {error}") from error
     if digest_of_frames(shot.frames) != facts.get("frames"):
         raise ConfigError.plain(
@@ -89,7 +90,7 @@ def keep(folder: Path, recording: Path, name: str | None = None) -> str:
     there = recording / "calibration.toml"
     if there.exists() and read_text(there) != stated:
         raise ConfigError.plain(
-            f"{recording} has another calibration than {path}: name another --into"
+            f"{recording} has another calibration than {path}: name another `into`"
         )
     new = not recording.exists()
     try:
@@ -101,5 +102,5 @@ def keep(folder: Path, recording: Path, name: str | None = None) -> str:
     except RecordingError as error:
         if new:
             shutil.rmtree(recording)
-        raise ConfigError.plain(f"{error}; give another --name") from error
+        raise ConfigError.plain(f"{error}; give another `name`") from error
     return frame

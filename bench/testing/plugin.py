@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+import bench
+
 if TYPE_CHECKING:
-    from bench.api.rigs import OpenRig
-    from bench.api.shots import Shot
-    from bench.scoring.scene import SceneScore
     from bench.testing.trials import TrialsOfTests
-    from detector.protocol import Detector
+    from detector import Detector
 
 MARK = "requirement"
 OWN_PROFILES = ("default", "ci")  # of hypothesis itself
@@ -88,44 +87,40 @@ _TRIALS = pytest.StashKey["TrialsOfTests"]()
 def _trials(config: pytest.Config) -> TrialsOfTests:
     """Of the session. Raises UsageError."""
     if _TRIALS not in config.stash:
-        from bench.config import ConfigError
         from bench.testing.trials import TrialsOfTests
 
         given = config.option
         try:
             where = given.rig, given.detector, given.trial_runs, given.trial_rules
             config.stash[_TRIALS] = TrialsOfTests(*where, config.stash[_REQUIRED])
-        except ConfigError as error:
+        except bench.ConfigError as error:
             raise pytest.UsageError(str(error)) from error
     return config.stash[_TRIALS]
 
 
 @pytest.fixture(scope="session")
-def _opened(request: pytest.FixtureRequest) -> Iterator[Callable[[], OpenRig]]:
+def _opened(request: pytest.FixtureRequest) -> Iterator[Callable[[], bench.OpenRig]]:
     """Opens the rig: a real one once a session, and alone."""
-    from bench.api.rigs import open_rig
-    from bench.api.shots import load_rig
-    from bench.config import ConfigError
-    from bench.run.lock import RigInUseError, lock_path, locked
+    from bench.run.lock import lock_path, locked
 
     try:
-        loaded = load_rig(request.config.option.rig)
-    except ConfigError as error:
+        loaded = bench.load_rig(request.config.option.rig)
+    except bench.ConfigError as error:
         raise pytest.UsageError(str(error)) from error
     with ExitStack() as stack:
-        kept: list[OpenRig] = []
+        kept: list[bench.OpenRig] = []
 
-        def opened() -> OpenRig:
+        def opened() -> bench.OpenRig:
             if not kept:
                 try:
                     stack.enter_context(locked(lock_path(loaded), "pytest", lambda _: None))
-                except RigInUseError as error:
+                except bench.RigInUseError as error:
                     pytest.exit(f"{error}: tests of a real rig run one at a time (no -n)", 3)
-                kept.append(stack.enter_context(open_rig(loaded)))
+                kept.append(stack.enter_context(bench.open_rig(loaded)))
                 kept[0].home()
             return kept[0]
 
-        def anew() -> OpenRig:
+        def anew() -> bench.OpenRig:
             stack.close()
             kept.clear()
             return opened()
@@ -134,7 +129,9 @@ def _opened(request: pytest.FixtureRequest) -> Iterator[Callable[[], OpenRig]]:
 
 
 @pytest.fixture
-def rig(request: pytest.FixtureRequest, _opened: Callable[[], OpenRig]) -> Iterator[OpenRig]:
+def rig(
+    request: pytest.FixtureRequest, _opened: Callable[[], bench.OpenRig]
+) -> Iterator[bench.OpenRig]:
     """The rig of ``--rig``, open and homed: the emulated one anew for each test, a real one once a
     session. After each test it is safe; where it isn't, no further test begins.
     """
@@ -152,7 +149,7 @@ def rig(request: pytest.FixtureRequest, _opened: Callable[[], OpenRig]) -> Itera
 
 def _instrument(name: str) -> Any:
     @pytest.fixture(name=name)
-    def one(rig: OpenRig) -> Any:
+    def one(rig: bench.OpenRig) -> Any:
         """The rig's instrument of this name; arm and stage are homed."""
         return getattr(rig, name)
 
@@ -165,25 +162,22 @@ bath, arm, stage, cameras = map(_instrument, ("bath", "arm", "stage", "cameras")
 @pytest.fixture(scope="session")
 def detector(request: pytest.FixtureRequest) -> Iterator[Detector]:
     """The detector of ``--detector``; its process lives as long as the session."""
-    from bench.api.shots import open_detector
-    from bench.config import ConfigError
-
     with ExitStack() as stack:
         try:
-            one = stack.enter_context(open_detector(request.config.option.detector))
-        except ConfigError as error:
+            one = stack.enter_context(bench.open_detector(request.config.option.detector))
+        except bench.ConfigError as error:
             raise pytest.UsageError(str(error)) from error
         yield one
 
 
 @pytest.fixture
-def record_trial(request: pytest.FixtureRequest) -> Callable[..., SceneScore]:
+def record_trial(request: pytest.FixtureRequest) -> Callable[..., bench.SceneScore]:
     """``record_trial(shot, name="")``: a trial of the session's run, with ``--detector``'s answer;
     gives back its score.
     """
     trials, done = _trials(request.config), [0]
 
-    def record(shot: Shot, name: str = "") -> SceneScore:
+    def record(shot: bench.Shot, name: str = "") -> bench.SceneScore:
         done[0] += 1
         from bench.testing.found import folder_name
 

@@ -4,17 +4,21 @@ package has one, else on the device itself.
 
 from __future__ import annotations
 
-from contextlib import suppress
-from typing import Any
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, suppress
+from typing import Any, cast
 
-from bench.testing.conformance import NotCheckedError, Subject, Wired
-from instruments.clock import Clock
+from bench.config import ConfigError
+from bench.rig.opening import emulated_world
+from bench.testing.conformance import Finding, NotCheckedError, Subject, Wired, conform
+from instruments.clock import Clock, RealClock
+from instruments.drivers import entry_points as plugs
 from instruments.drivers.arm import PluggedArm
 from instruments.drivers.bath import PluggedBath
 from instruments.drivers.camera import PluggedCamera, PluggedGroup
-from instruments.drivers.entry_points import EMULATORS, Kind, Plugin, PluginUrl, available, load
+from instruments.drivers.entry_points import Kind, Plugin, PluginUrl, available, load
 from instruments.drivers.stage import PluggedStage
-from instruments.errors import InstrumentError
+from instruments.errors import InstrumentError, LimitError
 
 LATE_S = 1.0
 SET_POINT_C = 30.0
@@ -27,17 +31,14 @@ class OfPlugin(Subject):
         self.kind, self.plugged, self.clock, self.works = kind, plugged, clock, works
 
     def open(self) -> None:
-        if self.kind == "bath":
-            self.driver = PluggedBath(self.plugged, self.clock)
+        of, clock = self.plugged, self.clock
+        if self.kind == "camera":
+            group = hasattr(of.maker, "capture")
+            self.driver = PluggedGroup(of, clock) if group else PluggedCamera(of, "left", clock)
         elif self.kind == "stage":
-            axes = getattr(self.plugged.maker, "axes", "XY")
-            self.driver = PluggedStage(self.plugged, self.clock, axes)
-        elif self.kind == "arm":
-            self.driver = PluggedArm(self.plugged, self.clock)
-        elif hasattr(self.plugged.maker, "capture"):
-            self.driver = PluggedGroup(self.plugged, self.clock)
+            self.driver = PluggedStage(of, clock, getattr(of.maker, "axes", "XY"))
         else:
-            self.driver = PluggedCamera(self.plugged, "left", self.clock)
+            self.driver = {"arm": PluggedArm, "bath": PluggedBath}[self.kind](of, clock)
 
     def identify(self) -> str:
         ask = {"stage": "connect", "arm": "sign_on"}.get(self.kind)
@@ -67,7 +68,7 @@ class OfPlugin(Subject):
             return
         if not self.works:
             does = "heat" if self.kind == "bath" else "move"
-            raise NotCheckedError(f"it may not {does} here (--works)")
+            raise NotCheckedError(f"it may not {does} here (`works`)")
         if self.kind == "bath":
             self.driver.start(SET_POINT_C)
             return
@@ -117,10 +118,57 @@ class OnEmulator(OfPlugin, Wired):
         return bool(asked()) if asked else super().is_safe()
 
 
-def subject_of(kind: Kind, url: PluginUrl, clock: Clock, world: Any, *, works: bool) -> Subject:
-    """On its emulator where there is one and no key names a device. Raises LimitError."""
-    plugged = load(kind, url)
-    if url.keys or url.name not in available(EMULATORS[kind]):
-        return OfPlugin(kind, plugged, clock, works=works)
-    emulator = load(kind, url, emulator=True).make(world, clock)
-    return OnEmulator(kind, plugged, clock, emulator)
+def drivers() -> dict[str, str]:
+    """Each driver of other packages, as ``bath tank``, with where it comes from; none is loaded."""
+    return {
+        f"{kind} {name}": source + ", with an emulator" * (name in available(plugs.EMULATORS[kind]))
+        for kind in plugs.KINDS
+        for name, source in available(plugs.GROUPS[kind]).items()
+    }
+
+
+def _installed(driver: str, kind: Kind | None) -> tuple[Kind, Plugin, Callable[..., Any] | None]:
+    """Its kind, itself, and its emulator where no key names a device. Raises LimitError,
+    ValueError.
+    """
+    url = cast(PluginUrl, plugs.plugin_url("plugin:" + driver.removeprefix("plugin:")))
+    kinds = [one for one in plugs.KINDS if url.name in available(plugs.GROUPS[one])]
+    if len(kinds := [one for one in kinds if kind in (None, one)]) != 1:
+        many = f"several: name one by `kind` ({', '.join(kinds)})"
+        none = "none is installed. 'teatbench plugin' lists them"
+        raise ValueError(f"the driver {driver!r}: {many if kinds else none}")
+    emulated = not url.keys and url.name in available(plugs.EMULATORS[kinds[0]])
+    emulator = load(kinds[0], url, emulator=True).make if emulated else None
+    return kinds[0], load(kinds[0], url), emulator
+
+
+def check_driver(
+    driver: str | Callable[..., Any],
+    kind: Kind | None = None,
+    *,
+    emulator: Callable[..., Any] | None = None,
+    works: bool = False,
+    clock: Clock | None = None,
+) -> Iterator[Finding]:
+    """Each check on a driver: ``NAME`` or ``plugin:NAME?key=value`` of another package, on its
+    emulator where that has one and no key names a device; or a class of yours, of this ``kind``,
+    with its ``emulator``. ``works``: a device may heat and move; ``clock``: a virtual one is for
+    emulators, real time for None. Raises ConfigError.
+    """
+    with ExitStack() as stack:
+        time = clock or stack.enter_context(closing(RealClock()))
+        try:
+            if isinstance(driver, str):
+                of, plugged, emulator = _installed(driver, kind)
+            elif kind:
+                of, plugged = kind, Plugin(driver.__name__, "this program", driver)
+            else:
+                raise ValueError(f"`kind` is needed of a class: {', '.join(plugs.KINDS)}")
+        except (LimitError, ValueError) as error:
+            raise ConfigError.plain(str(error)) from error
+        if emulator:
+            world = stack.enter_context(emulated_world(time))
+            made = lambda: OnEmulator(of, plugged, time, emulator(world, time))  # noqa: E731
+            yield from conform(made)
+        else:
+            yield from conform(lambda: OfPlugin(of, plugged, time, works=works))

@@ -8,6 +8,7 @@ line (silence, end, nonsense, memory) costs the process; a whole answer with wro
 from __future__ import annotations
 
 import hashlib
+import math
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -83,6 +84,7 @@ class ExternalDetector:
         }
         self.patience_s = self._limits.start_s + self._limits.answer_s + 10.0
         self.start_up_s: float | None = None
+        self.most_s = math.inf
         self._ready = lines.Ready()
         self._started_s: float | None = None  # of a start that no call has had yet
         self._not_started: DetectionFailure | None = None
@@ -141,9 +143,10 @@ class ExternalDetector:
         child, desk = self._child, self._desk
         if child is None or desk is None:
             raise DetectionFailure("it was closed")
-        with self._ended_on_faults(f"gave no answer within {self._limits.answer_s:g} s"):
+        limit_s = min(self._limits.answer_s, max(0.0, self.most_s - (self.start_up_s or 0.0)))
+        with self._ended_on_faults(f"gave no answer within {limit_s:g} s"):
             child.ask(lines.request_line(asked, desk.pictures, desk.calibration, context))
-            line = child.line(self._limits.answer_s)
+            line = child.line(limit_s)
             try:
                 detection = lines.parse_answer(line, asked, calibration)
             except lines.BadAnswer as fault:
@@ -172,7 +175,7 @@ class ExternalDetector:
             self._desk = None
 
     def _start(self) -> None:
-        start_s, limit_s = self._stopwatch(), self._limits.start_s
+        start_s, limit_s = self._stopwatch(), min(self._limits.start_s, self.most_s)
         self._starts += 1
         how = self._limits.memory_mib, self._stopwatch, self._environment
         try:

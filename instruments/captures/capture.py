@@ -252,7 +252,7 @@ class _Reader:
         try:
             header = _Header.model_validate_json(first)
         except ValidationError as error:
-            what = f"{_fault_of(error)}; is this a file that this teatbench wrote with --capture?"
+            what = f"{_fault_of(error)}; is this a file that this teatbench wrote as a capture?"
             raise CaptureError(self._path, [(1, what)]) from None
         for number, line in enumerate(lines, 2):
             if len(line) > LONGEST_LINE:

@@ -1,10 +1,14 @@
 """A rig from Python, as docs/api.md has it; wrong steps."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import bench
-from instruments.errors import LimitError
+from detector import Outcome
+from instruments import LimitError, LinkError
 
 
 def test_an_end_needs_a_place_and_a_number_and_safe_ends_the_watch() -> None:
@@ -23,3 +27,33 @@ def test_an_end_needs_a_place_and_a_number_and_safe_ends_the_watch() -> None:
                 rig.touch(teat)
         (end,), exact = rig.touch(4), rig.truth()[3]
         assert np.linalg.norm(np.subtract(end.xyz_mm, exact.xyz_mm)) < 2.0
+
+
+def test_what_is_not_homed_or_was_left_says_what_to_do() -> None:
+    with bench.open_rig("emulated") as rig:
+        bath, stage = rig.bath, rig.stage
+        for act in (rig.move, rig.touch):
+            with pytest.raises(LimitError, match=r"it is not homed .*Call home\(\) first"):
+                act()
+        rig.home()
+        views = bench.watch_bath(bath, clock=rig.clock)
+        assert [next(views).started for _ in range(2)] == [False, False]
+    for act in (rig.home, rig.move, rig.capture, rig.touch, rig.safe, lambda: rig.heat(33.0)):
+        with pytest.raises(LimitError, match=r"it was left, and is closed.*with block"):
+            act()
+    for act in (bath.before_heating, stage.home):
+        with pytest.raises(LimitError, match="it was left: nothing is heated or moved"):
+            act()
+    with pytest.raises(LinkError, match="the link is closed"):
+        stage.position()
+
+
+def test_a_time_limit_ends_a_program_that_does_not_start(tmp_path: Path) -> None:
+    (tmp_path / "late.py").write_text("import time; time.sleep(30)", encoding="utf-8")
+    shot = bench.Shot(*(getattr(bench.draw("ideal", 3), one) for one in ("frames", "calibration")))
+    command = f"exec:{sys.executable} {tmp_path / 'late.py'}"
+    answer = bench.detect(command, shot, timeout_s=0.3)
+    assert (answer.outcome, answer.seconds < 5.0) == (Outcome.TIMEOUT, True)
+    with pytest.raises(bench.ConfigError, match=r"^truth: this shot has none"):
+        bench.score(answer, shot)
+    assert bench.score(answer, []).counts.visible == 0

@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.cli.alone import _next_look, focus_line
+from bench.cli.alone import _next_look, focus_line, step
 from bench.record.recording import Recording
-from bench.rig.alone import step
 from bench.rig.loading import find_rig, load_rig
 from instruments.camera.emulator import EmulatedCameras
 from instruments.camera.frame import FrameError, FrameFault

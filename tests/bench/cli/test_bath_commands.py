@@ -2,34 +2,27 @@
 
 from __future__ import annotations
 
+import inspect
 import io
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from operator import attrgetter
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rich.console import Console
 
 import bench
-from bench.cli.bath import (
-    HEIGHT,
-    WIDTH,
-    BathView,
-    output_strip,
-    plot,
-    rate_k_per_s,
-    seconds_to_stable,
-    watch_bath,
-)
-from bench.safety.stability import StabilityGate
+from bench.cli.bath import HEIGHT, WIDTH, BathPlot, output_strip, plot, show_views
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.line_emulator import LineEmulator
 from instruments.bath.profile import SHIPPED, LineProfile, load_profile, load_register_profile
 from instruments.bath.reading import BathReading
-from instruments.clock import RealClock
+from instruments.clock import VirtualClock
+from instruments.errors import LinkError
 from instruments.world.plant import Plant
 from tests.bench.commands import Said, served, teatbench
 
@@ -178,7 +171,7 @@ def test_watch_on_a_terminal_is_a_live_plot_of_everything(bath: Served) -> None:
         bench.open_bath(bath.at[1], "julabo-presto") as driver,
         pytest.raises(KeyboardInterrupt),
     ):
-        watch_bath(driver, RealClock(), console, 600.0)
+        show_views(bench.watch_bath(driver), console)
     frames = shown.getvalue().split("last ")
     last = frames[-2] + frames[-1]
     assert "33.00 ─" in last, "the set point is a line"
@@ -189,13 +182,34 @@ def test_watch_on_a_terminal_is_a_live_plot_of_everything(bath: Served) -> None:
     assert bath.plant.running, "watching changes nothing"
 
 
+class Readings:
+    """A bath that reads what ``temp_c`` says of the time, with a set point of 33 degC."""
+
+    profile = load_register_profile("julabo-presto")
+
+    def __init__(self, temp_c: Callable[[float], float], alarm: int = 0) -> None:
+        self.clock, self.temp_c, self.alarm = VirtualClock(), temp_c, alarm
+
+    def get(self, name: str) -> float:
+        return 33.0 if name == "set_point" else self.profile.row("run").values["started"]
+
+    def read(self) -> BathReading:
+        t_s = self.clock.now()
+        if (temp_c := self.temp_c(t_s)) < 0.0:
+            raise LinkError("bath", "cable")
+        return a_reading(t_s, temp_c, 100.0 if t_s < 50 else None, self.alarm)
+
+    def views(self, count: int, window_s: float = 600.0) -> list[bench.BathView]:
+        bath: Any = self
+        views = inspect.unwrap(bench.watch_bath)(bath, clock=self.clock, window_s=window_s)
+        return list(islice(views, count))
+
+
 def test_a_stable_bath_says_so_and_one_on_its_way_says_when() -> None:
-    view = BathView(StabilityGate(33.0, window_s=60.0), attrgetter("raw"))
-    lines = []
-    for t in range(200):
-        temp_c = min(33.0, 31.0 + t * 0.04) + 0.004 * (t % 2)
-        view.add(a_reading(float(t), temp_c, 100.0 if t < 50 else 3.0), 33.0, started=True)
-        lines.append(view.line())
+    shown, lines = BathPlot(), []
+    for view in Readings(lambda t: min(33.0, 31.0 + t * 0.04) + 0.004 * (t % 2)).views(200, 60.0):
+        shown.add(view)
+        lines.append(shown.line())
     assert "stable in 1:36 min at the earliest" in lines[10], lines[10]
     assert "settling, stable in 0:" in lines[80]
     assert lines[-1].endswith("stable, stable now")
@@ -240,35 +254,28 @@ def test_a_steady_bath_does_not_fill_the_plot_with_its_noise() -> None:
 
 
 @pytest.mark.parametrize(
-    ("temps", "expected"),
+    ("temp_c", "seconds", "expected"),
     [
-        ({float(t): 20.0 + t * 0.04 for t in range(101)}, (33.0 - 24.0 - 0.15) / 0.04 + 600.0),
-        ({float(t): 24.0 - t * 0.01 for t in range(101)}, None),
-        ({float(t): 24.0 for t in range(3)}, None),
-        ({float(t): 33.0 + 0.01 * (t % 3) for t in range(101)}, 500.0),
-        ({float(t): 33.0 + 0.01 * (t % 3) for t in range(701)}, 0.0),
-        (
-            {float(t): min(33.0, 20.0 + t * 0.02) + 0.01 * (t % 3) for t in range(801)},
-            600.0 - (800 - 643),
-        ),
+        (lambda t: 20.0 + t * 0.04, 101, (33.0 - 24.0 - 0.15) / 0.04 + 600.0),
+        (lambda t: 24.0 - t * 0.01, 101, None),
+        (lambda _: 24.0, 3, None),
+        (lambda t: 33.0 + 0.01 * (t % 3), 101, 500.0),
+        (lambda t: 33.0 + 0.01 * (t % 3), 701, 0.0),
+        (lambda t: min(33.0, 20.0 + t * 0.02) + 0.01 * (t % 3), 801, 600.0 - (800 - 643)),
     ],
 )
 def test_the_time_to_stable_is_way_and_window(
-    temps: dict[float, float], expected: float | None
+    temp_c: Callable[[float], float], seconds: int, expected: float | None
 ) -> None:
-    gate = StabilityGate(33.0)
-    for t_s, temp_c in temps.items():
-        gate.add(t_s, temp_c)
-    found = seconds_to_stable(gate, rate_k_per_s(samples(temps)))
+    found = Readings(temp_c).views(seconds)[-1].stable_in_s
     assert found == (None if expected is None else pytest.approx(expected))
 
 
 def test_a_bath_that_cannot_be_read_is_reported_beside_its_last_reading() -> None:
-    view = BathView(StabilityGate(33.0), attrgetter("raw"))
-    assert view.line() == "no reading yet"
-    reading = a_reading(1.0, 24.0, None, alarm=3)
-    view.add(reading, 33.0, started=True)
-    view.problem = "NO READING: cable"
-    for text in ("24.00 degC", "output not reported", "alarm 3", "NO READING: cable"):
-        assert text in view.line()
-    assert len(list(view.lines())) == 16
+    shown = BathPlot()
+    for view in Readings(lambda t: 24.0 if t == 1.0 else -1.0, alarm=3).views(3):
+        shown.add(view)
+        assert "NO READING: bath: cable" in shown.line() or view.fault == ""
+    for text in ("24.00 degC", "output 100 %", "alarm 3", "NO READING: bath: cable"):
+        assert text in shown.line()
+    assert len(list(shown.lines())) == 17

@@ -39,7 +39,7 @@ def _here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few profiles, short waits, no look for cameras of this machine."""
     monkeypatch.setattr(finding, "LISTEN_S", 0.6)
     monkeypatch.setattr(finding, "profile_names", lambda: ["julabo-magio", "julabo-presto"])
-    monkeypatch.setattr("bench.cli.init.attached", lambda: iter(LISTED))
+    monkeypatch.setattr("bench.list_cameras", lambda: iter(LISTED), raising=False)
     monkeypatch.setattr("bench.rig.finding.list_ports.comports", list)
 
 

@@ -395,6 +395,7 @@ class Remote:
     name: str = "remote"
     version: str = "1"
     patience_s: float = 1.0
+    most_s: float = 1.0
     start_up_s: float | None = 0.75
     parameters: Mapping[str, Any] = field(default_factory=dict)
 

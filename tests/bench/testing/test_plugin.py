@@ -224,7 +224,7 @@ def test_the_page_word_by_word(pytester: pytest.Pytester, rig: str) -> None:
     pytester.makepyfile(test_own=patient, test_slow=SLOW)
     pytester.makeconftest(
         "import bench.testing, hypothesis\n"
-        f"bench.testing.check.__kwdefaults__['rig'] = {rig!r}\n"
+        f"bench.testing.check.__wrapped__.__kwdefaults__['rig'] = {rig!r}\n"
         "hypothesis.settings.load_profile('default')  # that of a CI has no deadline\n"
     )
     pytester.syspathinsert()

@@ -1,0 +1,110 @@
+"""Arguments of what is promised, held against their annotations: a caller may be untyped."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+import types
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from functools import cache, wraps
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from bench.config import ConfigError, short
+
+NUMBERS: Mapping[Any, type] = {float: Real, int: Integral}
+PLAIN: Mapping[Any, str] = {
+    float: "a number",
+    int: "a whole number",
+    bool: "True or False",
+    str: "a text",
+    Path: "a path",
+    types.NoneType: "None",
+    Callable: "a function",
+    Mapping: "a mapping",
+}
+
+
+def guarded(thing: Any, package: str) -> Any:
+    """A function of ``package`` that refuses arguments of a wrong kind with a ConfigError; anything
+    else as it is.
+    """
+    if not inspect.isfunction(thing):
+        return thing
+    shape, hints = inspect.signature(thing), cache(lambda: _hints(thing))
+
+    @wraps(thing)
+    def call(*args: Any, **more: Any) -> Any:
+        given = shape.bind_partial(*args, **more)
+        for name, value in given.arguments.items():
+            if isinstance(value, Iterator):  # is looked at, and used then
+                given.arguments[name] = value = tuple(value)
+            many = shape.parameters[name].kind is inspect.Parameter.VAR_POSITIONAL
+            if not all(fits(one, hints()[name]) for one in (value if many else [value])):
+                said = short(" ".join(repr(value).split()))
+                raise ConfigError.plain(f"{name} is {said}, not {words(hints()[name])}")
+        return thing(*given.args, **given.kwargs)
+
+    call.__module__, call.__qualname__ = package, thing.__name__  # where pickle finds it
+    return call
+
+
+def _hints(function: Any) -> dict[str, Any]:
+    """The annotations of its parameters: what it gives back may be known to type checkers alone."""
+    known = {name: one for name, one in function.__annotations__.items() if name != "return"}
+    own = types.SimpleNamespace(__annotations__=known)
+    return get_type_hints(own, vars(sys.modules[function.__module__]))
+
+
+def fits(value: Any, hint: Any) -> bool:
+    """Whether ``value`` is of the kind ``hint``: NaN is no number, a text no list."""
+    made, parts = _made_of(hint), get_args(hint)
+    if made is Union:
+        return any(fits(value, one) for one in parts)
+    if made is Literal:
+        return value in parts
+    if made is Callable:
+        return callable(value)
+    if made in (tuple, Iterable):
+        if not isinstance(value, Collection) or isinstance(value, str | bytes | Mapping):
+            return False
+        of = parts if made is tuple else parts[:1] * len(value)
+        return len(of) == len(value) and all(map(fits, value, of))
+    if made in NUMBERS:
+        return isinstance(value, NUMBERS[made]) and not isinstance(value, bool) and value == value
+    if getattr(made, "_is_protocol", False):
+        return all(callable(getattr(value, name, None)) for name in _methods(made))
+    return made is Any or not isinstance(made, type) or isinstance(value, made)
+
+
+def words(hint: Any) -> str:
+    """What fits ``hint``, for a message."""
+    made, parts = _made_of(hint), get_args(hint)
+    if made in (Union, Literal):
+        return " or ".join(dict.fromkeys(map(words if made is Union else repr, parts)))
+    if made is tuple:
+        return f"({', '.join(map(words, parts))})"
+    if made is Iterable:
+        return f"a list, of {words(parts[0])} each"
+    name = getattr(made, "__name__", "thing")
+    return PLAIN.get(made, f"a{'n' if name[0] in 'AEIOU' else ''} {name}")
+
+
+def _made_of(hint: Any) -> Any:
+    """`Union`, `Literal`, `tuple` of so many, `Iterable` for any list; else its class."""
+    origin = get_origin(hint) or hint
+    if origin is types.UnionType:
+        return Union
+    if origin is tuple:
+        return Iterable if get_args(hint)[-1:] == (...,) else tuple
+    if get_args(hint) and getattr(origin, "__module__", "") in ("builtins", "collections.abc"):
+        kinds = (one for one in (Mapping, Iterable) if issubclass(origin, one))
+        return next(kinds, origin)
+    return origin
+
+
+def _methods(protocol: type) -> Iterator[str]:
+    """Of a protocol; to look at its properties might ask an instrument."""
+    for base in protocol.__mro__[:-1]:
+        yield from (n for n, one in vars(base).items() if n[0] != "_" and inspect.isfunction(one))
