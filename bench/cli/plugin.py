@@ -23,7 +23,6 @@ def check(given: argparse.Namespace) -> int:
             print(f"{one.outcome:<12}{one.check}{why}", flush=True)
     if given.json:
         name = given.name.removeprefix("plugin:").partition("?")[0]
-        kinds = dict(reversed(one.split()) for one in drivers())
-        checks = [asdict(one) for one in found]
-        print(json_of({"kind": given.kind or kinds[name], "checks": checks}))
+        kind = given.kind or next(k for k, n in map(str.split, drivers()) if n == name)
+        print(json_of({"kind": kind, "checks": [asdict(one) for one in found]}))
     return CODES.not_met if any(one.outcome == "failed" for one in found) else CODES.met
