@@ -166,7 +166,7 @@ def curve(folder: Path) -> list[list[float]]:
     """Time and temperature of the bath, thinned: [[t_s, ...], [degC, ...]]."""
     with opened(folder) as db:
         rows = db.execute("SELECT t_s, temp_c FROM bath ORDER BY t_s").fetchall()
-    rows = rows[:: max(1, len(rows) // CURVE)]
+    rows = rows[:: -max(1, len(rows) // CURVE)][::-1]  # with the last one
     return [[float(t) for t, _ in rows], [float(c) for _, c in rows]]
 
 

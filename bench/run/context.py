@@ -239,7 +239,7 @@ class RunContext:
             if failing := self.watch.failing:
                 link, how = (Link.AWAY if name == self.away else Link.SILENT), failing
             elif link is Link.ANSWERS and last and name in devices.active:
-                last += f", {self.watch.state.value}"
+                last += f", {self.watch.course}"
         if found and not found.is_safe and acts in BY_HAND:
             how, by_hand = found.brief or found.evidence.value, BY_HAND[acts]
         safe = Safe.IN_USE if name in devices.active else Safe.AT_REST

@@ -121,7 +121,7 @@ def bath_state(watch: BathMonitor, expected_s: float) -> dict[str, Any]:
         "power_percent": last.power_percent if last else None,
         "set_point_c": gate.set_point_c,
         "band_k": gate.leave_k,
-        "state": watch.state.value,
+        "state": watch.course,
         "why_not_stable": watch.why_not_stable,
         "stable_in_s": watch.stable_in_s(expected_s),
     }

@@ -78,6 +78,12 @@ class BathMonitor:
         return self.gate.state
 
     @property
+    def course(self) -> str:
+        """The state in a word: ``cooling`` where it has to come down to the set point."""
+        warmer = self.last is not None and self.last.temp_c > self.gate.set_point_c
+        return "cooling" if warmer and self.state is State.HEATING else self.state.value
+
+    @property
     def why_not_stable(self) -> str:
         with self._gate_lock:
             return "; ".join(self.gate.reasons)

@@ -254,7 +254,7 @@ function live() {
   const steady = bath.state === "stable";
   byId("temperature").className = said?.trouble ? "huge bad" : steady ? "huge good" : "huge warn";
   const why = bath.why_not_stable && !run.status.doing.includes("waiting for the bath") ? ` ${words(bath.why_not_stable)}${/[.?]$/.test(bath.why_not_stable) ? "" : "."}` : "";
-  byId("gate").textContent = said?.trouble ? said.text : run.status.step === "going to safe" ? run.status.step : said?.safe === "at rest" ? "not heated" : `${bath.state}${bath.state === "heating" ? " to" : " at"} ${number(bath.set_point_c, "°C", 1)} ± ${number(bath.band_k, "K")}` + (steady ? "" : `; stable in about ${minutes(bath.stable_in_s)}.${why}`);
+  byId("gate").textContent = said?.trouble ? said.text : run.status.step === "going to safe" ? run.status.step : said?.safe === "at rest" ? "not heated" : `${bath.state}${["heating", "cooling"].includes(bath.state) ? " to" : " at"} ${number(bath.set_point_c, "°C", 1)} ± ${number(bath.band_k, "K")}` + (steady ? "" : `; stable in about ${minutes(bath.stable_in_s)}.${why}`);
   if (plot && bath.t_s !== null && bath.t_s > (run.curve[0].at(-1) ?? -1)) {
     run.curve[0].push(bath.t_s); run.curve[1].push(bath.temp_c);
     if (run.curve[0].length > 1200) run.curve = run.curve.map((one) => one.filter((_, k) => k % 2 === 0));

@@ -18,7 +18,8 @@ from starlette.routing import Mount, Route
 from bench.console import guard
 from bench.console.app import Console, make_app
 from bench.console.guard import PAIR_S, Pairing
-from bench.console.watching import listed
+from bench.console.watching import curve, listed
+from bench.record.reader import read_run
 from bench.record.state import run_lock
 from bench.report.page import write_run_report
 from bench.results.status import LIVE, RUN_JSON
@@ -232,6 +233,11 @@ def test_what_a_killed_bench_left_open_is_neither_shown_nor_answered(tmp_path: P
     status, _, text = call(console, "POST", f"{at}/answers/1", more, body)
     assert (status, json.loads(text)["error"]) == (409, "this run is not under way")
     assert read_answer(folder, 1) is None
+
+
+def test_the_curve_ends_with_the_last_reading(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bench.console.watching.CURVE", 3)
+    assert curve(KEPT)[0][-1] == read_run(KEPT).bath[-1, 0]
 
 
 def test_a_verdict_of_an_earlier_session_is_not_the_run_s(tmp_path: Path) -> None:

@@ -123,8 +123,7 @@ def test_the_newest_runs_count_most_and_rigs_are_kept_apart(tmp_path: Path) -> N
         (tmp_path / name / FILE).write_text(text, encoding="utf-8")
     assert read_durations(tmp_path, rig) == {"touch": 15.0, "heating": 0.4}
     for number in range(2 * LOOKS_BACK):  # however many runs of others came since
-        (tmp_path / f"6-other-{number}").mkdir()
-        shutil.copy(tmp_path / "4-other" / FILE, tmp_path / f"6-other-{number}")
+        shutil.copytree(tmp_path / "4-other", tmp_path / f"6-other-{number}")
     assert read_durations(tmp_path, rig) == {"touch": 15.0, "heating": 0.4}
     kept = json.loads((tmp_path / "1-first" / FILE).read_text(encoding="utf-8"))
     assert kept["rig"] == f"{rig.rig.name}, operator emulator:"

@@ -25,7 +25,6 @@ from bench.record.writer import Store
 from bench.results.queue import DIED, ENDED, QueueStatus, queues, read_queue
 from bench.results.status import Safe, status_of
 from bench.rig.emulated_rig import EmulatedRig
-from bench.run import estimate
 from bench.run.engine import STAYS_WARM, Engine
 from bench.safety.bath_monitor import WATCHING
 from instruments.clock import stopwatch_s
@@ -151,7 +150,7 @@ def test_a_disk_that_is_full_amid_one_script_ends_it_alone_and_without_room_none
     monkeypatch.setattr(Store, "bath", full)
     for third, begin in (("", 3), (NO_ROOM, 2)):
         of = iter(["", "", third])  # of all, of the second, of the third
-        monkeypatch.setattr(estimate, "no_room", lambda *_, of=of: next(of))
+        monkeypatch.setattr("bench.run.estimate.no_room", lambda *_, of=of: next(of))
         code, queue, runs = run(scripts)
         endings = [one.ending for one in runs]
         assert (code, endings) == (3, ["finished", "faulted", "finished"][:begin])
