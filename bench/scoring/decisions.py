@@ -300,7 +300,7 @@ def decide_error(
             rate_shown = shown_rate(beyond, counted, sure, leak(level, limit_mm, u_mm))
             reason += _shown_anyway(n, beyond, level, percent_apart(rate_shown, rate))
     band = refuse - limit_mm if accept is None or verdict is Verdict.NOT_MET else limit_mm - accept
-    without = f" Of the found teats only: {missed} {'was' if missed == 1 else 'were'} missed."
+    without = f" Only found teats count here; {missed} {'was' if missed == 1 else 'were'} missed."
     return replace(
         nothing,
         n=n,

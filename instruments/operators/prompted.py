@@ -121,7 +121,8 @@ class PromptedOperator(ABC):
 
     def _set_up_prompt(self, request: op.Arrangement) -> op.Prompt:
         """In coordinates and with the picture, unless it stands so already."""
-        scene = f"Situation {spoken(request.situation)}, layout {request.phantom.name}:"
+        name = request.phantom.name  # none of a family's
+        scene = f"Situation {spoken(request.situation)}{name and f', layout {name}'}:"
         if self._stands and self._stands[0] == replace(request, unattended=False):
             more = ["It stands so already: put the arm away and step out of the cameras' view."]
         else:

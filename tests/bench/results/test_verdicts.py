@@ -133,7 +133,7 @@ def test_what_is_missed_has_no_error_and_shows_no_success(tmp_path: Path) -> Non
     assert found["reliability"].verdict is NOT_MET
     trials = [*off_by([1.0] * 59), trial(60, "last", 1, ENDS, ENDS[:1])]
     sentence = decided(record(tmp_path, trials))["error below 5 mm"].sentence
-    assert sentence.endswith("Of the found teats only: 1 was missed.")
+    assert sentence.endswith("Only found teats count here; 1 was missed.")
 
 
 def test_a_rate_of_times_counts_poses(tmp_path: Path) -> None:

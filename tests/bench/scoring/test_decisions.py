@@ -247,7 +247,7 @@ U, T = 0.23, 5.0
         (error95([4.999] * 59, u_mm=0.0), MET, ""),
         # 58 poses of four teats
         (error95([1.0] * 232, poses=[k // 4 for k in range(232)]), INCONCLUSIVE, "1 more"),
-        (error95([1.0] * 59, missed=7), MET, "Of the found teats only: 7 were missed."),
+        (error95([1.0] * 59, missed=7), MET, "Only found teats count here; 7 were missed."),
         # a truth too uncertain, or of unknown uncertainty, accepts nothing
         (error95([0.1] * 59, u_mm=1.8), INCONCLUSIVE, "too uncertain"),
         (error95([9.0] * 59, u_mm=1.8), NOT_MET, ""),

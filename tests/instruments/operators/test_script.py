@@ -5,6 +5,7 @@ other.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import pytest
 
@@ -78,6 +79,9 @@ def test_an_unexpected_prompt_says_what_was_asked_and_what_is_next() -> None:
     who, _ = scripted()
     with pytest.raises(ProtocolError, match="got no further answer"):
         who.ask(op.Touch(1, 4))
+    bare = replace(arrangement(), phantom=replace(arrangement().phantom, name=""))  # a family's
+    with pytest.raises(ProtocolError, match="Situation ideal:\n"):
+        who.ask(bare)
 
 
 def test_answers_to_no_question_are_an_error_at_the_end() -> None:
