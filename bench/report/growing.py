@@ -25,6 +25,7 @@ from detector.calibration import Calibration
 from reports.page import TrialPart
 from reports.render import TrialPress, in_page
 
+MOST_MORE = 20  # trials at once beside the last: a fraction of a second
 REPORT, CALIBRATION = "report", "calibration.toml"
 
 
@@ -43,7 +44,8 @@ class TrialParts:
         a share. Raises nothing, since the report draws what was not drawn.
         """
         first = self._next.get(folder, 1)
-        last = min(done - 1, first + max(0, done - first) // max(1, planned - done))
+        more = max(0, done - first) // max(1, planned - done)
+        last = min(done - 1, first + min(more, MOST_MORE))
         if last < first:
             return
         self._next[folder] = last + 1
