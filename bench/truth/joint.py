@@ -122,8 +122,8 @@ class _Ends:
 
     def _u(self, *names: str, squared: bool = False) -> Floats:
         """Of each end, along an axis (n,)."""
-        of = [sum(budget.get(name, 0.0) ** 2 for name in names) for budget in self._budgets]
-        squares = np.array(of, dtype=np.float64)
+        each = [[budget.get(name, 0.0) ** 2 for budget in self._budgets] for name in names]
+        squares: Floats = np.array(each, dtype=np.float64).sum(axis=0)
         return squares if squared else np.sqrt(squares)
 
     def _reference(self, k: int) -> str:
