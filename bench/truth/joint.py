@@ -181,7 +181,7 @@ _OF_A_TOUCH = ("definition", "resolution", "scatter")
 _KNOWN = {*_OF_A_TOUCH, ARM, REGISTRATION, TIP_RADIUS, CARRY}
 
 
-@lru_cache(maxsize=1 << 14)  # a report asks for those of one end a dozen times
+@lru_cache(maxsize=1 << 13)  # a report asks for those of one end a dozen times
 def _budget(text: str | None, u_mm: float | None) -> Mapping[str, float]:
     """Standard uncertainty along an axis by component; one that isn't known is not said."""
     if not text:
