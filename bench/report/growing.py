@@ -1,15 +1,15 @@
 """The trials' parts of a report with many trials, drawn while the run goes on.
 
 A part is known by the SHA-256 of all that it is made from. The report takes what was drawn of the
-same, and draws the rest: its bytes are the same either way. Parts wait in a temporary file of this
-process, so a process that dies leaves none, and none is taken on another's word.
+same, and draws the rest: its bytes are the same either way. Parts wait, some 8 kB each, in this
+process's memory: one that dies leaves none, and none is taken on another's word.
 """
 
 from __future__ import annotations
 
 import hashlib
 import pickle
-import sqlite3
+import zlib
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +25,7 @@ from detector.calibration import Calibration
 from reports.page import TrialPart
 from reports.render import TrialPress, in_page
 
+MOST_MORE = 20  # trials at once beside the last: a fraction of a second
 REPORT, CALIBRATION = "report", "calibration.toml"
 
 
@@ -34,8 +35,7 @@ class TrialParts:
     def __init__(self, warn: Callable[[str], None] = lambda _: None) -> None:
         self._warn = warn
         self._next: dict[Path, int] = {}  # number of the first trial that is not drawn
-        self._kept = sqlite3.connect("", isolation_level=None)  # a temporary file without a name
-        self._kept.execute("CREATE TABLE parts (digest TEXT PRIMARY KEY, part BLOB)")
+        self._kept: dict[str, bytes] = {}
 
     def grow(self, folder: Path, done: int, planned: int) -> None:
         """Draw trials of the run in ``folder``, where ``done`` of ``planned`` have passed: the last
@@ -43,7 +43,8 @@ class TrialParts:
         a share. Raises nothing, since the report draws what was not drawn.
         """
         first = self._next.get(folder, 1)
-        last = min(done - 1, first + max(0, done - first) // max(1, planned - done))
+        more = max(0, done - first) // max(1, planned - done)
+        last = min(done - 1, first + min(more, MOST_MORE))
         if last < first:
             return
         self._next[folder] = last + 1
@@ -63,8 +64,7 @@ class TrialParts:
         press = TrialPress(run.detectors, terms())
         for trial in run.trials:
             part = _drawn(run, trial, calibration, run.folder / REPORT, press)
-            row = (_digest(run, trial, sha256), pickle.dumps(part))
-            self._kept.execute("REPLACE INTO parts VALUES (?, ?)", row)
+            self._kept[_digest(run, trial, sha256)] = zlib.compress(pickle.dumps(part), 1)
 
     def of(
         self,
@@ -77,22 +77,21 @@ class TrialParts:
         all are for None; else as drawn.
         """
         press = TrialPress(run.detectors, terms())
-        grown = self._kept.total_changes > 0
-        sha256 = sha256_of(run.folder / CALIBRATION) if grown else ""
+        sha256 = sha256_of(run.folder / CALIBRATION) if self._kept else ""
         folder.mkdir(parents=True, exist_ok=True)  # images are found from it
         for trial in run.trials:
             if copied is None or trial.id in copied:
                 yield trial_part(run, trial, calibration, folder, copied=copied)
                 continue
-            kept = self._found(_digest(run, trial, sha256), folder) if grown else None
+            kept = self._found(_digest(run, trial, sha256), folder) if self._kept else None
             yield kept or _drawn(run, trial, calibration, folder, press)
 
     def _found(self, digest: str, folder: Path) -> TrialPart | None:
         """The part, where the images that it shows are still there."""
-        found = self._kept.execute("SELECT part FROM parts WHERE digest = ?", (digest,))
-        row = found.fetchone()
-        part: TrialPart | None = pickle.loads(row[0]) if row else None  # noqa: S301 our own
-        there = part and part.drawn and all((folder / one).is_file() for one in part.drawn.files)
+        if digest not in self._kept:
+            return None
+        part: TrialPart = pickle.loads(zlib.decompress(self._kept[digest]))  # noqa: S301 our own
+        there = part.drawn and all((folder / one).is_file() for one in part.drawn.files)
         return part if there else None
 
 

@@ -267,9 +267,8 @@ def judge(run: RunRecord, rules: Rules) -> tuple[Judgement, ...]:
     of_bench = frozenset(rule.name for rule in rules.requirements if isinstance(rule, bench))
     found = []
     for name in run.detectors:
-        decisions = (
-            _decide(rule, run, scored(run, name), name, rules.looks) for rule in rules.requirements
-        )
+        scores = scored(run, name)
+        decisions = (_decide(rule, run, scores, name, rules.looks) for rule in rules.requirements)
         decided = (_doubted(decision, rules, too_small(run.facts)) for decision in decisions)
         found.append(Judgement(name, held_back(decided, run.damage), of_bench))
     return tuple(found)

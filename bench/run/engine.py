@@ -185,6 +185,7 @@ class Engine:
             ctx.events.trial(trial.number - 1, len(planned), trial.name)
             # A trial that has its result is gone through again or passed over.
             if not self._left:
+                ctx.long("drawing for the report", 60.0, silent=True)
                 self._between(trial.number - 1, len(planned))
                 self._requests.pause_if_asked(self._ctx)
                 self._ctx.check_interrupts = self._requests.look

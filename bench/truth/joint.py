@@ -122,8 +122,8 @@ class _Ends:
 
     def _u(self, *names: str, squared: bool = False) -> Floats:
         """Of each end, along an axis (n,)."""
-        of = [sum(budget.get(name, 0.0) ** 2 for name in names) for budget in self._budgets]
-        squares = np.array(of, dtype=np.float64)
+        each = [[budget.get(name, 0.0) ** 2 for budget in self._budgets] for name in names]
+        squares: Floats = np.array(each, dtype=np.float64).sum(axis=0)
         return squares if squared else np.sqrt(squares)
 
     def _reference(self, k: int) -> str:
@@ -181,7 +181,7 @@ _OF_A_TOUCH = ("definition", "resolution", "scatter")
 _KNOWN = {*_OF_A_TOUCH, ARM, REGISTRATION, TIP_RADIUS, CARRY}
 
 
-@lru_cache(maxsize=1 << 14)  # a report asks for those of one end a dozen times
+@lru_cache(maxsize=1 << 13)  # a report asks for those of one end a dozen times
 def _budget(text: str | None, u_mm: float | None) -> Mapping[str, float]:
     """Standard uncertainty along an axis by component; one that isn't known is not said."""
     if not text:
