@@ -105,12 +105,10 @@ class Renderer:
 
     def shadows(self, state: SceneState) -> ShadowMap | None:
         """The shadows on the table; kept while nothing moves."""
-        hulls = tuple(thing.hulls for thing in state.everything())
-        if self._shadows[0] != (state.lighting, hulls):
-            self._shadows = (
-                (state.lighting, hulls),
-                shadow_map(state.lighting, Stage.of(state.everything()).solids),
-            )
+        things = state.everything()
+        key = state.lighting, tuple(thing.hulls for thing in things)
+        if self._shadows[0] != key:
+            self._shadows = key, shadow_map(state.lighting, Stage.of(things).solids)
         return self._shadows[1]
 
     def visible_ends(self, state: SceneState) -> Bools:
@@ -119,14 +117,11 @@ class Renderer:
         free; the teat's own surface doesn't count.
         """
         stage = Stage.of(state.everything())
-        columns = [
-            seen_share(state.phantom, stage, camera, state.boards) >= LEAST_SEEN
-            for camera in self.cameras
-        ]
-        return np.column_stack(columns)
+        shares = [seen_share(state.phantom, stage, one, state.boards) for one in self.cameras]
+        return np.column_stack(shares) >= LEAST_SEEN
 
 
-RINGS_DEG, ROUND = (30.0, 60.0, 85.0), 16
+RINGS = np.meshgrid(np.radians((30.0, 60.0, 85.0)), np.arange(16) * 2.0 * np.pi / 16)
 
 
 def seen_share(
@@ -135,13 +130,8 @@ def seen_share(
     """Visible share of each rounded end's near side, (n,); 0 where the apex is hidden or outside.
     The ``stage`` begins with the teats; a teat doesn't hide its own end.
     """
-    ends, parts = phantom.ends_mm, list[Floats]()
-    for end, (on_rings, outward, middle) in zip(ends, _rounded_ends(phantom), strict=True):
-        faces = outward @ (camera.centre_mm - middle) > 0.0
-        parts += [end[None, :], on_rings[faces]]
-    if not parts:
-        return np.zeros(0)
-    points, of = np.concatenate(parts), np.repeat(np.arange(len(parts)) // 2, [*map(len, parts)])
+    ends, (rings, outward, middles) = phantom.ends_mm, _rounded_ends(phantom)
+    points, of = rings.reshape(-1, 3), np.repeat(np.arange(len(ends)), rings.shape[1])
     seen, sights = stage.solids.in_camera(camera), camera.camera_from_world(points)
     # no solid but the teat itself stands between; most are far from every line of sight
     which, at = np.nonzero(seen.near_lines(sights) & (stage.owner[:, None] != of))
@@ -160,40 +150,35 @@ def seen_share(
         free &= ~((part > 0.0) & (part < 1.0) & on_it)
     pixels, size = camera.project(ends), np.array([camera.width_px, camera.height_px])
     inside = np.all((pixels >= -0.5) & (pixels <= size - 0.5), axis=1)
-    own = [free[of == i] for i in range(len(ends))]
-    seen_of = [float(each[1:].mean()) if each[0] else 0.0 for each in own]
-    return np.where(inside, seen_of, 0.0)
+    apex, ring = np.split(free.reshape(rings.shape[:2]), [1], axis=1)
+    near_side = (outward @ (camera.centre_mm - middles)[:, :, None])[:, :, 0] > 0.0
+    share = np.sum(ring & near_side, axis=1) / np.sum(near_side, axis=1)
+    return np.where(inside & apex[:, 0], share, 0.0)
 
 
 @lru_cache(maxsize=4)  # each camera asks for the same
-def _rounded_ends(phantom: Phantom) -> tuple[tuple[Floats, Floats, Floats], ...]:
-    """Of each end: points of its hemisphere, the ways outward there, (n, 3), and its middle (3,);
-    of another form, points on rings as far behind the end as those of a hemisphere.
+def _rounded_ends(phantom: Phantom) -> tuple[Floats, Floats, Floats]:
+    """Of each of n ends, first its apex, then points of its hemisphere (n, 49, 3), of another form
+    on rings as far behind the end; there the ways outward (n, 48, 3), and the middles (n, 3).
     """
-    polar, round_ = (
-        grid.ravel()
-        for grid in np.meshgrid(np.radians(RINGS_DEG), np.arange(ROUND) * 2.0 * np.pi / ROUND)
-    )
-    found = []
-    for end_mm, axis, teat in zip(phantom.ends_mm, phantom.axes, phantom.teats, strict=True):
-        shape, ((u,), (v,)) = teat.shape, square_to(axis[None])
-        radius_mm = shape.radius_mm
-        middle = end_mm - radius_mm * axis
-        outward = np.cos(round_)[:, None] * u + np.sin(round_)[:, None] * v
-        if shape.form:
-            behind = radius_mm * (1.0 - np.cos(polar))
-            points = shape.form.middles(end_mm, axis, behind)
-            points = points + shape.form.radii_mm(behind)[:, None] * outward
+    polar, round_ = (grid.ravel() for grid in RINGS)
+    rings, ways, ends, axes = list[Floats](), list[Floats](), phantom.ends_mm, phantom.axes
+    radii_mm = [teat.shape.radius_mm for teat in phantom.teats]
+    middles = ends - np.array(radii_mm).reshape(-1, 1) * axes
+    for i, (end, axis, u, v) in enumerate(zip(ends, axes, *square_to(axes), strict=True)):
+        way = np.cos(round_)[:, None] * u + np.sin(round_)[:, None] * v
+        if form := phantom.teats[i].shape.form:
+            behind = radii_mm[i] * (1.0 - np.cos(polar))
+            ring = form.middles(end, axis, behind) + form.radii_mm(behind)[:, None] * way
         else:
-            outward = np.cos(polar)[:, None] * axis + np.sin(polar)[:, None] * outward
-            points = middle + radius_mm * outward
-        found.append((points, outward, middle))
-    return tuple(found)
+            way = np.cos(polar)[:, None] * axis + np.sin(polar)[:, None] * way
+            ring = middles[i] + radii_mm[i] * way
+        rings.append(np.vstack([end, ring]))
+        ways.append(way)
+    return np.reshape(rings, (-1, 49, 3)), np.reshape(ways, (-1, 48, 3)), middles
 
 
-ROW_PX = 340
-LABEL_PX = 22
-CLOSE_UP_PX = (440, 340)
+ROW_PX, LABEL_PX, CLOSE_UP_PX = 340, 22, (440, 340)
 Grey8 = NDArray[np.uint8]
 
 
@@ -212,9 +197,7 @@ def contact_sheet(states: Mapping[str, SceneState], renderer: Renderer, seed: in
             )
             for image in (frames.left, frames.right, frames.thermal_8bit)
         ]
-        row = np.concatenate(
-            [*parts[:2], _close_up(frames.left, state, renderer), parts[2]], axis=1
-        )
+        row = np.hstack([*parts[:2], _close_up(frames.left, state, renderer), parts[2]])
         strip = np.full((LABEL_PX, row.shape[1]), 255, dtype=np.uint8)
         font = cv2.FONT_HERSHEY_SIMPLEX, 0.55, 0, 1, cv2.LINE_AA
         cv2.putText(strip, name, (6, LABEL_PX - 6), *font)

@@ -142,9 +142,7 @@ class Solids:
         return np.asarray(np.minimum(low_a, low_b))
 
     def near_lines(self, ends: Floats) -> Bools:
-        """Whether a ball about each of k solids comes near the line from the origin to each of
-        ``ends`` (n, 3): (k, n). Without it the solid can't be in the way.
-        """
+        """Whether each of k solids may meet the line from the origin to each of n ends, (k, n)."""
         middle, half_mm = 0.5 * (self.a + self.b), 0.5 * np.linalg.norm(self.b - self.a, axis=1)
         radius_mm = half_mm + np.maximum(self.radius_a, self.radius_b) + 1.0
         along, length = middle @ ends.T, np.sum(ends * ends, axis=1)
