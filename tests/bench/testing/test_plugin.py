@@ -106,7 +106,7 @@ def test_a_rig_is_open_homed_and_safe_after_each_test(pytester: pytest.Pytester)
 
         def test_after(rig):
             before, bath = kept[0]
-            assert before.devices.active == ()
+            assert not bath.heats and not bath.pump_on
             assert rig is not before
             assert rig.capture().frames.left.ndim == 2
     """
