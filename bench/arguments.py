@@ -9,10 +9,11 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import cache, wraps
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from bench.config import ConfigError, short
 
+Kind = TypeVar("Kind")
 NUMBERS: Mapping[Any, type] = {float: Real, int: Integral}
 PLAIN: Mapping[Any, str] = {
     float: "a number",
@@ -41,13 +42,22 @@ def guarded(thing: Any, package: str) -> Any:
             if isinstance(value, Iterator):  # is looked at, and used then
                 given.arguments[name] = value = tuple(value)
             many = shape.parameters[name].kind is inspect.Parameter.VAR_POSITIONAL
-            if not all(fits(one, hints()[name]) for one in (value if many else [value])):
+            hint = hints().get(name, Any)  # a method's self has none
+            if not all(fits(one, hint) for one in (value if many else [value])):
                 said = short(" ".join(repr(value).split()))
-                raise ConfigError.plain(f"{name} is {said}, not {words(hints()[name])}")
+                raise ConfigError.plain(f"{name} is {said}, not {words(hint)}")
         return thing(*given.args, **given.kwargs)
 
     call.__module__, call.__qualname__ = package, thing.__name__  # where pickle finds it
     return call
+
+
+def guarded_methods(kind: type[Kind]) -> type[Kind]:
+    """The same for the public methods of a class."""
+    for name, one in list(vars(kind).items()):
+        if name[0] != "_":
+            setattr(kind, name, guarded(one, kind.__module__))
+    return kind
 
 
 def _hints(function: Any) -> dict[str, Any]:

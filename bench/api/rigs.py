@@ -10,6 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from bench.api.shots import AnyRig, Shot, load_rig
+from bench.arguments import guarded_methods
 from bench.config import ConfigError, check_within, several
 from bench.record.recording import TruthRow
 from bench.rig.devices import Devices
@@ -43,6 +44,7 @@ INSIDE = "Use it inside of its with block: with open_rig(…) as rig."
 Opened = TypeVar("Opened")
 
 
+@guarded_methods
 class OpenRig:
     """The instruments of a rig, opened by `open_rig`. What isn't opened raises LimitError, as does
     any use after the rig was left.
@@ -233,7 +235,9 @@ class OpenRig:
         if not self.arm.homed:
             raise LimitError("arm", "it is not homed", asked="touch", hint="Call home() first.")
         if self._stands is None:
-            raise LimitError("arm", "nothing was set up that could be touched", hint="set_up()")
+            raise LimitError(
+                "arm", "nothing was set up that could be touched", hint="Call set_up()."
+            )
         if self._pose is None:
             what = "nobody knows where the plate stands: it was not moved since the stage was homed"
             raise LimitError("stage", what, hint="Call move(), to the reference place or another.")

@@ -388,6 +388,8 @@ SomeRow = TypeVar("SomeRow", bound=TableRow)
 
 def read_rows(folder: Path | str, kind: type[SomeRow]) -> tuple[SomeRow, ...]:
     """All rows of one kind, in the order in which they were written. Raises ConfigError."""
+    if not hasattr(kind, "table"):
+        raise ConfigError.plain(f"kind is {kind.__name__}, no class of rows such as bench.TrialRow")
     names = ", ".join(field.name for field in fields(cast(Any, kind)))
     with opened(Path(folder)) as db:
         found = db.execute(f"SELECT {names} FROM {kind.table} ORDER BY rowid")  # noqa: S608 - our own names

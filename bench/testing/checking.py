@@ -63,7 +63,7 @@ class SceneFailedError(AssertionError):
         for one in near[:: -(-len(near) // NEIGHBOURS) or 1]:
             try:
                 looks.append(look(self.detector, one, self.limit_mm, rig=self.rig))
-            except (ConfigError, ValueError):  # too near a camera
+            except ConfigError:  # too near a camera
                 continue
         return sum(bool(one.fault) for one in looks), len(looks)
 
@@ -98,7 +98,7 @@ def check(
 ) -> SceneScore:
     """Draw a scene, ask ``detector`` (a name, a file, ``exec:COMMAND``, or one in Python) and score
     its answer. In a test of hypothesis the error is also what its search maximises. Raises
-    SceneFailedError, and ValueError for a scene that can't be drawn.
+    SceneFailedError, and ConfigError for a scene that can't be drawn.
     """
     found = look(detector, scene, limit_mm, rig=str(rig))
     hypothesis = sys.modules.get("hypothesis")

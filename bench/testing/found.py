@@ -78,7 +78,7 @@ def keep(folder: Path | str, into: Path | str, name: str | None = None) -> str:
     frame = name or path.resolve().parent.name
     try:
         shot = scene.draw(rig)
-    except (ConfigError, ValueError) as error:
+    except ConfigError as error:
         raise ConfigError.plain(f"{path}: {error}") from error
     if digest_of_frames(shot.frames) != facts.get("frames"):
         raise ConfigError.plain(

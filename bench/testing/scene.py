@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar
 from bench.api.shots import AnyRig, Shot, draw
 from bench.campaign.perturbations import KINDS as PERTURBATIONS
 from bench.campaign.perturbations import Applied
+from bench.config import wrong_use
 from bench.rig.scenes import teat_temp_c
 from instruments.world.backdrop import Backdrop
 from instruments.world.objects import KINDS, make_object
@@ -200,10 +201,12 @@ class Scene(_Differences):
         return situation.state(teats_c, WATER_C, room_c)
 
     def draw(self, rig: AnyRig = "emulated") -> Shot:
-        """Its pictures by the emulated cameras of ``rig``, and the truth. Raises ValueError for a
-        thing too near a camera.
+        """Its pictures by the emulated cameras of ``rig``, and the truth. Raises ConfigError for
+        what can't be, or is too near a camera.
         """
-        return draw(self.state(), self.noise, rig=rig, perturbations=self.perturbations)
+        with wrong_use():
+            state = self.state()
+        return draw(state, self.noise, rig=rig, perturbations=self.perturbations)
 
     def faults(self) -> tuple[str, ...]:
         """What keeps it from being set up on a bench, in words."""

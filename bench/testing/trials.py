@@ -47,9 +47,11 @@ class TrialsOfTests:
         self._run: ScoredFrames | None = None
 
     def add(self, name: str, shot: Shot, situation: str = "test") -> SceneScore:
-        """Ask the detector about a shot and write the trial. Raises ValueError without truth."""
+        """Ask the detector about a shot and write the trial. Raises ConfigError without truth."""
         if not shot.truth:
-            raise ValueError("a trial needs the truth of its shot: rig.with_truth(shot, rows)")
+            raise ConfigError.plain(
+                "a trial needs the truth of its shot: rig.with_truth(shot, rows)"
+            )
         run = self._begun()
         answer = self._examiner.ask(self._detector, shot.frames)
         rows = [truth_row("", row) for row in shot.truth]

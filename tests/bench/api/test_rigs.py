@@ -32,18 +32,21 @@ def test_an_end_needs_a_place_and_a_number_and_safe_ends_the_watch() -> None:
 def test_what_is_not_homed_or_was_left_says_what_to_do() -> None:
     with bench.open_rig("emulated") as rig:
         bath, stage = rig.bath, rig.stage
-        for act in (rig.move, rig.touch):
+        for wrong in (lambda: rig.wait(np.nan), lambda: rig.set_up("ideal"), lambda: rig.move("x")):  # type: ignore[arg-type]
+            with pytest.raises(bench.ConfigError, match=", not a"):
+                wrong()
+        for early in (rig.move, rig.touch):
             with pytest.raises(LimitError, match=r"it is not homed .*Call home\(\) first"):
-                act()
+                early()
         rig.home()
         views = bench.watch_bath(bath, clock=rig.clock)
         assert [next(views).started for _ in range(2)] == [False, False]
     for act in (rig.home, rig.move, rig.capture, rig.touch, rig.safe, lambda: rig.heat(33.0)):
         with pytest.raises(LimitError, match=r"it was left, and is closed.*with block"):
             act()
-    for act in (bath.before_heating, stage.home):
+    for late in (bath.before_heating, stage.home):
         with pytest.raises(LimitError, match="it was left: nothing is heated or moved"):
-            act()
+            late()
     with pytest.raises(LinkError, match="the link is closed"):
         stage.position()
 

@@ -169,7 +169,7 @@ def test_opencvs_file_storage_in_each_of_its_forms(
     ("old", "new", "why"),
     [
         ("image_size: [ 1280, 960 ]", "image_size: [ 1280 ]", "image_size has 1 numbers; 2 are wanted"),
-        ("image_size: [ 1280, 960 ]", "a: 1", "lacks image_size; say it with --image-size"),
+        ("image_size: [ 1280, 960 ]", "a: 1", "lacks image_size; say it with `image_size`"),
         ("cols: 3", "cols: 4", "M1 has 9 numbers for 3 x 4"),
         ("T: !!opencv-matrix", "T: nothing\nU: !!opencv-matrix", "T must be numbers, has 'nothing'"),
         ("M2:", "X2:", "lacks M2; wanted: the stereo pair's"),

@@ -200,9 +200,8 @@ class Readings:
         return a_reading(t_s, temp_c, 100.0 if t_s < 50 else None, self.alarm)
 
     def views(self, count: int, window_s: float = 600.0) -> list[bench.BathView]:
-        bath: Any = self
-        views = inspect.unwrap(bench.watch_bath)(bath, clock=self.clock, window_s=window_s)
-        return list(islice(views, count))
+        watch: Any = inspect.unwrap(bench.watch_bath)  # it isn't all of a bath
+        return list(islice(watch(self, clock=self.clock, window_s=window_s), count))
 
 
 def test_a_stable_bath_says_so_and_one_on_its_way_says_when() -> None:

@@ -91,7 +91,7 @@ WRONG_USE = {  # code 2
     f"arm frame {EMULATED} --out x --check 1,2,inf": "each within 10000 mm",
     f"arm verify {EMULATED} --out x --distances 4": "'4' is not a whole number from 1 to 3",
     f"arm verify {EMULATED} --out x --length-mm 0": "'0' is not a number above 0",
-    "arm read --port ttyUSB0 --homed": '--port ttyUSB0: not a link; allowed: "emulator:"',
+    "arm read --port ttyUSB0 --homed": 'ttyUSB0: not a link; allowed: "emulator:"',
     f"arm read {EMULATED}": "there is no terminal to confirm it at. Give --homed",
     f"arm watch {EMULATED}": "Give --homed",
     f"arm frame {EMULATED} --out new.toml": "Give --homed",

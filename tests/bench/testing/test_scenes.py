@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, find, given, seed, settings
 from hypothesis import strategies as st
 
+from bench.config import ConfigError
 from bench.record.recording import Recording
 from bench.testing import (
     Applied,
@@ -130,7 +131,7 @@ def test_what_cannot_be_is_refused_in_words(rig: str) -> None:
     (fault,) = Scene(objects=(Object("rodd"),)).faults()
     assert "did you mean 'rod'?" in fault
     assert Scene((Teat(right_mm=300),)).faults()
-    with pytest.raises(ValueError, match="rodd"):
+    with pytest.raises(ConfigError, match="rodd"):
         check("fused", Scene(objects=(Object("rodd"),)), rig=rig)
 
 
