@@ -66,8 +66,9 @@ def agreement(
     rows, row_weight = row_offsets(some, p.prior)
     shift, weight = thermal_offsets(some)
     known = weight > _LEAST_INFORMATION
-    if (np.abs(far_px) > THERMAL.search_px).any():
-        shift, known = far_px, np.isfinite(far_px)
+    far = np.isfinite(far_px)
+    if (np.abs(far_px) > THERMAL.search_px).any() and 2 * far[:, 0].sum() >= len(far):
+        shift, known = far_px, far
     columns, down = (
         _middle(shift[known[:, i], i]) if known[:, i].any() else np.nan for i in range(2)
     )
