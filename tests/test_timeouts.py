@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -25,6 +26,7 @@ def run_tests(folder: Path, text: str, *options: str) -> str:
         encoding="utf-8",
         check=False,
         cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
     return done.stdout + done.stderr
 
@@ -55,7 +57,7 @@ def test_deaf():
         except BaseException:
             pass
 """,
-        *("-o", "faulthandler_timeout=3", "-n", "1", "--max-worker-restart", "0"),
+        *("-o", "faulthandler_timeout=3", "-p", "tests.workers", "--workers", "2"),
     )
     assert "crashed while running 'test_slow.py::test_deaf'" in printed, printed
     assert "in test_deaf" in printed
