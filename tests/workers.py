@@ -68,55 +68,41 @@ def pytest_runtestloop(session: pytest.Session) -> bool | None:
 class Worker:
     """A process that runs tests, seen from the one that has collected them."""
 
-    def __init__(
-        self,
-        session: pytest.Session,
-        number: int,
-        files: Sequence[Sequence[pytest.Item]],
-        files_left: int,
-    ) -> None:
-        self.config = session.config
-        self.works, self.runs = True, "no test"
+    def __init__(self, session: pytest.Session, *job: Any) -> None:
+        self.config, self.works, self.runs = session.config, True, "no test"
         forking = multiprocessing.get_context("fork")  # type: ignore[attr-defined, unused-ignore]
         self.reports, sent = forking.Pipe(duplex=False)
-        self.process = forking.Process(target=work, args=(session, number, files, files_left, sent))
+        self.process = forking.Process(target=work, args=(session, sent, *job))
         self.process.start()
         sent.close()
 
     def finished(self) -> str:
         """Passes on the next that it has sent; gives back the test that is finished by that."""
-        hook = self.config.hook
         try:
-            event, *what = self.reports.recv() if self.reports.poll() else ("died",)
+            event, given = self.reports.recv() if self.reports.poll() else ("died", {})
         except EOFError:
-            event, what = "died", []
-        if event == "report":
-            report = hook.pytest_report_from_serializable(config=self.config, data=what[0])
-            hook.pytest_runtest_logreport(report=report)
-        elif event == "logstart":
-            self.runs = what[0]
-            hook.pytest_runtest_logstart(nodeid=what[0], location=what[1])
-        elif event == "logfinish":
-            hook.pytest_runtest_logfinish(nodeid=what[0], location=what[1])
-            return self.runs
-        else:
-            self.works = False
-            self.process.join()
+            event, given = "died", {}
+        self.works = event not in ("died", "done")
         if event == "died":
+            self.process.join(5.0)
             why = f"a worker crashed while running {self.runs!r} ({self.process.exitcode})"
             place = (self.runs.partition("::")[0], None, self.runs)
-            report = pytest.TestReport(self.runs, place, {}, "failed", why, "call")
-            hook.pytest_runtest_logreport(report=report)
-        return ""
+            given = {"report": pytest.TestReport(self.runs, place, {}, "failed", why, "call")}
+            event = "logreport"
+        elif event == "logreport":
+            load = self.config.hook.pytest_report_from_serializable
+            given = {"report": load(config=self.config, data=given)}
+        elif event == "logstart":
+            self.runs = given["nodeid"]
+        if event != "done":
+            getattr(self.config.hook, f"pytest_runtest_{event}")(**given)
+        return self.runs if event == "logfinish" else ""
 
 
-def work(
-    session: pytest.Session,
-    number: int,
-    files: Sequence[Sequence[pytest.Item]],
-    files_left: int,
-    sent: Connection,
-) -> None:
+Files = Sequence[Sequence[pytest.Item]]
+
+
+def work(session: pytest.Session, sent: Connection, number: int, files: Files, left: int) -> None:
     """In a process of its own: runs files while there are any."""
     config, plugins = session.config, session.config.pluginmanager
     capture: Any = plugins.get_plugin("capturemanager")
@@ -135,14 +121,14 @@ def work(
     with patch("multiprocessing.util.spawnv_passfds", forked_server):
         forkserver.ensure_running()
     random.seed()  # each draws its own names and ports
-    todo = items_of(files, files_left)
+    todo = items_of(files, left)
     item = next(todo, None)
     while item:
         # a file is taken when the last test of the one before begins: fixtures of both stay
         following = next(todo, None)
         config.hook.pytest_runtest_protocol(item=item, nextitem=following)
         item = following
-    sent.send(("done",))
+    sent.send(("done", {}))
 
 
 def forked_server(_path: bytes, words: Sequence[str], passed: Sequence[int]) -> int:
@@ -160,8 +146,8 @@ def forked_server(_path: bytes, words: Sequence[str], passed: Sequence[int]) -> 
         os._exit(0)
 
 
-def items_of(files: Sequence[Sequence[pytest.Item]], files_left: int) -> Iterator[pytest.Item]:
-    while taken := os.read(files_left, INDEX_BYTES):
+def items_of(files: Files, left: int) -> Iterator[pytest.Item]:
+    while taken := os.read(left, INDEX_BYTES):
         yield from files[int.from_bytes(taken, "big")]
 
 
@@ -172,11 +158,11 @@ class Reporter:
         self.config, self.sent = config, sent
 
     def pytest_runtest_logstart(self, nodeid: str, location: object) -> None:
-        self.sent.send(("logstart", nodeid, location))
+        self.sent.send(("logstart", {"nodeid": nodeid, "location": location}))
 
     def pytest_runtest_logfinish(self, nodeid: str, location: object) -> None:
-        self.sent.send(("logfinish", nodeid, location))
+        self.sent.send(("logfinish", {"nodeid": nodeid, "location": location}))
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         data = self.config.hook.pytest_report_to_serializable(config=self.config, report=report)
-        self.sent.send(("report", data))
+        self.sent.send(("logreport", data))

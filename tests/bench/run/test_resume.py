@@ -104,6 +104,8 @@ def test_killed_at_random_moments_and_resumed_equals_undisturbed(
 def test_killed_at_random_moments_with_a_carried_truth_equals_undisturbed(tmp_path: Path) -> None:
     files(tmp_path, stage=STAGE, script=carry("check_every = 1\n"))
     steps = steps_of(lambda: start(tmp_path, "whole"))
+    whole = read_run(only_run(tmp_path, "whole"))
+    assert [trial.how for trial in whole.trials] == ["touched", "carried", "carried"]
     killed_at_random(tmp_path, steps, 14, CARRIED_KILLS)
 
 
@@ -227,16 +229,6 @@ def test_a_world_that_went_on_is_prepared_anew_and_what_is_redone_is_kept_apart(
     assert len(after.facts["arm check before, session 2"]["touches"]) in (2, 3)
     assert after.facts["identities, session 2"] == after.facts["identities"]
     assert texts(after, "resumed") == ["session 2 goes on after 2 trials"]
-
-
-def test_a_carried_truth_goes_on_in_a_world_that_died(tmp_path: Path) -> None:
-    files(tmp_path, stage=STAGE, script=carry())
-    start(tmp_path, "whole")
-    assert results(only_run(tmp_path, "whole"))["checks"]
-    whole = read_run(only_run(tmp_path, "whole"))
-    assert [trial.how for trial in whole.trials] == ["touched", "carried", "carried"]
-    killed_in_the_last_trial(tmp_path, "runs")
-    equal_after_resuming(tmp_path, "runs")
 
 
 @pytest.mark.usefixtures("nothing_is_gone_through_again")
