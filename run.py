@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 LOCKS = ROOT / "locks"  # made by the command at the top of each, after that of constraints.txt
 NEEDED = (3, 11)
-# most of a test in real time is waiting; eight processes hold some 7 GB
+# most of a test in real time is waiting; eight processes hold some 7 GB, forked ones less
 PROCESSES = str(max(os.cpu_count() or 1, min(4 * (os.cpu_count() or 1), 8)))
 PYTEST_OPTIONS = (
     ("-p", "tests.workers", "--workers", PROCESSES)
