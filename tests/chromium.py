@@ -123,10 +123,38 @@ def browser_page(
         yield seen
 
 
-def violations(page: Page, *rules: str) -> list[tuple[str, str]]:
-    """What axe-core, as its package carries it, finds in an open page: rule and first element. Where
-    ``rules`` are named, by those alone.
+def violations(page: Page, *, contrast: bool = True) -> list[tuple[str, str]]:
+    """What axe-core, as its package carries it, finds in an open page: rule and first element.
+
+    Its own look at contrast takes most of its time on a large page: `weak_texts` looks at it too.
     """
-    only = {"runOnly": list(rules)} if rules else {}
-    found = Axe().run(page, options={**DEFAULT_OPTIONS, **only}).response["violations"]
+    without = {} if contrast else {"rules": {"color-contrast": {"enabled": False}}}
+    found = Axe().run(page, options={**DEFAULT_OPTIONS, **without}).response["violations"]
     return [(str(one["id"]), str(one["nodes"][0]["html"])[:200]) for one in found]
+
+
+def weak_texts(page: Page) -> list[str]:
+    """Each text below the 4.5 : 1 of WCAG 2.1, 1.4.3, against the first opaque ground behind it:
+    its element, how it begins, and its ratio.
+    """
+    found: list[str] = page.evaluate(
+        """() => { const line = (v) => v <= .04045 ? v / 12.92 : ((v + .055) / 1.055) ** 2.4;
+        const light = (rgb) => { const [r, g, b] = rgb.map((v) => line(v / 255));
+          return .2126 * r + .7152 * g + .0722 * b; };
+        const rgb = (css) => css.match(/[\\d.]+/g).map(Number);
+        const grounds = new Map(), ground = (node) => { if (!node) return [[255, 255, 255], 1];
+          if (!grounds.has(node)) { const css = getComputedStyle(node), c = rgb(css.backgroundColor);
+            const [behind, through] = ground(node.parentElement);
+            grounds.set(node, [c.length < 4 || c[3] === 1 ? c.slice(0, 3) : behind, through * css.opacity]); }
+          return grounds.get(node); };
+        const out = new Set(), walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+        while (walk.nextNode()) { const node = walk.currentNode.parentElement, text = walk.currentNode.data.trim();
+          if (!text || node.closest('script, title, .pane, .swatch, .kind')) continue;
+          const css = getComputedStyle(node), ink = rgb(node.closest('svg') ? css.fill : css.color);
+          const [behind, opacity] = ground(node), through = (ink[3] ?? 1) * opacity;
+          const seen = ink.slice(0, 3).map((v, i) => v * through + behind[i] * (1 - through));
+          const a = light(seen), b = light(behind), ratio = (Math.max(a, b) + .05) / (Math.min(a, b) + .05);
+          if (ratio < 4.5) out.add(node.localName + ' ' + text.slice(0, 30) + ' ' + ratio.toFixed(2)); }
+        return [...out]; }"""
+    )
+    return found

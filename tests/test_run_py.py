@@ -128,6 +128,9 @@ def test_a_second_call_installs_nothing(run_py: ModuleType, tmp_path: Path) -> N
     assert run_py.main(["test", "-q"]) == 0
     assert "pip install" in log.read_text(encoding="utf-8")
     log.unlink()
+    assert run_py.main(["demo"]) == 0, "which needs nothing that the tests don't"
+    assert "pip install" not in log.read_text(encoding="utf-8")
+    log.unlink()
     start = time.perf_counter()
     done = subprocess.run([sys.executable, str(tmp_path / "run.py"), "test", "-q"], check=False)
     assert done.returncode == 0

@@ -123,10 +123,11 @@ def _listed(numbers: Sequence[object]) -> str:
 
 def check_named(names: Iterable[str]) -> None:
     """Raises ValueError for a name that isn't there; commands and files aren't looked into."""
-    known = list(registry.available())
     for name in names:
-        file = DECLARED / f"{name}{FILE}"
-        if name.startswith(EXEC) or name.endswith(FILE) or name in known or file.is_file():
+        if name in registry.SHIPPED or name.startswith(EXEC) or name.endswith(FILE):
+            continue
+        known = list(registry.available())
+        if name in known or (DECLARED / f"{name}{FILE}").is_file():
             continue
         hint = did_you_mean(name, known)
         if Path(name).is_file():
@@ -156,8 +157,8 @@ def _make(name: str, folder: Path, gives_up: bool) -> Detector:
             check_named((name,))
         except ValueError as error:
             raise ConfigError.plain(str(error)) from error
-        shipped = name in registry.available()
-        return registry.create(name) if shipped else _of_file(DECLARED / f"{name}{FILE}", gives_up)
+        known = name in registry.SHIPPED or name in registry.available()
+        return registry.create(name) if known else _of_file(DECLARED / f"{name}{FILE}", gives_up)
     try:
         command = taken_apart(name.removeprefix(EXEC), windows=os.name == "nt")
     except ValueError as error:
