@@ -23,16 +23,11 @@ ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 LOCKS = ROOT / "locks"  # made by the command at the top of each, after that of constraints.txt
 NEEDED = (3, 11)
-# most of a test in real time is waiting; eight processes hold some 7 GB, forked ones less
-PROCESSES = str(max(os.cpu_count() or 1, min(4 * (os.cpu_count() or 1), 8)))
 PYTEST_OPTIONS = (
-    ("-p", "tests.workers", "--workers", PROCESSES)
-    if sys.platform == "linux"
-    else (
-        *("-n", PROCESSES, "--dist", "loadfile"),
-        "--no-loadscope-reorder",  # slow files first: tests/conftest.py
-        *("--max-worker-restart", "0"),  # a test that killed its worker would kill the next one
-    )
+    # most of a test in real time is waiting; eight processes hold some 7 GB
+    *("-n", str(max(os.cpu_count() or 1, min(4 * (os.cpu_count() or 1), 8)))),
+    *("--dist", "loadfile", "--no-loadscope-reorder"),  # slow files first: tests/conftest.py
+    *("--max-worker-restart", "0"),  # a test that killed its worker would kill the next one
 )
 # met, not met, inconclusive: a verdict on the detector, not a fault of the bench
 DID_ITS_WORK = (0, 1, 4)

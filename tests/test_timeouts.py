@@ -1,10 +1,8 @@
-"""A test that takes too long fails with its traceback, and the others go on; one that no exception
-ends is named, with its traceback, and ends its worker.
-"""
+"""A test that takes too long fails with its traceback, and the others go on."""
 
 from __future__ import annotations
 
-import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -13,41 +11,51 @@ import pytest
 
 from tests.conftest import ROOT
 
-TESTS = """
-import time
-
-def test_slow():
-    time.sleep(600)
-
-def test_next():
-    pass
-
-def test_deaf():
-    while True:
-        try:
-            time.sleep(500)
-        except BaseException:
-            pass
-"""
+pytestmark = pytest.mark.slow
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="workers are forked on Linux alone")
-def test_a_timeout_costs_one_test_and_a_test_without_an_end_its_worker(tmp_path: Path) -> None:
-    (tmp_path / "test_slow.py").write_text(TESTS, encoding="utf-8")
-    settings = ["-c", str(ROOT / "pyproject.toml"), "--rootdir", str(tmp_path), "--timeout", "1"]
-    options = ["-o", "faulthandler_timeout=3", "-p", "tests.workers", "--workers", "2"]
+def run_tests(folder: Path, text: str, *options: str) -> str:
+    """What pytest prints of a file of tests under the project's own settings."""
+    (folder / "test_slow.py").write_text(text, encoding="utf-8")
+    settings = ["-c", str(ROOT / "pyproject.toml"), "--rootdir", str(folder), "--timeout", "1"]
     done = subprocess.run(
         [sys.executable, "-m", "pytest", *settings, *options, "-p", "no:cacheprovider", "."],
         capture_output=True,
         text=True,
         encoding="utf-8",
         check=False,
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        cwd=folder,
     )
-    printed = done.stdout + done.stderr
-    assert "2 failed, 1 passed" in printed, printed
+    return done.stdout + done.stderr
+
+
+@pytest.mark.skipif(
+    not hasattr(signal, "SIGALRM"),
+    reason="pytest-timeout kills the process where there is no SIGALRM",
+)
+def test_a_timeout_costs_one_test(tmp_path: Path) -> None:
+    printed = run_tests(
+        tmp_path,
+        "import time\n\ndef test_slow():\n    time.sleep(600)\n\ndef test_next():\n    pass\n",
+    )
+    assert "1 failed, 1 passed" in printed, printed
     assert "time.sleep(600)" in printed
+
+
+def test_a_test_that_no_exception_ends_is_named_and_ends_the_run(tmp_path: Path) -> None:
+    printed = run_tests(
+        tmp_path,
+        """
+import time
+
+def test_deaf():
+    while True:
+        try:
+            time.sleep(600)
+        except BaseException:
+            pass
+""",
+        *("-o", "faulthandler_timeout=3", "-n", "1", "--max-worker-restart", "0"),
+    )
     assert "crashed while running 'test_slow.py::test_deaf'" in printed, printed
     assert "in test_deaf" in printed
