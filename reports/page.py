@@ -29,9 +29,7 @@ Verdict = Literal[
     "interrupted",
 ]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
-UNFINISHED: frozenset[Verdict] = frozenset(
-    ("running", "faulted", "aborted", "tripped", "interrupted")
-)
+UNFINISHED = frozenset(VERDICTS[VERDICTS.index("running") :])
 Tone = Literal["plain", "good", "bad", "warn", "info", "muted"]
 Align = Literal["left", "right", "center"]
 Kind = Literal["computed", "emulated", "mixed", "real", "recorded"]
@@ -42,17 +40,7 @@ KINDS: dict[Kind, str] = {
     "real": "REAL INSTRUMENTS",
     "recorded": "RECORDED FRAMES",
 }
-SIGNS: dict[Verdict, str] = {
-    "met": "✓",
-    "not met": "✕",
-    "inconclusive": "?",
-    "not measured": "–",
-    **dict.fromkeys(UNFINISHED, "!"),
-    "running": "…",
-    "no verdict": "○",
-    "not worse": "✓",
-    "worse": "✕",
-}
+SIGNS: dict[Verdict, str] = dict(zip(VERDICTS, "✓✕?–○✓✕…!!!!", strict=True))
 WORDS = {"kinds": KINDS, "signs": SIGNS}  # of templates
 NARROW_BELOW = 500.0  # units of a drawing's viewBox: points
 RESERVED_IDS = (  # what the template itself uses

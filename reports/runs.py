@@ -122,12 +122,7 @@ class Runs:
 
 
 def write_runs(
-    runs: Runs,
-    summary: str,
-    *,
-    name: str = PAGE,
-    title: str = "Runs",
-    rest: str = "Other folders",
+    runs: Runs, summary: str, *, name: str = PAGE, title: str = "Runs", rest: str = "Other folders"
 ) -> Path:
     """Writes the page into the folder of the runs, whole or not at all; gives back its path.
     ``rest``: the heading over what is no run.

@@ -23,9 +23,8 @@ from bench.rig.leaving import to_stderr
 from bench.rig.model import Arm as ArmTable
 from bench.rig.model import Baud
 from bench.safety import latch
-from bench.safety.approach import RATE_S, seconds_to_stable
 from bench.safety.liveness import Liveness
-from bench.safety.stability import StabilityGate, State
+from bench.safety.stability import RATE_S, StabilityGate, State, seconds_to_stable
 from instruments.bath.driver import Bath as OwnBath
 from instruments.bath.interface import Bath
 from instruments.bath.reading import BathReading

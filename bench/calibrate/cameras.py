@@ -115,9 +115,8 @@ class CamerasResult:
         for camera in PAIR:
             views = [*self.joint.view_rms_px(camera).values()]
             rms, (low, high) = float(np.sqrt(np.mean(np.square(views)))), _rms_interval(views)
-            lines.append(
-                f"reprojection error, {camera}: {rms:.3f} px rms ({low:.3f} to {high:.3f})"
-            )
+            text = f"{rms:.3f} px rms ({low:.3f} to {high:.3f})"
+            lines.append(f"reprojection error, {camera}: {text}")
         return [*lines, "intervals: 95 %; that of the reprojection error by the views' scatter"]
 
     @property
@@ -316,7 +315,7 @@ def calibrate_thermal(
     poses = pose, pair.right_from_left
     if joint.fit.rms_px > size[0] / delivered.sensor_size[0]:
         what = f"corners miss by {joint.fit.rms_px:.1f} px, more than a pixel of the thermal sensor"
-        raise ConfigError.plain(f"{what}: do its pictures come mirrored (--mirrored), or not?")
+        raise ConfigError.plain(f"{what}: do its pictures come mirrored (`mirrored`), or not?")
     maps = derive_homographies(lens, pair.left, pair.right, *poses, plane_depth_mm)
     given = views, delivered.camera(size, lens), pose, maps, alone, joint
     return ThermalResult(*given, _shown(views, "thermal", alone))

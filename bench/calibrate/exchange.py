@@ -78,9 +78,7 @@ def _storage_size(found: Foreign) -> tuple[int, int]:
         keys = ("image_width", "image_height")
         name, value = "image_size", [found.values.get(key) for key in keys]
     if None in (value if isinstance(value, list) else ()):
-        raise ConfigError.plain(
-            f"{found.path}: lacks image_size; say it with `image_size`, columns and rows"
-        )
+        raise ConfigError.plain(f"{found.path}: lacks image_size; say it with `image_size`")
     return _size(found, name, found.whole(name, 2, value=value))
 
 

@@ -55,8 +55,7 @@ def calibrate_stage(
     poses = [PlatePose(x, y) for x, y in at_mm] or around([PlatePose()], SPAN_MM)
     if len(poses) < 3:
         raise ConfigError.plain(
-            f"`at_mm`: {len(poses)} positions; a registration needs three or more that don't lie on"
-            " a line"
+            f"`at_mm`: {len(poses)} positions; a registration needs three or more, not on a line"
         )
     with open_instruments(rig, seed=seed, capture=capture, warn=say) as devices:
         stage = devices.stage

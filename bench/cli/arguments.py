@@ -68,11 +68,8 @@ def in_switches(text: object, given: argparse.Namespace) -> str:
 
     def word(found: re.Match[str]) -> str:
         name = {"url": "port"}.get(found[1], found[1])
-        forms = (
-            name,
-            name.rpartition("_")[0],
-            name.removesuffix("s"),
-        )  # without unit; one of several
+        # without its unit; one of several
+        forms = name, name.rpartition("_")[0], name.removesuffix("s")
         return next((words[one] for one in forms if one in words), found[1])
 
     return re.sub(r"`(\w+)`", word, str(text))

@@ -16,25 +16,10 @@ from bench.report.tables import situations
 from bench.report.wording import NOT_MEASURED, number, spanned, table
 from bench.results.error_rows import ErrorRows, error_rows, run_precision, truth_gage
 from bench.results.verdicts import scored, truth_u_mm
-from bench.scoring.errors import (
-    ErrorSummary,
-    Floats,
-    normal_k,
-    quantile_bound,
-    summarise,
-)
-from bench.scoring.guard_band import (
-    axis_acceptance_limit_mm,
-    refusal_limit_mm,
-)
+from bench.scoring.errors import ErrorSummary, Floats, normal_k, quantile_bound, summarise
+from bench.scoring.guard_band import axis_acceptance_limit_mm, refusal_limit_mm
 from bench.scoring.joint import JointCovariance, mean_square, radial_95_mm
-from bench.scoring.precision import (
-    NORMAL_RP,
-    STUDY_SDS,
-    distance_accuracy,
-    drift_mm,
-    pose_accuracy,
-)
+from bench.scoring.precision import NORMAL_RP, STUDY_SDS, distance_accuracy, drift_mm, pose_accuracy
 from bench.scoring.rates import zero_failure_n
 from bench.scoring.scene import Pool
 from detector.calibration import Calibration

@@ -10,13 +10,7 @@ from typing import Any
 import numpy as np
 
 from bench.calibrate.cameras import LEAST_LOOKED_AT as LEAST_LOOKED_AT
-from bench.calibrate.cameras import (
-    PAIR,
-    WORKING_MM,
-    CamerasResult,
-    PairsResult,
-    ThermalResult,
-)
+from bench.calibrate.cameras import PAIR, WORKING_MM, CamerasResult, PairsResult, ThermalResult
 from bench.calibrate.views import BoardViews
 from bench.calibrate.world import PointsAgain, WorldResult
 from bench.report.chapters import Chapters, page_of

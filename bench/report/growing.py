@@ -67,11 +67,7 @@ class TrialParts:
             self._kept[_digest(run, trial, sha256)] = zlib.compress(pickle.dumps(part), 1)
 
     def of(
-        self,
-        run: RunRecord,
-        calibration: Calibration,
-        folder: Path,
-        copied: Collection[str] | None,
+        self, run: RunRecord, calibration: Calibration, folder: Path, copied: Collection[str] | None
     ) -> Iterator[TrialPart]:
         """Each trial's part for a page in ``folder``: with its images where it is ``copied``, as
         all are for None; else as drawn.

@@ -31,16 +31,7 @@ from bench.script.model import Rules
 from detector.calibration import Calibration
 from detector.protocol import Outcome
 from instruments.world.situations import spoken
-from reports.page import (
-    Cell,
-    Notes,
-    Part,
-    Requirement,
-    Requirements,
-    Score,
-    Scoreboard,
-    Table,
-)
+from reports.page import Cell, Notes, Part, Requirement, Requirements, Score, Scoreboard, Table
 
 CONFIDENCE = 0.95
 RECALL, PRECISION = "recall, teats", "precision, answers"

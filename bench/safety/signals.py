@@ -200,14 +200,11 @@ def undisturbed() -> Iterator[None]:
 
 
 def _must_go_on(frame: FrameType | None) -> bool:
-    """Whether Python's own code is taking or giving back a lock, which would stay held, or an
-    emulator is at work on this thread.
-    """
+    """Whether Python is taking or giving back a lock, or an emulator is at work on this thread."""
     while frame is not None:
         code = frame.f_code
-        if code in UNBROKEN or (
-            code.co_filename == threading.__file__ and code.co_name in AMID_A_LOCK
-        ):
+        locking = code.co_filename == threading.__file__ and code.co_name in AMID_A_LOCK
+        if locking or code in UNBROKEN:
             return True
         frame = frame.f_back
     return False

@@ -82,10 +82,7 @@ def error_strips(
 
 
 @plotted
-def outcome_bars(
-    situations: Sequence[str],
-    counts: Mapping[str, Sequence[Counts]],
-) -> Plot:
+def outcome_bars(situations: Sequence[str], counts: Mapping[str, Sequence[Counts]]) -> Plot:
     """Teats found and missed, and false answers, in each situation by detector; with counts."""
     inches, several = _inches(situations, len(counts)), len(counts) > 1
     most = max((sum(one) for each in counts.values() for one in each), default=0)
@@ -106,10 +103,7 @@ def outcome_bars(
 
 
 @plotted
-def rate_intervals(
-    families: Sequence[str],
-    rates: Mapping[str, Sequence[Rate | None]],
-) -> Plot:
+def rate_intervals(families: Sequence[str], rates: Mapping[str, Sequence[Rate | None]]) -> Plot:
     """Each family's failure rate (rate, low, high) by detector, 0 to 1; None where no scene was
     scored. The scale grows with the square root, so that small rates have room.
     """
@@ -141,9 +135,7 @@ def rate_intervals(
 
 @plotted
 def error_spreads(
-    families: Sequence[str],
-    spreads: Mapping[str, Sequence[Spread | None]],
-    limit_mm: float,
+    families: Sequence[str], spreads: Mapping[str, Sequence[Spread | None]], limit_mm: float
 ) -> Plot:
     """Errors in mm of each family by detector: 90 % of them as a thin line, half as a thick one,
     the median marked, and the limit; None where nothing was found.
@@ -195,12 +187,7 @@ def failure_map(
     cell: dict[str, Any] = {"facecolor": COLOURS["limit"], "edgecolor": "none", "linewidth": 0}
     for (row, column), n in np.ndenumerate(all_of):
         share = float(failed[row, column] / n) if n else 0.0
-        left, low, wide, high = (
-            x[column],
-            y[row],
-            x[column + 1] - x[column],
-            y[row + 1] - y[row],
-        )
+        left, low, wide, high = (x[column], y[row], x[column + 1] - x[column], y[row + 1] - y[row])
         look = {**cell, "alpha": _DARKEST * share / most}
         axes.add_patch(Rectangle((left, low), wide, high, **look))
         text = f"{100 * share:.0f} %\n{failed[row, column]} of {n}" if n else "–"
