@@ -103,8 +103,7 @@ def window(
         seen = Seen(context.new_page())
         said = seen.complaints.append
         seen.page.on(
-            "console",
-            lambda one: said(one.text) if one.type in {"error", "warning"} else None,
+            "console", lambda one: said(one.text) if one.type in {"error", "warning"} else None
         )
         seen.page.on("pageerror", lambda error: said(f"exception: {error}"))
         seen.page.on("requestfailed", lambda one: said(f"failed: {one.url}: {one.failure}"))

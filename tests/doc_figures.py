@@ -156,11 +156,7 @@ TABLES: tuple[tuple[str, str, Callable[[], Iterator[Sequence[str]]]], ...] = (
         ),
         _campaign,
     ),
-    (
-        MEASURED,
-        "| changes | mean (mm) | 8 poses | 20 poses | 60 poses | 150 poses |",
-        _coverage,
-    ),
+    (MEASURED, "| changes | mean (mm) | 8 poses | 20 poses | 60 poses | 150 poses |", _coverage),
 )
 
 

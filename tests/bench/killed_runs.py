@@ -71,10 +71,7 @@ class Person(Silent):
 
 
 def start(
-    folder: Path,
-    out: str = "runs",
-    progress: Progress | None = None,
-    how: RunOptions | None = None,
+    folder: Path, out: str = "runs", progress: Progress | None = None, how: RunOptions | None = None
 ) -> tuple[Path, RunState]:
     """The script in ``folder`` on the rig there, from the beginning; a `Person` types too."""
     rig, shown = load_rig(folder / "rig.toml"), progress or Silent()

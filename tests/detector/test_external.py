@@ -301,9 +301,7 @@ def test_serving_without_a_detector_is_a_sentence(capsys: pytest.CaptureFixture[
     assert "Traceback" not in done.stderr
 
 
-def test_pictures_that_png_cannot_hold_are_a_failure(
-    rig: Calibration,
-) -> None:
+def test_pictures_that_png_cannot_hold_are_a_failure(rig: Calibration) -> None:
     detector = ExternalDetector("never", ["/no/such/program"], time.perf_counter)
     with pytest.raises(DetectionFailure, match=r"the left picture .* can't be written as PNG"):
         detector.prepare(Pictures(np.zeros((0, 3), np.uint8), np.zeros((2, 2), np.uint8)), rig)

@@ -170,9 +170,7 @@ def test_a_name_that_no_file_could_bear_is_left_out() -> None:
 
 
 @pytest.mark.slow
-def test_an_installed_package_is_found_and_a_broken_one_reported(
-    tmp_path: Path,
-) -> None:
+def test_an_installed_package_is_found_and_a_broken_one_reported(tmp_path: Path) -> None:
     path = installed(tmp_path, "udders", PACKAGE, "mine = udders:Plain\nbad = udders:fails")
     command, env = (
         [sys.executable, "-m", "bench.cli", "detectors"],

@@ -13,10 +13,7 @@ from numpy.typing import NDArray
 
 from detector.calibration import Calibration
 from detector.protocol import Detection
-from detector.thesis.detector import (
-    ThesisDetector,
-    published_homography,
-)
+from detector.thesis.detector import ThesisDetector, published_homography
 from tests.detector import thesis_tables as tables
 from tests.detector.thesis_fits import thesis_published
 
@@ -95,9 +92,7 @@ def test_the_chain_comes_out_at_the_tables(found: Detection) -> None:
         assert np.abs(nominated - tables.optical_ends(camera)).max() <= 0.62 * END_COLUMNS + 1
 
 
-def test_the_printed_homographies_are_those_of_the_printed_calibration(
-    rig: Calibration,
-) -> None:
+def test_the_printed_homographies_are_those_of_the_printed_calibration(rig: Calibration) -> None:
     frames = tables.frames()
     printed, ours = published_homography().detect(frames, rig), ThesisDetector().detect(frames, rig)
     same = ThesisDetector().detect(frames, thesis_published())

@@ -51,9 +51,7 @@ def test_the_shipped_file_is_what_the_fits_give(rig: Calibration) -> None:
         assert np.abs(one - other).max() < 1e-3
 
 
-def test_the_world_is_rigid_and_shows_the_teats_as_printed(
-    rig: Calibration,
-) -> None:
+def test_the_world_is_rigid_and_shows_the_teats_as_printed(rig: Calibration) -> None:
     assert np.linalg.det(rig.world_from_right.R) == pytest.approx(1.0, abs=1e-12)
     teats = np.array(printed.TEAT_ENDS_MM)
     A, t = np.array(printed.WORLD_MATRIX), np.array(printed.WORLD_T_MM)

@@ -23,11 +23,7 @@ from instruments.clock import RealClock, VirtualClock
 from instruments.drivers import border
 from instruments.drivers.bath import PluggedBath
 from instruments.drivers.entry_points import Kind, PluginUrl, load, plugin_url
-from instruments.errors import (
-    InstrumentError,
-    LimitError,
-    LinkError,
-)
+from instruments.errors import InstrumentError, LimitError, LinkError
 from instruments.listener import Listener
 from instruments.world.world import World
 from tests.bench.commands import Said

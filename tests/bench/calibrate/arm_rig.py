@@ -22,10 +22,7 @@ class Follower(ArmSession):
     """With a person who does each step, or ``instead`` another one, and remembers it."""
 
     def __init__(
-        self,
-        arm: MicroScribe,
-        hand: TryingArm,
-        instead: Callable[[Step], Step] = lambda step: step,
+        self, arm: MicroScribe, hand: TryingArm, instead: Callable[[Step], Step] = lambda step: step
     ) -> None:
         console = Console(StringIO(), StringIO(), hand.clock)
         super().__init__(arm, hand.clock, console, hand)

@@ -139,11 +139,7 @@ def test_fewer_pictures_never_make_it_better(seen: BoardViews) -> None:
 @pytest.mark.parametrize(
     ("columns", "rows", "why"),
     [
-        (
-            8,
-            6,
-            r"holds a chessboard of (7 x 5|5 x 7) inner corners.* board has 8 x 6: squares are",
-        ),
+        (8, 6, r"holds a chessboard of (7 x 5|5 x 7) inner corners.* board has 8 x 6: squares are"),
         (5, 4, r"holds a chessboard of (7 x 5|5 x 7) inner corners.* board has 5 x 4\. Write col"),
         (9, 5, r"holds a chessboard of (7 x 5|5 x 7) inner corners.* board has 9 x 5\. Write col"),
     ],

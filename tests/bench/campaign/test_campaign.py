@@ -29,12 +29,7 @@ from bench.campaign.run import Campaign
 from bench.campaign.shards import Shards, query_campaign
 from bench.rig.scenes import draw, warm
 from instruments.world.situations import situation
-from tests.bench.campaign.small_campaign import (
-    KILLS,
-    Here,
-    module,
-    small_plan,
-)
+from tests.bench.campaign.small_campaign import KILLS, Here, module, small_plan
 from tests.bench.commands import Said
 from tests.bench.forked import Running, begin
 from tests.waiting import within

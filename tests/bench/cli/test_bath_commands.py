@@ -167,10 +167,7 @@ def test_watch_on_a_terminal_is_a_live_plot_of_everything(bath: Served) -> None:
     bath.plant.run(33.0)
     shown = ExpectedScene()
     console = Console(file=shown, force_terminal=True, width=120, height=40, color_system=None)
-    with (
-        bench.open_bath(bath.at[1], "julabo-presto") as driver,
-        pytest.raises(KeyboardInterrupt),
-    ):
+    with bench.open_bath(bath.at[1], "julabo-presto") as driver, pytest.raises(KeyboardInterrupt):
         show_views(bench.watch_bath(driver), console)
     frames = shown.getvalue().split("last ")
     last = frames[-2] + frames[-1]

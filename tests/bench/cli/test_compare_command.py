@@ -94,11 +94,7 @@ def score(recording: Path, out: Path, *detectors: str) -> Path:
 
 
 def test_a_fault_of_a_fifth_of_a_pixel_turns_the_gate_red(
-    recording: Path,
-    baseline: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    said: Said,
+    recording: Path, baseline: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: Said
 ) -> None:
     create = registry.create
     monkeypatch.setattr(registry, "create", lambda name: Faulted(create(name), 0.2))

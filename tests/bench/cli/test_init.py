@@ -224,11 +224,7 @@ def test_a_bath_whose_unit_nothing_tells_is_asked_about(answer: str) -> None:
     ],
 )
 def test_an_answer_that_makes_no_sense_writes_nothing(
-    tmp_path: Path,
-    said: Said,
-    monkeypatch: pytest.MonkeyPatch,
-    answers: list[str],
-    message: str,
+    tmp_path: Path, said: Said, monkeypatch: pytest.MonkeyPatch, answers: list[str], message: str
 ) -> None:
     typed(monkeypatch, *answers)
     assert message in said(2, "init --out {}", tmp_path / "rig.toml").err

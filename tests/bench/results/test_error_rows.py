@@ -32,13 +32,7 @@ ENDS = np.array([[-260.0, 267.0, 136.0], [-110.0, 284.0, 136.0]])
 
 
 def trial(
-    number: int,
-    pose: str,
-    repeat: int,
-    ends: Floats,
-    found: Floats,
-    u_mm: float = 0.2,
-    **head: Any,
+    number: int, pose: str, repeat: int, ends: Floats, found: Floats, u_mm: float = 0.2, **head: Any
 ) -> TrialRecord:
     names = {"id": f"{number:03d}-{pose}-{repeat}", "number": number, "name": pose}
     names |= {"repeat": repeat, "situation": "map", "invalid": None}

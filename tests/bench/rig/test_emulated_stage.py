@@ -161,10 +161,7 @@ def test_the_world_moves_as_fast_as_the_stage(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "amount", "error", "sentence"),
-    [
-        ("limit hit", 1.0, DeviceError, "alarm 1"),
-        ("late ok", None, LinkError, "no answer"),
-    ],
+    [("limit hit", 1.0, DeviceError, "alarm 1"), ("late ok", None, LinkError, "no answer")],
 )
 def test_faults_of_a_rig_file_reach_the_driver(
     tmp_path: Path, name: str, amount: float | None, error: type[Exception], sentence: str

@@ -12,14 +12,7 @@ import numpy as np
 import pytest
 
 from bench.record.recording import Recording, RecordingCameras, RecordingWriter
-from bench.rig.frame_capture import (
-    CALLED,
-    CHECKED,
-    FRAMES_FACT,
-    HINTS,
-    FrameChecks,
-    FrameTaker,
-)
+from bench.rig.frame_capture import CALLED, CHECKED, FRAMES_FACT, HINTS, FrameChecks, FrameTaker
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import Cameras as CamerasTable
 from bench.rig.model import FocusTable

@@ -77,8 +77,7 @@ def test_a_serial_port_has_one_name_under_all_its_paths() -> None:
 
 @pytest.mark.slow
 def test_one_that_acts_hands_over_and_has_ended_before_the_next_is_ready(
-    hot: HotBath,
-    baths: Path,
+    hot: HotBath, baths: Path
 ) -> None:
     hot.emulator.fault("silence")
     with of_bench(hot, ENDED) as old:
@@ -98,10 +97,7 @@ def test_one_that_acts_hands_over_and_has_ended_before_the_next_is_ready(
 
 
 @pytest.mark.slow
-def test_whoever_has_taken_a_hot_bath_over_stands_for_it(
-    hot: HotBath,
-    baths: Path,
-) -> None:
+def test_whoever_has_taken_a_hot_bath_over_stands_for_it(hot: HotBath, baths: Path) -> None:
     """The session that took it over dies before it has done anything."""
     hot.emulator.fault("silence")
     with of_bench(hot, ENDED):

@@ -28,13 +28,7 @@ from bench.report import summary
 from bench.report.page import write_run_report
 from bench.report.runs import list_runs, write_queue_page
 from bench.results.queue import QueueNote, queues
-from bench.results.status import (
-    GOING_TO_SAFE,
-    RunStatus,
-    Safe,
-    live_status,
-    read_status,
-)
+from bench.results.status import GOING_TO_SAFE, RunStatus, Safe, live_status, read_status
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.model import EmulatedFault
 from bench.run.events import ENDED, PROMPTED, TRIPPED, Events

@@ -24,12 +24,7 @@ from bench.run.trial import Attempts
 from bench.script.model import LoadedScript, find_script, load_script
 from bench.script.planned_trials import PlannedTrial
 from instruments.clock import VirtualClock
-from instruments.operators.operator import (
-    DONE,
-    Answer,
-    NextTrial,
-    Request,
-)
+from instruments.operators.operator import DONE, Answer, NextTrial, Request
 from instruments.stage.driver import Stage
 from instruments.world.phantom import PIVOT_MM
 from tests.bench.killed_runs import Silent

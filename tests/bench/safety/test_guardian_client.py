@@ -20,13 +20,7 @@ import pytest
 
 from bench.rig.guardian import DONE, HeartbeatReader
 from bench.rig.guardian import main as guardian
-from bench.rig.guardian_client import (
-    BEAT_S,
-    UNANSWERED,
-    GuardianClient,
-    GuardianTarget,
-    Heartbeat,
-)
+from bench.rig.guardian_client import BEAT_S, UNANSWERED, GuardianClient, GuardianTarget, Heartbeat
 from instruments.bath.driver import Bath
 from instruments.clock import RealClock, stopwatch_s
 from instruments.errors import LinkError
@@ -139,9 +133,7 @@ def test_a_mistake_in_one_try_does_not_end_the_guardian(
 
 
 @pytest.mark.slow
-def test_the_guardian_is_small_and_gets_no_signal_that_is_meant_for_the_bench(
-    hot: HotBath,
-) -> None:
+def test_the_guardian_is_small_and_gets_no_signal_that_is_meant_for_the_bench(hot: HotBath) -> None:
     with guardian_of(hot) as line:
         if sys.platform == "linux":
             status = Path(f"/proc/{line.pid}/status").read_text(encoding="utf-8")

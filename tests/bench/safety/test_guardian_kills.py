@@ -138,11 +138,7 @@ def run_state(url: str) -> str:
 
 
 def killed_in_steps(
-    steps: Iterable[str],
-    kills: tuple[str, ...],
-    folder: Path,
-    recording: Path,
-    measured: Measured,
+    steps: Iterable[str], kills: tuple[str, ...], folder: Path, recording: Path, measured: Measured
 ) -> list[Outcome]:
     """A bench killed in each of ``steps``, beside each other, by each of ``kills`` in turn; the
     test's record gets what was measured.

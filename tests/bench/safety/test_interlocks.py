@@ -241,10 +241,9 @@ def test_a_bath_that_the_bench_has_not_started_may_stand_and_have_any_set_point(
 def test_a_trip_has_the_readings_that_led_to_it() -> None:
     trip = first_trip(lambda t: replace(CALM, temp_c=37.5 if t == 90 else 33.0 + wobbling(t)))
     assert trip is not None
-    assert [row["t_s"] for row in trip.values] == [
-        60.0,
-        *(float(t) for t in range(81, 91)),
-    ], "and one of half a minute before"
+    assert [row["t_s"] for row in trip.values] == [60.0, *(float(t) for t in range(81, 91))], (
+        "and one of half a minute before"
+    )
     untold = dict.fromkeys(("external_c", "safety_c", "running", "set_point_c"))
     seen = {"t_s": 90.0, "temp_c": 37.5, "power_percent": 2.0, "alarm": 0, "raw": [37500]}
     assert trip.values[-1] == seen | untold

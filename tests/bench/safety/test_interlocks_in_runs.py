@@ -131,8 +131,7 @@ at_s = 30.0
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("fault", "rule"),
-    [("stuck heater", "over-temperature"), ("silence", "communications lost")],
+    ("fault", "rule"), [("stuck heater", "over-temperature"), ("silence", "communications lost")]
 )
 def test_a_run_trips_at_the_limits_of_its_rig_file(
     fault: str, rule: str, long_script: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

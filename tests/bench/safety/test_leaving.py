@@ -20,11 +20,7 @@ from bench.rig.loading import LoadedRig, find_rig, load_rig
 from bench.rig.model import Bath as BathTable
 from bench.rig.opening import open_instruments, rig_of
 from instruments.bath.line_emulator import LineEmulator
-from instruments.bath.profile import (
-    SHIPPED,
-    LineProfile,
-    load_profile,
-)
+from instruments.bath.profile import SHIPPED, LineProfile, load_profile
 from instruments.bath.sequence import start_bath
 from instruments.clock import VirtualClock
 from instruments.errors import LinkError

@@ -135,10 +135,7 @@ def pairs_of(poses: int, grown: int) -> Iterator[ScenePair]:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("series", "first", "looks"),
-    [
-        (400, 72, 4),
-        *(pytest.param(SERIES, first, LOOKS, marks=WEEKLY) for first in (72, 110)),
-    ],
+    [(400, 72, 4), *(pytest.param(SERIES, first, LOOKS, marks=WEEKLY) for first in (72, 110))],
 )
 def test_the_gate_lets_one_that_is_worse_by_its_margin_through_in_no_more_than_5_percent(
     series: int, first: int, looks: int, monkeypatch: pytest.MonkeyPatch

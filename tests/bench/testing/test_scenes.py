@@ -116,9 +116,7 @@ def test_a_scene_of_such_parts_shrinks_too() -> None:
         perturbations=perturbations("jpeg"),
     )
     whole = find(
-        parts,
-        lambda s: bool(s.objects and s.perturbations and s.pose != Pose()),
-        settings=own,
+        parts, lambda s: bool(s.objects and s.perturbations and s.pose != Pose()), settings=own
     )
     assert whole.teats == (Teat(), Teat())
     assert whole.pose == Pose(turn_deg=5)

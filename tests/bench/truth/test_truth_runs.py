@@ -24,11 +24,7 @@ from bench.run.trial import REGISTRATION_FILE
 from bench.script.model import load_script, refuse_carry
 from bench.script.planned_trials import PlannedTrial
 from bench.truth.joint import joint_truth
-from bench.truth.registration import (
-    load_registration,
-    registration_from_facts,
-    write_registration,
-)
+from bench.truth.registration import load_registration, registration_from_facts, write_registration
 from bench.truth.touching import NoTruthError
 from bench.truth.uncertainty import CHI2_95
 from reports.page import Notes

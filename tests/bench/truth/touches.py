@@ -103,12 +103,7 @@ class Hand:
 def toucher(hand: Hand, *, readings: int | None = None, arm: Arm | None = None) -> Toucher:
     settings = arm or arm_settings()
     return Toucher(
-        hand.ask,
-        TipReader(hand, settings, None),
-        settings,
-        VirtualClock(),
-        lambda: None,
-        readings,
+        hand.ask, TipReader(hand, settings, None), settings, VirtualClock(), lambda: None, readings
     )
 
 

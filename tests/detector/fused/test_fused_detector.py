@@ -177,10 +177,7 @@ def odd_frames(frames: Any) -> dict[str, tuple[dict[str, Any], str]]:
         "volume": ({"left": np.zeros((4, 4, 4, 4))}, "the left picture has the shape"),
         "text": ({"right": np.full((1024, 1360), "x")}, "numbers are needed"),
         "nan": ({"thermal_k": nan}, "no numbers"),
-        "raw": (
-            {"thermal_k": np.full_like(nan, 81.92)},
-            "reads -191 degC in the middle of all",
-        ),
+        "raw": ({"thermal_k": np.full_like(nan, 81.92)}, "reads -191 degC in the middle of all"),
         "black": ({"left": black, "right": black}, "show no outline"),
         "saturated": ({"left": white, "right": white}, "show no outline"),
         "swapped": ({"left": right, "right": left}, "outline"),

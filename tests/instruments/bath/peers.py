@@ -115,10 +115,7 @@ Device = BathEmulator | RelayEmulator
 
 @contextmanager
 def real_time(
-    profile: RegisterProfile | RelayProfile,
-    transport: str,
-    *,
-    unit_id: int | None = None,
+    profile: RegisterProfile | RelayProfile, transport: str, *, unit_id: int | None = None
 ) -> Iterator[tuple[Device, Listener | PtyListener]]:
     """An emulated device in real time, on "tcp" or a pseudo-terminal ("pty")."""
     framing: Framing = "tcp" if transport == "tcp" else "rtu"

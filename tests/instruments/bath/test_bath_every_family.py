@@ -12,11 +12,7 @@ from pathlib import Path
 import pytest
 
 from instruments.bath.driver import Bath
-from instruments.bath.profile import (
-    SHIPPED,
-    RegisterProfile,
-    load_register_profile,
-)
+from instruments.bath.profile import SHIPPED, RegisterProfile, load_register_profile
 from instruments.bath.rows import Row
 from instruments.clock import VirtualClock
 from instruments.device_file import DeviceFileError

@@ -13,12 +13,7 @@ import pytest
 
 from instruments.bath.driver import Bath, PumpAt
 from instruments.bath.emulator import POWER_CUT, BathEmulator, Framing, RelayEmulator
-from instruments.bath.profile import (
-    RelayProfile,
-    load_register_profile,
-    load_relay,
-    relay_names,
-)
+from instruments.bath.profile import RelayProfile, load_register_profile, load_relay, relay_names
 from instruments.clock import VirtualClock
 from instruments.device_file import DeviceFileError
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError

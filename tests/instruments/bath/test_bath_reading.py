@@ -82,10 +82,7 @@ def test_what_no_bath_has_is_not_believed(registers: str) -> None:
     [
         (HEAD + "4204 0000  4204 0000  0065  7FC0 0000", "its power can't be: .* got 101 %"),
         (HEAD + "4204 0000  4204 0000  FF9B  7FC0 0000", "its power can't be: .* got -101 %"),
-        (
-            HEAD + "4204 0000  4274 0000  0000  7FC0 0000",
-            "its external can't be: .* got 61 degC",
-        ),
+        (HEAD + "4204 0000  4274 0000  0000  7FC0 0000", "its external can't be: .* got 61 degC"),
         (
             "0006" + HEAD[4:] + "4204 0000  4204 0000  0000  7FC0 0000",
             "its remote can't be: .* got 6",

@@ -13,11 +13,7 @@ from hypothesis import strategies as st
 
 from instruments.microscribe import configuration as conf
 from instruments.microscribe import protocol as wire
-from instruments.microscribe.configuration import (
-    BlockLengthError,
-    Maxima,
-    StreamRequest,
-)
+from instruments.microscribe.configuration import BlockLengthError, Maxima, StreamRequest
 from instruments.microscribe.protocol import (
     ArmTime,
     Code,

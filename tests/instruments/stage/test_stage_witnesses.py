@@ -231,9 +231,7 @@ class Typed:
     def close(self) -> None: ...
 
 
-def test_another_programs_host_drives_the_emulated_marlin(
-    make_board: Callable[..., Board],
-) -> None:
+def test_another_programs_host_drives_the_emulated_marlin(make_board: Callable[..., Board]) -> None:
     board = make_board(dialect=MARLIN)
     host = marlin_host.MarlinHost(Typed(board))
     host.connect()
