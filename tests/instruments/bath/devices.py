@@ -65,7 +65,7 @@ class Wire:
         self.device = device
         self.clock = clock
         self.sink = Sink()
-        self.connection = Connection(self.sink, clock, threading.RLock())  # type: ignore[arg-type]
+        self.connection = Connection(self.sink, clock, threading.RLock())
         device.connect(self.connection)
 
     def send(self, data: bytes) -> bytes:
