@@ -15,7 +15,7 @@ PACKAGES = ("bench", "detector", "instruments", "reports", "textfiles")
 WRONG = {
     "bench/scoring/matching.py": ("bench.cli.main", "Rooms of the bench"),
     "bench/results/comparison.py": ("bench.run.engine", "Rooms of the bench"),
-    "bench/cli/store.py": ("bench.results.comparison", "Commands are written on the API"),
+    "bench/cli/store.py": ("bench.results.comparison", "Commands are written on what is promised"),
     "instruments/stage/driver.py": (
         "instruments.stage.emulator",
         "A driver imports no emulator, no world and nothing that listens",

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import sqlite3
 import threading
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 
 from bench.files import unwritten
@@ -21,12 +21,7 @@ from bench.record.writer import Store
 from bench.rig.devices import Devices, Evidence, Safing, attempt
 from bench.rig.guardian_client import GuardianClient, Heartbeat
 from bench.rig.loading import LoadedRig
-from bench.safety.interlocks import (
-    GUARDIAN,
-    Interlocks,
-    InterlockTrip,
-    rule_named,
-)
+from bench.safety.interlocks import GUARDIAN, Interlocks, InterlockTrip, rule_named
 from bench.safety.latch import latch_path, set_latch
 from bench.safety.liveness import Liveness
 from bench.safety.stability import StabilityGate, State
@@ -41,6 +36,7 @@ from instruments.stage.protocol import Status
 PERIOD_S = 1.0
 LATE_S = 3.0  # without a reading: shown as silent
 AGAIN_S = 5.0  # between attempts to make safe
+RATE_S, LEAST_S = 60.0, 10.0  # over which a rate is taken
 ENDS = "The run ends; an open question needs no answer any more."
 
 
@@ -367,3 +363,18 @@ def held(stage: Stage) -> Safing:
     if shown == [None]:  # amid a question of the run's own
         return replace(found, evidence=Evidence.SENT, detail="the order to brake was")
     return found
+
+
+def seconds_to_stable(gate: StabilityGate, seen: Sequence[BathReading]) -> float | None:
+    """At the least: the way at the rate of the last minute, ``seen``, and a window, or what is left
+    of it. None where the bath doesn't approach its set point, or too little was read.
+    """
+    if not seen or gate.state is State.STABLE:
+        return 0.0 if seen else None
+    if gate.state is State.SETTLING:
+        return max(0.0, gate.window_s - gate.near.span_s) or 1.0
+    first, last = seen[0], seen[-1]
+    away_k, way_k = gate.set_point_c - last.temp_c, last.temp_c - first.temp_c
+    if last.t_s - first.t_s < LEAST_S or away_k * way_k <= 0.0:
+        return None
+    return (abs(away_k) - gate.leave_k) / abs(way_k) * (last.t_s - first.t_s) + gate.window_s

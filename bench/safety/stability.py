@@ -10,16 +10,13 @@ that fell silent is never evidence of stability.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 from math import inf, isfinite
 
 import numpy as np
 
-from instruments.bath.reading import BathReading
-
-RATE_S, LEAST_S = 60.0, 10.0  # over which a rate is taken
 TIME_SLACK_S = 1e-6  # readings at 0.1 s steps add up to 599.9999999 s
 
 
@@ -267,18 +264,3 @@ def _span_text(span_s: float, window_s: float) -> str:
     if window_s < 120.0:
         return f"{span_s:.0f} of {window_s:g} s"
     return f"{span_s // 60:.0f} of {window_s / 60:g} min"
-
-
-def seconds_to_stable(gate: StabilityGate, seen: Sequence[BathReading]) -> float | None:
-    """At the least: the way at the rate of the last minute, ``seen``, and a window, or what is left
-    of it. None where the bath doesn't approach its set point, or too little was read.
-    """
-    if not seen or gate.state is State.STABLE:
-        return 0.0 if seen else None
-    if gate.state is State.SETTLING:
-        return max(0.0, gate.window_s - gate.near.span_s) or 1.0
-    first, last = seen[0], seen[-1]
-    away_k, way_k = gate.set_point_c - last.temp_c, last.temp_c - first.temp_c
-    if last.t_s - first.t_s < LEAST_S or away_k * way_k <= 0.0:
-        return None
-    return (abs(away_k) - gate.leave_k) / abs(way_k) * (last.t_s - first.t_s) + gate.window_s

@@ -152,7 +152,7 @@ def test_other_pictures_are_compared_only_where_the_plans_say_why(
 @pytest.mark.slow
 def test_what_can_not_be_compared_is_refused(old: Path, tmp_path: Path, said: Said) -> None:
     strict = written(tmp_path / "strict", plan={"limit_mm": 3.0})
-    assert "run both with one --limit-mm" in said(2, "campaign compare {} {}", old, strict).err
+    assert "run both with one limit_mm" in said(2, "campaign compare {} {}", old, strict).err
     assert "has one detector, d" in said(2, "campaign compare {}", old).err
     assert "no campaign is there" in said(2, "campaign compare {} {}", old, tmp_path).err
     wrong = said(2, "campaign compare {} {} --detector e", old, strict).err

@@ -403,7 +403,7 @@ def test_words_that_mean_nothing_are_reported_and_change_nothing(
     with pytest.raises(ConfigError, match="repeat needs a reason"):
         leave_request(tmp_path, "repeat")
     ended = record_of(tmp_path).folder
-    assert "has ended (finished)" in said(2, "tell {} pause", ended).out
+    assert "has ended (finished)" in said(2, "tell {} pause", ended).err
 
 
 TERMINAL = pytest.mark.skipif(
