@@ -23,8 +23,8 @@ from bench.rig.leaving import to_stderr
 from bench.rig.model import Arm as ArmTable
 from bench.rig.model import Baud
 from bench.safety import latch
-from bench.safety.liveness import Liveness
 from bench.safety.bath_monitor import RATE_S, seconds_to_stable
+from bench.safety.liveness import Liveness
 from bench.safety.stability import StabilityGate, State
 from instruments.bath.driver import Bath as OwnBath
 from instruments.bath.interface import Bath
