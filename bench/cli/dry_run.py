@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import Any
 
 import bench
-from bench.cli.arguments import CODES, json_of
+from bench.cli.arguments import CODES
 from bench.cli.terminal import working
 from bench.scoring.rates import plural
 
@@ -18,10 +18,10 @@ REHEARSING = "going through the script on emulators"
 
 
 def look_ahead(
-    rig: bench.LoadedRig, script: bench.LoadedScript, *, as_json: bool = False, **how: Any
-) -> int:
-    """Print what a dry run finds and what the run needs; gives back the exit code. Raises
-    ConfigError, KeyboardInterrupt.
+    rig: bench.LoadedRig, script: bench.LoadedScript, as_json: bool, **how: Any
+) -> tuple[int, dict[str, Any]]:
+    """What a dry run finds and what the run needs, printed or ``as_json``; and the exit code.
+    Raises ConfigError, KeyboardInterrupt.
     """
     with working(REHEARSING) as shown:
         done = bench.check_script(script, rig, shown=shown, **how)
@@ -37,8 +37,7 @@ def look_ahead(
             "not_checked": done.unchecked,
             "needs": wanted,
         }
-        print(json_of(found, indent=1))
-        return CODES.wrong_use if findings or done.room else CODES.met
+        return CODES.wrong_use if findings or done.room else CODES.met, found
     for finding in findings[:SHOWN]:
         print(f"{finding.trial}: {finding.kind}: {finding.text}")
     if (more := len(findings) - SHOWN) > 0:
@@ -51,11 +50,11 @@ def look_ahead(
     if findings:
         problems = "problem" if len(findings) == 1 else "problems"
         print(f"{many}: {len(findings)} {problems}. Nothing was moved.")
-        return CODES.wrong_use
+        return CODES.wrong_use, {}
     wrong = "a run is refused: the disk is too full" if done.room else "nothing wrong"
     print(f"{many}: {wrong}. Nothing was moved.")
     print(*wanted, sep="\n")
-    return CODES.wrong_use if done.room else CODES.met
+    return CODES.wrong_use if done.room else CODES.met, {}
 
 
 def _gone_through(done: bench.ScriptCheck, trials: int) -> Iterator[str]:

@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import bench
-from bench.cli.arguments import CODES
+from bench.cli.arguments import CODES, json_of
 from bench.cli.store import undamaged
 from bench.cli.terminal import Terminal, TerminalProgress, working
 from bench.config import ConfigError
@@ -33,7 +33,11 @@ def run(given: argparse.Namespace) -> int:
         from bench.cli.dry_run import look_ahead
 
         how = {"out": given.out, "detectors": given.detector, "seed": given.seed}
-        return max(look_ahead(rig, one, as_json=given.json, **how) for one in scripts)
+        done = [look_ahead(rig, one, given.json, **how) for one in scripts]
+        if given.json:
+            found = [seen for _, seen in done]
+            print(json_of({"scripts": found} if found[1:] else found[0], indent=1))
+        return max(code for code, _ in done)
     if given.console:
         from bench.cli.console import beside
 

@@ -95,7 +95,9 @@ class QueueNote:
     def begin(cls, out: Path, rig: str, scripts: Sequence[str]) -> QueueNote:
         now = wall_time()
         stamp = now.strftime("%Y%m%d-%H%M%S")
-        path = out / f"{NAME.format(stamp)}.json" if len(scripts) > 1 else None
+        alike = len([*out.glob(f"{NAME.format(stamp)}*.json")])  # begun in this second
+        name = NAME.format(f"{stamp}-{alike + 1}" if alike else stamp)
+        path = out / f"{name}.json" if len(scripts) > 1 else None
         text: dict[str, Any] = {"version": VERSION, "rig": rig, "scripts": [*scripts], "runs": []}
         text |= {"started": now.isoformat(timespec="seconds"), "ended": ""}
         note = cls(path, text | {"host": platform.node(), "pid": os.getpid()})

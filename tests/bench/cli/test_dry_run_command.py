@@ -69,8 +69,13 @@ NO_STAGE = "/dev/tty-there-is-none"
 ELSEWHERE = {"/dev/ttyACM0": NO_STAGE, 'cut_out_tested = ""': 'cut_out_tested = "2026-11-20"'}
 
 
+@pytest.mark.slow
 def test_json_is_of_a_dry_run(tmp_path: Path, said: Said) -> None:
     assert "--json is for --dry-run" in said(2, "run --json --out {}", tmp_path / "runs").err
+    script, runs = one(tmp_path)
+    both = json.loads(said(0, "run {} {} --dry-run --json --out {}", script, script, runs).out)
+    assert both["schema_version"] == 1
+    assert [seen["trials"] for seen in both["scripts"]] == [1, 1]
 
 
 def one(folder: Path, pose: str = "") -> tuple[Path, Path]:

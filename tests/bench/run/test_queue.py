@@ -22,12 +22,12 @@ from bench.cli.main import main
 from bench.record.reader import RunRecord, read_run
 from bench.record.schema import Row
 from bench.record.writer import Store
-from bench.results.queue import DIED, ENDED, QueueStatus, queues, read_queue
+from bench.results.queue import DIED, ENDED, QueueNote, QueueStatus, queues, read_queue
 from bench.results.status import Safe, status_of
 from bench.rig.emulated_rig import EmulatedRig
 from bench.run.engine import STAYS_WARM, Engine
 from bench.safety.bath_monitor import WATCHING
-from instruments.clock import stopwatch_s
+from instruments.clock import stopwatch_s, wall_time
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.operated_runs import ONE
 
@@ -195,6 +195,15 @@ def test_a_trip_ends_all(scripts: list[str], monkeypatch: pytest.MonkeyPatch, am
     assert [status_of(one).state for one in runs] == ["finished", "tripped"]
     assert [len(twin_of), twin_of[0].world.plant.running] == [1, False]
     assert bath_safe(runs[1]) is Safe.READ_BACK
+
+
+def test_queues_of_one_second_have_a_file_each(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = wall_time()
+    monkeypatch.setattr("bench.results.queue.wall_time", lambda: now)
+    notes = [QueueNote.begin(tmp_path, "emulated", ["a", "b"]) for _ in range(3)]
+    assert len({note.path for note in notes}) == len([*queues(tmp_path)]) == 3
 
 
 def test_a_queue_whose_bench_died_says_so(tmp_path: Path) -> None:
