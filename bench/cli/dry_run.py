@@ -20,9 +20,7 @@ REHEARSING = "going through the script on emulators"
 def look_ahead(
     rig: bench.LoadedRig, script: bench.LoadedScript, as_json: bool, **how: Any
 ) -> tuple[int, dict[str, Any]]:
-    """What a dry run finds and what the run needs, printed or ``as_json``; and the exit code.
-    Raises ConfigError, KeyboardInterrupt.
-    """
+    """The exit code, and what is found and needed, else printed. Raises ConfigError."""
     with working(REHEARSING) as shown:
         done = bench.check_script(script, rig, shown=shown, **how)
     findings, wanted = done.findings, list(_needs(rig, done))
@@ -48,8 +46,7 @@ def look_ahead(
         print(*_gone_through(done, done.gone_through), sep="\n")
     many = f"{plural(done.trials, 'trial')} at {plural(done.poses, 'pose')}"
     if findings:
-        problems = "problem" if len(findings) == 1 else "problems"
-        print(f"{many}: {len(findings)} {problems}. Nothing was moved.")
+        print(f"{many}: {plural(len(findings), 'problem')}. Nothing was moved.")
         return CODES.wrong_use, {}
     wrong = "a run is refused: the disk is too full" if done.room else "nothing wrong"
     print(f"{many}: {wrong}. Nothing was moved.")

@@ -27,8 +27,7 @@ def run(given: argparse.Namespace) -> int:
     if given.json and not given.dry_run:
         raise ConfigError.plain("--json is for --dry-run. A run's JSON is its report/run.json.")
     rig = bench.load_rig(given.rig)
-    names = given.script or [None]
-    scripts = [bench.load_script(name, rig) for name in names]
+    scripts = [bench.load_script(name, rig) for name in given.script or [None]]
     if given.dry_run:
         from bench.cli.dry_run import look_ahead
 
