@@ -198,6 +198,19 @@ class Stage(StageCalls):
         self._stop()
         self.moves = False
 
+    def safe(self) -> None:
+        """As ``stop``; where the link has broken, once more on a new one: its cable may be back."""
+        try:
+            self.stop()
+        except LinkError as broken:
+            if self._link.connected:
+                raise
+            try:
+                self.reconnect()
+            except InstrumentError:
+                raise broken from None
+            self.stop()
+
     def _stop(self) -> None:
         if self._dialogue.alarm is not None:  # its own word; it answers nothing else until a reset
             self._dialogue.check_link()

@@ -67,6 +67,17 @@ def test_silence_in_a_move(bench: Bench) -> None:
     assert not stage.homed
 
 
+def test_a_cable_that_is_back_is_used_to_make_safe(bench: Bench) -> None:
+    """It was out where nobody asked: the old link breaks when the stage is stopped."""
+    stage = bench.homed()
+    bench.emulator.inject(StageFault.DISCONNECT, 0.5)
+    stage.begin_move(-200, -200)
+    bench.clock.sleep(1.0)
+    stage.safe()
+    assert not (stage.moves or stage.homed)
+    assert stage.status().name != "Run"
+
+
 SETTINGS = b"".join(
     b"$%d=%s\r\n" % (n, b"100.000")
     for n in (24, 25, 27, *range(100, 103), *range(110, 113), *range(120, 123), *range(130, 133))
