@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import sys
 import types
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -68,7 +69,7 @@ def _hints(function: Any) -> dict[str, Any]:
 
 
 def fits(value: Any, hint: Any) -> bool:
-    """Whether ``value`` is of the kind ``hint``: NaN is no number, a text no list."""
+    """Whether ``value`` is of the kind ``hint``: NaN and inf are no numbers, a text no list."""
     made, parts = _made_of(hint), get_args(hint)
     if made is Union:
         return any(fits(value, one) for one in parts)
@@ -82,7 +83,8 @@ def fits(value: Any, hint: Any) -> bool:
         of = parts if made is tuple else parts[:1] * len(value)
         return len(of) == len(value) and all(map(fits, value, of))
     if made in NUMBERS:
-        return isinstance(value, NUMBERS[made]) and not isinstance(value, bool) and value == value
+        known = isinstance(value, NUMBERS[made]) and not isinstance(value, bool)
+        return known and math.isfinite(value)
     if getattr(made, "_is_protocol", False):
         return all(callable(getattr(value, name, None)) for name in _methods(made))
     return made is Any or not isinstance(made, type) or isinstance(value, made)

@@ -213,11 +213,12 @@ class OpenRig:
         """A frame set of all cameras, checked as a run's, taken again where it has a fault. Raises
         DeviceError after the last try.
         """
+        cameras = self.cameras  # refused where the rig was left
         if self._taker is None:
             table = self.loaded.rig.cameras
             # nothing warm need be seen: the bath may be cold
             checks = FrameChecks(table.checks, table.max_skew_s, self.calibration, flat=False)
-            given = (self.cameras, table, self.calibration, self.wait)
+            given = (cameras, table, self.calibration, self.wait)
             self._taker = FrameTaker(*given, lambda _, text: self._warn(text), checks=checks)
         self.check()
         return Shot(self._taker.take(), self.calibration)

@@ -55,7 +55,7 @@ def load_script(script: AnyScript = None, rig: AnyRig | None = None) -> LoadedSc
     if isinstance(script, LoadedScript):
         return script
     limits_c = load_rig(rig).rig.limits.set_point_c if rig is not None else None
-    return load_script_file(find_script(str(script) if script else None), limits_c)
+    return load_script_file(find_script(None if script is None else str(script)), limits_c)
 
 
 class _Parts:

@@ -14,18 +14,18 @@ from bench.cli.terminal import working
 from bench.scoring.rates import plural
 
 SHOWN = 40  # findings; a plane map on a wrong stage has hundreds
-REHEARSING = "going through the script on emulators"
 
 
 def look_ahead(
-    rig: bench.LoadedRig, script: bench.LoadedScript, as_json: bool, **how: Any
+    rig: bench.LoadedRig, script: bench.LoadedScript, as_json: bool, named: bool, **how: Any
 ) -> tuple[int, dict[str, Any]]:
     """The exit code, and what is found and needed, else printed. Raises ConfigError."""
-    with working(REHEARSING) as shown:
+    with working("going through the script on emulators") as shown:
         done = bench.check_script(script, rig, shown=shown, **how)
     findings, wanted = done.findings, list(_needs(rig, done))
     if as_json:
         found = {
+            "script": script.path.stem,
             "trials": done.trials,
             "poses": done.poses,
             "gone_through": done.gone_through or 0,
@@ -36,6 +36,8 @@ def look_ahead(
             "needs": wanted,
         }
         return CODES.wrong_use if findings or done.room else CODES.met, found
+    if named:
+        print(f"{script.path.stem}: {script.script.title}")
     for finding in findings[:SHOWN]:
         print(f"{finding.trial}: {finding.kind}: {finding.text}")
     if (more := len(findings) - SHOWN) > 0:
@@ -56,10 +58,8 @@ def look_ahead(
 
 def _gone_through(done: bench.ScriptCheck, trials: int) -> Iterator[str]:
     """How far the rehearsal came, and what it recovered from."""
-    rendered = ""
-    if done.rendered:
-        rendered = f"; frames of {done.rendered} were rendered and checked, and each detector"
-        rendered += " was asked about one set"
+    asked = f"; frames of {done.rendered} were rendered and checked, and each detector"
+    rendered = f"{asked} was asked about one set" if done.rendered else ""
     gone = f"{trials} of {plural(done.trials, 'trial')}{rendered}"
     yield f"gone through on emulators, in virtual time: {gone}"
     for what, times in done.recovered.items():

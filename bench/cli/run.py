@@ -32,11 +32,12 @@ def run(given: argparse.Namespace) -> int:
         from bench.cli.dry_run import look_ahead
 
         how = {"out": given.out, "detectors": given.detector, "seed": given.seed}
-        done = [look_ahead(rig, one, given.json, **how) for one in scripts]
+        done = [look_ahead(rig, one, given.json, len(scripts) > 1, **how) for one in scripts]
         if given.json:
             found = [seen for _, seen in done]
             print(json_of({"scripts": found} if found[1:] else found[0], indent=1))
         return max(code for code, _ in done)
+    _summarize(given)  # its file's fault now, not when all is over
     if given.console:
         from bench.cli.console import beside
 
@@ -82,11 +83,11 @@ def _run(
     return _shown(given, console, scripts, reports)
 
 
-def _summarize(given: argparse.Namespace, found: bench.Reported) -> None:
+def _summarize(given: argparse.Namespace, found: bench.Reported | None = None) -> None:
     if given.summary:
         from bench.report import summary
 
-        summary.append(given.summary, summary.of_run(found))
+        summary.append(given.summary, summary.of_run(found) if found else "")
 
 
 @contextmanager

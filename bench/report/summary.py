@@ -19,10 +19,10 @@ SPECIAL = re.compile(r"([\\`*_\[\]<>|#])")
 
 
 def append(path: Path, text: str) -> None:
-    """Behind what is there already, as CI services want it. Raises ConfigError."""
+    """Behind what is there already, as CI services want it; nothing for "". Raises ConfigError."""
     try:
         with path.open("a", encoding="utf-8") as file:
-            file.write(f"{text}\n")
+            file.write(f"{text}\n" if text else "")
     except OSError as error:
         why = f"--summary {path}: it can't be written: {error.strerror or error}"
         raise ConfigError.plain(why) from error

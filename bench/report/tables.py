@@ -93,8 +93,9 @@ def scoreboard(judgements: Sequence[Judgement]) -> Scoreboard:
             called, scores = f"Bench: {name}", (scores[0], *(None,) * (len(scores) - 1))
         rows.append((called, ", ".join(limits), scores))
     if merged:
-        met = Score(Verdict.MET.value, f"{len(sound)} of {len(of_bench)}", "met")
-        rows.append(("The bench's own", "", (met, *(None,) * (len(judgements) - 1))))
+        met = Score(Verdict.MET.value, f"{len(sound)} of {len(sound)}", "met")
+        called = "The bench's own" if len(sound) == len(of_bench) else "The bench's other ones"
+        rows.append((called, "", (met, *(None,) * (len(judgements) - 1))))
     names = tuple(judgement.detector for judgement in judgements)
     caption = f"What each detector shows, from {usual} where nothing else is said"
     return Scoreboard(caption, names, tuple(rows))

@@ -125,7 +125,7 @@ def find_rig(name: str | None) -> Path:
     """A shipped rig by name, or any by path; None: the emulated one. Raises ConfigError."""
     if name == TO_COPY.stem:
         return TO_COPY
-    return find_shipped(name or "emulated", RIGS, "rig", exclude=NO_RIGS)
+    return find_shipped("emulated" if name is None else name, RIGS, "rig", exclude=NO_RIGS)
 
 
 def find_shipped(name: str, folder: Path, kind: str, exclude: tuple[str, ...] = ()) -> Path:
@@ -203,7 +203,8 @@ def any_rig(rig: AnyRig | None = "emulated") -> LoadedRig:
     """A shipped rig by name, or any by its file; None: the emulated one. Raises ConfigError with
     all faults.
     """
-    return rig if isinstance(rig, LoadedRig) else load_rig(find_rig(str(rig or "emulated")))
+    name = None if rig is None else str(rig)
+    return rig if isinstance(rig, LoadedRig) else load_rig(find_rig(name))
 
 
 def _of_plugin(plug: PluginUrl, refuse: Callable[..., ConfigError]) -> Profile:

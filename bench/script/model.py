@@ -355,7 +355,7 @@ class LoadedScript:
 
 def find_script(name: str | None) -> Path:
     """A script by name or path; the six situations for None. Raises ConfigError."""
-    return find_shipped(name or "six-situations", TRIALS, "trial script")
+    return find_shipped("six-situations" if name is None else name, TRIALS, "trial script")
 
 
 def load_script(path: Path, rig_limits_c: tuple[float, float] | None = None) -> LoadedScript:
