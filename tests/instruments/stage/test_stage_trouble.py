@@ -74,7 +74,8 @@ def test_a_cable_that_is_back_is_used_to_make_safe(bench: Bench) -> None:
     stage.begin_move(-200, -200)
     bench.clock.sleep(1.0)
     stage.safe()
-    assert not (stage.moves or stage.homed)
+    assert not stage.moves
+    assert not stage.homed
     assert stage.status().name != "Run"
 
 
