@@ -160,11 +160,12 @@ def list_cameras(rig: AnyRig | None = None) -> Iterator[tuple[str, str]]:
     each one of ``rig``, with its URL and what becomes of its frames. Raises ConfigError.
     """
     if rig is not None:
-        cameras = any_rig(rig).rig.cameras
+        of = any_rig(rig)
+        cameras = of.rig.cameras
         if cameras.url:
             yield "all", cameras.url
         for camera, table in cameras.tables.items():
-            yield camera, f"{table.url} {conversion_of(table, any_rig(rig).made_calibration)}"
+            yield camera, f"{table.url} {conversion_of(table, of.made_calibration)}"
         return
     for device in sorted(Path("/sys/class/video4linux").glob("video*")):
         name = (device / "name").read_text(encoding="utf-8").strip()

@@ -64,7 +64,7 @@ def agreement(
     if len(some.teats) + len(far_px) == 0:
         return nothing
     rows, row_weight = row_offsets(some, p.prior)
-    shift, weight = thermal_offsets(some)
+    shift, weight = thermal_offsets(some.seen, some.hidden)
     known = weight > _LEAST_INFORMATION
     far = np.isfinite(far_px)
     if (np.abs(far_px) > THERMAL.search_px).any() and 2 * far[:, 0].sum() >= len(far):

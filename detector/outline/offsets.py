@@ -8,11 +8,12 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from detector.geometry import Array
 from detector.outline.edges import CLEAR
 from detector.outline.fine import FINE_OUTLINE, Fitted
-from detector.outline.fit import View, look, normal_equations
+from detector.outline.fit import Seen, View, look, normal_equations
 from detector.outline.model import END
 from detector.outline.prior import Prior
 
@@ -44,12 +45,11 @@ def row_offsets(fitted: Fitted, prior: Prior) -> tuple[Array, Array]:
     return score / np.maximum(weight_of_rows, 1e-9), weight_of_rows
 
 
-def thermal_offsets(fitted: Fitted) -> tuple[Array, Array]:
+def thermal_offsets(seen: Seen, hidden: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Shifts (m, 2) sensor px of the last view's outlines, each free to swell; weights (m, 2)."""
-    n = len(FINE_OUTLINE.part)
-    at = slice(-n, None)
-    seen, off = fitted.seen, fitted.seen.offset_px[:, at]
-    clear = np.isfinite(off) & (seen.clarity[:, at] > CLEAR) & ~fitted.hidden[:, at]
+    at = slice(-len(FINE_OUTLINE.part), None)
+    off = seen.offset_px[:, at]
+    clear = np.isfinite(off) & (seen.clarity[:, at] > CLEAR) & ~hidden[:, at]
     weight = np.where(clear, 1.0 / (seen.sd_px[:, at] ** 2 + _EDGE_PX**2), 0.0)
     off = np.where(clear, off, 0.0)
     moves = np.concatenate([np.nan_to_num(seen.normals[:, at]), np.ones((*off.shape, 1))], axis=2)
@@ -82,12 +82,10 @@ def thermal_offsets_far(teats: Array, view: View) -> Array:
 
 def _thermal_near(teats: Array, view: View, moved: Array) -> Array:
     """The same, looked for where the picture is moved by (2,), and again where it is found."""
-    no = np.zeros(len(teats), dtype=bool)
     for _ in range(_AGAIN):
         camera = replace(view.camera, cc=tuple((np.array(view.camera.cc) + moved).tolist()))
         seen = look(teats, (replace(view, camera=camera),), FINE_OUTLINE, fine=True)
-        hidden = np.zeros(seen.offset_px.shape, dtype=bool)
-        off, weight = thermal_offsets(Fitted(teats, seen, seen.clarity, hidden, no, no))
+        off, weight = thermal_offsets(seen, np.zeros(seen.offset_px.shape, dtype=bool))
         near = np.abs(seen.offset_px) < _CLOSE_PX
         whole = near.mean(axis=1) >= LEAST_SEEN
         whole &= near[:, FINE_OUTLINE.part == END].mean(axis=1) >= LEAST_END

@@ -35,6 +35,8 @@ def test_what_is_not_homed_or_was_left_says_what_to_do() -> None:
         for wrong in (lambda: rig.wait(np.nan), lambda: rig.set_up("ideal"), lambda: rig.move("x")):  # type: ignore[arg-type]
             with pytest.raises(bench.ConfigError, match=", not a"):
                 wrong()
+        with pytest.raises(bench.ConfigError, match="s is inf, not a number"):
+            rig.wait(np.inf)
         for early in (rig.move, rig.touch):
             with pytest.raises(LimitError, match=r"it is not homed .*Call home\(\) first"):
                 early()

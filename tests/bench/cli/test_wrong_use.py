@@ -25,6 +25,8 @@ WRONG_USE = {  # code 2
     "run no-such-script": 'no trial script "no-such-script"',
     "run six-situation": 'did you mean "six-situations"',
     "run --rig none.toml": "can't be read",
+    "run --rig=": 'no rig ""',
+    "run --summary none/s.md": "--summary none/s.md: it can't be written",
     "run --detector thesys": 'did you mean "thesis"',
     "run --seed x": "'x' is not a whole number",
     "run --seed -1": "'-1' is not a whole number",
