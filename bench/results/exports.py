@@ -37,6 +37,12 @@ def write_exports(
     write_synced(folder / "junit.xml", _junit_xml(run, status, judgements).encode())
 
 
+def drop_report(folder: Path) -> None:
+    """Remove what a report says of the run in ``folder``: it goes on."""
+    for name in ("index.html", "whole.html", "run.json", "junit.xml", "trials.csv"):
+        (folder / "report" / name).unlink(missing_ok=True)
+
+
 def _trials_csv(run: RunRecord) -> str:
     """One line a trial and detector. What was not measured is an empty field."""
     columns = COLUMNS.split()

@@ -26,6 +26,7 @@ from bench.results import health
 from bench.results.answers import Answer, Examiner
 from bench.results.cameras_agree import UNCHECKED_FACT, spread, unchecked_text, where_seen
 from bench.results.doubts import DOUBTS_FACT, LOOKED_FACT, doubts_of, looked_at
+from bench.results.exports import drop_report
 from bench.results.queue import ENDED, QueueNote
 from bench.results.stated_arm import contradictions, stated_fact
 from bench.rig.devices import Devices
@@ -315,6 +316,7 @@ def _run(
         to_do = trials - len(left.done) if left else trials
         Requests(store.folder, how.typed, events.warn).forget()
         Live(store.folder).end()
+        drop_report(store.folder)
         note = time_left(expected.settling_s + to_do * expected.each_s(trials))
         how.begun(
             f"{plural(to_do, 'trial')}, {note} of the bench's time. Run folder: {store.folder}"

@@ -24,6 +24,7 @@ from bench.record.reader import RunRecord, read_run
 from bench.record.recording import Recording, RecordingWriter
 from bench.record.state import run_lock
 from bench.record.writer import Store
+from bench.report.page import write_run_report
 from bench.results.status import LIVE
 from bench.rig.opening import open_instruments
 from bench.run import trial as run_trial
@@ -130,7 +131,10 @@ def test_killed_twice_on_its_way_and_once_while_it_catches_up(
 ) -> None:
     folder, steps = undisturbed
     assert killed_at(int(0.9 * steps), lambda: start(folder, "often"))
+    page = write_run_report(only_run(folder, "often")).page
     assert killed_at(int(0.3 * steps), lambda: resume(folder, "often"))
+    assert not page.exists(), "it would still say that the run ended before"
+    assert not page.with_name("run.json").exists()
     progress = Silent()
     assert resume(folder, "often", progress)[1] is RunState.FINISHED
     run = read_run(only_run(folder, "often"))
