@@ -191,7 +191,7 @@ def parse_config(path: Path, text: str, model: type[Model], *, stored: bool = Fa
     except ValidationError as error:
         found = [
             (
-                _without_tags(detail["loc"], table),
+                _key_of(detail, table),
                 _message(detail, model),
                 detail["type"] == "extra_forbidden",
             )
@@ -211,7 +211,7 @@ def checked(model: type[Model], table: Any) -> Model:
     try:
         return model.model_validate(table)
     except ValidationError as error:
-        faults = [(_dotted(_without_tags(f["loc"], table)), f) for f in error.errors()]
+        faults = [(_dotted(_key_of(f, table)), f) for f in error.errors()]
         why = "; ".join(f"{name}: {_message(fault, model)}" for name, fault in faults)
         raise ConfigError.plain(why) from error
 
@@ -224,7 +224,15 @@ def read_text(path: Path) -> str:
         raise ConfigError.plain(f"{path} {error}.") from error
     except (OSError, ValueError) as error:  # ValueError: a name with a zero byte
         why = getattr(error, "strerror", None) or error
-        raise ConfigError.plain(f"{path} can't be read: {why}") from error
+        raise ConfigError.plain(f"{path} can't be read: {why}{_near(path, error)}") from error
+
+
+def _near(path: Path, error: Exception) -> str:
+    """Where a file was looked for that isn't there, and what may have been meant."""
+    folder = path.resolve().parent
+    if not isinstance(error, FileNotFoundError) or not folder.is_dir():
+        return ""
+    return f" (in {folder}{did_you_mean(path.name, [one.name for one in folder.iterdir()])})"
 
 
 def toml_of(path: Path) -> dict[str, Any]:
@@ -304,18 +312,31 @@ def _message(detail: ErrorDetails, model: type[BaseModel]) -> str:
     path, kind, context = detail["loc"], detail["type"], detail.get("ctx", {})
     if kind == "extra_forbidden":
         known = sorted(_fields_at(model, path[:-1]))
-        return f"unknown key{did_you_mean(str(path[-1]), known)} (allowed here: {', '.join(known)})"
-    if kind == "missing":
+        near = did_you_mean(str(path[-1]), known) or _elsewhere(model, path[-1])
+        return f"unknown key{near} (allowed here: {', '.join(known)})"
+    if kind in ("missing", "union_tag_not_found"):
         return "is missing"
-    if kind in ("literal_error", "enum"):
-        allowed = str(context["expected"])
-        words = re.findall(r"'([^']*)'", allowed)
-        return (
-            f"{short(repr(detail['input']))} is not"
-            f" allowed{did_you_mean(str(detail['input']), words)} (allowed: {', '.join(words)})"
-        )
+    if kind in ("literal_error", "enum", "union_tag_invalid"):
+        found = context.get("tag", detail["input"])
+        words = re.findall(r"'([^']*)'", str(context.get("expected_tags") or context["expected"]))
+        near = did_you_mean(str(found), words)
+        return f"{short(repr(found))} is not allowed{near} (allowed: {', '.join(words)})"
     message = detail["msg"].removeprefix("Value error, ")
     return f"{message[0].lower()}{message[1:]} (found {short(repr(detail['input']))})"
+
+
+def _elsewhere(model: type[BaseModel], key: str | int) -> str:
+    """The table that has the unknown ``key``."""
+    for name, field in model.model_fields.items():
+        if any(key in one.model_fields for one in _models_in(field.annotation)):
+            return f"; it belongs to [{field.alias or name}]"
+    return ""
+
+
+def _key_of(detail: ErrorDetails, table: Any) -> KeyPath:
+    """What the fault is about: of a table of a wrong kind, its key ``kind``."""
+    kind = ("kind",) if detail["type"].startswith("union_tag") else ()
+    return (*_without_tags(detail["loc"], table), *kind)
 
 
 def _without_tags(path: KeyPath, table: Any) -> KeyPath:

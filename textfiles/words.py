@@ -8,7 +8,9 @@ from collections.abc import Iterable
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """``; did you mean "x"?`` when one of ``known`` is near, else the empty string."""
-    near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
+    there = list(known)
+    begun = [one for one in there if one.startswith(word)] if word else []
+    near = difflib.get_close_matches(word, there, n=1, cutoff=0.6) or begun
     return f'; did you mean "{near[0]}"?' if near else ""
 
 

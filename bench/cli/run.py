@@ -28,16 +28,17 @@ def run(given: argparse.Namespace) -> int:
         raise ConfigError.plain("--json is for --dry-run. A run's JSON is its report/run.json.")
     rig = bench.load_rig(given.rig)
     scripts = [bench.load_script(name, rig) for name in given.script or [None]]
+    _summarize(given)  # its file's fault now, not when all is over
     if given.dry_run:
         from bench.cli.dry_run import look_ahead
 
         how = {"out": given.out, "detectors": given.detector, "seed": given.seed}
-        done = [look_ahead(rig, one, given.json, len(scripts) > 1, **how) for one in scripts]
+        with event_lines(given.events):
+            done = [look_ahead(rig, one, given.json, len(scripts) > 1, **how) for one in scripts]
         if given.json:
             found = [seen for _, seen in done]
             print(json_of({"scripts": found} if found[1:] else found[0], indent=1))
         return max(code for code, _ in done)
-    _summarize(given)  # its file's fault now, not when all is over
     if given.console:
         from bench.cli.console import beside
 

@@ -139,8 +139,9 @@ def build_page(
         kind=facts["kind"],
         verdict=cast(Verdict, status.word),
         tested=(
-            f"{facts['title']}: teat detector {', '.join(run.detectors)} "
-            f"on {len(run.counted)} frame sets of {poses} poses{left_out}.{emulated}"
+            f"{facts['title']}: {', '.join(run.detectors)} "
+            f"on {plural(len(run.counted), 'frame set')} of {plural(poses, 'pose')}"
+            f"{left_out}.{emulated}"
         ),
         sentence=status.why,
         confidence=_confidence(run, rules, poses),
@@ -265,8 +266,8 @@ def _confidence(run: RunRecord, rules: Rules, poses: int) -> str:
     if not any(trial.truth for trial in run.counted):
         return f"{poses} poses have no truth: they show nothing of how well a detector finds teats."
     best = (1.0 - confidence) ** (1.0 / poses)
-    message = f"{poses} poses were tried: at best they show a success rate of {100 * best:.1f} %,"
-    message += f" with {sure}."
+    message = f"Tried: {plural(poses, 'pose')}. At best that shows a success rate of"
+    message += f" {100 * best:.1f} %, with {sure}."
     if poses < needed:
         message += f" To show {100 * rate:g} % takes {needed} poses without a failure."
     if (known_mm := tables.truth_known_mm(run)) is not None:

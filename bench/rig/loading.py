@@ -101,7 +101,8 @@ class LoadedRig:
     def refuse_unfilled(self, *instruments: str) -> None:
         """Raises ConfigError where `unfilled` finds something."""
         if found := self.unfilled(*instruments):
-            raise ConfigError.plain("\n".join(found))
+            how = "Write there how the instrument is reached ('teatbench help rig')."
+            raise ConfigError.plain("\n".join((*found, how)))
 
     def _source(self, name: str) -> str:
         return str((self.path.parent / name).resolve()) if name.endswith(".toml") else name
@@ -135,6 +136,8 @@ def find_shipped(name: str, folder: Path, kind: str, exclude: tuple[str, ...] = 
     known = [stem for stem in shipped(folder) if stem not in exclude]
     if name in known:
         return folder / f"{name}.toml"
+    if name and Path(name).is_dir():
+        raise ConfigError.plain(f"{name} is a folder. Give the path of a .toml file.")
     near, there = did_you_mean(name, known) or ".", ", ".join(known)
     raise ConfigError.plain(
         f'no {kind} "{name}"{near} Shipped: {there}; or give the path of a .toml file.'

@@ -185,7 +185,7 @@ KINDS = (
     # what is known of the truth
     Kind(
         "the truth is known to",
-        rf"\d+ poses were tried: .* The truth is known to (?:± )?{N} mm(?: in 95 %)?\.",
+        rf"Tried: \d+ poses?\. .* The truth is known to (?:± )?{N} mm(?: in 95 %)?\.",
         lambda m, s, d: _first_truth(d) > float(m[1]),
     ),
     Kind(
@@ -253,7 +253,7 @@ KINDS = (
             r"chance of these axes, if as stated",
             r"[\d.]+ °C \([\d.]+ to [\d.]+ within 5 s\), stable",
             r"Put the bench right before all else: .*",
-            r"What each detector shows, from \d+ where nothing else is said",
+            r"What each detector shows\. Where no number stands, it is from \d+\.",
             r"Begin with the trials to look at first\.",
             r"The filter takes words: .*",
             r"None: every trial of the script was done and counts, and no touch was refused\.",
