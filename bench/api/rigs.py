@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 
 from bench.api.shots import AnyRig, Shot, load_rig
-from bench.arguments import guarded_methods
+from bench.arguments import Lent, guarded_methods
 from bench.config import ConfigError, check_within, several
 from bench.record.recording import TruthRow
 from bench.rig.devices import Devices
@@ -52,7 +52,7 @@ class OpenRig:
 
     def __init__(self, loaded: LoadedRig, devices: Devices, warn: Callable[[str], None]) -> None:
         self.loaded, self._devices, self._warn = loaded, devices, warn
-        self._left = False
+        self._left, self._lent = False, dict[str, Lent]()
         self._stands: Arrangement | None = None
         self._visible: tuple[bool, ...] = ()
         # where homing leaves the plate nobody says
@@ -186,19 +186,26 @@ class OpenRig:
         self, x_mm: float = 0.0, y_mm: float = 0.0, *, z_mm: float = 0.0, yaw_deg: float = 0.0
     ) -> None:
         """Move the phantom's plate by the stage, from its reference place. Raises LimitError for
-        what the stage has no axis for, and as the stage's ``move_to``.
+        what is out of reach or has no axis, and as the stage's ``move_to``.
         """
         table, stage = self.loaded.rig.stage, self.stage
         if table is None:
             raise LimitError("stage", "this rig has no stage", asked="move")
-        pose = PlatePose(x_mm, y_mm, z_mm, float(np.radians(yaw_deg)))
-        for axis, amount in (("Z", z_mm), ("A", yaw_deg)):
-            if amount and axis not in table.axes:
-                raise LimitError("stage", f"it has no axis {axis}", asked="move")
         self.check()
         if not stage.homed:
             raise LimitError("stage", "it is not homed", asked="move", hint="Call home() first.")
-        stage.move_to(**table.machine(pose), feed_mm_min=table.feed_mm_per_min)
+        pose = PlatePose(x_mm, y_mm, z_mm, float(np.radians(yaw_deg)))
+        place, given = table.machine(pose), (x_mm, y_mm, z_mm, yaw_deg)
+        for axis, key, wanted in zip("XYZA", ("x_mm", "y_mm", "z_mm", "a_deg"), given, strict=True):
+            if wanted and key not in place:
+                raise LimitError("stage", f"it has no axis {axis}", asked="move")
+            if key in place and not (travel := stage.limits[axis]).hold(round(place[key], 3)):
+                low, high = (end - place[key] + wanted for end in (travel.low_mm, travel.high_mm))
+                what = (
+                    f"{key.replace('a_', 'yaw_')} = {wanted:g} is out of reach, {low:g} to {high:g}"
+                )
+                raise LimitError("stage", what, asked="move", hint="From its reference place.")
+        stage.move_to(**place, feed_mm_min=table.feed_mm_per_min)
         self._pose = pose
         self.check()
 
@@ -310,7 +317,7 @@ class OpenRig:
         if device is None:
             what = f"this rig has no {name}, or it was not opened"
             raise LimitError("rig", what, hint=f'Name it: open_rig(…, instruments=("{name}",)).')
-        return device
+        return cast(Opened, self._lent.setdefault(name, Lent(device, lambda: self.devices)))
 
 
 def rig_notes(rig: AnyRig) -> Iterator[str]:

@@ -19,7 +19,9 @@ from instruments.drivers.camera import PluggedCamera, PluggedGroup
 from instruments.drivers.entry_points import Kind, Plugin, PluginUrl, available, load
 from instruments.drivers.stage import PluggedStage
 from instruments.errors import InstrumentError, LimitError
+from instruments.listener import Device
 
+DEVICE = ("connect", "receive", "disconnect")
 LATE_S = 1.0
 SET_POINT_C = 30.0
 
@@ -142,6 +144,19 @@ def _installed(driver: str, kind: Kind | None) -> tuple[Kind, Plugin, Callable[.
     return kinds[0], load(kinds[0], url), emulator
 
 
+def _emulated(emulator: Callable[..., Any], world: Any, clock: Clock) -> Device:
+    """Raises ConfigError for what is no emulator, such as the driver itself."""
+    try:
+        made = emulator(world, clock)
+    except Exception as error:
+        said = f"can't be made with a world and a clock: {type(error).__name__}: {error}"
+        raise ConfigError.plain(f"`emulator`: {emulator} {said}") from error
+    if lacks := [name for name in DEVICE if not callable(getattr(made, name, None))]:
+        hint = "Is it the driver? That is the first argument."
+        raise ConfigError.plain(f"`emulator`: {made} has no {', '.join(lacks)}. {hint}")
+    return cast(Device, made)
+
+
 def check_driver(
     driver: str | Callable[..., Any],
     kind: Kind | None = None,
@@ -151,9 +166,9 @@ def check_driver(
     clock: Clock | None = None,
 ) -> Iterator[Finding]:
     """Each check on a driver: ``NAME`` or ``plugin:NAME?key=value`` of another package, on its
-    emulator where that has one and no key names a device; or a class of yours, of this ``kind``,
-    with its ``emulator``. ``works``: a device may heat and move; ``clock``: a virtual one is for
-    emulators, real time for None. Raises ConfigError.
+    emulator where that has one and no key names a device; or a class of yours of this ``kind``
+    (`functools.partial` gives it keys), with its ``emulator``. ``works``: a device may heat and
+    move; ``clock``: a virtual one is for emulators, real time for None. Raises ConfigError.
     """
     with ExitStack() as stack:
         time = clock or stack.enter_context(closing(RealClock()))
@@ -161,14 +176,15 @@ def check_driver(
             if isinstance(driver, str):
                 of, plugged, emulator = _installed(driver, kind)
             elif kind:
-                of, plugged = kind, Plugin(driver.__name__, "this program", driver)
+                name = getattr(driver, "__name__", type(driver).__name__)  # a partial has none
+                of, plugged = kind, Plugin(name, "this program", driver)
             else:
                 raise ValueError(f"`kind` is needed of a class: {', '.join(plugs.KINDS)}")
         except (LimitError, ValueError) as error:
             raise ConfigError.plain(str(error)) from error
         if emulator:
             world = stack.enter_context(emulated_world(time))
-            made = lambda: OnEmulator(of, plugged, time, emulator(world, time))  # noqa: E731
+            made = lambda: OnEmulator(of, plugged, time, _emulated(emulator, world, time))  # noqa: E731
             yield from conform(made)
         else:
             yield from conform(lambda: OfPlugin(of, plugged, time, works=works))

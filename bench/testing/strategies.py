@@ -6,7 +6,7 @@ at most one of its objects, pictures as the cameras take them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache, partial
 from operator import attrgetter
@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn, SearchStrategy
 
 from bench.campaign.perturbations import Applied
+from bench.config import ConfigError, check_within, did_you_mean
 from bench.testing.scene import (
     AMOUNTS,
     PAINTS,
@@ -28,6 +29,7 @@ from bench.testing.scene import (
     Teat,
 )
 from instruments.world.objects import KINDS
+from textfiles.bounds import FROM_0
 
 T = TypeVar("T", Teat, Pose, Object, Scene)
 P = TypeVar("P", Teat, Pose, Object)
@@ -38,7 +40,12 @@ SHARES = (1.0, 0.5, 0.25, 0.0)  # most of what is drawn at once has one teat bef
 def layouts(
     least: int = 1, most: int = len(PLACES_MM), *, published: bool = False
 ) -> SearchStrategy[tuple[Teat, ...]]:
-    """Teats of a `Scene`, each at a place of its own; one that can't stand so comes nearer."""
+    """Teats of a `Scene`, each at a place of its own; one that can't stand so comes nearer. Raises
+    ConfigError for others than 1 to 4.
+    """
+    if not 1 <= least <= most <= len(PLACES_MM):
+        why = f"`least` and `most` are {least} and {most}, not 1 to {len(PLACES_MM)}, in this order"
+        raise ConfigError.plain(why)
     least = most if published else least
     teat = _numbers(Teat(), published=published)
     teats: SearchStrategy[list[Teat]] = st.lists(teat, min_size=least, max_size=most)
@@ -51,7 +58,8 @@ def poses() -> SearchStrategy[Pose]:
 
 
 def objects(*kinds: str, published: bool = False) -> SearchStrategy[Object]:
-    """A thing of one of these kinds, of any without one."""
+    """A thing of one of these kinds, of any without one. Raises ConfigError."""
+    _there("kinds", kinds, KINDS)
     known = kinds or (PUBLISHED_KINDS if published else tuple(KINDS))
     return st.sampled_from(known).flatmap(lambda kind: _object(kind, published))
 
@@ -62,13 +70,21 @@ def _object(kind: str, published: bool) -> SearchStrategy[Object]:
 
 
 def perturbations(*names: str) -> SearchStrategy[Applied]:
-    """What is done to pictures or calibration: one of these names, of any without one."""
+    """What is done to pictures or calibration: one of these names, of any without one. Raises
+    ConfigError.
+    """
+    _there("names", names, AMOUNTS)
     return st.sampled_from(names or tuple(AMOUNTS)).flatmap(_amounts)
 
 
-@st.composite
+def _there(argument: str, given: Sequence[str], known: Mapping[str, object]) -> None:
+    for one in given:
+        if one not in known:
+            near, there = did_you_mean(one, known), ", ".join(known)
+            raise ConfigError.plain(f"`{argument}`: there is no {one!r}{near} (there are: {there})")
+
+
 def scenes(
-    draw: DrawFn,
     *,
     published: bool = False,
     layouts: SearchStrategy[tuple[Teat, ...]] | None = None,
@@ -77,24 +93,47 @@ def scenes(
     perturbations: SearchStrategy[Applied] | None = None,
     most_objects: int = 3,
     most_perturbations: int = 1,
-) -> Scene:
+) -> SearchStrategy[Scene]:
     """A scene that can be set up; its parts by strategies of their own where these are given. What
-    can't stand, or is out of reach, comes nearer to its plain place, or is left out.
+    can't stand, or is out of reach, comes nearer to its plain place, or is left out. Raises
+    ConfigError.
     """
-    of_layouts, of_poses, of_objects, of_perturbations = _usual(published)
-    found = Scene(draw(of_layouts if layouts is None else layouts))
+    check_within(FROM_0, most_objects=most_objects, most_perturbations=most_perturbations)
+    given = (layouts, poses, objects, perturbations)
+    kinds = (tuple, Pose, Object, Applied)
+    of = [
+        usual if one is None else one.map(partial(_drawn, name, kind))
+        for name, usual, one, kind in zip(_PARTS, _usual(published), given, kinds, strict=True)
+    ]
     if published:
         most_objects, most_perturbations = min(most_objects, 1), 0
-    else:
-        pose = draw(of_poses if poses is None else poses)
+    found: SearchStrategy[Scene] = _scenes(published, of, most_objects, most_perturbations)
+    return found
+
+
+def _drawn(name: str, kind: type, one: Any) -> Any:
+    if not isinstance(one, kind):
+        raise ConfigError.plain(f"`{name}` draws {one!r}, not a {kind.__name__}")
+    return one
+
+
+@st.composite
+def _scenes(
+    draw: DrawFn, published: bool, of: Sequence[SearchStrategy[Any]], most: int, most_done: int
+) -> Scene:
+    layouts, poses, objects, perturbations = of
+    found = Scene(draw(layouts))
+    if not published:
+        pose = draw(poses)
         found = _nearest(found, pose, lambda near, scene: replace(scene, pose=near))
     found = replace(found, paint=draw(_PAINTS), **draw(_steps(_OF_A_SCENE, published)))
-    for one in draw(_several(of_objects if objects is None else objects, most_objects)):
+    for one in draw(_several(objects, most)):
         found = _nearest(found, one, lambda near, at: replace(at, objects=(*at.objects, near)))
-    done = of_perturbations if perturbations is None else perturbations
-    return replace(found, perturbations=tuple(draw(_several(done, most_perturbations, "name"))))
+    done = draw(_several(perturbations, most_done, "name"))
+    return replace(found, perturbations=tuple(done))
 
 
+_PARTS = ("layouts", "poses", "objects", "perturbations")
 _OF_A_SCENE = tuple(Scene.STEPS.items())
 _PAINTS: SearchStrategy[Any] = st.sampled_from(tuple(PAINTS))
 _layouts, _poses, _objects, _perturbations = layouts, poses, objects, perturbations

@@ -142,8 +142,11 @@ def test_a_failing_scene_is_said_shown_written_and_kept(
     with pytest.raises(SceneFailedError, match=r"^thesis .* in Scene\(") as raised:
         check("thesis", scene, rig=rig)
     error = raised.value
-    failing, of = error.neighbourhood()
-    assert 0 < failing <= of <= 24
+    near = error.neighbourhood()
+    assert 0 < near.failing < near.of <= 24 < near.there
+    assert near.passing == FOUR  # the plainest is looked at, and named
+    sample = f"{near.of} scenes one step away looked at, a sample of {near.there}, fail too"
+    assert str(near) == f"{near.failing} of {sample}; {FOUR!r} passes."
     lines = error.lines()
     assert "from bench.testing import Applied, Scene, Teat, check" in lines
     compile(lines, "pasted", "exec")
@@ -152,7 +155,7 @@ def test_a_failing_scene_is_said_shown_written_and_kept(
     assert (folder / "scene.png").stat().st_size > 10_000
     again, facts = read_scene(folder / SCENE)
     assert again == scene
-    assert facts["neighbours"] == of
+    assert (facts["neighbours"], facts["neighbours_looked_at"]) == (near.there, near.of)
     kept = tmp_path / "kept"
     wrote = said(0, "campaign keep {} --into {} --name noisy", folder, kept)
     assert wrote.out == f"noisy in {kept}\n"
