@@ -1,8 +1,6 @@
 """What is promised, as a program gets it: functions whose arguments are held against their
 annotations, for a caller may be untyped, and instruments that are refused behind their with block.
-
-pydantic's `validate_call` can't: it has no schema for 14 of the functions (their arguments are
-protocols), takes 100 times as long to be ready, and refuses NumPy's whole numbers.
+(pydantic's `validate_call` has no schema for 14 of them, and refuses NumPy's whole numbers.)
 """
 
 from __future__ import annotations
@@ -61,18 +59,9 @@ def guarded(thing: Any, package: str) -> Any:
 _guarded = cache(lambda function: guarded(function, function.__module__))
 
 
-def guarded_methods(kind: type[Kind]) -> type[Kind]:
-    """The same for the public methods of a class."""
-    for name, one in list(vars(kind).items()):
-        if name[0] != "_":
-            setattr(kind, name, guarded(one, kind.__module__))
-    return kind
-
-
 class Lent:
-    """An open thing as its program gets it, by the kind and the names of ``_of``: its methods as
-    `guarded`, a wrong value of theirs a ConfigError too. `_given` raises LimitError once it was
-    given back.
+    """An open thing as a program gets it: its methods as `guarded`, a wrong value a ConfigError
+    too. `_given` raises LimitError once it was given back.
     """
 
     def __init__(self, of: Any, given: Callable[[], object]) -> None:
@@ -91,22 +80,20 @@ def _asked(method: types.MethodType, *args: Any, **more: Any) -> Any:
         return _guarded(method.__func__)(method.__self__, *args, **more)
 
 
-AFTER = "Open it again, and use it inside of its with block."
-
-
 @contextmanager
 def lent(of: Kind, who: str) -> Iterator[Kind]:
     """``of`` until the block ends, and never after."""
-    left: list[LimitError] = []
+    left = list[bool]()
 
     def given() -> None:
-        for error in left:
-            raise error
+        if left:
+            hint = "Open it again, and use it inside of its with block."
+            raise LimitError(who, "it was closed at the end of its with block", hint=hint)
 
     try:
         yield cast(Kind, Lent(of, given))
     finally:
-        left.append(LimitError(who, "it was closed at the end of its with block", hint=AFTER))
+        left.append(True)
 
 
 def _hints(function: Any) -> dict[str, Any]:

@@ -155,8 +155,6 @@ def wrong_use() -> Iterator[None]:
     """A ValueError of a room that knows no ConfigError becomes one."""
     try:
         yield
-    except ConfigError:
-        raise
     except ValueError as error:
         raise ArgumentError.plain(str(error)) from error
 

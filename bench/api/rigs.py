@@ -10,7 +10,7 @@ from typing import TypeVar, cast
 import numpy as np
 
 from bench.api.shots import AnyRig, Shot, load_rig
-from bench.arguments import Lent, guarded_methods
+from bench.arguments import Lent
 from bench.config import ConfigError, check_within, several
 from bench.record.recording import TruthRow
 from bench.rig.devices import Devices
@@ -44,7 +44,6 @@ INSIDE = "Use it inside of its with block: with open_rig(…) as rig."
 Opened = TypeVar("Opened")
 
 
-@guarded_methods
 class OpenRig:
     """The instruments of a rig, opened by `open_rig`. What isn't opened raises LimitError, as does
     any use after the rig was left.
@@ -243,9 +242,8 @@ class OpenRig:
         if not self.arm.homed:
             raise LimitError("arm", "it is not homed", asked="touch", hint="Call home() first.")
         if self._stands is None:
-            raise LimitError(
-                "arm", "nothing was set up that could be touched", hint="Call set_up()."
-            )
+            what = "nothing was set up that could be touched"
+            raise LimitError("arm", what, hint="Call set_up().")
         if self._pose is None:
             what = "nobody knows where the plate stands: it was not moved since the stage was homed"
             raise LimitError("stage", what, hint="Call move(), to the reference place or another.")
@@ -253,13 +251,8 @@ class OpenRig:
         if teat is not None and not 1 <= teat <= len(stands.phantom.teats):
             what = f"there is no teat {teat}: the phantom has {len(stands.phantom.teats)}, from 1"
             raise LimitError("arm", what, asked="touch")
-        toucher = Toucher(
-            lambda request: self.operator.ask(request, self.check),
-            self.tip,
-            self.loaded.rig.arm,
-            self.clock,
-            self.check,
-        )
+        ask = lambda request: self.operator.ask(request, self.check)  # noqa: E731
+        toucher = Toucher(ask, self.tip, self.loaded.rig.arm, self.clock, self.check)
         ends: Ends = ends_of(stands.phantom.moved(self._pose))
         if teat is None:
             points, _ = toucher.touch_all(ends)
@@ -292,16 +285,12 @@ class OpenRig:
         """
         self.end_watch()  # else a heater that is off is a stranger's doing
         said: list[str] = []
-        wanted = [name for name in self._open if name != "arm" or not keep_arm]
+        wanted = [one for one in ("bath", "stage", "arm") if getattr(self.devices, one)]
+        wanted += ["pump"] * ("bath" in wanted)
+        wanted = [name for name in wanted if name != "arm" or not keep_arm]
         unsafe = self.devices.make_safe(said.append, only=wanted)
         if unsafe:
             raise DeviceError("rig", "; ".join(said), asked="safe", hint=" ".join(unsafe.values()))
-
-    @property
-    def _open(self) -> tuple[str, ...]:
-        names = ("bath", "stage", "arm")
-        there = tuple(name for name in names if getattr(self.devices, name))
-        return (*there, "pump") if "bath" in there else there
 
     def end_watch(self) -> None:
         """No further readings of the bath."""
@@ -365,6 +354,6 @@ def open_rig(
     ) as devices:
         opened = OpenRig(loaded, devices, warn)
         try:
-            yield opened
+            yield cast(OpenRig, Lent(opened, lambda: opened.devices))
         finally:
             opened.leave()

@@ -46,9 +46,7 @@ class Look:
 
 
 class Neighbourhood(NamedTuple):
-    """The scenes one step away: ``failing`` of those looked at, ``of`` all ``there``; ``passing``:
-    the plainest one that the detector passes.
-    """
+    """Scenes one step away: those that fail, looked at, there; and the plainest that passes."""
 
     failing: int
     of: int
@@ -57,8 +55,8 @@ class Neighbourhood(NamedTuple):
 
     def __str__(self) -> str:
         sample = "" if self.of == self.there else f" looked at, a sample of {self.there},"
-        said = f"{self.failing} of {self.of} scenes one step away{sample} fail too"
-        return f"{said}; {self.passing!r} passes." if self.passing else f"{said}."
+        passes = f"; {self.passing!r} passes" if self.passing else ""
+        return f"{self.failing} of {self.of} scenes one step away{sample} fail too{passes}."
 
 
 class SceneFailedError(AssertionError):

@@ -21,7 +21,6 @@ from instruments.drivers.stage import PluggedStage
 from instruments.errors import InstrumentError, LimitError
 from instruments.listener import Device
 
-DEVICE = ("connect", "receive", "disconnect")
 LATE_S = 1.0
 SET_POINT_C = 30.0
 
@@ -145,16 +144,14 @@ def _installed(driver: str, kind: Kind | None) -> tuple[Kind, Plugin, Callable[.
 
 
 def _emulated(emulator: Callable[..., Any], world: Any, clock: Clock) -> Device:
-    """Raises ConfigError for what is no emulator, such as the driver itself."""
+    """Raises ConfigError for what makes no emulator, such as the driver itself."""
     try:
-        made = emulator(world, clock)
+        made: Device = emulator(world, clock)
+        _ = made.connect, made.receive, made.disconnect
     except Exception as error:
-        said = f"can't be made with a world and a clock: {type(error).__name__}: {error}"
-        raise ConfigError.plain(f"`emulator`: {emulator} {said}") from error
-    if lacks := [name for name in DEVICE if not callable(getattr(made, name, None))]:
-        hint = "Is it the driver? That is the first argument."
-        raise ConfigError.plain(f"`emulator`: {made} has no {', '.join(lacks)}. {hint}")
-    return cast(Device, made)
+        why = f"makes no emulator of a world and a clock: {type(error).__name__}: {error}"
+        raise ConfigError.plain(f"`emulator`: {emulator} {why}") from error
+    return made
 
 
 def check_driver(

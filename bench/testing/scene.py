@@ -34,6 +34,7 @@ WATER_C, ROOM_C = 33.0, 20.0
 # teats and the board behind them
 PAINTS = {"dark": (Paint(0.07, 0.05), 0.55), "skin": (Paint(0.45, 0.1), 0.15)}
 Part = TypeVar("Part")
+_hints = cache(get_type_hints)
 NOISES = 4  # neighbours that differ in noise alone
 
 
@@ -52,11 +53,6 @@ class Steps(NamedTuple):
         return round(steps * self.size, 6) if self.size % 1 else steps * round(self.size)
 
 
-@cache
-def _hints(kind: Any) -> dict[str, Any]:
-    return {name: hint for name, hint in get_type_hints(kind).items() if name != "STEPS"}
-
-
 @dataclass(frozen=True, slots=True, repr=False)
 class _Differences:
     """What scene, teat, pose and object have in common."""
@@ -64,7 +60,7 @@ class _Differences:
     STEPS: ClassVar[dict[str, Steps]]
 
     def __post_init__(self) -> None:
-        for name, hint in _hints(type(self)).items():
+        for name, hint in _hints(type(self)).items():  # type: ignore[arg-type]
             if not fits(value := getattr(self, name), hint):
                 said = short(" ".join(repr(value).split()))
                 raise ArgumentError.plain(f"{name} is {said}, not {words(hint)}")

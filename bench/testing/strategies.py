@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache, partial
-from operator import attrgetter
 from typing import Any, TypeVar
 
 from hypothesis import strategies as st
@@ -40,12 +39,9 @@ SHARES = (1.0, 0.5, 0.25, 0.0)  # most of what is drawn at once has one teat bef
 def layouts(
     least: int = 1, most: int = len(PLACES_MM), *, published: bool = False
 ) -> SearchStrategy[tuple[Teat, ...]]:
-    """Teats of a `Scene`, each at a place of its own; one that can't stand so comes nearer. Raises
-    ConfigError for others than 1 to 4.
-    """
+    """1 to 4 teats of a `Scene`, each at its place; one that can't stand so comes nearer."""
     if not 1 <= least <= most <= len(PLACES_MM):
-        why = f"`least` and `most` are {least} and {most}, not 1 to {len(PLACES_MM)}, in this order"
-        raise ConfigError.plain(why)
+        raise ConfigError.plain(f"`least`, `most`: {least}, {most} is no span from 1 to 4")
     least = most if published else least
     teat = _numbers(Teat(), published=published)
     teats: SearchStrategy[list[Teat]] = st.lists(teat, min_size=least, max_size=most)
@@ -58,7 +54,7 @@ def poses() -> SearchStrategy[Pose]:
 
 
 def objects(*kinds: str, published: bool = False) -> SearchStrategy[Object]:
-    """A thing of one of these kinds, of any without one. Raises ConfigError."""
+    """A thing of one of these kinds, of any without one."""
     _there("kinds", kinds, KINDS)
     known = kinds or (PUBLISHED_KINDS if published else tuple(KINDS))
     return st.sampled_from(known).flatmap(lambda kind: _object(kind, published))
@@ -70,9 +66,7 @@ def _object(kind: str, published: bool) -> SearchStrategy[Object]:
 
 
 def perturbations(*names: str) -> SearchStrategy[Applied]:
-    """What is done to pictures or calibration: one of these names, of any without one. Raises
-    ConfigError.
-    """
+    """What is done to pictures or calibration: one of these names, of any without one."""
     _there("names", names, AMOUNTS)
     return st.sampled_from(names or tuple(AMOUNTS)).flatmap(_amounts)
 
@@ -84,7 +78,9 @@ def _there(argument: str, given: Sequence[str], known: Mapping[str, object]) -> 
             raise ConfigError.plain(f"`{argument}`: there is no {one!r}{near} (there are: {there})")
 
 
+@st.composite
 def scenes(
+    draw: DrawFn,
     *,
     published: bool = False,
     layouts: SearchStrategy[tuple[Teat, ...]] | None = None,
@@ -93,47 +89,25 @@ def scenes(
     perturbations: SearchStrategy[Applied] | None = None,
     most_objects: int = 3,
     most_perturbations: int = 1,
-) -> SearchStrategy[Scene]:
+) -> Scene:
     """A scene that can be set up; its parts by strategies of their own where these are given. What
-    can't stand, or is out of reach, comes nearer to its plain place, or is left out. Raises
-    ConfigError.
+    can't stand, or is out of reach, comes nearer to its plain place, or is left out.
     """
     check_within(FROM_0, most_objects=most_objects, most_perturbations=most_perturbations)
-    given = (layouts, poses, objects, perturbations)
-    kinds = (tuple, Pose, Object, Applied)
-    of = [
-        usual if one is None else one.map(partial(_drawn, name, kind))
-        for name, usual, one, kind in zip(_PARTS, _usual(published), given, kinds, strict=True)
-    ]
+    of_layouts, of_poses, of_objects, of_perturbations = _usual(published)
+    found = Scene(draw(of_layouts if layouts is None else layouts))
     if published:
         most_objects, most_perturbations = min(most_objects, 1), 0
-    found: SearchStrategy[Scene] = _scenes(published, of, most_objects, most_perturbations)
-    return found
-
-
-def _drawn(name: str, kind: type, one: Any) -> Any:
-    if not isinstance(one, kind):
-        raise ConfigError.plain(f"`{name}` draws {one!r}, not a {kind.__name__}")
-    return one
-
-
-@st.composite
-def _scenes(
-    draw: DrawFn, published: bool, of: Sequence[SearchStrategy[Any]], most: int, most_done: int
-) -> Scene:
-    layouts, poses, objects, perturbations = of
-    found = Scene(draw(layouts))
-    if not published:
-        pose = draw(poses)
+    else:
+        pose = draw(of_poses if poses is None else poses)
         found = _nearest(found, pose, lambda near, scene: replace(scene, pose=near))
     found = replace(found, paint=draw(_PAINTS), **draw(_steps(_OF_A_SCENE, published)))
-    for one in draw(_several(objects, most)):
+    for one in draw(_several(of_objects if objects is None else objects, most_objects)):
         found = _nearest(found, one, lambda near, at: replace(at, objects=(*at.objects, near)))
-    done = draw(_several(perturbations, most_done, "name"))
-    return replace(found, perturbations=tuple(done))
+    done = of_perturbations if perturbations is None else perturbations
+    return replace(found, perturbations=tuple(draw(_several(done, most_perturbations, "name"))))
 
 
-_PARTS = ("layouts", "poses", "objects", "perturbations")
 _OF_A_SCENE = tuple(Scene.STEPS.items())
 _PAINTS: SearchStrategy[Any] = st.sampled_from(tuple(PAINTS))
 _layouts, _poses, _objects, _perturbations = layouts, poses, objects, perturbations
@@ -150,7 +124,9 @@ def _usual(published: bool) -> tuple[SearchStrategy[Any], ...]:
 @lru_cache(maxsize=64)
 def _several(of: SearchStrategy[S], most: int, once: str = "") -> SearchStrategy[list[S]]:
     """``once``: what differs between them."""
-    return st.lists(of, max_size=most, unique_by=attrgetter(once) if once else None)
+    return st.lists(
+        of, max_size=most, unique_by=(lambda one: getattr(one, once, one)) if once else None
+    )
 
 
 def _standing(teats: Sequence[Teat]) -> tuple[Teat, ...]:
@@ -164,6 +140,7 @@ def _standing(teats: Sequence[Teat]) -> tuple[Teat, ...]:
 
 def _nearest(found: Scene, part: P, put: Callable[[P, Scene], Scene]) -> Scene:
     """With ``part`` put as near to its plain place as it must be; without it if it can't stand."""
+    put(part, found)  # refuses what another strategy draws
     tried = (put(part.nearer(share), found) for share in SHARES)
     return next((one for one in tried if not one.faults()), found)
 
