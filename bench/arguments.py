@@ -32,9 +32,7 @@ PLAIN: Mapping[Any, str] = {
 
 
 def guarded(thing: Any, package: str) -> Any:
-    """A function of ``package`` that refuses arguments of a wrong kind with a ConfigError; anything
-    else as it is.
-    """
+    """A function of ``package`` that refuses arguments of a wrong kind; anything else as it is."""
     if not inspect.isfunction(thing):
         return thing
     shape, hints = inspect.signature(thing), cache(lambda: _hints(thing))
@@ -70,14 +68,16 @@ class Lent:
     __class__ = property(lambda self: type(self._of))
 
     def __getattr__(self, name: str) -> Any:
+        method = inspect.getattr_static(type(self._of), name, None)
+        if inspect.isfunction(method) and name not in getattr(self._of, "__dict__", ()):
+            return partial(self._ask, method)
         self._given()
-        found = getattr(self._of, name)
-        return partial(_asked, found) if inspect.ismethod(found) else found
+        return getattr(self._of, name)
 
-
-def _asked(method: types.MethodType, *args: Any, **more: Any) -> Any:
-    with wrong_use():
-        return _guarded(method.__func__)(method.__self__, *args, **more)
+    def _ask(self, method: Callable[..., Any], *args: Any, **more: Any) -> Any:
+        self._given()
+        with wrong_use():
+            return _guarded(method)(self._of, *args, **more)
 
 
 @contextmanager

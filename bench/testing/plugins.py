@@ -173,8 +173,10 @@ def check_driver(
             if isinstance(driver, str):
                 of, plugged, emulator = _installed(driver, kind)
             elif kind:
-                name = getattr(driver, "__name__", type(driver).__name__)  # a partial has none
-                of, plugged = kind, Plugin(name, "this program", driver)
+                of, plugged = (
+                    kind,
+                    Plugin(getattr(driver, "__name__", kind), "this program", driver),
+                )
             else:
                 raise ValueError(f"`kind` is needed of a class: {', '.join(plugs.KINDS)}")
         except (LimitError, ValueError) as error:

@@ -60,10 +60,11 @@ class _Differences:
     STEPS: ClassVar[dict[str, Steps]]
 
     def __post_init__(self) -> None:
-        for name, hint in _hints(type(self)).items():  # type: ignore[arg-type]
-            if not fits(value := getattr(self, name), hint):
-                said = short(" ".join(repr(value).split()))
-                raise ArgumentError.plain(f"{name} is {said}, not {words(hint)}")
+        hints = _hints(type(self))  # type: ignore[arg-type]
+        for name in (one.name for one in fields(self)):
+            if not fits(value := getattr(self, name), hints[name]):
+                said = f"{name} is {short(repr(value))}, not"
+                raise ArgumentError.plain(f"{said} {words(hints[name])}")
             if isinstance(value, list):  # is a key of what was looked at
                 object.__setattr__(self, name, tuple(value))
 
