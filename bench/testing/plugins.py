@@ -173,10 +173,8 @@ def check_driver(
             if isinstance(driver, str):
                 of, plugged, emulator = _installed(driver, kind)
             elif kind:
-                of, plugged = (
-                    kind,
-                    Plugin(getattr(driver, "__name__", kind), "this program", driver),
-                )
+                name = getattr(driver, "__name__", kind)  # a partial has none
+                of, plugged = kind, Plugin(name, "this program", driver)
             else:
                 raise ValueError(f"`kind` is needed of a class: {', '.join(plugs.KINDS)}")
         except (LimitError, ValueError) as error:

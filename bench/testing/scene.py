@@ -60,11 +60,10 @@ class _Differences:
     STEPS: ClassVar[dict[str, Steps]]
 
     def __post_init__(self) -> None:
-        hints = _hints(type(self))  # type: ignore[arg-type]
+        of = _hints(type(self))  # type: ignore[arg-type]
         for name in (one.name for one in fields(self)):
-            if not fits(value := getattr(self, name), hints[name]):
-                said = f"{name} is {short(repr(value))}, not"
-                raise ArgumentError.plain(f"{said} {words(hints[name])}")
+            if not fits(value := getattr(self, name), of[name]):
+                raise ArgumentError.plain(f"{name} is {short(repr(value))}, not {words(of[name])}")
             if isinstance(value, list):  # is a key of what was looked at
                 object.__setattr__(self, name, tuple(value))
 
