@@ -1,24 +1,27 @@
-"""Arguments of what is promised, held against their annotations: a caller may be untyped."""
+"""What is promised, as a program gets it: functions whose arguments are held against their
+annotations, for a caller may be untyped, and instruments that are refused behind their with block.
+(pydantic's `validate_call` has no schema for 14 of them, and refuses NumPy's whole numbers.)
+"""
 
 from __future__ import annotations
 
 import inspect
-import math
 import sys
 import types
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from functools import cache, wraps
-from numbers import Integral, Real
+from contextlib import contextmanager
+from functools import cache, partial, wraps
 from pathlib import Path
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-from bench.config import ConfigError, short
+from bench.config import ConfigError, short, wrong_use
+from instruments.errors import LimitError
+from textfiles.bounds import NUMBER, WHOLE
 
 Kind = TypeVar("Kind")
-NUMBERS: Mapping[Any, type] = {float: Real, int: Integral}
+NUMBERS = {float: NUMBER, int: WHOLE}
 PLAIN: Mapping[Any, str] = {
-    float: "a number",
-    int: "a whole number",
+    **{kind: bounds.what for kind, bounds in NUMBERS.items()},
     bool: "True or False",
     str: "a text",
     Path: "a path",
@@ -29,9 +32,7 @@ PLAIN: Mapping[Any, str] = {
 
 
 def guarded(thing: Any, package: str) -> Any:
-    """A function of ``package`` that refuses arguments of a wrong kind with a ConfigError; anything
-    else as it is.
-    """
+    """A function of ``package`` that refuses arguments of a wrong kind; anything else as it is."""
     if not inspect.isfunction(thing):
         return thing
     shape, hints = inspect.signature(thing), cache(lambda: _hints(thing))
@@ -53,12 +54,46 @@ def guarded(thing: Any, package: str) -> Any:
     return call
 
 
-def guarded_methods(kind: type[Kind]) -> type[Kind]:
-    """The same for the public methods of a class."""
-    for name, one in list(vars(kind).items()):
-        if name[0] != "_":
-            setattr(kind, name, guarded(one, kind.__module__))
-    return kind
+_guarded = cache(lambda function: guarded(function, function.__module__))
+
+
+class Lent:
+    """An open thing as a program gets it: its methods as `guarded`, a wrong value a ConfigError
+    too. `_given` raises LimitError once it was given back.
+    """
+
+    def __init__(self, of: Any, given: Callable[[], object]) -> None:
+        self._of, self._given = of, given
+
+    __class__ = property(lambda self: type(self._of))
+
+    def __getattr__(self, name: str) -> Any:
+        method = inspect.getattr_static(type(self._of), name, None)
+        if inspect.isfunction(method) and name not in getattr(self._of, "__dict__", ()):
+            return partial(self._ask, method)
+        self._given()
+        return getattr(self._of, name)
+
+    def _ask(self, method: Callable[..., Any], *args: Any, **more: Any) -> Any:
+        self._given()
+        with wrong_use():
+            return _guarded(method)(self._of, *args, **more)
+
+
+@contextmanager
+def lent(of: Kind, who: str) -> Iterator[Kind]:
+    """``of`` until the block ends, and never after."""
+    left = list[bool]()
+
+    def given() -> None:
+        if left:
+            hint = "Open it again, and use it inside of its with block."
+            raise LimitError(who, "it was closed at the end of its with block", hint=hint)
+
+    try:
+        yield cast(Kind, Lent(of, given))
+    finally:
+        left.append(True)
 
 
 def _hints(function: Any) -> dict[str, Any]:
@@ -83,8 +118,7 @@ def fits(value: Any, hint: Any) -> bool:
         of = parts if made is tuple else parts[:1] * len(value)
         return len(of) == len(value) and all(map(fits, value, of))
     if made in NUMBERS:
-        known = isinstance(value, NUMBERS[made]) and not isinstance(value, bool)
-        return known and math.isfinite(value)
+        return NUMBERS[made].has(value)
     if getattr(made, "_is_protocol", False):
         return all(callable(getattr(value, name, None)) for name in _methods(made))
     return made is Any or not isinstance(made, type) or isinstance(value, made)

@@ -146,13 +146,17 @@ class ConfigError(Exception):
         return cls(None, [FileFault(0, 0, 0, message)])
 
 
+class ArgumentError(ConfigError, ValueError):
+    """A value that can't be: to programs a ConfigError, within a model of a file its fault."""
+
+
 @contextmanager
 def wrong_use() -> Iterator[None]:
     """A ValueError of a room that knows no ConfigError becomes one."""
     try:
         yield
     except ValueError as error:
-        raise ConfigError.plain(str(error)) from error
+        raise ArgumentError.plain(str(error)) from error
 
 
 def check_within(bounds: Bounds, **arguments: object) -> None:

@@ -4,13 +4,10 @@ only. For detectors of other packages: what they take and give.
 
 from textfiles.lazy import lazily
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from detector.calibration import Calibration, Part, Record
-    from detector.protocol import Context, Detection, Detector, Frames, Outcome, Stage, Teat
-
-__all__ = [
-    "Calibration", "Context", "Detection", "Detector", "Frames", "Outcome", "Part", "Record",
-    "Stage", "Teat",
-]  # fmt: skip
-__getattr__ = lazily(__name__, __file__)
+# by the module that has them; type checkers read __init__.pyi
+PLACES = {
+    "detector.calibration": ("Calibration", "Part", "Record"),
+    "detector.protocol": ("Context", "Detection", "Detector", "Frames", "Outcome", "Stage", "Teat"),
+}  # fmt: skip
+__all__ = [name for names in PLACES.values() for name in names]
+__getattr__ = lazily(__name__, PLACES)

@@ -4,39 +4,21 @@
 
 from textfiles.lazy import lazily
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from instruments.bath.reading import BathReading
-    from instruments.camera.frame import FrameError, FrameFault, Ranging, RawFrame
-    from instruments.captures.capture import CaptureError, CaptureFile
-    from instruments.clock import Clock, RealClock, VirtualClock
-    from instruments.drivers.plugin import (
-        ArmDriver,
-        ArmPoint,
-        BathDriver,
-        BathState,
-        Camera,
-        CameraGroup,
-        MakersCalibration,
-        MakersLens,
-        StageDriver,
-        StageState,
-    )
-    from instruments.drivers.protocols import Arm, Bath, Cameras, Stage
-    from instruments.errors import (
-        DeviceError,
-        InstrumentError,
-        LimitError,
-        LinkError,
-        ProtocolError,
-    )
-    from instruments.link import Link
-
-__all__ = [
-    "Arm", "ArmDriver", "ArmPoint", "Bath", "BathDriver", "BathReading", "BathState", "Camera",
-    "CameraGroup", "Cameras", "CaptureError", "CaptureFile", "Clock", "DeviceError", "FrameError",
-    "FrameFault", "InstrumentError", "LimitError", "Link", "LinkError", "MakersCalibration",
-    "MakersLens", "ProtocolError", "Ranging", "RawFrame", "RealClock", "Stage", "StageDriver",
-    "StageState", "VirtualClock",
-]  # fmt: skip
-__getattr__ = lazily(__name__, __file__)
+# by the module that has them; type checkers read __init__.pyi
+PLACES = {
+    "instruments.bath.reading": ("BathReading",),
+    "instruments.camera.frame": ("FrameError", "FrameFault", "Ranging", "RawFrame"),
+    "instruments.captures.capture": ("CaptureError", "CaptureFile"),
+    "instruments.clock": ("Clock", "RealClock", "VirtualClock"),
+    "instruments.drivers.plugin": (
+        "ArmDriver", "ArmPoint", "BathDriver", "BathState", "Camera", "CameraGroup",
+        "MakersCalibration", "MakersLens", "StageDriver", "StageState",
+    ),
+    "instruments.drivers.protocols": ("Arm", "Bath", "Cameras", "Stage"),
+    "instruments.errors": (
+        "DeviceError", "InstrumentError", "LimitError", "LinkError", "ProtocolError",
+    ),
+    "instruments.link": ("Link",),
+}  # fmt: skip
+__all__ = [name for names in PLACES.values() for name in names]
+__getattr__ = lazily(__name__, PLACES)

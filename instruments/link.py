@@ -139,6 +139,10 @@ class Link:
             except ValueError as error:
                 raise LinkError(self.who, str(error), hint="Correct the port's URL.") from error
             self._port = _SerialPort(place, self.who, self.baud, settings)
+        if isinstance(self.clock, VirtualClock) and isinstance(self._port, _TcpPort | _SerialPort):
+            self._port.close()
+            what, hint = "virtual time can't wait for a device", "Give it a RealClock()."
+            raise LinkError(self.who, what, hint=hint)
         self._is_open = self.connected = True
         self._tap.opened(self.url)
 

@@ -25,6 +25,8 @@ class Bounds:
         return self.above < number < self.below and number >= self.least
 
 
+NUMBER = Bounds("a number")
+WHOLE = Bounds("a whole number", whole=True)
 ABOVE_0 = Bounds("a number above 0", above=0.0)
 COUNT = Bounds("a whole number of 1 or more", least=1, whole=True)
 FROM_0 = Bounds("a whole number of 0 or more", least=0, whole=True)

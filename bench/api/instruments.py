@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.api.shots import AnyRig, load_rig
+from bench.arguments import lent
 from bench.calibrate.arm import open_arm as open_session
 from bench.config import ConfigError, check_within, read_text, writing
 from bench.record.recording import RecordingWriter
@@ -70,7 +71,8 @@ def open_arm(
     with open_session(url, baud, answer_s, capture) as session:
         if homed:
             session.arm.confirm_homed()
-        yield session.arm
+        with lent(session.arm, "arm") as arm:
+            yield arm
 
 
 def watch_arm(arm: Arm, every_s: float = 0.2) -> Generator[ArmView, None, None]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 
 from bench.api.shots import AnyRig, Shot, load_rig
-from bench.arguments import guarded_methods
+from bench.arguments import Lent
 from bench.config import ConfigError, check_within, several
 from bench.record.recording import TruthRow
 from bench.rig.devices import Devices
@@ -44,7 +44,6 @@ INSIDE = "Use it inside of its with block: with open_rig(…) as rig."
 Opened = TypeVar("Opened")
 
 
-@guarded_methods
 class OpenRig:
     """The instruments of a rig, opened by `open_rig`. What isn't opened raises LimitError, as does
     any use after the rig was left.
@@ -52,7 +51,7 @@ class OpenRig:
 
     def __init__(self, loaded: LoadedRig, devices: Devices, warn: Callable[[str], None]) -> None:
         self.loaded, self._devices, self._warn = loaded, devices, warn
-        self._left = False
+        self._left, self._lent = False, dict[str, Lent]()
         self._stands: Arrangement | None = None
         self._visible: tuple[bool, ...] = ()
         # where homing leaves the plate nobody says
@@ -186,19 +185,26 @@ class OpenRig:
         self, x_mm: float = 0.0, y_mm: float = 0.0, *, z_mm: float = 0.0, yaw_deg: float = 0.0
     ) -> None:
         """Move the phantom's plate by the stage, from its reference place. Raises LimitError for
-        what the stage has no axis for, and as the stage's ``move_to``.
+        what is out of reach or has no axis, and as the stage's ``move_to``.
         """
         table, stage = self.loaded.rig.stage, self.stage
         if table is None:
             raise LimitError("stage", "this rig has no stage", asked="move")
-        pose = PlatePose(x_mm, y_mm, z_mm, float(np.radians(yaw_deg)))
-        for axis, amount in (("Z", z_mm), ("A", yaw_deg)):
-            if amount and axis not in table.axes:
-                raise LimitError("stage", f"it has no axis {axis}", asked="move")
         self.check()
         if not stage.homed:
             raise LimitError("stage", "it is not homed", asked="move", hint="Call home() first.")
-        stage.move_to(**table.machine(pose), feed_mm_min=table.feed_mm_per_min)
+        pose = PlatePose(x_mm, y_mm, z_mm, float(np.radians(yaw_deg)))
+        place, given = table.machine(pose), (x_mm, y_mm, z_mm, yaw_deg)
+        for axis, key, wanted in zip("XYZA", ("x_mm", "y_mm", "z_mm", "a_deg"), given, strict=True):
+            if wanted and key not in place:
+                raise LimitError("stage", f"it has no axis {axis}", asked="move")
+            if key in place and not (travel := stage.limits[axis]).hold(round(place[key], 3)):
+                low, high = (end - place[key] + wanted for end in (travel.low_mm, travel.high_mm))
+                what = (
+                    f"{key.replace('a_', 'yaw_')} = {wanted:g} is out of reach, {low:g} to {high:g}"
+                )
+                raise LimitError("stage", what, asked="move", hint="From its reference place.")
+        stage.move_to(**place, feed_mm_min=table.feed_mm_per_min)
         self._pose = pose
         self.check()
 
@@ -236,9 +242,8 @@ class OpenRig:
         if not self.arm.homed:
             raise LimitError("arm", "it is not homed", asked="touch", hint="Call home() first.")
         if self._stands is None:
-            raise LimitError(
-                "arm", "nothing was set up that could be touched", hint="Call set_up()."
-            )
+            what = "nothing was set up that could be touched"
+            raise LimitError("arm", what, hint="Call set_up().")
         if self._pose is None:
             what = "nobody knows where the plate stands: it was not moved since the stage was homed"
             raise LimitError("stage", what, hint="Call move(), to the reference place or another.")
@@ -246,13 +251,8 @@ class OpenRig:
         if teat is not None and not 1 <= teat <= len(stands.phantom.teats):
             what = f"there is no teat {teat}: the phantom has {len(stands.phantom.teats)}, from 1"
             raise LimitError("arm", what, asked="touch")
-        toucher = Toucher(
-            lambda request: self.operator.ask(request, self.check),
-            self.tip,
-            self.loaded.rig.arm,
-            self.clock,
-            self.check,
-        )
+        ask = lambda request: self.operator.ask(request, self.check)  # noqa: E731
+        toucher = Toucher(ask, self.tip, self.loaded.rig.arm, self.clock, self.check)
         ends: Ends = ends_of(stands.phantom.moved(self._pose))
         if teat is None:
             points, _ = toucher.touch_all(ends)
@@ -285,16 +285,12 @@ class OpenRig:
         """
         self.end_watch()  # else a heater that is off is a stranger's doing
         said: list[str] = []
-        wanted = [name for name in self._open if name != "arm" or not keep_arm]
+        wanted = [one for one in ("bath", "stage", "arm") if getattr(self.devices, one)]
+        wanted += ["pump"] * ("bath" in wanted)
+        wanted = [name for name in wanted if name != "arm" or not keep_arm]
         unsafe = self.devices.make_safe(said.append, only=wanted)
         if unsafe:
             raise DeviceError("rig", "; ".join(said), asked="safe", hint=" ".join(unsafe.values()))
-
-    @property
-    def _open(self) -> tuple[str, ...]:
-        names = ("bath", "stage", "arm")
-        there = tuple(name for name in names if getattr(self.devices, name))
-        return (*there, "pump") if "bath" in there else there
 
     def end_watch(self) -> None:
         """No further readings of the bath."""
@@ -310,7 +306,7 @@ class OpenRig:
         if device is None:
             what = f"this rig has no {name}, or it was not opened"
             raise LimitError("rig", what, hint=f'Name it: open_rig(…, instruments=("{name}",)).')
-        return device
+        return cast(Opened, self._lent.setdefault(name, Lent(device, lambda: self.devices)))
 
 
 def rig_notes(rig: AnyRig) -> Iterator[str]:
@@ -358,6 +354,6 @@ def open_rig(
     ) as devices:
         opened = OpenRig(loaded, devices, warn)
         try:
-            yield opened
+            yield cast(OpenRig, Lent(opened, lambda: opened.devices))
         finally:
             opened.leave()

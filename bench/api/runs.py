@@ -25,6 +25,7 @@ from bench.run.events import Progress
 from bench.run.resume import ASKED, files_of
 from bench.script.model import TRIALS, LoadedScript, find_script
 from bench.script.model import load_script as load_script_file
+from detector.protocol import Detector
 from instruments.captures.capture import CaptureFile
 from textfiles.bounds import FROM_0, SPEED
 
@@ -213,7 +214,7 @@ def resume_run(
 
 def score_recording(
     recording: Path | str,
-    detectors: Sequence[str] = ("fused",),
+    detectors: Sequence[str | Detector] = ("fused",),
     *,
     out: Path | str = OUT,
     progress: Progress | None = None,

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+from bench.arguments import lent
 from bench.campaign.chunk import LIMIT_MM
 from bench.config import ConfigError, check_within, wrong_use
 from bench.record.recording import TruthRow
@@ -127,9 +128,15 @@ def detectors() -> dict[str, str]:
 def open_detector(
     detector: str | Detector, calibration: Calibration | None = None
 ) -> Iterator[Detector]:
-    """A detector by name, file or ``exec:COMMAND``, its process ended in the end. Raises
-    ConfigError, also where it can't be used with the rig of ``calibration``.
+    """A detector by name, file or ``exec:COMMAND``, its process ended in the end, and not to be
+    used then. Raises ConfigError, also where it can't be used with the rig of ``calibration``.
     """
+    with _opened(detector, calibration) as used, lent(used, "detector") as given:
+        yield given if isinstance(detector, str) else used
+
+
+@contextmanager
+def _opened(detector: str | Detector, calibration: Calibration | None) -> Iterator[Detector]:
     named = [detector] if isinstance(detector, str) else []
     made = make_detectors(named, gives_up=False)
     used = detector if not isinstance(detector, str) else made[0]
@@ -148,7 +155,7 @@ def detect(detector: str | Detector, shot: Shot, *, timeout_s: float | None = No
     for a detector that isn't there.
     """
     check_within(ABOVE_0, timeout_s=timeout_s)
-    with open_detector(detector) as asked:
+    with _opened(detector, None) as asked:
         if isinstance(asked, DetectorProcess):
             asked.most_s = timeout_s or math.inf
         limit_s = timeout_s or TIMEOUT_S

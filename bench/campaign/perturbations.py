@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict
 
-from bench.config import did_you_mean
+from bench.config import ArgumentError, did_you_mean
 from bench.rig import moved
 from bench.scoring.errors import Floats
 from detector.calibration import Calibration
@@ -26,6 +26,7 @@ from detector.geometry import Motion
 from instruments.camera.frame import FrameSet, Grey
 from instruments.world.shading import Lighting
 from instruments.world.state import SceneState
+from textfiles.bounds import NUMBER
 
 Chance = np.random.Generator
 # optical: left and right, one after the other; rig: the cameras, drawn by and stated alike
@@ -56,7 +57,7 @@ class Kind:
 
 @dataclass(frozen=True, slots=True)
 class Applied:
-    """A perturbation of a plan. Raises ValueError for an unknown name or amount out of range."""
+    """A perturbation of a plan. Raises ArgumentError for an unknown name or amount out of range."""
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
@@ -64,26 +65,27 @@ class Applied:
     amount: float
 
     def __post_init__(self) -> None:
-        kind = KINDS.get(self.name)
+        kind = KINDS.get(self.name) if isinstance(self.name, str) else None
         if kind is None:
-            hint, there = did_you_mean(self.name, KINDS), ", ".join(KINDS)
-            raise ValueError(f"there is no perturbation {self.name!r}{hint} (there are: {there})")
-        if not kind.low <= self.amount <= kind.high:
-            raise ValueError(
-                f"{self.name} has to be from {kind.low:g} to {kind.high:g} {kind.unit}, is"
-                f" {self.amount:g}"
-            )
+            hint, there = did_you_mean(str(self.name), KINDS), ", ".join(KINDS)
+            said = f"there is no perturbation {self.name!r}{hint} (there are: {there})"
+            raise ArgumentError.plain(said)
+        if not (NUMBER.has(self.amount) and kind.low <= self.amount <= kind.high):
+            ends = f"{kind.low:g} to {kind.high:g} {kind.unit}".strip()
+            given = f"{self.amount:g}" if isinstance(self.amount, float) else repr(self.amount)
+            raise ArgumentError.plain(f"{self.name} has to be from {ends}, is {given}")
 
     @classmethod
     def parse(cls, text: str) -> Applied:
-        """Of ``vergence=0.1``. Raises ValueError."""
+        """Of ``vergence=0.1``. Raises ArgumentError."""
         name, _, amount = text.partition("=")
         try:
             number = float(amount)
         except ValueError:
             number = float("nan")
         if number != number:
-            raise ValueError(f"{text!r}: a perturbation is NAME=AMOUNT, such as vergence=0.1")
+            why = f"{text!r}: a perturbation is NAME=AMOUNT, such as vergence=0.1"
+            raise ArgumentError.plain(why)
         return cls(name.strip(), number)
 
     def state(self, state: SceneState, seeds: Sequence[int]) -> SceneState:

@@ -12,6 +12,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
+from bench.arguments import lent
 from bench.config import ConfigError, checked, did_you_mean
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.frame_capture import FrameChecks
@@ -210,7 +211,8 @@ def open_stage(
         stage = devices.stage
         assert stage  # noqa: S101 - it was asked for
         stage.connect()
-        yield stage
+        with lent(stage, "stage") as given:
+            yield given
 
 
 def bath_profile(name: str) -> Profile:
@@ -244,10 +246,13 @@ def open_bath(
     rig = rig_of(
         of, bath=BathTable.model_construct(url=url, profile="", allow_inferred=allow_inferred)
     )
-    with open_instruments(
-        rig, ("bath",), capture=capture, identify=identify, leave_running=leave_running
-    ) as devices:
-        yield cast(Bath, devices.bath)  # a profile's rows are spoken by no other
+    with (
+        open_instruments(
+            rig, ("bath",), capture=capture, identify=identify, leave_running=leave_running
+        ) as devices,
+        lent(cast(Bath, devices.bath), "bath") as bath,
+    ):  # no other speaks profile rows
+        yield bath
 
 
 def describe_stage(stage: Stage) -> dict[str, object]:

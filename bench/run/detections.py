@@ -12,14 +12,14 @@ from bench.config import ConfigError, read_calibration
 from bench.record.recording import Recording, RecordingError
 from bench.results.answers import Answer, Examiner, close_detectors, one_line
 from bench.script.detectors import make_detectors, refusals
-from detector.protocol import Detection, Outcome
+from detector.protocol import Detection, Detector, Outcome
 from instruments.camera.frame import FrameSet
 
 SHOWN_LINES = 5
 
 
 def detect_recording(
-    path: Path | str, names: Sequence[str]
+    path: Path | str, names: Sequence[str | Detector]
 ) -> Iterator[tuple[dict[str, Any], str]]:
     """For each frame and detector the JSON line of the recording format, and a sentence."""
     detectors = make_detectors(names)

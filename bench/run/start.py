@@ -469,7 +469,9 @@ def _guarded_instruments(
         yield devices, heartbeat, guardian
 
 
-def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequence[str]) -> Path:
+def score_recording(
+    path: Path, out: Path, progress: Progress, detectors: Sequence[str | Detector]
+) -> Path:
     """Score detectors over a recording; the run's folder. Raises ConfigError, RecordingError."""
     check_pack(path)
     under_test, recording, path = make_detectors(detectors), Recording(path), path.resolve()

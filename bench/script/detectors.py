@@ -52,12 +52,15 @@ class DetectorFile(Section):
 
 
 def make_detectors(
-    names: Sequence[str], folder: Path = Path(), *, gives_up: bool = True
+    names: Sequence[str | Detector], folder: Path = Path(), *, gives_up: bool = True
 ) -> list[Detector]:
-    """The detectors of these names, files from ``folder``; without ``gives_up`` a program is
-    restarted after any number of faults. Raises ConfigError.
+    """The detectors of these names, files from ``folder``, and those that are made already; without
+    ``gives_up`` a program is restarted after any number of faults. Raises ConfigError.
     """
-    made = [_make(name, folder, gives_up) for name in dict.fromkeys(several("detectors", names))]
+    given = several("detectors", names)
+    named = dict.fromkeys(one for one in given if isinstance(one, str))
+    made = [_make(name, folder, gives_up) for name in named]
+    made += [one for one in given if not isinstance(one, str)]
     for detector in made:
         if sum(other.name == detector.name for other in made) > 1:
             raise ConfigError.plain(

@@ -2,21 +2,16 @@
 hypothesis: a name is loaded when it is first used.
 """
 
-from typing import TYPE_CHECKING
-
 from textfiles.lazy import lazily
 
-if TYPE_CHECKING:
-    from bench.campaign.perturbations import Applied
-    from bench.testing.checking import Look, SceneFailedError, check, look
-    from bench.testing.found import keep
-    from bench.testing.plugins import check_driver, drivers
-    from bench.testing.scene import Object, Pose, Scene, Teat
-    from bench.testing.strategies import layouts, objects, perturbations, poses, scenes
-
-__all__ = [
-    "Applied", "Look", "Object", "Pose", "Scene", "SceneFailedError", "Teat", "check",
-    "check_driver", "drivers", "keep", "layouts", "look", "objects", "perturbations", "poses",
-    "scenes",
-]  # fmt: skip
-__getattr__ = lazily(__name__, __file__, "bench.arguments")
+# by the module that has them; type checkers read __init__.pyi
+PLACES = {
+    "bench.campaign.perturbations": ("Applied",),
+    "bench.testing.checking": ("Look", "SceneFailedError", "check", "look"),
+    "bench.testing.found": ("keep",),
+    "bench.testing.plugins": ("check_driver", "drivers"),
+    "bench.testing.scene": ("Object", "Pose", "Scene", "Teat"),
+    "bench.testing.strategies": ("layouts", "objects", "perturbations", "poses", "scenes"),
+}  # fmt: skip
+__all__ = [name for names in PLACES.values() for name in names]
+__getattr__ = lazily(__name__, PLACES, "bench.arguments")

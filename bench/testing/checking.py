@@ -10,7 +10,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import cv2
 import numpy as np
@@ -45,6 +45,20 @@ class Look:
     fault: str
 
 
+class Neighbourhood(NamedTuple):
+    """Scenes one step away: those that fail, looked at, there; and the plainest that passes."""
+
+    failing: int
+    of: int
+    there: int
+    passing: Scene | None
+
+    def __str__(self) -> str:
+        sample = "" if self.of == self.there else f" looked at, a sample of {self.there},"
+        passes = f"; {self.passing!r} passes" if self.passing else ""
+        return f"{self.failing} of {self.of} scenes one step away{sample} fail too{passes}."
+
+
 class SceneFailedError(AssertionError):
     """A detector failed on a scene, which hypothesis makes simpler."""
 
@@ -55,17 +69,20 @@ class SceneFailedError(AssertionError):
         self.detector, self.scene, self.look = detector, scene, look
         self.limit_mm, self.rig = limit_mm, rig
 
-    def neighbourhood(self) -> tuple[int, int]:
-        """How many of the scenes one step away fail too, and of how many: `NEIGHBOURS` at most,
-        evenly of all.
+    def neighbourhood(self) -> Neighbourhood:
+        """How many of the scenes one step away fail too: of `NEIGHBOURS` at most, those that are
+        plainer first, and evenly of the others.
         """
-        looks, near = [], self.scene.neighbours()
-        for one in near[:: -(-len(near) // NEIGHBOURS) or 1]:
-            try:
-                looks.append(look(self.detector, one, self.limit_mm, rig=self.rig))
-            except ConfigError:  # too near a camera
-                continue
-        return sum(bool(one.fault) for one in looks), len(looks)
+        looks, near = list[tuple[Scene, Look]](), self.scene.neighbours()
+        plainer = [one for one in near if one.differences() < self.scene.differences()]
+        others = [one for one in near if one not in plainer]
+        each = -(-len(others) // max(1, NEIGHBOURS - len(plainer))) or 1
+        for one in (*plainer, *others[::each]):
+            with suppress(ConfigError):  # too near a camera
+                looks.append((one, look(self.detector, one, self.limit_mm, rig=self.rig)))
+        passed = sorted((one for one, seen in looks if not seen.fault), key=Scene.differences)
+        failing = len(looks) - len(passed)
+        return Neighbourhood(failing, len(looks), len(near), next(iter(passed), None))
 
     def picture(self) -> NDArray[np.uint8]:
         """Left, right and thermal picture beside each other (BGR); green circles are the true ends,

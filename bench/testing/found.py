@@ -29,15 +29,16 @@ HEADING = (
 
 def write_found(error: SceneFailedError, folder: Path) -> Path:
     """Write the scene, its picture and a test of it alone into ``folder``. Raises OSError."""
-    failing, of = error.neighbourhood()
+    near = error.neighbourhood()
     table = {
         "detector": name_of(error.detector),
         "fault": error.look.fault,
         "limit_mm": error.limit_mm,
         "rig": error.rig,
         "frames": digest_of_frames(error.scene.draw(error.rig).frames),
-        "neighbours": of,
-        "neighbours_failing": failing,
+        "neighbours": near.there,
+        "neighbours_looked_at": near.of,
+        "neighbours_failing": near.failing,
         "scene": TypeAdapter(Scene).dump_python(error.scene, mode="json", exclude_defaults=True),
     }
     folder.mkdir(parents=True, exist_ok=True)

@@ -199,8 +199,7 @@ def pytest_runtest_makereport(
         from bench.testing.found import folder_name, write_found
 
         error = call.excinfo.value
-        failing, of = error.neighbourhood()
-        text = f"{error}\n{failing} of {of} scenes one step away fail too.\n\n{error.lines()}"
+        text = f"{error}\n{error.neighbourhood()}\n\n{error.lines()}"
         try:
             folder = write_found(error, item.config.option.found_scenes / folder_name(item.name))
             text += f"\nPicture: {folder / 'scene.png'}"

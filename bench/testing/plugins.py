@@ -19,6 +19,7 @@ from instruments.drivers.camera import PluggedCamera, PluggedGroup
 from instruments.drivers.entry_points import Kind, Plugin, PluginUrl, available, load
 from instruments.drivers.stage import PluggedStage
 from instruments.errors import InstrumentError, LimitError
+from instruments.listener import Device
 
 LATE_S = 1.0
 SET_POINT_C = 30.0
@@ -142,6 +143,17 @@ def _installed(driver: str, kind: Kind | None) -> tuple[Kind, Plugin, Callable[.
     return kinds[0], load(kinds[0], url), emulator
 
 
+def _emulated(emulator: Callable[..., Any], world: Any, clock: Clock) -> Device:
+    """Raises ConfigError for what makes no emulator, such as the driver itself."""
+    try:
+        made: Device = emulator(world, clock)
+        _ = made.connect, made.receive, made.disconnect
+    except Exception as error:
+        why = f"makes no emulator of a world and a clock: {type(error).__name__}: {error}"
+        raise ConfigError.plain(f"`emulator`: {emulator} {why}") from error
+    return made
+
+
 def check_driver(
     driver: str | Callable[..., Any],
     kind: Kind | None = None,
@@ -151,9 +163,9 @@ def check_driver(
     clock: Clock | None = None,
 ) -> Iterator[Finding]:
     """Each check on a driver: ``NAME`` or ``plugin:NAME?key=value`` of another package, on its
-    emulator where that has one and no key names a device; or a class of yours, of this ``kind``,
-    with its ``emulator``. ``works``: a device may heat and move; ``clock``: a virtual one is for
-    emulators, real time for None. Raises ConfigError.
+    emulator where that has one and no key names a device; or a class of yours of this ``kind``
+    (`functools.partial` gives it keys), with its ``emulator``. ``works``: a device may heat and
+    move; ``clock``: a virtual one is for emulators, real time for None. Raises ConfigError.
     """
     with ExitStack() as stack:
         time = clock or stack.enter_context(closing(RealClock()))
@@ -161,14 +173,15 @@ def check_driver(
             if isinstance(driver, str):
                 of, plugged, emulator = _installed(driver, kind)
             elif kind:
-                of, plugged = kind, Plugin(driver.__name__, "this program", driver)
+                name = getattr(driver, "__name__", kind)  # a partial has none
+                of, plugged = kind, Plugin(name, "this program", driver)
             else:
                 raise ValueError(f"`kind` is needed of a class: {', '.join(plugs.KINDS)}")
         except (LimitError, ValueError) as error:
             raise ConfigError.plain(str(error)) from error
         if emulator:
             world = stack.enter_context(emulated_world(time))
-            made = lambda: OnEmulator(of, plugged, time, emulator(world, time))  # noqa: E731
+            made = lambda: OnEmulator(of, plugged, time, _emulated(emulator, world, time))  # noqa: E731
             yield from conform(made)
         else:
             yield from conform(lambda: OfPlugin(of, plugged, time, works=works))

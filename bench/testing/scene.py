@@ -8,12 +8,14 @@ import inspect
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import MISSING, dataclass, fields, replace
-from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar
+from functools import cache
+from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar, get_type_hints
 
 from bench.api.shots import AnyRig, Shot, draw
+from bench.arguments import fits, words
 from bench.campaign.perturbations import KINDS as PERTURBATIONS
 from bench.campaign.perturbations import Applied
-from bench.config import wrong_use
+from bench.config import ArgumentError, short, wrong_use
 from bench.rig.scenes import teat_temp_c
 from instruments.world.backdrop import Backdrop
 from instruments.world.objects import KINDS, make_object
@@ -32,6 +34,7 @@ WATER_C, ROOM_C = 33.0, 20.0
 # teats and the board behind them
 PAINTS = {"dark": (Paint(0.07, 0.05), 0.55), "skin": (Paint(0.45, 0.1), 0.15)}
 Part = TypeVar("Part")
+_hints = cache(get_type_hints)
 NOISES = 4  # neighbours that differ in noise alone
 
 
@@ -55,6 +58,14 @@ class _Differences:
     """What scene, teat, pose and object have in common."""
 
     STEPS: ClassVar[dict[str, Steps]]
+
+    def __post_init__(self) -> None:
+        of = _hints(type(self))  # type: ignore[arg-type]
+        for name in (one.name for one in fields(self)):
+            if not fits(value := getattr(self, name), of[name]):
+                raise ArgumentError.plain(f"{name} is {short(repr(value))}, not {words(of[name])}")
+            if isinstance(value, list):  # is a key of what was looked at
+                object.__setattr__(self, name, tuple(value))
 
     def __repr__(self) -> str:
         shown = [
@@ -98,8 +109,9 @@ class Teat(_Differences):
     lean_away_deg: float = 0
     cooler_k: float = 0
 
+    @wrong_use()
     def at(self, place_mm: tuple[float, float]) -> Standing:
-        """Raises ValueError for a shape that can't be."""
+        """Raises ConfigError for a shape that can't be."""
         x, y = place_mm
         shape = TeatShape(LENGTH_MM + self.longer_mm, RADIUS_MM + self.thicker_mm)
         lean = math.radians(self.lean_deg), math.radians(self.lean_away_deg)
@@ -125,8 +137,9 @@ class Object(_Differences):
     warmer_k: float = 0
     lighter_percent: float = 0
 
+    @wrong_use()
     def placed(self) -> Placed:
-        """Raises ValueError for a kind that isn't known."""
+        """Raises ConfigError for a kind that isn't known."""
         if self.kind not in KINDS:
             return make_object(self.kind)
         shape, (_, offset_k, albedo, _, _) = KINDS[self.kind]
@@ -167,8 +180,9 @@ class Scene(_Differences):
         return more + sum(map(_Differences.differing, parts))
 
     @property
+    @wrong_use()
     def situation(self) -> Situation:
-        """What stands where. Raises ValueError for what can't be."""
+        """What stands where. Raises ConfigError for what can't be."""
         if not 0 < len(self.teats) <= len(PLACES_MM):
             raise ValueError(f"a scene has 1 to {len(PLACES_MM)} teats, this one {len(self.teats)}")
         paint, board = PAINTS[self.paint]
@@ -190,8 +204,9 @@ class Scene(_Differences):
             teat_paint=paint,
         )
 
+    @wrong_use()
     def state(self) -> SceneState:
-        """With its temperatures: the bath at 33 degC. Raises ValueError for what can't be drawn."""
+        """With its temperatures: the bath at 33 degC. Raises ConfigError for what can't be."""
         return self._warm(self.situation)
 
     def _warm(self, situation: Situation) -> SceneState:
@@ -204,9 +219,7 @@ class Scene(_Differences):
         """Its pictures by the emulated cameras of ``rig``, and the truth. Raises ConfigError for
         what can't be, or is too near a camera.
         """
-        with wrong_use():
-            state = self.state()
-        return draw(state, self.noise, rig=rig, perturbations=self.perturbations)
+        return draw(self.state(), self.noise, rig=rig, perturbations=self.perturbations)
 
     def faults(self) -> tuple[str, ...]:
         """What keeps it from being set up on a bench, in words."""

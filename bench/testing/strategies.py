@@ -6,16 +6,16 @@ at most one of its objects, pictures as the cameras take them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache, partial
-from operator import attrgetter
 from typing import Any, TypeVar
 
 from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn, SearchStrategy
 
 from bench.campaign.perturbations import Applied
+from bench.config import ConfigError, check_within, did_you_mean
 from bench.testing.scene import (
     AMOUNTS,
     PAINTS,
@@ -28,6 +28,7 @@ from bench.testing.scene import (
     Teat,
 )
 from instruments.world.objects import KINDS
+from textfiles.bounds import FROM_0
 
 T = TypeVar("T", Teat, Pose, Object, Scene)
 P = TypeVar("P", Teat, Pose, Object)
@@ -38,7 +39,9 @@ SHARES = (1.0, 0.5, 0.25, 0.0)  # most of what is drawn at once has one teat bef
 def layouts(
     least: int = 1, most: int = len(PLACES_MM), *, published: bool = False
 ) -> SearchStrategy[tuple[Teat, ...]]:
-    """Teats of a `Scene`, each at a place of its own; one that can't stand so comes nearer."""
+    """1 to 4 teats of a `Scene`, each at its place; one that can't stand so comes nearer."""
+    if not 1 <= least <= most <= len(PLACES_MM):
+        raise ConfigError.plain(f"`least`, `most`: {least}, {most} is no span from 1 to 4")
     least = most if published else least
     teat = _numbers(Teat(), published=published)
     teats: SearchStrategy[list[Teat]] = st.lists(teat, min_size=least, max_size=most)
@@ -52,6 +55,7 @@ def poses() -> SearchStrategy[Pose]:
 
 def objects(*kinds: str, published: bool = False) -> SearchStrategy[Object]:
     """A thing of one of these kinds, of any without one."""
+    _there("kinds", kinds, KINDS)
     known = kinds or (PUBLISHED_KINDS if published else tuple(KINDS))
     return st.sampled_from(known).flatmap(lambda kind: _object(kind, published))
 
@@ -63,7 +67,15 @@ def _object(kind: str, published: bool) -> SearchStrategy[Object]:
 
 def perturbations(*names: str) -> SearchStrategy[Applied]:
     """What is done to pictures or calibration: one of these names, of any without one."""
+    _there("names", names, AMOUNTS)
     return st.sampled_from(names or tuple(AMOUNTS)).flatmap(_amounts)
+
+
+def _there(argument: str, given: Sequence[str], known: Mapping[str, object]) -> None:
+    for one in given:
+        if one not in known:
+            near, there = did_you_mean(one, known), ", ".join(known)
+            raise ConfigError.plain(f"`{argument}`: there is no {one!r}{near} (there are: {there})")
 
 
 @st.composite
@@ -81,6 +93,7 @@ def scenes(
     """A scene that can be set up; its parts by strategies of their own where these are given. What
     can't stand, or is out of reach, comes nearer to its plain place, or is left out.
     """
+    check_within(FROM_0, most_objects=most_objects, most_perturbations=most_perturbations)
     of_layouts, of_poses, of_objects, of_perturbations = _usual(published)
     found = Scene(draw(of_layouts if layouts is None else layouts))
     if published:
@@ -111,7 +124,9 @@ def _usual(published: bool) -> tuple[SearchStrategy[Any], ...]:
 @lru_cache(maxsize=64)
 def _several(of: SearchStrategy[S], most: int, once: str = "") -> SearchStrategy[list[S]]:
     """``once``: what differs between them."""
-    return st.lists(of, max_size=most, unique_by=attrgetter(once) if once else None)
+    return st.lists(
+        of, max_size=most, unique_by=(lambda one: getattr(one, once, one)) if once else None
+    )
 
 
 def _standing(teats: Sequence[Teat]) -> tuple[Teat, ...]:
@@ -125,6 +140,7 @@ def _standing(teats: Sequence[Teat]) -> tuple[Teat, ...]:
 
 def _nearest(found: Scene, part: P, put: Callable[[P, Scene], Scene]) -> Scene:
     """With ``part`` put as near to its plain place as it must be; without it if it can't stand."""
+    put(part, found)  # refuses what another strategy draws
     tried = (put(part.nearer(share), found) for share in SHARES)
     return next((one for one in tried if not one.faults()), found)
 

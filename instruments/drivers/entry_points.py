@@ -9,9 +9,11 @@ port of this machine. The driver gets the port as its key ``url``.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
+from inspect import signature
 from typing import Any, Literal
 from urllib.parse import parse_qsl, urlencode
 
@@ -62,7 +64,14 @@ class Plugin:
         return f"{PLUGIN}{self.name}" + (f"?{urlencode(self.keys)}" if self.keys else "")
 
     def make(self, *given: Any) -> Any:
-        """Open it with the clock, or an emulator's world and clock. Raises whatever it raises."""
+        """Open it with the clock, or an emulator's world and clock. LimitError: a key is wrong."""
+        with suppress(ValueError):  # one without a signature
+            try:
+                shape = signature(self.maker)
+                shape.bind(*given, **self.keys)
+            except TypeError as error:
+                known = ", ".join(list(shape.parameters)[len(given) :]) or "none"
+                raise LimitError(self.name, f"{error}", hint=f"{self} takes: {known}.") from error
         return self.maker(*given, **self.keys)
 
     def with_keys(self, **keys: str) -> Plugin:

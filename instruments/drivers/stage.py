@@ -59,16 +59,11 @@ class PluggedStage(StageCalls):
             raise LimitError(self.who, what, hint="Correct axes under [stage].")
         feed = border.call("feed", lambda stage: border.number(stage.feed_mm_min, "feed"))
         lows, highs = border.call("limits", lambda stage: self._ends(stage.limits))
-        feeds = tuple(feed for _ in self._letters)
-        identity = StageIdentity(
-            self._border.plugged.name,
-            ", ".join(f"{key} {value}" for key, value in who.items()),
-            self._border.plugged.source,
-            "",
-        )
+        version, plugged = ", ".join(f"{key} {value}" for key, value in who.items()), border.plugged
+        identity = StageIdentity(plugged.name, version, plugged.source, "")
         settings = StageSettings(
             travel_mm=tuple(np.subtract(highs, lows).tolist()),
-            rate_mm_min=feeds,
+            rate_mm_min=(feed,) * len(self._letters),
             accel_mm_s2=tuple(math.inf for _ in self._letters),
             steps_per_mm=tuple(1000.0 for _ in self._letters),
             homing_seek_mm_min=feed,

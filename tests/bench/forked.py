@@ -24,26 +24,10 @@ from tests.conftest import ROOT
 
 # modules by name: the server imports them, the tests need not
 PRELOADED = [
-    *(
-        "bench.cli.run",
-        "bench.cli.rig",
-        "bench.cli.calibrate",
-        "bench.cli.arm",
-        "bench.cli.dry_run",
-    ),
-    *(
-        "bench.report.page",
-        "bench.run.start",
-        "detector.fused.detector",
-        "detector.thesis.detector",
-    ),
-    *(
-        "matplotlib.backends.backend_svg",
-        "uvicorn",
-        "bench.console.app",
-        "tests.bench.marked_bench",
-    ),
-]
+    "bench.cli.run", "bench.cli.rig", "bench.cli.calibrate", "bench.cli.arm", "bench.cli.dry_run",
+    "bench.report.page", "bench.run.start", "detector.fused.detector", "detector.thesis.detector",
+    "matplotlib.backends.backend_svg", "uvicorn", "bench.console.app", "tests.bench.marked_bench",
+]  # fmt: skip
 
 
 def context() -> Any:

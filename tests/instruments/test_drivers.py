@@ -80,6 +80,13 @@ def test_a_broken_promise_is_found(mode: str, world: tuple[World, VirtualClock])
     assert all(any(check.startswith(name) for check in failed) for name in wrong), failed
 
 
+def test_wrong_keys_and_what_is_no_emulator_are_said() -> None:
+    with pytest.raises(LimitError, match=r"'ulr'.*takes: url"):
+        load("bath", PluginUrl("tank", {"ulr": "x"})).make(VirtualClock())
+    with pytest.raises(bench.ConfigError, match=r"^`emulator`: .*makes no emulator"):
+        list(check_driver(dict, "bath", emulator=str, clock=VirtualClock()))
+
+
 def test_a_device_that_nothing_can_be_done_to_is_not_checked() -> None:
     found = list(check_driver("plugin:tank?url=socket://127.0.0.1:9"))
     assert {one.outcome for one in found} == {"failed"}  # nobody is there

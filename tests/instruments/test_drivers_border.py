@@ -88,43 +88,12 @@ MAKES: dict[str, Callable[[Plugin, Any], Any]] = {
     "group": PluggedGroup,
 }
 RIGHT: dict[str, Mapping[str, Any]] = {
-    "bath": {
-        "range_c": (15.0, 60.0),
-        "step_k": 0.01,
-        "pump": "none",
-        "comms_loss": "hold",
-        "identity": {"is": "1"},
-        "read()": BathState(20.0, False, 30.0),
-        **dict.fromkeys(("start()", "standby()", "close()")),
-    },
-    "stage": {
-        "axes": "XY",
-        "feed_mm_min": 3000.0,
-        "identity": {"is": "1"},
-        "limits": {"X": (0.0, 300.0), "Y": (0.0, 300.0)},
-        "read()": StageState(PLACE, False, True),
-        **dict.fromkeys(("home()", "move()", "stop()", "close()")),
-    },
-    "arm": {
-        "homing": "h",
-        "touches": True,
-        "identity": {"serial_number": "1"},
-        "read()": ArmPoint(np.zeros(3), UP),
-        **dict.fromkeys(("touch()", "stop()", "close()")),
-    },
-    "camera": {
-        "identity": "c",
-        **dict.fromkeys(("prepare()", "begin()", "close()")),
-        "take()": RawFrame(GREY, 0.0, ranging=Ranging(1.0)),
-    },
-    "group": {
-        "identity": "g",
-        "parts": ("left", "right"),
-        "close()": None,
-        "capture()": {part: RawFrame(GREY, 0.0) for part in ("left", "right")},
-        "makers_calibration()": MakersCalibration({"left": LENS, "right": LENS}),
-    },
-}
+    "bath": {"range_c": (15.0, 60.0), "step_k": 0.01, "pump": "none", "comms_loss": "hold", "identity": {"is": "1"}, "read()": BathState(20.0, False, 30.0), **dict.fromkeys(("start()", "standby()", "close()"))},
+    "stage": {"axes": "XY", "feed_mm_min": 3000.0, "identity": {"is": "1"}, "limits": {"X": (0.0, 300.0), "Y": (0.0, 300.0)}, "read()": StageState(PLACE, False, True), **dict.fromkeys(("home()", "move()", "stop()", "close()"))},
+    "arm": {"homing": "h", "touches": True, "identity": {"serial_number": "1"}, "read()": ArmPoint(np.zeros(3), UP), **dict.fromkeys(("touch()", "stop()", "close()"))},
+    "camera": {"identity": "c", **dict.fromkeys(("prepare()", "begin()", "close()")), "take()": RawFrame(GREY, 0.0, ranging=Ranging(1.0))},
+    "group": {"identity": "g", "parts": ("left", "right"), "close()": None, "capture()": {part: RawFrame(GREY, 0.0) for part in ("left", "right")}, "makers_calibration()": MakersCalibration({"left": LENS, "right": LENS})},
+}  # fmt: skip
 CALLS: dict[str, Callable[[Any], list[Callable[[], object]]]] = {
     "bath": lambda d: [
         *(d.read, lambda: d.start(30.0), lambda: d.set_point(30.0), d.standby, d.safe),

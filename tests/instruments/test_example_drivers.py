@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import os
 import runpy
+import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -22,8 +25,10 @@ from instruments.clock import VirtualClock
 from instruments.drivers.arm import PluggedArm
 from instruments.drivers.camera import PluggedCamera, PluggedGroup
 from instruments.drivers.entry_points import Kind, Plugin
+from instruments.drivers.stage import PluggedStage
 from instruments.errors import DeviceError, LimitError, LinkError
 from tests.conftest import ROOT
+from tests.instruments.stage.test_stage_witnesses import QUICK
 
 Drivers = Callable[..., Plugin]
 
@@ -64,15 +69,9 @@ class Acquirer:
 
     def __init__(self) -> None:
         self.asked: list[str] = []
-        names: tuple[str, ...] = (
-            "DeviceVendorName",
-            "DeviceModelName",
-            "PixelFormat",
-            "ExposureTime",
-            "Gain",
-        )
-        names += ("ExposureAuto", "TriggerSelector", "TriggerMode", "TriggerSource")
-        nodes = SimpleNamespace(**{name: SimpleNamespace(value=name) for name in names})
+        names = "DeviceVendorName DeviceModelName PixelFormat ExposureTime Gain ExposureAuto"
+        names += " TriggerSelector TriggerMode TriggerSource"
+        nodes = SimpleNamespace(**{name: SimpleNamespace(value=name) for name in names.split()})
         nodes.TriggerSoftware = SimpleNamespace(execute=lambda: self.asked.append("exposed"))
         self.remote_device = SimpleNamespace(node_map=nodes)
 
@@ -195,16 +194,9 @@ class Pipeline:
 
 def test_a_group_of_a_realsense(driver: Drivers) -> None:
     device, devices = Pipeline(), [Pipeline()]
-    names: tuple[str, ...] = (
-        "infrared",
-        "depth",
-        "y8",
-        "z16",
-        "emitter_enabled",
-        "enable_auto_exposure",
-    )
-    names += ("exposure", "name", "firmware_version")
-    words = SimpleNamespace(serial_number="serial", **{name: name for name in names})
+    names = "infrared depth y8 z16 emitter_enabled enable_auto_exposure exposure name"
+    names += " firmware_version"
+    words = SimpleNamespace(serial_number="serial", **{name: name for name in names.split()})
     config = SimpleNamespace(enable_device=lambda _: None, enable_stream=lambda *_: None)
     rs = {
         **dict.fromkeys(("stream", "format", "option", "camera_info"), words),
@@ -259,11 +251,8 @@ class Robot:
     """A UR before a plane at ``contact_mm``, which it touches from above."""
 
     def __init__(self) -> None:
-        self.pose, self.speed, self.mode = (
-            np.array([0.1, 0.2, 0.3, np.pi, 0.0, 0.0]),
-            np.zeros(6),
-            1,
-        )
+        self.pose, self.speed = np.array([0.1, 0.2, 0.3, np.pi, 0.0, 0.0]), np.zeros(6)
+        self.mode = 1
         self.contact_mm, self.linked, self.stopped = 120.0, True, 0
 
     def getActualTCPPose(self) -> list[float]:  # noqa: N802 - RTDE's names
@@ -330,3 +319,103 @@ def test_an_arm_that_touches_by_itself_over_rtde(driver: Drivers) -> None:
     robot.linked = False
     with pytest.raises(LinkError, match="the link is lost"):
         arm.read()
+
+
+class ZaberAxis:
+    """A device and its axis, at once where it goes."""
+
+    device_address, place, flags = 1, 0, {"WR"}
+
+    def __init__(self) -> None:
+        self.device = self.settings = self.warnings = self
+        self.figures = {"limit.min": 0.0, "limit.max": 75_000.0, "maxspeed": 40_960.0}
+        self.get = self.figures.__getitem__
+        self.get_flags, self.get_axis = lambda: self.flags, lambda _: self
+        self.error: Exception | None = None
+
+    def generic_command(self, _: str) -> Any:
+        if self.error:
+            raise self.error
+        return SimpleNamespace(data=str(self.place), status="IDLE")
+
+    def home(self, *, wait_until_idle: bool) -> None:
+        self.place, self.flags = 0, set()
+
+    def move_absolute(self, place: int, *_: object, velocity: int, **more: object) -> None:
+        self.place, self.figures["velocity"] = place, velocity
+
+
+class ZaberError(Exception):
+    """The stand-ins' own."""
+
+    message = "as its library says"
+
+
+def test_a_stage_over_zaber_motion(driver: Drivers) -> None:
+    axes = [ZaberAxis(), ZaberAxis()]
+    chain = SimpleNamespace(get_device=lambda number: axes[number - 1], close=lambda: None)
+    chain.stop_all = lambda wait_until_idle: None
+    opened = SimpleNamespace(open_serial_port=lambda _: chain)
+    names = ("ConnectionClosed", "ConnectionFailed", "RequestTimeout", "SerialPortBusy", "BadData")
+    kinds = {f"{one}Exception": type(one, (ZaberError,), {}) for one in names}
+    errors = SimpleNamespace(MotionLibException=ZaberError, **kinds)
+    modules = {
+        "zaber_motion": {"Units": SimpleNamespace(NATIVE=""), "exceptions": errors},
+        "zaber_motion.ascii": {"Connection": opened},
+    }
+    keys = {"url": "COM5", "devices": "1,2.1", "microsteps": "250,500"}
+    plugged = driver("zaber_stage.py", "ZaberStage", modules, **keys)
+    passes("stage", plugged)
+    stage = PluggedStage(plugged, VirtualClock(), "XY")
+    stage.connect()
+    assert stage.limits["Y"].high_mm == 150.0
+    axes[1].flags = {"WH"}
+    with pytest.raises(LimitError, match="before homing"):
+        stage.move_to(10.0, 20.0)
+    stage.home()
+    stage.move_to(10.0, 20.0, feed_mm_min=600.0)
+    assert [one.place for one in axes] == [2500, 10_000]
+    assert [one.figures["velocity"] for one in axes] == [round(2500 * 1.6384), 8192]
+    axes[0].flags = {"FS"}
+    with pytest.raises(DeviceError, match="flags FS"):
+        stage.position()
+    axes[0].flags, axes[0].error = set(), kinds["RequestTimeoutException"]()
+    with pytest.raises(LinkError, match="as its library says"):
+        stage.position()
+    with pytest.raises(LimitError, match="2 devices and 1 microsteps"):
+        PluggedStage(plugged.with_keys(microsteps="250"), VirtualClock(), "XY").connect()
+
+
+# in a process of its own: the library's threads go on after its connections are closed
+ON_OUR_EMULATOR = """
+import json, sys
+from bench.testing.conformance import conform
+from bench.testing.plugins import OnEmulator
+from instruments.clock import RealClock
+from instruments.drivers.entry_points import Plugin
+from instruments.stage.emulator.board import StageEmulator
+from instruments.stage.emulator.store import ZABER
+from zaber_stage import ZaberStage
+
+keys, settings, clock = *map(json.loads, sys.argv[1:]), RealClock()
+settings = {int(number): value for number, value in settings.items()}
+device = lambda: StageEmulator(clock, settings=settings, dialect=ZABER)
+stage = Plugin("zaber", "this program", ZaberStage, keys)
+for found in conform(lambda: OnEmulator("stage", stage, clock, device())):
+    print(found.outcome, found.why)
+clock.close()
+"""
+
+
+@pytest.mark.slow
+def test_the_zaber_example_passes_on_our_emulator() -> None:
+    pytest.importorskip("zaber_motion", reason="the maker's library is not installed")
+    keys = {"devices": "1,2", "microsteps": "250,250"}
+    path = os.pathsep.join([str(ROOT / "docs" / "examples"), str(ROOT)])
+    ended = subprocess.run(
+        [sys.executable, "-c", ON_OUR_EMULATOR, *map(json.dumps, (keys, QUICK))],
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+    )
+    assert ended.stdout.split() == ["passed"] * len(CHECKS), ended.stdout + ended.stderr

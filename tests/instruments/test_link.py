@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -332,3 +333,10 @@ def test_a_far_end_that_sends_without_end_is_a_named_fault(kind: type[Clock]) ->
         link.write(b"?")
         with pytest.raises(ProtocolError, match="it sends without pause"):
             link.drain(0.1, at_most_s=60.0)
+
+
+def test_virtual_time_waits_for_no_device() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        url = f"socket://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(LinkError, match=r"virtual time can't wait .*RealClock"):
+            Link(url, VirtualClock(), who="arm")

@@ -94,25 +94,13 @@ DRAWINGS: dict[str, Draw] = {
     "slopes": lambda n: slope_intervals([_slope(f"quantity {k}", k % 2 == 0) for k in range(n)]),
     "latency": lambda n: latency_strip(_rng(n).uniform(0, 1, n), [1.0, 2.0]),
     "change": lambda n: change_scatter(_rng(n).uniform(0, 9, n), _rng(n + 1).uniform(0, 9, n), 5.0),
-    "drift": lambda n: error_drift(
-        np.arange(n), _rng(n).uniform(0, 9, n), 5.0, links=["#trial-001"] * n
-    ),
-    "teats": lambda n: teat_boxes(
-        [str(k) for k in range(min(n, 4))],
-        [_rng(k).uniform(0, 9, n) for k in range(min(n, 4))],
-        5.0,
-    ),
+    "drift": lambda n: error_drift(np.arange(n), _rng(n).uniform(0, 9, n), 5.0, links=["#trial-001"] * n),
+    "teats": lambda n: teat_boxes([str(k) for k in range(min(n, 4))], [_rng(k).uniform(0, 9, n) for k in range(min(n, 4))], 5.0),
     "axes": _axes,
-    "rates": lambda n: rate_intervals(
-        [f"family {k}" for k in range(n)], {"a": [(0.0, 0.0, 0.1)] * n, "b": [(0.5, 0.4, 0.6)] * n}
-    ),
-    "spreads": lambda n: error_spreads(
-        [f"family {k}" for k in range(n)], {"a": [(0.1, 0.2, 0.3, 1.0, 9.0)] * n}, 5.0
-    ),
-    "failures": lambda n: failure_map(
-        ("x (mm)", "y (mm)"), ((0.0, 5.0), (-1.0, 1.0)), [[n, n], [0, n]], [[n, 0], [0, n // 2]]
-    ),
-}
+    "rates": lambda n: rate_intervals([f"family {k}" for k in range(n)], {"a": [(0.0, 0.0, 0.1)] * n, "b": [(0.5, 0.4, 0.6)] * n}),
+    "spreads": lambda n: error_spreads([f"family {k}" for k in range(n)], {"a": [(0.1, 0.2, 0.3, 1.0, 9.0)] * n}, 5.0),
+    "failures": lambda n: failure_map(("x (mm)", "y (mm)"), ((0.0, 5.0), (-1.0, 1.0)), [[n, n], [0, n]], [[n, 0], [0, n // 2]]),
+}  # fmt: skip
 
 
 @pytest.mark.slow

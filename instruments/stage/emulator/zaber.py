@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from instruments.stage.emulator.controller import Controller, Work
 
 _COMMAND = re.compile(r"/(?:(\d+) ?)?(?:(\d+) ?)?(?:(\d+) ?)?([a-z][^:]*)?(?::([0-9A-F]{2}))?")
+_MOVE = re.compile(r"move (?:(min|max)|(?:(abs|rel) (-?\d+)))(?: (\d+))?")
 # the most serious first
 ORDER = ("FE", "FS", "WL", "WM", "WR", "WH", "NI")
 SPEED = 1.6384
@@ -85,14 +86,8 @@ class ZaberController(Controller):
                 return said is not None, said or "BADCOMMAND"
             case ["set", "maxspeed", value] if value.isdigit() and int(value):
                 self._maxspeed[at] = int(value)
-            case ["move", "abs", place] if re.fullmatch(r"-?\d+", place):
-                low, high = self._ends(at)
-                if not low <= int(place) <= high:
-                    return False, "BADDATA"
-                target = list(self.target_mm())
-                target[at] = int(place) / self.settings[100 + at]
-                self._flags[at] -= {"NI"}
-                self.go(tuple(target), self._maxspeed[at] / SPEED / self.settings[100 + at])
+            case ["move", *_] if moves := _MOVE.fullmatch(words):
+                return self._move(at, *moves.groups())
             case ["home"]:
                 self._to_home.append(at)
                 self._flags[at] -= {"NI"}
@@ -105,6 +100,20 @@ class ZaberController(Controller):
                 return True, " ".join([f"{len(flags):02d}", *flags])
             case _:
                 return False, "BADCOMMAND"
+        return True, "0"
+
+    def _move(
+        self, at: int, end: str | None, way: str | None, by: str | None, speed: str | None
+    ) -> tuple[bool, str]:
+        """To an end, or so many microsteps; a speed of its own is known from 7.25 on."""
+        (low, high), steps, target = self._ends(at), self.settings[100 + at], [*self.target_mm()]
+        starts = {"abs": 0, "rel": round(target[at] * steps), "min": low, "max": high}
+        place, pace = starts[end or way or ""] + int(by or 0), int(speed or self._maxspeed[at])
+        if not (low <= place <= high and pace > 0):
+            return False, "BADDATA"
+        target[at] = place / steps
+        self._flags[at] -= {"NI"}
+        self.go(tuple(target), pace / SPEED / steps)
         return True, "0"
 
     def _stop(self, at: int) -> None:

@@ -2,13 +2,15 @@
 
 import sys
 from pathlib import Path
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import pytest
 
 import bench
-from detector import Outcome
-from instruments import LimitError, LinkError
+from detector import Calibration, Detection, Frames, Outcome, registry
+from instruments import LimitError
+from tests.conftest import ROOT
 
 
 def test_an_end_needs_a_place_and_a_number_and_safe_ends_the_watch() -> None:
@@ -41,16 +43,40 @@ def test_what_is_not_homed_or_was_left_says_what_to_do() -> None:
             with pytest.raises(LimitError, match=r"it is not homed .*Call home\(\) first"):
                 early()
         rig.home()
+        drivers: tuple[Any, ...] = (stage, bath, rig.arm, rig.operator)
+        calls = (("move_to", ("x", 1.0)), ("start", (None,)), ("read", (0,)), ("ask", ("x",)))
+        for driver, (call, given) in zip(drivers, calls, strict=True):
+            with pytest.raises(bench.ConfigError, match=", not "):
+                getattr(driver, call)(*given)
+        with pytest.raises(LimitError, match="x_mm = 500 is out of reach, -150 to 150"):
+            rig.move(500.0)
         views = bench.watch_bath(bath, clock=rig.clock)
         assert [next(views).started for _ in range(2)] == [False, False]
     for act in (rig.home, rig.move, rig.capture, rig.touch, rig.safe, lambda: rig.heat(33.0)):
         with pytest.raises(LimitError, match=r"it was left, and is closed.*with block"):
             act()
-    for late in (bath.before_heating, stage.home):
-        with pytest.raises(LimitError, match="it was left: nothing is heated or moved"):
-            late()
-    with pytest.raises(LinkError, match="the link is closed"):
+    for name in ("read", "before_heating"):
+        with pytest.raises(LimitError, match="it was left, and is closed"):
+            getattr(bath, name)()
+    with pytest.raises(LimitError, match="it was left, and is closed"):
         stage.position()
+
+
+class Blind:
+    name, version = "blind", "1"
+    parameters: ClassVar[dict[str, object]] = {}
+
+    def detect(self, frames: Frames, calibration: Calibration) -> Detection:
+        return Detection(())
+
+
+def test_a_detector_is_an_object_too_and_none_behind_its_with_block() -> None:
+    (line, _), *_ = bench.detect_recording(ROOT / "tests" / "data" / "path_traced", [Blind()])
+    assert (line["detector"], line["teats"]) == ("blind", [])
+    with bench.open_detector("fused") as fused:
+        assert isinstance(fused, type(registry.create("fused")))
+    with pytest.raises(LimitError, match=r"^detector: it was closed at the end"):
+        cast(Any, fused).detect()
 
 
 def test_a_time_limit_ends_a_program_that_does_not_start(tmp_path: Path) -> None:

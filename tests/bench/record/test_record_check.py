@@ -77,73 +77,25 @@ def test_a_run_as_it_was_written_is_whole(run: Path) -> None:
 
 
 DAMAGE: dict[str, tuple[Damage, str]] = {
-    "a truth moved": (
-        sql("UPDATE truth SET x_mm = 1.5 WHERE trial = '002-x-1'"),
-        r"table truth, row 2 is not as written .*trial 002-x-1",
-    ),
-    "an event added": (
-        sql("INSERT INTO events VALUES (3, 1, 6.0, 'note', 'all good', '2020')"),
-        "table events, rows 3 to 3 .* added later",
-    ),
-    "a trial removed": (
-        sql(
-            *(
-                f"DELETE FROM {t} WHERE trial = '003-x-1'"
-                for t in ("found", "detections", "truth", "frames")
-            ),
-            "DELETE FROM trials WHERE number = 3",
-        ),
-        "table trials, row 3 is not as written",
-    ),
-    "a truth given back": (
-        sql("DELETE FROM invalidated"),
-        "table invalidated, row 1 is not as written",
-    ),
-    "a fact changed": (
-        sql("UPDATE facts SET value = '\"real\"' WHERE key = 'kind'"),
-        "fact 'kind' is not as written",
-    ),
-    "a fact added": (
-        sql("INSERT INTO facts VALUES ('wall_x', '1', NULL)"),
-        "fact 'wall_x' is in no link",
-    ),
+    "a truth moved": (sql("UPDATE truth SET x_mm = 1.5 WHERE trial = '002-x-1'"), r"table truth, row 2 is not as written .*trial 002-x-1"),
+    "an event added": (sql("INSERT INTO events VALUES (3, 1, 6.0, 'note', 'all good', '2020')"), "table events, rows 3 to 3 .* added later"),
+    "a trial removed": (sql(*(f"DELETE FROM {t} WHERE trial = '003-x-1'" for t in ("found", "detections", "truth", "frames")), "DELETE FROM trials WHERE number = 3"), "table trials, row 3 is not as written"),
+    "a truth given back": (sql("DELETE FROM invalidated"), "table invalidated, row 1 is not as written"),
+    "a fact changed": (sql("UPDATE facts SET value = '\"real\"' WHERE key = 'kind'"), "fact 'kind' is not as written"),
+    "a fact added": (sql("INSERT INTO facts VALUES ('wall_x', '1', NULL)"), "fact 'wall_x' is in no link"),
     "a fact removed": (sql("DELETE FROM facts WHERE key = 'ending'"), "fact 'ending' is missing"),
-    "a link changed": (
-        sql("UPDATE chain SET digest = wall_digest WHERE number = 4"),
-        "link 4 of the chain doesn't follow",
-    ),
-    "a link removed": (
-        sql("DELETE FROM chain WHERE number = 5"),
-        "link 6 of the chain doesn't follow",
-    ),
-    "a link that is no JSON": (
-        sql("UPDATE chain SET covers = '{' WHERE number = 4"),
-        "link 4 of the chain can't be read",
-    ),
-    "a row without its trial": (
-        sql("UPDATE frames SET trial = 'gone' WHERE rowid = 1"),
-        "table frames, row 1: what it refers to in trials",
-    ),
+    "a link changed": (sql("UPDATE chain SET digest = wall_digest WHERE number = 4"), "link 4 of the chain doesn't follow"),
+    "a link removed": (sql("DELETE FROM chain WHERE number = 5"), "link 6 of the chain doesn't follow"),
+    "a link that is no JSON": (sql("UPDATE chain SET covers = '{' WHERE number = 4"), "link 4 of the chain can't be read"),
+    "a row without its trial": (sql("UPDATE frames SET trial = 'gone' WHERE rowid = 1"), "table frames, row 1: what it refers to in trials"),
     "a rotten frame": (rotten(FRAME, 20), r"002-x-1/left.png is not as it was written"),
     "a lost frame": (lambda run: (run / FRAME).unlink(), r"002-x-1/left.png can't be read"),
-    "a frame that came later": (
-        lambda run: (run / FRAME.with_name("right.png")).write_bytes(b"x"),
-        "right.png is in no row of the record",
-    ),
-    "another script": (
-        lambda run: (run / "script.toml").write_text("x = 2", encoding="utf-8"),
-        "script.toml is not as it was written",
-    ),
-    "a file without a name": (
-        sql("UPDATE files SET name = NULL WHERE rowid = 1"),
-        "has no name, but None in its place",
-    ),
-    "a fact without a key": (
-        sql("INSERT INTO facts VALUES (NULL, '1', NULL)"),
-        "fact None is in no link",
-    ),
+    "a frame that came later": (lambda run: (run / FRAME.with_name("right.png")).write_bytes(b"x"), "right.png is in no row of the record"),
+    "another script": (lambda run: (run / "script.toml").write_text("x = 2", encoding="utf-8"), "script.toml is not as it was written"),
+    "a file without a name": (sql("UPDATE files SET name = NULL WHERE rowid = 1"), "has no name, but None in its place"),
+    "a fact without a key": (sql("INSERT INTO facts VALUES (NULL, '1', NULL)"), "fact None is in no link"),
     "a rotten database": (rotten(DATABASE, 3 * 4096 + 5), r"run\.sqlite"),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("what", DAMAGE)

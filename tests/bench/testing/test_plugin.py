@@ -243,7 +243,7 @@ def test_the_page_word_by_word(pytester: pytest.Pytester, rig: str) -> None:
         [
             "*simplest scene*",
             "thesis *in Scene(*",
-            "*of * scenes one step away fail too.",
+            "*of * scenes one step away*fail too*",
             "*Keep it:*",
         ]
     )

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, Phase, find, given, seed, settings
@@ -32,6 +35,7 @@ from tests.bench.commands import Said
 NAMES = {"Applied": Applied, "Object": Object, "Pose": Pose, "Scene": Scene, "Teat": Teat}
 FOUR = Scene((Teat(),) * 4)
 KINDS = ("leg", "rod")
+FIRST = settings(max_examples=1, database=None, phases=[Phase.generate])
 
 
 @pytest.fixture(scope="module")
@@ -133,6 +137,27 @@ def test_what_cannot_be_is_refused_in_words(rig: str) -> None:
         check("fused", Scene(objects=(Object("rodd"),)), rig=rig)
 
 
+def drawn(strategy: st.SearchStrategy[Scene]) -> Scene:
+    return find(strategy, bool, settings=FIRST)
+
+
+ANY: Any = {"amount": "x", "teat": ("x",), "paint": "blue", "poses": objects()}
+WRONG: dict[str, Callable[[], object]] = {
+    "no 'nois'; did you mean": lambda: perturbations("nois"), "no 'rodd'; did": lambda: objects("rodd"),
+    "3, 2 is no span": lambda: layouts(3, 2), "most_objects is -1": lambda: drawn(scenes(most_objects=-1)),
+    "no perturbation": lambda: Applied("nois", 1.0), "gamma has to be": lambda: Applied("gamma", ANY["amount"]),
+    "teats is .*list": lambda: Scene(ANY["teat"]), "paint is .*dark": lambda: Scene(paint=ANY["paint"]),
+    "nan, not a number": lambda: Teat(lean_deg=math.nan), "no kind of object": lambda: Object("rodd").placed(),
+    "1 to 4 teats": lambda: Scene(()).state(), "pose is .*Pose": lambda: drawn(scenes(poses=ANY["poses"])),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("said", WRONG)
+def test_wrong_names_and_values_are_refused_by_name(said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        WRONG[said]()
+
+
 @pytest.mark.slow
 def test_a_failing_scene_is_said_shown_written_and_kept(
     rig: str, tmp_path: Path, said: Said
@@ -142,8 +167,11 @@ def test_a_failing_scene_is_said_shown_written_and_kept(
     with pytest.raises(SceneFailedError, match=r"^thesis .* in Scene\(") as raised:
         check("thesis", scene, rig=rig)
     error = raised.value
-    failing, of = error.neighbourhood()
-    assert 0 < failing <= of <= 24
+    near = error.neighbourhood()
+    assert 0 < near.failing < near.of <= 24 < near.there
+    assert near.passing == FOUR  # the plainest is looked at, and named
+    sample = f"{near.of} scenes one step away looked at, a sample of {near.there}, fail too"
+    assert str(near) == f"{near.failing} of {sample}; {FOUR!r} passes."
     lines = error.lines()
     assert "from bench.testing import Applied, Scene, Teat, check" in lines
     compile(lines, "pasted", "exec")
@@ -152,7 +180,7 @@ def test_a_failing_scene_is_said_shown_written_and_kept(
     assert (folder / "scene.png").stat().st_size > 10_000
     again, facts = read_scene(folder / SCENE)
     assert again == scene
-    assert facts["neighbours"] == of
+    assert (facts["neighbours"], facts["neighbours_looked_at"]) == (near.there, near.of)
     kept = tmp_path / "kept"
     wrote = said(0, "campaign keep {} --into {} --name noisy", folder, kept)
     assert wrote.out == f"noisy in {kept}\n"

@@ -47,19 +47,10 @@ VECTORS: list[tuple[bytes, Response]] = [
     (b"[OPT:V,15,128]", Message("OPT", "V,15,128")),
     (b"[MSG:'$H'|'$X' to unlock]", Message("MSG", "'$H'|'$X' to unlock")),
     (b">G54G20:ok", Message(">", "G54G20:ok")),
-    (
-        b"<Idle|MPos:0.000,0.000,0.000|FS:0,0|WCO:0.000,0.000,0.000>",
-        report("Idle", MPos="0.000,0.000,0.000", FS="0,0", WCO="0.000,0.000,0.000"),
-    ),
-    (
-        b"<Hold:1|WPos:-1.500,2.000,-3.250|Bf:15,128|F:500>",
-        report("Hold", 1, WPos="-1.500,2.000,-3.250", Bf="15,128", F="500"),
-    ),
-    (
-        b"<Alarm|MPos:1.000,2.000,3.000,4.000|H:0|A:S|TLR:0|Pn>",
-        report("Alarm", MPos="1.000,2.000,3.000,4.000", H="0", A="S", TLR="0", Pn=""),
-    ),
-]
+    (b"<Idle|MPos:0.000,0.000,0.000|FS:0,0|WCO:0.000,0.000,0.000>", report("Idle", MPos="0.000,0.000,0.000", FS="0,0", WCO="0.000,0.000,0.000")),
+    (b"<Hold:1|WPos:-1.500,2.000,-3.250|Bf:15,128|F:500>", report("Hold", 1, WPos="-1.500,2.000,-3.250", Bf="15,128", F="500")),
+    (b"<Alarm|MPos:1.000,2.000,3.000,4.000|H:0|A:S|TLR:0|Pn>", report("Alarm", MPos="1.000,2.000,3.000,4.000", H="0", A="S", TLR="0", Pn="")),
+]  # fmt: skip
 NONSENSE = [
     b"OK",
     b"ok ok",
