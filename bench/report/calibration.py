@@ -14,7 +14,7 @@ from bench.calibrate.cameras import PAIR, WORKING_MM, CamerasResult, PairsResult
 from bench.calibrate.views import BoardViews
 from bench.calibrate.world import PointsAgain, WorldResult
 from bench.report.chapters import Chapters, page_of
-from bench.report.wording import NOT_MEASURED, key_values, listed, spanned, table
+from bench.report.wording import NOT_MEASURED, Heading, key_values, listed, spanned, table
 from bench.results.cameras_agree import NEXT_UNSEEN, CamerasCheck
 from bench.scoring.decisions import Decision, Verdict
 from detector.calibration import Record
@@ -102,7 +102,7 @@ def _page(
     files = [(name, Cell(digest, mono=True)) for name, digest in record.inputs.items()]
     made = (
         key_values("Made", {**who, **record.cameras}),
-        table("Inputs", "file | SHA-256", files),
+        table("inputs", files),
         Code("The command that repeats it", command),
     )
     out = {"findings": ("What came out", (board, *wrong))}
@@ -255,11 +255,11 @@ def thermal_page(result: ThermalResult, record: Record, command: str) -> Page:
 def pairs_page(result: PairsResult, record: Record, command: str) -> Page:
     """Of `calibrate thermal` with a table of point pairs."""
     left, right = both = (result.left, result.right)
-    heads, tables = ">pair | >misses by [px] ~.2f | counts", []
+    tables = []
     for side, mapped in zip(("left", "right"), both, strict=True):
         counts = ["yes" if kept else Cell("no: outlier", "warn") for kept in mapped.inliers]
         rows = list(zip(count(1), mapped.missed_px, counts, strict=False))
-        tables.append(table(f"Pairs, thermal to {side}", heads, rows))
+        tables.append(table("point_pairs", rows, side=side))
     kept = [f"{mapped.inliers.sum()} of {len(mapped.inliers)}" for mapped in both]
     counted = tuple(Score("no verdict", text, "") for text in kept)
     missed = tuple(Score("no verdict", f"{m.rms_px:.2f} px", "") for m in both)
@@ -293,25 +293,21 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
     out_mm = comparison.held_out_mm
     held_out = {name: None if mm is None else f"{mm:.3f}" for name, mm in out_mm.items()}
     models = table(
-        "Fits of triangulated to touched points; rigid is used, the others are a diagnosis",
-        "fit | >residual [mm rms] ~.3f | >held out [mm rms] | >singular values ~.4f",
+        "world_fits",
         [(f.model, f.fre_mm, held_out[f.model], f.singular_values) for f in comparison.fits],
-        "Where affine is much better, the stereo calibration is off.",
     )
     residuals = table(
-        "Touched less mapped",
-        ">point | >dx [mm] ~+.3f | >dy [mm] ~+.3f | >dz [mm] ~+.3f | >distance [mm] ~.3f",
+        "world_residuals",
         [(n, *row, np.linalg.norm(row)) for n, row in enumerate(comparison.rigid.residuals_mm, 1)],
     )
     volume = working_volume_mm(fit.touched_mm)
     there = fit.target_error_mm(volume)
-    places, head = volume.reshape(3, 9, 3), ">y [mm] ~.0f | >z [mm] ~.0f"
-    expected = table(  # rows of y and z, columns of x
-        "Expected target error, rms",
-        (head, *(f">x = {x:.0f} mm [mm] ~.2f" for x in places[:, 0, 0])),
+    places = volume.reshape(3, 9, 3)
+    expected = table(
+        "world_expected",
         np.column_stack([places[0, :, 1:], there.reshape(3, 9).T]),
-        f"The box of the touched places, {MARGIN_MM:.0f} mm larger on every side. Fitzpatrick, West"
-        " and Maurer 1998, eq. 46.",
+        more=(Heading(f"x = {x:.0f} mm", "right", "mm", form=".2f") for x in places[:, 0, 0]),
+        margin_mm=MARGIN_MM,
     )
     touched = spanned(fit.target_error_mm(fit.touched_mm), ".2f", "mm")
     worst = float(there.max())
@@ -396,12 +392,7 @@ def check_points_page(
     """Of `calibrate check --points`: an existing calibration against points touched today."""
     rms = np.sqrt(np.mean(np.sum(again.missed_mm**2, axis=1)))
     rows = np.column_stack([again.missed_mm, again.expected_mm])
-    points = table(
-        "Measured less touched",
-        ">point | >dx [mm] ~+.2f | >dy [mm] ~+.2f | >dz [mm] ~+.2f | >expected [mm] ~.2f",
-        [(n, *row) for n, row in enumerate(rows, 1)],
-        "Expected: root of the summed variances of calibration, pixels and touch.",
-    )
+    points = table("points_again", [(n, *row) for n, row in enumerate(rows, 1)])
     expected = _rms(again.expected_mm)
     caption = "Where the cameras see it, less where the arm touched, along the world's axes"
     alt = f"{len(rows)} points, {rms:.2f} mm rms"
@@ -430,11 +421,10 @@ def check_ends_page(found: CamerasCheck, decision: Decision, record: Record, com
     """Of `calibrate check --ends`."""
     off = decision.verdict is Verdict.NOT_MET
     shown = table(
-        "What touched teat ends are off in the pictures",
-        "figure | >off [px] ~+.2f | >± [px] ~.2f | >poses or ends",
+        "ends_again",
         [(one.name, one.value, one.uncertainty, one.poses) for one in found.offsets],
-        f"{found.measured} of {found.ends} ends measured. px of the sensor for the thermal camera;"
-        " 95 %.",
+        measured=found.measured,
+        ends=found.ends,
     )
     return _check(
         {"ends": ("Where the cameras show touched ends", [shown])},
@@ -494,12 +484,7 @@ def _parameters(result: CamerasResult) -> Iterator[Part]:
         digits = 3 if name.startswith("T") else 5
         value, other = (f"{number:.{digits}f}" for number in both)
         rows.append((name, UNITS[name[:-1]], value, _sd(joint.sd("right", name), digits), other))
-    note = (
-        f"Corners miss by {joint.rms_px:.3f} px rms jointly, by {fixed.rms_px:.3f} px with the"
-        " lenses as each camera alone has them."
-    )
-    heads = "parameter | unit | >joint | >sd | >with lenses fixed"
-    yield table("Right camera against left: X_right = R(om) X_left + T", heads, rows, note)
+    yield table("stereo", rows, joint_px=joint.rms_px, fixed_px=fixed.rms_px)
 
 
 def _lens(fit: CameraFit, camera: str, alone: CameraFit | None = None) -> Table:
@@ -512,8 +497,8 @@ def _lens(fit: CameraFit, camera: str, alone: CameraFit | None = None) -> Table:
         value, *other = (f"{number:.{digits}f}" for number in each)
         sd = _sd(fit.fit.sd(camera, name), digits)
         rows.append((name, UNITS.get(name, ""), value, sd, *other))
-    heads = f"parameter | unit | >value | >sd{'' if alone is None else ' | >alone'}"
-    return table(f"Lens of the {camera} camera", heads, rows)
+    more = [] if alone is None else [Heading("alone", "right")]
+    return table("lens", rows, more=more, camera=camera)
 
 
 def _sd(value: float | None, digits: int) -> str:
@@ -571,15 +556,11 @@ def _held_out(result: CamerasResult) -> Iterator[Part]:
 
 def _measured_table(again: MeasuredBoard) -> Table:
     """A board measured again, view by view."""
-    heads = (
-        "view | >distance [mm] ~.0f | >scale ~.5f | >spacing [mm rms] ~.3f"
-        " | >flatness [mm rms] ~.3f | >rows [px rms] ~.3f"
-    )
     rows = [
         (v.name, v.depth_mm, v.scale, *map(_rms, (v.spacing_mm, v.off_plane_mm, v.epipolar_px)))
         for v in again.views
     ]
-    return table("View by view", heads, rows, searchable=True)
+    return table("board_again", rows)
 
 
 def _worth(result: CamerasResult, seen_m: tuple[float, float]) -> Iterator[Part]:
@@ -607,10 +588,9 @@ def _coverage(shown: Mapping[str, Coverage]) -> Iterator[Part]:
         tilts = ", ".join(f"{n} {side}" for side, n in zip(sides, coverage.tilted, strict=True))
         span = coverage.distances_mm
         far = "unknown" if span is None else spanned(span, ".0f", "mm")
-        note = f"{coverage.views} views; distances {far}; tilted towards the cameras by an edge:"
-        heads = ">far left | >left | >right | >far right"
-        caption = f"Corners by part of the {camera} picture"
-        yield table(caption, heads, coverage.corners, f"{note} {tilts}.")
+        yield table(
+            "coverage", coverage.corners, camera=camera, views=coverage.views, far=far, tilts=tilts
+        )
 
 
 def _pictures(views: BoardViews, fit: CameraFit) -> Iterator[Part]:
@@ -621,8 +601,7 @@ def _pictures(views: BoardViews, fit: CameraFit) -> Iterator[Part]:
         for name, found in views.found[camera].items():
             missed = f"{errors[name]:.3f}" if name in errors else None
             rows.append((camera, name, len(found.ids), found.edges_px, missed))
-    heads = "camera | view | >points | >edges [px] ~.1f? | >misses by [px rms]"
-    yield table("Views used", heads, rows, searchable=True)
+    yield table("views", rows)
     reasons = tuple(f"{r.camera} {r.view}: {r.reason}" for r in views.refused)
     none = Paragraph("No picture was left out.", tone="good")
     yield Notes("Left out", reasons) if reasons else none

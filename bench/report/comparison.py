@@ -61,14 +61,6 @@ from reports.page import Verdict as PageVerdict
 from reports.render import write_report
 
 JSON_VERSION = 1
-LEGEND = (
-    "All differences are new less old, with their intervals. Lost and won: poses that only the old "
-    "or only the new one got right (exact McNemar; the interval is Tango's). Distance: mean over "
-    "poses of the distance to the end, of teats that both found; a teat's change counts up to the "
-    "limit (the interval is Gaffke's, which allows for poses that were not run; p by sign flips). "
-    "|x|, |y|, |z|: of the absolute error along the world's axes. The p-values of situations are "
-    "adjusted after Holm."
-)
 DIFFER = {
     "kind": "kind",
     "rig": "rig",
@@ -105,7 +97,6 @@ GATE: dict[Verdict, tuple[PageVerdict, str, str, Tone]] = {
 
 
 CAPPED = "†"  # beside a change of which a part counts as the limit
-P_HINT = "how likely chance alone makes so large a difference: below 0.05 it is taken as real"
 MOST_REASONS = 5  # in a sentence
 RIGHT, MISSED, FALSE = "Poses right", "Teats missed", "False teats"
 DISTANCE, ALONG, WORST = "Distance to the teat end", "Error along one axis", "Worst situation"
@@ -189,16 +180,7 @@ def success_table(comparison: Comparison) -> Table:
         p = p_text(won.p_value if row.success_holm is None else row.success_holm)
         counts = (row.new.false - row.old.false, row.new.missed - row.old.missed)
         rows.append((_name(row), row.poses, won.only_old, won.only_new, points, p, *counts))
-    heads = (
-        "situation | >poses",
-        ">lost # poses that only the old one got right",
-        ">won # poses that only the new one got right",
-        ">change [% points] # of the share of poses that are right, with its interval",
-        f">p # {P_HINT}",
-        ">false ~+d # false teats, new less old",
-        ">missed ~+d # missed teats, new less old",
-    )
-    return table("Success of poses, and what was counted", heads, rows, LEGEND)
+    return table("compared_success", rows)
 
 
 def distance_table(comparison: Comparison, *, wide: bool = False) -> Table:
@@ -209,13 +191,7 @@ def distance_table(comparison: Comparison, *, wide: bool = False) -> Table:
         axes = row.axes if wide else [replace(axis, low=None, high=None) for axis in row.axes]
         change, *along = map(_difference, (row.radial, *axes))
         rows.append((_name(row), row.teats, change, p, *along))
-    heads = (
-        "situation | >teats # that both found",
-        ">change [mm] # of the mean distance to the teat end, with its interval",
-        f">p # {P_HINT}",
-        *(f">|{axis}| [mm] # change of the mean absolute error along {axis}" for axis in "xyz"),
-    )
-    return table("Distance to the teat end", heads, rows, capped_text(comparison))
+    return table("compared_distance", rows, note=capped_text(comparison))
 
 
 def _rows(comparison: Comparison) -> tuple[Row, ...]:
@@ -609,10 +585,9 @@ def _changed(comparison: Comparison) -> Table:
         both = (outcome(pair.old), outcome(pair.new))
         rows.append((pair.scene, spoken(pair.situation), *both, change))
     return table(
-        "Scenes that changed (at most 50, changed outcomes first)",
-        "scene | situation | old | new | >change of the largest error [mm]",
+        "changed_scenes",
         rows,
-        "" if rows else "No scene's outcome changed, and no error.",
+        note="" if rows else "No scene's outcome changed, and no error.",
         searchable=len(rows) > 10,
     )
 

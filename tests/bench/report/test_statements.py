@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.report.statements import note_on_statements
-from bench.report.wording import NOT_MEASURED, number, shown, spanned, table
+from bench.report.wording import NOT_MEASURED, number, shown, spanned
 from bench.script.model import Rules
-from reports.page import Fold, Section
+from reports.page import Column, Fold, Section, Table
 
 RULES = Rules.model_validate(
     {
@@ -31,8 +31,10 @@ RULES = Rules.model_validate(
 
 def test_decisions_intervals_and_p_values_are_counted_wherever_they_stand() -> None:
     rows = [("a", "1 to 2", "0.04"), ("b", NOT_MEASURED, "0.5"), ("c", "", "")]
-    deep = table("deep", "what | >95 % interval, two-sided [mm] | >p # chance", rows)
-    bare = table("bare", "what | >rate [k of n, interval]", [("a", "1 of 2 (1 to 99 %)")])
+    interval = Column("95 % interval, two-sided", "right", "mm")
+    deep = Table("deep", (Column("what"), interval, Column("p", hint="chance")), tuple(rows))
+    rate = Column("rate", unit="k of n, interval")
+    bare = Table("bare", (Column("what"), rate), (("a", "1 of 2 (1 to 99 %)"),))
     section = Section("s", "S", (Fold("more", (deep,)), bare), folded=True)
     made, first = note_on_statements((section,), RULES, 2).items
     # three requirements of each detector, two intervals, two p-values
