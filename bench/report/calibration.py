@@ -14,7 +14,7 @@ from bench.calibrate.cameras import PAIR, WORKING_MM, CamerasResult, PairsResult
 from bench.calibrate.views import BoardViews
 from bench.calibrate.world import PointsAgain, WorldResult
 from bench.report.chapters import Chapters, page_of
-from bench.report.wording import NOT_MEASURED, Heading, key_values, listed, spanned, table
+from bench.report.wording import NOT_MEASURED, Heading, hints, key_values, listed, spanned, table
 from bench.results.cameras_agree import NEXT_UNSEEN, CamerasCheck
 from bench.scoring.decisions import Decision, Verdict
 from detector.calibration import Record
@@ -45,21 +45,6 @@ MARGIN_MM = 100.0  # of the working volume beyond what was touched
 DISTANCES_M = np.linspace(0.7, 1.8, 23)
 HOLDS = "It still holds."
 CHECK = "Check of a calibration"
-FAULTS, SEEN, HALVES, CORNERS = "Faults", "Views", "Two halves of the views", "Corners miss by"
-POINT = "One point is good to"
-VOLUME = "Anywhere in the working volume"
-HINTS = {
-    POINT: "Expanded uncertainty (k = 2) of one triangulated point along its worst direction, with"
-    " corners as noisy as these.",
-    FAULTS: "Wrong baseline, shifted columns or rows, swapped cameras, bent board, wrong square"
-    " size, outlier view: named where a mark is both significant and large enough to matter.",
-    SEEN: "Whether the views show the board in every part of the picture, tilted and at distances.",
-    HALVES: "Two calibrations, each from half of the views, place the board's points so far apart"
-    " (rms).",
-    CORNERS: "Reprojection error, rms. Few views miss less, so it is no measure of quality.",
-    VOLUME: "Expected target error (rms) in the box of the touched places, 100 mm larger on every"
-    " side.",
-}
 Row = tuple[str, str, tuple[Score | None, ...]]
 LIMIT_MM = 5.0  # of a teat end's error, where a script names no other
 ENOUGH_MM = LIMIT_MM / 4.0  # the test uncertainty ratio 4:1
@@ -86,7 +71,7 @@ def _page(
     if findings is not None:
         names = ", ".join(finding.name for finding in findings)
         score = Score("not met" if names else "met", names or "none", "")
-        rows.insert(0 if title == CHECK else 1, (FAULTS, "none", (score,)))
+        rows.insert(0 if title == CHECK else 1, ("Faults", "none", (score,)))
         sound = "No fault left a mark that is both significant and large enough to matter."
         named = tuple(f"{finding.name}: {finding.sentence}" for finding in findings)
         wrong = [Notes("What was found wrong", named) if named else Paragraph(sound, tone="good")]
@@ -95,9 +80,9 @@ def _page(
         if missing:
             score = Score("inconclusive", f"{len(missing)} missing", "see below")
             wrong.append(Notes("What the views don't show yet", missing))
-        rows.append((SEEN, "every part, tilt and distance", (score,)))
+        rows.append(("Views", "every part, tilt and distance", (score,)))
     heads = ("Looked at", "Good enough is")
-    board = Scoreboard("Is it good enough?", columns, tuple(rows), heads, HINTS)
+    board = Scoreboard("Is it good enough?", columns, tuple(rows), heads, hints())
     who = {"day": record.made, "by": record.by or "not stated", "with": record.with_what}
     files = [(name, Cell(digest, mono=True)) for name, digest in record.inputs.items()]
     made = (
@@ -171,10 +156,11 @@ def cameras_page(
         confidence += f" {halves} (rms)."
     fits = {"left": result.joint, "right": result.joint}
     verdict, _ = good(result.findings, good_mm)
+    at = f"at {at_mm / 1000:.2f} m, worst direction"
     scores = (
-        _enough(POINT, good_mm, f"{good_mm:.2f} mm", f"at {at_mm / 1000:.2f} m, worst direction"),
-        _figure_only(HALVES, halves),
-        _figure_only(CORNERS, f"{result.joint.fit.rms_px:.2f} px"),
+        _enough("One point is good to", good_mm, f"{good_mm:.2f} mm", at),
+        _figure_only("Two halves of the views", halves),
+        _figure_only("Corners miss by", f"{result.joint.fit.rms_px:.2f} px"),
     )
     return _page(
         "Calibration of the stereo pair",
@@ -234,7 +220,7 @@ def thermal_page(result: ThermalResult, record: Record, command: str) -> Page:
         record,
         command,
         scores=(
-            _figure_only(CORNERS, f"{fit.rms_px:.2f} px", "over both cameras"),
+            _figure_only("Corners miss by", f"{fit.rms_px:.2f} px", "over both cameras"),
             _figure_only("Its place is known to", f"{place} mm", "x, y, z"),
         ),
         missing=missing,
@@ -313,8 +299,9 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
     worst = float(there.max())
     verdict, said = good(result.findings, worst)
     left_out = NOT_MEASURED if held_out["rigid"] is None else f"{held_out['rigid']} mm"
+    where = f"{touched} at the touched places"
     scores = (
-        _enough(VOLUME, worst, f"up to {worst:.2f} mm", f"{touched} at the touched places"),
+        _enough("Anywhere in the working volume", worst, f"up to {worst:.2f} mm", where),
         _figure_only("Points miss the arm's by", f"{comparison.rigid.fre_mm:.3f} mm"),
         _figure_only("A point left out is missed by", left_out),
     )

@@ -103,6 +103,12 @@ def _described() -> Mapping[str, Any]:
     return tables
 
 
+@cache
+def hints() -> Mapping[str, str]:
+    """What a scoreboard says of its rows, by their names."""
+    return tomllib.loads((Path(__file__).parent / "hints.toml").read_text(encoding="utf-8"))
+
+
 MORE = "more"  # in a list of columns: the place of those that a table has by its rows
 
 
