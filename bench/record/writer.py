@@ -91,9 +91,7 @@ class Store:
     def create_next(
         cls, out: Path, name: str, wall_time: datetime, files: Mapping[str, str]
     ) -> Store:
-        """A new run in ``out``, under the next number where others begin in the same second. Raises
-        OSError.
-        """
+        """A new run in ``out``, numbered where others begin in the same second. Raises OSError."""
         for _ in range(MOST_TRIES):
             folder = new_run_folder(out, name, wall_time)
             try:
