@@ -82,7 +82,7 @@ def _page(
             wrong.append(Notes("What the views don't show yet", missing))
         rows.append(("Views", "every part, tilt and distance", (score,)))
     heads = ("Looked at", "Good enough is")
-    board = Scoreboard("Is it good enough?", columns, tuple(rows), heads, hints())
+    board = Scoreboard("Is it good enough?", columns, tuple(rows), heads, hints("calibration"))
     who = {"day": record.made, "by": record.by or "not stated", "with": record.with_what}
     files = [(name, Cell(digest, mono=True)) for name, digest in record.inputs.items()]
     made = (

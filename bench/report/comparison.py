@@ -487,7 +487,7 @@ def _scoreboard(one: Comparison) -> Scoreboard:
         which = f"{spoken(worst.situation or '')}{note}"
         add("Worst situation", limit, None, verdict, _mean(worst.radial), which)
     heads = ("Compared", "May be worse by")
-    return Scoreboard(f"{names[0]} and {names[1]}", names, tuple(rows), heads, hints())
+    return Scoreboard(f"{names[0]} and {names[1]}", names, tuple(rows), heads, hints("comparison"))
 
 
 def _change_verdict(change: PairedDifference, margin_mm: float) -> PageVerdict:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -104,9 +104,10 @@ def _described() -> Mapping[str, Any]:
 
 
 @cache
-def hints() -> Mapping[str, str]:
-    """What a scoreboard says of its rows, by their names."""
-    return tomllib.loads((Path(__file__).parent / "hints.toml").read_text(encoding="utf-8"))
+def hints(of: str) -> Mapping[str, str]:
+    """What the scoreboard ``of`` a comparison or calibration says of its rows, by their names."""
+    text = (Path(__file__).parent / "hints.toml").read_text(encoding="utf-8")
+    return cast(Mapping[str, str], tomllib.loads(text)[of])
 
 
 MORE = "more"  # in a list of columns: the place of those that a table has by its rows
