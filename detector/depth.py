@@ -169,9 +169,7 @@ def _end(
 
 
 def _upper_edge(sharp: NDArray[np.float32], top: _Slice, p: Parameters) -> float | None:
-    """The row where a bar ends in the columns about its first slice's middle; None where what is
-    above isn't farther.
-    """
+    """The row where a bar ends above its first slice's middle; None where nothing is farther."""
     edges, far = [], top.depth + p.farther
     for column in round(top.column) + np.array([-1, 0, 1]):
         up = sharp[top.row :: -1, column]

@@ -113,9 +113,7 @@ class RealClock:
             time.sleep(seconds)
 
     def subscribe(self, looked: Callable[[float], None] | None) -> None:
-        """Call ``looked`` with the coming sleep on every thread that uses the clock: a
-        heartbeat.
-        """
+        """Call ``looked`` with the coming sleep on every thread that sleeps: a heartbeat."""
         self._looked = looked
 
     def call_at(self, when_s: float, action: Callable[[], None]) -> None:

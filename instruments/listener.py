@@ -38,12 +38,7 @@ class Connection:
     """One host's connection to a device. ``pacer``: between it and the port."""
 
     def __init__(
-        self,
-        port: Port,
-        clock: Clock,
-        lock: threading.RLock,
-        *,
-        pacer: Pacer | None = None,
+        self, port: Port, clock: Clock, lock: threading.RLock, *, pacer: Pacer | None = None
     ) -> None:
         self._port = port
         self._clock = clock
@@ -98,11 +93,7 @@ class ServedConnection(Connection):
     """One that a thread of the listener serves. ``pace``: baud and latency, as of `Listener`."""
 
     def __init__(
-        self,
-        port: ServedPort,
-        clock: Clock,
-        lock: threading.RLock,
-        pace: tuple[int | None, float],
+        self, port: ServedPort, clock: Clock, lock: threading.RLock, pace: tuple[int | None, float]
     ) -> None:
         pacer = None if pace == (None, 0.0) else Pacer(port, clock, *pace)
         super().__init__(port, clock, lock, pacer=pacer)

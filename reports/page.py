@@ -93,9 +93,7 @@ class Score:
 
 @dataclass(frozen=True, slots=True)
 class Scoreboard:
-    """Requirement by detector: rows of name, limit and scores. `heads` stand over names and limits;
-    `hints` explain a row by its name.
-    """
+    """Requirement by detector: name, limit, scores; `hints` explain a row by its name."""
 
     caption: str
     detectors: tuple[str, ...]
@@ -247,9 +245,7 @@ class Fold:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A chapter of the page or of a chapter; `id` is its anchor. `folded` ones are closed at first,
-    with `about` beside the title.
-    """
+    """A chapter, at its anchor `id`; a `folded` one is closed, with `about` beside its title."""
 
     id: str
     title: str
@@ -279,9 +275,7 @@ Part = (
 
 @dataclass(frozen=True, slots=True)
 class Banner:
-    """The first screen: what was tested, the verdict, why, how sure it is, what to do next. `each`:
-    the verdicts of several detectors.
-    """
+    """The first screen; `each`: the verdicts of several detectors."""
 
     kind: Kind
     verdict: Verdict

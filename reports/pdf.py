@@ -60,9 +60,7 @@ def print_pdf(
     *,
     appendix: bool = False,
 ) -> Path:
-    """Print the HTML file `page`, with `appendix` also what is folded. Raises PageError with the
-    browser's output.
-    """
+    """Print `page`, with `appendix` also what is folded. Raises PageError: the browser's output."""
     draft = target.with_name(target.name + ".part")
     draft.unlink(missing_ok=True)
     try:

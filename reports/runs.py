@@ -97,9 +97,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Runs:
-    """The runs in ``folder``, newest first, the other folders with why they are no run, and charts
-    of the bench's health with what they warn of.
-    """
+    """The runs in ``folder``, newest first; why other folders are none; charts of health."""
 
     folder: Path
     runs: tuple[Run, ...]
@@ -124,9 +122,7 @@ class Runs:
 def write_runs(
     runs: Runs, summary: str, *, name: str = PAGE, title: str = "Runs", rest: str = "Other folders"
 ) -> Path:
-    """Writes the page into the folder of the runs, whole or not at all; gives back its path.
-    ``rest``: the heading over what is no run.
-    """
+    """Writes the page beside the runs; returns its path. ``rest``: the other folders' heading."""
     style = assets("style.css", "runs.css")
     policy = f"default-src 'none'; img-src data:; style-src '{policy_hash(style)}'"
     template = environment().get_template("runs.html.j2")

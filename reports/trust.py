@@ -46,9 +46,7 @@ def checked_slug(value: str, what: str) -> str:
 
 
 def address(value: str, what: str) -> str:
-    """The URL of `#id` or of a relative file path, which may lead out of the page's folder by `..`.
-    Raises PageError.
-    """
+    """The URL of `#id` or a relative path, which may lead out of the folder. Raises PageError."""
     if value.startswith("#"):
         return "#" + checked_slug(value[1:], what)
     if not value or value.startswith("/") or _UNSAFE_IN_PATH.search(value):

@@ -112,9 +112,7 @@ def _row(line: int, cells: list[str], heads: list[str], between: str) -> Row:
 
 
 def _refuse_mixed(rows: Sequence[Row], heads: Sequence[str]) -> None:
-    """Raise TableError where one number has a decimal comma and one a point: one may be a mark of
-    thousands.
-    """
+    """Raise TableError for a decimal comma beside a point: one may be a mark of thousands."""
     seen: dict[str, tuple[int, str]] = {}
     for row in rows:
         for cell in (row.cells.get(head, "") for head in heads):

@@ -23,9 +23,7 @@ class TextError(ValueError):
 
 
 def decoded(data: bytes, *, growing: bool = False) -> str:
-    """The text, its line ends as LF. Of a ``growing`` file the last character may be cut off.
-    Raises TextError.
-    """
+    """The text with LF; of a ``growing`` file without a character cut off. Raises TextError."""
     if len(data) > MOST_BYTES:
         raise TextError(f"has {len(data)} bytes, more than the {MOST_BYTES} that are read")
     encoding = next((name for mark, name in MARKS if data.startswith(mark)), None)

@@ -247,9 +247,7 @@ def verify(session: ArmSession, plan: VerificationPlan, made: datetime) -> Verif
 def _end(
     session: ArmSession, what: str, number: int, text: str, plan: VerificationPlan
 ) -> tuple[Floats, Floats | None]:
-    """An end of a length, (3,): as touched; or a sphere's centre by touches round it, with its
-    covariance for touches of 1 mm.
-    """
+    """An end of a length (3,), as touched; or a sphere's centre, with its covariance for 1 mm."""
     if not plan.spheres:
         return read_touch(session, Step(what, number, f"{text}.")).tip_mm, None
     steps = (Step(what, number, f"{text}, {where}.", off=off) for where, off in ROUND)

@@ -99,9 +99,7 @@ def write_opencv(part: Part, path: Path | str) -> None:
 
 
 def read_maker(given: MakersCalibration, sizes: Mapping[str, tuple[int, int]], source: str) -> Part:
-    """What the maker of a camera group states of pictures with ``sizes`` (columns, rows). Raises
-    ConfigError.
-    """
+    """What a camera group's maker states of pictures of these sizes. Raises ConfigError."""
     found = Foreign(Path(source), {})
     if {"left", "right"} - set(given.lenses) or set(given.lenses) - {"left", "right", "depth"}:
         raise found.refusal("lenses", f"are {', '.join(given.lenses)}; left, right, perhaps depth")

@@ -55,9 +55,7 @@ class Foreign:
         return Foreign(self.path, found)
 
     def numbers(self, name: str, *counts: int, value: Any = None) -> Array:
-        """The finite numbers of ``name``, row by row, as many as one of ``counts``. Raises
-        ConfigError.
-        """
+        """The finite numbers of ``name``, row by row; ``counts``: how many. Raises ConfigError."""
         given = self.values.get(name) if value is None else value
         if given is None:
             raise self.refusal(name, "is missing")

@@ -157,9 +157,7 @@ def calibration_record(
 
 
 def write_calibration(found: Part | Calibration, out: Path | str, command: str = "") -> None:
-    """Write a step's file, or the whole, with the ``command`` that made it; whole or not at all.
-    Raises ConfigError.
-    """
+    """Write a step's file or the whole, with the ``command`` that made it. Raises ConfigError."""
     out = Path(out)
     text = dump_calibration(found, command)
     try:

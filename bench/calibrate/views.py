@@ -57,7 +57,7 @@ LAYOUT = (
 # paths by camera, then by the name of the view; every camera has at least one picture
 Pictures = Mapping[str, Mapping[str, Path]]
 Size = tuple[int, int]  # columns, rows
-Seen = DetectedBoard | ViewRefusedError
+DetectionOrRefusal = DetectedBoard | ViewRefusedError
 
 
 def find_pictures(places: Sequence[Path | str], cameras: Sequence[str]) -> Pictures:
@@ -162,9 +162,7 @@ def find_views(
     max_views: int | None = None,
     mirrored: frozenset[str] = frozenset(),
 ) -> BoardViews:
-    """The board in every picture, or in ``max_views`` spread over the set; ``mirrored`` cameras are
-    turned first. Raises ConfigError.
-    """
+    """The board in at most ``max_views`` pictures; ``mirrored`` are turned. Raises ConfigError."""
     check_within(COUNT, max_views=max_views, window_px=window_px)
     chosen_views = {camera: _spread(views, max_views) for camera, views in pictures.items()}
     done, total = count(), sum(map(len, chosen_views.values()))
@@ -172,7 +170,7 @@ def find_views(
     sizes: dict[str, tuple[int, int]] = {}
     refused: list[RefusedPicture] = []
 
-    def look(path: Path, turn: bool) -> tuple[Size | None, Seen]:
+    def look(path: Path, turn: bool) -> tuple[Size | None, DetectionOrRefusal]:
         try:
             image = _picture(path, turn=turn)
         except ConfigError as why:
@@ -242,9 +240,7 @@ def _alone(
 def _refuse_other_size(
     camera: str, size: Size, known: dict[str, Size], pictures: Mapping[str, Path]
 ) -> None:
-    """Raise ConfigError where one camera's pictures, or left and right, differ in ``size``; the
-    first is ``known`` from then on.
-    """
+    """Raise ConfigError where pictures of a camera, or left and right, differ in ``size``."""
     if known.setdefault(camera, size) == size:
         if camera == "right" and size != known.get("left", size):
             left, right = ("{} x {}".format(*known[one]) for one in ("left", "right"))

@@ -35,9 +35,7 @@ from textfiles import tables
 
 
 def read_table(path: Path | str, columns: tuple[str, ...]) -> Mapping[str, Array]:
-    """Columns of numbers of a table with a first line of names. Raises ConfigError with the
-    line.
-    """
+    """Columns of numbers under a first line of names. Raises ConfigError with the line."""
     try:
         found = tables.read_table(read_text(Path(path)), columns)
         rows = [[row.number(name) for name in columns] for row in found.rows]

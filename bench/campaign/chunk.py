@@ -18,7 +18,7 @@ import numpy as np
 from bench.campaign.perturbations import Applied
 from bench.record.recording import FIELDS, TruthRow
 from bench.results.answers import Answer, examine, score_answer
-from bench.rig.scenes import Drawn, draw, renderer_of, warm
+from bench.rig.scenes import DrawnScene, draw, renderer_of, warm
 from bench.scoring.scene import SceneScore
 from detector.calibration import Calibration, ParameterCovariance
 from detector.protocol import Detector, Outcome, Teat
@@ -116,7 +116,7 @@ class TeatRow:
 
 
 @dataclass(frozen=True, slots=True)
-class Taken:
+class CallTime:
     """What of a detection differs from run to run: seconds, real and of the processor (None for a
     detector elsewhere), and the words of one without an answer.
     """
@@ -132,7 +132,7 @@ class Rows:
 
     scenes: tuple[SceneRow, ...] = ()
     teats: tuple[TeatRow, ...] = ()
-    taken: tuple[Taken, ...] = ()
+    taken: tuple[CallTime, ...] = ()
     cpu_s: float = 0.0
     seconds: float = 0.0
 
@@ -149,7 +149,7 @@ def run_scene(bench: Bench, scene: Scene) -> Rows:
     digest, shares = digest_of_frames(drawn.frames), [_share(one) for one in parameters.values()]
     rows: list[SceneRow] = []
     teats: list[TeatRow] = []
-    taken: list[Taken] = []
+    taken: list[CallTime] = []
     for detector in bench.detectors:
         answer = examine(detector, drawn.frames, stated, timeout_s=math.inf)
         score = score_answer(answer, drawn.truth, limit_mm=bench.limit_mm, time_limit_s=math.inf)
@@ -181,12 +181,12 @@ def run_scene(bench: Bench, scene: Scene) -> Rows:
         )
         teats += ends
         reason = None if answer.outcome is Outcome.ANSWERED else answer.detection.reason
-        taken.append(Taken(answer.seconds, answer.cpu_s, reason))
+        taken.append(CallTime(answer.seconds, answer.cpu_s, reason))
     used_s, passed_s = processor_s() - used_before_s, stopwatch_s() - started_s
     return Rows(tuple(rows), tuple(teats), tuple(taken), used_s, passed_s)
 
 
-def draw_scene(bench: Bench, scene: Scene, found: Situation) -> tuple[Drawn, Calibration]:
+def draw_scene(bench: Bench, scene: Scene, found: Situation) -> tuple[DrawnScene, Calibration]:
     """The frames of a scene, perturbed, with its truth; and the calibration that detectors get.
     Raises ValueError for one that can't be drawn before these cameras.
     """
@@ -210,7 +210,7 @@ def set_aside(scene: Scene, detectors: Iterable[str], why: str) -> Rows:
     """The rows of a scene that the bench could not do: no detector's failure."""
     nothing = (0, 0, 0, 0, 0, None, None, None, ASIDE, "")
     rows = tuple(SceneRow(scene.family, scene.member, name, *nothing) for name in detectors)
-    return Rows(rows, (), tuple(Taken(0.0, None, why) for _ in rows))
+    return Rows(rows, (), tuple(CallTime(0.0, None, why) for _ in rows))
 
 
 def digest_of_frames(frames: FrameSet) -> str:
@@ -247,7 +247,9 @@ def _failure(answer: Answer, score: SceneScore) -> str:
     return "" if score.success else "error"
 
 
-def _teat_rows(scene: Scene, answer: Answer, score: SceneScore, drawn: Drawn) -> Iterable[TeatRow]:
+def _teat_rows(
+    scene: Scene, answer: Answer, score: SceneScore, drawn: DrawnScene
+) -> Iterable[TeatRow]:
     match, teats = score.match, answer.detection.teats
     answered = {j: ("found", teats[i]) for i, j in match.pairs}
     answered |= {j: ("hidden found", teats[i]) for i, j in match.hidden_pairs}

@@ -28,9 +28,7 @@ ROWS = "rows of"  # the name of a digest that no file has: of so many scenes' ro
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """Names of files that are not as they were written, that are missing, and that no line of the
-    ledger names.
-    """
+    """Names of files that are not as written, that are missing, and that no line names."""
 
     changed: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()

@@ -128,9 +128,7 @@ class Campaign:
         report: Callable[[Status], None],
         say: Callable[[str], None] = lambda _: None,
     ) -> Status:
-        """Do what is not done yet, or is damaged, which is said; ``report`` gets how far it is
-        after each chunk.
-        """
+        """Do what is not done, or is damaged; ``report`` gets the progress after each chunk."""
         if damage := self.shards.remove_damaged():
             say(f"{self.folder}: rows are damaged ({damage}); these chunks are done again")
         families = self._known()

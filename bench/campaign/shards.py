@@ -22,7 +22,7 @@ from typing import Any
 
 import duckdb
 
-from bench.campaign.chunk import SHARES, Rows, SceneRow, Taken, TeatRow
+from bench.campaign.chunk import SHARES, CallTime, Rows, SceneRow, TeatRow
 from bench.campaign.ledger import Damage, Ledger
 from bench.config import ConfigError
 
@@ -38,7 +38,7 @@ COUNTS = (
 KEYS = ("family", "member", "detector")
 NAME = re.compile(r"(?P<family>.+?)-(?P<first>\d{6})(?:-(?P<last>\d{6}))?\.parquet")
 # what differs from run to run, and so isn't part of a digest
-MEASURED = tuple(field.name for field in fields(Taken))
+MEASURED = tuple(field.name for field in fields(CallTime))
 
 
 def _columns(*rows: type, leave_out: Sequence[str] = ()) -> str:
@@ -53,7 +53,7 @@ def _columns(*rows: type, leave_out: Sequence[str] = ()) -> str:
 
 
 OF_TEAT = tuple(field.name for field in fields(TeatRow) if field.name not in KEYS)
-TABLE = f"{_columns(SceneRow, Taken)}, teats STRUCT({_columns(TeatRow, leave_out=KEYS)})[]"
+TABLE = f"{_columns(SceneRow, CallTime)}, teats STRUCT({_columns(TeatRow, leave_out=KEYS)})[]"
 WIDTH = len(fields(SceneRow)) + len(MEASURED) + 1
 
 

@@ -4,7 +4,9 @@ arguments. It imports nothing heavy, so that ``--help`` answers at once.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 from bench.cli.arguments import (
@@ -974,98 +976,6 @@ FUNCTIONS = {
     "plugin": "listed",
 }
 ONCE = {"control": ("tell",)}  # names of earlier releases, which work for one more
-
-# what a person mostly does next: two commands, with what this one was given in {}; what is in
-# capitals he names himself
-# fmt: off
-NEXT: Mapping[str, tuple[str, str]] = {
-    "run": ("report latest --open", "runs {out}"),
-    "resume": ("report {run} --open", "store check {run}"),
-    "control": ("console", "report {run} --open"),
-    "report": ("store check {run}", "compare OLDER {run}"),
-    "console": ("runs {runs}", "report latest --open"),
-    "runs": ("report latest --open", "compare OLDER NEWER"),
-    "trials": ("trials show plane-map", "run six-situations --dry-run"),
-    "trials show": ("run {script} --rig {rig} --dry-run", "run {script} --rig {rig}"),
-    "plan": ("trials", "run six-situations --dry-run"),
-    "score": ("runs {out}", "compare OLDER NEWER --gate"),
-    "compare": ("help scoring", "runs"),
-    "detectors": ("detectors try fused", "detectors new python --name mine"),
-    "detectors new": ("detectors try {name}", "help first-detector"),
-    "detectors try": (
-        "run demo --detector {word}",
-        "campaign run --family ideal --detector {word} --out campaigns/ideal",
-    ),
-    "detect": ("score {recording} --detector fused", "detectors try fused {recording}"),
-    "scene sheet": ("scene record --situation overlapping", "help scene"),
-    "scene record": ("score {out} --detector fused", "detect {out} --detector fused"),
-    "scene boards": (
-        "calibrate cameras {out} --board {board} --out cameras.toml", "help calibration",
-    ),
-    "campaign run": ('campaign query {out} "SELECT * FROM scenes"', "campaign compare {out} OTHER"),
-    "campaign chunk": ("campaign chunk {plan}", "help campaigns"),
-    "campaign keep": ("score {into} --detector fused", "detect {into} --detector fused"),
-    "campaign show": ("campaign compare {folder} OTHER", "help campaigns"),
-    "campaign compare": ("help campaigns", "help scoring"),
-    "campaign query": ("campaign show {folder} SCENE", "help campaigns"),
-    "init": ("check {out}", "help lab"),
-    "check": ("run six-situations --rig {rig} --dry-run", "console"),
-    "rigs": ("check emulated", "init"),
-    "emulate": ("check RIG", "run six-situations --rig RIG"),
-    "plugin": ("plugin check NAME", "help drivers"),
-    "plugin check": ("plugin", "help drivers"),
-    "arm read": ("arm home --port {port}", "arm verify --port {port} --out verification.toml"),
-    "arm watch": ("arm read --port {port}", "arm home --port {port}"),
-    "arm home": ("arm read --port {port}", "arm frame --port {port} --out frame.toml"),
-    "arm frame": ("arm verify --port {port} --out verification.toml", "check RIG"),
-    "arm verify": ("check RIG", "run six-situations --rig RIG --dry-run"),
-    "bath read": ("bath watch --port {port} --profile {profile}", "check RIG"),
-    "bath learn": ("help add-a-bath", "bath read --port {port} --profile {profile}"),
-    "bath set": (
-        "bath watch --port {port} --profile {profile}",
-        "bath standby --port {port} --profile {profile}",
-    ),
-    "bath watch": (
-        "bath read --port {port} --profile {profile}",
-        "bath standby --port {port} --profile {profile}",
-    ),
-    "bath standby": ("bath read --port {port} --profile {profile}", "help safety"),
-    "bath acknowledge": ("check {rig}", "resume RUN"),
-    "stage status": ("stage home --rig RIG", "check RIG"),
-    "stage home": ("stage move --rig RIG -- X Y", "stage status --rig RIG"),
-    "stage move": ("stage jog --rig RIG X-5", "stage status --rig RIG"),
-    "stage jog": ("stage status --rig RIG", "calibrate stage --rig RIG --out registration.toml"),
-    "stage recover": ("stage home --rig RIG", "stage status --rig RIG"),
-    "camera list": ("camera show opencv:0", "camera focus opencv:0 --page"),
-    "camera show": ("camera focus RIG --page", "camera grab RIG --out recordings/mine"),
-    "camera focus": ("camera show RIG", "calibrate board chessboard-9x6-40 --pdf board.pdf"),
-    "camera grab": ("detect {out} --detector fused", "camera show RIG"),
-    "calibrate cameras": ("calibrate check {out} --rig RIG --board {board}", "help calibration"),
-    "calibrate thermal": (
-        "calibrate world --rig RIG --cameras cameras.toml --out world.toml", "help calibration",
-    ),
-    "calibrate world": (
-        "calibrate merge cameras.toml thermal.toml {out} --out calibration.toml",
-        "help calibration",
-    ),
-    "calibrate merge": ("calibrate check {out} --rig RIG --board BOARD", "check RIG"),
-    "calibrate check": ("check RIG", "run six-situations --rig RIG --dry-run"),
-    "calibrate board": (
-        "calibrate cameras --rig RIG --board {board} --out cameras.toml", "help calibration",
-    ),
-    "calibrate export": ("help calibration", "check RIG"),
-    "calibrate import": (
-        "calibrate merge {out} thermal.toml world.toml --out calibration.toml",
-        "help calibration",
-    ),
-    "calibrate stage": ("trials", "help trials"),
-    "store check": ("report {run} --open", "store export {run} --format csv --out tables"),
-    "store export": ("store check {run}", "help record"),
-    "recording pack": ("score {out} --detector fused", "help record"),
-    "replay-wire": ("check RIG", "help record"),
-    "help": ("trials", "run demo"),
-}
-# fmt: on
 # words that went, and what to use
 REMOVED = {
     "campaign search": "hypothesis draws and simplifies scenes in a test of yours: help testing",
@@ -1079,3 +989,9 @@ REMOVED = {
     "thesis-no-refinement": "the trace of 'thesis' has the ends before refinement",
     "thesis-published-homography-no-refinement": "use thesis-published-homography",
 }
+
+
+@cache
+def following() -> Mapping[str, Sequence[str]]:
+    """What a person mostly does after each command: two commands, of ``following.toml``."""
+    return tomllib.loads(Path(__file__).with_name("following.toml").read_text(encoding="utf-8"))

@@ -11,6 +11,7 @@ import re
 import shlex
 import shutil
 import sys
+import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,39 +34,6 @@ SKELETONS = {
     "cpp": {"detector.cpp": ".cpp"},
 }
 COMPILED = "c++ -O2 -std=c++17 -o {name} {name}.cpp"
-FLUSH = (
-    "Flush standard output after each line: flush=True in Python, std::endl in C++. If the program"
-    " needs longer, set start_limit_s or time_limit_s in the file that declares it."
-)
-# what a failure's reason says -> what to do
-CURES = {
-    "was not ready within": f'The first line has to be {{"ready": true}}. {FLUSH}',
-    "gave no answer within": f"Each line of input needs one line of output. {FLUSH}",
-    "its first line must be": (
-        'Write {"ready": true} before all else. Other text belongs on standard error.'
-    ),
-    "is not JSON": (
-        "Standard output is for answers only, one JSON object a line. Other text belongs on"
-        " standard error."
-    ),
-    "is no JSON object": "An answer is one line: an object with frame and teats.",
-    "it was asked about frame": "Give the question's frame back, unchanged, as text.",
-    'no list "teats"': 'Give "teats": [] where nothing was found.',
-    "has neither": "A teat has world_mm [x, y, z], or left_px and right_px, each [column, row].",
-    "lead to no point in space": (
-        "left_px and right_px are the same point in both pictures, each [column, row]."
-    ),
-    "of memory": "Use less, or set memory_limit_mib in the file that declares it.",
-    "before it was ready": (
-        "The program ended at its start. Its last words are above; run its command by hand to see"
-        " more."
-    ),
-    "can't be started": "Is the program there, and may it be run?",
-    "ended": (
-        "The program ended instead of answering. It has to read lines until its input ends; its"
-        " last words are above."
-    ),
-}
 
 
 def listed(given: argparse.Namespace) -> None:
@@ -158,7 +126,8 @@ def try_out(given: argparse.Namespace) -> int:
             sys.stdout.flush()
             asked = "" if number == 1 else ", the second time that it was asked"
             complain(f"no answer{asked}: {why}.", CODES.not_met)
-            cure = next((cure for words, cure in CURES.items() if words in why), "")
+            text = Path(__file__).with_name("cures.toml").read_text(encoding="utf-8")
+            cure = next((cure for words, cure in tomllib.loads(text).items() if words in why), "")
             otherwise = "'teatbench help detectors' has what is asked for"
             complain(f"what to do: {cure or otherwise}", CODES.not_met)
             return CODES.not_met

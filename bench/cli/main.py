@@ -19,7 +19,7 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from bench.cli.arguments import CODES, EXIT_CODES, call, complain, in_switches
-from bench.cli.commands import COMMANDS, FUNCTIONS, GROUPS, MODULES, NEXT, ONCE, REMOVED, TASKS
+from bench.cli.commands import COMMANDS, FUNCTIONS, GROUPS, MODULES, ONCE, REMOVED, TASKS, following
 from bench.safety.signals import installed
 from bench.version import __version__
 from reports.sanitize import sanitizing
@@ -148,7 +148,7 @@ def _say_next(given: argparse.Namespace, code: int) -> None:
         one = value[0] if isinstance(value, list) and value else value
         return shlex.quote(str(one)) if one else found[1].upper()
 
-    then = (re.sub(r"\{(\w+)\}", given_or_named, text) for text in NEXT[given.called])
+    then = (re.sub(r"\{(\w+)\}", given_or_named, text) for text in following()[given.called])
     print("Then, for instance:", *(f"teatbench {text}" for text in then), sep="\n  ")
 
 

@@ -160,9 +160,7 @@ def rehearse(
     seed: int | None = None,
     shown: Callable[[int, int], None] = lambda _done, _of: None,
 ) -> Rehearsal:
-    """Run ``script`` on the twin of ``rig``; ``stage`` is what its controller reports. Raises
-    NoTwinError, KeyboardInterrupt.
-    """
+    """Run ``script`` on the twin of ``rig``. Raises NoTwinError, KeyboardInterrupt."""
     clock, twin_rig, url = VirtualClock(), twin_of(rig, script, stage), rig.rig.operator.url
     course = Course(script.planned, shown)
     events = Events(course)
@@ -301,9 +299,7 @@ def _world(rig: LoadedRig, script: LoadedScript, stage: StageSettings | None) ->
 
 
 def _twin_stage(stage: Stage, known: StageSettings | None) -> Stage:
-    """The same with an emulator. A FluidNC whose machine space is not negative is stood in for by a
-    firmware whose space may begin anywhere.
-    """
+    """With an emulator; a FluidNC whose machine space is not negative has another firmware's."""
     spoken: str = stage.dialect
     if known is not None and known.low_mm and spoken == "grbl" and any(_highs(known)):
         spoken = "zaber" if "A" in stage.axes else "marlin"
@@ -362,9 +358,7 @@ def to_render(planned: Sequence[PlannedTrial], most: int = MOST_SETS) -> frozens
 
 
 class StandInCameras:
-    """Cameras that render and check frames at some trials, and show the first set to each detector;
-    at the others they give a set of ramps.
-    """
+    """Render and check frames at some trials, for each detector once; give ramps at others."""
 
     def __init__(
         self,

@@ -225,9 +225,7 @@ class RunRecord:
 
 
 def read_run(folder: Path, damage: tuple[str, ...] = (), *, whole: bool = True) -> RunRecord:
-    """The run in ``folder``, whatever its state; unless ``whole`` without its trials and readings.
-    Raises ConfigError.
-    """
+    """The run in ``folder``; unless ``whole`` without trials and readings. Raises ConfigError."""
     try:
         with opened(folder) as db:
             record = _read(folder, db, damage, whole=whole)

@@ -13,7 +13,7 @@ import numpy as np
 
 from bench.record.reader import RunRecord, points_mm
 from bench.report.tables import situations
-from bench.report.wording import NOT_MEASURED, number, spanned, table
+from bench.report.wording import NOT_MEASURED, Heading, number, spanned, table
 from bench.results.error_rows import ErrorRows, error_rows, run_precision, truth_gage
 from bench.results.verdicts import scored, truth_u_mm
 from bench.scoring.errors import ErrorSummary, Floats, normal_k, quantile_bound, summarise
@@ -26,8 +26,6 @@ from detector.calibration import Calibration
 from instruments.world.situations import spoken
 from reports.page import Cell, Paragraph, Part, Table
 
-MM = ">bias [mm] | >sd [mm] | >rms [mm] | >mean |e| [mm] | >max |e| [mm]"
-DISTANCES = ">mean [mm] | >median [mm] | >rms [mm] | >p95 [mm] | >p99 [mm] | >max [mm]"
 SHARES = (0.95, 0.99)  # of poses, that a tolerance limit covers
 CONFIDENCE = 0.95
 
@@ -47,8 +45,7 @@ def accuracy_tables(
             poses = len(set(own.of_found(own.poses)))
             six = _six(summarise(own.errors_mm), summarise(own.errors_mm, camera_from_world))
             lines += [(teat, name, poses, *figures) for name, *figures in six]
-        caption = f"Errors along each axis by teat, detector {detector}"
-        yield table(caption, ("teat | axis | >poses | >n", MM), lines)
+        yield table("axes_by_teat", lines, detector=detector)
     yield _distances(run, rows, pool, detector)
     yield _tolerance(pool, detector)
     yield from _left_out_kinds(run, detector)
@@ -64,8 +61,7 @@ def _left_out_kinds(run: RunRecord, detector: str) -> Iterator[Table]:
         for one in str(row["reason"]).split("; ")
     )
     if said:
-        caption = f"What the answers say they left out, and of what they give, detector {detector}"
-        yield table(caption, ("what | >times",), said.most_common())
+        yield table("said_of_answers", said.most_common(), detector=detector)
 
 
 def _axes(
@@ -85,13 +81,9 @@ def _axes(
     rows = [(*figures, against(figures[-1])) for figures in six]
     upto = "nothing can be" if accept is None else f"up to {accept:.3f} mm is"
     known = "u isn't stated" if u_mm is None else f"u = {u_mm:.3g} mm"
-    note = (
-        f"bias² + sd² = rms²; camera axes are the right camera's. Along one axis alone {upto}"
-        f" accepted and {refuse:.3f} mm or more refused (T = {limit_mm:g} mm, {known}); the verdict"
-        " is on the distance."
+    return table(
+        "axes", rows, detector=detector, upto=upto, refuse=refuse, limit_mm=limit_mm, known=known
     )
-    heads = ("axis | >n", MM, "max |e| is # against the limit along this axis alone")
-    return table(f"Errors along each axis, detector {detector}", heads, rows, note)
 
 
 AXES = (
@@ -101,7 +93,7 @@ AXES = (
 
 
 def _six(world: ErrorSummary, camera: ErrorSummary) -> Iterator[tuple[Any, ...]]:
-    """Name, and figures under ``>n`` and MM, of each axis of world and camera."""
+    """Name, and figures of ``tables.toml``, of each axis of world and camera."""
     six = (world.x, world.y, world.z, camera.x, camera.y, camera.z)
     for name, a in zip(AXES, six, strict=True):
         yield name, a.n, a.bias_mm, a.sd_mm, a.rms_mm, a.mean_abs_mm, a.max_abs_mm
@@ -109,10 +101,6 @@ def _six(world: ErrorSummary, camera: ErrorSummary) -> Iterator[tuple[Any, ...]]
 
 def _distances(run: RunRecord, rows: ErrorRows, pool: Pool, detector: str) -> Table:
     """Of the found teats; GOSPA of whole scenes charges for the others too."""
-    heads = (
-        f"of | >n | {DISTANCES} | >GOSPA [mm a scene] ~.2f"
-        " # charges missed and false teats too; p = 2, c = the scene's gate"
-    )
 
     def radial(errors: ErrorSummary) -> tuple[float | None, ...]:
         r = errors.radial
@@ -128,12 +116,13 @@ def _distances(run: RunRecord, rows: ErrorRows, pool: Pool, detector: str) -> Ta
             (f"teat {teat}", *radial(summarise(rows.of_teat(teat).errors_mm)), "")
             for teat in rows.teat_names
         ]
-    note = (
-        "Distances are over found teats only; GOSPA, which also charges missed and false teats:"
-        f" mean {number(gospa(pool), 'mm')} a scene. Percentiles are observed"
-        f" values.{_without_noise(rows)}"
+    return table(
+        "distances",
+        lines,
+        detector=detector,
+        gospa=number(gospa(pool), "mm"),
+        without_noise=_without_noise(rows),
     )
-    return table(f"Distance to the teat end, detector {detector}", heads, lines, note)
 
 
 def _without_noise(rows: ErrorRows) -> str:
@@ -163,11 +152,6 @@ def _tolerance(pool: Pool, detector: str) -> Part:
             f"Tolerance limits, {detector}: {NOT_MEASURED}; teats were found in {n} poses, and 2"
             " are the least."
         )
-    heads = (
-        "covers | with | >poses | >any distribution [mm] ~.2f"
-        " # an order statistic of the poses' worst distances (ISO 16269-6) | >k ~.3f"
-        " | >if they were normal [mm] ~.2f # mean + k sd of the poses' worst distances"
-    )
     lines = []
     for share in SHARES:
         upper = quantile_bound(worst, share, CONFIDENCE)
@@ -176,11 +160,7 @@ def _tolerance(pool: Pool, detector: str) -> Part:
         says = (f"{100 * share:g} % of poses", f"{100 * CONFIDENCE:g} % confidence, one-sided")
         free = few if upper is None else upper
         lines.append((*says, n, free, k, worst.mean() + k * worst.std(ddof=1)))
-    note = (
-        "Of poses where teats were found, each with its worst distance. Distances are seldom"
-        " normal; that column is to compare with."
-    )
-    return table(f"Tolerance limits of the distance, detector {detector}", heads, lines, note)
+    return table("tolerance", lines, detector=detector)
 
 
 PIXEL_SD_PX = 0.1  # of a point placed well in a picture, in each coordinate
@@ -217,19 +197,10 @@ def limit_table(ends_mm: Floats, calibration: Calibration) -> Table:
         alone = own[at].max() if known else None
         figures = (int(at.sum()), per_px[at].max(), alone, seen[at].max())
         rows.append((spanned(depth[at], ".0f"), *figures))
-    heads = (
-        ">distance [mm] | >teat ends"
-        " | >one pixel of disparity [mm] ~.1f # of depth: Z² / (f B)"
-        " | >calibration alone [mm] ~.2f # expanded uncertainty (k = 2) of a point, along its worst"
-        f" direction | >with {PIXEL_SD_PX:g} px noise [mm] ~.2f # the same with noise of the pixels"
-        " besides"
-    )
     text = " This calibration states no uncertainty, so that its own share is not in it."
-    note = (
-        "What can be reached on this rig at best: k = 2, worst direction, the farthest of each"
-        f" row.{'' if known else text}"
-    )
-    return table("Limit of what can be reached, by distance from the cameras", heads, rows, note)
+    hint = "the same with noise of the pixels besides"
+    more = [Heading(f"with {PIXEL_SD_PX:g} px noise", "right", "mm", hint, ".2f")]
+    return table("limit_by_distance", rows, more=more, unstated="" if known else text)
 
 
 CYCLES_FROM = 10  # repeats of a pose: ISO 9283 asks for 30, and fewer than these say nothing
@@ -267,15 +238,6 @@ def gage_parts(run: RunRecord, limit_mm: float) -> Iterator[Part]:
     if found.studies is None:
         yield Paragraph(f"Gage R&R of the ground truth: {NOT_MEASURED}; {found.why}.")
         return
-    heads = (
-        "axis | >ends | >set-ups | >touches | >repeatability [mm] ~.3f # touch after touch"
-        " | >reproducibility [mm] ~.3f # set-up after set-up, the interaction with the end included"
-        " | >gage R&R [mm] ~.3f | >between ends [mm] ~.3f | >of the tolerance [%] ~.1f"
-        " # 6 gage over the whole width: below 10 % is good, above 30 % not acceptable"
-        " | >ndc # how many sizes of part it can distinguish"
-        " | >common to all touches, u [mm] ~.3f # arm, table frame and ball tip: no repeat shows it"
-        " | >of the tolerance with it [%] ~.1f"
-    )
     lines = []
     for axis, s, shared in zip("xyz", found.studies, found.common_mm, strict=True):
         sizes, share = (s.parts, s.appraisers, s.repeats), s.share_of_tolerance(2.0 * limit_mm)
@@ -284,13 +246,7 @@ def gage_parts(run: RunRecord, limit_mm: float) -> Iterator[Part]:
         figures = (100.0 * share, s.distinct_categories, shared, whole)
         lines.append((axis, *sizes, *sd_mm, *figures))
     left = f" {found.left_out} ends had too few touches or set-ups, and are left out."
-    note = (
-        "Standard deviations, crossed analysis of variance (AIAG MSA, 4th edition; ISO 22514-7):"
-        " an end at a pose is a part, a repeat of the pose a set-up. The tolerance is ±"
-        f" {limit_mm:g} mm. What all touches have in common is in no column of the study: it stands"
-        f" beside it, as stated.{left if found.left_out else ''}"
-    )
-    yield table("Gage R&R of the ground truth", heads, lines, note)
+    yield table("gage", lines, limit_mm=limit_mm, left_out=left if found.left_out else "")
 
 
 def _components(rows: ErrorRows, detector: str) -> Part:
@@ -300,34 +256,14 @@ def _components(rows: ErrorRows, detector: str) -> Part:
             f"Repeatability and reproducibility (ISO 5725), {detector}: {NOT_MEASURED}; no teat was"
             " found twice at one pose."
         )
-    heads = (
-        "axis | >n | >teats at poses | >s_r [mm] # repeatability: within a pose"
-        " | >s_L [mm] # between teats and poses"
-        " | >s_R [mm] # reproducibility: the root of s_r² + s_L²"
-    )
-    note = (
-        "Standard deviations of the error (ISO 5725-2, 7.4.5). A set-up is a teat at a pose; its"
-        " repeats are taken without a change."
-    )
     lines = []
     for axis, of in zip("xyz", along, strict=True):
         sds = (number(sd, digits=3) for sd in (of.s_r, of.s_between, of.s_R))
         lines.append((f"world {axis}", of.n, of.groups, *sds))
-    return table(f"Repeatability and reproducibility, {detector} (ISO 5725)", heads, lines, note)
-
-
-TOGETHER = (
-    "AP, AD and RP are of detector and truth together; the last columns say what of them the truth"
-    " alone may make (95 %; of RP as stated)."
-)
+    return table("iso_5725", lines, detector=detector)
 
 
 def _poses(ends: Ends, rows: ErrorRows, detector: str) -> Table:
-    heads = (
-        "pose | teat | >n | >AP [mm] | >AP along x [mm] | >along y [mm] | >along z [mm] | "
-        ">RP [mm] | >drift of AP [mm] | >of AP the truth's, up to [mm] ~.2f"
-        " | >of RP the truth's [mm] ~.2f"
-    )
     lines = []
     for (pose, teat), of in list(ends.items())[:MOST_ROWS]:
         numbers = list(of.values())
@@ -339,11 +275,7 @@ def _poses(ends: Ends, rows: ErrorRows, detector: str) -> Table:
         lines.append(
             (pose, teat, len(errors), np.linalg.norm(ap), *ap, rp_mm, drift, shared, fresh)
         )
-    note = (
-        "Of what was found, against the truth of the same trial. RP: mean distance from their own"
-        f" mean, and three standard deviations. {TOGETHER}{_left_out(len(ends))}"
-    )
-    return table(f"Pose accuracy and repeatability, {detector} (ISO 9283)", heads, lines, note)
+    return table("iso_9283_poses", lines, detector=detector, left_out=_left_out(len(ends)))
 
 
 def _truth_of(rows: ErrorRows, numbers: Sequence[int]) -> JointCovariance:
@@ -380,12 +312,7 @@ def _pairs(ends: Ends, rows: ErrorRows, detector: str) -> Part:
             f"AD and RD (ISO 9283), {detector}: {NOT_MEASURED}; no distance was found {CYCLES_FROM}"
             " times."
         )
-    note = (
-        "The distance found less the true one of the same trials; AD is the amount of its mean, RD"
-        f" three standard deviations. {TOGETHER}{_left_out(len(pairs))}"
-    )
-    heads = "distance | >n | >AD [mm] | >RD [mm] | >of AD the truth's, up to [mm] ~.2f"
-    return table(f"Distance accuracy and repeatability, {detector} (ISO 9283)", heads, lines, note)
+    return table("iso_9283_distances", lines, detector=detector, left_out=_left_out(len(pairs)))
 
 
 def _left_out(of: int) -> str:

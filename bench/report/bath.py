@@ -118,21 +118,12 @@ def _capture_parts(run: RunRecord, shown: Sequence[TrialRecord], left_out: str) 
         found = surface_at(run, trial)
         estimate = (None, "") if found is None else (found.temp_c, 2 * found.u_k)
         rows.append((trial.id, *figures, trial.head["bath_state"] or None, *estimate))
-    heads = (
-        "trial | >bath, mean [°C] | >least [°C] | >most [°C] | >external [°C] | state"
-        " | >teats' surface [°C] ~.2f | >± [K] ~.2f # twice the standard uncertainty"
-    )
-    note = (
-        f"Readings within {AROUND_S:g} s of each capture. The bath is not the stimulus: the teats'"
-        f" surface is.{left_out}"
-    )
-    yield table("Temperatures at the captures", heads, rows, note)
+    yield table("capture_temperatures", rows, around_s=AROUND_S, left_out=left_out)
     surfaces = (surface_at(run, trial) for trial in reversed(run.trials))
     if last := next((found for found in surfaces if found), None):
         budget = [(c.name, c.u_k, c.source) for c in last.components]
         budget.append(("combined", last.u_k, "root of the sum of squares"))
-        title = f"Uncertainty budget of the teats' surface, by {last.how} (last capture)"
-        yield table(title, "component | >u [K] ~.3f | source", budget)
+        yield table("surface_budget", budget, how=last.how)
 
 
 def _farthest(run: RunRecord, taken: Sequence[TrialRecord]) -> tuple[Sequence[TrialRecord], str]:
@@ -161,17 +152,7 @@ def _stability_table(
         slopes = _k_per_min(t_s, bath_c), _k_per_min(t_s[text], teats_c[text])
         away_k = _mean(bath_c[text] - teats_c[text])
         rows.append((trial.id, len(bath_c), off_k, half_k, *slopes, away_k))
-    heads = (
-        "trial | >readings | >mean from set point [K] ~+.4f | >half the range [K] ~+.4f"
-        " | >slope [K/min] ~+.4f | >teats' sensor, slope [K/min] ~+.4f"
-        " | >bath to teats' sensor [K] ~+.4f"
-    )
-    note = (
-        "Stability is what varies in these readings at one place. Uniformity, from teat to teat"
-        " and from root to tip, is not measured: there is one sensor at the teats at most; what it"
-        f" may be is in the uncertainty of the teats' surface.{left_out}"
-    )
-    return table(f"The {window_s:g} s before each capture", heads, rows, note)
+    return table("stability", rows, window_s=window_s, left_out=left_out)
 
 
 def _k_per_min(t_s: NDArray[np.float64], temp_c: NDArray[np.float64]) -> float | None:
@@ -207,11 +188,9 @@ def _care_parts(run: RunRecord) -> Iterator[Part]:
     if trip:
         states[trip["rule"]] = "TRIPPED"
     rows = [(r.name, r.trips, r.resets, states.get(r.name, "did not trip")) for r in RULES]
-    heads = "interlock | trips | resets, once acknowledged | in this run"
-    note = "None of this is a safety function; the bath's independent cut-out is."
     resting = sum(state == "did not trip" for *_, state in rows)
     yield Paragraph(f"{resting} of {len(rows)} interlocks were awake and did not trip.")
-    listed = table("Interlocks", heads, rows, note)
+    listed = table("interlocks", rows)
     if trip:
         yield from (listed, _trip_table(trip))
     else:
@@ -228,22 +207,15 @@ COMMS_LOSS = {
     "safe_setpoint": "the controller goes to its own safe set point when no messages come",
     "unknown": "not known for this controller: take it that the bath stays hot",
 }
-READINGS = {
-    "t_s": ">time [s] ~g?",
-    "temp_c": ">bath [°C] ~g?",
-    "external_c": ">external [°C] ~g?",
-    "safety_c": ">safety [°C] ~g?",
-    "set_point_c": ">set point [°C] ~g?",
-    "power_percent": ">output [%] ~g?",
-    "running": ">runs ~?",
-    "alarm": ">alarm ~?",
-}
+READINGS = (  # of the columns of the table of a trip
+    *("t_s", "temp_c", "external_c", "safety_c"),
+    *("set_point_c", "power_percent", "running", "alarm"),
+)
 
 
 def _trip_table(trip: dict[str, Any]) -> Table:
     words = {True: "yes", False: "no"}
     rows = (map(row.get, READINGS) for row in trip["values"])
     shown = [[words[one] if isinstance(one, bool) else one for one in row] for row in rows]
-    note = f"{trip['why']}. {'; '.join(trip['done'])}. {trip['then']}"
-    caption = f"Readings that led to the trip: {trip['rule']}"
-    return table(caption, " | ".join(READINGS.values()), shown, note)
+    done = "; ".join(trip["done"])
+    return table("trip", shown, rule=trip["rule"], why=trip["why"], done=done, then=trip["then"])

@@ -14,7 +14,7 @@ from bench.calibrate.cameras import PAIR, WORKING_MM, CamerasResult, PairsResult
 from bench.calibrate.views import BoardViews
 from bench.calibrate.world import PointsAgain, WorldResult
 from bench.report.chapters import Chapters, page_of
-from bench.report.wording import NOT_MEASURED, key_values, listed, spanned, table
+from bench.report.wording import NOT_MEASURED, Heading, hints, key_values, listed, spanned, table
 from bench.results.cameras_agree import NEXT_UNSEEN, CamerasCheck
 from bench.scoring.decisions import Decision, Verdict
 from detector.calibration import Record
@@ -45,21 +45,6 @@ MARGIN_MM = 100.0  # of the working volume beyond what was touched
 DISTANCES_M = np.linspace(0.7, 1.8, 23)
 HOLDS = "It still holds."
 CHECK = "Check of a calibration"
-FAULTS, SEEN, HALVES, CORNERS = "Faults", "Views", "Two halves of the views", "Corners miss by"
-POINT = "One point is good to"
-VOLUME = "Anywhere in the working volume"
-HINTS = {
-    POINT: "Expanded uncertainty (k = 2) of one triangulated point along its worst direction, with"
-    " corners as noisy as these.",
-    FAULTS: "Wrong baseline, shifted columns or rows, swapped cameras, bent board, wrong square"
-    " size, outlier view: named where a mark is both significant and large enough to matter.",
-    SEEN: "Whether the views show the board in every part of the picture, tilted and at distances.",
-    HALVES: "Two calibrations, each from half of the views, place the board's points so far apart"
-    " (rms).",
-    CORNERS: "Reprojection error, rms. Few views miss less, so it is no measure of quality.",
-    VOLUME: "Expected target error (rms) in the box of the touched places, 100 mm larger on every"
-    " side.",
-}
 Row = tuple[str, str, tuple[Score | None, ...]]
 LIMIT_MM = 5.0  # of a teat end's error, where a script names no other
 ENOUGH_MM = LIMIT_MM / 4.0  # the test uncertainty ratio 4:1
@@ -86,7 +71,7 @@ def _page(
     if findings is not None:
         names = ", ".join(finding.name for finding in findings)
         score = Score("not met" if names else "met", names or "none", "")
-        rows.insert(0 if title == CHECK else 1, (FAULTS, "none", (score,)))
+        rows.insert(0 if title == CHECK else 1, ("Faults", "none", (score,)))
         sound = "No fault left a mark that is both significant and large enough to matter."
         named = tuple(f"{finding.name}: {finding.sentence}" for finding in findings)
         wrong = [Notes("What was found wrong", named) if named else Paragraph(sound, tone="good")]
@@ -95,14 +80,14 @@ def _page(
         if missing:
             score = Score("inconclusive", f"{len(missing)} missing", "see below")
             wrong.append(Notes("What the views don't show yet", missing))
-        rows.append((SEEN, "every part, tilt and distance", (score,)))
+        rows.append(("Views", "every part, tilt and distance", (score,)))
     heads = ("Looked at", "Good enough is")
-    board = Scoreboard("Is it good enough?", columns, tuple(rows), heads, HINTS)
+    board = Scoreboard("Is it good enough?", columns, tuple(rows), heads, hints("calibration"))
     who = {"day": record.made, "by": record.by or "not stated", "with": record.with_what}
     files = [(name, Cell(digest, mono=True)) for name, digest in record.inputs.items()]
     made = (
         key_values("Made", {**who, **record.cameras}),
-        table("Inputs", "file | SHA-256", files),
+        table("inputs", files),
         Code("The command that repeats it", command),
     )
     out = {"findings": ("What came out", (board, *wrong))}
@@ -171,10 +156,11 @@ def cameras_page(
         confidence += f" {halves} (rms)."
     fits = {"left": result.joint, "right": result.joint}
     verdict, _ = good(result.findings, good_mm)
+    at = f"at {at_mm / 1000:.2f} m, worst direction"
     scores = (
-        _enough(POINT, good_mm, f"{good_mm:.2f} mm", f"at {at_mm / 1000:.2f} m, worst direction"),
-        _figure_only(HALVES, halves),
-        _figure_only(CORNERS, f"{result.joint.fit.rms_px:.2f} px"),
+        _enough("One point is good to", good_mm, f"{good_mm:.2f} mm", at),
+        _figure_only("Two halves of the views", halves),
+        _figure_only("Corners miss by", f"{result.joint.fit.rms_px:.2f} px"),
     )
     return _page(
         "Calibration of the stereo pair",
@@ -234,7 +220,7 @@ def thermal_page(result: ThermalResult, record: Record, command: str) -> Page:
         record,
         command,
         scores=(
-            _figure_only(CORNERS, f"{fit.rms_px:.2f} px", "over both cameras"),
+            _figure_only("Corners miss by", f"{fit.rms_px:.2f} px", "over both cameras"),
             _figure_only("Its place is known to", f"{place} mm", "x, y, z"),
         ),
         missing=missing,
@@ -255,11 +241,11 @@ def thermal_page(result: ThermalResult, record: Record, command: str) -> Page:
 def pairs_page(result: PairsResult, record: Record, command: str) -> Page:
     """Of `calibrate thermal` with a table of point pairs."""
     left, right = both = (result.left, result.right)
-    heads, tables = ">pair | >misses by [px] ~.2f | counts", []
+    tables = []
     for side, mapped in zip(("left", "right"), both, strict=True):
         counts = ["yes" if kept else Cell("no: outlier", "warn") for kept in mapped.inliers]
         rows = list(zip(count(1), mapped.missed_px, counts, strict=False))
-        tables.append(table(f"Pairs, thermal to {side}", heads, rows))
+        tables.append(table("point_pairs", rows, side=side))
     kept = [f"{mapped.inliers.sum()} of {len(mapped.inliers)}" for mapped in both]
     counted = tuple(Score("no verdict", text, "") for text in kept)
     missed = tuple(Score("no verdict", f"{m.rms_px:.2f} px", "") for m in both)
@@ -293,32 +279,29 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
     out_mm = comparison.held_out_mm
     held_out = {name: None if mm is None else f"{mm:.3f}" for name, mm in out_mm.items()}
     models = table(
-        "Fits of triangulated to touched points; rigid is used, the others are a diagnosis",
-        "fit | >residual [mm rms] ~.3f | >held out [mm rms] | >singular values ~.4f",
+        "world_fits",
         [(f.model, f.fre_mm, held_out[f.model], f.singular_values) for f in comparison.fits],
-        "Where affine is much better, the stereo calibration is off.",
     )
     residuals = table(
-        "Touched less mapped",
-        ">point | >dx [mm] ~+.3f | >dy [mm] ~+.3f | >dz [mm] ~+.3f | >distance [mm] ~.3f",
+        "world_residuals",
         [(n, *row, np.linalg.norm(row)) for n, row in enumerate(comparison.rigid.residuals_mm, 1)],
     )
     volume = working_volume_mm(fit.touched_mm)
     there = fit.target_error_mm(volume)
-    places, head = volume.reshape(3, 9, 3), ">y [mm] ~.0f | >z [mm] ~.0f"
-    expected = table(  # rows of y and z, columns of x
-        "Expected target error, rms",
-        (head, *(f">x = {x:.0f} mm [mm] ~.2f" for x in places[:, 0, 0])),
+    places = volume.reshape(3, 9, 3)
+    expected = table(
+        "world_expected",
         np.column_stack([places[0, :, 1:], there.reshape(3, 9).T]),
-        f"The box of the touched places, {MARGIN_MM:.0f} mm larger on every side. Fitzpatrick, West"
-        " and Maurer 1998, eq. 46.",
+        more=(Heading(f"x = {x:.0f} mm", "right", "mm", form=".2f") for x in places[:, 0, 0]),
+        margin_mm=MARGIN_MM,
     )
     touched = spanned(fit.target_error_mm(fit.touched_mm), ".2f", "mm")
     worst = float(there.max())
     verdict, said = good(result.findings, worst)
     left_out = NOT_MEASURED if held_out["rigid"] is None else f"{held_out['rigid']} mm"
+    where = f"{touched} at the touched places"
     scores = (
-        _enough(VOLUME, worst, f"up to {worst:.2f} mm", f"{touched} at the touched places"),
+        _enough("Anywhere in the working volume", worst, f"up to {worst:.2f} mm", where),
         _figure_only("Points miss the arm's by", f"{comparison.rigid.fre_mm:.3f} mm"),
         _figure_only("A point left out is missed by", left_out),
     )
@@ -396,12 +379,7 @@ def check_points_page(
     """Of `calibrate check --points`: an existing calibration against points touched today."""
     rms = np.sqrt(np.mean(np.sum(again.missed_mm**2, axis=1)))
     rows = np.column_stack([again.missed_mm, again.expected_mm])
-    points = table(
-        "Measured less touched",
-        ">point | >dx [mm] ~+.2f | >dy [mm] ~+.2f | >dz [mm] ~+.2f | >expected [mm] ~.2f",
-        [(n, *row) for n, row in enumerate(rows, 1)],
-        "Expected: root of the summed variances of calibration, pixels and touch.",
-    )
+    points = table("points_again", [(n, *row) for n, row in enumerate(rows, 1)])
     expected = _rms(again.expected_mm)
     caption = "Where the cameras see it, less where the arm touched, along the world's axes"
     alt = f"{len(rows)} points, {rms:.2f} mm rms"
@@ -430,11 +408,10 @@ def check_ends_page(found: CamerasCheck, decision: Decision, record: Record, com
     """Of `calibrate check --ends`."""
     off = decision.verdict is Verdict.NOT_MET
     shown = table(
-        "What touched teat ends are off in the pictures",
-        "figure | >off [px] ~+.2f | >± [px] ~.2f | >poses or ends",
+        "ends_again",
         [(one.name, one.value, one.uncertainty, one.poses) for one in found.offsets],
-        f"{found.measured} of {found.ends} ends measured. px of the sensor for the thermal camera;"
-        " 95 %.",
+        measured=found.measured,
+        ends=found.ends,
     )
     return _check(
         {"ends": ("Where the cameras show touched ends", [shown])},
@@ -494,12 +471,7 @@ def _parameters(result: CamerasResult) -> Iterator[Part]:
         digits = 3 if name.startswith("T") else 5
         value, other = (f"{number:.{digits}f}" for number in both)
         rows.append((name, UNITS[name[:-1]], value, _sd(joint.sd("right", name), digits), other))
-    note = (
-        f"Corners miss by {joint.rms_px:.3f} px rms jointly, by {fixed.rms_px:.3f} px with the"
-        " lenses as each camera alone has them."
-    )
-    heads = "parameter | unit | >joint | >sd | >with lenses fixed"
-    yield table("Right camera against left: X_right = R(om) X_left + T", heads, rows, note)
+    yield table("stereo", rows, joint_px=joint.rms_px, fixed_px=fixed.rms_px)
 
 
 def _lens(fit: CameraFit, camera: str, alone: CameraFit | None = None) -> Table:
@@ -512,8 +484,8 @@ def _lens(fit: CameraFit, camera: str, alone: CameraFit | None = None) -> Table:
         value, *other = (f"{number:.{digits}f}" for number in each)
         sd = _sd(fit.fit.sd(camera, name), digits)
         rows.append((name, UNITS.get(name, ""), value, sd, *other))
-    heads = f"parameter | unit | >value | >sd{'' if alone is None else ' | >alone'}"
-    return table(f"Lens of the {camera} camera", heads, rows)
+    more = [] if alone is None else [Heading("alone", "right")]
+    return table("lens", rows, more=more, camera=camera)
 
 
 def _sd(value: float | None, digits: int) -> str:
@@ -571,15 +543,11 @@ def _held_out(result: CamerasResult) -> Iterator[Part]:
 
 def _measured_table(again: MeasuredBoard) -> Table:
     """A board measured again, view by view."""
-    heads = (
-        "view | >distance [mm] ~.0f | >scale ~.5f | >spacing [mm rms] ~.3f"
-        " | >flatness [mm rms] ~.3f | >rows [px rms] ~.3f"
-    )
     rows = [
         (v.name, v.depth_mm, v.scale, *map(_rms, (v.spacing_mm, v.off_plane_mm, v.epipolar_px)))
         for v in again.views
     ]
-    return table("View by view", heads, rows, searchable=True)
+    return table("board_again", rows)
 
 
 def _worth(result: CamerasResult, seen_m: tuple[float, float]) -> Iterator[Part]:
@@ -607,10 +575,9 @@ def _coverage(shown: Mapping[str, Coverage]) -> Iterator[Part]:
         tilts = ", ".join(f"{n} {side}" for side, n in zip(sides, coverage.tilted, strict=True))
         span = coverage.distances_mm
         far = "unknown" if span is None else spanned(span, ".0f", "mm")
-        note = f"{coverage.views} views; distances {far}; tilted towards the cameras by an edge:"
-        heads = ">far left | >left | >right | >far right"
-        caption = f"Corners by part of the {camera} picture"
-        yield table(caption, heads, coverage.corners, f"{note} {tilts}.")
+        yield table(
+            "coverage", coverage.corners, camera=camera, views=coverage.views, far=far, tilts=tilts
+        )
 
 
 def _pictures(views: BoardViews, fit: CameraFit) -> Iterator[Part]:
@@ -621,8 +588,7 @@ def _pictures(views: BoardViews, fit: CameraFit) -> Iterator[Part]:
         for name, found in views.found[camera].items():
             missed = f"{errors[name]:.3f}" if name in errors else None
             rows.append((camera, name, len(found.ids), found.edges_px, missed))
-    heads = "camera | view | >points | >edges [px] ~.1f? | >misses by [px rms]"
-    yield table("Views used", heads, rows, searchable=True)
+    yield table("views", rows)
     reasons = tuple(f"{r.camera} {r.view}: {r.reason}" for r in views.refused)
     none = Paragraph("No picture was left out.", tone="good")
     yield Notes("Left out", reasons) if reasons else none

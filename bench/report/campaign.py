@@ -84,7 +84,7 @@ def campaign_page(
     if plan.perturbations:
         done = ", ".join(f"{one.name} {one.amount:g}" for one in plan.perturbations)
         asked["perturbations"] = done
-    aside = table("Scenes set aside: no detector's failure", "scene | why", numbers.aside.items())
+    aside = table("aside", numbers.aside.items())
     shown: Chapters = {
         "families": ("What each detector shows", [_scoreboard(numbers, plan)]),
         "aside": ("Scenes set aside", [aside] if numbers.aside else []),
@@ -312,15 +312,7 @@ def _rates(numbers: Numbers, plan: CampaignPlan) -> Part:
     how = "exact (Clopper and Pearson)"
     if plan.half_width:
         how = "a confidence sequence, which holds at every look"
-    return table(
-        "Failures by family and detector",
-        "family | detector | >scenes | >failures | >rate | >95 % interval, two-sided | >no answer"
-        " | >false | >missed | >error # a teat found further off than the limit"
-        " | >median [mm] # of each scene's largest error | >95 % [mm]",
-        rows,
-        f"A scene counts once, by the gravest: no answer, false, missed, error. Intervals: {how}.",
-        searchable=len(rows) > 10,
-    )
+    return table("families", rows, searchable=len(rows) > 10, how=how)
 
 
 def _worst(numbers: Numbers, folder: Path, drawn: Mapping[str, str]) -> Part:
@@ -334,14 +326,7 @@ def _worst(numbers: Numbers, folder: Path, drawn: Mapping[str, str]) -> Part:
             rows.append((shown, detector, failure, *counts, Cell(command, mono=True)))
     if not rows:
         return Paragraph("No scene failed.")
-    return table(
-        f"Worst scenes (at most {WORST} of a detector)",
-        "scene | detector | failure | >found of visible | >false | >sure and wrong"
-        " | >largest error [mm] ~.2f? | the command that draws it",
-        rows,
-        "A scene's name is its family and the seed of the member.",
-        searchable=True,
-    )
+    return table("worst_scenes", rows, worst=WORST)
 
 
 def _depends(numbers: Numbers) -> Part:
@@ -365,15 +350,7 @@ def _depends(numbers: Numbers) -> Part:
             f"No family has {FEWEST} failures and {FEWEST} successes of one detector, from which"
             " their parameters could be compared."
         )
-    return table(
-        "The two parameters of each family on which failures depend most",
-        "family | detector | parameter | >lowest quarter # of its range: scenes that failed"
-        " | >second | >third | >highest | >p # how likely chance alone makes so uneven quarters",
-        rows,
-        f"From the first {MAPPED} members of each family. p: chi-square, adjusted after Holm for"
-        " all parameters of the family; below 0.05 it is taken as real.",
-        searchable=len(rows) > 10,
-    )
+    return table("parameters", rows, searchable=len(rows) > 10, mapped=MAPPED)
 
 
 def _sure(numbers: Numbers) -> Part:
@@ -384,13 +361,10 @@ def _sure(numbers: Numbers) -> Part:
         figures = (one.found, one.stated, share, one.nees, wrong)
         rows.append((spoken(one.family), one.detector, *figures))
     return table(
-        "Stated standard deviations against true errors",
-        "family | detector | >teat ends found | >with a covariance"
-        " | >in their 95 % region # 95 % where what is stated is true"
-        " | >NEES # mean normalised squared error: 3 where what is stated is true, more where a"
-        " detector is too sure | >sure and wrong",
+        "stated_sds",
         rows,
-        f"Sure and wrong: found ends more than {WRONG_MM:g} mm and {WRONG_SD:g} of their stated"
-        f" standard deviations off, and false ones that state less than {FALSE_SD_MM:g} mm.",
         searchable=len(rows) > 10,
+        wrong_mm=WRONG_MM,
+        wrong_sd=WRONG_SD,
+        false_sd_mm=FALSE_SD_MM,
     )

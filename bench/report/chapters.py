@@ -22,9 +22,7 @@ def page_of(
     about: Mapping[str, str] | None = None,
     **more: Any,
 ) -> Page:
-    """Chapters without a part are left out; ``about`` says by anchor what a folded one holds, and
-    ``more`` are further fields of a `Page`.
-    """
+    """``about``: by anchor what a folded chapter holds; chapters without a part are left out."""
     sections = []
     for chapters, folds in ((shown, False), (folded, True)):
         for anchor, (head, parts) in chapters.items():

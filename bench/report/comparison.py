@@ -20,7 +20,7 @@ from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
 from bench.report.chapters import page_of
 from bench.report.glossary import terms
-from bench.report.wording import NOT_MEASURED, key_values, listed, p_text, table
+from bench.report.wording import NOT_MEASURED, hints, key_values, listed, p_text, table
 from bench.results.comparison import Comparison, Side, compare_folders, compare_sides
 from bench.results.error_rows import truth_gage
 from bench.scoring.comparison import (
@@ -61,14 +61,6 @@ from reports.page import Verdict as PageVerdict
 from reports.render import write_report
 
 JSON_VERSION = 1
-LEGEND = (
-    "All differences are new less old, with their intervals. Lost and won: poses that only the old "
-    "or only the new one got right (exact McNemar; the interval is Tango's). Distance: mean over "
-    "poses of the distance to the end, of teats that both found; a teat's change counts up to the "
-    "limit (the interval is Gaffke's, which allows for poses that were not run; p by sign flips). "
-    "|x|, |y|, |z|: of the absolute error along the world's axes. The p-values of situations are "
-    "adjusted after Holm."
-)
 DIFFER = {
     "kind": "kind",
     "rig": "rig",
@@ -105,19 +97,7 @@ GATE: dict[Verdict, tuple[PageVerdict, str, str, Tone]] = {
 
 
 CAPPED = "†"  # beside a change of which a part counts as the limit
-P_HINT = "how likely chance alone makes so large a difference: below 0.05 it is taken as real"
 MOST_REASONS = 5  # in a sentence
-RIGHT, MISSED, FALSE = "Poses right", "Teats missed", "False teats"
-DISTANCE, ALONG, WORST = "Distance to the teat end", "Error along one axis", "Worst situation"
-HINTS = {
-    RIGHT: "A pose is right when every visible teat end is found within the limit, nothing false is"
-    " reported, and in time, in all of its repeats.",
-    MISSED: "Visible teat ends that were not found.",
-    FALSE: "Answers where there is no teat end.",
-    DISTANCE: "Mean over poses, of teats that both found. A teat's change counts up to the limit.",
-    ALONG: "Change of the mean absolute error along the world's axis on which it grew most.",
-    WORST: "The situation whose mean distance to the teat end grew most.",
-}
 
 
 def heading(comparison: Comparison) -> str:
@@ -189,16 +169,7 @@ def success_table(comparison: Comparison) -> Table:
         p = p_text(won.p_value if row.success_holm is None else row.success_holm)
         counts = (row.new.false - row.old.false, row.new.missed - row.old.missed)
         rows.append((_name(row), row.poses, won.only_old, won.only_new, points, p, *counts))
-    heads = (
-        "situation | >poses",
-        ">lost # poses that only the old one got right",
-        ">won # poses that only the new one got right",
-        ">change [% points] # of the share of poses that are right, with its interval",
-        f">p # {P_HINT}",
-        ">false ~+d # false teats, new less old",
-        ">missed ~+d # missed teats, new less old",
-    )
-    return table("Success of poses, and what was counted", heads, rows, LEGEND)
+    return table("compared_success", rows)
 
 
 def distance_table(comparison: Comparison, *, wide: bool = False) -> Table:
@@ -209,13 +180,7 @@ def distance_table(comparison: Comparison, *, wide: bool = False) -> Table:
         axes = row.axes if wide else [replace(axis, low=None, high=None) for axis in row.axes]
         change, *along = map(_difference, (row.radial, *axes))
         rows.append((_name(row), row.teats, change, p, *along))
-    heads = (
-        "situation | >teats # that both found",
-        ">change [mm] # of the mean distance to the teat end, with its interval",
-        f">p # {P_HINT}",
-        *(f">|{axis}| [mm] # change of the mean absolute error along {axis}" for axis in "xyz"),
-    )
-    return table("Distance to the teat end", heads, rows, capped_text(comparison))
+    return table("compared_distance", rows, note=capped_text(comparison))
 
 
 def _rows(comparison: Comparison) -> tuple[Row, ...]:
@@ -495,8 +460,8 @@ def _scoreboard(one: Comparison) -> Scoreboard:
     limit = "none lost" if allowed is None else f"{100 * allowed:g} % points"
     before, now = (f"{won.both + only} of {poses}" for only in (won.only_old, won.only_new))
     shows = f"{won.only_old or 'none'} lost, {won.only_new or 'none'} won{change}"
-    add(RIGHT, limit, before, verdict, now, shows)
-    for name, what in ((MISSED, "missed"), (FALSE, "false")):
+    add("Poses right", limit, before, verdict, now, shows)
+    for name, what in (("Teats missed", "missed"), ("False teats", "false")):
         few, many = getattr(row.old, what), getattr(row.new, what)
         word = "more" if many > few else "fewer"
         shows = f"{abs(many - few)} {word}" if many != few else "as many"
@@ -505,12 +470,13 @@ def _scoreboard(one: Comparison) -> Scoreboard:
     before, now = (_mean_mm(errors, one) for errors in common_errors(one.pairs)[:2])
     shows = f"change {_difference(row.radial)} mm" if row.radial.mean is not None else ""
     limit = f"{margin:g} mm farther"
-    add(DISTANCE, limit, before, _change_verdict(row.radial, margin), now, shows)
+    add("Distance to the teat end", limit, before, _change_verdict(row.radial, margin), now, shows)
     along = [(axis.mean, name, axis) for axis, name in zip(row.axes, "xyz", strict=True)]
     if known := [(mm, name, axis) for mm, name, axis in along if mm is not None]:
         mm, name, axis = max(known, key=lambda one: one[0])
         verdict = "worse" if mm > margin else "not worse"
-        add(ALONG, f"{margin:g} mm larger", None, verdict, _mean(axis), f"along {name}")
+        most, along_it = f"{margin:g} mm larger", f"along {name}"
+        add("Error along one axis", most, None, verdict, _mean(axis), along_it)
     there = [(r.radial.mean, r) for r in one.compared.situations if r.radial.mean is not None]
     if len(there) > 1:
         mm, worst = max(there, key=lambda pair: pair[0])
@@ -519,9 +485,9 @@ def _scoreboard(one: Comparison) -> Scoreboard:
         why = chance_text(worst.radial.poses, "of it", len(one.compared.situations))
         note = f", {why}" if verdict == "inconclusive" else ""
         which = f"{spoken(worst.situation or '')}{note}"
-        add(WORST, limit, None, verdict, _mean(worst.radial), which)
+        add("Worst situation", limit, None, verdict, _mean(worst.radial), which)
     heads = ("Compared", "May be worse by")
-    return Scoreboard(f"{names[0]} and {names[1]}", names, tuple(rows), heads, HINTS)
+    return Scoreboard(f"{names[0]} and {names[1]}", names, tuple(rows), heads, hints("comparison"))
 
 
 def _change_verdict(change: PairedDifference, margin_mm: float) -> PageVerdict:
@@ -609,10 +575,9 @@ def _changed(comparison: Comparison) -> Table:
         both = (outcome(pair.old), outcome(pair.new))
         rows.append((pair.scene, spoken(pair.situation), *both, change))
     return table(
-        "Scenes that changed (at most 50, changed outcomes first)",
-        "scene | situation | old | new | >change of the largest error [mm]",
+        "changed_scenes",
         rows,
-        "" if rows else "No scene's outcome changed, and no error.",
+        note="" if rows else "No scene's outcome changed, and no error.",
         searchable=len(rows) > 10,
     )
 

@@ -69,9 +69,7 @@ class TrialParts:
     def of(
         self, run: RunRecord, calibration: Calibration, folder: Path, copied: Collection[str] | None
     ) -> Iterator[TrialPart]:
-        """Each trial's part for a page in ``folder``: with its images where it is ``copied``, as
-        all are for None; else as drawn.
-        """
+        """Each trial's part for a page in ``folder``; images where ``copied``, or all for None."""
         press = TrialPress(run.detectors, terms())
         sha256 = sha256_of(run.folder / CALIBRATION) if self._kept else ""
         folder.mkdir(parents=True, exist_ok=True)  # images are found from it

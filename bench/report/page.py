@@ -394,12 +394,7 @@ def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
         first = (max(times.cold_s, default=None), times.start_up_s)
         over = [f"{sum(s > edge for s in seconds)} of {len(seconds)}" for edge in (1.0, 2.0)]
         rows.append((detector, len(seconds), *quantiles, *first, *over, failures_text(times)))
-    heads = (
-        "detector | >n | >median [s] ~.3f | >p95 [s] ~.3f | >p99 [s] ~.3f | >max [s] ~.3f"
-        " | >first call (cold) [s] ~.3f | >start-up [s] ~.3f | above 1 s | above 2 s | no answer"
-    )
-    note = f"Real time of the detector alone, on the machine named under Provenance. {LATENCY_RULE}"
-    yield table("Detection time", heads, rows, note)
+    yield table("times", rows, latency_rule=LATENCY_RULE)
 
 
 ALLOWED = {  # what a camera's identity notes where the rig file allows it
@@ -472,7 +467,7 @@ def provenance_parts(run: RunRecord, status: RunStatus) -> Iterator[Part]:
         f"The calibration's at the start was {run.facts['calibration_sha256']}. {frames} pictures"
     )
     note += " of frames and stages: each one's SHA-256 is in the record."
-    yield table("Files as used", "file | what | SHA-256", rows, note)
+    yield table("files", rows, note=note)
     links = {
         what: Cell(path.removeprefix("../"), href=path)
         for path, what in BESIDE.items()

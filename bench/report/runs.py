@@ -137,9 +137,7 @@ def write_runs_page(found: Runs) -> Path:
 
 
 def write_queue_page(out: Path | str = "runs") -> tuple[QueueStatus, Path]:
-    """The last queue in the folder of runs ``out``, and its summary as a page like that over all.
-    Raises ConfigError where there is none, OSError.
-    """
+    """The last queue in ``out``, and its page. Raises ConfigError where there is none, OSError."""
     folder = Path(out)
     if (queue := next(queues(folder), None)) is None:
         raise ConfigError.plain(f"{out}: no queue of scripts was run here")

@@ -126,16 +126,6 @@ QUANTITIES = {
     "bath_c": ("bath temperature", "K", 1.0),
     "tilt_deg": ("tilt of the teat", "°", 1.0),
 }
-NOTE = (
-    "Places are the planned ones, not the measured: an error of the truth is one of both. Errors"
-    " of one pose are not independent, so the slope's error is the jackknife over poses; what the"
-    " truth may make of the slope is added. Where poses are repeated, time and bath are asked"
-    " within them. All p-values of the table are adjusted together (Holm).\n“No trend shown”"
-    " doesn't say that there is none: it says that"
-    " chance alone explains what was seen. As far as these poses show, a trend may still make, over"
-    " the whole range, as much as the column “could be up to” says; more poses over a wider range"
-    " narrow it."
-)
 
 
 def trend_parts(rows: ErrorRows, detector: str) -> Iterator[Part]:
@@ -171,16 +161,8 @@ def trend_parts(rows: ErrorRows, detector: str) -> Iterator[Part]:
     svg = slope_intervals(slopes, name=f"trends-{id_of(detector)}")
     caption = f"What each trend makes of its quantity's whole range, {detector}. {says}"
     yield Figure(svg, caption, says, wide=True)
-    heads = (
-        "error | against | >n | >poses # independent units; within poses: trials"
-        " | >range [of the unit] ~.3g | >slope [mm per unit] ~+.3g"
-        " | >95 % interval, two-sided [mm per unit]"
-        " | >over the range [mm] ~+.2f | >could be up to [mm] ~.2f # over the range, either way,"
-        " 95 %, two-sided | >of it the truth's, up to [mm] ~.2f # 95 %: below it detector and truth"
-        " can't be parted | >p (Holm) ~.3g? | trend"
-    )
     lines = (*measured, *unmeasured.values())
-    listed = table(f"Trends of the error, {detector}", heads, lines, NOTE)
+    listed = table("trends", lines, detector=detector)
     yield Fold(f"Trends in figures, {detector}", (listed,))
 
 
@@ -309,12 +291,6 @@ def _ellipsoids(
     bodies = {"all teats": whole} | {f"teat {one.teat}": one.bias for one in teats}
     if len(teats) == 1:
         bodies = {"the teat": whole}
-    heads = (
-        "of | holds | >poses | >centre x, y, z [mm] ~.2f | >half axes [mm] ~.2f"
-        " | >longest axis along ~.2f # unit vector in the world frame"
-        " | >is there a bias? # p of Hotelling's T², of teats adjusted together (Holm):"
-        " below 0.05 the mean error isn't zero"
-    )
     lines = []
     # the tests of single teats are adjusted together
     p_values = {who: bias.test.p_value for who, bias in bodies.items()}
@@ -329,7 +305,7 @@ def _ellipsoids(
     if test.p_value is not None:
         text = f"Is there a bias? Hotelling's T² = {test.t_squared:.2f}, p = {test.p_value:.3g}. "
     note = text + _consistent(run, detector)
-    listed = table(f"Ellipsoids of the error, {detector}", heads, lines, note)
+    listed = table("ellipsoids", lines, note=note, detector=detector)
     yield Fold(f"Ellipsoids in figures, {detector}", (listed,))
 
 

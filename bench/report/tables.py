@@ -12,7 +12,7 @@ import numpy as np
 
 from bench.record.reader import RunRecord
 from bench.record.schema import Row
-from bench.report.wording import NOT_MEASURED, limit, listed, margin, measured, table
+from bench.report.wording import NOT_MEASURED, Heading, limit, listed, margin, measured, table
 from bench.results.attribution import Cause, What, attributed, counted
 from bench.results.doubts import DOUBTS_FACT
 from bench.results.verdicts import (
@@ -36,16 +36,10 @@ from reports.page import Cell, Notes, Part, Requirement, Requirements, Score, Sc
 CONFIDENCE = 0.95
 RECALL, PRECISION = "recall, teats", "precision, answers"
 GROUPED = (RECALL, PRECISION)  # come several in a scene: no trials of an interval
-NARROW = (
-    "k of n with its exact 95 % interval, two-sided, which for few poses is wide: so little do they"
-    " show."
-)
 
 
 def requirements(judgement: Judgement, rules: Rules, *, first: bool = True) -> Requirements:
-    """One row a requirement: rule, n, measured, limit, margin, verdict; those of the bench with the
-    ``first`` detector only.
-    """
+    """A row a requirement; those of the bench with the ``first`` detector only."""
     sources = {rule.name: rule.source for rule in rules.requirements}
     rows = []
     own = [d for d in judgement.decisions if first or d.name not in judgement.of_bench]
@@ -120,17 +114,7 @@ def found_by_situation(
         thesis = f"{theirs[0]} of {theirs[1]}" if theirs else "no figure"
         row = (len(pool.scores), found, counts.missed, false, counts.hidden, scenes, thesis)
         rows.append((spoken(situation), *row))
-    heads = (
-        "situation | >frame sets | >found of visible | >missed | >false",
-        ">hidden ends # ends that a camera can't see: neither missed nor false",
-        ">scene success # every visible end found within the limit, nothing false, in time",
-        ">thesis found",
-    )
-    note = (
-        "A teat is found when an answer lies within the gate of its end (25 mm, or half the least"
-        " spacing). The thesis judged by eye, one picture a situation."
-    )
-    return table(f"Teats found, detector {detector}", heads, rows, note)
+    return table("found_by_situation", rows, detector=detector)
 
 
 def rates(run: RunRecord, detector: str) -> Table:
@@ -141,14 +125,7 @@ def rates(run: RunRecord, detector: str) -> Table:
         interval = span and f"{100 * span[0]:.1f} to {100 * span[1]:.1f} %"
         value = None if rate.value is None else percent(rate.value)
         rows.append((name, rate.successes, rate.trials, value, interval))
-    note = (
-        "Exact (Clopper-Pearson) intervals, two-sided. A pose succeeds when all its repeats do."
-        " Ends that are missed, and false ones, come several in a scene, so recall and precision"
-        " have no interval: the shares of poses with every end found and none false have. A pose"
-        " without an answer has none false, and is not counted there."
-    )
-    heads = "rate | >of | >n | >value | >95 % interval, two-sided"
-    return table(f"Rates, detector {detector}", heads, rows, note)
+    return table("rates", rows, detector=detector)
 
 
 def rates_by_situation(run: RunRecord, detector: str) -> Table:
@@ -160,8 +137,8 @@ def rates_by_situation(run: RunRecord, detector: str) -> Table:
         )
         for situation in situations(run)
     ]
-    heads = ("situation", *(f">{name} [k of n, interval]" for name in _rates(run, detector)))
-    return table(f"Rates by situation, detector {detector}", heads, rows, NARROW)
+    kinds = [Heading(name, "right", "k of n, interval") for name in _rates(run, detector)]
+    return table("rates_by_situation", rows, more=kinds, detector=detector)
 
 
 def _rates(run: RunRecord, detector: str, situation: str | None = None) -> dict[str, Rate]:
@@ -261,22 +238,18 @@ def _notes(run: RunRecord) -> Iterator[str]:
     yield f"Errors are of found teats only. {LATENCY_RULE}"
 
 
-NOTE = (
-    "Each missed or wrong teat is one party's. Truth: within the guard band of its uncertainty, or"
-    " it was taken back. Bench: taken while the bath was not stable, or not come to. Not visible:"
-    " some camera can't see the end; the detector need not find it. Verdicts count as their rules"
-    " say; this table says where to look first."
-)
-
-
 def attribution_parts(run: RunRecord, calibration: Calibration | None = None) -> Iterator[Part]:
     """A table for each detector that was scored; and what isn't the detector's, one by one."""
-    heads = ("what", *(f">{cause.value}" for cause in Cause))
     for detector in run.detectors:
         found = attributed(run, detector, calibration)
         counts = counted(found)
         rows = [(what.value, *(counts[what, cause] for cause in Cause)) for what in What]
-        yield table(f"Whose it is, detector {detector}", heads, rows, NOTE)
+        yield table(
+            "attribution",
+            rows,
+            more=[Heading(cause.value, "right") for cause in Cause],
+            detector=detector,
+        )
         others = tuple(
             f"{one.trial}{f', teat {one.teat}' if one.teat else ''}: {one.what.value}:"
             f" {one.cause.value}: {one.why}"

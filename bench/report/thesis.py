@@ -74,9 +74,7 @@ def thesis_chapter(run: RunRecord, rules: Rules, calibration: Calibration) -> tu
     rows += [*_asked(run, figures), *_rig(run, figures, calibration)]
     pictured = tuple(_pictured(run, known, calibration)) if known else ()
     # What was printed, what its tables give, and what this run measured
-    heads = "figure | section | printed | by its tables | this run"
-    heads += " | what is wrong in it, or to be known"
-    beside = table("Figures of the thesis beside this run", heads, rows, NOTE if known else "")
+    beside = table("thesis", rows, note=NOTE if known else "")
     parts = (beside, *pictured, elsewhere_table(figures, *kinds))
     return (Section("published", "Beside the thesis", parts),)
 
@@ -85,9 +83,7 @@ def elsewhere_table(figures: Thesis, *shown: Kind) -> Table:
     """Printed figures that a page with these tests doesn't have, and their counterparts."""
     rest = [one for one in figures.elsewhere if not set(one.shown) & set(shown)]
     return table(
-        "Printed figures without a counterpart on this page",
-        "section | figure | printed | counterpart",
-        [(one.section, one.what, one.printed, one.where) for one in rest],
+        "thesis_elsewhere", [(one.section, one.what, one.printed, one.where) for one in rest]
     )
 
 
@@ -149,23 +145,13 @@ def _pictured(
         whole = [(f"all {len(known)}", known, sum(within.values()))]
         each = [(spoken(one.name), [one], within[one.name]) for one in known]
         yield table(
-            f"Ends found by {detector} as the thesis judged them: in the pictures",
-            "situation | >printed | >within the gate in mm | >thermal | >left | >left, refined"
-            " | >right | >right, refined | refining moved the end | >at no teat",
+            "thesis_pictures",
             [tuple(counts(*row)) for row in (*each, *whole)],
-            "An end is found in a picture where the answer lies on the rounded end as that picture"
-            f" shows it, within {RADIUS_MM:g} mm, a teat's radius, of its axis: “any point of the"
-            " end of the teat is a perfect result” (section 5.2.7). Unrefined ends are where the"
-            " homography puts the thermal ones; each optical picture refines them by itself.",
+            detector=detector,
+            radius_mm=RADIUS_MM,
         )
         yield table(
-            f"Refined against unrefined ends of {detector}, teat by teat",
-            "situation | teat | >found | >thermal [px] ~.1f | >left [px] ~.1f"
-            " | >left, refined [px] ~.1f | >right [px] ~.1f | >right, refined [px] ~.1f"
-            " | >unrefined [mm] ~.1f | >refined [mm] ~.1f",
-            list(_by_teat(seen, known)),
-            "Distances from the true end, medians over frame sets, of answers within"
-            f" {GATE_PX:g} px of it in an optical picture.",
+            "thesis_refined", list(_by_teat(seen, known)), detector=detector, gate_px=GATE_PX
         )
 
 

@@ -113,9 +113,7 @@ def _fault(trial: TrialRecord, name: str) -> tuple[int, float]:
 def failures_in_turn(
     run: RunRecord, undecided: Collection[str] = ()
 ) -> tuple[tuple[TrialRecord, str], ...]:
-    """The failed trials with the detector that failed: each detector's own in turn, worst first,
-    the ``undecided`` ones' before the others'.
-    """
+    """The failed trials, each detector's own in turn, worst first; ``undecided`` ones' before."""
     ranks = []
     for name in sorted(run.detectors, key=lambda name: name not in undecided):
         own = [t for t in run.counted if name in t.scores and not t.scores[name].success]
@@ -202,10 +200,6 @@ def _results(trial: TrialRecord, *, farthest: bool = False) -> tuple[Result, ...
 
 def trial_table(run: RunRecord) -> Table:
     """All trials with links to their parts."""
-    heads = (
-        "trial | detector | result | situation | >found | >missed | >false | >max error [mm]"
-        " | >time [s]"
-    )
     rows = []
     for trial in run.trials:
         for detection in trial.detections:
@@ -221,8 +215,7 @@ def trial_table(run: RunRecord) -> Table:
             time = Cell(f"{seconds:.3f}", sort=round(seconds, 4))
             what = (str(detection["detector"]), Cell(*_status(trial, score)))
             rows.append((link, *what, spoken(trial.head["situation"]), *counts, far, time))
-    note = "The filter takes words: a detector's name with missed, false, beyond or slow, say."
-    return table("All trials", heads, rows, note, searchable=True)
+    return table("trials", rows)
 
 
 def first_looks(run: RunRecord, undecided: Collection[str] = ()) -> KeyValues | None:
@@ -289,11 +282,7 @@ def _teats(trial: TrialRecord, detector: str) -> Table:
     text = Cell("false", "bad") if score else Cell("not scored", "muted")
     for answer in score.match.false if score else range(len(found)):
         rows.append(("", text, *[""] * 4, xyz(found[answer]), "", ""))
-    heads = (
-        "teat | is | >distance [mm] ~.2f | >dx [mm] ~+.2f | >dy [mm] ~+.2f | >dz [mm] ~+.2f"
-        " | >found x, y, z [mm] | >truth x, y, z [mm] | >u [mm] ~.2f?"
-    )
-    return table(f"Teat ends, detector {detector}", heads, rows)
+    return table("teats", rows, detector=detector)
 
 
 JPEG_QUALITY = 80

@@ -12,7 +12,7 @@ import numpy as np
 
 from bench.record.reader import RunRecord, TrialRecord, points_mm
 from bench.report.tables import covariance_of, truth_known_mm
-from bench.report.wording import key_values, listed, number, spanned, table, xyz
+from bench.report.wording import Heading, key_values, listed, number, spanned, table, xyz
 from bench.results.cameras_agree import (
     DEFAULT,
     DISPARITY,
@@ -43,15 +43,7 @@ from bench.truth.registration import Registration, registration_from_facts
 from bench.truth.uncertainty import CHI2_95, How
 from detector.calibration import Calibration
 from instruments.world.phantom import TEAT_END
-from reports.page import Cell, Column, Notes, Paragraph, Part, Table
-
-LOCATIONS = (
-    "divot | >touches | >largest deviation [mm] ~.2f # from the mean of the touches: articulated"
-    " location error, ASME B89.4.22 | >2 sd [mm] ~.2f"
-    " | >least sphere [mm] ~.2f # its diameter, the form of ISO 10360-12"
-    " | >swing [°] ~.0f # largest angle between two stylus directions"
-    " | >shift [mm] ~.2f? # of the mean from the known place"
-)
+from reports.page import Cell, Notes, Paragraph, Part, Table
 
 
 def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:
@@ -70,17 +62,15 @@ def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Ite
     found += [(f"answers of {name}", one) for name, one in answers.items() if one is not None]
     thermal = "" if check.thermal is None else f", {check.thermal} in the thermal picture"
     yield table(
-        "Cameras and answers against the known ends",
-        "of | figure | >off [px] ~+.2f | >± [px] ~.2f | >poses"
-        " | >a pixel is, in depth [mm] ~.1f | >as if a camera were turned by [°] ~.3f",
+        "known_ends",
         [
             (who, one.name, one.value, one.uncertainty, one.poses)
             + ((one.mm, abs(one.value) * one.deg) if one.name == DISPARITY else ("", ""))
             for who, one in found
         ],
-        f"{check.measured} of {check.ends} ends measured in left and right{thermal}. Means over"
-        " poses, with 95 % intervals, two-sided; px of the sensor for the thermal camera. Answers:"
-        " of matched ends.",
+        measured=check.measured,
+        ends=check.ends,
+        thermal=thermal,
     )
     if text := check.unseen:
         yield Paragraph(f"{text[0].upper()}{text[1:]}.", tone="warn")
@@ -123,12 +113,13 @@ def _frame(fact: dict[str, Any] | None) -> Part:
 
 
 def _verification(run: RunRecord, dated: Verification) -> Iterator[Part]:
-    caption = (
-        f"Verification of arm {dated.serial_number} on {dated.made:%Y-%m-%d},"
-        f" {age_of(dated, run.facts).days} days before the run"
+    yield table(
+        "arm_locations",
+        [_location(test, None) for test in dated.locations],
+        serial_number=dated.serial_number,
+        made=dated.made,
+        age_days=age_of(dated, run.facts).days,
     )
-    note = "The tip in one divot at each distance while wrist and elbow swing."
-    yield table(caption, LOCATIONS, [_location(test, None) for test in dated.locations], note)
     if dated.gauge:
         yield Paragraph(f"Calibrated length: {dated.gauge}.")
     if not dated.lengths:
@@ -139,12 +130,10 @@ def _verification(run: RunRecord, dated: Verification) -> Iterator[Part]:
         for t in dated.lengths
     ]
     yield table(
-        "A calibrated length, measured in several directions",
-        "direction | >calibrated [mm] ~.3f | >its u [mm] ~.3f | >measured [mm] ~.2f"
-        " | >error [mm] ~+.2f",
+        "arm_lengths",
         lengths,
-        f"Largest error {number(dated.length_mm, 'mm')}; 2 rms"
-        f" {number(dated.length_two_rms_mm, 'mm')}.",
+        largest=number(dated.length_mm, "mm"),
+        two_rms=number(dated.length_two_rms_mm, "mm"),
     )
 
 
@@ -164,7 +153,7 @@ def _arm_checks(run: RunRecord) -> Part:
         note = f"Between the two the check point moved by {moved_mm(before, after):.2f} mm."
         if new_touches(after) < tests[1].n:
             note += " One touch afterwards showed it: those before count."
-    return table("The arm before and after the trials", LOCATIONS, rows, note)
+    return table("arm_checks", rows, note=note)
 
 
 def _stated(run: RunRecord) -> Iterator[Part]:
@@ -189,19 +178,7 @@ def _stated(run: RunRecord) -> Iterator[Part]:
         wrong = Cell("too small", "bad") if check.p_value < level else Cell("not refuted", "good")
         figures = (check.squares, check.limit(level), f"{check.p_value:.2g}")
         rows.append((check.name, check.df, u_mm * check.ratio, span, *figures, wrong))
-    heads = (
-        "deviations | >degrees of freedom | >u shown [mm] ~.3f | >its 95 % interval, two-sided [mm]"
-        " | >chi-square ~.1f # sum of (deviation / stated u)²"
-        " | >limit ~.1f # a sound statement seldom exceeds it; Fisher's F where it has degrees of"
-        " freedom itself | >p | stated u"
-    )
-    note = (
-        f"A sound statement is accused in at most {100 * LEVEL:g} % of runs, all rows together."
-        " Not refuted is no proof: touches of one divot don't show the error that they have in"
-        " common, lengths a part of it. A u of half the real one"
-        " lets 18 % false acceptances through, instead of 5 %."
-    )
-    yield table("The arm's stated uncertainty against what was touched", heads, rows, note)
+    yield table("stated_arm", rows, level=100 * LEVEL)
     if wrong_u := too_small(run.facts):
         text = f"{wrong_u[0].upper()}{wrong_u[1:]}: no error is accepted by this guard band."
         yield Paragraph(text, tone="bad")
@@ -213,7 +190,6 @@ def _location(test: LocationTest, shift: float | None) -> tuple[object, ...]:
 
 
 NO_TRUTH = "truth: "  # what bench.truth.touching's NoTruthError begins with
-U_NOTE = "standard uncertainties along one axis; the carry's is that of its worst direction"
 
 
 def truth_parts(run: RunRecord) -> Iterator[Part]:
@@ -232,12 +208,7 @@ def truth_parts(run: RunRecord) -> Iterator[Part]:
         worst = max(budgets, key=lambda budget: budget["u_mm"])
         lines = [(c["name"], c["u_mm"], c["source"]) for c in worst["components"]]
         lines.append(("combined, along one axis", worst["u_mm"], "root of the sum of squares"))
-        yield table(
-            f"Uncertainty budget of the {how} truth: the worst of {len(budgets)} ends",
-            "component | >u [mm] ~.3f | source",
-            lines,
-            f"Each trial has its own, per teat; {U_NOTE}.",
-        )
+        yield table("truth_budget", lines, how=how, ends=len(budgets))
     if known := [row["u_mm"] for row in ends if row["u_mm"] is not None]:
         yield Paragraph(
             "Every decision's guard band is that of the largest uncertainty in the run: u ="
@@ -247,10 +218,6 @@ def truth_parts(run: RunRecord) -> Iterator[Part]:
     if (registration := registration_from_facts(run.facts)) is not None:
         yield from _registration(run, registration)
     if run.checks:
-        heads = (
-            ">check | after trial | teat | >touched x, y, z [mm] | >carried x, y, z [mm]"
-            " | >apart [mm] ~.2f | >limit [mm] ~g | carry"
-        )
         states = (Cell("lost", "bad"), Cell("held", "good"))
         rows = [
             (
@@ -260,7 +227,7 @@ def truth_parts(run: RunRecord) -> Iterator[Part]:
             )
             for row in run.checks
         ]
-        yield table("Check touches of the carried truth", heads, rows)
+        yield table("check_touches", rows)
     if exact := [row for row in ends if row["exact_mm"]]:
         yield Paragraph(_truth_error(exact), tone="info")
 
@@ -309,10 +276,9 @@ def trial_truth(trial: TrialRecord) -> Table | None:
     rows = [(row, json.loads(row["budget"])) for row in trial.truth if row["budget"]]
     if not rows:
         return None
-    names = [Column(line["name"], "right", "mm") for line in rows[0][1]["components"]]
+    names = [Heading(line["name"], "right", "mm") for line in rows[0][1]["components"]]
     return table(
-        "Uncertainty of the truth",
-        ("teat | truth", *names, ">combined [mm] ~.3f"),
+        "trial_truth",
         [
             (
                 *(str(row["teat"]), str(row["how"])),
@@ -321,7 +287,7 @@ def trial_truth(trial: TrialRecord) -> Table | None:
             )
             for row, budget in rows
         ],
-        f"Sources stand under Measurand and reference; {U_NOTE}.",
+        more=names,
     )
 
 
@@ -343,27 +309,22 @@ def _registration(run: RunRecord, found: Registration) -> Iterator[Part]:
     }
     yield key_values("Registration of the stage, X_world = R(om) X_stage + T", entries)
     yield table(
-        "Fits of the touched positions",
-        "fit | >residual [mm] ~.3f | >held out [mm] ~.3f | >singular values ~.4f",
+        "stage_fits",
         [(f.model, f.fre_mm, fits.held_out_mm[f.model], f.singular_values) for f in fits.fits],
-        "The rigid fit carries. Where affine is much better, held out too, the stage's axes or the"
-        " arm are off.",
     )
     stated, so = found.stated, ", which the carry's uncertainty is made of."
     if found.doubted:
         so = "; what was found here is added, since it casts doubt on that."
     words = ("no", Cell("yes", "warn"))
     yield table(
-        "The stage's axes",
-        "axes | >off by [mm/m] ~+.2f | >u [mm/m] ~.2f | >off by / u ~+.1f"
-        " | significant # beyond 2.58 u: touch noise explains it in one of 100 cases",
+        "stage_axes",
         [
             (d.name, 1e3 * d.value, 1e3 * d.u, d.value / d.u, words[bool(d.significant)])
             for d in found.diagnostics
         ],
-        "Diagnostics, not corrections; squareness is in mrad. The rig file states u ="
-        f" {1e3 * stated.scale_u:g} mm/m of scale and {1e3 * stated.squareness_u_rad:g} mrad of"
-        f" squareness{so}",
+        scale_u=1000.0 * stated.scale_u,
+        squareness_u=1000.0 * stated.squareness_u_rad,
+        so=so,
     )
 
 

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import re
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.rates import percent_apart
-from reports.page import Align, Cell, Column, KeyValues, Table
+from reports.page import Cell, Column, KeyValues, Table
 
 LONGEST = 60  # with what stands before it an id has room
 NOT_MEASURED = "not measured"
@@ -76,31 +80,60 @@ def shown(value: Any, form: str = "") -> str | Cell:
     return formatted(value, form) if form else number(value)
 
 
+@dataclass(frozen=True, slots=True)
+class Heading(Column):
+    """A column, and the format of its values as `shown` takes it."""
+
+    form: str = ""
+
+
+@cache
+def _described() -> Mapping[str, Any]:
+    """What ``tables.toml`` says of each table, its columns as `Heading`."""
+    text = (Path(__file__).parent / "tables.toml").read_text(encoding="utf-8")
+    tables: dict[str, Any] = tomllib.loads(text)
+
+    def heading(text: str = "", number: str = "", **more: str) -> Heading:
+        return Heading(text or number, "left" if text else "right", **more)
+
+    for one in tables.values():
+        heads = one["columns"]  # or the name of the table that has the same
+        heads = tables[heads]["columns"] if isinstance(heads, str) else heads
+        one["columns"] = [heading(**head) if isinstance(head, dict) else head for head in heads]
+    return tables
+
+
+@cache
+def hints(of: str) -> Mapping[str, str]:
+    """What the scoreboard ``of`` a comparison or calibration says of its rows, by their names."""
+    text = (Path(__file__).parent / "hints.toml").read_text(encoding="utf-8")
+    return cast(Mapping[str, str], tomllib.loads(text)[of])
+
+
+MORE = "more"  # in a list of columns: the place of those that a table has by its rows
+
+
 def table(
-    caption: str,
-    heads: str | Sequence[str | Column],
+    name: str,
     rows: Iterable[Sequence[Any]],
-    note: str = "",
+    /,
     *,
+    more: Iterable[Heading] = (),
+    note: str = "",
     searchable: bool = False,
+    **values: Any,
 ) -> Table:
-    """A table. ``heads`` are ``title | >title [unit] ~form # hint``: ``>`` aligns right, ``form``
-    formats the values as `shown` does. A title from a user comes as a `Column`.
+    """The table ``name`` of ``tables.toml`` with these rows: ``values`` fill its texts, ``more``
+    columns have their place in it, and ``note`` follows its own.
     """
-    made: list[tuple[Column, str]] = []
-    for head in [heads] if isinstance(heads, str) else heads:
-        made += [(head, "")] if isinstance(head, Column) else map(_column, head.split(" | "))
-    columns, forms = zip(*made, strict=True)
+    of, heads = _described()[name], list[Heading]()
+    for head in of["columns"]:
+        heads += more if head == MORE else [head]
+    forms = [head.form for head in heads]
     cells = (tuple(shown(*pair) for pair in zip(row, forms, strict=True)) for row in rows)
-    return Table(caption, columns, tuple(cells), note, searchable)
-
-
-def _column(text: str) -> tuple[Column, str]:
-    rest, _, hint = text.partition(" # ")
-    rest, _, form = rest.partition(" ~")
-    title, _, unit = rest.partition(" [")
-    align: Align = "right" if title.startswith(">") else "left"
-    return Column(title.removeprefix(">"), align, unit.removesuffix("]"), hint), form
+    caption, said = (of.get(key, "").format(**values) for key in ("caption", "note"))
+    found = searchable or of.get("searchable", False)
+    return Table(caption, tuple(heads), tuple(cells), said + note, found)
 
 
 def key_values(title: str, entries: Mapping[str, object]) -> KeyValues:

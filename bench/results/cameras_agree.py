@@ -33,12 +33,7 @@ from bench.script.model import CamerasRequirement
 from bench.truth.joint import End, joint_truth
 from detector.calibration import Calibration
 from detector.geometry import Array
-from detector.outline.known_ends import (
-    NO_THERMAL_MM,
-    REACH_PX,
-    EndOffsets,
-    offsets_at,
-)
+from detector.outline.known_ends import NO_THERMAL_MM, REACH_PX, EndOffsets, offsets_at
 from detector.outline.offsets import THERMAL_REACH_PX
 from detector.outline.pictures import UnusableError
 from instruments.camera.frame import FrameSet
@@ -230,9 +225,7 @@ def _pooled(
 def unchecked_text(
     seen: Mapping[str, Mapping[str, EndOffsets]], truth: Mapping[str, Sequence[TruthRow]]
 ) -> str:
-    """Why the cameras of these frames were not checked, with what was looked at; empty where they
-    were.
-    """
+    """Why the cameras of these frames were not checked; empty where they were."""
     # Whether the ends of these poses, by name, are enough for the check
     rows = {pose: [asdict(one) for one in ends.values()] for pose, ends in seen.items() if ends}
     check = check_cameras(rows, JointCovariance.exact(sum(map(len, rows.values()))))

@@ -78,9 +78,7 @@ class Side:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Two sides compared; ``elsewhere`` counts trials of one name whose teats stood at other
-    places; ``look``: what it is in the ledger of looks.
-    """
+    """Two sides; ``elsewhere``: trials whose teats stood elsewhere; ``look``: in the ledger."""
 
     old: Side
     new: Side

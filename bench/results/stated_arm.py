@@ -97,9 +97,7 @@ TOLD_FROM = 0.05  # chance of refusal that a limit may have and nothing is said
 def location_limit_mm(
     rule: ArmRequirement, stated: Mapping[str, Any] | None, sizes: Sequence[int]
 ) -> float:
-    """The script's limit on touches of one divot; without one what the arm's statement gives for
-    groups of so many touches.
-    """
+    """The script's limit on touches of one divot, or what the arm's statement gives for so many."""
     if rule.location_limit_mm is not None or stated is None:
         return rule.location_limit_mm or float("inf")
     return largest_limit_mm(sqrt(_touch_mm2(stated)), sizes, stated["df"])

@@ -259,9 +259,7 @@ class RunStatus:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reported:
-    """A run with its report: ``page`` is report/index.html, ``judgements`` one a detector;
-    ``took``: how long it took, and was expected to.
-    """
+    """A run with its report/index.html; ``took``: how long it took, and was expected to."""
 
     folder: Path
     page: Path

@@ -29,13 +29,7 @@ from bench.results.stated_arm import (
     too_small,
 )
 from bench.results.teats_seen import TEATS_FACT
-from bench.rig.arm_files import (
-    Verification,
-    VerificationLimits,
-    broken_by,
-    from_dict,
-    gaps_of,
-)
+from bench.rig.arm_files import Verification, VerificationLimits, broken_by, from_dict, gaps_of
 from bench.scoring.decisions import (
     Decision,
     Verdict,
@@ -387,11 +381,7 @@ def decide_detector(
 
 
 def _decided(
-    rule: DetectorRequirement,
-    scores: Pool,
-    timed: Latency,
-    u_mm: float | None,
-    looks: Looks,
+    rule: DetectorRequirement, scores: Pool, timed: Latency, u_mm: float | None, looks: Looks
 ) -> Decision:
     match rule:
         case ErrorRequirement():

@@ -36,7 +36,7 @@ from instruments.drivers.protocols import Cameras, Stage
 from instruments.errors import DeviceError, InstrumentError
 from instruments.stage.settings import check_within, declared
 
-Seen = TypeVar("Seen")
+Returned = TypeVar("Returned")
 TakePictures = Callable[[], Mapping[str, Grey]]
 TRIES = 4
 ONE = "single"  # what one camera without a place in a rig is called
@@ -122,10 +122,10 @@ def _table(source: str) -> OneCamera:
         raise ConfigError.plain(f"{source}: {error}") from error
 
 
-def with_retries(look: Callable[[], Seen]) -> Callable[[], Seen]:
+def with_retries(look: Callable[[], Returned]) -> Callable[[], Returned]:
     """``look`` again where a frame did not come whole, three times. Raises FrameError then."""
 
-    def again() -> Seen:
+    def again() -> Returned:
         for _ in range(TRIES - 1):
             with suppress(FrameError):
                 return look()

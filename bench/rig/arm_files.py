@@ -160,9 +160,7 @@ LEAST_SWING_DEG = 30.0  # with less, the joints hardly moved, and the test could
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocationTest:
-    """Readings of one divot: ``tips_mm``, unit ``axes`` of the stylus (n, 3), n >= 2.
-    ValueError.
-    """
+    """Readings of one divot: ``tips_mm``, unit ``axes`` of the stylus (n, 3), n >= 2."""
 
     where: str
     tips_mm: Floats

@@ -97,9 +97,7 @@ class Devices:
 
     @property
     def active(self) -> tuple[str, ...]:
-        """What was made to heat, to move or to turn through these drivers, and was not read back at
-        rest since.
-        """
+        """What was made to heat, move or turn by these drivers, and not read back at rest since."""
         bath: Bath | None = self.bath  # of a rig opened in part
         found: list[str] = []
         if bath and bath.heats:

@@ -339,7 +339,5 @@ class EmulatedRig:
 
 
 def port_of(name: str, base: int) -> int:
-    """The TCP port of what is called so in `PORTS`, whatever the rig lacks; 0 (free) without
-    ``base``.
-    """
+    """The TCP port of what is called so in `PORTS`, whatever the rig lacks; 0: free."""
     return base and base + PORTS.index(name)

@@ -42,9 +42,7 @@ LISTEN_S = 2.5  # a board that the port's opening resets says its welcome within
 
 @dataclass(frozen=True, slots=True)
 class FoundInstrument:
-    """What answered at ``url``, and who it says it is; the profiles that a bath answered by, a
-    stage's dialect, and Zaber's devices and axes.
-    """
+    """What answered at ``url``, as who: a bath's profiles, a stage's dialect, Zaber's axes."""
 
     kind: str
     url: str

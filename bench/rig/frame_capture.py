@@ -33,9 +33,7 @@ Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
 class StereoOrder:
-    """Whether left and right are exchanged: rectified both ways, rows of edges fit with one at a
-    disparity in front of the cameras.
-    """
+    """Whether left and right are exchanged: rectified both ways, which rows of edges fit."""
 
     def __init__(self, calibration: Calibration) -> None:
         left, right, motion = calibration.left, calibration.right, calibration.right_from_left
@@ -265,9 +263,7 @@ HINTS: Mapping[FrameFault, str] = {
 
 
 class FrameTaker:
-    """``wait`` lets time pass between tries, ``report`` records an event. A recording
-    has no retries.
-    """
+    """``wait`` lets time pass between tries, ``report`` records one."""
 
     def __init__(
         self,

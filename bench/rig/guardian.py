@@ -88,9 +88,7 @@ class HeartbeatReader:
         threading.Thread(target=self._listen, args=(source,), daemon=True).start()
 
     def wait_for_loss(self) -> tuple[str, str, float] | None:
-        """``died``, ``hung`` or ``gave up``, why, and the time of the last heartbeat; None when
-        done.
-        """
+        """``died``, ``hung`` or ``gave up``, why, and when it last beat; None when done."""
         last_s, dying = stopwatch_s(), False
         while True:
             try:
@@ -127,9 +125,7 @@ class HeartbeatReader:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Guard one bath, one stage or both; 0 when they are safe or nothing was needed, 1 when one was
-    not reached.
-    """
+    """Guard a bath, a stage or both; 0: safe, or nothing was needed; 1: one was not reached."""
     about = "Puts a bath into standby when the bench that started it dies."
     parser = argparse.ArgumentParser(prog="bench.rig.guardian", description=about)
     add = parser.add_argument
@@ -234,9 +230,7 @@ def _bath_of(given: argparse.Namespace, clock: RealClock) -> AnyBath:
 
 
 def _hang(silent_s: float, *, stopped: bool) -> str:
-    """Why a bench that is silent for so long hangs; "" when it need not. A busy machine makes a
-    sound one late, but stops none.
-    """
+    """Why a bench that is silent for so long hangs; "" where a busy machine may be why."""
     if stopped and silent_s >= STOPPED_S:
         return "its process is stopped"
     return f"no sign of life for {HANG_S:g} s" if silent_s >= HANG_S else ""

@@ -56,9 +56,7 @@ class Heartbeat:
         silence_s: float | None = None,
         who: str = "the main thread",
     ) -> None:
-        """``who`` does ``what`` from now on, for ``at_most_s``, ``silence_s`` of it without
-        `alive`.
-        """
+        """``who`` does ``what`` from now on, for ``at_most_s``, silent for ``silence_s`` of it."""
         now_s, quiet_s = stopwatch_s(), at_most_s if silence_s is None else silence_s
         with self._lock:
             self._doing[who] = _Doing(

@@ -57,9 +57,7 @@ class StageTarget:
 
 
 class StageStop:
-    """Stops the stage ``at``, on a thread beside the bath. All that it needs is loaded when this is
-    made.
-    """
+    """Stops the stage ``at``, on a thread beside the bath; loads all that it needs now."""
 
     def __init__(self, at: StageTarget, clock: RealClock) -> None:
         from instruments.link import Link

@@ -73,9 +73,7 @@ def forget_guardian(url: str) -> None:
 
 
 class BathLock:
-    """The lock of the bath at ``url``. ``record``: what its guardian writes; ``bench``: whom it
-    guards.
-    """
+    """The lock of the bath at ``url``; ``record``: its guardian's file; ``bench``: the guarded."""
 
     def __init__(self, url: str, record: Path, bench: int) -> None:
         folder = _folder()
@@ -91,9 +89,7 @@ class BathLock:
         self._url = url
 
     def take(self) -> str:
-        """Hold the bath from now on; gives back who may have left it on, "" for nobody. Raises
-        LimitError where a guardian keeps it.
-        """
+        """Hold the bath; returns who may have left it on. Raises LimitError: a guardian has it."""
         ended = ""
         try:
             self._owner.acquire(timeout=0)
@@ -173,9 +169,7 @@ class BathLock:
 
 
 def free_bath(url: str, record: Path) -> None:
-    """Until no guardian acts on the bath at ``url`` any more, and writes no record. Raises
-    LimitError.
-    """
+    """Wait until no guardian acts on the bath at ``url`` or writes. Raises LimitError."""
     lock = BathLock(url, record, os.getpid())
     lock.take()
     lock.release()

@@ -115,9 +115,7 @@ class Leaving:
         return NotSafeError("rig", what) if real else None
 
     def _guard(self, name: str, bath: Bath | None, stage: Stage | None) -> None:
-        """Before anything is sent that heats or moves. Raises LinkError without a guardian, and
-        LimitError once all was left.
-        """
+        """Before what heats or moves. Raises LinkError without guardian, LimitError once left."""
         if self._left:
             what = "it was left: nothing is heated or moved any more"
             raise LimitError("rig", what, hint="Use it inside of its with block.")

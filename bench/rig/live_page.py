@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
+from pathlib import Path
 
 import cv2
 
@@ -17,16 +18,6 @@ from instruments.camera.quality import level_dn, saturated_share
 from instruments.camera.stream import StreamServer
 from instruments.clock import RealClock
 
-PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>Cameras, live</title><style>
-body {{ margin: 1rem; background: #111; color: #eee; font: 16px/1.4 system-ui, sans-serif }}
-main {{ display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 26rem), 1fr));
-  gap: 1rem }}
-figure {{ margin: 0 }} img {{ width: 100%; display: block; background: #333 }}
-</style></head><body><h1>Cameras, live</h1>
-<p>Aim: the teat ends at the cross, in every camera. Sharpest where the blur is smallest. Less than
-1 % white. The terminal has the same figures; Ctrl-C there ends it.</p>
-<main>{figures}</main></body></html>"""
 FIGURE = '<figure><figcaption>{0}</figcaption><img src="{1}.mjpg" alt="{0} camera, live"></figure>'
 DARK, BRIGHT, FONT = 0, 255, cv2.FONT_HERSHEY_SIMPLEX
 
@@ -40,7 +31,8 @@ class LivePage:
         # one camera without a place in a rig is shown in the first one's
         self._places = dict(zip(cameras, cameras if len(cameras) > 1 else KNOWN, strict=False))
         rows = [FIGURE.format(name, place) for name, place in self._places.items()]
-        page = PAGE.format(figures="".join(rows))
+        text = Path(__file__).with_suffix(".html").read_text(encoding="utf-8")
+        page = text.format(figures="".join(rows))
         self._server = StreamServer(self, clock, fps=1.0 / every_s, page=lambda: page)
         self.url = self._server.page_url
 

@@ -203,9 +203,7 @@ AnyRig = str | Path | LoadedRig
 
 
 def any_rig(rig: AnyRig | None = "emulated") -> LoadedRig:
-    """A shipped rig by name, or any by its file; None: the emulated one. Raises ConfigError with
-    all faults.
-    """
+    """A shipped rig by name, one by its file, or None: the emulated one. Raises ConfigError."""
     name = None if rig is None else str(rig)
     return rig if isinstance(rig, LoadedRig) else load_rig(find_rig(name))
 
@@ -248,9 +246,7 @@ BOARDS = Path(__file__).parents[1] / "boards"
 
 
 class BoardFile(Section):
-    """``columns``, ``rows``: inner corners or circles; ``pitch_mm`` as measured, with
-    ``pitch_u_mm``.
-    """
+    """``columns``, ``rows`` of inner corners or circles, and ``pitch_mm`` with ``pitch_u_mm``."""
 
     kind: BoardKind
     columns: Annotated[int, Field(ge=3, le=100)]

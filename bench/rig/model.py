@@ -599,9 +599,7 @@ _Play = Annotated[float, Field(ge=0, le=5)]
 
 
 class EmulatedStage(Section):
-    """``[emulation.stage]``. ``settings`` by Grbl's number; ``high_mm``: machine coordinates of the
-    high ends of a Marlin's or Zaber's axes.
-    """
+    """``settings`` by Grbl's number; ``high_mm``: high ends of a Marlin's or Zaber's axes."""
 
     dialect: Literal["grbl", "grblHAL", "FluidNC"] = "grbl"
     high_mm: tuple[Millimetres, Millimetres, Millimetres, Millimetres] | None = None
@@ -682,9 +680,7 @@ class EmulatedFault(Section):
 
 
 def emulated_faults(instrument: str) -> tuple[tuple[str, ...], Amounts]:
-    """The faults of the emulated "arm", "bath", "pump" (its relay), "cameras" or "stage", and of
-    which an amount can be said.
-    """
+    """The faults of an emulated instrument or the pump's relay, and which have an amount."""
     if instrument == "arm":
         return tuple(arm_faults.ArmFault), arm_faults.AMOUNTS
     if instrument == "cameras":

@@ -31,21 +31,6 @@ PULL, PUT_BACK = "pull", "put back"
 WARM, COOL, JAM, FREE = "warm the room", "cool the room", "jam the stage", "free the stage"
 
 
-PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta http-equiv="refresh" content="5">
-<meta name="viewport" content="width=device-width"><title>Practice</title><style>
-:root {{ color-scheme: light dark }}
-body {{ max-width: 44rem; margin: 1rem auto; padding: 0 1rem;
-  font: 17px/1.5 system-ui, sans-serif }}
-form {{ display: flex; flex-wrap: wrap; gap: .6rem 1rem; align-items: center;
-  border-top: 1px solid #8886; padding: .5rem 0 }}
-span {{ flex: 1 1 7rem }}
-button {{ font: inherit; padding: .5rem; border-radius: .5rem; border: 2px solid; cursor: pointer }}
-.bad b {{ color: light-dark(#b3201f, #ff8f87) }}
-</style></head><body><h1>Practice</h1>
-<p>An emulated rig; its bath is at {bath_c} °C. What you do here happens to the emulators at once,
-as by a hand on a real rig. The bench that runs on them is not told.</p>
-{rows}</body></html>"""
 ROW = '<form method="post" class="{kind}"><span>{of}</span><b>{how}</b>{buttons}</form>'
 BUTTON = '<button name="words" value="{0}" aria-label="{0}">{1}</button>'
 
@@ -127,7 +112,8 @@ def page_of(practice: Practice) -> str:
         )
         for of, how, words in shown.choices()
     ]
-    return PAGE.format(bath_c=shown.bath_c, rows="\n".join(rows))
+    page = Path(__file__).with_suffix(".html").read_text(encoding="utf-8")
+    return page.format(bath_c=shown.bath_c, rows="\n".join(rows))
 
 
 def leave(folder: Path, words: str) -> None:

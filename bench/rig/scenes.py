@@ -135,9 +135,7 @@ def record_scenes(
     seed: int,
     perturbations: Sequence[Perturbation] = (),
 ) -> Iterator[str]:
-    """Add a frame for each family and seed to a recording; yields their names. Raises ConfigError,
-    RecordingError.
-    """
+    """Add a frame a family and seed; yields their names. Raises ConfigError, RecordingError."""
     families, seeds = _asked(names, seeds, seed)
     rig = any_rig(rig)
     renderer, stated = rig_renderer(rig, seed), rig.calibration
@@ -164,7 +162,7 @@ def record_scenes(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drawn:
+class DrawnScene:
     """A scene as the cameras see it, with its exact truth; ``state``: the scene, as perturbed."""
 
     frames: FrameSet
@@ -179,10 +177,8 @@ def draw(
     seeds: Sequence[int],
     perturbations: Sequence[Perturbation] = (),
     chance: Sequence[int] = (),
-) -> Drawn:
-    """One scene drawn, its noise by ``name`` and ``seeds``, perturbations by ``chance``. Raises
-    ValueError for a thing too near a camera.
-    """
+) -> DrawnScene:
+    """One scene, its noise by ``name`` and ``seeds``. Raises ValueError: a thing is too near."""
     for one in perturbations:
         state = one.state(state, chance)
     frames = taken(renderer, state, np.random.default_rng([*seeds, *name.encode()]))
@@ -193,7 +189,7 @@ def draw(
         TruthRow(name, str(i), (x, y, z), bool(seen.all()), 0.0)
         for i, ((x, y, z), seen) in enumerate(ends, 1)
     )
-    return Drawn(frames, tuple(rows), state)
+    return DrawnScene(frames, tuple(rows), state)
 
 
 def taken(renderer: Renderer, state: SceneState, rng: np.random.Generator) -> FrameSet:

@@ -16,14 +16,7 @@ from numpy.typing import NDArray
 from bench.record.state import State
 from bench.record.writer import Store
 from bench.results.headline import AFTER_RUN
-from bench.results.status import (
-    GOING_TO_SAFE,
-    InstrumentStatus,
-    Link,
-    OpenPrompt,
-    RunStatus,
-    Safe,
-)
+from bench.results.status import GOING_TO_SAFE, InstrumentStatus, Link, OpenPrompt, RunStatus, Safe
 from bench.rig.by_hand import BY_HAND
 from bench.rig.devices import Devices
 from bench.rig.guardian_client import BRIEF_S, GuardianClient, Heartbeat

@@ -48,56 +48,6 @@ DEPTH_FILES = """\
 | `frames/<frame>/depth.png` | 16-bit, tenths of a millimetre along its axis, 0: not measured |
 | `frames/<frame>/depth_amplitude.png` | 16-bit, the strength of its signal |
 """
-CARD_TEXT = """# {title}
-
-{kind}
-
-## What is in it
-
-{frames} frame sets of a left, a right and a thermal camera, and the ends of {teats} teats in 3-D,
-{visible} of them seen by every camera{depth}.
-
-| situation | frame sets |
-|---|---|
-{kinds}
-
-| file | what |
-|---|---|
-| `frames/<frame>/left.png`, `right.png` | the optical pair |
-| `frames/<frame>/thermal.png` | 8-bit, as the camera delivers it |
-| `frames/<frame>/thermal_radiometric.png` | 16-bit, hundredths of a kelvin |
-{depth_files}| `calibration.toml` | cameras, stereo, thermal and world; mm, rad, pixels |
-| `truth.csv` | each teat end in the world frame |
-| `budgets.csv` | what each end's uncertainty is made of |
-| `datapackage.json` | all of it for programs (Data Package) |
-| `SHA256SUMS` | for `sha256sum --check SHA256SUMS` |
-
-## The truth
-
-The apex of each teat's rounded end, on its own axis, in mm. Standard uncertainty along one axis:
-{stated}. Its parts:
-
-{parts}
-
-## How it was made
-
-- run `{run}`, script {facts[script]}, rig {facts[rig]}, seed {facts[seed]}, begun
-  {facts[wall_started]}
-{cameras}- {versions}
-- the run's record: SHA-256 {digest}
-
-## Left out
-
-{left_out}
-
-## Licence
-
-{licence}
-
-## Use
-
-    teatbench score FOLDER --detector fused
-"""
 
 
 def pack_run(run: Path, out: Path, title: str = "", licence: str = "") -> Path:
@@ -212,7 +162,8 @@ def _card(
     ]
     cameras = (facts.get("identities") or {}).get("cameras") or {}
     deep = any(row["camera"] == "depth" for trial in record.trials for row in trial.frames)
-    return CARD_TEXT.format(
+    card = Path(__file__).with_suffix(".md").read_text(encoding="utf-8")
+    return card.format(
         depth=" of these; a depth camera was there too" if deep else "",
         depth_files=DEPTH_FILES if deep else "",
         title=title,

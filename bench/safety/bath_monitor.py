@@ -208,9 +208,7 @@ class BathMonitor:
 
 
 class SafeAtOnce:
-    """Stage held and heater off, from any thread, again until both are; whether they are, and the
-    steps.
-    """
+    """Stage held and heater off, from any thread, until both are; whether, and the steps."""
 
     def __init__(self, devices: Devices) -> None:
         self._devices, self._held = devices, False

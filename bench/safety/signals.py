@@ -42,9 +42,7 @@ if sys.platform == "win32":
     from ctypes import wintypes
 
     def windows_register() -> Register | None:
-        """SetConsoleCtrlHandler of kernel32. What it gives back raises OSError where Windows
-        refuses.
-        """
+        """kernel32's SetConsoleCtrlHandler; its result raises OSError where Windows refuses."""
         make = ctypes.WINFUNCTYPE(wintypes.BOOL, wintypes.DWORD)
         kernel32 = ctypes.WinDLL("kernel32", use_last_error=True)
         kept: dict[Handler, object] = {}  # Windows calls it at any time: it must not be collected

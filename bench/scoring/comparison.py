@@ -218,9 +218,7 @@ def sign_flip_p(differences: Floats, seed: int = 0) -> float:
 def pose_differences(
     old: npt.ArrayLike, new: npt.ArrayLike, poses: Sequence[Hashable] | None = None, *, limit: float
 ) -> Floats:
-    """Mean of new - old of each pose (p,), a row clipped to `limit`; without `poses` each row is
-    one.
-    """
+    """Mean of new - old of each pose (p,), clipped to `limit`; without `poses`, of each row."""
     a, b = as_values(old, "old errors"), as_values(new, "new errors")
     names = range(len(a)) if poses is None else poses
     if not len(a) == len(b) == len(names):

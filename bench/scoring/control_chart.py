@@ -23,9 +23,7 @@ RULES = ((1, 1, 3.0), (3, 2, 2.0), (5, 4, 1.0), (8, 8, 0.0))
 
 @dataclass(frozen=True, slots=True)
 class ControlLimits:
-    """Mean and standard deviation of the first `BASE` values; nearer than ``least`` to the mean is
-    on it.
-    """
+    """Mean and sd of the first `BASE` values; nearer than ``least`` to the mean is on it."""
 
     centre: float
     sigma: float

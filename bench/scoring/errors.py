@@ -128,9 +128,7 @@ def summarise_radial(distances_mm: npt.ArrayLike) -> RadialSummary:
 def summarise(
     errors_mm: npt.ArrayLike, camera_from_world: npt.ArrayLike | None = None
 ) -> ErrorSummary:
-    """Errors found - truth, (n, 3) in world axes; with a rotation (3, 3) along the camera's axes (z
-    is depth).
-    """
+    """Errors found - truth, (n, 3) in world axes, or by a rotation (3, 3) in the camera's."""
     errors = as_points(errors_mm, "errors")
     if camera_from_world is not None:
         errors = errors @ np.transpose(camera_from_world)
@@ -148,9 +146,7 @@ def percentile(values: npt.ArrayLike, percent: float) -> float:
 
 
 def normal_k(n: int, rate: float, confidence: float = 0.95) -> float:
-    """One-sided factor: mean + k sd (sd divides by n - 1) covers `rate` of a normal population.
-    k(30; 95/95) = 2.220.
-    """
+    """One-sided factor: mean + k sd covers `rate` of a normal population. k(30; 95/95) = 2.220."""
     if n < 2:
         raise ValueError(f"tolerance factor: n = {n}; a spread needs at least 2 values")
     zero_failure_n(rate, confidence)  # refuses a rate or a confidence outside 0 to 1

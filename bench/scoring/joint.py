@@ -20,9 +20,7 @@ from bench.scoring.errors import Floats
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointCovariance:
-    """Of n ends: ``common`` (n, 3, k), whose columns belong to ``sources`` (k,), and ``fresh``
-    (n, 3, 3), mm and mm^2.
-    """
+    """Of n ends: ``common`` (n, 3, k), a column a source, and ``fresh`` (n, 3, 3), mm and mm^2."""
 
     common: Floats
     fresh: Floats

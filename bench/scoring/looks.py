@@ -152,9 +152,7 @@ class RateTest:
 
 @lru_cache(maxsize=4096)
 def spent_on(poses: int, required: float, confidence: float) -> tuple[float, float]:
-    """The chance that a first look at so many poses accepts, and that it refuses, where the true
-    rate is `required`.
-    """
+    """The chance that a first look accepts, and that it refuses, at the rate `required`."""
     bad = 1.0 - required
     allowed = failures_allowed(poses, required, confidence)
     accepts = 0.0 if allowed is None else float(bdtr(allowed, poses, bad))

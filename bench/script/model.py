@@ -18,15 +18,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from bench.config import (
-    ConfigError,
-    Positive,
-    Section,
-    is_there,
-    located,
-    parse_config,
-    read_text,
-)
+from bench.config import ConfigError, Positive, Section, is_there, located, parse_config, read_text
 from bench.rig.loading import LoadedRig, find_shipped
 from bench.scoring.looks import Looks
 from bench.script.detectors import check_named

@@ -211,9 +211,7 @@ def pytest_runtest_makereport(
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """The run of recorded trials ends with its report; a requirement that is not met fails the
-    session.
-    """
+    """Ends the run of recorded trials; a requirement that is not met fails the session."""
     trials = session.config.stash.get(_TRIALS, None)
     if trials and (reported := trials.end()):
         session.config.stash[_TEXT] = f"{reported.verdict}. Report: {reported.page}"

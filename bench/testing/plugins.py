@@ -129,9 +129,7 @@ def drivers() -> dict[str, str]:
 
 
 def _installed(driver: str, kind: Kind | None) -> tuple[Kind, Plugin, Callable[..., Any] | None]:
-    """Its kind, itself, and its emulator where no key names a device. Raises LimitError,
-    ValueError.
-    """
+    """Its kind, itself, its emulator if no key names a device. Raises LimitError, ValueError."""
     url = cast(PluginUrl, plugs.plugin_url("plugin:" + driver.removeprefix("plugin:")))
     kinds = [one for one in plugs.KINDS if url.name in available(plugs.GROUPS[one])]
     if len(kinds := [one for one in kinds if kind in (None, one)]) != 1:

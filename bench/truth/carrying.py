@@ -24,14 +24,7 @@ from bench.record.schema import Row
 from bench.record.writer import Store
 from bench.scoring.errors import Floats
 from bench.truth.registration import Registration
-from bench.truth.touching import (
-    Ends,
-    ExpectedScene,
-    NoTruthError,
-    SoFar,
-    TouchedTruth,
-    TrialTruth,
-)
+from bench.truth.touching import Ends, ExpectedScene, NoTruthError, SoFar, TouchedTruth, TrialTruth
 from bench.truth.uncertainty import (
     CARRY,
     REGISTRATION,

@@ -56,8 +56,9 @@ SAME_SHARE = 0.25
 
 # of an end from where the script has it: no phantom is set up worse
 ASTRAY_MM = 150.0
-Taken = list[tuple[Floats, dict[str, Any]]]  # of touches of one end: where it is, (3,), and the row
-SoFar = dict[int, Taken]  # by teat
+# of the touches of one end: where it is, (3,), and the row
+EndTouches = list[tuple[Floats, dict[str, Any]]]
+SoFar = dict[int, EndTouches]  # by teat
 
 
 class NoTruthError(DeviceError):
@@ -189,7 +190,7 @@ class Toucher:
         back what to say then.
         """
         teat, kept = next((teat, kept) for teat, one in so_far.items() if (kept := _kept(one)))
-        count, who, one = sum(map(len, so_far.values())), ends.called(teat), Taken()
+        count, who, one = sum(map(len, so_far.values())), ends.called(teat), EndTouches()
         again = f"One touch of {who} shows whether the {count} of this pose so far still count."
         self._touch_end(teat, ends, {}, one, again, readings=1)
         off_mm = np.linalg.norm(_kept(one)[0][0] - np.mean([end for end, _ in kept], axis=0))
@@ -206,7 +207,7 @@ class Toucher:
         teat: int,
         ends: Ends,
         done: Mapping[int, Floats],
-        taken: Taken,
+        taken: EndTouches,
         again: str = "",
         readings: int | None = None,
     ) -> tuple[TrueEnd, list[Row]]:
@@ -307,7 +308,7 @@ def tip_radius_u_mm(arm: Arm) -> float:
     return hypot(turned_mm, arm.tip_radius_u_mm) if arm.tip_radius_mm else 0.0
 
 
-def _kept(taken: Taken) -> Taken:
+def _kept(taken: EndTouches) -> EndTouches:
     return [one for one in taken if one[1]["refused"] is None]
 
 
@@ -385,10 +386,7 @@ class TrialTruth:
 
 
 def truth_row(
-    trial_id: str,
-    row: TruthRow,
-    exact: Floats | None = None,
-    seen: EndOffsets | None = None,
+    trial_id: str, row: TruthRow, exact: Floats | None = None, seen: EndOffsets | None = None
 ) -> Row:
     """The row of the table ``truth``, with the budget of a truth of the bench's own, and in
     ``seen`` where the cameras show it.

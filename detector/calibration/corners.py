@@ -140,9 +140,7 @@ def counted_corners(image: Gray) -> tuple[int, int] | None:
 
 
 def _half_and_whole(image: Gray) -> Iterator[Gray]:
-    """At half the size a board is found in a quarter of the time, unless its squares are too small
-    there.
-    """
+    """At half the size a board is found in a quarter of the time, unless squares are too small."""
     half = image.shape[1] // 2, image.shape[0] // 2
     yield np.asarray(cv2.resize(image, half, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     yield image
@@ -225,9 +223,7 @@ def _charuco(image: Gray, board: Board, sub_pixel: SubPixel) -> DetectedBoard | 
 
 
 def _circles(image: Gray, board: Board, _: SubPixel) -> DetectedBoard | None:
-    """Dark blobs in OpenCV's grid finder (its own detector needs 8 px), by one threshold or by
-    their surroundings.
-    """
+    """Dark blobs in OpenCV's grid finder, whose own detector needs 8 px; by two thresholds."""
     dark = cv2.threshold(image, 0, 255, cv2.THRESH_BINARY_INV + cv2.THRESH_OTSU)[1]
     low, high = np.percentile(image, [1.0, 99.0])
     how, step = (cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV), LEAST_STEP * (high - low)

@@ -152,9 +152,7 @@ POINT_STEP_MM = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WorldFit:
-    """The fit of touched to triangulated points (n, 3), and the joint covariance of the pair and
-    the world's six.
-    """
+    """Touched to triangulated points (n, 3): the fit, and the covariance of pair and world."""
 
     world_from_right: Motion
     comparison: Comparison
@@ -192,9 +190,7 @@ def fit_world(
     pixel_sd_px: float,
     touch_sd_mm: float,
 ) -> WorldFit:
-    """World from pixel pairs (n, 2) of points touched at (n, 3) mm; noise by axis. Raises
-    ValueError.
-    """
+    """World from pixel pairs (n, 2) of points touched at (n, 3) mm. Raises ValueError."""
     data = [np.array(each, dtype=np.float64) for each in (left_px, right_px, touched_mm)]
     in_right = pair.in_right_mm(data[0], data[1])
     if not np.isfinite(in_right).all():

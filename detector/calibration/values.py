@@ -122,9 +122,7 @@ def covariance_of_points(
 
 @dataclass(frozen=True, slots=True)
 class ThermalCamera:
-    """The thermal picture's form; ``lens`` is for the un-mirrored picture at image_size (columns,
-    rows).
-    """
+    """The thermal picture's form; ``lens`` is for the un-mirrored picture at image_size."""
 
     image_size: tuple[int, int]
     sensor_size: tuple[int, int]
@@ -215,9 +213,7 @@ class Calibration(Pair):
         return float(np.linalg.norm(self.right_from_left.T))
 
     def covariance_of(self, world_mm: ArrayLike, pixel_sd_px: float = 0.0) -> Array:
-        """(n, 3, 3) mm^2 of triangulated points (n, 3); NaN unseen; zero without covariance or
-        noise.
-        """
+        """(n, 3, 3) mm^2 of points (n, 3); NaN unseen; zero without covariance or noise."""
         return covariance_of_points(self, self.covariance, world_mm, pixel_sd_px)
 
     @property
@@ -226,9 +222,7 @@ class Calibration(Pair):
         return Part(**{field.name: getattr(self, field.name) for field in fields(Part)})
 
     def depth_per_disparity_px_mm(self, world_mm: ArrayLike) -> Array:
-        """Motion (n,) mm of world points (n, 3) along the viewing axis for 1 px of disparity: Z^2 /
-        (f B).
-        """
+        """Depth (n,) mm of world points (n, 3) that 1 px of disparity is: Z^2 / (f B)."""
         depth = self.world_from_right.inverse().apply(np.atleast_2d(world_mm))[:, 2]
         focal_px = 0.5 * (self.left.fc[0] + self.right.fc[0])
         return np.asarray(depth**2 / (focal_px * self.baseline_mm))

@@ -57,9 +57,7 @@ def ready_line(detector: Detector) -> bytes:
 def request_line(
     frame: str, pictures: Mapping[str, Path], calibration: Path, context: Context | None = None
 ) -> bytes:
-    """The request: the frame's name, paths of its pictures, the calibration, and the cow's history
-    where there is one.
-    """
+    """The request: frame's name, paths of its pictures, calibration, the cow's history if any."""
     paths = {name: str(pictures[name]) for name in PICTURES if name in pictures}
     more = {} if context is None else {"context": asdict(context)}
     return _line({"frame": frame, **paths, "calibration": str(calibration), **more})

@@ -51,9 +51,7 @@ class ChildSilent(ChildFault):
 
 
 class Child:
-    """A started command. ``stopwatch``: seconds. ``passed``: variables beside those of
-    `ENVIRONMENT`. Raises OSError.
-    """
+    """A started command. ``passed``: variables beside those of `ENVIRONMENT`. Raises OSError."""
 
     def __init__(
         self,

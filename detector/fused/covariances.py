@@ -67,9 +67,7 @@ def _moves(fitted: Fitted) -> Array:
 
 
 def _equations(fitted: Fitted, p: Parameters) -> tuple[Array, Array]:
-    """The normal equations' matrices (m, 8, 8), and how edges pull at their right sides
-    (m, k, 8), a px.
-    """
+    """The normal equations' matrices (m, 8, 8), and how edges pull, (m, k, 8), a px."""
     H, _ = normal_equations(fitted.teats, fitted.seen, fitted.weight, p.prior)
     return H, _moves(fitted) * fitted.weight[..., None]
 

@@ -108,9 +108,7 @@ class Measure(NamedTuple):
 
 
 def aside(f: Fits) -> Array:
-    """How far the thermal outline lies to one side, sensor px, where it shows both: of a wrong
-    depth.
-    """
+    """How far the thermal outline lies to one side, sensor px: of a wrong depth."""
     sides = f.of.thermal_px[:, [SIDE_A, SIDE_B]]
     return np.asarray(0.5 * np.abs(np.nan_to_num(sides[:, 0] - sides[:, 1])))
 
@@ -198,9 +196,7 @@ def measures(teats: Array, evidence: Evidence, prior: Prior) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decision:
-    """Log odds (m,), the reason against each or None, and which only a witness speaks against, or
-    only an unsure place.
-    """
+    """Log odds (m,), the reason against each or None, and which only a witness speaks against."""
 
     odds: Array
     reasons: list[str | None]

@@ -13,13 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.calibration import Calibration
-from detector.fused.covariances import (
-    end_covariances,
-    held,
-    stated,
-    unaliased,
-    world_covariances,
-)
+from detector.fused.covariances import end_covariances, held, stated, unaliased, world_covariances
 from detector.fused.decide import Decision, Fits, decide, means
 from detector.fused.depth_search import (
     Map,

@@ -29,7 +29,7 @@ from detector.outline.fine import (
     look_again,
     next_to,
 )
-from detector.outline.fit import Seen, View, look, step, weights
+from detector.outline.fit import OutlineEdges, View, look, step, weights
 from detector.outline.model import (
     COUNT,
     CX,
@@ -96,11 +96,9 @@ def _rough(teats: Array, views: tuple[View, ...], p: Parameters, known_mm: Array
 
 
 def _distinct(
-    teats: Array, seen: Seen, least: float, same_mm: Array, most: int, known_mm: Array
+    teats: Array, seen: OutlineEdges, least: float, same_mm: Array, most: int, known_mm: Array
 ) -> list[int]:
-    """At most ``most`` of teats (m, 8) by seen outline, none within ``same_mm`` of a better one or
-    of a known end (k, 3).
-    """
+    """At most ``most`` of teats (m, 8), none within ``same_mm`` of a better or a known end."""
     near = np.abs(seen.offset_px) < _NEAR_PX
     near &= weights(seen, ROUGH_SCALE) > 0
     optical = near[:, : 2 * near.shape[1] // 3]

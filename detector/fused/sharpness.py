@@ -82,9 +82,7 @@ def sharpness(fitted: Fitted, views: tuple[View, ...]) -> Sharpness:
 
 
 def _widths(profiles: Array, noise: Array) -> Array:
-    """Full widths at half maximum of the slopes of profiles (n, s), px; NaN where there is no clear
-    one.
-    """
+    """Full widths at half maximum of profiles' slopes (n, s), px; NaN without a clear one."""
     slope = (profiles[:, 2:] - profiles[:, :-2]) / _STEP_PX
     peak = _MIDDLE[np.abs(slope[:, _MIDDLE]).argmax(axis=1)]
     greatest = slope[np.arange(len(slope)), peak]

@@ -36,9 +36,7 @@ SURE_END, SOME_END = 0.85, 0.7
 
 @dataclass(frozen=True, slots=True)
 class Sought:
-    """What upright teats are in a thermal picture: unit vector from end to base, and half widths,
-    sensor px.
-    """
+    """Upright teats in a thermal picture: unit vector from end to base, half widths, sensor px."""
 
     down: tuple[float, float]
     half_widths_px: tuple[float, ...]
@@ -91,9 +89,7 @@ def levels(temperature: Field) -> Array:
 
 
 def nominate(gx: Field, gy: Field, most: int, sought: Sought) -> Nominations:
-    """At most ``most`` ends, best first, by `strengths` of a picture in which warm is high, with a
-    border of `ROOM_PX`.
-    """
+    """At most ``most`` ends, best first, by `strengths` of a picture with a border of `ROOM_PX`."""
     inner, (x, y) = np.s_[ROOM_PX:-ROOM_PX, ROOM_PX:-ROOM_PX], sought.down
     steep = np.abs(np.float32(x) * gx[inner] + np.float32(y) * gy[inner])
     beside = np.zeros((3, 3), dtype=np.uint8)
@@ -168,9 +164,7 @@ def unexplained(
     sought: Sought,
     least: float,
 ) -> Array:
-    """Which ends (k, 2) of a score above ``least`` lie on no bar from ``tips_px`` (k, 2) to
-    ``feet_px`` (k, 2).
-    """
+    """Which ends (k, 2) above ``least`` lie on no bar from ``tips_px`` to ``feet_px`` (k, 2)."""
     feet_px, tips_px = sought.turned(feet_px), sought.turned(tips_px)
     way = tips_px - feet_px
     bars_seen = list(zip(0.5 * (tips_px + feet_px), (way[:, 0] / way[:, 1]).tolist(), strict=True))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from detector import outline as package
 from detector.geometry import Array
-from detector.outline.fit import Seen, View, look, step, weights
+from detector.outline.fit import OutlineEdges, View, look, step, weights
 from detector.outline.model import END, SIDE_A, Outline, Rows
 from detector.outline.prior import Prior
 
@@ -33,7 +33,7 @@ class Fitted(Rows):
     """Teats (m, 8), right camera's frame, the edges about them, and weights (m, k)."""
 
     teats: Array
-    seen: Seen
+    seen: OutlineEdges
     weight: Array
     hidden: NDArray[np.bool_]  # (m, k): behind another teat, or left out
     followed: NDArray[np.bool_]  # (m,): up both sides to where the last of an end is seen
@@ -45,7 +45,7 @@ def fine(
     hidden: NDArray[np.bool_],
     views: tuple[View, ...],
     prior: Prior,
-    seen: Seen | None = None,
+    seen: OutlineEdges | None = None,
     steps: int = FINE_STEPS,
     first: int = 0,
 ) -> Fitted:
@@ -61,8 +61,8 @@ def fine(
 
 
 def look_again(
-    seen: Seen, teats: Array, change: Array, views: tuple[View, ...], *, fine: bool
-) -> Seen:
+    seen: OutlineEdges, teats: Array, change: Array, views: tuple[View, ...], *, fine: bool
+) -> OutlineEdges:
     """Edges after a ``change`` (m, 8): optical ones anew where outlines moved, thermal kept."""
     outline = FINE_OUTLINE if fine else ROUGH_OUTLINE
     k = 2 * len(outline.part)
@@ -73,7 +73,7 @@ def look_again(
     return look(teats, views[:2], outline, fine=fine, known=seen, which=moving)
 
 
-def _trusted(seen: Seen, hidden: NDArray[np.bool_], number: int) -> Array:
+def _trusted(seen: OutlineEdges, hidden: NDArray[np.bool_], number: int) -> Array:
     """Weights (m, k) in the fine pass; after its first step only sides that both pictures show,
     where nothing hides them. What only one shows is likely another thing's outline.
     """

@@ -17,13 +17,7 @@ from numpy.typing import NDArray
 from detector import outline as package
 from detector.calibration import Calibration
 from detector.geometry import Array, Camera, Motion
-from detector.outline.edges import (
-    LEAST_CLEAR,
-    Field,
-    Profile,
-    find_edges,
-    sample_into,
-)
+from detector.outline.edges import LEAST_CLEAR, Field, Profile, find_edges, sample_into
 from detector.outline.model import (
     COUNT,
     HEIGHT,
@@ -61,7 +55,7 @@ class View:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen(Rows):
+class OutlineEdges(Rows):
     """Edges about the outlines of m teats, ``n`` points a view: (m, views * n) each."""
 
     offset_px: Array
@@ -76,7 +70,7 @@ class Seen(Rows):
     unlike_px: Array  # how much farther out a line's own would put its edge
 
     @classmethod
-    def empty(cls, m: int, n: int, views: tuple[View, ...]) -> Seen:
+    def empty(cls, m: int, n: int, views: tuple[View, ...]) -> OutlineEdges:
         """Of m outlines of n points, before anything is looked at; Jacobians are zero."""
         k = len(views) * n
         offset, sd, clarity, limb, unlike = np.empty((5, m, k))
@@ -86,11 +80,11 @@ class Seen(Rows):
         jacobian = np.zeros((m, k, COUNT))
         return cls(offset, sd, clarity, floor, jacobian, pixels, normals, limb, unlike)
 
-    def copied(self) -> Seen:
+    def copied(self) -> OutlineEdges:
         """The same, but for Jacobian and floor in arrays of its own."""
         kept = {"jacobian", "floor_px"}
         values = ((name, getattr(self, name)) for name in self.__slots__)
-        return Seen(*(value if name in kept else value.copy() for name, value in values))
+        return OutlineEdges(*(value if name in kept else value.copy() for name, value in values))
 
 
 def look(
@@ -100,16 +94,16 @@ def look(
     *,
     fine: bool,
     slopes_too: bool = True,
-    known: Seen | None = None,
+    known: OutlineEdges | None = None,
     which: NDArray[np.intp] | None = None,
-) -> Seen:
+) -> OutlineEdges:
     """Edges about teats (m, 8); their Jacobian is zero unless asked for. With ``known`` edges about
     teats nearby: anew of teats ``which`` in ``views``, which are the first of the known ones'; the
     rest and the Jacobian are those known.
     """
     m, n = len(teats), len(outline.part)
     which = np.arange(m) if which is None else which
-    seen = known.copied() if known else Seen.empty(m, n, views)
+    seen = known.copied() if known else OutlineEdges.empty(m, n, views)
     cameras = np.stack([view.numbers for view in views])
     teats = np.ascontiguousarray(teats[which])
     package.kernels.outlines(
@@ -138,7 +132,7 @@ _LEAST = np.array([-np.inf, -np.inf, -np.inf, -1.2, -1.2, 4.0, -0.25, 0.5])
 _MOST = np.array([np.inf, np.inf, np.inf, 1.2, 1.2, 25.0, 0.25, 2.0])
 
 
-def weights(seen: Seen, scale: float) -> Array:
+def weights(seen: OutlineEdges, scale: float) -> Array:
     """Weights (m, k): by uncertainty, Cauchy beyond ``scale`` floors, zero with hardly an edge."""
     found = package.kernels.weights(
         seen.offset_px, seen.sd_px, seen.clarity, seen.floor_px, seen.jacobian, scale, LEAST_CLEAR
@@ -146,7 +140,9 @@ def weights(seen: Seen, scale: float) -> Array:
     return np.asarray(found)
 
 
-def normal_equations(teats: Array, seen: Seen, weight: Array, prior: Prior) -> tuple[Array, Array]:
+def normal_equations(
+    teats: Array, seen: OutlineEdges, weight: Array, prior: Prior
+) -> tuple[Array, Array]:
     """Matrices (m, 8, 8) and right sides (m, 8) of the least-squares step, priors included."""
     H, b = package.kernels.squares(seen.jacobian, seen.offset_px, weight)
     usual, sure = _usual(prior)
@@ -161,7 +157,7 @@ def _usual(prior: Prior) -> tuple[Array, Array]:
     return mean, np.array([1e-8, 1e-8, 1e-8, *(sd**-2 for sd in sds)])
 
 
-def step(teats: Array, seen: Seen, weight: Array, prior: Prior) -> Array:
+def step(teats: Array, seen: OutlineEdges, weight: Array, prior: Prior) -> Array:
     """Teats (m, 8) after one damped step, no longer than makes sense."""
     usual, sure = _usual(prior)
     moved = package.kernels.step(

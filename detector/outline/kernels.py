@@ -225,9 +225,7 @@ def _likeliest(
     which: NDArray[np.intp],
     result: Array,
 ) -> None:
-    """`edges._likeliest` of some of lines (n, g): fills offset, standard deviation, clarity (3, n)
-    of these.
-    """
+    """`edges._likeliest` of some of lines (n, g): fills offset, sd, clarity (3, n) of these."""
     g = left.shape[1]
     cost = np.empty(g, dtype=_f4)
     for j in which:
@@ -343,9 +341,7 @@ def _with_neighbours(
 def _lit_alike(
     light: Array, views: int, offset: Array, sd: Array, limb: Array, apart: Array
 ) -> None:
-    """`edges.lit_alike` of one outline, arrays (views * n,). ``apart``: noise of a line's own limb,
-    then what is unlike.
-    """
+    """`edges.lit_alike` of one outline (views * n,); ``apart``: noise of a limb, then unlike."""
     _, neighbours, unlike_share, plain_px, shaded_px = light
     n, half = len(offset) // views, int(neighbours) // 2
     total, known, own_px = np.zeros(n), np.zeros(n), limb.copy()

@@ -123,11 +123,7 @@ class _Seen:
 
 
 def _seen(
-    left: Array,
-    right: Array,
-    stated: Calibration,
-    known: Array,
-    shift: tuple[float, float, float],
+    left: Array, right: Array, stated: Calibration, known: Array, shift: tuple[float, float, float]
 ) -> _Seen:
     """Of ends (k, 3), the fits' frame, looked for where the pictures are shifted by so many
     columns of the left and right one and rows of the right one; rows follow what is found.

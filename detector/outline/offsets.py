@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from detector.geometry import Array
 from detector.outline.edges import CLEAR
 from detector.outline.fine import FINE_OUTLINE, Fitted
-from detector.outline.fit import Seen, View, look, normal_equations
+from detector.outline.fit import OutlineEdges, View, look, normal_equations
 from detector.outline.model import END
 from detector.outline.prior import Prior
 
@@ -45,7 +45,7 @@ def row_offsets(fitted: Fitted, prior: Prior) -> tuple[Array, Array]:
     return score / np.maximum(weight_of_rows, 1e-9), weight_of_rows
 
 
-def thermal_offsets(seen: Seen, hidden: NDArray[np.bool_]) -> tuple[Array, Array]:
+def thermal_offsets(seen: OutlineEdges, hidden: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Shifts (m, 2) sensor px of the last view's outlines, each free to swell; weights (m, 2)."""
     at = slice(-len(FINE_OUTLINE.part), None)
     off = seen.offset_px[:, at]

@@ -117,9 +117,7 @@ class Access(ABC, Generic[R]):
 
     @abstractmethod
     def try_row(self, row: R) -> tuple[float, str]:
-        """The value of ``row``, and the reply with its meaning, for a person. Raises
-        InstrumentError.
-        """
+        """The value of ``row``, and the reply in words for a person. Raises InstrumentError."""
 
     def identify(self) -> tuple[BathReading, Mapping[str, str]]:
         """Identify the controller: its first reading, and what it shows of itself. Raises
@@ -204,9 +202,7 @@ class Access(ABC, Generic[R]):
 
     @property
     def looked_for(self) -> list[R]:
-        """The rows that are asked unbidden: a poll's, what it shows of itself, and what writes
-        need.
-        """
+        """The rows that are asked unbidden: for a poll, for itself, and for writes."""
         polled = [row for row in self.profile.rows if row.poll]
         needs = [name for row in polled for name in row.needs]
         names = dict.fromkeys((*(row.name for row in polled), *self.SHOWN, *needs))

@@ -301,9 +301,7 @@ class Bath:
             self.pump_on = wanted == row.values["on"]
 
     def _set_watchdog(self) -> None:
-        """Have the controller stop by itself where no messages come, if it can: some models of a
-        family have no such row.
-        """
+        """Have the controller stop by itself where no messages come, if it has such a row."""
         seconds = self.profile.watchdog_s
         if seconds is None or not self.watched or not self._rows.offers(WATCHDOG):
             return

@@ -106,9 +106,7 @@ class Quantity(Strict):
         return None
 
     def is_possible(self, value: float) -> bool:
-        """Whether a device may have ``value`` there; not-a-number and infinity say that it has
-        none.
-        """
+        """Whether a device may have ``value`` there; not-a-number and infinity are none."""
         if not math.isfinite(value) or value == 0.0:
             return True
         if self.unit == "degC":

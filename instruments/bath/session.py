@@ -19,9 +19,7 @@ CHECK_CABLE = "Check cable and power."
 
 
 class RefusedError(DeviceError):
-    """The device refused a request by an exception (``code``) or a word; ``no_row``: it has no such
-    row.
-    """
+    """A request refused by an exception (``code``) or a word; ``no_row``: there is no such row."""
 
     code = 0
     no_row = True
@@ -111,9 +109,7 @@ class Session(ABC):
         return BrokenError(self.who, what, asked=asked, hint=CHECK_CABLE)
 
     def receive_until(self, until_s: float, done: Callable[[], bool]) -> None:
-        """Take in what comes until ``done``, ``until_s``, or the link breaks. An exception closes
-        the link.
-        """
+        """Take in what comes until ``done`` or ``until_s``. An exception closes the link."""
         link, clock = self.up(), self.clock
         virtual = clock if isinstance(clock, VirtualClock) else None
         moves_time = virtual is not None and not self.line.device

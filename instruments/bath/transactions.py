@@ -95,9 +95,7 @@ class Transactions(Session):
     def read(
         self, function: int, address: int, count: int, *, unit_id: int | None = None
     ) -> list[int]:
-        """``count`` registers or bits from ``address``. Raises LinkError, ProtocolError,
-        RefusedError.
-        """
+        """``count`` registers or bits. Raises LinkError, ProtocolError, RefusedError."""
         question = read_question(function, address, count, unit_id or self._unit_id)
         answer = self._ask(question)
         values = values_in(answer)

@@ -12,9 +12,7 @@ CLOSE_S = 2.0
 
 
 def close_within(closers: Sequence[Callable[[], object]], seconds: float = CLOSE_S) -> None:
-    """Run all at once and wait ``seconds`` at most; what takes longer ends behind. Raises the first
-    error.
-    """
+    """Run all at once and wait ``seconds`` at most. Raises the first error."""
     errors: list[BaseException] = []
 
     def run(closer: Callable[[], object]) -> None:

@@ -123,9 +123,7 @@ Pixels = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class Ranging:
-    """Distance: ``mm_at_zero`` + ``mm_per_count`` x count; ``none``: the count of no
-    measurement.
-    """
+    """Distance: ``mm_at_zero`` + ``mm_per_count`` x count; ``none`` is no measurement."""
 
     mm_per_count: float
     mm_at_zero: float = 0.0

@@ -133,9 +133,7 @@ class LiveReader:
 
 
 class OpenCvCamera:
-    """``name``: its place in the rig. Raises LinkError, DeviceError for settings that
-    did not take.
-    """
+    """``name``: its place in the rig. Raises LinkError, DeviceError for settings not taken."""
 
     def __init__(
         self,

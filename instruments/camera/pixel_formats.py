@@ -24,9 +24,7 @@ Decoder = Callable[[Bytes, int], NDArray[Any]]
 
 @dataclass(frozen=True, slots=True)
 class PixelFormat:
-    """``stored_bits`` a pixel on the wire, ``bits`` of signal; ``decode`` gives values
-    of a line.
-    """
+    """``stored_bits`` a pixel on the wire, ``bits`` of signal; ``decode`` gives a line's values."""
 
     name: str
     code: int

@@ -12,9 +12,7 @@ from instruments.camera.settings import Value
 
 @dataclass(frozen=True, slots=True)
 class RadiometricProfile:
-    """Temperature: ``kelvin_per_count`` x count; ``features`` to be set, and the command that
-    closes the ``shutter``.
-    """
+    """``kelvin_per_count``; ``features`` to be set; the command that closes the ``shutter``."""
 
     kelvin_per_count: float
     pixel_format: str

@@ -36,9 +36,7 @@ class Source(Protocol):
 
 
 class StreamServer:
-    """Serves a frame set a tick of ``fps`` until closed. Raises OSError, ValueError in virtual
-    time.
-    """
+    """Serves a frame set a tick of ``fps``. Raises OSError, ValueError in virtual time."""
 
     def __init__(
         self,

@@ -20,9 +20,7 @@ ALARM = 1  # the code of whatever its alarm says in words
 
 
 def profile_of(plugged: Plugin) -> Profile:
-    """What the bench knows of such a bath before it is opened. Raises LimitError where its class
-    doesn't say it.
-    """
+    """What is known of such a bath before it is opened. Raises LimitError: its class is silent."""
     maker = plugged.maker
     try:
         low_c, high_c = maker.range_c

@@ -64,9 +64,7 @@ class BathDriver(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class StageState:
-    """What a stage shows now: ``place`` by axis letter, mm, degrees for A. ``fault``: in words,
-    empty for none.
-    """
+    """What a stage shows: ``place`` by axis letter, mm, degrees for A; ``fault``, or empty."""
 
     place: Mapping[str, float]
     moving: bool

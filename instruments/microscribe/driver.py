@@ -506,9 +506,7 @@ class MicroScribe:
     # Packets and positions
 
     def glance(self) -> Reading | None:
-        """One packet as a reading, to show; its tip is not-a-number before homing. Raises as
-        ``poll``.
-        """
+        """One packet, to show; its tip is not-a-number before homing. Raises as ``poll``."""
         packet = self.poll()
         if self._not_homed is not None:
             return Reading(np.full(3, np.nan), 0.0, None, 1, packet.counts)

@@ -48,9 +48,7 @@ class Hand(Protocol):
     """What holds the stylus."""
 
     def arm_target(self) -> tuple[Floats, Floats | None] | None:
-        """Tip (3,) mm in the arm's frame and direction (3,) up the stylus, if any; None: on the
-        peg.
-        """
+        """Tip (3,) mm in the arm's frame and direction (3,) up the stylus; None: on the peg."""
 
 
 class EncoderSample(NamedTuple):

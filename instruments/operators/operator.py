@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import math
 import re
+import tomllib
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from instruments.world.boards import Pattern
@@ -211,33 +214,12 @@ ENOUGH = ("e", "enough")
 EXPLAIN = "?"
 KEYS = (*GO, *ABORT, *SKIP, *REPEAT, *ENOUGH, EXPLAIN)  # none is a reason for the record
 ABORT_KEY = "? = explain, a = abort the run"
-EXPLAINED: Mapping[Kind, str] = {
-    "homing": (
-        "The arm counts its joints' angles from where they are when it is switched on. Away from"
-        " its peg every point would be wrong."
-    ),
-    "check point": (
-        "The check point's place is known: the readings there show whether the arm measures right."
-    ),
-    "set up": (
-        "The cameras take their pictures after your answer, so step out of their view. A teat end"
-        " is hidden where at least one camera can't see it; it doesn't count as missed."
-    ),
-    "touch": (
-        "Where the tip is when you go on is the truth that the detectors are scored against. A"
-        " touch that doesn't fit is asked for again, and the reason stands above the question."
-    ),
-    "board": (
-        "The cameras take a picture of the board after your answer. Hold it still, the whole"
-        " pattern in each camera's view."
-    ),
-    "corner": "Where the tip is when you go on ties the board's corners to the arm's frame.",
-    "task": "The bench goes on when this is done.",
-    "coordinates": (
-        "The point is taken for where the tip is. Three numbers with spaces or semicolons between"
-        " them, with a point or a decimal comma."
-    ),
-}
+
+
+@cache
+def explained() -> Mapping[str, str]:
+    """Why a person is asked, by the kind of prompt."""
+    return tomllib.loads(Path(__file__).with_name("explained.toml").read_text(encoding="utf-8"))
 
 
 class NotUnderstoodError(ValueError):
@@ -308,7 +290,7 @@ class Prompt:
         )
         enough = "Enough: it is calibrated from what was shown so far.\n"
         return (
-            f"{EXPLAINED[self.kind]}\n{trial * self.in_trial}{enough * self.enough}"
+            f"{explained()[self.kind]}\n{trial * self.in_trial}{enough * self.enough}"
             "Abort: the bath goes to standby, the stage stops. What was finished is kept.\n"
             "There is no hurry; nothing is lost by taking long."
         )

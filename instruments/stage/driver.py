@@ -26,12 +26,7 @@ from instruments.stage.calls import StageCalls
 from instruments.stage.connection import ANSWER_S, Dialogue
 from instruments.stage.marlin import MarlinDialogue
 from instruments.stage.protocol import HOME_AGAIN, Position, Status, axis_words
-from instruments.stage.settings import (
-    DECLARABLE,
-    StageIdentity,
-    Target,
-    check_within,
-)
+from instruments.stage.settings import DECLARABLE, StageIdentity, Target, check_within
 from instruments.stage.zaber import Motor, ZaberDialogue
 
 Spoken = Literal["grbl", "marlin", "zaber"]  # "grbl": Grbl, grblHAL or FluidNC, as it says itself

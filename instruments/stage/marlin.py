@@ -278,9 +278,7 @@ class MarlinDialogue(Dialogue):
 
     @whole
     def abort(self) -> None:
-        """Stop it by M410; M112 halts a board that homes or doesn't obey, until it is
-        switched off.
-        """
+        """Stop it by M410; M112 halts a board that homes or disobeys, until it is switched off."""
         self.upsets += 1
         if not self.homing:
             with contextlib.suppress(InstrumentError):

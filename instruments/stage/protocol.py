@@ -121,9 +121,7 @@ class MalformedLine:
 
 @dataclass(frozen=True, slots=True)
 class MarlinPosition:
-    """Marlin's answer to M114: the place it was last sent to, mm, and the steps that its motors
-    have made, by letter.
-    """
+    """Marlin's M114: the place it was last sent to, mm, and its motors' steps, by letter."""
 
     sent_mm: Mapping[str, float]
     steps: Mapping[str, float]

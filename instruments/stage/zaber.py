@@ -207,9 +207,7 @@ class ZaberDialogue(Dialogue):
 
     @whole
     def status(self) -> Status:
-        """ "Run" while an axis moves, "Alarm" without a reference. Raises DeviceError
-        for a fault.
-        """
+        """In motion "Run", without a reference "Alarm". Raises DeviceError for a fault."""
         if not self._motors:  # another program's stage, of which only its motion is known
             busy = any(self._where(motor)[0].busy for motor in self._given)
             return Status("Run" if busy else "Idle", None, (), None, None, {})

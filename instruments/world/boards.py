@@ -200,9 +200,7 @@ def poses(
 
 
 def _in_picture(board: Board, camera: CameraModel) -> bool:
-    """Whether all of a board's points, with their squares, are in a picture; no where edge-on or
-    averted.
-    """
+    """Whether all of a board, with its squares, is in a picture; no where edge-on or averted."""
     towards = camera.centre_mm - board.outline_mm.mean(axis=0)
     if board.normal @ towards < 0.45 * np.linalg.norm(towards):
         return False

@@ -285,9 +285,7 @@ def _hose(draw: Draw) -> SceneObject:
 
 
 def outward(draw: Draw) -> Situation:
-    """Teats that point away from the udder's middle, as a full udder's do: by 20 to 40 degrees (our
-    choice).
-    """
+    """Teats that point away from the udder's middle, by 20 to 40 degrees (our choice)."""
     foot_mm = footing(draw, (18.0, 32.0), (55.0, 80.0), (22.0, 40.0))
     teats = []
     for across, away in PLACES:

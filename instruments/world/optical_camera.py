@@ -72,9 +72,7 @@ class Surfaces:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardSurface:
-    """A board in a camera: covered pixels (n,), dark shares, points (3, n), ``normal``
-    (3,), world.
-    """
+    """A board in a camera: pixels (n,), dark shares, points (3, n), ``normal`` (3,), world."""
 
     cover: Cover
     dark: Floats

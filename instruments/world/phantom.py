@@ -89,9 +89,7 @@ class TeatForm:
 
 @dataclass(frozen=True, slots=True)
 class TeatShape:
-    """``length_mm`` from plate to apex, ``radius_mm`` of cylinder and end; ``form``
-    replaces both.
-    """
+    """``length_mm`` to the apex, ``radius_mm`` of cylinder and end; ``form`` replaces both."""
 
     length_mm: float = 135.0
     radius_mm: float = 11.0

@@ -28,9 +28,7 @@ HOSE_DROP_K = 0.02
 
 
 class World:
-    """``make_renderer`` makes what draws it; ``stage_pose`` and ``stage_velocity`` are the
-    stage's.
-    """
+    """``make_renderer`` makes what draws it; ``stage_pose``, ``stage_velocity`` are the stage's."""
 
     def __init__(
         self,
@@ -70,9 +68,7 @@ class World:
         objects: Sequence[Mapping[str, Any]],
         situation: Situation | None = None,
     ) -> None:
-        """Put a phantom on the plate, other things around it, and a ``situation``. Raises
-        ValueError.
-        """
+        """Put a phantom on the plate, things around it, and a ``situation``. Raises ValueError."""
         with self.lock:
             self._phantom = phantom
             self._objects = tuple(make_object(**table) for table in objects)

@@ -169,9 +169,7 @@ def failure_map(
     *,
     name: str = "failure-map",
 ) -> Plot:
-    """Scenes and failures (rows, columns) in cells of two parameters, the first along the columns.
-    The redder a cell, the more of it failed.
-    """
+    """Scenes and failures (rows, columns) in cells of two parameters, the first along columns."""
     all_of, failed = (
         np.atleast_2d(finite("failure_map", what, values)).astype(np.intp)
         for what, values in (("scenes", scenes), ("failures", failures))

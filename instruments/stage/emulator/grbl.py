@@ -329,9 +329,7 @@ class GrblController(Controller):
     # "$" lines
 
     def _system(self, text: str) -> Iterator[float]:
-        """Those that are taken in more states than idle and alarm; a fault's order is the
-        firmware's.
-        """
+        """Those taken beyond idle and alarm; the order of faults is the firmware's."""
         first = text[:1]
         if not text:
             self.say("[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]")

@@ -92,9 +92,7 @@ class Terminal:
         return self._child.wait(timeout=PATIENCE_S)
 
     def press_enter_to_the_end(self, *, unasked: bool = False) -> int:
-        """Press Enter at each prompt until it has ended, or whenever it says anything; gives back
-        the command's exit code.
-        """
+        """Press Enter at each prompt until it has ended; gives back the exit code."""
         while self._more():
             if unasked or "a = abort" in self.text[self._at :]:
                 self._at = len(self.text)

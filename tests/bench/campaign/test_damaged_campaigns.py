@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bench.campaign import ledger
-from bench.campaign.chunk import Rows, SceneRow, Taken, TeatRow
+from bench.campaign.chunk import CallTime, Rows, SceneRow, TeatRow
 from bench.campaign.ledger import LEDGER
 from bench.campaign.plan import Chunk
 from bench.campaign.run import Campaign, plan_of
@@ -48,7 +48,7 @@ class Made:
                         SceneRow(*key, 4, 0, 4, 0, 0, 0, 0.1 * key[1], 0.1, "", "") for key in keys
                     ),
                     tuple(TeatRow(*key, 1, "found", 0.1, 0.2, 0.3) for key in keys),
-                    (Taken(0.1, 0.1),) * len(keys),
+                    (CallTime(0.1, 0.1),) * len(keys),
                 ),
             )
 

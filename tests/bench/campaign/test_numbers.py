@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.campaign.chunk import ASIDE, Rows, SceneRow, Taken
+from bench.campaign.chunk import ASIDE, CallTime, Rows, SceneRow
 from bench.campaign.numbers import Numbers, campaign_numbers
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.shards import Shards
@@ -50,7 +50,7 @@ def numbers(plan: CampaignPlan, tmp_path_factory: pytest.TempPathFactory) -> Num
     )
     (folder / "shards").mkdir()
     for family, each in (("ideal", rows), ("overlapping", (gone,))):
-        taken = tuple(Taken(0.1, 0.1, "it ended" if one is gone else None) for one in each)
+        taken = tuple(CallTime(0.1, 0.1, "it ended" if one is gone else None) for one in each)
         Shards(folder).write(family, 0, Rows(each, (), taken))
     return campaign_numbers(folder, plan)
 

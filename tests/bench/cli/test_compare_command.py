@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from bench.config import ConfigError
 from bench.record.reader import read_run
-from bench.report.comparison import HINTS, notes
+from bench.report.comparison import notes
+from bench.report.wording import hints
 from bench.results.comparison import compare_folders, scored_together
 from bench.scoring.decisions import Verdict
 from detector import registry
@@ -145,7 +146,9 @@ def test_two_detectors_of_one_run_and_the_page(recording: Path, tmp_path: Path, 
     first = page[: page.index("<details>")]
     worse = f"thesis is worse than fused. Of {SCENES} poses fused got {SCENES} right"
     assert worse in plain_text(first)
-    assert all(f">{name}</span>" in first for name in list(HINTS)[:-1]), "one situation"
+    assert all(f">{name}</span>" in first for name in list(hints("comparison"))[:-1]), (
+        "one situation"
+    )
     assert page.count("<details>") == 4  # the glossary is the last
     assert json.loads((tmp_path / "page" / "comparison.json").read_text(encoding="utf-8")) == found
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from argcomplete.shell_integration import shellcode
 
-from bench.cli.commands import COMMANDS, NEXT, TASKS
+from bench.cli.commands import COMMANDS, TASKS, following
 from bench.cli.main import main, parser
 from bench.cli.manual import topics
 from tests.bench.commands import Said
@@ -42,7 +42,7 @@ VALUES = {"port": "COM5", "profile": "julabo-presto", "script": "plane-map", "ri
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_the_next_two_commands_can_be_given(name: str) -> None:
-    for text in NEXT[name]:
+    for text in following()[name]:
         filled = re.sub(r"\{(\w+)\}", lambda found: VALUES.get(found[1], "a"), text)
         words = [CAPITALS.get(word, word) for word in shlex.split(filled)]
         given = parser().parse_args(words)

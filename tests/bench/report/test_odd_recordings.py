@@ -115,9 +115,7 @@ for line in sys.stdin:
 def test_shuffled_names_of_files_change_nothing(
     recording: Path, tmp_path: Path, plain: Answers
 ) -> None:
-    """The same pictures under each other's names, and so in another order: each has its own answer,
-    to the last digit.
-    """
+    """The same pictures in another order: each has its own answer, to the last digit."""
     names = sorted(path.name for path in (recording / "frames").iterdir())
     given = dict(zip(names, ("2-c", "0-a", "1-b"), strict=True))
     shuffled = tmp_path / "shuffled"

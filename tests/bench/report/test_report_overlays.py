@@ -99,9 +99,7 @@ def test_regions_lie_round_their_nominations(calibration: Calibration) -> None:
 
 
 def test_a_fitted_teat_s_outline_goes_over_its_end(calibration: Calibration) -> None:
-    """A ball of 11 mm on an upright axis: the outline's highest point lies at the end's pixel, to
-    the sight's inclination.
-    """
+    """A ball on an upright axis: the outline's highest point lies at the end's pixel."""
     end = calibration.world_from_right.inverse().apply(END[None])[0]
     teat = [end[0], end[1] + 11.0, end[2], 0.0, 0.0, 11.0, 0.0, 1.0]
     trace = {"decisions": {"teats": [teat, teat], "reasons": ["", "its place is too unsure"]}}

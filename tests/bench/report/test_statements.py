@@ -5,15 +5,19 @@ number is written.
 from __future__ import annotations
 
 import re
+import tomllib
+from pathlib import Path
 
 from hypothesis import given
 from hypothesis import strategies as st
 
+import bench.report
 from bench.report.statements import note_on_statements
-from bench.report.wording import NOT_MEASURED, number, shown, spanned, table
+from bench.report.wording import MORE, NOT_MEASURED, number, shown, spanned
 from bench.script.model import Rules
-from reports.page import Fold, Section
+from reports.page import Column, Fold, Section, Table
 
+REPORT = Path(bench.report.__path__[0])
 RULES = Rules.model_validate(
     {
         "title": "t",
@@ -31,8 +35,10 @@ RULES = Rules.model_validate(
 
 def test_decisions_intervals_and_p_values_are_counted_wherever_they_stand() -> None:
     rows = [("a", "1 to 2", "0.04"), ("b", NOT_MEASURED, "0.5"), ("c", "", "")]
-    deep = table("deep", "what | >95 % interval, two-sided [mm] | >p # chance", rows)
-    bare = table("bare", "what | >rate [k of n, interval]", [("a", "1 of 2 (1 to 99 %)")])
+    interval = Column("95 % interval, two-sided", "right", "mm")
+    deep = Table("deep", (Column("what"), interval, Column("p", hint="chance")), tuple(rows))
+    rate = Column("rate", unit="k of n, interval")
+    bare = Table("bare", (Column("what"), rate), (("a", "1 of 2 (1 to 99 %)"),))
     section = Section("s", "S", (Fold("more", (deep,)), bare), folded=True)
     made, first = note_on_statements((section,), RULES, 2).items
     # three requirements of each detector, two intervals, two p-values
@@ -51,3 +57,15 @@ def test_a_plan_for_looks_is_said() -> None:
 def test_what_rounds_to_zero_has_no_minus(value: float, form: str) -> None:
     texts = (str(shown(value, form)), spanned([value, value]), number(value, "mm", 1))
     assert not any(re.search(r"-0(\.0*)?(?![.\d])", text) for text in texts)
+
+
+def test_each_table_is_described_once_and_drawn() -> None:
+    """Names in the code are those of the file; formats can be used; a title is text or number."""
+    described = tomllib.loads((REPORT / "tables.toml").read_text(encoding="utf-8"))
+    code = "".join(path.read_text(encoding="utf-8") for path in REPORT.glob("*.py"))
+    assert set(re.findall(r'\btable\(\s*"(\w+)"', code)) == set(described)
+    for columns in (one["columns"] for one in described.values()):
+        for head in columns if isinstance(columns, list) else described[columns]["columns"]:
+            if head != MORE:
+                assert len({"text", "number"} & set(head)) == 1
+                shown(2 if head.get("form") == "+d" else 2.0, head.get("form", ""))
