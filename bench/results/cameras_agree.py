@@ -33,12 +33,7 @@ from bench.script.model import CamerasRequirement
 from bench.truth.joint import End, joint_truth
 from detector.calibration import Calibration
 from detector.geometry import Array
-from detector.outline.known_ends import (
-    NO_THERMAL_MM,
-    REACH_PX,
-    EndOffsets,
-    offsets_at,
-)
+from detector.outline.known_ends import NO_THERMAL_MM, REACH_PX, EndOffsets, offsets_at
 from detector.outline.offsets import THERMAL_REACH_PX
 from detector.outline.pictures import UnusableError
 from instruments.camera.frame import FrameSet

@@ -29,13 +29,7 @@ from bench.results.stated_arm import (
     too_small,
 )
 from bench.results.teats_seen import TEATS_FACT
-from bench.rig.arm_files import (
-    Verification,
-    VerificationLimits,
-    broken_by,
-    from_dict,
-    gaps_of,
-)
+from bench.rig.arm_files import Verification, VerificationLimits, broken_by, from_dict, gaps_of
 from bench.scoring.decisions import (
     Decision,
     Verdict,
@@ -387,11 +381,7 @@ def decide_detector(
 
 
 def _decided(
-    rule: DetectorRequirement,
-    scores: Pool,
-    timed: Latency,
-    u_mm: float | None,
-    looks: Looks,
+    rule: DetectorRequirement, scores: Pool, timed: Latency, u_mm: float | None, looks: Looks
 ) -> Decision:
     match rule:
         case ErrorRequirement():
@@ -436,8 +426,11 @@ def _decided(
                 poses=timed.poses,
                 looks=looks,
             )
-    sentence, verdict = f"{decision.sentence} {timed.starved}".strip(), decision.verdict
-    if isinstance(rule, SuccessRequirement) and scores.accurate != scores.success:
+    sentence, verdict = decision.sentence, decision.verdict
+    late = not isinstance(rule, SuccessRequirement) or scores.accurate != scores.success
+    if late and timed.starved:  # said where times count
+        sentence += f" {timed.starved}"
+    if isinstance(rule, SuccessRequirement) and late:
         at_all = f"{scores.accurate.successes} of {scores.accurate.trials} poses"
         sentence += f" Without the time limit {at_all} succeeded."
     if (

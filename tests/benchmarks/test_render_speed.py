@@ -59,9 +59,7 @@ def make_renderer() -> Renderer:
 
 @pytest.mark.parametrize("name", sorted(SITUATIONS))
 def test_frame_set_at_a_new_pose(benchmark: BenchmarkFixture, name: str) -> None:
-    """Two 1360 x 1024 and one thermal frame, a new pose of the
-    phantom and fresh noise each time.
-    """
+    """Two 1360 x 1024 and one thermal frame, a new pose and fresh noise each time."""
     renderer, poses = make_renderer(), count()
     still = situation(name)
     renderer.render(still, np.random.default_rng(0))

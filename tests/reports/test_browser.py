@@ -62,9 +62,7 @@ def test_overlays_switch_one_by_one_and_all_at_once(seen: Seen) -> None:
 
 
 def test_overlay_lies_over_its_pixel_in_both_views(seen: Seen) -> None:
-    """The first teat's truth, pixel (190, 250), is where that pixel of the picture is drawn,
-    cropped and whole.
-    """
+    """The first teat's truth is where its pixel of the picture is drawn, cropped and whole."""
     gap = """() => { const pane = document.querySelector('#trial-001 .pane'), image = pane.querySelector('img').getBoundingClientRect();
         const mark = pane.querySelector('.layer-truth circle').getBoundingClientRect();
         const x = image.left + (190.5 / 640) * image.width, y = image.top + (250.5 / 480) * image.height;

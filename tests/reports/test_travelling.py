@@ -38,9 +38,7 @@ def printed(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 def strings(pdf: bytes, key: bytes) -> list[str]:
-    """The text strings of a key, ISO 32000-1, 7.9.2.2: letter for letter, or UTF-16 in hexadecimal
-    digits.
-    """
+    """The text strings of a key, ISO 32000-1, 7.9.2.2: by letter, or UTF-16 in hexadecimal."""
     found = re.findall(rb"/" + key + rb" (?:\(((?:[^()\\]|\\.)*)\)|<([0-9A-F]+)>)", pdf)
     coded = (bytes.fromhex(digits.decode()).decode("utf-16") for _, digits in found)
     plain = (re.sub(rb"\\(.)", rb"\1", text).decode() for text, _ in found)

@@ -35,9 +35,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def seen(browser: Browser, report: Path) -> Iterator[Seen]:
-    """The report at its first trial; whatever is done there asks nothing of a network and offends
-    no policy.
-    """
+    """The report at its first trial; nothing there asks a network or offends a policy."""
     with window(browser) as fresh:
         fresh.open(report, "trial-001")
         yield fresh

@@ -241,9 +241,7 @@ def test_the_digest_without_real_time_repeats_and_the_other_does_not(tmp_path: P
 
 
 def test_a_run_that_was_kept_still_checks(tmp_path: Path) -> None:
-    """The chain's format: whoever changes it would call every record that was ever written an
-    altered one.
-    """
+    """The chain's format: a change of it would call every older record an altered one."""
     checked = check_record(Path(shutil.copytree(KEPT, tmp_path / "kept")))
     assert checked.whole
     assert checked.head == Head(

@@ -157,9 +157,7 @@ FINE = [
 
 @dataclass(frozen=True, slots=True)
 class Off:
-    """By what a detector is off: normal noise along each axis, a bias along x, and a share of the
-    planned x.
-    """
+    """By what a detector is off: noise along each axis, a bias along x, a share of planned x."""
 
     sd_mm: float = AT_THE_LIMIT_MM
     bias_mm: float = 0.0

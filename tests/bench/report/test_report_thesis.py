@@ -150,9 +150,7 @@ def test_a_figure_is_said_to_be_elsewhere_unless_the_page_has_it() -> None:
 
 @pytest.fixture(scope="module")
 def plane(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
-    """25 places 25 mm apart: within 2 mm in the middle 50 x 50 mm, 9 mm off beyond it, and missed
-    in one corner.
-    """
+    """25 places 25 mm apart: 2 mm off in the middle, 9 mm off beyond, missed in one corner."""
     trials = []
     for number, (x, y) in enumerate(product(range(-50, 51, 25), repeat=2), 1):
         end = np.add(MIDDLE, [x, y, 0.0])[None]

@@ -19,6 +19,7 @@ from bench.record.schema import GUARDIAN
 from bench.record.state import State, run_lock, state_of
 from bench.record.writer import Store
 from bench.results.headline import missing_text
+from bench.results.queue import QueueNote, queues
 from bench.results.status import (
     GOING_TO_SAFE,
     LIVE,
@@ -29,7 +30,9 @@ from bench.results.status import (
     Safe,
     read_status,
 )
+from bench.run.events import ENDED
 from bench.run.lock import locked
+from bench.run.notify import text_of
 from bench.scoring.decisions import decide_rate
 from bench.scoring.rates import Rate
 from instruments.clock import wall_time
@@ -73,7 +76,12 @@ def test_every_surface_has_the_same_word(state: State, tmp_path: Path, said: Sai
         assert not any(other in table for other in others)
         found = json.loads(said(0, "runs {} --json", run.parent).out)["runs"][0]
         status, card = read_status(run), listed(run.parent)[0]
-        shown = said(3, "report {} --no-pdf", run).out
+        shown = said(3, "report {} --no-pdf --summary {}", run, tmp_path / "summary.md").out
+        QueueNote.begin(run.parent, "a rig", ["a", "b"]).runs(run)
+        assert next(queues(run.parent)).scripts[0].text == status.headline
+    assert status.headline.startswith(f"{state}: ")
+    assert (text_of(ENDED, status) or ("", ""))[1].startswith(f"{status.headline}\n")
+    assert state in (tmp_path / "summary.md").read_text(encoding="utf-8")
     assert f'verdict-{state}"' in (run.parent / "index.html").read_text(encoding="utf-8")
     written = json.loads((run / "report" / "run.json").read_text(encoding="utf-8"))
     junit = (run / "report" / "junit.xml").read_text(encoding="utf-8")

@@ -187,9 +187,7 @@ def test_after_a_trip_a_pump_on_a_relay_runs_on_for_a_minute_behind_the_heater(
 
 @pytest.mark.slow
 def test_a_bath_that_freezes_near_its_set_point_is_never_stable(tmp_path: Path) -> None:
-    """Its controller goes on working, and its output moves: that is no evidence of its
-    temperature.
-    """
+    """Its controller goes on working, its output moves: no evidence of its temperature."""
     at_s = 400.0
     with heated(tmp_path, "frozen sensor", 28.0, at_s) as (clock, rows, _):
         clock.sleep(1200.0)

@@ -291,9 +291,7 @@ def test_a_serial_device_answers_in_order() -> None:
 
 @pytest.mark.parametrize("start_s", [26.60000000000002, 28.600000000000012, 62.300000000000054])
 def test_a_late_answer_stops_no_clock_whatever_the_rounding(start_s: float) -> None:
-    """Times that the rule machine found: a deadline and a late
-    answer, one step of rounding apart.
-    """
+    """Times that the rule machine found: deadline and late answer, one rounding step apart."""
     clock = MovingClock()
     with Stand(clock) as stand:
         bath = stand.bath()
