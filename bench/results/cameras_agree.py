@@ -225,9 +225,7 @@ def _pooled(
 def unchecked_text(
     seen: Mapping[str, Mapping[str, EndOffsets]], truth: Mapping[str, Sequence[TruthRow]]
 ) -> str:
-    """Why the cameras of these frames were not checked, with what was looked at; empty where they
-    were.
-    """
+    """Why the cameras of these frames were not checked, with what was looked at; else empty."""
     # Whether the ends of these poses, by name, are enough for the check
     rows = {pose: [asdict(one) for one in ends.values()] for pose, ends in seen.items() if ends}
     check = check_cameras(rows, JointCovariance.exact(sum(map(len, rows.values()))))

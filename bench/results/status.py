@@ -402,12 +402,18 @@ def _left(run: RunRecord, state: State, live: RunStatus | None) -> tuple[Instrum
         left: tuple[InstrumentStatus, ...] = _reader(tuple[InstrumentStatus, ...]).validate_python(
             stored["instruments"]
         )
-        return left
+        return tuple(_since(one, run.guardian) for one in left)
     guardian, alone = run.guardian, run.facts.get("guardian") == NO_GUARDIAN
     known = live.instruments if live else ()
     if guardian and not known:
         known = (InstrumentStatus("bath", Link.UNKNOWN, Safe.UNKNOWN),)
     return tuple(_orphaned(one, guardian, alone=alone) for one in known)
+
+
+def _since(one: InstrumentStatus, guardian: Mapping[str, Any] | None) -> InstrumentStatus:
+    """An instrument as its run left it; safe where the run's guardian has made it so since."""
+    found = _orphaned(one, guardian, alone=False) if one.by_hand and guardian else one
+    return replace(found, link=one.link) if found.safe is Safe.READ_BACK else one
 
 
 def _orphaned(

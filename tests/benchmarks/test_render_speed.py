@@ -117,9 +117,7 @@ def test_frame_set_of_a_new_scene(benchmark: BenchmarkFixture) -> None:
     reason="peak memory is asked of the resource module, which Windows hasn't",
 )
 def test_first_frame_set_and_peak_memory(benchmark: BenchmarkFixture) -> None:
-    """A process of its own: from its first import to the first frame set, and its peak after all
-    eleven situations.
-    """
+    """A process of its own: from its first import to the first frame set, and its peak."""
     figures: list[list[float]] = []
 
     def start() -> None:

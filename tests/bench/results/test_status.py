@@ -6,7 +6,7 @@ import json
 import shutil
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
@@ -22,6 +22,7 @@ from bench.results.headline import missing_text
 from bench.results.queue import QueueNote, queues
 from bench.results.status import (
     GOING_TO_SAFE,
+    INSTRUMENTS_FACT,
     LIVE,
     InstrumentStatus,
     Link,
@@ -194,6 +195,21 @@ def test_of_a_bench_that_has_died_its_guardian_says_how_the_bath_is(
         assert then not in " ".join(status.next)
     else:
         assert status.next[0] == then
+
+
+def test_what_its_guardian_made_safe_after_a_run_had_ended_is_safe(tmp_path: Path) -> None:
+    run, failed = stopped(State.TRIPPED, tmp_path), replace(BATH, safe=Safe.FAILED, by_hand="OFF")
+    store = Store(run)
+    left = {"session": store.session, "instruments": [asdict(failed)]}
+    store.fact(INSTRUMENTS_FACT, left)
+    store.close()
+    assert read_status(run).unsafe == ("OFF",)
+    name = GUARDIAN.format(left["session"])
+    (run / f"{name}.json").write_text(json.dumps(GUARDED | SAFED), encoding="utf-8")
+    status = read_status(run)
+    assert (status.unsafe, status.instruments[0].safe) == ((), Safe.READ_BACK)
+    assert "the guardian had the bath in standby" in status.why
+    assert status.why.endswith(" All instruments are safe.")
 
 
 def test_only_the_last_session_s_trip_counts(tmp_path: Path) -> None:

@@ -245,9 +245,7 @@ def checked(
 
 
 def test_an_arm_that_was_not_homed_is_found_out() -> None:
-    """Switched on with the stylus off its peg, and a person who says that it was on: the hazard of
-    the fact sheet.
-    """
+    """Switched on with the stylus off its peg, and a person who says that it was on."""
 
     def off_its_peg(trying: TryingArm) -> None:
         trying.go(Step("near", 0, ""))

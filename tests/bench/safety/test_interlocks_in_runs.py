@@ -61,9 +61,7 @@ SLACK_S = 5.0  # a look that began in time may end later
 def heated(
     folder: Path, fault: str, start_c: float, at_s: float
 ) -> Iterator[tuple[VirtualClock, list[Row], list[tuple[float, Exception]]]]:
-    """The monitor beside a bath that heats and breaks at ``at_s``: what it records, and its trips
-    with their times.
-    """
+    """The monitor beside a bath that heats and breaks at ``at_s``: what it records, its trips."""
     path = rig_with(folder, {})
     more = f"\n[emulation]\nbath_start_c = {start_c}\n{FAULT.format(name=fault, at_s=at_s)}"
     path.write_text(path.read_text(encoding="utf-8") + more, encoding="utf-8")
