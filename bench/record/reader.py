@@ -184,7 +184,6 @@ class RunRecord:
     events: tuple[Row, ...] = ()
     bath: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     bath_states: tuple[str, ...] = ()
-    bath_sessions: tuple[int, ...] = ()
     external_c: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     sessions: int = 1
     guardians: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
@@ -193,6 +192,7 @@ class RunRecord:
     first_link: str = ""
     holder: Mapping[str, Any] = field(default_factory=dict)
     counted_trials: int | None = None
+    bath_sessions: tuple[int, ...] = ()
 
     @property
     def ending(self) -> str:
