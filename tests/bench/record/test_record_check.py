@@ -199,9 +199,7 @@ def test_what_a_dead_bench_leaves_is_reported_but_no_damage(run: Path, said: Sai
 
 
 def test_a_chain_made_anew_or_cut_off_differs_from_what_the_report_names(run: Path) -> None:
-    """Whoever can write the file can make a chain of his own; he can't make it end in the digest
-    that was printed.
-    """
+    """Who can write the file can make a chain of his own, but not the digest that was printed."""
     head = check_record(run).head
     named = {"links": head.number, "digest": head.digest, "wall_digest": head.wall_digest}
     (run / PRINTED).parent.mkdir()

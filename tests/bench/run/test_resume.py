@@ -34,6 +34,7 @@ from bench.run.recordings import RECORDED, Recorder
 from bench.run.resume import what_is_left
 from bench.run.start import RunOptions
 from bench.truth.carrying import REFERENCE_FACT, CarriedTruth
+from instruments.errors import LinkError
 from tests.bench.commands import Said
 from tests.bench.forked import begin
 from tests.bench.killed_runs import (
@@ -289,6 +290,19 @@ def test_a_run_that_somebody_ended_goes_on_too(tmp_path: Path) -> None:
     run = read_run(folder)
     assert len(run.trials) == 3
     assert run.facts["deaths"] == {}, "an end that was asked for is no death"
+
+
+def test_a_run_that_ended_before_it_opened_anything_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: Any, **__: Any) -> Any:
+        raise LinkError("arm", "nothing takes the connection")
+
+    files(tmp_path)
+    monkeypatch.setattr("bench.run.start.open_instruments", fails)
+    status = read_status(start(tmp_path)[0])
+    assert status.why.endswith(" nothing takes the connection. Nothing was switched on.")
+    assert not any("Look whether" in line for line in status.next)
 
 
 def test_what_a_dead_session_left_is_void_before_the_next_one_opens_anything(
