@@ -146,10 +146,10 @@ class RealClock:
 
 
 class VirtualClock:
-    """Time that moves only when a thread waits. Not to be shared by two threads that both wait."""
+    """Time from ``start_s`` on that moves only when a thread waits. Not for two that both wait."""
 
-    def __init__(self) -> None:
-        self._now = 0.0
+    def __init__(self, start_s: float = 0.0) -> None:
+        self._now = start_s
         self._planned: list[tuple[float, int, Callable[[], None]]] = []
         self._order = itertools.count()
         self._lock = threading.Lock()
@@ -186,9 +186,8 @@ class PacedClock(VirtualClock):
     """
 
     def __init__(self, speed: float, start_s: float = 0.0) -> None:
-        super().__init__()
+        super().__init__(start_s)
         self.speed = speed
-        self._now = start_s
         self._moved = time.monotonic()
 
     def step(self, limit_s: float) -> bool:

@@ -14,9 +14,7 @@ NO_FIGURE = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"/>'
 
 @contextmanager
 def undrawn() -> Iterator[None]:
-    """Each SVG is `NO_FIGURE`: figures are made up to their last artist, but neither laid out nor
-    rendered.
-    """
+    """Each SVG is `NO_FIGURE`: figures are made, but neither laid out nor rendered."""
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 

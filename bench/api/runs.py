@@ -170,7 +170,10 @@ def _timed(found: Reported, rig: LoadedRig, script: LoadedScript) -> Reported:
     if found.status.state != "finished" or "total_s" not in spent:
         return found
     expected = estimate.needs(rig, script, estimate.read_durations(record.folder.parent, rig)).time
-    if not record.facts[ASKED].get("warm"):
+    warm = record.facts[ASKED].get("warm")
+    if warm and "settling_s" not in spent:  # the bath was stable since the run before
+        expected = replace(expected, settling_s=0.0)
+    if not warm:
         with suppress(OSError):  # an estimate isn't worth a fault
             figures = estimate.figures(record, rig, script, spent)
             estimate.write_durations(record.folder, rig, expected, spent, figures)

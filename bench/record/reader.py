@@ -168,12 +168,12 @@ class TrialRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunRecord:
-    """A run as it stands on disk. ``bath`` has columns t_s, temp_c, power_percent (n, 3);
-    ``external_c`` (n,) is nan without a sensor. ``head``: last link of the chain, number 0 without
-    one; ``first_link``: the digest of its first, "" without. ``holder``: the bench that worked on
-    it as it was read, by its lock. ``guardians``: what those did that had to act, by session.
-    ``damage``: what isn't as it was written, with which no verdict holds. ``counted_trials``: of a
-    record that was read without its trials and readings.
+    """A run as it stands on disk. ``bath`` has columns t_s, temp_c, power_percent (n, 3), by the
+    clocks of ``bath_sessions``; ``external_c`` (n,) is nan without a sensor. ``head``: last link
+    of the chain, number 0 without one; ``first_link``: the digest of its first, "" without.
+    ``holder``: the bench that worked on it as it was read, by its lock. ``guardians``: what those
+    did that had to act, by session. ``damage``: what isn't as it was written, with which no verdict
+    holds. ``counted_trials``: of a record that was read without its trials and readings.
     """
 
     folder: Path
@@ -192,6 +192,7 @@ class RunRecord:
     first_link: str = ""
     holder: Mapping[str, Any] = field(default_factory=dict)
     counted_trials: int | None = None
+    bath_sessions: tuple[int, ...] = ()
 
     @property
     def ending(self) -> str:
@@ -254,12 +255,12 @@ def _facts(db: sqlite3.Connection) -> dict[str, Any]:
 
 def _readings(db: sqlite3.Connection, since_s: float) -> dict[str, Any]:
     """Bath and external sensor."""
-    columns = "t_s, temp_c, power_percent, external_c, state"
+    columns = "t_s, temp_c, power_percent, external_c, state, session"
     query = f"SELECT {columns} FROM bath WHERE t_s >= ? ORDER BY session, t_s"  # noqa: S608
     bath = db.execute(query, (since_s,)).fetchall()
     table = np.array([tuple(row)[:4] for row in bath], dtype=np.float64).reshape(-1, 4)
-    states = tuple(row["state"] for row in bath)
-    return {"bath": table[:, :3], "external_c": table[:, 3], "bath_states": states}
+    more = {f"bath_{name}s": tuple(row[name] for row in bath) for name in ("state", "session")}
+    return {"bath": table[:, :3], "external_c": table[:, 3], **more}
 
 
 def _read(

@@ -105,9 +105,16 @@ def readings_at(run: RunRecord, trial: TrialRecord) -> tuple[list[float], list[f
     """What bath and external sensor read about the capture, if any."""
     if trial.head["captured_s"] is None:
         return [], []
-    near = np.abs(run.bath[:, 0] - trial.head["captured_s"]) <= AROUND_S
+    near = np.abs(_times_s(run, trial) - trial.head["captured_s"]) <= AROUND_S
     external = run.external_c[near]
     return run.bath[near, 1].tolist(), external[np.isfinite(external)].tolist()
+
+
+def _times_s(run: RunRecord, trial: TrialRecord) -> NDArray[np.float64]:
+    """Of each reading, by the clock of the trial's session; nan of another one's (n,)."""
+    of = np.array(run.bath_sessions)
+    same = of == trial.head.get("session", 1) if len(of) == len(run.bath) else True
+    return np.where(same, run.bath[:, 0], np.nan)
 
 
 def _capture_parts(run: RunRecord, shown: Sequence[TrialRecord], left_out: str) -> Iterator[Part]:
@@ -143,7 +150,8 @@ def _stability_table(
     rows = []
     for trial in shown:
         end_s = trial.head["captured_s"]
-        inside = (run.bath[:, 0] >= end_s - window_s) & (run.bath[:, 0] <= end_s)
+        its_s = _times_s(run, trial)
+        inside = (its_s >= end_s - window_s) & (its_s <= end_s)
         t_s, bath_c, teats_c = run.bath[inside, 0], run.bath[inside, 1], run.external_c[inside]
         text = np.isfinite(teats_c)
         mean_c = _mean(bath_c)

@@ -1,6 +1,4 @@
-"""The whole report of a run as a page, from the banner to the trials, and its provenance: item,
-bench, run, calibration, checksums, faults, command.
-"""
+"""The report of a run as a page, from the banner to the trials, and its provenance."""
 
 from __future__ import annotations
 
@@ -144,7 +142,7 @@ def build_page(
             f"{left_out}.{emulated}"
         ),
         sentence=status.why,
-        confidence=_confidence(run, rules, poses),
+        confidence=_confidence(run, rules, poses, status.word),
         next_action="\n".join(status.next),
         each=tuple((name, cast(Verdict, word)) for name, word in status.verdicts.items())
         if status.decided and len(judgements) > 1
@@ -249,14 +247,14 @@ def anchors_of(run: RunRecord) -> dict[str, str]:
     return {trial.id: f"#{trial_id(trial)}" for trial in run.trials}
 
 
-def _confidence(run: RunRecord, rules: Rules, poses: int) -> str:
+def _confidence(run: RunRecord, rules: Rules, poses: int, word: str) -> str:
     claims = [
         (r.rate, r.confidence)
         for r in rules.requirements
         if isinstance(r, ErrorRequirement | SuccessRequirement)
     ]
     if not claims:
-        return f"{poses} poses."
+        return f"{plural(poses, 'pose')}."
     rate, confidence = claims[0]
     needed = zero_failure_n(rate, confidence)
     sure = f"one-sided {100 * confidence:g} % confidence"
@@ -266,8 +264,12 @@ def _confidence(run: RunRecord, rules: Rules, poses: int) -> str:
     if not any(trial.truth for trial in run.counted):
         return f"{poses} poses have no truth: they show nothing of how well a detector finds teats."
     best = (1.0 - confidence) ** (1.0 / poses)
-    message = f"Tried: {plural(poses, 'pose')}. At best that shows a success rate of"
-    message += f" {100 * best:.1f} %, with {sure}."
+    message = f"{plural(poses, 'pose')} {'was' if poses == 1 else 'were'} tried: "
+    if word == "not met":
+        message += "what failed in them shows what is not met, however few they are."
+    else:
+        message += f"without a failure so many show a success rate of at least {100 * best:.1f} %,"
+        message += f" with {sure}."
     if poses < needed:
         message += f" To show {100 * rate:g} % takes {needed} poses without a failure."
     if (known_mm := tables.truth_known_mm(run)) is not None:

@@ -46,7 +46,7 @@ def requirements(judgement: Judgement, rules: Rules, *, first: bool = True) -> R
     for d in own:
         figures, source = (measured(d), limit(d), margin(d)), sources.get(d.name, "")
         rows.append(Requirement(d.name, d.rule, d.n, *figures, d.verdict.value, source))
-    note = " ".join(d.sentence for d in own)
+    note = " ".join(f"{d.name[0].upper()}{d.name[1:]}: {d.sentence}" for d in own)
     return Requirements(
         f"Requirements, detector {judgement.detector}: {judgement.verdict.value}", tuple(rows), note
     )

@@ -182,9 +182,7 @@ def _outcome(decision: Decision) -> tuple[str, str, str]:
 
 
 def _span(run: RunRecord) -> tuple[str, float]:
-    """When the run began, ISO 8601, and how long it took, in seconds to its last event; 0 where a
-    damaged record doesn't show.
-    """
+    """When it began, ISO 8601, and the seconds to its last event; 0 where damage hides that."""
     started = str(run.facts["wall_started"])
     with suppress(ValueError, TypeError):
         begun = datetime.fromisoformat(started)

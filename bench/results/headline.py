@@ -1,6 +1,4 @@
-"""What a run's record comes to, in sentences: why, and what to do next. Of `status` alone, which
-every surface shows.
-"""
+"""What a run's record comes to, in sentences, of `status` alone: why, and what to do next."""
 
 from __future__ import annotations
 
@@ -41,20 +39,18 @@ THEN: Mapping[State, str] = {
 
 
 def stopped_why(run: RunRecord, state: State, trials: str) -> str:
-    """Why nothing is decided by ``run``: it is damaged or has not finished; empty where it may be.
-    ``trials``: how far it came.
-    """
+    """Why ``run``, which came as far as ``trials``, decides nothing; empty where it may."""
     if run.damage:
         return f"{NOT_AS_WRITTEN}, so that nothing is decided by it. {shortened(run.damage)}"
     if state is State.FINISHED:
         return ""
     if state is State.RUNNING:
         return f"The run goes on: {trials}. Nothing is decided before its end."
+    guardian = f" {guardian_text(run.guardian)}" if run.guardian else ""
     if state is State.INTERRUPTED:
-        guardian = f" {guardian_text(run.guardian)}" if run.guardian else ""
         return f"The bench died before the run was over; {trials} are kept.{guardian}"
     reason = _last_reason(run) or "no reason was recorded"
-    return f"The run was {state} after {trials}: {full_stop(reason)}"
+    return f"The run was {state} after {trials}: {full_stop(reason)}{guardian}"
 
 
 def _last_reason(run: RunRecord) -> str:

@@ -121,9 +121,9 @@ class Chart:
         return ""
 
 
-def history(folder: Path, most: int | None = None) -> list[RunHealth]:
+def history(folder: Path, most: int | None = None, rig: str = "") -> list[RunHealth]:
     """What each ended run on a rig in ``folder`` says, oldest first; of those that were never read
-    only the last ``most``. Raises nothing.
+    only the last ``most``, and those of ``rig`` where that is named. Raises nothing.
     """
     kept: dict[str, RunHealth] = {}
     with suppress(OSError, ValueError, TypeError, KeyError):
@@ -132,15 +132,17 @@ def history(folder: Path, most: int | None = None) -> list[RunHealth]:
             kept = {row["run"]: RunHealth(**row) for row in text["runs"]}
     found: dict[str, RunHealth] = {}
     with suppress(OSError):
-        there_are = sorted(folder.glob(f"*/{DATABASE}"))
-        late = {*there_are[-most:]} if most else {*there_are}
-        for path in there_are:
+        left = most
+        for path in sorted(folder.glob(f"*/{DATABASE}"), reverse=True):
             run, stamp = path.parent, path.stat().st_mtime_ns
             there = kept.get(run.name)
             if there and there.stamp == stamp:
                 found[run.name] = there
-            elif path in late and not holder_of(run):
+            elif left != 0 and not holder_of(run):
                 with suppress(ConfigError, OSError):
+                    if rig and read_run(run, whole=False).facts.get("rig") != rig:
+                        continue
+                    left = left and left - 1
                     record = read_run(run)
                     values = {k: round(v, 4) for k, v in _values(record) if np.isfinite(v)}
                     started, kind = (str(record.facts[key]) for key in ("wall_started", "kind"))
@@ -150,7 +152,7 @@ def history(folder: Path, most: int | None = None) -> list[RunHealth]:
         text = json.dumps({"version": VERSION, "runs": [asdict(one) for one in found.values()]})
         with suppress(OSError, ConfigError):
             write_synced(folder / KEPT, text.encode())
-    return sorted((one for one in found.values() if one.rig), key=lambda one: one.day)
+    return sorted((one for one in found.values() if one.rig), key=lambda one: (one.day, one.run))
 
 
 def _values(run: RunRecord) -> Iterator[tuple[str, float]]:
@@ -225,7 +227,7 @@ def charts(runs: Sequence[RunHealth]) -> Iterator[Chart]:
 
 def warnings(folder: Path, rig: str) -> list[str]:
     """What the runs in ``folder`` say of this rig before its next one, at most a few sentences."""
-    of_rig = [one for one in history(folder, MOST_NEW) if one.rig == rig]
+    of_rig = [one for one in history(folder, MOST_NEW, rig) if one.rig == rig]
     said = [chart.warning for chart in charts(of_rig) if chart.warning]
     more = len(said) - MOST_WARNINGS
     tail = [f"and {more} more: see 'teatbench runs {folder}'"] if more > 0 else []

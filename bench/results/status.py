@@ -40,6 +40,8 @@ LONGEST_ERROR = 60  # in a line of the terminal
 LOOK = {"bath": "the bath is in standby", "stage": "the stage stands", "pump": "the pump stands"}
 INSTRUMENTS_FACT = "instruments at the end"
 GOING_TO_SAFE = "going to safe"
+ALL_SAFE = "all instruments are safe"
+NEVER_ON = "nothing was switched on"
 
 
 class Link(StrEnum):
@@ -229,7 +231,7 @@ class RunStatus:
     def line(self) -> str:
         """All that a terminal's one line has room for."""
         safing = self.step == GOING_TO_SAFE
-        doing = self.step if safing else self.waiting or self.doing or self.step
+        doing = ("" if safing else self.waiting) or self.doing or self.step
         parts = self.parts
         error = parts.pop("last error", "")
         parts |= {"error": f"last error: {error[:LONGEST_ERROR]}"} if error else {}
@@ -324,6 +326,8 @@ def status_of(run: RunRecord, judgements: Sequence[Judgement] = ()) -> RunStatus
     why, then = stopped_why(run, state, status.trials), stopped_next(run, state)
     if state is State.RUNNING and not run.damage:
         return replace(status, why=why, next=status.next or (then,))
+    if not run.damage and (said := _safety(run, status)):
+        return replace(status, why=f"{why} {said[0].upper()}{said[1:]}.", next=(then,))
     look = () if run.damage or run.facts.get("kind") == "recorded" else _look(status)
     return replace(status, why=why, next=(*status.unsafe, *look, then))
 
@@ -396,12 +400,18 @@ def _left(run: RunRecord, state: State, live: RunStatus | None) -> tuple[Instrum
         left: tuple[InstrumentStatus, ...] = _reader(tuple[InstrumentStatus, ...]).validate_python(
             stored["instruments"]
         )
-        return left
+        return tuple(_since(one, run.guardian) for one in left)
     guardian, alone = run.guardian, run.facts.get("guardian") == NO_GUARDIAN
     known = live.instruments if live else ()
     if guardian and not known:
         known = (InstrumentStatus("bath", Link.UNKNOWN, Safe.UNKNOWN),)
     return tuple(_orphaned(one, guardian, alone=alone) for one in known)
+
+
+def _since(one: InstrumentStatus, guardian: Mapping[str, Any] | None) -> InstrumentStatus:
+    """An instrument as its run left it; safe where the run's guardian has made it so since."""
+    found = _orphaned(one, guardian, alone=False) if one.by_hand and guardian else one
+    return replace(found, link=one.link) if found.safe is Safe.READ_BACK else one
 
 
 def _orphaned(
@@ -422,6 +432,17 @@ def _orphaned(
     if safe:
         return replace(one, safe=Safe.READ_BACK)
     return replace(one, safe=Safe.FAILED, how=error, by_hand=BY_HAND[one.name])
+
+
+def _safety(run: RunRecord, status: RunStatus) -> str:
+    """That nothing is left to be made safe; empty where something is, or nobody knows."""
+    if status.state is State.INTERRUPTED:
+        return ""
+    if not status.instruments:
+        never_on = run.facts.get(INSTRUMENTS_FACT, {}).get("session") == run.sessions
+        return NEVER_ON if never_on else ""
+    at_rest = {one.safe for one in status.instruments} <= {Safe.AT_REST, Safe.READ_BACK}
+    return ALL_SAFE if at_rest else ""
 
 
 def _look(status: RunStatus) -> tuple[str, ...]:

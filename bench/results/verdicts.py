@@ -426,8 +426,11 @@ def _decided(
                 poses=timed.poses,
                 looks=looks,
             )
-    sentence, verdict = f"{decision.sentence} {timed.starved}".strip(), decision.verdict
-    if isinstance(rule, SuccessRequirement) and scores.accurate != scores.success:
+    sentence, verdict = decision.sentence, decision.verdict
+    late = not isinstance(rule, SuccessRequirement) or scores.accurate != scores.success
+    if late and timed.starved:  # said where times count
+        sentence += f" {timed.starved}"
+    if isinstance(rule, SuccessRequirement) and late:
         at_all = f"{scores.accurate.successes} of {scores.accurate.trials} poses"
         sentence += f" Without the time limit {at_all} succeeded."
     if (

@@ -141,7 +141,7 @@ def open_instruments(
     def clock_in(stack: ExitStack) -> Clock:
         person = "operator" in names and rig.rig.by_person
         if (emulated or twin) and not real and not realtime and not person:
-            return VirtualClock()
+            return VirtualClock(start_s)
         if speed is not None and rig.rig.simulated:  # nothing real is hurried
             return PacedClock(speed, start_s)
         return stack.enter_context(closing(RealClock(start_s)))

@@ -1,4 +1,4 @@
-"""What the known ends of a run say of its cameras up to now."""
+"""What a run's known ends say of its cameras up to now; ``trials``: of its last sessions."""
 
 from __future__ import annotations
 

@@ -38,14 +38,13 @@ from instruments.stage.driver import TOLERANCE_MM
 
 LOOK_S = 1.0
 STEPPED_S = 5.0  # time servers nudge a clock by less
-STAGE_S = 2.0  # between two looks at the stage while somebody touches what stands on it
+STAGE_S = 2.0  # between two looks at stage and arm while they have nothing to do
 READ_S = 1.0  # both clocks are read within microseconds
 
 
 class RunContext:
-    """One run. Time passes through ``wait`` only, which checks the interlocks every second;
-    ``check_interrupts`` raises what a person requests; ``before``: the run that left the rig open
-    and warm.
+    """One run. Time passes through ``wait`` only, with a look at the interlocks each second. What a
+    person requests is raised by ``check_interrupts``. ``before``: the run that left the rig warm.
     """
 
     def __init__(
@@ -70,7 +69,7 @@ class RunContext:
         self.check_interrupts: Callable[[], None] = lambda: None
         self.live = Live(store.folder)
         self.progress: Callable[[], Mapping[str, Any]] = dict
-        self.safing = False  # the run is on its way to safe
+        self.safing = self.made_safe = False  # the run is on its way to safe; it was gone
         # the instrument that dropped out, in what way, and what a person does about it
         self.away = self.away_how = self.check_away = ""
         self.last: dict[str, str] = {}  # an instrument's last value, in words
@@ -128,15 +127,25 @@ class RunContext:
         self.look()
 
     def look(self) -> None:
-        """Raises InterlockTrip, what ``check_interrupts`` raises, and while ends are touched the
-        faults of the stage. It is no heartbeat.
+        """Raises InterlockTrip, what ``check_interrupts`` raises, and while ends are touched or set
+        up the faults of the stage. It is no heartbeat.
         """
         self.watch.check()
         self.check_interrupts()
         if self._touching and self.clock.now() - self._stage_seen_s >= STAGE_S:
             self._look_at_stage()
+        elif self._asked == "set up":
+            self.look_at_idle()
         if self.live.due:
             self.show()
+
+    def look_at_idle(self) -> None:
+        """Asks stage and arm, which have nothing to do; in virtual time that would change more."""
+        due = self.clock.now() - self._stage_seen_s >= STAGE_S
+        if due and type(self.clock) is not VirtualClock:
+            self._look_at_stage()
+            if self.devices.arm.homed:
+                self.devices.arm.glance()
 
     def _look_at_stage(self) -> None:
         """Raises as the stage, and DeviceError where it stands elsewhere than at the last look."""
@@ -144,7 +153,11 @@ class RunContext:
         if stage is None:
             return
         self._stage_mm = here = stands_at(stage)
-        if before is not None and not np.allclose(here, before, rtol=0.0, atol=TOLERANCE_MM):
+        if (
+            self._touching
+            and before is not None
+            and not np.allclose(here, before, rtol=0.0, atol=TOLERANCE_MM)
+        ):
             what = f"it was moved from {before} to {here} while ends were touched"
             raise DeviceError(stage.who, what, hint="Touch nothing but the ends.")
 
@@ -182,7 +195,7 @@ class RunContext:
             state=State.RUNNING,
             step=GOING_TO_SAFE if safing else self.states.current.value,
             verdicts=dict.fromkeys(self.under_test, State.RUNNING.value),
-            doing=GOING_TO_SAFE if safing else events.doing,
+            doing=events.doing if self.made_safe or not safing else GOING_TO_SAFE,
             pose=events.pose,
             done=int(progress.get("done", 0)),
             planned=len(self.script.planned),
@@ -254,9 +267,7 @@ class RunContext:
         return self.tip.in_world(seen).tip_mm if seen else None
 
     def long(self, what: str, at_most_s: float, *, silent: bool = False) -> None:
-        """Allow ``what`` ``at_most_s`` before the guardian takes the bench for hung; ``silent``:
-        without a heartbeat meanwhile.
-        """
+        """Allow ``what`` so long before the bench counts as hung; ``silent``: without heartbeat."""
         self._heartbeat.sign(what, at_most_s, silence_s=None if silent else BRIEF_S)
 
     def note(self, text: str) -> None:
@@ -264,9 +275,7 @@ class RunContext:
         self.event("state", text)
 
     def event(self, kind: str, text: str) -> None:
-        """Record an event and put it into the stream, after one where the computer's
-        clock was set.
-        """
+        """Record an event and put it into the stream, behind one where the clock was set."""
         before_s = stopwatch_s()
         behind_s = wall_time().timestamp() - before_s
         if stopwatch_s() - before_s <= READ_S:  # else a busy computer let time pass between the two

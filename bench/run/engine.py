@@ -1,6 +1,4 @@
-"""Runs a script on a rig: prepare, then each trial, then the ends; every way out passes through
-safe.
-"""
+"""Runs a script on a rig: prepare, each trial, the ends; every way out passes through safe."""
 
 from __future__ import annotations
 
@@ -19,7 +17,7 @@ from bench.record.state import TRIP
 from bench.record.writer import FolderGoneError
 from bench.results.headline import cure_of
 from bench.results.stated_arm import unmoved_mm
-from bench.results.status import INSTRUMENTS_FACT
+from bench.results.status import ALL_SAFE, INSTRUMENTS_FACT
 from bench.rig.by_hand import not_safe_text
 from bench.rig.frame_capture import FRAMES_FACT
 from bench.run.context import LOOK_S, RunContext
@@ -34,6 +32,7 @@ from bench.run.trial import Attempts, TrialRun, choose_truth
 from bench.safety.interlocks import InterlockTrip
 from bench.safety.signals import current, undisturbed
 from bench.scoring.rates import plural
+from bench.script.planned_trials import PlannedTrial
 from bench.truth.arm_check import AFTER, BEFORE, CHECK_FACT, check_arm, check_text
 from detector.protocol import Detector
 from instruments.bath.sequence import start_bath
@@ -109,7 +108,9 @@ class Engine:
         ctx.progress = self._progress
         # for a person who looks for what the screen had to show
         ctx.events.not_shown = partial(self._kept, ctx.event, "not shown")
-        ctx.events.replaying = self._rehearsed is not None
+        if left:
+            ctx.events.state(text := f"{plural(len(left.done), 'trial')} done before")
+            ctx.events.replaying = f"{text}, gone through again" if self._rehearsed else ""
 
     @property
     def context(self) -> RunContext:
@@ -182,25 +183,31 @@ class Engine:
         for trial in planned:
             if self._left and trial.id not in self._left.done:
                 self._go_live()
+            if self._left:
+                self._go_through_again(trial)
+                continue
             ctx.events.trial(trial.number - 1, len(planned), trial.name)
-            # A trial that has its result is gone through again or passed over.
-            if not self._left:
-                ctx.long("drawing for the report", 60.0, silent=True)
-                self._between(trial.number - 1, len(planned))
-                self._requests.pause_if_asked(self._ctx)
-                self._ctx.check_interrupts = self._requests.look
-                self._attempts.run(trial)
-                self._ctx.check_interrupts = self._requests.look_between
-            elif self._rehearsed and trial.id not in self._left.poison:
-                self._trials.rehearsing = True
-                self._attempts.run(trial)
-            elif self._rehearsed:
-                self._attempts.done += 1
+            ctx.long("drawing for the report", 60.0, silent=True)
+            self._between(trial.number - 1, len(planned))
+            self._requests.pause_if_asked(self._ctx)
+            self._ctx.check_interrupts = self._requests.look
+            self._attempts.run(trial)
+            self._ctx.check_interrupts = self._requests.look_between
         self._go_live()  # where all trials had their result, and only the end was missing
         ctx.events.trial(len(planned), len(planned), "")
         again("confirming the truth", self._truth.end)
         again("the arm check after the trials", lambda: self._check_arm(AFTER))
         ctx.ask(Finish())
+
+    def _go_through_again(self, trial: PlannedTrial) -> None:
+        """A trial that has its result, where the world died with the bench."""
+        if self._rehearsed and self._left:
+            self._ctx.events.pose = trial.name
+            self._trials.rehearsing = True
+            if trial.id in self._left.poison:
+                self._attempts.done += 1
+            else:
+                self._attempts.run(trial)
 
     def _take_over(self) -> None:
         """Watch the bath, on from the run before where that left it heated. Raises its trip."""
@@ -228,9 +235,7 @@ class Engine:
         ctx.event("arm", check_text(found, when))
 
     def _checked_before(self) -> dict[str, Any] | None:
-        """The last check before the trials of an earlier session; a rehearsal is gone through as
-        that was.
-        """
+        """The last check before the trials of earlier sessions; none while it is gone through."""
         if self._left is None or self._rehearsed:
             return None
         facts, key = self._left.run.facts, CHECK_FACT.format(BEFORE)
@@ -284,7 +289,7 @@ class Engine:
     def _end_replay(self) -> None:
         if self._rehearsed:
             self._rehearsed.silent = False
-        self._ctx.events.replaying = False
+        self._ctx.events.replaying = ""
 
     @property
     def _left_s(self) -> float | None:
@@ -299,7 +304,7 @@ class Engine:
 
     def _progress(self) -> dict[str, Any]:
         return {
-            "done": self._attempts.done,
+            "done": len(self._left.done) if self._left else self._attempts.done,
             "left_s": self._left_s,
             "paused": self._requests.paused,
             "settling_s": self._settling_s,
@@ -331,9 +336,7 @@ class Engine:
         return RunState.FAULTED
 
     def _finish(self, ending: RunState) -> RunState:
-        """To safe first, whatever the disk, the terminal and the watch do; not where the rig stays
-        warm.
-        """
+        """To safe first, whatever disk, terminal and watch do; not where the rig stays warm."""
         ctx = self._ctx
         self._reserve.give_back()
         ctx.check_interrupts = lambda: None
@@ -350,6 +353,9 @@ class Engine:
                 ctx.events.state("going to safe")
             self._show_safing()
             said, unsafe = self._make_safe()
+            ctx.made_safe = True
+            with suppress(*FAILURES):
+                ctx.events.state(f"not safe: {', '.join(unsafe)}" if unsafe else ALL_SAFE)
         left: list[dict[str, Any]] = []
         with suppress(*FAILURES):
             ctx.show()
@@ -363,12 +369,15 @@ class Engine:
         if unsafe and ending is RunState.FINISHED:
             ending = RunState.FAULTED
             self._write_down("fault", f"could not be made safe at its end: {', '.join(unsafe)}")
-        for state in (RunState.SAFING, ending):
+        tripped = ending is RunState.FAULTED and isinstance(ctx.watch.tripped, InterlockTrip)
+        word = RunState.TRIPPED if tripped else ending
+        for state in (RunState.SAFING, word):
             self._kept(ctx.states.to, state)
-        self._write_down("end", ending.value)
+        self._write_down("end", word.value)
         self._kept(ctx.store.fact, "retries", dict(self._recovery.counts))
         session = ctx.store.session
-        self._kept(ctx.store.fact, INSTRUMENTS_FACT, {"session": session, "instruments": left})
+        if left:
+            self._kept(ctx.store.fact, INSTRUMENTS_FACT, {"session": session, "instruments": left})
         if any(self._trials.frames_looked_at.values()):
             self._kept(self._fact, FRAMES_FACT, dict(self._trials.frames_looked_at))
         self._kept(ctx.store.fact, "ending", ending.value)

@@ -3,8 +3,7 @@ its events; and what runs really took, kept in their folders, so that the next e
 than what is assumed.
 
 What a rig file doesn't say is assumed, and stated with the figure. A measured figure is a running
-mean over the last runs on the same rig, the newest counting most. A person is slower than
-an emulated one; time is the bench's own, so an emulated run is over much sooner.
+mean over the last runs on the same rig, the newest counting most. Time is the bench's own.
 """
 
 from __future__ import annotations
@@ -45,9 +44,7 @@ STATES = {
 def spent_of(
     events: Sequence[Mapping[str, Any]], *, first_settling: bool = False
 ) -> dict[str, float]:
-    """Seconds of a run by kind, from its stream of events; with ``first_settling`` until its first
-    settling is over.
-    """
+    """Seconds of a run by kind, by its events; ``first_settling``: until its first one is over."""
     spent = dict.fromkeys(KINDS, 0.0)
     base = kind = before = PREPARING
     since_s, asked = 0.0, ""

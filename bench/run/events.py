@@ -41,6 +41,7 @@ class RunState(StrEnum):
     FINISHED = "finished"
     ABORTED = "aborted"
     FAULTED = "faulted"
+    TRIPPED = "tripped"
 
 
 _S = RunState
@@ -50,10 +51,8 @@ TABLE: Mapping[RunState, frozenset[RunState]] = {
     _S.SETTLING: frozenset({_S.RUNNING, _S.PAUSED, _S.SAFING}),
     _S.RUNNING: frozenset({_S.SETTLING, _S.PAUSED, _S.SAFING}),
     _S.PAUSED: frozenset({_S.PREPARING, _S.SETTLING, _S.RUNNING, _S.SAFING}),
-    _S.SAFING: frozenset({_S.FINISHED, _S.ABORTED, _S.FAULTED}),
-    _S.FINISHED: frozenset(),
-    _S.ABORTED: frozenset(),
-    _S.FAULTED: frozenset(),
+    _S.SAFING: frozenset({_S.FINISHED, _S.ABORTED, _S.FAULTED, _S.TRIPPED}),
+    **dict.fromkeys((_S.FINISHED, _S.ABORTED, _S.FAULTED, _S.TRIPPED), frozenset()),
 }
 AWAY = frozenset({_S.PAUSED, _S.SETTLING})
 
@@ -154,8 +153,8 @@ class SafeProgress:
 
 class Events:
     """The stream, from any thread, shown on ``screen`` as one line and written to ``file``.
-    ``status``: the run as it is; ``not_shown`` gets which listener failed; ``notify`` gets what a
-    person elsewhere has to know. While ``replaying``, events are shown and not written.
+    ``status``: the run now; ``not_shown`` gets a listener that failed; ``notify`` what a person
+    elsewhere has to know. ``replaying`` is shown with what is done, and nothing is written.
     """
 
     def __init__(self, screen: Progress, file: FileIO | None = None) -> None:
@@ -167,7 +166,7 @@ class Events:
         self.now_s: Callable[[], float | None] = lambda: None
         self.status: Callable[[], RunStatus | None] = lambda: None
         self.not_shown: Callable[[str], object] = lambda _: None
-        self.replaying = False
+        self.replaying = ""
         self.notify: Callable[[str], None] = lambda _: None
 
     @contextmanager
@@ -193,7 +192,7 @@ class Events:
                     self._files.pop(EVENTS_FILE, None)
 
     def state(self, text: str) -> None:
-        self.doing = text
+        self.doing = f"{self.replaying}: {text}" if self.replaying else text
         self._write("doing", text=text, **self._show())
 
     def refresh(self) -> None:

@@ -1,10 +1,8 @@
 """What interrupts a run: an instrument that drops out, and a person's request to pause, go on, skip
 or repeat the trial in flight, or end (docs/runs.md).
 
-A table says for each kind of fault how often it is tried again and what a person has to check; what
-is not in it ends the run at once. The work is done again whole when the instrument is back;
-interlocks and requests are looked at meanwhile, and may end the wait.
-
+A table says for each kind of fault how often it is tried again and what a person has to check; any
+other ends the run. The work is done again whole; interlocks and requests may end the wait.
 A request is a file in the run's folder, or a line typed at a terminal where no operator sits. The
 trial in flight leaves no trace. Each is answered in a line.
 """
@@ -63,9 +61,7 @@ POLICIES: Mapping[tuple[str, str], Policy] = {
 
 
 def diagnosis(fault: InstrumentError) -> tuple[str, str]:
-    """Which instrument, and whether it is gone, garbled or refuses; "" for what can't
-    be retried.
-    """
+    """Which instrument, and if it is gone, garbled or refuses; "" for what can't be retried."""
     who = fault.who.lower()
     first = (who.replace(":", " ").split() or [""])[0]
     instrument = "cameras" if "camera" in who else "bath" if first == "pump" else first
@@ -82,9 +78,7 @@ SETTLED_S = 1.0
 
 
 class Recovery:
-    """Runs work that instruments may interrupt, and waits for them. ``look`` raises while the
-    cameras give nothing usable.
-    """
+    """Runs work that instruments may interrupt. ``look`` raises while no frames are usable."""
 
     def __init__(self, ctx: RunContext, look: Callable[[], None]) -> None:
         self._ctx = ctx
@@ -138,7 +132,9 @@ class Recovery:
                 ctx.wait(EVERY_S)
             ctx.check()
             note = f"the {name} {are} back after {ctx.clock.now() - started_s:.1f} s"
+            note += ", homed again" if name in ("arm", "stage") else ""
             ctx.event(BACK, f"{note}; done again from its start: {what}")
+            ctx.events.warn(f"{note[0].upper()}{note[1:]}. The run goes on.")
         self._missing, ctx.away = None, ""
 
     def _back(self, name: str) -> bool:

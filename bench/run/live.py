@@ -1,9 +1,8 @@
 """What a run looks like at this moment, as files in its folder for a viewer in another
 process: `console/live.json` and small pictures of the last frames.
 
-Written at most ten times a second of real time, each file replaced as a whole, and gone when the
-run has ended. Nothing here is evidence (the record is), so that a file that can't be written stops
-nothing. No answer of a detector is in it.
+Written at most ten times a second, each file replaced as a whole, and gone when the run has ended.
+It is no evidence: a file that can't be written stops nothing. No answer of a detector is in it.
 """
 
 from __future__ import annotations

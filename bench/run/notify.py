@@ -42,9 +42,7 @@ def text_of(kind: str, status: RunStatus | None) -> tuple[str, str] | None:
 
 
 class Notifier:
-    """Sends to ``urls`` on a thread of its own. Raises ConfigError for one that apprise doesn't
-    know.
-    """
+    """Sends to ``urls`` on a thread of its own. Raises ConfigError for one unknown to apprise."""
 
     def __init__(
         self, urls: Sequence[str], warn: Callable[[str], object], every_s: float = EVERY_S

@@ -1,5 +1,4 @@
-"""Recordings, written while a run goes on: frames, calibration and touched truth that `teatbench
-score` reads to the same scores.
+"""Recordings, written while a run goes on, which `teatbench score` reads to the same scores.
 
 Where a recording can't be written any more, that is warned of once, and the run goes on without. A
 resumed run first puts in what its folder has and the recording lacks.

@@ -1,11 +1,10 @@
 """What a stopped run left, and how it goes on: at the first trial without a result, in the same
 folder, as its next session.
 
-On a rig of emulators under virtual time the simulated world died with the bench. It is brought back
-by going through the finished trials once more, without detection and without a word to the record:
-then it stands where it stood, to the last bit, and what follows equals the run that nothing
-disturbed. Touches are compared with those on record; where they differ, the record says so. A rig
-in real time needs no such thing, for its world went on.
+Under virtual time the simulated world died with the bench. It is brought back by going through the
+finished trials once more, without detection and without a word to the record: then it stands where
+it stood, to the last bit, and what follows equals the run that nothing disturbed. Touches are
+compared with those on record; where they differ, the record says so.
 """
 
 from __future__ import annotations

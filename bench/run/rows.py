@@ -80,9 +80,7 @@ def detection_rows(trial: str, answer: Answer) -> tuple[Row, list[Row]]:
 
 
 def stage_pictures(answers: Sequence[Answer]) -> dict[str, Picture]:
-    """The two-dimensional masks of the detectors' stages as 8-bit pictures, by
-    ``detector-stage``.
-    """
+    """The masks (h, w) of the detectors' stages as 8-bit pictures, by ``detector-stage``."""
     return {
         f"{answer.detector}-{stage.name.replace(' ', '-')}": np.uint8(255) * mask
         for answer in answers

@@ -1,6 +1,4 @@
-"""The main jobs behind the commands: a run on a rig, and scoring a recording; both end in one run
-folder and one report.
-"""
+"""The jobs behind the commands: a run on a rig, scoring a recording; each ends in a run folder."""
 
 from __future__ import annotations
 
@@ -29,6 +27,7 @@ from bench.results.doubts import DOUBTS_FACT, LOOKED_FACT, doubts_of, looked_at
 from bench.results.exports import drop_report
 from bench.results.queue import ENDED, QueueNote
 from bench.results.stated_arm import contradictions, stated_fact
+from bench.results.status import INSTRUMENTS_FACT
 from bench.rig.devices import Devices
 from bench.rig.guardian_client import GuardianClient, Heartbeat, signs_of
 from bench.rig.hand_over import free_bath
@@ -121,11 +120,10 @@ def run_queue(
     progress: Progress,
     how: RunOptions | None = None,
 ) -> list[tuple[Path, RunState]]:
-    """Run ``scripts`` on ``rig``, shown on ``progress``; each run's folder and how it ended. From
-    one that finished to the next the rig stays open and warm; what faults is made safe, and the
-    next one opens the rig anew. A trip, an abort, what could not be made safe and a disk without
-    room for the next end them all. Raises ConfigError, LatchedError, RigInUseError before anything
-    is opened.
+    """Run ``scripts`` on ``rig``, shown on ``progress``; each run's folder and how it ended. After
+    one that finished the rig stays open and warm; after a fault it is opened anew. A trip, an
+    abort, what could not be made safe and a disk without room end them all. Raises ConfigError,
+    LatchedError, RigInUseError before anything is opened.
     """
     how = how or RunOptions()
     events = progress if isinstance(progress, Events) else Events(progress)
@@ -176,9 +174,7 @@ def run_queue(
 def _of_a_queue(
     run: Callable[[], tuple[Path, RunState]], store: Store, events: Events
 ) -> tuple[Path, RunState]:
-    """A mistake of the bench in one script is not the next one's: its record has it, and the rig is
-    safe.
-    """
+    """A mistake of the bench in one script is not the next one's: its record has it."""
     try:
         return run()
     except Exception as error:
@@ -312,6 +308,8 @@ def _run(
     try:
         current().check_interrupts()
         expected = needs(rig, script, read_durations(store.folder.parent, rig)).time
+        if held.warm_bath == script.script.bath:
+            expected = replace(expected, settling_s=0.0)
         trials = len(script.planned)
         to_do = trials - len(left.done) if left else trials
         Requests(store.folder, how.typed, events.warn).forget()
@@ -337,6 +335,8 @@ def _run(
     except (InstrumentError, KeyboardInterrupt) as error:
         if isinstance(store, RehearsedStore):
             store.silent = False
+        if not left:  # else its bath may still heat, since an earlier session
+            store.fact(INSTRUMENTS_FACT, {"session": store.session, "instruments": []})
         if isinstance(error, KeyboardInterrupt):
             return store.folder, _end(store, RunState.ABORTED, INTERRUPTED)
         return store.folder, _end(store, RunState.FAULTED, str(error))
@@ -361,6 +361,11 @@ class OpenRig:
     def is_warm(self) -> bool:
         """Whether the last run left all open, heated and watched."""
         return self._engine is not None and self._engine.is_warm
+
+    @property
+    def warm_bath(self) -> object:
+        """As what it left the bath, if it did."""
+        return self._engine.context.script.script.bath if self._engine and self.is_warm else None
 
     def engine_of(
         self,
@@ -445,6 +450,7 @@ def _guarded_instruments(
             stage = rig.rig.stage
             real = stage and not is_emulated(stage.url)
             guardian = guardian_of(bath.url, bath.pump_url, stage.url if stage and real else "")
+        again = isinstance(store, RehearsedStore)  # from the time when it began
         if left:
             if is_emulated(bath.url):
                 for note in guardian_files(store.folder).values():
@@ -458,7 +464,7 @@ def _guarded_instruments(
             capture=how.capture,
             supervised=True,
             screen=events.aside,
-            start_s=left.last_s + BETWEEN_S if left else 0.0,
+            start_s=left.last_s + BETWEEN_S if left and not again else 0.0,
             folder=store.folder,
         )
         devices = stack.enter_context(opened)

@@ -244,8 +244,7 @@ class Attempts:
 
 class TrialRun:
     """The trials of one run. ``exact_ends``: the exact truth, never scored against; ``recorder``
-    gets each frame set; ``before``: the run as an earlier session left it. While ``rehearsing``
-    nothing is detected.
+    gets each frame set; ``before``: earlier sessions. While ``rehearsing`` nothing is detected.
     """
 
     def __init__(
@@ -447,6 +446,7 @@ class TrialRun:
         while not self._stable():
             ctx.events.state(f"waiting for the bath: {watch.why_not_stable}")
             ctx.wait(1.0)
+            ctx.look_at_idle()
             if ctx.clock.now() - start > gate.timeout_s:
                 why = f"not stable within {gate.timeout_s:g} s: {watch.why_not_stable}"
                 hint = "Check level, lid and pump, or allow more time in the script."

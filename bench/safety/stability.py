@@ -17,6 +17,8 @@ from math import inf, isfinite
 
 import numpy as np
 
+from bench.scoring.rates import plural
+
 TIME_SLACK_S = 1e-6  # readings at 0.1 s steps add up to 599.9999999 s
 
 
@@ -211,7 +213,8 @@ class StabilityGate:
 
     def _criteria(self, w: Window) -> Iterator[tuple[bool, str, float]]:
         """Of each criterion but the span: whether ``w`` fails it, what was seen, and the limit."""
-        yield w.distinct < self.min_distinct, f"{w.distinct} distinct readings", self.min_distinct
+        seen = plural(w.distinct, "distinct reading")
+        yield w.distinct < self.min_distinct, seen, self.min_distinct
         yield abs(w.mean) > self.mean_k, f"mean {w.mean:+.3f} K from the set point", self.mean_k
         half_range, limit = w.half_range, self.half_range_k
         yield half_range > limit, f"half the range {half_range:.3f} K", limit

@@ -64,9 +64,7 @@ NO_CAMERA = {'"opencv:0"  ': '"opencv:none1.avi"  '}
 
 
 def lab_rig(folder: Path, changes: Mapping[str, str]) -> Path:
-    """The example of a real rig in ``folder``, with each of ``changes`` made in its text, and with
-    small pictures.
-    """
+    """The example of a real rig in ``folder``, with ``changes`` in its text, small pictures."""
     text = (RIGS / "lab.example.toml").read_text(encoding="utf-8")
     for old, new in changes.items():
         assert old in text

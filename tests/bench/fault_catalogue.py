@@ -52,9 +52,7 @@ stands in [safety](safety.md#interlocks). Made by `python -m tests.bench.fault_c
 
 
 class Bringer(Person):
-    """Puts the fault in when the run comes into ``state``; asks for a pause where that is the
-    state.
-    """
+    """Puts the fault in when the run comes into ``state``; asks for a pause where that is it."""
 
     def __init__(self, state: str, fault: EmulatedFault) -> None:
         super().__init__("place-2", ["pause", *[""] * 40, "go on"] if state == "paused" else [])

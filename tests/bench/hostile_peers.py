@@ -63,9 +63,7 @@ def exception(request: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class Kind:
-    """``first``: sent at once; ``reply`` to what comes; ``stream``: a piece again and again, with
-    a pause.
-    """
+    """``first``: sent at once; ``reply`` to what comes; ``stream``: a piece, again and again."""
 
     first: bytes = b""
     reply: Callable[[bytes], bytes] = lambda _: b""
@@ -332,9 +330,7 @@ _WRITES = (5, 6, 15, 16)
 
 
 def _writes(sent: bytes) -> list[bytes]:
-    """Requests of Modbus that write: TCP's one after the other by their heads, RTU's by their check
-    sums.
-    """
+    """Requests of Modbus that write: TCP by their heads, RTU by their check sums."""
     found, at = [], 0
     while at + 8 <= len(sent):
         tcp = sent[at + 2 : at + 5] == b"\0\0\0" and sent[at + 5] >= 2

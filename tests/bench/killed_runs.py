@@ -53,21 +53,21 @@ class Person(Silent):
 
     def __init__(self, since: str, lines: Sequence[str]) -> None:
         super().__init__()
-        self._since, self._lines, self._seen = since, [*lines], ""
+        self._since, self._lines, self.seen = since, [*lines], ""
         self.states: list[str] = []
 
     def state(self, text: str) -> None:
         self.states.append(text)
 
     def trial(self, done: int, total: int, name: str) -> None:
-        self._seen += name
+        self.seen += name
 
     def warn(self, text: str) -> None:
         super().warn(text)
-        self._seen += text
+        self.seen += text
 
     def typed(self) -> str | None:
-        return self._lines.pop(0) if self._lines and self._since in self._seen else None
+        return self._lines.pop(0) if self._lines and self._since in self.seen else None
 
 
 def start(
@@ -132,7 +132,7 @@ def _killed(
     return process.exitcode == -signal.SIGKILL
 
 
-def resume(folder: Path, out: str, progress: Silent | None = None) -> tuple[Path, RunState]:
+def resume(folder: Path, out: str, progress: Progress | None = None) -> tuple[Path, RunState]:
     return resume_run(only_run(folder, out), progress or Silent())
 
 

@@ -134,9 +134,7 @@ def record_of(folder: Path, progress: Progress | None = None, **more: Any) -> Ru
 
 
 def shipped_rig(folder: Path, arm: str = "", emulation: str = "", *, whole: bool = False) -> Path:
-    """The emulated rig as it ships, with more lines in two of its tables; ``whole``: with all
-    pixels.
-    """
+    """The emulated rig as shipped, with more lines in two tables; ``whole``: with all pixels."""
     text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
     assert "[arm]\n" in text
     assert "[emulation]" not in text

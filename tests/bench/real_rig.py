@@ -68,9 +68,7 @@ bath_silence_s = {silence_s}
 
 @dataclass
 class RealRig:
-    """``twin`` is what answers at the rig's URLs; ``folder`` holds rig file, script and the runs'
-    folder.
-    """
+    """``twin`` answers at the rig's URLs; ``folder`` has rig file, script and the runs' folder."""
 
     twin: EmulatedRig
     folder: Path

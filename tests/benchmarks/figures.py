@@ -24,9 +24,7 @@ def peak_kib():
 
 
 def figure(benchmark: BenchmarkFixture, what: str, value: float, aim: str) -> None:
-    """Note ``value`` under ``what`` and print it beside its aim;
-    `-s` shows it as it is measured.
-    """
+    """Note ``value`` under ``what`` and print it beside its aim; `-s` shows it as measured."""
     benchmark.extra_info[what] = value
     print(f"\n{what}: {value:,.5g} (aim: {aim})")
 

@@ -103,9 +103,7 @@ def test_samples_a_second_streamed_on_a_paced_link(
 
 
 def test_round_trips_of_the_emulator_over_loopback(benchmark: BenchmarkFixture, arms: Arms) -> None:
-    """A bare socket asks, so that the emulator and the listener are what is measured, and not our
-    driver.
-    """
+    """A bare socket asks, so that emulator and listener are measured, and not our driver."""
     _, listener = arms()
     with socket.create_connection(("127.0.0.1", listener.port)) as host:
         host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -99,9 +99,7 @@ def served(kind: str, family: str, baud: int | None = None) -> Iterator[Served]:
 
 
 def ours(bath: Served, count: int, pause_s: float) -> tuple[list[float], list[float]]:
-    """Seconds that each of ``count`` questions takes after a pause, and that each of as many polls
-    does.
-    """
+    """Seconds that each of ``count`` questions takes after a pause, and each of as many polls."""
     clock = RealClock()
     driver = Bath(bath.url, bath.profile, clock)
     questions, polls = [], []
@@ -120,9 +118,7 @@ def ours(bath: Served, count: int, pause_s: float) -> tuple[list[float], list[fl
 
 
 async def theirs(bath: Served, count: int, pause_s: float) -> tuple[list[float], list[float]]:
-    """The same by pymodbus alone, in one loop that keeps running; it knows no silence between
-    frames.
-    """
+    """The same by pymodbus alone, in a loop that keeps running; no silence between frames."""
     client = bath.client()
     await client.connect()
     ask = {

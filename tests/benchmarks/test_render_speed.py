@@ -59,9 +59,7 @@ def make_renderer() -> Renderer:
 
 @pytest.mark.parametrize("name", sorted(SITUATIONS))
 def test_frame_set_at_a_new_pose(benchmark: BenchmarkFixture, name: str) -> None:
-    """Two 1360 x 1024 and one thermal frame, a new pose of the
-    phantom and fresh noise each time.
-    """
+    """Two 1360 x 1024 and one thermal frame, a new pose and fresh noise each time."""
     renderer, poses = make_renderer(), count()
     still = situation(name)
     renderer.render(still, np.random.default_rng(0))
@@ -119,9 +117,7 @@ def test_frame_set_of_a_new_scene(benchmark: BenchmarkFixture) -> None:
     reason="peak memory is asked of the resource module, which Windows hasn't",
 )
 def test_first_frame_set_and_peak_memory(benchmark: BenchmarkFixture) -> None:
-    """A process of its own: from its first import to the first frame set, and its peak after all
-    eleven situations.
-    """
+    """A process of its own: from its first import to the first frame set, and its peak."""
     figures: list[list[float]] = []
 
     def start() -> None:

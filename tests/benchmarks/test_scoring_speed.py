@@ -25,9 +25,7 @@ VISIBLE = np.ones(4, dtype=bool)
 
 @pytest.fixture(scope="module")
 def drawn() -> tuple[Floats, Floats]:
-    """Truth and findings (n, 4, 3): now and then one is far off, so that it is a miss and a false
-    finding.
-    """
+    """Truth and findings (n, 4, 3): now and then one is far off, a miss and a false finding."""
     rng = np.random.default_rng(1)
     truth = TEATS + rng.uniform(-40, 40, (TRIALS, 1, 3))
     far = np.where(rng.random((TRIALS, 4, 1)) < 0.01, 60.0, 0.0)
@@ -51,9 +49,7 @@ def scored(truth: Floats, found: Floats) -> list[SceneScore]:
 
 
 def whole(truth: Floats, found: Floats) -> tuple[ErrorSummary, list[Decision], Trend]:
-    """Everything that a report says of the trials: matches, rates, summaries, decisions, map,
-    ellipsoid, trend.
-    """
+    """All that a report says of trials: matches, rates, summaries, decisions, map, trend."""
     poses = [f"pose-{k // 3}" for k in range(len(truth))]
     together = pool(scored(truth, found), poses)
     errors, of = together.errors_mm, together.error_poses

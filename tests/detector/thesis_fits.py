@@ -37,9 +37,7 @@ STEREO_OM_UNCERTAINTY_RAD, STEREO_T_UNCERTAINTY_MM = (0.0023, 0.0030, 0.0003), (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThermalFit:
-    """A pinhole thermal camera midway between the optical ones; residual_px (2, n, 2): left and
-    right.
-    """
+    """A pinhole thermal camera midway between the optical ones; residual_px (2, n, 2) of both."""
 
     lens: Camera
     thermal_from_right: Motion

@@ -74,9 +74,7 @@ class Bench:
         return [str(mismatch) for mismatch in self.replay.mismatches]
 
     def settled(self) -> bool:
-        """Whether all is played within real time that is ample for a thread to see that a host has
-        gone.
-        """
+        """Whether all is played in time that is ample for a thread to see that a host has gone."""
         clock = RealClock()
         while not self.replay.finished and clock.now() < 5.0:
             clock.sleep(0.005)

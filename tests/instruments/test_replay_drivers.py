@@ -195,9 +195,7 @@ def failing(session: Session) -> Session:
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ArmFault, ids=str)
 def test_an_arm_with_a_fault_has_it_again(fault: ArmFault, tmp_path: Path) -> None:
-    """Whether the driver finds its way or gives up, it does the same, byte for byte, and says the
-    same.
-    """
+    """The driver does the same, byte for byte, and says the same, whether it finds its way."""
 
     def faulty(clock: Clock) -> Device:
         arm = ArmEmulator(Hand(), clock, seed=3)

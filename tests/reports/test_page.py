@@ -102,9 +102,7 @@ def test_hostile_text_reaches_the_reader_without_what_would_steer_it() -> None:
 
 
 def test_every_text_field_was_tried() -> None:
-    """Every str field of every dataclass of the page holds the marker, except ids, addresses and
-    words from a list.
-    """
+    """Each str field of each dataclass of the page holds the marker, but ids and known words."""
     closed = {"id", "trials_in", "src", "href", "original", "tone"}
     closed |= {"verdict", "kind", "align", "svg", "shown_as", "camera"}
     missed: list[str] = []

@@ -286,9 +286,7 @@ def test_what_the_commands_write_and_refuse(
 def test_a_dask_cluster_makes_the_same_rows_whoever_of_it_is_killed(
     plan: CampaignPlan, plain: tuple[Path, str], tmp_path: Path
 ) -> None:
-    """Worker, scheduler and client take turns to be killed; each is started again, as who watches
-    a cluster does.
-    """
+    """Worker, scheduler and client are killed in turn; each is started again, as by a person."""
     file, out = tmp_path / "plan.toml", tmp_path / "out"
     quick = plan.model_copy(update={"chunk_limit_s": 5.0})
     file.write_text(plan_text(quick, {}), encoding="utf-8")

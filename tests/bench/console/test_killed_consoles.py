@@ -49,9 +49,7 @@ def test_killed_consoles_change_nothing_and_lose_no_answer(tmp_path: Path) -> No
 
 
 def answered(here: Path, kills: int) -> tuple[Path, dict[int, str]]:
-    """A run whose prompts are answered by consoles of which so many are killed; what was
-    acknowledged, by prompt.
-    """
+    """A run answered by consoles of which many are killed; what was acknowledged, by prompt."""
     here.mkdir()
     chance, left, acknowledged = random.Random(20261123), kills, dict[int, str]()
     script = SCRIPT.replace('["thesis"]', '["fused"]')

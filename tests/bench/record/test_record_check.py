@@ -151,9 +151,7 @@ def test_what_a_dead_bench_leaves_is_reported_but_no_damage(run: Path, said: Sai
 
 
 def test_a_chain_made_anew_or_cut_off_differs_from_what_the_report_names(run: Path) -> None:
-    """Whoever can write the file can make a chain of his own; he can't make it end in the digest
-    that was printed.
-    """
+    """Who can write the file can make a chain of his own, but not the digest that was printed."""
     head = check_record(run).head
     named = {"links": head.number, "digest": head.digest, "wall_digest": head.wall_digest}
     (run / PRINTED).parent.mkdir()
@@ -193,9 +191,7 @@ def test_the_digest_without_real_time_repeats_and_the_other_does_not(tmp_path: P
 
 
 def test_a_run_that_was_kept_still_checks(tmp_path: Path) -> None:
-    """The chain's format: whoever changes it would call every record that was ever written an
-    altered one.
-    """
+    """The chain's format: a change of it would call every older record an altered one."""
     checked = check_record(Path(shutil.copytree(KEPT, tmp_path / "kept")))
     assert checked.whole
     assert checked.head == Head(

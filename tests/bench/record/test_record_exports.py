@@ -168,9 +168,7 @@ def test_mcap_16_bit_frames_are_pixels_so_that_a_viewer_can_spread_them(
 
 
 def test_mcap_ties_the_cameras_to_the_world_and_tells_their_lenses(log: Messages) -> None:
-    """A point of the world goes through the ties and the lens as it goes through the
-    calibration.
-    """
+    """A point of the world goes through ties and lens as it goes through the calibration."""
     known = read_calibration(RIGS / "calibration.toml")
     (ties,) = (content["transforms"] for _, _, content in log["/tf"])
     pairs = [(tie["parent_frame_id"], tie["child_frame_id"]) for tie in ties]

@@ -123,9 +123,7 @@ def nursery() -> Iterator[Nursery]:
 
 
 def look(folder: Path, done: int) -> int:
-    """How many trials there are: all that were done, each whole and as it was written, and at most
-    one beside them.
-    """
+    """How many trials there are: all that were done, each whole, and at most one more."""
     checked = check_record(folder)
     assert checked.whole, checked.findings
     with opened(folder) as db:

@@ -15,6 +15,7 @@ from bench.cli.main import main
 from bench.config import read_calibration
 from bench.record.reader import RunRecord, read_run
 from bench.report import growing
+from bench.report.bath import readings_at
 from bench.report.growing import TrialParts
 from bench.report.page import write_run_report
 from tests.bench.killed_runs import Silent
@@ -90,6 +91,8 @@ def test_what_is_drawn_of_something_else_is_not_taken(drawn: list[str]) -> None:
         replace(run, bath=near, external_c=np.append(np.nan, run.external_c)),
         replace(run, facts={**run.facts, "bath figures": None}),
     ]
+    elsewhere = replace(others[6], bath_sessions=(2, *run.bath_sessions))
+    assert readings_at(elsewhere, one) == readings_at(run, one) != readings_at(others[6], one)
     for other in (run, *others):
         drawn.clear()
         taken = [*parts.of(other, calibration, KEPT / "report", ())]

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from bench.record.reader import RunRecord, read_run
+from bench.record.writer import Store
 from bench.results import health
 from bench.results.health import KEPT, QUANTITIES, RunHealth, charts, history, warnings
 from bench.scoring.control_chart import BASE
@@ -85,6 +86,16 @@ def test_a_run_is_read_once_and_anew_where_it_changed(
     assert len(json.loads((tmp_path / KEPT).read_text(encoding="utf-8"))["runs"]) == 1
     shutil.rmtree(folder)
     assert history(tmp_path) == history(tmp_path / "nowhere") == []
+
+
+def test_runs_of_another_rig_crowd_out_none_of_this_one(tmp_path: Path) -> None:
+    for name in ("1", "2", "3"):
+        store = Store(Path(shutil.copytree(RUN, tmp_path / name)))
+        if name != "1":
+            store.fact("rig", "another")
+        store.close()
+    assert [one.run for one in history(tmp_path, 1, "operated")] == ["1"]
+    assert [one.run for one in history(tmp_path, 1)] == ["1", "3"]
 
 
 def test_a_few_sentences_warn_before_a_run(monkeypatch: pytest.MonkeyPatch) -> None:

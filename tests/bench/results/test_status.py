@@ -6,7 +6,7 @@ import json
 import shutil
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
@@ -19,8 +19,10 @@ from bench.record.schema import GUARDIAN
 from bench.record.state import State, run_lock, state_of
 from bench.record.writer import Store
 from bench.results.headline import missing_text
+from bench.results.queue import QueueNote, queues
 from bench.results.status import (
     GOING_TO_SAFE,
+    INSTRUMENTS_FACT,
     LIVE,
     InstrumentStatus,
     Link,
@@ -29,7 +31,9 @@ from bench.results.status import (
     Safe,
     read_status,
 )
+from bench.run.events import ENDED
 from bench.run.lock import locked
+from bench.run.notify import text_of
 from bench.scoring.decisions import decide_rate
 from bench.scoring.rates import Rate
 from instruments.clock import wall_time
@@ -73,7 +77,12 @@ def test_every_surface_has_the_same_word(state: State, tmp_path: Path, said: Sai
         assert not any(other in table for other in others)
         found = json.loads(said(0, "runs {} --json", run.parent).out)["runs"][0]
         status, card = read_status(run), listed(run.parent)[0]
-        shown = said(3, "report {} --no-pdf", run).out
+        shown = said(3, "report {} --no-pdf --summary {}", run, tmp_path / "summary.md").out
+        QueueNote.begin(run.parent, "a rig", ["a", "b"]).runs(run)
+        assert next(queues(run.parent)).scripts[0].text == status.headline
+    assert status.headline.startswith(f"{state}: ")
+    assert (text_of(ENDED, status) or ("", ""))[1].startswith(f"{status.headline}\n")
+    assert state in (tmp_path / "summary.md").read_text(encoding="utf-8")
     assert f'verdict-{state}"' in (run.parent / "index.html").read_text(encoding="utf-8")
     written = json.loads((run / "report" / "run.json").read_text(encoding="utf-8"))
     junit = (run / "report" / "junit.xml").read_text(encoding="utf-8")
@@ -186,6 +195,21 @@ def test_of_a_bench_that_has_died_its_guardian_says_how_the_bath_is(
         assert then not in " ".join(status.next)
     else:
         assert status.next[0] == then
+
+
+def test_what_its_guardian_made_safe_after_a_run_had_ended_is_safe(tmp_path: Path) -> None:
+    run, failed = stopped(State.TRIPPED, tmp_path), replace(BATH, safe=Safe.FAILED, by_hand="OFF")
+    store = Store(run)
+    left = {"session": store.session, "instruments": [asdict(failed)]}
+    store.fact(INSTRUMENTS_FACT, left)
+    store.close()
+    assert read_status(run).unsafe == ("OFF",)
+    name = GUARDIAN.format(left["session"])
+    (run / f"{name}.json").write_text(json.dumps(GUARDED | SAFED), encoding="utf-8")
+    status = read_status(run)
+    assert (status.unsafe, status.instruments[0].safe) == ((), Safe.READ_BACK)
+    assert "the guardian had the bath in standby" in status.why
+    assert status.why.endswith(" All instruments are safe.")
 
 
 def test_only_the_last_session_s_trip_counts(tmp_path: Path) -> None:

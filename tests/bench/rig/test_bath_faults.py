@@ -174,9 +174,7 @@ def test_a_low_level_is_the_circulators_alarm_and_cuts_every_heater(tmp_path: Pa
 
 
 def test_none_is_left_out() -> None:
-    """Every name that the issue lists is tried above or, where it has a shape of its own, below the
-    table.
-    """
+    """Every name that the issue lists is tried above or, with a shape of its own, below."""
     tried = {name for name, *_ in ON_THE_WIRE} | {"stuck heater", "dead heater", "pump stopped"}
     tried |= {"low level"}
     assert set(FAULTS) - tried == {"gaps refused", "manual mode", "frozen sensor"}

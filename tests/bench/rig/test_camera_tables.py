@@ -234,9 +234,7 @@ def test_streams_and_a_radiometric_camera_of_one_rig_file(tmp_path: Path, clock:
 
 @pytest.mark.slow
 def test_lost_packets_are_passed_over_and_counted(clock: RealClock) -> None:
-    """About one frame in six of the left camera comes with holes; every set that is given out is
-    whole.
-    """
+    """About one frame in six of the left camera has holes; every set given out is whole."""
     checks = Checks(swapped=False, frozen=False)
     table = CamerasTable(url="emulator:", max_skew_s=60.0, retries=20, retry_s=0.0, checks=checks)
     events: list[str] = []

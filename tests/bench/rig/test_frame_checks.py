@@ -58,9 +58,7 @@ def test_no_false_alarm_in_scenes_that_are_hard_to_see(name: str, seed: int) -> 
 
 
 def dimmed(picture: NDArray[np.uint8], light: float, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """As a sensor sees it by that share of the light: what is left of the signal, and the noise of
-    reading it out.
-    """
+    """As a sensor sees it by that share of the light: the signal left, and its own noise."""
     return np.clip(
         np.rint(4.0 + (picture - 4.0) * light + 1.0 * rng.standard_normal(picture.shape)), 0, 255
     ).astype(np.uint8)

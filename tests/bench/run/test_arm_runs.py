@@ -167,9 +167,7 @@ def test_the_runs_folder_keeps_the_files_of_the_arm(elsewhere: Done) -> None:
 
 
 def test_an_arm_that_was_moved_is_found_out(script: Path, tmp_path: Path) -> None:
-    """Elsewhere on the table, and nobody made a frame: every truth is wrong, and the requirement
-    says so.
-    """
+    """Elsewhere on the table, without a frame: every truth is wrong, and the rule says so."""
     rig = shipped_rig(tmp_path, emulation="arm_placed = { T = [3.0, 0.0, 0.0] }\n")
     run = done(rig, script, tmp_path / "runs")
     assert run.verdict is Verdict.NOT_MET
@@ -247,9 +245,7 @@ def checked(
 
 
 def test_an_arm_that_was_not_homed_is_found_out() -> None:
-    """Switched on with the stylus off its peg, and a person who says that it was on: the hazard of
-    the fact sheet.
-    """
+    """Switched on with the stylus off its peg, and a person who says that it was on."""
 
     def off_its_peg(trying: TryingArm) -> None:
         trying.go(Step("near", 0, ""))

@@ -29,9 +29,7 @@ def started(folder: Path, **more: Any) -> AbstractContextManager[Terminal]:
 
 
 def answer(terminal: Terminal, words: str, line: str = ENTER) -> str:
-    """Read up to the end of the prompt that says ``words``, then type; gives back what the prompt
-    said.
-    """
+    """Read up to the end of the prompt that says ``words``, then type; gives back the prompt."""
     said = terminal.expect(words) + terminal.expect(ABORT_KEY)
     terminal.type(line)
     return said

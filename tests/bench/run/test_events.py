@@ -18,11 +18,12 @@ import pytest
 
 from bench.record.reader import read_run
 from bench.record.state import State
-from bench.results.status import InstrumentStatus, Link, RunStatus, Safe
+from bench.results.status import InstrumentStatus, Link, RunStatus, Safe, read_status
 from bench.run import trial as run_trial
 from bench.run.events import (
     AWAY,
     BACK,
+    EVENT,
     EVENTS_FILE,
     TABLE,
     Events,
@@ -41,7 +42,7 @@ from tests.conftest import ROOT
 
 PAGE = ROOT / "docs" / "runs.md"
 S = RunState
-ENDS = {S.FINISHED, S.ABORTED, S.FAULTED}
+ENDS = {S.FINISHED, S.ABORTED, S.FAULTED, S.TRIPPED}
 # Typed from issue and design, not from the table: what may follow what.
 MAY_FOLLOW = {
     "planned": "preparing safing aborted faulted",
@@ -49,10 +50,10 @@ MAY_FOLLOW = {
     "settling": "running paused safing",
     "running": "settling paused safing",
     "paused": "preparing settling running safing",
-    "safing": "finished aborted faulted",
+    "safing": "finished aborted faulted tripped",
     "finished": "",
     "aborted": "",
-    "faulted": "",
+    **dict.fromkeys(("faulted", "tripped"), ""),
 }
 
 
@@ -292,9 +293,7 @@ def test_a_reader_of_the_output_that_has_gone_ends_no_run(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_a_trip_is_among_the_lines(tmp_path: Path) -> None:
-    """It happens on the watch's own thread; a watcher at the other end of the lines has to hear of
-    it all the same.
-    """
+    """On the watch's own thread; who reads the lines has to hear of it all the same."""
     low = '[[emulation.faults]]\ninstrument = "bath"\nname = "low level"\nat_s = 3.0'
     files(tmp_path, emulation=low)
     path = tmp_path / "events.jsonl"
@@ -305,7 +304,13 @@ def test_a_trip_is_among_the_lines(tmp_path: Path) -> None:
     assert any("bath" in line for line in note if line["what"] == "doing")
     (trip,) = [line["text"] for line in note if line.get("kind") == "trip"]
     assert trip.startswith("interlock controller alarm")
-    assert trip in [event["text"] for event in run_of(tmp_path).events]
+    record = run_of(tmp_path)
+    assert trip in [event["text"] for event in record.events]
+    for of in (note, record.events):  # the word of all surfaces, here too
+        word = {one["kind"]: one["text"] for one in of if one.get("kind") in ("end", EVENT)}
+        assert word == dict.fromkeys(("end", EVENT), read_status(record.folder).state)
+    doing = [line["text"] for line in note if line["what"] == "doing"]
+    assert doing[-1] == "all instruments are safe"
 
 
 @pytest.mark.slow

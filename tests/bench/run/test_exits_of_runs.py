@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 
 from bench.record.reader import RunRecord, read_run
+from bench.results.status import read_status
 from instruments.listener import Listener
 from tests.bench.commands import teatbench
 from tests.bench.real_rig import RealRig, real_rig
@@ -140,6 +141,30 @@ def test_every_way_out_of_a_run_leaves_standby_in_bounded_time(
             assert any("a mistake of the bench: ZeroDivisionError" in text for text in texts)
         if outcome.way.startswith("Ctrl-C"):
             assert any("Ctrl-C" in text for text in texts)
+
+
+def test_what_drops_out_while_the_bath_settles_is_said_then_and_when_it_is_back(
+    recording: Path, tmp_path: Path
+) -> None:
+    with (
+        real_rig(tmp_path / "rig", recording, stage=True, window_s=3600.0) as rig,
+        marked_bench(rig, "settling") as running,
+    ):
+        running.wait_for("on its peg")
+        running.enter()
+        running.wait_for(f"{MARK}settling")
+        for name in ("stage", "arm"):
+            rig.twin.listeners[name].pull(out=True)
+            running.wait_for("The run is paused")
+            rig.twin.listeners[name].pull(out=False)
+            if name == "arm":
+                running.wait_for("on its peg")
+                running.enter()
+            running.wait_for(f"The {name} is back after")
+            running.wait_for("homed again")
+        running.signal("SIGINT")
+        running.process.join(120)
+        assert read_status(rig.run_folder()).why.endswith("All instruments are safe.")
 
 
 @pytest.mark.parametrize(

@@ -187,9 +187,7 @@ def test_a_stage_that_an_interlock_has_braked_does_not_home_when_it_is_back(
 def test_nothing_moves_in_a_trial_once_an_interlock_has_tripped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A trip between two trials, where nobody waits for anything, of a bath whose last reading was
-    a stable one.
-    """
+    """A trip between two trials, of a bath whose last reading was a stable one."""
     files(tmp_path, stage=STAGE, emulation="prompt_s = 5.0")
     refusing = Bringer("", EmulatedFault(instrument="bath", name="gaps refused", for_s=600.0))
     before, move, moved = TouchedTruth.before, Stage.move_to, list[bool]()

@@ -80,8 +80,14 @@ def bath_safe(run: RunRecord) -> Safe:
 def test_the_rig_stays_open_and_warm_and_is_safe_at_the_end(
     scripts: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    opened = stood_up(monkeypatch)
+    opened, left_s, settling_s = stood_up(monkeypatch), list[float](), list[float]()
+    monkeypatch.setattr("bench.run.start.time_left", lambda seconds: left_s.append(seconds))
+    monkeypatch.setattr(
+        "bench.run.estimate.estimate_text", lambda of, _: settling_s.append(of.settling_s)
+    )
     code, queue, (first, second, third) = run(scripts)
+    assert left_s[1] < min(left_s[0], left_s[2]), "the bath settles once, and at another set point"
+    assert [seconds > 0.0 for seconds in settling_s] == [True, False, True]
     assert code == 0
     assert len(opened) == 1
     assert queue.headline == "ended: 3 of 3 scripts finished"

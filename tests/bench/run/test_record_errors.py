@@ -38,9 +38,7 @@ FULL = [
 
 
 class FullDisk:
-    """The store's ``method`` raises ``error`` from the second trial's frames on: once, or ever
-    after.
-    """
+    """The store's ``method`` raises ``error`` from the second trial's frames on: once, or ever."""
 
     def __init__(self, method: str, error: Exception, *, for_good: bool) -> None:
         self._method, self._error, self._for_good = method, error, for_good
@@ -116,9 +114,7 @@ ASK = EmulatedOperator.ask
 
 
 class Tampering(Silent):
-    """Somebody does ``what`` with the run's folder as its second trial begins, or while its
-    pictures are taken.
-    """
+    """``what`` is done with the run's folder as its second trial begins, or in its capture."""
 
     def __init__(self, what: Callable[[Path], object], folder: Path, at: str) -> None:
         super().__init__()

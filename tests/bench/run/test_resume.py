@@ -25,16 +25,17 @@ from bench.record.recording import Recording, RecordingWriter
 from bench.record.state import run_lock
 from bench.record.writer import Store
 from bench.report.page import write_run_report
-from bench.results.status import LIVE
+from bench.results.status import LIVE, read_status
 from bench.rig.opening import open_instruments
 from bench.run import trial as run_trial
-from bench.run.events import EVENT, RunState
+from bench.run.events import EVENT, Events, RunState, read_events
 from bench.run.interruptions import leave_request
 from bench.run.lock import locked
 from bench.run.recordings import RECORDED, Recorder
 from bench.run.resume import what_is_left
 from bench.run.start import RunOptions
 from bench.truth.carrying import REFERENCE_FACT, CarriedTruth
+from instruments.errors import LinkError
 from tests.bench.commands import Said
 from tests.bench.forked import begin
 from tests.bench.killed_runs import (
@@ -126,6 +127,24 @@ def test_two_runs_with_one_seed_are_the_same_but_for_real_time(
     assert one.head.digest == other.head.digest, "the chain without real time"
 
 
+def resumed_on_every_surface(folder: Path, out: str, progress: Person) -> list[int]:
+    """Whose screen and status count from the first moment what is done; the JSON lines' counts."""
+    events, heads, show = Events(progress), set[str](), progress.state
+
+    def state(text: str) -> None:
+        show(text)
+        heads.add(status.headline if (status := events.status()) else "")
+
+    progress.state = state  # type: ignore[method-assign]
+    assert resume(folder, out, events)[1] is RunState.FINISHED
+    assert heads - {"running: all 3 trials done", "running: going to safe"} == {
+        "running: trial 3 of 3"
+    }
+    lines = list(read_events(only_run(folder, out)))
+    begun = max(at for at, one in enumerate(lines) if "trials done before" in one.get("text", ""))
+    return [line["done"] for line in lines[begun:] if line["what"] == "trial"]
+
+
 def test_killed_twice_on_its_way_and_once_while_it_catches_up(
     undisturbed: tuple[Path, int],
 ) -> None:
@@ -135,11 +154,15 @@ def test_killed_twice_on_its_way_and_once_while_it_catches_up(
     assert killed_at(int(0.3 * steps), lambda: resume(folder, "often"))
     assert not page.exists(), "it would still say that the run ended before"
     assert not page.with_name("run.json").exists()
-    progress = Silent()
-    assert resume(folder, "often", progress)[1] is RunState.FINISHED
+    progress = Person("", ())
+    trials = resumed_on_every_surface(folder, "often", progress)
+    again = "2 trials done before, gone through again"
+    assert {text.split(":")[0] for text in progress.states if again in text} == {
+        *(again, f"place-1; {again}", f"place-2; {again}")
+    }
     run = read_run(only_run(folder, "often"))
     assert results(run.folder) == results(only_run(folder, "whole"))
-    assert not progress.warned
+    assert (progress.warned, progress.seen, trials) == ([], "place-3", [2, 3])
     assert len(run.facts["deaths"]) == 1, "the death amid catching up is no trial's"
     again = "gone through again on the emulated rig: 2 with the same touches"
     assert texts(run, "resumed") == [
@@ -222,7 +245,8 @@ def test_a_world_that_went_on_is_prepared_anew_and_what_is_redone_is_kept_apart(
     files(tmp_path, stage=STAGE, check_point=CHECK_POINT)
     before = killed_in_the_last_trial(tmp_path, "runs")
     kept = results(before.folder)
-    assert resume(tmp_path, "runs")[1] is RunState.FINISHED
+    assert resumed_on_every_surface(tmp_path, "runs", progress := Person("", ())) == [2, 3]
+    assert progress.seen == "place-3"
     after, now = read_run(before.folder), results(before.folder)
     assert [trial.id for trial in after.trials] == TRIALS
     for table in ("trials", "frames", "touches", "truth", "detections", "found", "scores"):
@@ -265,10 +289,24 @@ def test_a_run_that_somebody_ended_goes_on_too(tmp_path: Path) -> None:
     files(tmp_path)
     folder, ending = start(tmp_path, progress=Person("place-3", ["abort"]))
     assert (ending, len(read_run(folder).trials)) == (RunState.ABORTED, 2)
+    assert read_status(folder).why.endswith(" All instruments are safe.")
     assert resume(tmp_path, "runs")[1] is RunState.FINISHED
     run = read_run(folder)
     assert len(run.trials) == 3
     assert run.facts["deaths"] == {}, "an end that was asked for is no death"
+
+
+def test_a_run_that_ended_before_it_opened_anything_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: Any, **__: Any) -> Any:
+        raise LinkError("arm", "nothing takes the connection")
+
+    files(tmp_path)
+    monkeypatch.setattr("bench.run.start.open_instruments", fails)
+    status = read_status(start(tmp_path)[0])
+    assert status.why.endswith(" nothing takes the connection. Nothing was switched on.")
+    assert not any("Look whether" in line for line in status.next)
 
 
 def test_what_a_dead_session_left_is_void_before_the_next_one_opens_anything(

@@ -173,9 +173,7 @@ def turned(points_mm: np.ndarray, deg: float) -> np.ndarray:
 @pytest.mark.slow
 @pytest.mark.parametrize("axes", ["XY", "XYZA", ""], ids=["two axes", "four axes", "by hand"])
 def test_the_phantom_stands_where_the_script_says(tmp_path: Path, axes: str) -> None:
-    """A stage of two axes leaves height and turn to the operator; without one every pose is a
-    prompt.
-    """
+    """A stage of two axes leaves height and turn to the operator; without one all of a pose."""
     record = run(rig(tmp_path, axes), script(tmp_path), tmp_path / "runs")
     first, second = exact_mm(record)
     assert first == pytest.approx(STANDING_MM + np.array([10.0, -5.0, 0.0]), abs=0.05)

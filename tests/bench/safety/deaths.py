@@ -331,9 +331,7 @@ def safe_after(there: Elsewhere, does: str) -> float:
 
 
 def die(there: Elsewhere, name: str, death: str, folder: Path) -> tuple[float, str]:
-    """Bring the process of this way to what it does, let it die; seconds until that is safe, and
-    what it said.
-    """
+    """Bring the process of this way to what it does, let it die; seconds until safe, its words."""
     way, capture = WAYS[name], folder / "capture.jsonl"
     folder.mkdir(parents=True)
     places: dict[str, object] = {"rig": there.rig_path, "capture": capture, "out": folder}

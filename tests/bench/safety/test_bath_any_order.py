@@ -191,9 +191,7 @@ def test_any_order(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_machine_would_notice_heat_without_a_pump(tmp_path: Path) -> None:
-    """The witness is one: with interlocks that know of no pump, a contact that falls off goes
-    unnoticed.
-    """
+    """The witness is one: interlocks without a pump miss a contact that falls off."""
     machine = WatchedBath()
     machine.rig = loaded(tmp_path, "eurotherm-3200")
     machine.connect()

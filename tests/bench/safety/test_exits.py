@@ -237,9 +237,7 @@ GRANTED_S = 5.0  # Windows ends the program so long after it has called the hand
 
 @dataclass
 class System:
-    """Stands in for Windows: keeps the handlers that are registered, and calls them on a thread of
-    its own.
-    """
+    """Stands in for Windows: keeps the handlers, and calls them on a thread of its own."""
 
     handlers: list[Handler] = field(default_factory=list)
 

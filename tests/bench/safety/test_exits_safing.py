@@ -151,9 +151,7 @@ def test_every_driver_declares_its_safe_state_and_gets_there() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["silence", "busy", "wrong length", "late answer", "manual mode"])
 def test_going_to_safe_is_bounded_in_time_and_goes_on_to_the_others(fault: str) -> None:
-    """The bath is never reached or never obeys; stage and arm are made safe all the same, within
-    half a minute.
-    """
+    """The bath is never reached or never obeys; stage and arm are safe within half a minute."""
     rig, clock = load_rig(find_rig(None)), VirtualClock()
     with (
         EmulatedRig(rig, clock, 1) as twin,

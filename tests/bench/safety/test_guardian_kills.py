@@ -41,9 +41,7 @@ AT_ONCE = 3  # an arm in real time that waits for a busy processor counts as los
 
 @dataclass(frozen=True)
 class Step:
-    """Where to kill: once the bench has said ``words`` for the ``nth`` time and ``then_s`` are
-    over.
-    """
+    """Where to kill: once ``words`` were said for the ``nth`` time and ``then_s`` are over."""
 
     words: str
     nth: int = 1
@@ -90,9 +88,7 @@ PAST_ENDING = ("going to safe",)  # what is asked there is noted: the run has en
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one bench: the time to standby as the plant
-    saw it, and what the record says.
-    """
+    """What became of one bench: the time to standby by the plant, and what the record says."""
 
     step: str
     kill: str

@@ -78,9 +78,7 @@ def test_a_killed_bench_leaves_its_serial_port_to_the_guardian(
 def test_a_hung_bench_that_holds_its_serial_port_is_ended_first(
     recording: Path, tmp_path: Path, measured: Measured
 ) -> None:
-    """The port takes no second owner, so standby takes the silence, the tries to open, and the end
-    of the bench.
-    """
+    """The port has one owner: standby takes the silence, tries to open, and the bench's end."""
     with real_rig(tmp_path / "rig", recording, profile=RTU_FAMILY, pty=True, window_s=60.0) as rig:
         plant = rig.twin.world.plant
         with marked_bench(rig, "settling") as running:

@@ -61,9 +61,7 @@ SLACK_S = 5.0  # a look that began in time may end later
 def heated(
     folder: Path, fault: str, start_c: float, at_s: float
 ) -> Iterator[tuple[VirtualClock, list[Row], list[tuple[float, Exception]]]]:
-    """The monitor beside a bath that heats and breaks at ``at_s``: what it records, and its trips
-    with their times.
-    """
+    """The monitor beside a bath that heats and breaks at ``at_s``: what it records, its trips."""
     path = rig_with(folder, {})
     more = f"\n[emulation]\nbath_start_c = {start_c}\n{FAULT.format(name=fault, at_s=at_s)}"
     path.write_text(path.read_text(encoding="utf-8") + more, encoding="utf-8")
@@ -187,9 +185,7 @@ def test_after_a_trip_a_pump_on_a_relay_runs_on_for_a_minute_behind_the_heater(
 
 @pytest.mark.slow
 def test_a_bath_that_freezes_near_its_set_point_is_never_stable(tmp_path: Path) -> None:
-    """Its controller goes on working, and its output moves: that is no evidence of its
-    temperature.
-    """
+    """Its controller goes on working, its output moves: no evidence of its temperature."""
     at_s = 400.0
     with heated(tmp_path, "frozen sensor", 28.0, at_s) as (clock, rows, _):
         clock.sleep(1200.0)

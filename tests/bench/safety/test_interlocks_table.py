@@ -134,9 +134,7 @@ def test_a_row_trips_latches_and_resets(name: str, lab: LoadedRig) -> None:
 
 
 def walked(walk: Walk) -> list[tuple[float, Exception]]:
-    """What tripped and when, in a watched bath whose trouble comes and goes; a trip has to outlast
-    it.
-    """
+    """What tripped and when, of a bath whose trouble comes and goes; a trip outlasts it."""
     clock, acts = VirtualClock(), list[tuple[float, Exception]]()
     profile = load_profile("julabo-presto")
     interlocks = Interlocks(SafetyLimits(), profile)

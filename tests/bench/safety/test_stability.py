@@ -144,7 +144,9 @@ class TestFrozenReading:
         assert feed(StabilityGate(SP), held)[-1] is STABLE
 
     def test_too_few_distinct_readings(self) -> None:
-        gate = StabilityGate(SP, window_s=60, min_distinct=4)
+        gate, still = (StabilityGate(SP, window_s=60, min_distinct=4) for _ in range(2))
+        feed(still, [SP] * 90)
+        assert "1 distinct reading, needs 4" in still.reasons[0]
         assert STABLE not in feed(gate, quiet(200))  # three values: -1, 0, +1 steps
         assert "3 distinct readings, needs 4" in gate.reasons[0]
 

@@ -192,9 +192,7 @@ class TestPool:
     def test_one_pose_in_twenty_just_over_the_limit_is_taken_for_reliable_in_no_more_than_5_percent(
         self, n: int
     ) -> None:
-        """The worst detector against the worst truth: off to one side, and off by the same all
-        through a run.
-        """
+        """The worst detector against the worst truth: off to one side, by the same all through."""
         rng = np.random.default_rng(n)
         reach = shown_error_mm(n, 0.95, 5.0, 0.23, 0.95, failures_allowed(n, 0.95) or 0)
         bad, off = rng.random((10_000, n)) < 0.0501, rng.normal(0, 0.23, (10_000, 1, 3))

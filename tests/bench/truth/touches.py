@@ -127,9 +127,7 @@ class TrueStage:
 
 
 def stage_of(rng: np.random.Generator, *, scale: float = 0.0, squareness: float = 0.0) -> TrueStage:
-    """Scale and squareness drawn with these standard deviations,
-    and any turn about the vertical.
-    """
+    """Scale and squareness drawn with these standard deviations, any turn about the vertical."""
     sx, sy, sz = rng.normal(0.0, scale, 3)
     a, b, c = rng.normal(0.0, squareness, 3)
     R = Motion.from_vectors(rng.normal(0.0, 1.0, 3) * [0.02, 0.02, 0.6], (0.0, 0.0, 0.0)).R

@@ -128,9 +128,7 @@ def test_lines_beyond_the_picture_have_no_edge() -> None:
 
 
 def test_light_is_shared_by_views_and_neighbours() -> None:
-    """A fall of brightness towards the limb is the same in both pictures, though noise isn't: the
-    correction is one.
-    """
+    """A fall of brightness towards the limb is alike in both pictures, so the correction is one."""
     places = np.linspace(-0.5, 0.5, 60)
     shaded = [steps(places, 60.0, 20.0, 1.0, limb=60.0) for _ in range(2)]
     shaded[1] = shaded[1] + chance().normal(0.0, 1.0, shaded[1].shape).astype(np.float32)

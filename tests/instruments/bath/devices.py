@@ -77,9 +77,7 @@ class Wire:
 
 
 class Asked:
-    """An emulated controller on an RTU line. ``ask`` gives the PDU answered, in hex; "" for
-    silence.
-    """
+    """A controller on an RTU line. ``ask`` gives the PDU answered, in hex; "" for silence."""
 
     def __init__(self, profile: str, *, as_shipped: bool = False, framing: Framing = "rtu") -> None:
         self.clock, self.plant, family = (

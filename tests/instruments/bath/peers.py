@@ -133,9 +133,7 @@ def real_time(
 
 
 class Bridge:
-    """A device that hands bytes on to a program's serial port: what the program takes for an
-    adapter is ``path``.
-    """
+    """A device that hands bytes on to a program's serial port, its adapter being ``path``."""
 
     def __init__(self) -> None:
         tty = pytest.importorskip("tty", reason="needs pseudo-terminals: Linux and macOS have them")

@@ -276,9 +276,7 @@ def test_any_order(name: str) -> None:
 
 
 def test_a_serial_device_answers_in_order() -> None:
-    """A later answer that is less late can't overtake: the emulator once let it, and a wrong set
-    point was read.
-    """
+    """A later answer can't overtake: the emulator let it, and a wrong set point was read."""
     machine = type("Machine", (BathInAnyOrder,), {"profile": "omega-cn7"})()
     try:
         for late_s, times in ((6.0, 3), (0.3, 1), (1.1, 1), (3.8, 1), (6.0, 3), (1.1, 1), (1.1, 1)):
@@ -291,9 +289,7 @@ def test_a_serial_device_answers_in_order() -> None:
 
 @pytest.mark.parametrize("start_s", [26.60000000000002, 28.600000000000012, 62.300000000000054])
 def test_a_late_answer_stops_no_clock_whatever_the_rounding(start_s: float) -> None:
-    """Times that the rule machine found: a deadline and a late
-    answer, one step of rounding apart.
-    """
+    """Times that the rule machine found: deadline and late answer, one rounding step apart."""
     clock = MovingClock()
     with Stand(clock) as stand:
         bath = stand.bath()
@@ -309,9 +305,7 @@ def test_a_late_answer_stops_no_clock_whatever_the_rounding(start_s: float) -> N
 @pytest.mark.parametrize("name", ["watlow-pm-map1", "watlow-pm-map2"])
 @pytest.mark.parametrize("temp_c", [20.01, 20.03, 25.07, 33.03])
 def test_words_turned_behind_our_back_are_never_a_value(name: str, temp_c: float) -> None:
-    """20.03 degC with its words the other way round is 0.06 degC, which a bath may have; the set
-    point tells.
-    """
+    """20.03 degC with its words swapped is 0.06 degC, which a bath may have."""
     with Stand(MovingClock(), profile=load_register_profile(name)) as stand:
         bath = stand.bath()
         bath.set_point(25.5)

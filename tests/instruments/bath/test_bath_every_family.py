@@ -33,9 +33,7 @@ ALIKE = {  # nothing that may be read for certain tells them apart
 def met(
     name: str, other: str | None = None, *, fault: str = ""
 ) -> Iterator[tuple[Watched, str, RegisterProfile, VirtualClock]]:
-    """A controller of the family ``other`` (its own by default), and the profile ``name`` to meet
-    it with, over TCP.
-    """
+    """A controller of the family ``other``, and the profile ``name`` to meet it with, by TCP."""
     clock, plant = VirtualClock(), calm_plant()
     served = load_register_profile(other or name).model_copy(update=BOTH)
     emulator = Watched(plant, served, clock)

@@ -17,9 +17,7 @@ from instruments.camera.quality import edge_blur_px, level_dn, missing_rows, sat
 def edges(
     blur_px: float, *, contrast: float = 120.0, noise_dn: float = 0.5, seed: int = 1
 ) -> NDArray[np.uint8]:
-    """Slanted dark bars on grey behind a lens of that blur: each edge is the integral of a normal
-    distribution.
-    """
+    """Slanted dark bars behind a lens of that blur: each edge is the integral of a normal one."""
     y, x = np.mgrid[0:160, 0:160].astype(np.float64)
     across = ((x + 0.17 * y) / np.hypot(1.0, 0.17)) % 60.0
     wall = ndtr((across - 15.0) / blur_px) - ndtr((across - 45.0) / blur_px)

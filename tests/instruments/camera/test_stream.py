@@ -25,9 +25,7 @@ SIZES = {"left": (96, 128), "right": (96, 128), "thermal": (48, 64)}
 
 @dataclass
 class Counting:
-    """Cameras whose pictures tell their number: each is 40 + 10 x n bright, n beginning again after
-    20.
-    """
+    """Cameras whose pictures tell their number: 40 + 10 x n bright, from 0 again after 20."""
 
     clock: RealClock
     taken: int = 0

@@ -47,9 +47,7 @@ def renamed(**names: str) -> ArmIdentity:
 
 
 class Hand:
-    """Holds the tip at ``point`` with the stylus upright, or leaves it on its peg; ``drift`` mm
-    along x a second.
-    """
+    """Holds the tip at ``point``, stylus upright, or leaves it; ``drift`` mm along x a second."""
 
     def __init__(self, clock: Clock, point: Floats | None = None) -> None:
         self.clock = clock

@@ -57,9 +57,7 @@ def test_a_stream_without_a_keyboard_is_read() -> None:
 
 
 class WindowsConsole:
-    """What kbhit, getwch and putwch are there: keys that were
-    pressed, and what the screen shows.
-    """
+    """What kbhit, getwch and putwch are there: keys pressed, and what the screen shows."""
 
     def __init__(self) -> None:
         self.pressed: list[str] = []

@@ -235,9 +235,7 @@ class StageRules(RuleBasedStateMachine):
 
     @invariant()
     def no_move_before_homing(self) -> None:
-        """As the board knows it itself, which it doesn't tell the driver (the classic one never
-        does).
-        """
+        """As the board knows it, which it does not tell the driver (the classic one never does)."""
         if hasattr(self, "bench"):
             board = self.emulator._controller
             assert board.homed or board.carriage.homing or not board.moving
