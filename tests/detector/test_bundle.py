@@ -72,17 +72,6 @@ def calibrated(seed: int) -> Calibration:
     return Calibration(*lenses, *seen_by, world.covariance, record)
 
 
-@pytest.mark.slow
-def test_repeated_calibrations_scatter_as_each_says() -> None:
-    """The mean squared normalised error is about 1."""
-    squared = []
-    for stated in map(calibrated, range(8)):
-        off = stated.place(*thesis_rig().project(POINTS[:1]))[0] - POINTS[0]
-        squared.append(off @ np.linalg.solve(stated.covariance_of(POINTS[:1])[0], off) / 3)
-    # chi-square of 24: its mean is 1, its standard deviation 0.29
-    assert 0.4 < np.mean(squared) < 2.0
-
-
 def drawn(pair: Calibration, draw: Array) -> Pair:
     """With parameters off by one draw from the covariance."""
     assert pair.covariance

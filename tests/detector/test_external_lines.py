@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from detector.calibration import Calibration
 from detector.external.lines import (
@@ -20,7 +18,6 @@ from detector.external.lines import (
     context_in,
     parse_answer,
     request_line,
-    shown,
 )
 from detector.protocol import CamerasOff, Context, Detection, Teat, Visit
 
@@ -155,36 +152,3 @@ def test_the_first_line_says_device_and_training() -> None:
             check_ready(b'{"ready": true, "trained_on": %s}' % wrong.encode())
     with pytest.raises(GarbledLine, match='"device" of its first line is 3, not text'):
         check_ready(b'{"ready": true, "device": 3}')
-
-
-anything = st.recursive(
-    # of a few characters: to list all that there are takes hypothesis seconds
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text('aé"\\{\n', max_size=5),
-    lambda inner: (
-        st.lists(inner, max_size=4)
-        | st.dictionaries(st.sampled_from(["world_mm", "left_px", "right_px", "x"]), inner)
-    ),
-    max_leaves=12,
-)
-
-
-@pytest.mark.slow
-@given(
-    st.fixed_dictionaries(
-        {"frame": st.just("7")},
-        optional={"teats": anything, "hidden": anything, "reason": anything},
-    )
-)
-def test_any_json_is_an_answer_or_refused(rig: Calibration, answer: dict[str, Any]) -> None:
-    try:
-        found = parse_answer(json.dumps(answer).encode(), "7", rig)
-    except BadAnswer:
-        return
-    assert all(teat.world_mm.shape == (3,) for teat in found.teats)
-
-
-@given(st.binary(max_size=60))
-def test_any_bytes_are_refused(rig: Calibration, data: bytes) -> None:
-    with pytest.raises(GarbledLine):
-        parse_answer(data, "7", rig)
-    assert len(shown(data)) <= 80

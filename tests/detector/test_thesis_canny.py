@@ -32,25 +32,6 @@ def test_a_straight_step_gives_one_edge_on_the_step(at: int, turned: bool) -> No
     assert len(rows) == len(set(rows.tolist()))
 
 
-def test_a_slanted_step_is_followed_within_a_pixel() -> None:
-    y, x = np.mgrid[:240, :320]
-    distance = (x - 160 + 0.35 * (y - 120)) / np.hypot(1, 0.35)
-    mask = edges(np.where(distance > 0, 220, 60).astype(np.uint8), sigma=4.0).mask
-    mask[[0, 1, 2, -3, -2, -1]] = False  # the border's replicated pixels bend the gradient there
-    assert np.abs(distance[mask]).max() <= 1
-    assert mask[20:220].any(axis=1).all()
-
-
-def test_a_disc_is_a_closed_thin_ring() -> None:
-    y, x = np.mgrid[:300, :300]
-    mask = edges(np.where(np.hypot(x - 150, y - 150) < 70, 20, 210).astype(np.uint8)).mask
-    radii = np.hypot(*(np.argwhere(mask) - 150).T)
-    assert np.ptp(radii) < 3
-    assert ndimage.label(mask, np.ones((3, 3)))[1] == 1
-    assert not ndimage.binary_fill_holes(mask)[0, 0]
-    assert ndimage.binary_fill_holes(mask)[150, 150]
-
-
 @pytest.mark.parametrize("shape", [(1, 1), (1, 50), (2, 2), (3, 3), (120, 160)])
 def test_flat_and_tiny_pictures_do_no_harm(shape: tuple[int, int]) -> None:
     for grey in (0, 128, 255):
@@ -124,9 +105,3 @@ def test_thinning_keeps_every_piece_and_every_hole(seed: int) -> None:
     assert not (thin & ~mask).any()
     assert ndimage.label(thin, np.ones((3, 3)))[1] == ndimage.label(mask, np.ones((3, 3)))[1]
     assert ndimage.label(~np.pad(thin, 1))[1] == ndimage.label(~np.pad(mask, 1))[1]
-
-
-def test_thinning_makes_a_double_line_single() -> None:
-    mask = np.zeros((20, 20), dtype=np.bool_)
-    mask[4:16, 9:11] = True
-    assert thin_once(mask)[6:14].sum(axis=1).tolist() == [1] * 8

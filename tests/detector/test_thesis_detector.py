@@ -127,34 +127,6 @@ def flat(shape: tuple[int, int], grey: int, warm: Any = np.s_[:0]) -> NDArray[np
     return picture
 
 
-GREY, FOR = "the left picture must be a grey picture", "the calibration is for"
-KELVIN = "the radiometric thermal"
-BAD: list[tuple[dict[str, Any], str]] = [
-    ({"thermal": flat((1, 1), 0)}, f"the thermal picture is 1 x 1, {FOR} 640 x 480"),
-    ({"left": flat((1, 1), 0)}, f"the left picture is 1 x 1, {FOR} 1360 x 1024"),
-    ({"right": flat((1360, 1024), 0)}, f"the right picture is 1024 x 1360, {FOR} 1360 x 1024"),
-    ({"left": np.zeros((1024, 1360, 3), dtype=np.uint8)}, GREY),
-    ({"left": np.zeros((0,), dtype=np.uint8)}, GREY),
-    ({"right": np.zeros((1024, 1360))}, "must have 8-bit or 16-bit pixels"),
-    ({"thermal": None}, "there is no thermal picture"),
-    ({"thermal": None, "thermal_k": np.full((120, 160), np.nan)}, "finite kelvin"),
-    (
-        {"thermal": None, "thermal_k": np.zeros((2, 2))},
-        f"{KELVIN} picture is 2 x 2, {FOR} 160 x 120",
-    ),
-    ({"thermal": None, "thermal_k": np.zeros(7)}, f"{KELVIN} picture is 7, {FOR} 160 x 120"),
-    ({"thermal": None, "thermal_k": np.full((120, 160), 300.0)}, "no vertical line"),
-    ({"thermal": flat((480, 640), 0)}, "no vertical line"),
-    ({"thermal": flat((480, 640), 255)}, "no vertical line"),
-    ({"thermal": flat((480, 640), 200, np.s_[240:])}, ""),
-]
-
-
-@pytest.mark.parametrize(("change", "reason"), BAD)
-def test_bad_frames(frames: Any, rig: Calibration, change: dict[str, Any], reason: str) -> None:
-    assert reason in refused(frames, rig, **change)
-
-
 def test_tall_edges_without_tops_are_no_teats(frames: Any, rig: Calibration) -> None:
     tall = flat((480, 640), 200, np.s_[:, 200:260])
     found = ThesisDetector().detect(replace(frames, thermal=tall), rig)

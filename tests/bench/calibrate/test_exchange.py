@@ -8,9 +8,6 @@ import json
 import math
 import os
 import re
-import subprocess
-import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +16,6 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from bench.calibrate import mat_values
 from bench.calibrate.exchange import read_foreign, write_bouguet, write_opencv, write_ros
 from bench.config import ConfigError
 from bench.rig.loading import RIGS
@@ -322,8 +318,6 @@ def read_mutants(kind: str, count: int, folder: Path, seed: int = 0) -> tuple[in
 
 
 TEXTS = ("opencv", "ros", "kalibr")
-PART = 250
-WEEKLY = {"opencv": 10, "ros": 10, "kalibr": 10, "bouguet": 8, "matlab": 2}  # parts
 
 
 @pytest.mark.slow
@@ -331,41 +325,6 @@ WEEKLY = {"opencv": 10, "ros": 10, "kalibr": 10, "bouguet": 8, "matlab": 2}  # p
 def test_mutants_of_each_format_are_read_or_named(kind: str, tmp_path: Path) -> None:
     read, said = read_mutants(kind, examples(15) if kind in TEXTS else 2, tmp_path)
     assert read or said
-    assert all("calib." in each for each in said)
-
-
-def forked(command: list[str], **_: object) -> subprocess.CompletedProcess[bytes]:
-    """The same program by a fork, which has the library in it already."""
-    files = [tempfile.TemporaryFile() for _ in range(2)]  # noqa: SIM115 - closed below
-    if (child := os.fork()) == 0:
-        for number, file in zip((1, 2), files, strict=True):
-            os.dup2(file.fileno(), number)
-        sys.stdout, sys.stderr = (os.fdopen(number, "w", closefd=False) for number in (1, 2))
-        code = mat_values.main(command[-1])
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
-    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    said = []
-    for file in files:
-        file.seek(0)
-        said.append(file.read())
-        file.close()
-    return subprocess.CompletedProcess(command, code, *said)
-
-
-@pytest.mark.weekly
-@pytest.mark.parametrize(
-    ("kind", "seed"),
-    [(kind, seed) for kind, parts in WEEKLY.items() for seed in range(1, parts + 1)],
-)
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="a process a file takes hours without fork")
-def test_ten_thousand_mutants_are_read_or_named(
-    kind: str, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("bench.calibrate.foreign.subprocess.run", forked)
-    read, said = read_mutants(kind, PART, tmp_path, seed)
-    print(kind, PART, "read", read, "kinds of refusal", len(said))
     assert all("calib." in each for each in said)
 
 

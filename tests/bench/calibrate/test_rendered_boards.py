@@ -1,14 +1,13 @@
 """Boards before the emulated cameras, rendered, found and calibrated: what was put in comes back
-within what is claimed, over four seeds, and weekly over twenty.
+within what is claimed, weekly over twenty seeds.
 
-The emulated rig's own cameras and sensors at half their size in pixels. Corners miss by noise and by what the corner finder makes of a picture; both are new with
-every pose. A chi-square over all parameters says whether the stated covariance is right, no more
+The emulated rig's own cameras and sensors at half their size in pixels. Corners miss by noise and
+by what the corner finder makes of a picture; both are new with every pose. A chi-square over all parameters says whether the stated covariance is right, no more
 and no less.
 """
 
 from __future__ import annotations
 
-import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
@@ -30,9 +29,9 @@ from instruments.world.state import SceneState
 from tests.bench.calibrate.small_rig import small_calibration
 from tests.detector.boards_seen import missed
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.weekly
 
-SEEDS, VIEWS = 20 if os.environ.get("TEATBENCH_WEEKLY") else 4, 8
+SEEDS, VIEWS = 20, 8
 BOARD = Board("chessboard", 9, 6, 40.0)
 DEPTHS_MM = (500.0, 1200.0)
 

@@ -96,6 +96,9 @@ def test_learn_counts_no_number_that_no_bath_has(bath: Served, tmp_path: Path, s
     mine = tmp_path / "mine.toml"
     text = text.replace('address = 15\ntype = "f32"', 'address = 16\ntype = "f32"')
     mine.write_text(text, encoding="utf-8")
+    # half of 41C7 AE14 is no temperature; of 41C7 FFCC, which 25 degC cools to, not-a-number
+    bath.plant.ambient_c = 24.96
+    bath.plant.be_at(24.96)
     out = said(0, "bath learn {}", [*bath.at[:3], str(mine)]).out
     assert re.search(
         r"^\? safety +input 16, f32: can't be its value \(got [0-9A-F ]+\)$", out, re.M

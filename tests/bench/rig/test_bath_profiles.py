@@ -31,18 +31,6 @@ def rig_of(folder: Path, profile: str, more: str = "", *, relay: bool = False) -
 
 @pytest.mark.slow
 @pytest.mark.parametrize("profile", profile_names())
-def test_check_works_with_every_profile(
-    tmp_path: Path, profile: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["check", str(rig_of(tmp_path, profile))]) == 0
-    said = capsys.readouterr().out
-    _, _, of_the_bath = said.partition("bath: ok\n")
-    assert "  temperature: 20.0" in of_the_bath
-    assert f"family: {load_rig(tmp_path / 'rig.toml').profile.family}" in of_the_bath
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("profile", profile_names())
 def test_every_profile_warms_the_teats(tmp_path: Path, profile: str) -> None:
     clock = VirtualClock()
     own = load_profile(profile).capabilities.pump == "none"

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from tests.bench.calibrate.arm_terminal import Terminal, at_terminal
-from tests.bench.operated_runs import CHECK_POINT, SCRIPT, files, run_of, texts
+from tests.bench.operated_runs import CHECK_POINT, SCRIPT, files, run_of
 
 pytestmark = pytest.mark.skipif(
     sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not"
@@ -66,44 +66,6 @@ def test_a_new_user_gets_through_a_run(tmp_path: Path) -> None:
     assert record.ending == "finished", terminal.text
     assert [row["visible"] for row in record.trials[0].truth] == [1, 0, 1, 0]
     assert [row["reason"] for row in record.skipped] == ["the hose came off"]
-
-
-def safe(note: str, tmp_path: Path) -> None:
-    """The run was aborted, for the reason that was ``told``, and the bath was made safe."""
-    record = run_of(tmp_path)
-    assert record.ending == "aborted"
-    assert any(note in text for text in texts(record, "aborted"))
-    assert any("bath" in text for text in texts(record, "safe"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("key", "note", "prompt"),
-    [
-        ("a\n", "the operator aborted the run", ""),
-        ("\x04", "the terminal gives no more input", ""),
-        ("\x03", "Ctrl-C", "[trial 1 of 2; "),
-    ],
-    ids=["its key", "Ctrl-D", "Ctrl-C amid a trial"],
-)
-def test_an_abort_ends_the_run_in_safe(key: str, note: str, prompt: str, tmp_path: Path) -> None:
-    with started(tmp_path) as terminal:
-        if prompt:
-            answer(terminal, "on its peg")
-        terminal.expect(prompt)
-        terminal.expect(ABORT_KEY)
-        terminal.press(key)
-        assert terminal.code() == 3
-    assert "Traceback" not in terminal.text
-    safe(note, tmp_path)
-
-
-@pytest.mark.slow
-def test_a_terminal_that_closes_ends_the_run_in_safe(tmp_path: Path) -> None:
-    with started(tmp_path) as terminal:
-        terminal.expect(ABORT_KEY)
-        assert terminal.hang_up() == 3
-    safe("", tmp_path)
 
 
 @pytest.mark.slow

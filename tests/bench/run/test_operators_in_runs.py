@@ -92,14 +92,6 @@ def test_a_script_that_does_not_fit_the_run_faults_it(
 
 
 @pytest.mark.slow
-def test_an_answer_may_abort_the_run(tmp_path: Path) -> None:
-    answers = f"{WILLING}set up (trial 2 of 3): abort\n"
-    record = record_of(tmp_path, operator=SCRIPTED, answers=answers)
-    assert (record.ending, len(record.trials)) == ("aborted", 1)
-    assert texts(record, "aborted") == ["the operator aborted the run"]
-
-
-@pytest.mark.slow
 def test_in_real_time_the_clock_of_the_bench_is_that_of_the_wall(tmp_path: Path) -> None:
     """Under virtual time the wall's passes by a second or two."""
     files(tmp_path, emulation="prompt_s = 1.0", script=ONE)
@@ -111,18 +103,6 @@ def test_in_real_time_the_clock_of_the_bench_is_that_of_the_wall(tmp_path: Path)
     wall_s = np.ptp([datetime.fromisoformat(event["wall_time"]).timestamp() for event in ends])
     assert bench_s > 4.0
     assert wall_s == pytest.approx(bench_s, abs=2.0)
-
-
-@pytest.mark.slow
-def test_an_interlock_ends_a_prompt_of_the_emulated_operator(tmp_path: Path) -> None:
-    fault = '[[emulation.faults]]\ninstrument = "bath"\nname = "silence"\nat_s = 100.0'
-    record = record_of(tmp_path, emulation=f"prompt_s = 600.0\n{fault}")
-    assert record.ending == "faulted"
-    assert record.facts["trip"]["rule"] == "communications lost"
-    assert record.events[-1]["t_s"] < 300.0, (
-        "long before the ten minutes that the operator would have taken"
-    )
-    assert not record.trials
 
 
 POSES = (PlatePose(12.0, -8.0), PlatePose(-15.0, 0.0, 6.0, float(np.radians(4.0))), PlatePose())
@@ -173,16 +153,6 @@ def test_without_a_stage_a_script_of_answers_is_asked_for_every_pose(
     at = "[trial 2 of 3, teat 4 of 4, 1 of 4 touches left; less than a minute left]"
     assert f"{at} Touch the end of teat 4, left front (LF), with" in capsys.readouterr().out
     assert record.folder.joinpath("answers.txt").read_text(encoding="utf-8") == answers
-
-
-@pytest.mark.slow
-def test_a_mistake_of_the_hand_is_noticed_and_does_not_get_into_the_truth(tmp_path: Path) -> None:
-    """The wrong teat is tried with the truth (`test_truth_runs`)."""
-    record = record_of(tmp_path, emulation='mistakes = ["forgotten teat"]')
-    assert record.ending == "finished", texts(record, "fault")
-    refused = [row for trial in record.trials for row in trial.touches if row["refused"]]
-    assert [(row["trial"], row["teat"]) for row in refused] == [(record.trials[0].id, "2")]
-    assert np.linalg.norm(touched_ends(record) - WANTED, axis=2).max() < 2.0
 
 
 @pytest.mark.slow

@@ -332,7 +332,6 @@ def test_the_emulated_operator_sets_the_whole_scene_up(tmp_path: Path) -> None:
 
 
 PAGE = (ROOT / "docs" / "trials.md").read_text(encoding="utf-8")
-EXAMPLES = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
 ELSEWHERE = {"title", "about", "source", "kind", "layout"}  # as in every script, or said in words
 
 

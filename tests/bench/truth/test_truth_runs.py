@@ -220,17 +220,6 @@ def test_what_was_invalidated_is_in_no_count_and_plain_to_see(slipped: Done) -> 
     assert recorded == {trial.id for trial in run.counted}
 
 
-def test_a_ball_tip_gives_the_same_ends(tmp_path: Path) -> None:
-    ball = done(
-        shipped_rig(tmp_path, arm="tip_radius_mm = 3.0"),
-        script_in(tmp_path, 'mode = "touch"\nreadings = 4', ""),
-        tmp_path,
-    )
-    assert np.linalg.norm(ball.off_mm, axis=1).max() < 0.8, "not corrected it would be 3 mm"
-    assert len(ball.run.trials[0].touches) == 16
-    assert "tip radius" in ball.page
-
-
 def test_a_mistake_of_the_operator_is_noticed_and_put_right(tmp_path: Path) -> None:
     wrong = done(
         shipped_rig(tmp_path, emulation='mistakes = ["wrong teat"]'),

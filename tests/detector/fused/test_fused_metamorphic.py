@@ -152,10 +152,8 @@ def test_frames_turned_over_give_the_same_ends(
     [
         ("tilt", 30.0),
         ("tilt", -30.0),
-        ("roll", 37.0),
         ("roll", -90.0),
         ("roll", 180.0),
-        ("away", 650.0),
         ("away", 1600.0),
         ("baseline", 60.0),
         ("baseline", 240.0),
@@ -231,14 +229,6 @@ def test_another_world_turns_the_answers(frames: Any, plain: Detection, rig: Cal
         assert np.allclose(
             turn.R @ before.covariance_mm2 @ turn.R.T, after.covariance_mm2, atol=1e-9
         )
-
-
-def test_same_frames_give_the_same_answer(frames: Any, plain: Detection, rig: Calibration) -> None:
-    again = FusedDetector().detect(frames, rig)
-    assert all(
-        np.array_equal(a.world_mm, b.world_mm)
-        for a, b in zip(plain.teats, again.teats, strict=True)
-    )
 
 
 @pytest.mark.slow

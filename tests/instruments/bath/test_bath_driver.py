@@ -9,7 +9,7 @@ import math
 import pytest
 
 from instruments.bath.driver import Bath
-from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
+from instruments.errors import LimitError, LinkError, ProtocolError
 from tests.instruments.bath.devices import Stand
 
 
@@ -80,26 +80,6 @@ def test_a_row_that_the_family_lacks(stand: Stand) -> None:
 
 
 # ---- refusals at the first look
-
-
-@pytest.mark.parametrize(
-    ("fault", "error", "message"),
-    [
-        ("silence", LinkError, r"no answer \(asked holding register 93, after 2 s\)"),
-        ("busy", DeviceError, r"it is busy \(asked holding .* 93, got Modbus exception 6\)"),
-        ("wrong length", ProtocolError, "0 registers were answered where 1 were asked"),
-    ],
-)
-def test_a_controller_that_does_not_fit_is_refused(
-    stand: Stand, fault: str, error: type[InstrumentError], message: str
-) -> None:
-    stand.emulator.fault(fault)
-    stand.clock.sleep(1.0)
-    with pytest.raises(error, match=message):
-        stand.bath()
-    assert not stand.emulator.writes()
-    stand.emulator.fault(fault, on=False)
-    assert stand.bath().read().temp_c == pytest.approx(20.0, abs=0.05)
 
 
 def test_an_unknown_order_code_is_refused(stand: Stand) -> None:

@@ -173,11 +173,6 @@ def test_bytes_may_be_cut_anywhere(cuts: list[int]) -> None:
     assert answers_to(*(STREAM[a:b] for a, b in itertools.pairwise(edges))) == SAID
 
 
-def test_bytes_one_by_one_and_with_a_rest() -> None:
-    assert answers_to(*(bytes((byte,)) for byte in STREAM)) == SAID
-    assert answers_to(STREAM + STREAM[:5]) == SAID
-
-
 @pytest.mark.slow
 @settings(max_examples=examples(60))
 @given(pdu=st.binary(min_size=1, max_size=253))
@@ -190,22 +185,6 @@ def test_any_request_gets_one_whole_answer(pdu: bytes) -> None:
 
 
 # ---- Modbus RTU
-
-# From the serial-line guide (status query to unit 2) and Modbus primers that many a maker prints.
-GOLDEN = [
-    "02 07 41 12",
-    "01 04 02 FF FF B8 80",
-    "11 03 00 6B 00 03 76 87",
-    "11 06 00 01 00 03 9A 9B",
-    "11 05 00 AC FF 00 4E 8B",
-]
-
-
-@pytest.mark.parametrize("frame", GOLDEN)
-def test_check_sums_as_printed(frame: str) -> None:
-    data = bytes.fromhex(frame)
-    assert framed(data[0], data[1:-2]) == data
-    assert crc(data) == 0
 
 
 @given(data=st.binary(max_size=256))

@@ -138,25 +138,6 @@ def test_a_controller_in_fahrenheit_is_refused(name: str) -> None:
         assert emulator.writes() == []
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_unit_changed_behind_our_back_is_noticed_and_nothing_written(name: str) -> None:
-    with (
-        met(name) as (emulator, url, profile, clock),
-        closing(Bath(url, profile, clock, unit_confirmed=True)) as bath,
-    ):
-        emulator.fault("fahrenheit")
-        for call in (
-            bath.read,
-            lambda: bath.get("set_point"),
-            lambda: bath.set_point(33.0),
-            lambda: bath.start(33.0),
-        ):
-            with pytest.raises(InstrumentError, match=r"degC|degF"):
-                call()
-        assert emulator.writes() == []
-        bath.safe()  # standby alone needs no unit
-
-
 # ---- order of words
 
 FLOATS = [name for name in NAMES if load_register_profile(name).row("temperature").words == 2]
@@ -189,25 +170,6 @@ def test_words_the_other_way_round_are_refused_or_found(name: str) -> None:
             ):
                 Bath(url, profile, clock)
         assert emulator.writes() == []
-
-
-@pytest.mark.parametrize("name", FLOATS)
-def test_words_turned_behind_our_back_are_noticed_and_nothing_written(name: str) -> None:
-    with (
-        met(name) as (emulator, url, profile, clock),
-        closing(Bath(url, profile, clock, unit_confirmed=True)) as bath,
-    ):
-        emulator.fault("word order")
-        changed = r"order of bytes has changed \(asked encoding, got 3\)"
-        with pytest.raises(ProtocolError, match=changed if name == LEARNT else "can't be"):
-            bath.set_point(33.0)
-        assert emulator.writes() == []
-        if name == LEARNT:
-            assert bath.read().temp_c == pytest.approx(20.0)
-        else:
-            with pytest.raises(ProtocolError):
-                bath.read()
-        bath.safe()
 
 
 # ---- what a family can do

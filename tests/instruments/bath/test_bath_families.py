@@ -123,28 +123,6 @@ def test_eurotherm_ramp_output_limit_and_rate(profile: str) -> None:
 # ---- Watlow: 1.3
 
 
-@pytest.mark.parametrize(
-    ("profile", "set_point", "mode", "power"),
-    [(WATLOWS[0], "0870", "0758", 1904), (WATLOWS[1], "0A50", "0938", 2384)],
-)
-def test_watlow_maps(profile: str, set_point: str, mode: str, power: int) -> None:
-    controller = Asked(profile)
-    # 360: 20.0 with the low word first; off
-    controller.talk(f"""
-        03 0168 0002 > 03 04 00 00 41 A0
-        04 0168 0002 > 04 04 00 00 41 A0
-        03 {mode} 0001 > 03 02 00 3E
-        10 {set_point} 0002 04 0000 4204 > 10 {set_point[:2]} {set_point[2:]} 00 02
-        06 {mode} 000A > 06 {mode[:2]} {mode[2:]} 00 0A
-    """)
-    assert (controller.plant.running, controller.plant.set_point_c) == (True, 33.0)
-    controller.clock.sleep(60.0)
-    controller.ask("03 0168 0002")
-    assert controller.float(power, low_first=True) == 100.0
-    controller.talk(f"06 {mode} 003E > 06 {mode[:2]} {mode[2:]} 00 3E")
-    assert not controller.plant.running
-
-
 def test_watlow_speaks_fahrenheit_until_it_is_set() -> None:
     controller = Asked(WATLOWS[0], as_shipped=True)
     assert controller.float(360, low_first=True) == pytest.approx(68.0)

@@ -1,4 +1,4 @@
-"""Profiles: what ships against the fact sheet, bytes on the wire typed from it, what is refused and with which
+"""Profiles: what ships against the fact sheet, what is refused and with which
 words, and numbers against bytes typed from the documents."""
 
 from __future__ import annotations
@@ -12,12 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from instruments.bath.profile import load_register_profile
-from instruments.bath.register_access import RegisterAccess
-from instruments.bath.requests import blocks, markers
+from instruments.bath.requests import markers
 from instruments.bath.rows import WORDS, Kind, Order, decode, encode
 from instruments.device_file import DeviceFileError
 from tests.instruments.bath.devices import REGISTER_FAMILIES
-from tests.instruments.bath.far_end import bath_on, rtu, shown_by
 
 ORDERS: list[Order] = ["ABCD", "CDAB", "BADC", "DCBA"]
 
@@ -63,14 +61,6 @@ def faults_of(folder: Path, text: str) -> tuple[tuple[str, str], ...]:
         load_register_profile(written(folder, text))
     assert str(written(folder, text)) in str(caught.value)
     return tuple((".".join(map(str, at)), said) for at, said in caught.value.faults)
-
-
-def test_the_prestos_poll_is_three_questions_or_seven_without_gaps() -> None:
-    profile = load_register_profile("julabo-presto")
-    asked = [(block.function, block.address, block.count) for block in blocks(profile, gaps=True)]
-    assert asked == [(3, 0, 11), (3, 90, 4), (4, 5, 12)]
-    asked_apart = [(block.address, block.count) for block in blocks(profile, gaps=False)]
-    assert asked_apart == [(0, 1), (2, 2), (10, 1), (90, 1), (93, 1), (5, 3), (10, 7)]
 
 
 VALUES, RANGE = "values = { standby = 0, started = 1 }", "range = [5.0, 36.0]"
@@ -216,41 +206,6 @@ def test_what_does_not_fit_the_registers_is_refused() -> None:
         encode(math.nan, "i16", "ABCD")
 
 
-@pytest.mark.parametrize(
-    ("name", "functions", "order", "transports", "pump", "comms_loss"),
-    [
-        ("eurotherm-2400", (3, 4, 16), "ABCD", ("rtu",), "none", "hold"),
-        ("eurotherm-3200", (3, 4, 16), "ABCD", ("rtu",), "none", "hold"),
-        ("julabo-magio", (3, 4, 6, 16), "ABCD", ("tcp",), "with run", "hold"),
-        ("julabo-presto", (3, 4, 6, 16), "ABCD", ("tcp",), "with run", "hold"),
-        ("omega-cn7", (2, 3, 5, 6), "ABCD", ("rtu",), "none", "unknown"),
-        ("watlow-pm-map1", (3, 4, 6, 16), "CDAB", ("rtu", "tcp"), "none", "hold"),
-        ("watlow-pm-map2", (3, 4, 6, 16), "CDAB", ("rtu", "tcp"), "none", "hold"),
-    ],
-)
-def test_each_familys_ways(
-    name: str,
-    functions: tuple[int, ...],
-    order: str,
-    transports: tuple[str, ...],
-    pump: str,
-    comms_loss: str,
-) -> None:
-    profile = load_register_profile(name)
-    seen = (profile.functions, profile.order, profile.transports)
-    assert seen == (functions, order, transports)
-    assert (profile.capabilities.pump, profile.comms_loss) == (pump, comms_loss)
-    assert profile.comms_loss_evidence == "INFERRED"
-    fitted = profile.capabilities
-    expected = ("alarm", True, True) if "julabo" in name else ("none", False, False)
-    assert (fitted.level, fitted.external_sensor, fitted.safety_sensor) == expected
-    assert profile.timeout_s >= 1.0
-    written = [row for row in profile.rows if row.access != "r"]
-    assert all(row.values or row.range for row in written)
-    assert {"run", "set_point"} <= {row.name for row in written}
-    assert profile.row("set_point").range == (5.0, 36.0)
-
-
 def test_no_code_of_a_mode_that_may_do_harm_can_be_written() -> None:
     assert load_register_profile("eurotherm-3200").row("run").values == {"started": 0, "standby": 1}
     assert load_register_profile("eurotherm-3200").row("run").refusal(2.0) is not None
@@ -262,22 +217,6 @@ def test_no_code_of_a_mode_that_may_do_harm_can_be_written() -> None:
     assert load_register_profile("omega-cn7").row("control").refusal(2.0) is not None
 
 
-def test_a_polls_questions() -> None:
-    asked = {
-        name: [
-            (b.function, b.address, b.count) for b in blocks(load_register_profile(name), gaps=True)
-        ]
-        for name in REGISTER_FAMILIES
-    }
-    assert asked["eurotherm-3200"] == [(3, 75, 1), (3, 199, 1), (3, 516, 1), (3, 0x8002, 10)]
-    omega = [(2, 0x0810, 5), (3, 0x1000, 2), (3, 0x1012, 1), (3, 0x102E, 1)]
-    assert asked["omega-cn7"] == omega
-    watlow = [(3, 360, 2), (3, 1880, 1), (3, 1904, 2), (3, 2160, 2), (3, 2490, 1), (3, 2510, 1)]
-    assert asked["watlow-pm-map1"] == watlow
-    with_inferred = blocks(load_register_profile("watlow-pm-map1"), gaps=True, inferred=True)
-    assert [block.address for block in with_inferred] == [360, 1496, 1880, 1904, 2160, 2490, 2510]
-
-
 @pytest.mark.parametrize("name", [name for name in REGISTER_FAMILIES if "julabo" not in name])
 def test_there_are_shapes_enough_to_prove_a_line_clean(name: str) -> None:
     """Whatever one question is owed, another is left that can't be taken for it."""
@@ -286,19 +225,7 @@ def test_there_are_shapes_enough_to_prove_a_line_clean(name: str) -> None:
     )
 
 
-# ---- bytes, typed from the fact sheet: function, address, count; 33.0 is 4204 0000, 1.001 is 3F80 20C5, 75.0 is 4296 0000
-
-
-def asked_by(name: str, row: str, answer: str) -> tuple[bytes, float]:
-    """The one question that reads ``row``, and what the driver makes of the frame ``answer``."""
-    with shown_by({}) as (far_end, url):
-        rows = RegisterAccess(url, load_register_profile(name), far_end.clock, who="bath")
-        rows.wire.connect()
-        far_end.spoils = [lambda _: rtu(answer)]
-        value = rows.value(rows.row(row))
-        rows.wire.close()
-    assert len(far_end.asked) == 1
-    return far_end.asked[0], value
+# ---- what is read before the first write, at 20 degC, as other tests here hold it
 
 
 EUROTHERM_MEMORY = {122: 0x2416, 199: 1, 0x8002: 0x41A0, 0x8004: 0x41A0}  # all else 0
@@ -309,62 +236,3 @@ BROWSED = {
     "watlow-pm-map1": WATLOW_MEMORY,
     "omega-cn7": OMEGA_MEMORY,
 }
-
-
-@pytest.mark.parametrize(
-    ("name", "row", "question", "answer", "value"),
-    [
-        ("eurotherm-2400", "temperature", "03 8002 0002", "01 03 04 3F80 20C5", 1.001),
-        ("eurotherm-2400", "set_point", "03 8004 0002", "01 03 04 4204 0000", 33.0),
-        ("eurotherm-2400", "status", "03 004B 0001", "01 03 02 0020", 32.0),
-        ("eurotherm-2400", "run", "03 00C7 0001", "01 03 02 0001", 1.0),
-        ("watlow-pm-map1", "temperature", "03 0168 0002", "01 03 04 0000 4296", 75.0),
-        ("watlow-pm-map1", "run", "03 0758 0001", "01 03 02 003E", 62.0),
-        ("omega-cn7", "temperature", "03 1000 0001", "01 03 02 014A", 33.0),
-        ("omega-cn7", "temperature", "03 1000 0001", "01 03 02 FFF6", -1.0),
-        ("omega-cn7", "power", "03 1012 0001", "01 03 02 01F4", 50.0),
-        ("omega-cn7", "run", "02 0814 0001", "01 02 01 01", 1.0),
-    ],
-)
-def test_questions_and_answers_by_the_byte(
-    name: str, row: str, question: str, answer: str, value: float
-) -> None:
-    asked, seen = asked_by(name, row, answer)
-    assert asked == bytes.fromhex(question)
-    assert seen == pytest.approx(value, rel=1e-7)
-
-
-@pytest.mark.parametrize(
-    ("name", "row", "value", "written"),
-    [
-        ("eurotherm-2400", "set_point", 33.0, "10 8004 0002 04 4204 0000"),
-        ("eurotherm-2400", "run", "started", "10 00C7 0001 02 0000"),
-        ("eurotherm-2400", "acknowledge", "acknowledge", "10 0112 0001 02 0001"),
-        ("eurotherm-2400", "heating_limit", 20.0, "10 803C 0002 04 41A0 0000"),
-        ("watlow-pm-map1", "set_point", 33.0, "10 0870 0002 04 0000 4204"),
-        ("watlow-pm-map1", "run", "started", "06 0758 000A"),
-        ("omega-cn7", "set_point", 33.0, "06 1001 014A"),
-        ("omega-cn7", "run", "started", "05 0814 FF00"),
-    ],
-)
-def test_writes_by_the_byte(name: str, row: str, value: float | str, written: str) -> None:
-    with bath_on(name, BROWSED[name]) as (far_end, bath):
-        bath.set(row, value)
-        bath.set(row, value)
-        bath.safe()
-    writes = [pdu for pdu in far_end.asked if pdu[0] in (5, 6, 16)]
-    assert writes[0] == bytes.fromhex(written)
-    # once, and standby; a command every time
-    assert len(writes) == (3 if row == "acknowledge" else 2)
-
-
-def test_standby_by_the_byte_whatever_is_there() -> None:
-    """A guardian that has never seen the controller: the first byte on the wire is the write."""
-    for name, written in {
-        "eurotherm-3200": "10 00C7 0001 02 0001",
-        "watlow-pm-map2": "06 0938 003E",
-        "omega-cn7": "05 0814 0000",
-    }.items():
-        with bath_on(name, {}, identify=False) as (far_end, bath):
-            bath.safe()
-        assert far_end.asked[0] == bytes.fromhex(written)

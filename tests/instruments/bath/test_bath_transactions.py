@@ -27,10 +27,6 @@ from tests.examples import examples
 from tests.instruments.bath.devices import Stand
 from tests.instruments.bath.far_end import MARKERS, FarEnd, crc, linked, right, rtu, served, virtual
 
-# about the ends of time-out, quiet and proof
-LATE_S = [0.1, 0.9, 1.1, 1.4, 1.6, 2.4, 2.6, 3.6, 7.0, 9.5]
-
-
 # ---- P1, P5: late answers
 
 
@@ -123,15 +119,6 @@ def test_p2_a_wrong_number_of_registers_is_reported(framing: str, sent: int) -> 
         ):
             link.read(3, 4, 2)
         assert link.read(3, 4, 2) == right(4, 2)
-
-
-def test_p2_a_late_block_is_no_answer_to_a_single_register() -> None:
-    with linked() as (far_end, link):
-        far_end.delays_s = [None, None]
-        with pytest.raises(LinkError):
-            link.read(3, 0, 4)
-        far_end.hosts[0].send(rtu("01 03 08 0064 00C8 012C 0190"))  # a second too late
-        assert link.read(3, 1, 1) == right(1)
 
 
 @pytest.mark.parametrize(
@@ -380,26 +367,6 @@ def real(framing: str) -> Iterator[tuple[FarEnd, Transactions]]:
         link.connect()
         stack.callback(link.close)
         yield far_end, link
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("framing", ["rtu", "tcp"])
-def test_p10_bytes_one_by_one_are_one_answer(framing: str) -> None:
-    with real(framing) as (far_end, link):
-        link.read(3, 0, 1)
-
-        def drop(frame: bytes) -> bytes:
-            for at, byte in enumerate(frame):
-                far_end.clock.call_at(
-                    far_end.clock.now() + 0.02 * at,
-                    lambda byte=byte: far_end.hosts[0].send(bytes((byte,))),  # type: ignore[misc]
-                )
-            return b""
-
-        far_end.spoils = [drop]
-        start = time.perf_counter()
-        assert link.read(3, 0, 4) == right(0, 4)
-        assert time.perf_counter() - start > 0.02 * 10
 
 
 def test_the_far_end_of_these_tests_speaks_rtu_as_printed() -> None:

@@ -1,8 +1,7 @@
 """Programs of others from PyPI against our two ends: they drive the emulators, and the driver drives what
 simulates a device there. None of them shares a line with the profiles, the driver or the emulators.
 
-julabo and huber (their makers' users), omega_controller, pyModbusTCP, modbus-tk, umodbus; minimalmodbus with
-the registers of its Eurotherm class, which is in no package that can be installed beside the present one.
+julabo and huber (their makers' users), omega_controller, pyModbusTCP; minimalmodbus is in `test_peers`.
 watlow (numat) needs an older pymodbus than ours; pywatlow speaks Watlow's own bus and no Modbus."""
 
 from __future__ import annotations
@@ -11,8 +10,6 @@ import asyncio
 import importlib
 import importlib.util
 import logging
-import socket
-import socketserver
 import struct
 import sys
 import threading
@@ -32,7 +29,6 @@ from instruments.listener import Connection, Listener
 from instruments.world.plant import Plant
 from tests.instruments.bath.devices import calm_plant
 from tests.instruments.bath.peers import Device, absent, free_port, real_time
-from tests.instruments.bath.test_peers import instrument
 
 pytestmark = pytest.mark.slow
 
@@ -163,22 +159,6 @@ def test_omega_controller_drives_an_emulated_omega() -> None:
             assert client.get_pv() is None
 
 
-def test_minimalmodbus_with_the_registers_of_its_eurotherm_class() -> None:
-    """Target 2, working set point 5, set point one 24, rate 35, manual 273; one decimal."""
-    with instrument("eurotherm-3200") as on:
-        client = on.client
-        assert client.read_register(1, 1) == 20.0
-        client.write_register(24, 33.5, 1, functioncode=16)
-        assert on.plant.set_point_c == 33.5
-        assert (client.read_register(2, 1), client.read_register(24, 1)) == (33.5, 33.5)
-        client.write_register(199, 0, functioncode=16)
-        assert on.plant.running
-        assert client.read_register(5, 1) == 33.5
-        client.write_register(35, 2.0, 1, functioncode=16)
-        assert (client.read_register(35, 1), on.plant.ramp_k_per_min) == (2.0, 2.0)
-        assert client.read_register(273) == 0
-
-
 def words(value: float) -> list[int]:
     return list(struct.unpack(">HH", struct.pack(">f", value)))
 
@@ -204,36 +184,6 @@ def test_pymodbustcp_drives_an_emulated_presto() -> None:
             assert client.write_single_register(0, 0)
             assert client.read_input_registers(1000, 2) is None
             assert client.last_except == 2
-
-
-def test_modbus_tk_drives_an_emulated_watlow() -> None:
-    """Low word first, map 1: 360, 2160, 1880 (62 off, 10 automatic), 2490 (15 degC)."""
-    master_of: Any = foreign("modbus_tk.modbus_tcp", "modbus-tk")
-    with on_tcp("watlow-pm-map1") as (emulator, port):
-        master = master_of.TcpMaster("127.0.0.1", port, PATIENCE_S)
-        with closing(master):
-            assert number(list(master.execute(1, 3, 360, 2))[::-1]) == 20.0
-            assert master.execute(1, 3, 2490, 1) == (15,)
-            master.execute(1, 16, 2160, output_value=words(33.5)[::-1])
-            master.execute(1, 6, 1880, output_value=10)
-            assert (emulator.plant.set_point_c, emulator.plant.running) == (33.5, True)
-            master.execute(1, 6, 1880, output_value=62)
-            assert not emulator.plant.running
-
-
-def test_umodbus_drives_an_emulated_magio() -> None:
-    tcp: Any = foreign("umodbus.client.tcp", "umodbus")
-    with (
-        on_tcp("julabo-magio") as (emulator, port),
-        socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as link,
-    ):
-        ask = tcp.send_message
-        assert number(ask(tcp.read_input_registers(1, 10, 2), link)) == 20.0
-        assert number(ask(tcp.read_input_registers(1, 15, 2), link)) == 20.0
-        ask(tcp.write_multiple_registers(1, 2, words(33.5)), link)
-        ask(tcp.write_single_register(1, 0, 1), link)
-        assert (emulator.plant.set_point_c, emulator.plant.running) == (33.5, True)
-        ask(tcp.write_single_register(1, 0, 0), link)
 
 
 # ---- the driver drives theirs
@@ -278,51 +228,6 @@ def test_the_driver_on_pymodbustcps_server() -> None:
         check_presto(f"tcp://127.0.0.1:{server.port}")
     finally:
         server.stop()
-
-
-@pytest.mark.filterwarnings("ignore:isSet:DeprecationWarning")
-def test_the_driver_on_modbus_tks_slave() -> None:
-    server_of: Any = foreign("modbus_tk.modbus_tcp", "modbus-tk")
-    defines: Any = importlib.import_module("modbus_tk.defines")
-    server = server_of.TcpServer(port=free_port(), address="127.0.0.1")
-    slave = server.add_slave(1)
-    for name, kind, image in (
-        ("holding", defines.HOLDING_REGISTERS, HOLDING),
-        ("input", defines.ANALOG_INPUTS, INPUT),
-    ):
-        slave.add_block(name, kind, 0, 100)
-        for at, value in flat(image).items():
-            slave.set_values(name, at, value)
-    server.start()
-    try:
-        check_presto(f"tcp://127.0.0.1:{server._sa[1]}")
-    finally:
-        server.stop()
-
-
-def test_the_driver_on_umodbus_server() -> None:
-    tcp: Any = foreign("umodbus.server.tcp", "umodbus")
-    tables = {3: flat(HOLDING), 4: flat(INPUT)}
-    app = tcp.get_server(socketserver.ThreadingTCPServer, ("127.0.0.1", 0), tcp.RequestHandler)
-    app.daemon_threads = True
-    every = list(range(100))
-
-    @app.route(slave_ids=[1], function_codes=[3, 4], addresses=every)  # type: ignore[untyped-decorator]
-    def read(slave_id: int, function_code: int, address: int) -> int:
-        return tables[function_code].get(address, 0)
-
-    @app.route(slave_ids=[1], function_codes=[6, 16], addresses=every)  # type: ignore[untyped-decorator]
-    def write(slave_id: int, function_code: int, address: int, value: int) -> None:
-        tables[3][address] = value
-
-    thread = threading.Thread(target=app.serve_forever, name="umodbus", daemon=True)
-    thread.start()
-    try:
-        check_presto(f"tcp://127.0.0.1:{app.server_address[1]}")
-    finally:
-        app.shutdown()
-        app.server_close()
-        thread.join(PATIENCE_S)
 
 
 class Simulated:

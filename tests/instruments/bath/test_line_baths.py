@@ -6,7 +6,6 @@ drivers that run against real circulators.
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 import threading
 from collections.abc import Callable, Iterator
@@ -19,15 +18,13 @@ import pytest
 from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 
-from bench.rig.emulated_rig import AS_A_PTY
 from instruments.bath.driver import Bath
 from instruments.bath.line_emulator import LineEmulator
 from instruments.bath.profile import LineProfile, Profile, load_profile, profile_names
-from instruments.clock import Clock, RealClock, VirtualClock
+from instruments.clock import Clock, VirtualClock
 from instruments.device_file import DeviceFileError
-from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError
+from instruments.errors import DeviceError, InstrumentError, LinkError
 from instruments.listener import Connection, Listener
-from instruments.pty_listener import PtyListener
 from tests.examples import examples
 from tests.instruments.bath.devices import calm_plant
 
@@ -130,20 +127,6 @@ def julabo(**replies: str) -> Typed:
     return Typed(VirtualClock(), {**JULABO_REPLIES, **replies})
 
 
-def test_a_julabos_replies() -> None:
-    with served(julabo()) as (_, bath):
-        reading = bath.read()
-        assert (reading.temp_c, reading.set_point_c, reading.power_percent) == (20.0, 33.0, 45.0)
-        assert (reading.external_c, reading.safety_c) == (31.0, 21.5)
-        assert (reading.alarm, reading.warning, reading.remote, reading.running) == (
-            0,
-            0,
-            True,
-            False,
-        )
-        assert bath.identity["version"] == "JULABO SL-12 VER 4.0"
-
-
 @pytest.mark.parametrize(
     ("status", "alarm", "warning", "remote", "text"),
     [
@@ -203,18 +186,6 @@ def test_a_write_that_is_not_done_is_reported_with_the_cause() -> None:
         bath.set_point(25.0)
 
 
-def test_what_some_models_do_not_answer_is_left_out() -> None:
-    """A FL has no external, no safety sensor and no power to show (CERTAIN: its list)."""
-    typed = julabo(version="JULABO FL1703")
-    for command in ("in_pv_01", "in_pv_02", "in_pv_03", "in_pv_04"):
-        del typed.replies[command]
-    with served(typed) as (_, bath):
-        reading = bath.read()
-        assert (reading.temp_c, reading.external_c, reading.power_percent) == (20.0, None, None)
-        missing = bath.identity["not offered by this model"]
-        assert missing == "cut_out, external, power, safety, unit"
-
-
 @pytest.mark.parametrize(
     ("replies", "said"),
     [
@@ -243,26 +214,6 @@ LAUDA_REPLIES = {
     "IN_MODE_02": "1",
     "STAT": "0000000",
 }
-
-
-@pytest.mark.parametrize(
-    ("stat", "alarm", "text"),
-    [
-        ("0000000", 0, ""),
-        ("0010000", 0, ""),  # a warning is no alarm
-        ("0100100", 18, "low level"),
-        ("0001000", 8, "over-temperature"),
-        ("1000000", 1, "error"),
-    ],
-)
-def test_a_laudas_replies(stat: str, alarm: int, text: str) -> None:
-    typed = Typed(VirtualClock(), {**LAUDA_REPLIES, "STAT": stat}, confirm="OK")
-    with served(typed, "lauda-ascii") as (_, bath):
-        reading = bath.read()
-        assert (reading.temp_c, reading.set_point_c, reading.external_c) == (20.5, 33.0, None)
-        assert (reading.running, reading.alarm) == (False, alarm)
-        assert text in bath.profile.alarm_text(alarm)
-        assert bath.profile.means(alarm, "level") == (stat[4] == "1")
 
 
 def test_what_a_lauda_is_told() -> None:
@@ -304,122 +255,7 @@ def test_a_lauda_without_a_watchdog_heats_all_the_same(reply: str) -> None:
         assert typed.told == ["START", "STOP"]
 
 
-# Huber, Thermo, HAAKE, PolyScience: replies as manuals (CERTAIN) and drivers that run (FIELD) have
-# them, what each set of them means, and what the bath is told for 30.5 degC and back to standby.
-@dataclass(frozen=True)
-class Family:
-    """``replies`` in standby at 20.5 degC with a set point of 33 degC; ``faults``: other replies and
-    the text of the alarm that they show. ``becomes``: what the bath is told, in order, and how that
-    changes what is read; ``confirm``: the reply to it, "" where that is what then stands there.
-    """
-
-    replies: dict[str, str]
-    faults: tuple[tuple[dict[str, str], str], ...]
-    becomes: dict[str, tuple[str, str]]
-    confirm: str
-    refusal: str = ""
-    end: bytes = b"\r"
-    reply_end: bytes = b"\r"
-
-    def typed(self) -> Typed:
-        def act(on: Typed, command: str) -> None:
-            read, shown = self.becomes[command]
-            on.replies[read] = shown
-            on.confirm = self.confirm or shown
-
-        replies = dict(self.replies)
-        return Typed(VirtualClock(), replies, self.end, self.reply_end, self.confirm, acts=act)
-
-
-def said(text: str) -> dict[str, str]:
-    """Commands and their replies, of ``command > reply | ...``."""
-    turns = (turn.strip().partition(" > ") for turn in re.split(r"[|\n]", text))
-    return {command: reply for command, _, reply in turns}
-
-
-FAMILIES = {
-    # FIELD: {S and what is there then, also after a write; 7FFF: not in this model, C504: no sensor
-    "huber-pb": Family(
-        said("""{M01**** > {S010802 | {M00**** > {S000CE4 | {M14**** > {S140000
-            {M05**** > {S050000 | {M07**** > {S07C504 | {M1B**** > {S1B3039
-            {M06**** > {S067FFF | {M0A**** > {S0A0000"""),  # 0x0802 = 2050
-        ((said("{M05**** > {S05FACD"), "alarm -1331"),),
-        {
-            "{M000BEA": ("{M00****", "{S000BEA"),
-            "{M140001": ("{M14****", "{S140001"),
-            "{M140000": ("{M14****", "{S140000"),
-        },
-        "",
-        "",
-        b"\r\n",
-        b"\r\n",
-    ),
-    # CERTAIN but for RUFS (FIELD); a model without RT2
-    "thermo-arctic": Family(
-        {**said("RT > 20.5C | RS > 33.0C | RO > 0 | RTU > C | RUFS > 0 0 0 13 64"), "RT2": ""}
-        | said("RVER > 082100.14C"),
-        (
-            (said("RUFS > 0 0 8 13 64"), "low level"),
-            (said("RUFS > 128 0 0 13 64"), "sensor 1 open"),
-            (said("RUFS > 0 0 32 13 64"), "over-temperature"),
-        ),
-        {"SS 30.50": ("RS", "30.5C"), "SO 1": ("RO", "1"), "SO 0": ("RO", "0")},
-        "OK",
-    ),
-    # FIELD
-    "haake": Family(
-        said("""R T1 > T1+20.50$ | R T3 > F001 | R SW > SW+33.00$ | R BS > BS000000000000$
-            R V1 > 2P/H PhoenixII$"""),
-        (
-            (said("R BS > BS000010000000$"), "low level"),
-            (said("R BS > BS100100000000$"), "over-temperature"),
-            (said("R BS > BS000000000010$"), "internal Pt100"),
-            (said("R BS > BS001000000000$"), "no main relay"),
-        ),
-        {
-            "W SW 30.50": ("R SW", "SW+30.50$"),
-            "W TS 1": ("R BS", "BS100000000000$"),
-            "W TS 0": ("R BS", "BS000000000000$"),
-        },
-        "$",
-        "F123",
-    ),
-    # CERTAIN but for RO (FIELD)
-    "polyscience": Family(
-        said("RT > +20.50 | RR > ? | RS > +33.00 | RO > 0 | RU > C | RF > 0"),
-        ((said("RF > 1"), "alarm 1"),),
-        {"SS30.50": ("RS", "+30.50"), "SO1": ("RO", "1"), "SO0": ("RO", "0")},
-        "!",
-        "?",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", FAMILIES)
-def test_the_replies_of_a_family(name: str) -> None:
-    family = FAMILIES[name]
-    with served(family.typed(), name) as (typed, bath):
-        reading = bath.read()
-        assert (reading.temp_c, reading.set_point_c, reading.external_c) == (20.5, 33.0, None)
-        assert (reading.running, reading.alarm) == (False, 0)
-        for replies, text in family.faults:
-            typed.replies.update(replies)
-            assert text in bath.profile.alarm_text(bath.read().alarm)
-            typed.replies.update(family.replies)
-
-
-@pytest.mark.parametrize("name", FAMILIES)
-def test_what_a_family_is_told(name: str) -> None:
-    family = FAMILIES[name]
-    with served(family.typed(), name) as (typed, bath):
-        bath.start(30.5)
-        assert bath.read().running is True
-        bath.safe()
-        assert typed.told == list(family.becomes)
-        if family.refusal:
-            typed.replies[typed.told[0].replace("30.50", "31.00")] = family.refusal
-            with pytest.raises(DeviceError, match="refused: "):
-                bath.set_point(31.0)
+POLYSCIENCE = {"RT": "+20.50", "RR": "?", "RS": "+33.00", "RO": "0", "RU": "C", "RF": "0"}
 
 
 def test_a_set_point_that_shows_a_second_later_is_no_refusal() -> None:
@@ -434,17 +270,15 @@ def test_a_set_point_that_shows_a_second_later_is_no_refusal() -> None:
             return super().get(key, default)
 
     shown: list[tuple[float, str]] = []
-    typed = FAMILIES["polyscience"].typed()
-    typed.replies, typed.acts, typed.confirm = Slow(typed.replies), act, "!"
+    typed = Typed(VirtualClock(), Slow(POLYSCIENCE), confirm="!", reply_end=b"\r", acts=act)
     with served(typed, "polyscience") as (_, bath):
         bath.set_point(30.5)
         assert bath.read().set_point_c == 30.5
 
 
-@pytest.mark.parametrize("name", FAMILIES)
+# Huber's values are 0.01 degC whatever it shows
+@pytest.mark.parametrize("name", ["thermo-arctic", "haake", "polyscience"])
 def test_a_display_in_fahrenheit_is_noticed(name: str) -> None:
-    if name == "huber-pb":
-        return  # its values are 0.01 degC whatever it shows
     with emulated(name) as (device, bath):
         bath.start(33.0)
         device.fault("fahrenheit")
@@ -522,7 +356,8 @@ def test_doubled_replies_are_not_taken_for_the_next_rows(doubled: int, lost: int
     """Both replies to one command come twice, and one that is lost later would hide it."""
     faults = {doubled: Fault(again_s=0.005), doubled + 1: Fault(again_s=0.005)}
     faults |= {0: Fault(late_s=0.5), doubled + lost: Fault(lost=True)}
-    with served(FAMILIES["polyscience"].typed(), "polyscience") as (typed, bath):
+    far_end = Typed(VirtualClock(), POLYSCIENCE, reply_end=b"\r")
+    with served(far_end, "polyscience") as (typed, bath):
         typed.latency_s = 0.02
         typed.faults = [faults.get(at, Fault()) for at in range(41)]
         for _ in range(4):
@@ -551,19 +386,6 @@ def test_standby_is_sent_at_once_on_a_line_that_is_out_of_step() -> None:
 # ---- an independent client, and the driver, on a serial port
 
 
-@contextmanager
-def in_real_time(name: str) -> Iterator[tuple[LineEmulator, str]]:
-    """An emulated circulator on a pseudo-terminal, or on TCP where there is none; its URL."""
-    profile = load_profile(name)
-    assert isinstance(profile, LineProfile)
-    plant, lock = calm_plant(), threading.RLock()
-    with closing(RealClock()) as clock:
-        device = LineEmulator(plant, profile, clock)
-        kind = PtyListener if os.name == "posix" else Listener
-        with closing(kind(device, clock, lock=lock, name="bath")) as listener:
-            yield device, listener.url
-
-
 DIALOGUES = {  # command > answer
     "lauda-ascii": """OUT_SP_00_30.5 > OK | IN_SP_00 > 030.50 | out_sp_00 -5 > OK | IN_SP_00 > -005.00
         START > OK | IN_MODE_02 > 0 | STAT > 0000000 | OUT_SP_00_x > ERR_5 | OUT_SP_00_900 > ERR_6
@@ -589,20 +411,6 @@ def test_a_dialogue_written_from_the_makers_documents_alone(name: str) -> None:
             command, _, answer = turn.strip().partition(" > ")
             assert device.panel.answer(command) == answer
         assert not device.plant.running
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", LINE_FAMILIES)
-def test_the_driver_on_a_serial_port(name: str) -> None:
-    with in_real_time(name) as (device, url), closing(RealClock()) as clock:
-        # a pseudo-terminal has no parity
-        url = url.replace("socket", "tcp") if "://" in url else f"{url}{AS_A_PTY}"
-        with closing(Bath(url, load_profile(name), clock, unit_confirmed=True)) as bath:
-            bath.start(33.0)
-            assert device.plant.running
-            assert bath.read().set_point_c == pytest.approx(33.0)
-            bath.safe()
-            assert not device.plant.running
 
 
 # ---- each family and its emulator
@@ -692,48 +500,7 @@ def test_each_family_heats_and_after_a_power_cut_stands_by(name: str) -> None:
 # ---- profiles
 
 
-OWN = """
-kind = "line"
-family = "OUR OLD BATH"
-source = "the sticker on its back"
-transports = ["serial", "tcp"]
-marker = "version"
-comms_loss = "unknown"
-comms_loss_evidence = "INFERRED"
-refusals = { "ERR" = "it does not know this" }
-confirm = "OK"
-[[rows]]
-name = "temperature"
-ask = "T?"
-reply = "T=<number> C"
-unit = "degC"
-poll = true
-evidence = "CERTAIN"
-[[rows]]
-name = "set_point"
-ask = "S?"
-reply = "S=<number>"
-tell = "S <number>"
-unit = "degC"
-access = "rw"
-range = [5.0, 36.0]
-poll = true
-evidence = "CERTAIN"
-[[rows]]
-name = "run"
-ask = "H?"
-values = { standby = 0, started = 1 }
-shows = { standby = ["OFF"], started = ["ON", "HOLD"] }
-tell = { standby = "HEAT OFF", started = "HEAT ON" }
-access = "rw"
-poll = true
-evidence = "CERTAIN"
-[[rows]]
-name = "version"
-ask = "V?"
-reply = "<text>"
-evidence = "CERTAIN"
-"""
+OWN = (Path(__file__).parent / "own" / "sticker.toml").read_text(encoding="utf-8")
 
 
 def own(folder: Path, old: str = "", new: str = "") -> Path:
@@ -749,17 +516,6 @@ def test_a_url_that_a_lab_s_own_bath_can_not_have_is_refused(tmp_path: Path) -> 
         Bath("tcp://127.0.0.1", profile, clock)
     with pytest.raises(LinkError, match="has no unit"):
         Bath("COM9?unit=3", profile, clock)
-
-
-def test_a_word_that_refuses_is_told(tmp_path: Path) -> None:
-    typed = Typed(VirtualClock(), {"V?": "v1", "T?": "T=20.0 C", "S?": "S=20.0", "H?": "HOLD"})
-    with served(typed, load_profile(own(tmp_path))) as (_, bath):
-        assert bath.read().running is True
-        typed.confirm = "ERR"
-        with pytest.raises(DeviceError, match="refused: it does not know this"):
-            bath.set_point(25.0)
-        with pytest.raises(LimitError, match="takes 5 to 36 degC"):
-            bath.set_point(50.0)
 
 
 @pytest.mark.parametrize(

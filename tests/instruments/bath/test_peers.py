@@ -127,7 +127,7 @@ def rtu_server(server: Path) -> Iterator[str]:
             yield f"rtu+tcp://127.0.0.1:{listener.port}"
 
 
-@pytest.fixture(params=[("tcp", AS_KNOWN_S), ("rtu", AS_KNOWN_S), ("rtu", SLOWER_S)], ids=str)
+@pytest.fixture(params=[("tcp", AS_KNOWN_S), ("rtu", SLOWER_S)], ids=str)
 def link(request: pytest.FixtureRequest, server: Path, clock: RealClock) -> Iterator[Transactions]:
     kind, quiet_s = request.param
     with (tcp_server if kind == "tcp" else rtu_server)(server) as url:

@@ -15,14 +15,13 @@ import cv2
 import numpy as np
 import pytest
 
-from instruments.camera.cameras import CameraSet
 from instruments.camera.files import FileCamera, pictures_at
 from instruments.camera.frame import Conversion, FrameError, Radiometry
 from instruments.camera.opencv import OpenCvCamera, in_use, words
 from instruments.camera.radiometric import PROFILES
 from instruments.camera.settings import Settings
 from instruments.clock import VirtualClock
-from instruments.errors import DeviceError, LinkError, ProtocolError
+from instruments.errors import DeviceError, LinkError
 
 COUNTS = (29000 + np.arange(48 * 64) % 997).astype(np.uint16).reshape(48, 64)
 LEPTON = Settings(pixel_format="Y16", counts=True)
@@ -200,16 +199,6 @@ def test_files_that_are_no_pictures_are_said(tmp_path: Path) -> None:
         camera.begin()
         with pytest.raises(FrameError, match=wrong):
             camera.take()
-
-
-def test_eight_bits_among_files_of_temperatures_are_refused(tmp_path: Path) -> None:
-    openers = {}
-    for name in ("left", "right", "thermal"):
-        cv2.imwrite(str(path := tmp_path / f"{name}.png"), COUNTS.astype(np.uint8))
-        openers[name] = partial(FileCamera, name, path, VirtualClock())
-    cameras = CameraSet(openers, {"thermal": Conversion(radiometry=Radiometry(0.01))})
-    with pytest.raises(ProtocolError, match="but a frame of 8 bits came"):
-        cameras.capture()
 
 
 def _ends_meanwhile(look: Callable[[Any], Any], place: Any) -> Any:

@@ -21,32 +21,12 @@ from hypothesis import strategies as st
 
 from instruments.camera.cameras import Camera, CameraSet
 from instruments.camera.closing import close_within
-from instruments.camera.emulator import EmulatedCameras
 from instruments.camera.frame import Conversion, FrameError, FrameFault, Radiometry, RawFrame
 from instruments.camera.genicam import DRIFT, DeviceTime
 from instruments.camera.opencv import LONGEST_WAIT_S, LiveReader, OpenCvCamera, fourcc_name, is_live
 from instruments.camera.settings import Settings, apply, same
 from instruments.clock import RealClock, VirtualClock
 from instruments.errors import DeviceError, LinkError, ProtocolError
-from tests.instruments.camera.small_world import SmallWorld
-
-
-@pytest.mark.slow
-def test_emulated_cameras_see_the_world_as_it_is() -> None:
-    world = SmallWorld()
-    cameras = EmulatedCameras(world)
-    warm = cameras.capture()
-    assert np.array_equal(warm.left, EmulatedCameras(SmallWorld()).capture().left), "repeatable"
-    world.state = replace(world.state, teat_temps_c=(21.0,) * 4, hose_temp_c=21.0)
-    world.clock.sleep(12.5)
-    cold = cameras.capture()
-    assert warm.thermal_k is not None
-    assert cold.thermal_k is not None
-    assert warm.thermal_k.max() - cold.thermal_k.max() > 8.0
-    assert dict(warm.exposed_s) == {"left": 0.0, "right": 0.0, "thermal": 0.0}
-    assert cold.exposed_s["thermal"] == 12.5
-    assert warm.identity["left"] == "emulated 1360 x 1024"
-    cameras.close()
 
 
 def video(path: Path, level: int, frames: int = 3, codec: str = "MJPG") -> str:
@@ -81,24 +61,6 @@ def test_opencv_plays_a_recorded_video_to_its_end(tmp_path: Path) -> None:
         cameras.capture()
     cameras.close()
     cameras.close()
-
-
-def test_a_picture_size_that_changes_in_a_file_is_a_fault_though_the_library_rescales(
-    tmp_path: Path,
-) -> None:
-    pictures = [np.full((48 * by, 64 * by, 3), 90, np.uint8) for by in (1, 1, 2)]
-    path = tmp_path / "left.mjpg"
-    path.write_bytes(b"".join(cv2.imencode(".jpg", one)[1].tobytes() for one in pictures))
-    rescaled = cv2.VideoCapture(str(path))
-    assert {rescaled.read()[1].shape for _ in pictures} == {(48, 64, 3)}
-    camera = OpenCvCamera("left", str(path), VirtualClock())
-    for _ in range(2):
-        camera.begin()
-        assert camera.take().pixels.shape == (48, 64, 3)
-    camera.begin()
-    with pytest.raises(FrameError, match="a frame of 128 x 96 came; it was opened with 64 x 48"):
-        camera.take()
-    camera.close()
 
 
 @pytest.mark.parametrize("codec", ["MPG1 mpg", "MPG2 ts", "VP80 webm", "mp4v ts"])

@@ -96,21 +96,6 @@ def test_a_camera_that_falls_silent(clock: RealClock) -> None:
 
 
 @pytest.mark.slow
-def test_a_source_of_one_frame_a_second(clock: RealClock) -> None:
-    """Any frame is whole and fresh; on a busy machine one may still come too late."""
-    with closing(StreamServer(Counting(clock), clock, fps=1.0)) as server:
-        with closing(OpenCvCamera("left", server.urls["left"], clock)) as camera:
-            whole = 0
-            for _ in range(20):
-                with suppress(FrameError):
-                    camera.begin()
-                    whole += camera.take().pixels.shape == (96, 128, 3)
-                if whole == 2:
-                    break
-        assert whole == 2
-
-
-@pytest.mark.slow
 def test_a_size_that_changes_within_a_stream_is_reported_until_it_is_the_old_one(
     clock: RealClock,
 ) -> None:

@@ -58,25 +58,6 @@ def test_a_touch_is_right_within_the_stated_accuracy_and_repeatable(
     assert seen[0] == seen[1]
 
 
-def test_a_byte_that_comes_twice_gives_no_wrong_packet(rig: Rig) -> None:
-    driver = rig.signed_on()
-    right = driver.poll().counts
-    for number, (place, apart) in enumerate(itertools.product(range(1, 14), [False, True]), 1):
-        left = [place]
-
-        def spoil(data: bytes, left: list[int] = left, apart: bool = apart) -> list[bytes]:
-            if not left or len(data) != 14:
-                return [data]
-            at = left.pop()
-            doubled = data[: at + 1] + data[at:]
-            return [doubled[:14], doubled[14:]] if apart else [doubled]
-
-        rig.ear.spoil = spoil
-        assert driver.poll().counts == right
-        assert (left, driver.damaged) == ([], number)
-        assert driver.poll().counts == right
-
-
 def test_no_position_before_homing_is_confirmed_in_each_session(rig: Rig) -> None:
     driver = rig.driver()
     driver.sign_on()
@@ -118,25 +99,6 @@ def test_a_reading_is_refused_while_the_arm_moves_and_of_nothing(rig: Rig) -> No
         driver.position([])
 
 
-def test_one_wrong_packet_among_eight_does_not_move_a_reading(rig: Rig) -> None:
-    driver = rig.signed_on()
-    right = driver.read()
-    answers = 0
-
-    def spoil(data: bytes) -> list[bytes]:
-        nonlocal answers
-        answers += 1
-        return [data[:5] + bytes([data[5] ^ 0x06]) + data[6:]] if answers == 3 else [data]
-
-    rig.ear.spoil = spoil
-    reading = driver.read()
-    assert 0.1 < reading.spread_mm < 1.0
-    np.testing.assert_allclose(reading.tip_mm, right.tip_mm, atol=1e-9)
-    assert reading.axis is not None
-    assert right.axis is not None
-    np.testing.assert_allclose(reading.axis, right.axis, atol=1e-9)
-
-
 @pytest.mark.parametrize(
     "fault", [ArmFault.BIT_7, ArmFault.LOST_BYTE, ArmFault.GARBAGE, ArmFault.SILENT]
 )
@@ -156,15 +118,6 @@ def test_packets_that_are_always_damaged_are_refused(rig: Rig) -> None:
         driver.poll()
     rig.arm.faults.clear("bit 7 in payload")
     driver.read()
-
-
-def test_a_late_answer_is_not_taken_for_the_next_one(rig: Rig) -> None:
-    driver = rig.signed_on()
-    rig.ear.late_s = 0.15  # after the time-out, before the silence that the driver then waits for
-    assert driver.poll().counts == UNIT.home
-    rig.clock.sleep(0.1)  # by now the late answer, from the peg, has come in any case
-    rig.hand.point = POINT
-    assert driver.poll().counts != UNIT.home
 
 
 def test_a_hand_that_reaches_too_far_breaks_the_link_rather_than_lies(rig: Rig) -> None:
@@ -201,26 +154,6 @@ def test_power_loss_is_noticed_and_recovering_waits_for_the_power_as_long_as_is_
     assert rig.clock.now() - back < 2.0
     assert driver.poll().counts == UNIT.home
     with pytest.raises(NotHomedError, match="the arm fell silent: it may have lost its power"):
-        driver.read()
-    driver.confirm_homed()
-    driver.read()
-
-
-def test_a_cable_that_is_pulled_is_noticed_and_back_within_two_seconds(rig: Rig) -> None:
-    driver = rig.signed_on()
-    port = rig.unplug()
-    with pytest.raises(LinkError, match="the link broke"):
-        driver.poll()
-    with pytest.raises(NoSessionError, match="no session"):
-        driver.read()
-    with pytest.raises(LinkError, match="nothing takes the connection"):
-        driver.sign_on()
-    back = rig.clock.now() + 10.0
-    rig.clock.call_at(back, lambda: rig.plug_in(port))
-    driver.recover(60.0)
-    assert 0.0 <= rig.clock.now() - back < 2.0
-    assert rig.arm.state is State.SESSION
-    with pytest.raises(NotHomedError, match="the link broke, and the arm may have lost its power"):
         driver.read()
     driver.confirm_homed()
     driver.read()
@@ -268,18 +201,6 @@ def test_a_stream_is_asked_for_and_ended_as_the_sheet_says(rig: Rig) -> None:
     assert got[0].t_s == 0.0
 
 
-def test_the_same_session_goes_on_behind_a_stream(rig: Rig) -> None:
-    driver = rig.signed_on()
-    with driver.stream() as samples:
-        assert driver.position([next(samples)]).tip_mm[2] == pytest.approx(212.2005, abs=1e-3)
-    rig.hand.point = POINT
-    assert driver.homed
-    asked = rig.clock.now()
-    # nothing that the stream left is taken for the answer
-    assert driver.poll().counts != UNIT.home
-    assert rig.clock.now() == asked
-
-
 def test_whichever_byte_of_the_request_is_lost_no_harm_is_done(rig: Rig) -> None:
     driver = rig.signed_on()
     rig.hand.point = POINT  # off the peg: homing would show
@@ -312,25 +233,6 @@ def test_a_stream_that_something_ended_is_started_again(rig: Rig) -> None:
             rig.arm.receive(rig.ear.hosts[-1], b"\x00")  # as noise on the cable would
         assert len(list(itertools.islice(samples, 20))) == 20
     assert rig.ear.heard.count(START) == 2
-
-
-@pytest.mark.parametrize(
-    ("error", "message"), [(SilentArmError, "fallen silent"), (LinkError, "the link broke")]
-)
-def test_power_or_cable_lost_within_a_stream(
-    rig: Rig, error: type[Exception], message: str
-) -> None:
-    driver = rig.signed_on()
-    with pytest.raises(error, match=message), driver.stream() as samples:  # noqa: PT012
-        next(samples)
-        if error is SilentArmError:
-            rig.arm.power_cycle()
-        else:
-            rig.ear.hosts[-1].hang_up()
-        list(itertools.islice(samples, 100))
-    assert not driver.homed
-    driver.recover()
-    assert driver.poll().counts == UNIT.home
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,11 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from instruments.clock import RealClock, VirtualClock
+from instruments.clock import VirtualClock
 from instruments.device_file import DeviceFileError
 from instruments.errors import LinkError
-from instruments.link import Link
-from instruments.listener import Listener
 from instruments.microscribe.configuration import StreamRequest
 from instruments.microscribe.emulator import (
     ArmEmulator,
@@ -184,27 +181,6 @@ def test_a_stream_goes_on_for_the_next_host(host: Host) -> None:
     assert host.ask("", 0.1) == ""
 
 
-@pytest.mark.slow
-def test_a_stream_never_outruns_its_line() -> None:
-    clock = RealClock()
-    arm = ArmEmulator(Hand(clock), clock)
-    listener = Listener(arm, clock, lock=threading.RLock(), name="arm", baud=9600)
-    link = Link(listener.url, clock, who="host")
-    for sent, length in (("49 4D 4D 43", 4), ("42 45 47 49 4E", 5), (stream(0), 1)):
-        link.write(bytes.fromhex(sent))
-        assert len(link.read(length, 5.0)) == length
-    start = clock.now()
-    got = link.read(14 * 20, 5.0)
-    made, took_s = arm.packets, clock.now() - start
-    assert made <= took_s / (14 * 10 / 9600) + 3, "what doesn't fit on the line isn't made"
-    link.write(b"\xc5")
-    got += link.read_until(b"\xc5", 5.0)
-    assert len(PacketDecoder(0x03).feed(got)) == arm.packets, "and what was made arrives"
-    link.close()
-    listener.close()
-    clock.close()
-
-
 # Mechanics
 
 
@@ -217,18 +193,6 @@ def mechanics(
 @pytest.fixture
 def grip() -> Hand:
     return Hand(VirtualClock(), POINT)
-
-
-def test_a_perfect_arm_stands_where_the_hand_holds_it_and_follows(grip: Hand) -> None:
-    arm = mechanics(grip)
-    for point in (POINT, POINT + 5.0):
-        grip.point = point
-        pose = arm.solve(point, UP)
-        np.testing.assert_allclose(ARM.forward(pose.counts)[0], [point], atol=1e-6)
-        assert arm.counts(1) == np.rint(pose.counts).tolist()
-        assert np.linalg.norm(ARM.forward(arm.counts(2))[0] - point) < 0.4
-    grip.point = None
-    assert arm.counts(3) == UNIT.home
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

@@ -19,7 +19,6 @@ from instruments.errors import LinkError
 from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.emulator import ArmEmulator
-from instruments.microscribe.errors import NotHomedError
 from instruments.microscribe.faults import ArmFault
 from instruments.microscribe.protocol import State
 from instruments.pty_listener import PtyListener
@@ -123,26 +122,6 @@ def test_the_arm_changes_its_rate_with_the_host_and_takes_no_other(bench: Bench)
     assert len(link.read(14, 1.0)) == 14
     assert bench.arm.packets == 2
     link.close()
-
-
-@pytest.mark.slow
-def test_unplugged_and_plugged_in_again(bench: Bench) -> None:
-    driver = bench.signed_on()
-    driver.confirm_homed()
-    bench.unplug()
-    with pytest.raises(LinkError, match="the link broke"):
-        driver.read()
-    with pytest.raises(LinkError, match=r"can't be opened.*Serial ports on this machine"):
-        driver.recover(0.5)
-    back = bench.clock.now() + 0.3
-    plugging = threading.Timer(0.3, bench.plug_in)
-    plugging.start()
-    driver.recover(10.0)
-    plugging.join()
-    assert bench.clock.now() - back < 2.0
-    assert driver.poll().counts == UNIT.home
-    with pytest.raises(NotHomedError, match="the arm may have lost its power"):
-        driver.read()
 
 
 @pytest.mark.slow

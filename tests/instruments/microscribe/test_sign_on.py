@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import itertools
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -90,23 +89,6 @@ def test_a_joint_that_loses_count_is_reported(make: Callable[..., Rig]) -> None:
     driver.sign_on()
     assert len(driver.warnings) == 1
     assert "joint 3 has 5000 counts a turn" in driver.warnings[0]
-
-
-def test_a_flipped_bit_in_any_reply_is_outvoted() -> None:
-    replies = UNIT.replies()
-    for hit, bit in itertools.product(range(10), [0x01, 0x10]):
-        turn = itertools.count()
-
-        def answer(code: int, hit: int = hit, bit: int = bit, turn: Any = turn) -> bytes:
-            reply = bytearray(replies.get(code, b""))
-            if reply and next(turn) == hit:
-                reply[-2] ^= bit
-            return bytes(reply)
-
-        with driver_of(ghost(answer)) as driver:
-            driver.sign_on()
-            assert (driver.info.names, driver.info.maxima) == (UNIT.names, UNIT.maxima)
-            assert (driver.info.parameters, driver.info.beta) == (UNIT.parameters, UNIT.beta)
 
 
 def test_whichever_byte_of_sign_on_is_lost_an_old_session_comes_to_no_harm(rig: Rig) -> None:

@@ -242,26 +242,6 @@ def test_sleep_is_left_only_by_a_reset_and_into_the_alarm(free: Board) -> None:
     assert free.state() == b"Alarm"
 
 
-@pytest.mark.slow
-def test_blasting_blindly_mangles_lines_into_many_kinds_of_error(free: Board) -> None:
-    """As recorded, where 1230 bytes gave 48 ``ok`` and six kinds of error; which ones depends on
-    the moves that were sent.
-
-    Bytes come at 115200 baud; where the planner is full and the buffer too, they are lost, and what
-    is left joins up.
-    """
-    lines = b"".join(
-        b"G1X%.3fY%.3fF3000\r\n" % (-(n % 2) * 0.004, -(n % 3) * 0.004) for n in range(60)
-    )
-    answers = b"".join(free.say(bytes([byte]), 10 / 115200) for byte in lines[:1230]) + free.hear(
-        60.0
-    )
-    assert len(set(re.findall(rb"error:\d+", answers))) >= 3
-    assert answers.count(b"\r\n") < 2 * lines[:1230].count(b"\n"), (
-        "CR and LF end a line each; some were lost"
-    )
-
-
 def test_the_buffer_holds_exactly_128_bytes(free: Board) -> None:
     free.say(b"!")
     free.say(b"\n" * 127 + b"$I\n")  # of the last line only the first byte finds room

@@ -9,12 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.listener import Connection
-from instruments.stage import marlin, protocol, zaber
+from instruments.stage import zaber
 from instruments.stage.driver import Stage
 from instruments.stage.emulator import marlin as emulated_marlin
 from instruments.stage.emulator import zaber as emulated_zaber
@@ -264,11 +262,3 @@ def test_a_late_zaber_reply_is_not_taken_for_another_commands(make: Make) -> Non
     bench.emulator._send(b"@01 1 98 OK IDLE -- 77777\r\n@01 1 OK IDLE -- 5\r\n!01 1 IDLE --\r\n")
     stage.move_to(50, 60)
     assert stage.position()[:2] == pytest.approx([50, 60], abs=0.003)
-
-
-@pytest.mark.parametrize("parse", [protocol.parse, marlin.parse, zaber.parse])
-@given(
-    line=st.binary(max_size=60) | st.text("@0123 OKRJIDLE-:XY.C<|>", max_size=60).map(str.encode)
-)
-def test_whatever_comes_has_a_value(parse: Callable[[bytes], object], line: bytes) -> None:
-    assert parse(line) is not None

@@ -13,7 +13,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from instruments.errors import LinkError
 from instruments.stage.emulator.board import StageFault
 from instruments.stage.emulator.carriage import AxisDrive, Mounting
 from instruments.stage.emulator.gcode import GCode, Move
@@ -22,12 +21,6 @@ from tests.instruments.stage.board import LOCK, WELCOME, Board
 
 RATES = AxisRates((50.0, 50.0, 50.0), (200.0, 200.0, 200.0))
 PLACES = st.tuples(st.floats(-300, 0), st.floats(-275, 0), st.floats(-50, 0))
-
-
-def test_a_diagonal_move_is_as_fast_as_its_slowest_axis_allows() -> None:
-    motion = Motion((0.0, 0.0, 0.0))
-    motion.go((-100.0, -100.0, 0.0), None, RATES, 0.0)
-    assert motion.speed(1.0) == pytest.approx(50 * math.sqrt(2))
 
 
 @given(st.floats(1e-3, 500), st.floats(0, 1), st.floats(1, 80), st.floats(10, 1000))
@@ -43,20 +36,6 @@ def test_a_run_covers_its_length_and_ends_at_rest(
     for (place, fast), (further, _) in itertools.pairwise(steps):
         assert further >= place - 1e-9
         assert fast <= max(speed, entry) + 1e-9
-
-
-def test_a_hold_brakes_within_v_squared_over_2a_and_the_rest_follows_after_it() -> None:
-    motion = Motion((0.0, 0.0, 0.0))
-    motion.go((-100.0, 0.0, 0.0), 50.0, RATES, 0.0)
-    motion.hold(1.25)
-    assert motion.moving(1.49)
-    assert not motion.moving(1.5)
-    assert motion.position(9.0) == pytest.approx((-56.25 - 6.25, 0, 0))
-    assert motion.target == (-100.0, 0.0, 0.0)
-    assert len(motion.left(9.0)) == 1
-    motion.resume(10.0)
-    assert motion.next_end_s(10.0) == pytest.approx(10 + 37.5 / 50 + 0.25)
-    assert motion.position(12.0) == (-100.0, 0.0, 0.0)
 
 
 @given(
@@ -132,16 +111,6 @@ def test_opening_the_port_again_resets_the_board_where_the_carriage_stands(board
     assert -60 < board.emulator.position_mm()[0] < -40
 
 
-def test_a_pulled_cable_ends_the_link_and_not_the_motion(free: Board) -> None:
-    free.emulator.inject(StageFault.DISCONNECT, 0.5)
-    free.links[-1].write(b"G1X-50F3000\n")
-    with pytest.raises(LinkError, match="hung up"):
-        free.hear_until_broken()
-    free.clock.sleep(5.0)
-    # what was planned has run to its end
-    assert free.emulator.position_mm()[0] == pytest.approx(-200.0)
-
-
 def test_a_power_dip_in_motion_shows_as_a_welcome(free: Board) -> None:
     free.emulator.inject(StageFault.RESTART, 0.5)
     assert free.say(b"G1X-50F3000\n", 2.0) == b"ok\r\n" + WELCOME + LOCK
@@ -205,16 +174,6 @@ def test_play_is_taken_up_after_each_reversal(make_board: Make) -> None:
         board.say(b"G53G1" + target + b"F3000\n", 5.0)
         assert b"MPos:" + target[1:].replace(b"Y", b",")[:3] in board.say(b"?")
         assert board.emulator.position_mm()[:2] == pytest.approx(place, abs=1e-6)
-
-
-def test_play_of_an_axis_that_homes_to_its_far_end_is_on_the_other_side(make_board: Make) -> None:
-    board = make_board({23: 1}, play_mm=(0.3, 0.0, 0.0))
-    board.answered_at(b"$H\n")
-    assert board.emulator.position_mm() == pytest.approx([-299, -1, -1])
-    board.say(b"G53G1X-100F3000\n", 10.0)
-    assert board.emulator.position_mm()[0] == pytest.approx(-100)
-    board.say(b"G53G1X-150F3000\n", 10.0)
-    assert board.emulator.position_mm()[0] == pytest.approx(-149.7)
 
 
 @pytest.mark.parametrize(

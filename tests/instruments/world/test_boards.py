@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from instruments.world.boards import Board, Pattern, dark_parts_mm, poses
+from instruments.world.boards import Board, Pattern, poses
 from instruments.world.optics import Floats
 from instruments.world.sensor import Exposure, Image
 from instruments.world.state import SceneState
@@ -134,18 +134,6 @@ def test_opencv_reads_the_charuco_board() -> None:
     assert board.pattern.corners_mm - pattern.margin_mm == pytest.approx(laid_out)
 
 
-def test_dark_parts_are_half_of_a_chessboard_and_circles_are_round() -> None:
-    squares = np.array(dark_parts_mm(CHESS))
-    assert squares.shape == (35, 4, 2)
-    assert (squares[:, 2] - squares[:, 0]) == pytest.approx(np.full((35, 2), 25.0))
-    assert dark_parts_mm(replace(CHESS, kind="plain")) == ()
-    circles = dark_parts_mm(Pattern("circles", 7, 5, 18.0, 9.0, feature_mm=9.0))
-    assert len(circles) == 35
-    for circle, middle in zip(circles, Pattern("circles", 7, 5, 18.0, 9.0).corners_mm, strict=True):
-        assert cv2.contourArea(circle.astype(np.float32)) == pytest.approx(np.pi * 4.5**2, rel=1e-4)
-        assert circle.mean(axis=0) == pytest.approx(middle)
-
-
 @pytest.mark.slow
 def test_circles_lie_where_opencv_projects_them_by_heat() -> None:
     """The middle of each circle's heat, in thermal pixels."""
@@ -157,20 +145,6 @@ def test_circles_lie_where_opencv_projects_them_by_heat() -> None:
     for u, v in by_opencv(camera, board.corners_mm):
         at = centroid(warmth, (round(u), round(v)), reach)
         assert at == pytest.approx([u, v], abs=0.05)
-
-
-@pytest.mark.slow
-def test_light_is_shared_between_dark_and_light_by_area() -> None:
-    """The mean over the pattern is that of half dark, half light: no light is lost at edges."""
-    lit = renderer(vignetting=0.0, prnu=0.0, dsnu_e=0.0).left
-    board = replace(UPRIGHT, pattern=replace(CHESS, columns=10, rows=8))
-    corner = by_opencv(lit.view.camera, board.corners_mm)
-    (u0, v0), (u1, v1) = corner[0].round().astype(int), corner[-1].round().astype(int)
-    pictures = [
-        lit.expected(with_board(b))[v0:v1, u0:u1].mean()
-        for b in (board, replace(board, dark_albedo=0.8), replace(board, light_albedo=0.05))
-    ]
-    assert pictures[0] == pytest.approx(0.5 * (pictures[1] + pictures[2]), rel=0.01)
 
 
 @pytest.mark.slow

@@ -66,26 +66,7 @@ def test_small_balls_lie_where_opencv_projects_them(which: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("which", ["left", "right"])
-@pytest.mark.parametrize("lean_mm", [0.0, 20.0])
-def test_edges_at_every_sub_pixel_phase(which: str, lean_mm: float) -> None:
-    """Both edges of a post in rows of pixels, against its limb: below 0.01 px before noise."""
-    camera, worst = eye(which).view.camera, 0.0
-    for phase in np.linspace(0.0, 0.85, 9):
-        a = np.array([-180.0 + phase, 230.0, 60.0])
-        b = np.array([-180.0 + phase + lean_mm, 230.0, 180.0])
-        share = hidden_share(which, Hull(tuple(a), tuple(b), 11.0, 11.0))
-        middle = by_opencv(camera, 0.5 * (a + b)[None, :])[0]
-        rows = np.arange(round(middle[1]) - 30, round(middle[1]) + 30)
-        columns = np.arange(round(middle[0]) - 40, round(middle[0]) + 41)
-        for side, seen in zip((-1.0, 1.0), bounds(share, rows, columns), strict=True):
-            limb = by_opencv(camera, _limb(camera, a, b, 11.0, side))
-            worst = max(worst, float(np.abs(seen - at_rows(limb, rows)).max()))
-    assert worst < 0.01, f"worst edge error {worst:.4f} px"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("angle_deg", [0.0, 1.0, 5.0, 17.0, 30.0, 45.0, 60.0, 73.0, 89.0, 90.0])
+@pytest.mark.parametrize("angle_deg", [0.0, 17.0, 45.0, 73.0, 90.0])
 def test_edges_of_every_orientation(angle_deg: float) -> None:
     """Both edges of a turned post: their mean place over each stretch, below 0.01 px."""
     camera = eye("left").view.camera

@@ -9,26 +9,13 @@ import numpy as np
 import pytest
 
 from bench.script.phantom import shipped_phantom
-from instruments.world.objects import SceneObject, make_object
-from instruments.world.phantom import Phantom, PlatePose, Teat, TeatShape
+from instruments.world.objects import make_object
+from instruments.world.phantom import PlatePose
 from instruments.world.scene import Renderer, contact_sheet
-from instruments.world.shading import Lighting, Paint
-from instruments.world.solids import ball
+from instruments.world.shading import Lighting
 from instruments.world.state import SceneState
 from tests.instruments.world.scenes import NOBODY, calibration_table, empty, renderer, small
 from tests.situations import SITUATIONS, situation
-
-
-@pytest.mark.slow
-def test_the_nearer_thing_is_drawn_over_the_farther() -> None:
-    white, black = Paint(albedo=1.0), Paint(albedo=0.0)
-    near = SceneObject("near", (ball((-185.0, 100.0, 200.0), 10.0),), black, "ambient")
-    far = SceneObject("far", (ball((-170.0, 500.0, 200.0), 60.0),), white, "ambient")
-    u, v = renderer().cameras[0].project(np.array([[-185.0, 100.0, 200.0]]))[0].round().astype(int)
-    for objects in ((near, far), (far, near)):
-        seen = renderer().left.expected(replace(NOBODY, objects=objects))
-        assert seen[v, u] < 10.0
-        assert seen[v, u + 30] > 60.0
 
 
 def warm(
@@ -36,32 +23,6 @@ def warm(
 ) -> SceneState:
     phantom = shipped_phantom(layout)
     return SceneState(phantom, (teat_c,) * len(phantom.teats), teat_c - 0.5, ambient_c, **more)
-
-
-@pytest.mark.slow
-def test_a_cold_phantom_is_invisible_in_the_thermal_picture() -> None:
-    seen = renderer().thermal.expected_k(warm())
-    teat, room = seen > 273.15 + 31.0, seen < 273.15 + 20.001
-    cold = replace(warm(teat_c=20.0), hose_temp_c=20.0)
-    assert np.ptp(renderer().thermal.expected_k(cold)) < 1e-6
-    frames = [renderer().render(cold, np.random.default_rng(i)) for i in range(3)]
-    kelvin = np.mean([frame.thermal_ck / 100.0 for frame in frames], axis=0)
-    assert abs(kelvin[teat].mean() - kelvin[room].mean()) < 0.05
-    picture = frames[0].thermal_8bit.astype(float)
-    assert picture.std() < 6.0
-    assert picture.min() > 180.0
-
-
-@pytest.mark.slow
-def test_a_warm_phantom_stands_out_black_and_mirrored() -> None:
-    state = warm()
-    frame = renderer().render(state, np.random.default_rng(3))
-    pixels = renderer().cameras[2].project(state.phantom.ends_mm - [0.0, 0.0, 30.0])
-    for u, v in pixels.round().astype(int):
-        assert frame.thermal_8bit[v, 639 - u] < 40
-        seen_c = frame.thermal_ck[v // 4, u // 4] / 100.0 - 273.15
-        assert seen_c == pytest.approx(0.95 * 32.5 + 0.05 * 20.0, abs=0.6)
-    assert np.median(frame.thermal_8bit) > 200
 
 
 @pytest.mark.slow
@@ -104,16 +65,6 @@ def test_a_post_before_a_teat_hides_it_from_the_cameras_behind_the_post_only() -
     assert not visible[1, 0]
     assert visible[1, 1]
     assert visible[[0, 2, 3]].sum() >= 8
-
-
-def test_a_teat_behind_a_taller_one_is_hidden() -> None:
-    camera = renderer().cameras[1]
-    near = np.array([-180.0, 200.0])
-    far = camera.centre_mm[:2] + (near - camera.centre_mm[:2]) * 1.08
-    tall = Teat((near[0], near[1]), TeatShape(150.0, 12.0))
-    phantom = Phantom((tall, Teat((far[0], far[1]), TeatShape(130.0, 11.0))))
-    visible = renderer().visible_ends(SceneState(phantom, (32.0, 32.0), 31.0, 20.0))
-    assert visible[:, 1].tolist() == [True, False]
 
 
 def test_an_end_outside_of_the_image_is_not_visible() -> None:
