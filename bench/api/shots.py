@@ -10,10 +10,16 @@ from functools import lru_cache
 from pathlib import Path
 
 from bench.arguments import lent
-from bench.campaign.chunk import LIMIT_MM
 from bench.config import ConfigError, check_within, wrong_use
 from bench.record.recording import TruthRow
-from bench.results.answers import TIMEOUT_S, Answer, close_detectors, examine, score_answer
+from bench.results.answers import (
+    LIMIT_MM,
+    TIMEOUT_S,
+    Answer,
+    close_detectors,
+    examine,
+    score_answer,
+)
 from bench.rig.loading import NO_RIGS, RIGS, LoadedRig, any_rig, shipped
 from bench.rig.loading import AnyRig as AnyRig
 from bench.rig.loading import load_rig as load_rig_file

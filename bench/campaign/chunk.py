@@ -17,7 +17,7 @@ import numpy as np
 
 from bench.campaign.perturbations import Applied
 from bench.record.recording import FIELDS, TruthRow
-from bench.results.answers import Answer, examine, score_answer
+from bench.results.answers import LIMIT_MM, Answer, examine, score_answer
 from bench.rig.scenes import DrawnScene, draw, renderer_of, warm
 from bench.scoring.scene import SceneScore
 from detector.calibration import Calibration, ParameterCovariance
@@ -29,7 +29,6 @@ from instruments.world.scene import Renderer
 from instruments.world.setups import Situation
 from instruments.world.situations import member as member_of
 
-LIMIT_MM = 5.0  # of the error of each teat end; thesis, section 1.4.3
 ASIDE = "set aside"  # no failure of the detector: the bench could not do the scene
 DIGEST_BYTES = 8  # of SHA-256: a million scenes have the same one with a chance of 3e-8
 # an answer is sure and wrong where it is farther than both of these from a true end

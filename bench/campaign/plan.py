@@ -16,7 +16,7 @@ from pydantic import Field, field_validator, model_validator
 
 import detector
 import instruments.world
-from bench.campaign.chunk import LIMIT_MM, Bench, Scene
+from bench.campaign.chunk import Bench, Scene
 from bench.campaign.perturbations import Applied
 from bench.config import (
     ConfigError,
@@ -28,6 +28,7 @@ from bench.config import (
     read_text,
     toml_table,
 )
+from bench.results.answers import LIMIT_MM
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import EmulatedDepth, EmulatedOptical, EmulatedThermal, make_renderer
 from bench.rig.scenes import chosen

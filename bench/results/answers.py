@@ -187,6 +187,7 @@ def _short(value: Any) -> str:
     return text if len(text) <= 80 else text[:77] + "..."
 
 
+LIMIT_MM = 5.0  # of the error of each teat end; thesis, section 1.4.3
 TIMEOUT_S = 30.0  # a slower answer counts as none; a rig says its own (limits.detection_timeout_s)
 
 

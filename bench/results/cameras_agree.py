@@ -15,6 +15,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from bench.record.reader import RunRecord, TrialRecord, points_mm, read_run
 from bench.record.recording import Recording, RecordingError, TruthRow
 from bench.record.schema import DATABASE
 from bench.scoring.decisions import Decision, Verdict
+from bench.scoring.errors import Floats
 from bench.scoring.joint import JointCovariance
 from bench.scoring.rates import plural
 from bench.script.model import CamerasRequirement
@@ -308,6 +310,7 @@ def _trial_of(frame: str, truth: Sequence[TruthRow]) -> TrialRecord:
     return TrialRecord({"id": frame, "invalid": None}, truth=rows)
 
 
+@lru_cache(maxsize=2)  # verdicts, blame, health and tables ask for it
 def cameras_of(run: RunRecord) -> CamerasCheck:
     """The check of a run's touched ends."""
     by_pose: dict[str, list[tuple[End, dict[str, Any]]]] = defaultdict(list)
@@ -327,30 +330,27 @@ def _checked(
     return check_cameras(seen, joint_truth(run, ends))
 
 
+@lru_cache(maxsize=4)  # of two runs' two detectors
 def answers_of(run: RunRecord, detector: str, calibration: Calibration) -> CameraOffset | None:
     """The disparity between a detector's answers and the truth; None below `LEAST_POSES`."""
     ends: list[End] = []
-    values: list[float] = []
-    scales: list[float] = []
+    errors: list[Floats] = []
     for trial in run.counted:
-        score = trial.scores.get(detector)
-        if score is None or not score.match.pairs:
-            continue
-        rows = [trial.truth[k] for _, k in score.match.pairs]
-        true = points_mm(rows)
-        columns = [
-            np.subtract(left[:, 0], right[:, 0])
-            for left, right in map(calibration.project, (true + score.errors_mm, true))
-        ]
-        values += (columns[0] - columns[1]).tolist()
-        scales += calibration.depth_per_disparity_px_mm(true).tolist()
-        ends += [(trial, row) for row in rows]
+        if (score := trial.scores.get(detector)) is not None and score.match.pairs:
+            ends += [(trial, trial.truth[k]) for _, k in score.match.pairs]
+            errors.append(score.errors_mm)
     if not ends:
         return None
-    poses = list(dict.fromkeys(trial.pose for trial, _ in ends))
-    groups = [poses.index(trial.pose) for trial, _ in ends]
-    mm, deg = float(np.median(scales)), float(np.degrees(1.0 / calibration.right.fc[0]))
-    return _pooled(NAMES[0], np.array(values), groups, joint_truth(run, ends), (mm, mm, deg))
+    true = points_mm(row for _, row in ends)
+    answered, known = (
+        np.subtract(left[:, 0], right[:, 0])
+        for left, right in map(calibration.project, (true + np.concatenate(errors), true))
+    )
+    numbers = {pose: at for at, pose in enumerate(dict.fromkeys(trial.pose for trial, _ in ends))}
+    groups = [numbers[trial.pose] for trial, _ in ends]
+    mm = float(np.median(calibration.depth_per_disparity_px_mm(true)))
+    deg = float(np.degrees(1.0 / calibration.right.fc[0]))
+    return _pooled(NAMES[0], answered - known, groups, joint_truth(run, ends), (mm, mm, deg))
 
 
 def share_shift(cameras: CameraOffset, answers: CameraOffset) -> bool:

@@ -10,14 +10,16 @@ moved these (refined).
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
+from numpy.typing import NDArray
 
 from bench.record.reader import TrialRecord, points_mm
+from bench.record.schema import Row
 from bench.scoring.errors import Bools, Floats
 from detector.calibration import Calibration
 
@@ -48,10 +50,9 @@ class InPictures:
 
     def of(self, situation: str | None = None, teat: str | None = None) -> Bools:
         """The rows of one situation and teat (n,); of all for None."""
-        rows = zip(self.situations, self.teats, strict=True)
-        return np.array(
-            [situation in (None, s) and teat in (None, t) for s, t in rows], dtype=np.bool_
-        )
+        each = zip(self.situations, self.teats, strict=True)
+        rows = [situation in (None, s) and teat in (None, t) for s, t in each]
+        return np.array(rows, dtype=np.bool_)
 
     def moved(self, rows: Bools) -> tuple[int, int]:
         """How many ends the optical pictures moved nearer to the truth, and how many farther."""
@@ -63,34 +64,29 @@ def in_pictures(
     trials: Sequence[TrialRecord], detector: str, calibration: Calibration
 ) -> InPictures | None:
     """Of a detector that leaves the thesis's stages; None for any other."""
-    rows: list[tuple[str, str, Floats, Bools, Floats]] = []
-    astray: dict[str, int] = {}
-    seen = False
+    seen: list[tuple[TrialRecord, list[Row], Floats]] = []
     for trial in trials:
         traces = [d["trace"] for d in trial.detections if d["detector"] == detector]
         # long ones of other detectors are not read
         named = json.loads(traces[0]) if traces and '"edges"' in traces[0] else {}
-        if "thermal" not in named or "edges" not in named:
-            continue
-        seen = True
-        situation = str(trial.head["situation"])
-        answers = _answers(named)
-        visible = [row for row in trial.truth if row["visible"]]
-        off_px, on_end, off_mm, unpaired = _compared(points_mm(visible), answers, calibration)
-        astray[situation] = astray.get(situation, 0) + unpaired
-        each = zip(visible, off_px, on_end, off_mm, strict=True)
-        rows += [(situation, str(row["teat"]), *values) for row, *values in each]
+        if "thermal" in named and "edges" in named:
+            seen.append((trial, [row for row in trial.truth if row["visible"]], _answers(named)))
     if not seen:
         return None
-    situations, teats, off, on, mm = zip(*rows, strict=True) if rows else ((),) * 5
-    return InPictures(
-        situations,
-        teats,
-        np.array(off, dtype=np.float64).reshape(-1, len(PICTURES)),
-        np.array(on, dtype=np.bool_).reshape(-1, len(PICTURES)),
-        np.array(mm, dtype=np.float64).reshape(-1, 2),
-        astray,
-    )
+    rows = [(str(trial.head["situation"]), row) for trial, visible, _ in seen for row in visible]
+    ends = points_mm(row for _, row in rows)
+    apex, _ = _seen(ends, calibration)  # at once: four points take as long as hundreds
+    paired, astray, first = list[tuple[NDArray[np.intp], Floats]](), Counter[str](), 0
+    for trial, visible, answers_px in seen:
+        at, of = _paired(apex[:, first : first + len(visible)], answers_px)
+        paired.append((first + at, answers_px[:, of]))
+        astray[str(trial.head["situation"])] += answers_px.shape[1] - len(of)
+        first += len(visible)
+    found, answers = zip(*paired, strict=True)
+    answers_px = np.concatenate(answers, axis=1)
+    compared = _compared(ends, np.concatenate(found), answers_px, calibration)
+    situations, teats = tuple(of for of, _ in rows), tuple(str(row["teat"]) for _, row in rows)
+    return InPictures(situations, teats, *compared, astray)
 
 
 def _answers(trace: Mapping[str, Any]) -> Floats:
@@ -102,34 +98,40 @@ def _answers(trace: Mapping[str, Any]) -> Floats:
         return np.empty((len(PICTURES), 0, 2))
 
 
+def _paired(apex: Floats, answers_px: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Of true ends (5, k, 2) and answers (5, n, 2): which belong together in optical pictures."""
+    from scipy.optimize import linear_sum_assignment  # late: loads for a fifth of a second
+
+    far = np.linalg.norm(answers_px[1::2, None] - apex[1::2, :, None], axis=3)  # (2, k, n)
+    cost = np.nan_to_num(far.min(axis=0), nan=1e6)
+    at, of = linear_sum_assignment(np.minimum(cost, 2.0 * GATE_PX))
+    good = cost[at, of] < GATE_PX
+    return at[good], of[good]
+
+
 def _compared(
-    ends_mm: Floats, answers_px: Floats, calibration: Calibration
-) -> tuple[Floats, Bools, Floats, int]:
-    """Of true ends (k, 3) and answers (5, n, 2): distances (k, 5), whether on the end (k, 5), mm
-    (k, 2), and how many answers belong to no end. Answers are paired by the optical pictures.
+    ends_mm: Floats, at: NDArray[np.intp], answers_px: Floats, calibration: Calibration
+) -> tuple[Floats, Bools, Floats]:
+    """Of true ends (k, 3), and answers (5, n, 2) of those ``at`` (n,): distances (k, 5), whether on
+    the end (k, 5), mm (k, 2).
     """
     apex, focal = _seen(ends_mm, calibration)
     middle, _ = _seen(ends_mm - np.array([0.0, 0.0, RADIUS_MM]), calibration)
-    far = np.linalg.norm(answers_px[:, None] - apex[:, :, None], axis=3)  # (5, k, n)
-    cost = np.nan_to_num(np.minimum(far[1], far[3]), nan=1e6)
-    at, of = linear_sum_assignment(np.minimum(cost, 2.0 * GATE_PX))
-    good = cost[at, of] < GATE_PX
-    at, of = at[good], of[good]
     off_px, from_axis_px = np.full((2, len(ends_mm), len(PICTURES)), np.nan)
-    off_px[at] = far[:, at, of].T
     # from the axis of the rounded end, from its apex to its middle
     along = middle[:, at] - apex[:, at]
-    there = answers_px[:, of] - apex[:, at]
+    there = answers_px - apex[:, at]
+    off_px[at] = np.linalg.norm(there, axis=2).T
     share = np.clip((there * along).sum(axis=2) / (along**2).sum(axis=2), 0.0, 1.0)
     from_axis_px[at] = np.linalg.norm(there - share[..., None] * along, axis=2).T
     depth = calibration.world_from_right.inverse().apply(ends_mm)[:, 2:3]
     off_mm = np.full((len(ends_mm), 2), np.nan)
     for k, (one, other) in enumerate(((1, 3), (2, 4))):
-        found = calibration.place(answers_px[one, of], answers_px[other, of])
+        found = calibration.place(answers_px[one], answers_px[other])
         off_mm[at, k] = np.linalg.norm(found - ends_mm[at], axis=1)
     with np.errstate(invalid="ignore"):
         on_end = np.asarray(from_axis_px <= RADIUS_MM * focal / depth)
-    return off_px, on_end, off_mm, answers_px.shape[1] - len(of)
+    return off_px, on_end, off_mm
 
 
 def _seen(points_mm: Floats, calibration: Calibration) -> tuple[Floats, Floats]:

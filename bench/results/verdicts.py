@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -316,6 +317,7 @@ def calls_of(
     ]
 
 
+@lru_cache(maxsize=64)  # of each situation, too: most tables and figures ask for it
 def scored(run: RunRecord, detector: str, situation: str | None = None) -> Pool:
     """The scores of one detector, with the pose of each; of one situation where named."""
     trials = scored_trials(run, detector, situation)

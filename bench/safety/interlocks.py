@@ -366,10 +366,13 @@ class Interlocks:
             self._recent.popleft()
         oldest = self._recent[0]
         earlier = oldest if now.t_s - oldest.t_s >= RATE_SPAN_S else None
+        look: RuleInput | None = None
         for rule in self._active:
             since = self._since.setdefault(rule.name, now)
-            seen = (now, since, earlier, self._asked_c, pump_on, settled, lived)
-            why = rule.wrong(RuleInput(*seen, self._limits, self._profile))
+            if look is None or look.since is not since:  # most rules have the same
+                seen = (now, since, earlier, self._asked_c, pump_on, settled, lived)
+                look = RuleInput(*seen, self._limits, self._profile)
+            why = rule.wrong(look)
             if why is None:
                 self._since[rule.name] = now
             elif now.t_s - since.t_s >= rule.after_s:

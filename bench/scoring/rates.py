@@ -10,7 +10,7 @@ from functools import cache
 from math import ceil, log, log1p, sqrt
 
 import numpy as np
-from scipy.special import bdtr, betaincinv
+import scipy  # whose parts load when first used: most commands need `plural` alone
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class Rate:
             return None
         if self.failures == 0:
             return 1.0
-        return float(betaincinv(self.successes + 1, self.failures, confidence))
+        return float(scipy.special.betaincinv(self.successes + 1, self.failures, confidence))
 
     def __str__(self) -> str:
         if self.value is None:
@@ -179,11 +179,11 @@ def shown_falsely(failures: int, trials: int, rate: float, leak: float) -> float
     likelier than that, however the truth's errors depend on each other (an arm's error is much the
     same all through a run).
     """
-    bad, few = 1.0 - rate, float(bdtr(failures, trials, 1.0 - rate))
+    bad, few = 1.0 - rate, float(scipy.special.bdtr(failures, trials, 1.0 - rate))
     # beyond are hardly any, all counted as one there
     most = min(trials, failures + 10 + int(trials * bad + 10.0 * sqrt(trials * bad)))
     b = np.arange(failures, most + 1)
-    below = bdtr(b, trials, bad)
+    below = scipy.special.bdtr(b, trials, bad)
     passed = np.minimum(1.0, b[1:] * leak / (b[1:] - failures))
     return few + float(np.dot(np.diff(below), passed)) + float(1.0 - below[-1])
 

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.api.shots import Shot, load_rig, open_detector, score
-from bench.campaign.chunk import LIMIT_MM
 from bench.config import ConfigError
-from bench.results.answers import Answer, examine, name_of
+from bench.results.answers import LIMIT_MM, Answer, examine, name_of
 from bench.rig.scenes import rig_renderer
 from bench.scoring.scene import SceneScore
 from bench.testing.scene import Scene

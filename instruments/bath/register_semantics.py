@@ -251,13 +251,14 @@ class Controller(Values):
 
     def remembered(self, name: str) -> float:
         """The stored value of a row that nothing in the plant answers for."""
-        start = self.behaviour.starts.get(name)
-        if start is None:
+        if name in self.memory:
+            return self.memory[name]
+        if (start := self.behaviour.starts.get(name)) is None:
             row = self.profile.find(name)
             codes = row.values.values() if row else ()
             low, high = row.range if row and row.range else (0.0, 0.0)
             start = float(min(codes, key=abs)) if codes else min(max(0.0, low), high)
-        return self.memory.get(name, start)
+        return start
 
     def code(self, name: str, label: str) -> float:
         """The code that a row of the profile has for a label; 0 where it has none."""
