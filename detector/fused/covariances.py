@@ -18,7 +18,7 @@ from detector.fused.parameters import Parameters
 from detector.fused.refine import any_shape
 from detector.geometry import Array
 from detector.outline.fine import FINE_OUTLINE, Fitted
-from detector.outline.fit import apex_jacobian, normal_equations
+from detector.outline.fit import apex_jacobian, information, usual
 from detector.outline.model import END, HEIGHT, RADIUS, SIDE_A, SIDE_B, TAPER, apexes, axes
 from detector.outline.prior import disparities_px
 from detector.outline.views import THERMAL_FLOOR_PX
@@ -43,17 +43,19 @@ def unaliased(fitted: Fitted, p: Parameters) -> tuple[Fitted, Array]:
         at = slice(view * n, (view + 1) * n)
         wave = seen.normals[:, at] ** 3 * np.sin(2 * np.pi * place[:, at])
         waves[:, at, view] = np.nan_to_num(wave).sum(axis=2)
-    by_waves, weighted = _moved_by(waves, fitted, p), fitted.weight[..., None] * waves
+    H, moves = information(seen, fitted.weight, usual(p.prior)[1]), _moves(fitted)
+    pull = (moves * fitted.weight[..., None]).transpose(0, 2, 1)
+    by_waves = np.linalg.solve(H, pull @ waves)
     off = np.where(fitted.weight > 0, seen.offset_px, 0.0)
     # what moving the teats explains of the waves is no evidence
-    left = weighted - fitted.weight[..., None] * (_moves(fitted) @ by_waves)
-    information = np.einsum("mkv,mkw->vw", left, waves) / _STRETCH
+    left = fitted.weight[..., None] * (waves - moves @ by_waves)
+    known = np.einsum("mkv,mkw->vw", left, waves) / _STRETCH
     evidence = np.einsum("mkv,mk->v", left, off) / _STRETCH
-    information += np.eye(2) / _ALIAS_SD_PX**2
-    amplitude_px = np.linalg.solve(information, evidence)
+    known += np.eye(2) / _ALIAS_SD_PX**2
+    amplitude_px = np.linalg.solve(known, evidence)
     change, moved = -(waves @ amplitude_px), -(by_waves @ amplitude_px)
-    after = seen.offset_px + change - (_moves(fitted) @ moved[..., None])[..., 0]
-    unsure_px = np.sqrt((_ALIAS_SHARE * amplitude_px) ** 2 + np.diag(np.linalg.inv(information)))
+    after = seen.offset_px + change - (moves @ moved[..., None])[..., 0]
+    unsure_px = np.sqrt((_ALIAS_SHARE * amplitude_px) ** 2 + np.diag(np.linalg.inv(known)))
     ends = apex_jacobian(fitted.teats) @ by_waves * unsure_px
     return (
         replace(fitted, teats=fitted.teats + moved, seen=replace(seen, offset_px=after)),
@@ -66,25 +68,6 @@ def _moves(fitted: Fitted) -> Array:
     return np.where(fitted.weight[..., None] > 0, fitted.seen.jacobian, 0.0)
 
 
-def _equations(fitted: Fitted, p: Parameters) -> tuple[Array, Array]:
-    """The normal equations' matrices (m, 8, 8), and how edges pull, (m, k, 8), a px."""
-    H, _ = normal_equations(fitted.teats, fitted.seen, fitted.weight, p.prior)
-    return H, _moves(fitted) * fitted.weight[..., None]
-
-
-def _moved_by(edges_px: Array, fitted: Fitted, p: Parameters) -> Array:
-    """How teats move (m, 8, w) with their edges, each of which moves outward by (m, k, w)."""
-    H, pull = _equations(fitted, p)
-    return np.asarray(np.linalg.solve(H, pull.transpose(0, 2, 1) @ edges_px))
-
-
-def _end_gain(fitted: Fitted, p: Parameters) -> Array:
-    """How ends move with each edge (m, 3, k), mm a px."""
-    H, pull = _equations(fitted, p)
-    of_ends = np.linalg.solve(H, apex_jacobian(fitted.teats).transpose(0, 2, 1))
-    return np.asarray((pull @ of_ends).transpose(0, 2, 1))
-
-
 _SHOWN_PX = 0.6  # how far off an edge may be that shows an end
 # the half of an end that is farthest out, in both optical pictures: it says where the end is
 _TIP = np.tile(FINE_OUTLINE.part == END, 2)
@@ -95,6 +78,26 @@ _LEFT_OVER = 0.4, 5.0  # at least and at most
 _STRETCH = 4  # points of an outline that share a shift: some 10 px
 
 
+def _sure(fitted: Fitted, p: Parameters) -> Array:
+    """Inverse variances (m, 8) of the priors of fits."""
+    return np.where(fitted.shaped[:, None], *(usual(q.prior)[1] for q in (any_shape(p), p)))
+
+
+def _of_ends(fitted: Fitted, p: Parameters) -> Array:
+    """How ends move with the right sides of the normal equations (m, 8, 3)."""
+    H = information(fitted.seen, fitted.weight, _sure(fitted, p))
+    return np.linalg.solve(H, apex_jacobian(fitted.teats).transpose(0, 2, 1))
+
+
+def held(fitted: Fitted, p: Parameters) -> Array:
+    """How the ends move (m, 3, 3), the fits' frame, with the priors' means of `HELD`, mm a standard
+    deviation: little where the edges say what a number is.
+    """
+    which = list(HELD.values())
+    sds = np.sqrt(_sure(fitted, p)[:, which])
+    return np.asarray(_of_ends(fitted, p)[:, which].transpose(0, 2, 1) * sds[:, None])
+
+
 def end_covariances(fitted: Fitted, p: Parameters) -> Array:
     """(m, 3, 3) mm^2 of the ends, the fits' frame, without the calibration's share.
 
@@ -102,39 +105,11 @@ def end_covariances(fitted: Fitted, p: Parameters) -> Array:
     edges share (paint, shadow, sampling), by the scatter of stretches about the outline and by how
     unlike the lines' light is; the limb correction; the unseen part of the end.
     """
-    return _by_shape(_by_edges, fitted, p, 3)
-
-
-def held(fitted: Fitted, p: Parameters) -> Array:
-    """How the ends move (m, 3, 3), the fits' frame, with the priors' means of `HELD`, mm a standard
-    deviation: little where the edges say what a number is.
-    """
-    return _by_shape(_held, fitted, p, len(HELD))
-
-
-def _by_shape(
-    of: Callable[[Fitted, Parameters], Array], fitted: Fitted, p: Parameters, columns: int
-) -> Array:
-    """What is ``of`` fits (m, 3, columns), each with its own priors."""
-    result = np.empty((len(fitted.teats), 3, columns))
-    for shaped, priors in ((False, p), (True, any_shape(p))):
-        at = np.flatnonzero(fitted.shaped == shaped)
-        if len(at):
-            result[at] = of(fitted.take(at), priors)
-    return result
-
-
-def _held(fitted: Fitted, p: Parameters) -> Array:
-    H, _ = _equations(fitted, p)
-    of_ends = np.linalg.solve(H, apex_jacobian(fitted.teats).transpose(0, 2, 1))
-    sds = (p.prior.radius_sd_mm, p.prior.taper_sd, p.prior.height_sd)
-    return np.asarray(of_ends[:, list(HELD.values())].transpose(0, 2, 1) / sds)
-
-
-def _by_edges(fitted: Fitted, p: Parameters) -> Array:
     m, k = fitted.weight.shape
+    # how ends move with each edge (m, 3, k), mm a px
+    gain = (_moves(fitted) * fitted.weight[..., None]) @ _of_ends(fitted, p)
+    gain = np.ascontiguousarray(gain.transpose(0, 2, 1))
     optical = 2 * len(FINE_OUTLINE.part)
-    gain = _end_gain(fitted, p)
     sd = np.where(fitted.weight > 0, np.nan_to_num(fitted.seen.sd_px), 0.0)
     noise = gain * (sd * _left_over(fitted)[:, None])[:, None]
     limb = gain[..., :optical] * fitted.seen.limb_px[:, None, :optical]
@@ -146,13 +121,10 @@ def _by_edges(fitted: Fitted, p: Parameters) -> Array:
     off, used = np.abs(fitted.seen.offset_px[:, :optical]), fitted.weight[:, :optical] > 0
     shift[..., : optical // _STRETCH] = _stretch_shift(fitted, p)[:, None, None]
     shown = (used & (off < _SHOWN_PX))[:, _TIP].mean(axis=1)
-    unseen = ((1.0 - shown) ** 2 * p.unseen_end_sd_mm)[:, None, None] * axes(fitted.teats)[
-        ..., None
-    ]
+    unseen = ((1.0 - shown) ** 2 * p.unseen_end_sd_mm)[:, None] * axes(fitted.teats)
     unlike = gain[..., :optical] @ fitted.seen.unlike_px[:, :optical, None]
     light = [p.limb_share * by_part, p.unlike_light_share * unlike]
-    moves = [noise, stretches * shift, *light, unseen]
-    every = np.concatenate(moves, axis=2)
+    every = np.concatenate([noise, stretches * shift, *light, unseen[..., None]], axis=2)
     return np.asarray(every @ every.transpose(0, 2, 1) + _LEAST_MM2 * np.eye(3))
 
 

@@ -50,14 +50,13 @@ class Starts(Rows):
 class Map:
     """Squeezed gradients of one view, blurred by a start's error, with a border of zeros."""
 
-    gx: Field
-    gy: Field
+    gradients: Field
     view: View
 
     @classmethod
     def of(cls, view: View, blur_px: float) -> Map:
         """The map of a view."""
-        return cls(*strengths(view.field, blur_px, noises=3.0, border=1), view)
+        return cls(strengths(view.field, blur_px, noises=3.0, border=1), view)
 
 
 def depths_mm(calibration: Calibration, seen_mm: tuple[float, float]) -> Array:
@@ -191,7 +190,7 @@ def _scores(
     arc = np.column_stack([-np.cos(_ARC), np.sin(_ARC)])
     swells = np.array(np.broadcast_to(swell, m), dtype=float)
     found = kernels.across(
-        each.gx, each.gy, shifts, np.ascontiguousarray(teats), swells, each.view.numbers,
+        each.gradients, shifts, np.ascontiguousarray(teats), swells, each.view.numbers,
         each.view.corner_px, arc, _BELOW, end,
     )  # fmt: skip
     return np.asarray(found)

@@ -7,6 +7,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from functools import reduce
+from operator import add
 from typing import Any, ClassVar
 
 import numpy as np
@@ -63,7 +65,7 @@ from detector.history import predicted
 from detector.outline import pictures
 from detector.outline.fine import Fitted, fine
 from detector.outline.fit import View, upright
-from detector.outline.model import COUNT, Rows, apexes, axes
+from detector.outline.model import COUNT, apexes, axes
 from detector.outline.offsets import thermal_offsets_far
 from detector.outline.prior import (
     OutOfDomainError,
@@ -173,6 +175,66 @@ class _Thermal:
     depths_mm: tuple[float, float]
     sought: Sought
 
+    @classmethod
+    def of(cls, frames: Frames, calibration: Calibration, prior: Prior) -> _Thermal:
+        """Raises UnusableError, OutOfDomainError."""
+        depths_mm = depths_seen_mm(calibration, prior)
+        view, camera = thermal_view(frames, calibration), calibration.thermal
+        if camera.lens is None:
+            raise ValueError("a thermal view without a lens")
+        size = camera.image_size[0] / camera.sensor_size[0]
+        sought = Sought.of(view.camera, view.camera_from_teats, depths_mm, prior)
+        return cls(view, camera.lens, size, levels(view.field), depths_mm, sought)
+
+    def px(self, points_mm: Array) -> Array:
+        """Where the delivered picture shows points (k, 3) of the fits' frame."""
+        return self.lens.project(self.view.camera_from_teats.apply(points_mm))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Judged:
+    """Fitted teats, what the pictures show of them, and what was decided of each."""
+
+    fitted: Fitted
+    evidence: Evidence
+    decision: Decision
+
+    @property
+    def each(self) -> tuple[Array, Evidence, Decision]:
+        """Teats (m, 8), and the rest."""
+        return self.fitted.teats, self.evidence, self.decision
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scene:
+    """The pictures about the starts of fits, and the thermal picture's nominations."""
+
+    views: tuple[View, ...]
+    thermal: _Thermal
+    ends: Nominations
+    calibration: Calibration
+    p: Parameters
+
+    def judged(self, fitted: Fitted, known: _Judged | None = None) -> _Judged:
+        """Fits, and some that are judged already."""
+        thermal, prior = self.thermal, self.p.prior
+        view, size = thermal.view, thermal.px_a_sensor_px
+        warmth = warmth_across(fitted.teats, view.field, thermal.lens, view.camera_from_teats, size)
+        evidence = weigh(fitted, end_covariances(fitted, self.p), warmth, self.views, prior)
+        if known:
+            fitted, evidence = known.fitted + fitted, known.evidence + evidence
+        return _Judged(fitted, evidence, decide(fitted.teats, evidence, LEARNED, prior))
+
+    def unexplained(self, teats: Array, least: float = SURE_END) -> Array:
+        """The ends (k, 2) sensor px of the thermal picture that are of none of teats (m, 8)."""
+        thermal, tips = self.thermal, apexes(teats)
+        feet_px, tips_px = (
+            thermal.view.camera.project(thermal.view.camera_from_teats.apply(points))
+            for points in (tips + 60.0 * axes(teats), tips)
+        )
+        field, sought = thermal.view.field, thermal.sought
+        return unexplained(field, thermal.levels, self.ends, feet_px, tips_px, sought, least)
+
 
 def _detect(
     frames: Frames,
@@ -184,195 +246,101 @@ def _detect(
     """``more`` teats (m, 8): where fits begin beside what the pictures suggest."""
     left = pictures.optical(frames.left, calibration.left.image_size, "left")
     right = pictures.optical(frames.right, calibration.right.image_size, "right")
-    thermal = _thermal(frames, calibration, p.prior)
-    teats, views, ends = _start(thermal, left, right, calibration, p, trace, more)
-    judged = _fit(teats, views, thermal, ends, calibration, p)
+    thermal = _Thermal.of(frames, calibration, p.prior)
+    teats, scene = _start(thermal, left, right, calibration, p, trace, more)
+    judged = _fit(teats, scene)
     # every fitted teat with evidence and objection, empty if accepted
+    decision, evidence = judged.decision, judged.evidence
     shown = {"teats": judged.fitted.teats}
-    shown |= {name: getattr(judged.evidence, name) for name in Evidence.__slots__}
+    shown |= {name: getattr(evidence, name) for name in Evidence.__slots__}
     shown["right_from_teats"] = right_from_teats(calibration).R
-    decision = judged.decision
     shown["odds"] = decision.odds
     shown["reasons"] = np.array([reason or "" for reason in decision.reasons], dtype=np.str_)
     which = decision.accepted or np.flatnonzero(decision.by_witness).tolist()
-    some, far_px = judged.fitted.take(which), _far_px(judged, thermal)
-    cameras = agreement(some, far_px, calibration, p, thermal.px_a_sensor_px)
+    far_px = _far_px(judged, thermal.view)
+    some, size = judged.fitted.take(which), thermal.px_a_sensor_px
+    cameras = agreement(some, far_px, calibration, p, size)
     shown["cameras_px"] = np.array([cameras.rows_px, *cameras.thermal_px])
     trace.append(Stage("decisions", shown))
     if wrong := disagreement(cameras, judged.fitted, calibration):
         raise pictures.UnusableError(wrong)
     fitted = judged.fitted.take(decision.accepted)
-    edges = sharpness(fitted, views[:2])
+    edges = sharpness(fitted, scene.views[:2])
     if wrong := too_blurred(edges):
         raise pictures.UnusableError(wrong)
-    answers = _answers(judged, cameras, edges, thermal, calibration, p, trace)
-    faint_px = _unexplained(fitted.teats, thermal, ends, SOME_END)
-    said = _said(judged, faint_px, thermal, calibration, p)
-    if not answers:
-        said = ["nothing warm has the outline of a teat in both optical pictures", *said]
-    reason = "; ".join(said) or None
-    hidden = len(_unexplained(fitted.teats, thermal, ends))
-    return Detection(answers, hidden, reason, tuple(trace))
+    answers = _answers(judged, cameras, edges, scene, trace) if decision.accepted else ()
+    # what of the given lies outside of what teats are, and what isn't given
+    given = Fits.made(fitted.teats, evidence.take(decision.accepted), p.prior)
+    doubtful = decision.odds > LEARNED.least - _MAYBE_END
+    thermal_px = thermal.px(apexes(judged.fitted.teats))
+    warm_px = (scene.unexplained(fitted.teats, SOME_END) + 0.5) * size - 0.5
+    said = [] if answers else ["nothing warm has the outline of a teat in both optical pictures"]
+    said += outside(given)
+    said += left_out(
+        judged.fitted.teats, decision, doubtful, thermal_px, warm_px, size, calibration
+    )
+    hidden = len(scene.unexplained(fitted.teats))
+    return Detection(answers, hidden, "; ".join(said) or None, tuple(trace))
 
 
-def _far_px(judged: _Judged, thermal: _Thermal) -> Array:
+def _far_px(judged: _Judged, view: View) -> Array:
     """How far (k, 2) the thermal outlines of ends that both optical pictures show whole are off,
     sensor px, if near most of them there is none; not-a-number where there is none at all.
     """
-    teats, evidence = judged.fitted.teats, judged.evidence
-    whole = whole_ends(teats, evidence, judged.decision)
-    if 2 * np.isfinite(evidence.thermal_px[whole]).all(axis=1).sum() > len(whole):
+    whole = whole_ends(*judged.each)
+    if 2 * np.isfinite(judged.evidence.thermal_px[whole]).all(axis=1).sum() > len(whole):
         return np.zeros((0, 2))
-    return thermal_offsets_far(teats[whole], thermal.view)
+    return thermal_offsets_far(judged.fitted.teats[whole], view)
 
 
-def _said(
-    judged: _Judged,
-    unexplained_px: Array,
-    thermal: _Thermal,
-    calibration: Calibration,
-    p: Parameters,
-) -> list[str]:
-    """What isn't given, and what of the given lies outside of what teats are."""
-    decision, teats = judged.decision, judged.fitted.teats
-    accepted = decision.accepted
-    given = Fits.made(teats[accepted], judged.evidence.take(accepted), p.prior)
-    size = thermal.px_a_sensor_px
-    thermal_px = thermal.lens.project(thermal.view.camera_from_teats.apply(apexes(teats)))
-    warm_px = (unexplained_px + 0.5) * size - 0.5
-    doubtful = decision.odds > LEARNED.least - _MAYBE_END
-    more = left_out(teats, decision, doubtful, thermal_px, warm_px, size, calibration)
-    return [*outside(given), *more]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Candidates(Rows):
-    """Fitted teats, end covariances (m, 3, 3) in their frame, and evidence."""
-
-    fitted: Fitted
-    covariances: Array
-    evidence: Evidence
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Judged:
-    """Candidates, and what was decided of each."""
-
-    candidates: _Candidates
-    decision: Decision
-
-    @property
-    def fitted(self) -> Fitted:
-        return self.candidates.fitted
-
-    @property
-    def evidence(self) -> Evidence:
-        return self.candidates.evidence
-
-
-def _unexplained(
-    teats: Array, thermal: _Thermal, ends: Nominations, least: float = SURE_END
-) -> Array:
-    """The ends (k, 2) sensor px of the thermal picture that are of none of teats (m, 8)."""
-    tips, view = apexes(teats), thermal.view
-    feet_px, tips_px = (
-        view.camera.project(view.camera_from_teats.apply(points))
-        for points in (tips + 60.0 * axes(teats), tips)
-    )
-    return unexplained(view.field, thermal.levels, ends, feet_px, tips_px, thermal.sought, least)
-
-
-def _fit(
-    teats: Array,
-    views: tuple[View, ...],
-    thermal: _Thermal,
-    ends: Nominations,
-    calibration: Calibration,
-    p: Parameters,
-) -> _Judged:
+def _fit(teats: Array, scene: _Scene) -> _Judged:
     """Fit and judge; again without what a neighbour may have bridged, where ends may be too high or
     low, or not of the usual shape, and from beside what is unsure.
     """
-
-    def weighed(fitted: Fitted) -> _Candidates:
-        return _weigh(fitted, views, thermal, p)
-
-    def judge(candidates: _Candidates) -> _Judged:
-        return _judge(candidates, p)
-
-    judged = _from_starts(teats, views, thermal, ends, p)
-    bridging, shifted = doubts(judged.fitted.teats, judged.evidence, judged.decision, p)
-    if bridging or shifted:
-        more, doubtful = judged.candidates, judged.fitted.teats[shifted]
-        if bridging:
-            starts, left_out = one_sided(judged.fitted.teats[bridging], p, len(views))
-            more += weighed(fine(starts, left_out, views, p.prior))
-        if shifted:
-            slid = [slide(doubtful, views) for slide in (slide_to_round, slide_to_stop)]
-            more += weighed(refine_slid(np.concatenate(slid), views, p))
-        judged = judge(more)
-    unlike = shapes(judged.fitted.teats, judged.evidence, judged.decision, p)
-    if unlike:
+    views, p, limits = scene.views, scene.p, LEARNED.limits
+    judged = _from_starts(teats, scene)
+    more = list[Fitted]()
+    bridging, shifted = doubts(*judged.each, limits, p)
+    if bridging:
+        starts, left_out = one_sided(judged.fitted.teats[bridging], p, len(views))
+        more.append(fine(starts, left_out, views, p.prior))
+    if shifted:
+        slid = [s(judged.fitted.teats[shifted], views) for s in (slide_to_round, slide_to_stop)]
+        more.append(refine_slid(np.concatenate(slid), views, p))
+    if more:
+        judged = scene.judged(reduce(add, more), judged)
+    if unlike := shapes(*judged.each, limits, p):
         usual = np.delete(np.arange(len(judged.fitted.teats)), unlike)
-        again = weighed(shaped_again(judged.fitted.take(unlike), views, p))
-        judged = judge(judged.candidates.take(usual) + again)
-    rows = unsure(judged.fitted.teats, judged.evidence, judged.decision, p)
-    if rows:
-        beside = refine_beside(judged.fitted.take(rows), views, p, calibration)
-        judged = judge(judged.candidates + weighed(beside))
+        again = shaped_again(judged.fitted.take(unlike), views, p)
+        rest = replace(
+            judged, fitted=judged.fitted.take(usual), evidence=judged.evidence.take(usual)
+        )
+        judged = scene.judged(again, rest)
+    if rows := unsure(*judged.each, limits, p):
+        beside = refine_beside(judged.fitted.take(rows), views, p, scene.calibration)
+        judged = scene.judged(beside, judged)
     return judged
 
 
-def _from_starts(
-    teats: Array, views: tuple[View, ...], thermal: _Thermal, ends: Nominations, p: Parameters
-) -> _Judged:
-    """What the first of starts ``teats`` (m, 8) lead to; and the rest, unless that is an udder."""
-    first, rest = teats[: p.first_starts], teats[p.first_starts :]
-    try:
-        fitted = refine(first, views, p)
-    except pictures.UnusableError:
-        if len(rest) == 0:
-            raise
-        return _judge(_weigh(refine(rest, views, p), views, thermal, p), p)
-    judged = _judge(_weigh(fitted, views, thermal, p), p)
-    if len(rest) == 0 or (
-        _settled(judged, p)
-        and len(_unexplained(judged.fitted.teats[judged.decision.accepted], thermal, ends)) == 0
-    ):
-        return judged
-    return _judge(_weigh(refine(rest, views, p, judged.fitted), views, thermal, p), p)
-
-
-def _settled(judged: _Judged, p: Parameters) -> bool:
-    """Whether an udder of teats is accepted, all of them beyond doubt."""
-    accepted = judged.decision.accepted
-    beyond = judged.decision.odds[accepted] > LEARNED.least + _SURE
-    return bool(len(accepted) == p.prior.udder and beyond.all())
-
-
-def _judge(candidates: _Candidates, p: Parameters) -> _Judged:
-    teats, evidence = candidates.fitted.teats, candidates.evidence
-    return _Judged(candidates, decide(teats, evidence, LEARNED, p.prior))
-
-
-def _weigh(
-    fitted: Fitted, views: tuple[View, ...], thermal: _Thermal, p: Parameters
-) -> _Candidates:
-    covariances = end_covariances(fitted, p)
-    motion, size = thermal.view.camera_from_teats, thermal.px_a_sensor_px
-    warmth = warmth_across(fitted.teats, thermal.view.field, thermal.lens, motion, size)
-    return _Candidates(fitted, covariances, weigh(fitted, covariances, warmth, views, p.prior))
-
-
-def _thermal(frames: Frames, calibration: Calibration, prior: Prior) -> _Thermal:
-    """Raises UnusableError, OutOfDomainError."""
-    depths_mm = depths_seen_mm(calibration, prior)
-    view, camera = thermal_view(frames, calibration), calibration.thermal
-    if camera.lens is None:
-        raise ValueError("a thermal view without a lens")
-    size = camera.image_size[0] / camera.sensor_size[0]
-    sought = Sought.of(view.camera, view.camera_from_teats, depths_mm, prior)
-    return _Thermal(view, camera.lens, size, levels(view.field), depths_mm, sought)
+def _from_starts(teats: Array, scene: _Scene) -> _Judged:
+    """What the first of starts ``teats`` (m, 8) lead to; and the rest, unless that is an udder of
+    teats beyond doubt and explains all that is warm.
+    """
+    judged, p = None, scene.p
+    for some in (teats[: p.first_starts], teats[p.first_starts :]):
+        fitted = refine(some, scene.views, p, judged.fitted if judged else None)
+        if fitted is None:
+            continue
+        judged = scene.judged(fitted, judged)
+        accepted = judged.decision.accepted
+        beyond = judged.decision.odds[accepted] > LEARNED.least + _SURE
+        given = judged.fitted.teats[accepted]
+        if len(accepted) == p.prior.udder and beyond.all() and not len(scene.unexplained(given)):
+            break
+    if judged is None:
+        why = "the optical pictures show no outline where the thermal one is warm"
+        raise pictures.UnusableError(why)
+    return judged
 
 
 def _start(
@@ -383,11 +351,11 @@ def _start(
     p: Parameters,
     trace: list[Stage],
     more: Array | None,
-) -> tuple[Array, tuple[View, ...], Nominations]:
+) -> tuple[Array, _Scene]:
     warm = thermal.view.field
-    gx, gy = strengths(warm, border=ROOM_PX)
-    ends = nominate(gx, gy, p.most_nominations, thermal.sought)
-    upright = bars(warm, gx, gy, thermal.levels, ends, p.most_bars, thermal.sought)
+    gradients = strengths(warm, border=ROOM_PX)
+    ends = nominate(gradients, p.most_nominations, thermal.sought)
+    upright = bars(warm, gradients, thermal.levels, ends, p.most_bars, thermal.sought)
     shown = {
         f"{what}_{name.removeprefix('centre_')}": getattr(found, name)
         for what, found in (("end", ends), ("bar", upright))
@@ -413,30 +381,21 @@ def _start(
     teats = teats if more is None else np.concatenate([more, teats])
     trace.append(Stage("starts", {"teats": teats}))
     near = optical_views(left, right, calibration, teats) if len(teats) else views
-    return teats, (*near, thermal.view), ends
+    return teats, _Scene((*near, thermal.view), thermal, ends, calibration, p)
 
 
 def _answers(
-    judged: _Judged,
-    cameras: Agreement,
-    edges: Sharpness,
-    thermal: _Thermal,
-    calibration: Calibration,
-    p: Parameters,
-    trace: list[Stage],
+    judged: _Judged, cameras: Agreement, edges: Sharpness, scene: _Scene, trace: list[Stage]
 ) -> tuple[Teat, ...]:
     """Accepted ends with covariances, the calibration's included, and their pixels."""
-    rows = judged.decision.accepted
-    if not rows:
-        return ()
-    accepted = judged.candidates.take(rows)
-    fitted, own = unaliased(accepted.fitted, p)
+    rows, calibration, p = judged.decision.accepted, scene.calibration, scene.p
+    accepted, evidence = judged.fitted.take(rows), judged.evidence.take(rows)
+    fitted, own = unaliased(accepted, p)
     teats, turned = fitted.teats, right_from_teats(calibration)
     mean, between = means(apexes(judged.fitted.teats), judged.decision.odds, rows, LEARNED.power)
-    found = apexes(teats) + mean - apexes(accepted.fitted.teats)
+    found = apexes(teats) + mean - apexes(accepted.teats)
     ends, down = turned.apply(found), axes(teats) @ turned.R.T
     world = calibration.world_from_right.apply(ends)
-    fits = Fits.made(teats, accepted.evidence, p.prior)
     own = own + end_covariances(fitted, p)
     rest = calibration_covariances(cameras, ends, calibration, p)
     rest += turned.R @ between @ turned.R.T
@@ -445,10 +404,8 @@ def _answers(
     priors = held(fitted, p)
     shown = {"rows": np.array(rows), "teats": teats, "ends": found, "own": own, "held": priors}
     trace.append(Stage("answers", shown | {"rest": turned.R.T @ rest @ turned.R}))
+    fits = Fits.made(teats, evidence, p.prior)
     own = turned.R @ stated(own, fits, priors, LEARNED, calibration) @ turned.R.T
     covariances = world_covariances(own + rest, ends, calibration)
-    left_px, right_px = calibration.project(world)
-    thermal_px = thermal.lens.project(thermal.view.camera_from_teats.apply(found))
-    return tuple(
-        Teat(*each) for each in zip(world, covariances, left_px, right_px, thermal_px, strict=True)
-    )
+    pixels = *calibration.project(world), scene.thermal.px(found)
+    return tuple(Teat(*each) for each in zip(world, covariances, *pixels, strict=True))

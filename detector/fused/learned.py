@@ -21,7 +21,8 @@ FILE = Path(__file__).with_name("learned.json")
 class Learned:
     """``weights`` and ``bias`` of log odds by measure, and what is ``usual`` of right fits; the
     ``least`` odds of what is given, and the ``power`` of odds by which fits of one end are
-    weighted; of standard deviations the factor of what ``edges`` say, and ``factors`` by term.
+    weighted; of standard deviations the factor of what ``edges`` say, and ``factors`` by term; the
+    ``limits`` of measures by which fits are tried again.
     """
 
     weights: Mapping[str, float]
@@ -31,6 +32,7 @@ class Learned:
     power: float
     edges: float
     factors: Mapping[str, float]
+    limits: Mapping[str, float]
 
 
 def in_order(by_name: Mapping[str, float], names: Iterable[str]) -> Array:
@@ -45,5 +47,5 @@ def learned() -> Learned:
     odds, spread = table["odds"], table["spread"]
     return Learned(
         odds["weights"], odds["usual"], odds["bias"], odds["least"], odds["power"],
-        spread["edges"], spread["terms"],
+        spread["edges"], spread["terms"], table["limits"],
     )  # fmt: skip

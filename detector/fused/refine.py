@@ -43,7 +43,6 @@ from detector.outline.model import (
     apexes,
     axes,
 )
-from detector.outline.pictures import UnusableError
 from detector.outline.prior import disparities_px
 
 _MOST_A_BAR = 2
@@ -56,16 +55,11 @@ _SAME_MM = np.array([2.5, 2.5, 8.0])
 
 def refine(
     teats: Array, views: tuple[View, ...], p: Parameters, known: Fitted | None = None
-) -> Fitted:
-    """``known`` fits and what starts ``teats`` (m, 8) lead to beside them, each place once. Raises
-    UnusableError for nothing.
-    """
-    places = apexes(known.teats) if known else np.zeros((0, 3))
-    teats = _rough(teats, views, p, places)
+) -> Fitted | None:
+    """What starts ``teats`` (m, 8) lead to beside ``known`` fits, each place once, if anything."""
+    teats = _rough(teats, views, p, apexes(known.teats) if known else np.zeros((0, 3)))
     if len(teats) == 0:
-        if known:
-            return known
-        raise UnusableError("the optical pictures show no outline where the thermal one is warm")
+        return None
     hidden = np.zeros((len(teats), len(views) * len(FINE_OUTLINE.part)), dtype=bool)
     nearly = fine(teats, hidden, views, p.prior, steps=2)
     # in each place go on with the one with most of its outline seen
@@ -74,8 +68,7 @@ def refine(
         if all(np.abs((ends[i] - ends[k]) / _ONE_MM).max() > 1 for k in kept):
             kept.append(i)
     best = nearly.take(sorted(kept))
-    found = fine(best.teats, best.hidden, views, p.prior, best.seen, steps=FINE_STEPS - 2, first=2)
-    return known + found if known else found
+    return fine(best.teats, best.hidden, views, p.prior, best.seen, steps=FINE_STEPS - 2, first=2)
 
 
 def _rough(teats: Array, views: tuple[View, ...], p: Parameters, known_mm: Array) -> Array:

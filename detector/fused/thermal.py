@@ -88,10 +88,12 @@ def levels(temperature: Field) -> Array:
     return np.asarray(np.percentile(temperature, [20, 99]))
 
 
-def nominate(gx: Field, gy: Field, most: int, sought: Sought) -> Nominations:
-    """At most ``most`` ends, best first, by `strengths` of a picture with a border of `ROOM_PX`."""
-    inner, (x, y) = np.s_[ROOM_PX:-ROOM_PX, ROOM_PX:-ROOM_PX], sought.down
-    steep = np.abs(np.float32(x) * gx[inner] + np.float32(y) * gy[inner])
+def nominate(gradients: Field, most: int, sought: Sought) -> Nominations:
+    """At most ``most`` ends, best first, by `strengths` of a picture in which warm is high, with a
+    border of `ROOM_PX`.
+    """
+    inner, (x, y) = gradients[ROOM_PX:-ROOM_PX, ROOM_PX:-ROOM_PX], sought.down
+    steep = np.abs(np.float32(x) * inner[..., 0] + np.float32(y) * inner[..., 1])
     beside = np.zeros((3, 3), dtype=np.uint8)
     column, row = round(x), round(y)
     beside[[1, 1 + row, 1 - row], [1, 1 + column, 1 - column]] = 1
@@ -99,9 +101,9 @@ def nominate(gx: Field, gy: Field, most: int, sought: Sought) -> Nominations:
     if len(u) == 0:
         return _NONE
     tips = np.column_stack([u, v]).astype(np.float32)
-    rough = _scores(True, gx, gy, tips, sought.rough, _BAR_LEANS, sought.down).max(axis=0)
+    rough = _scores(True, gradients, tips, sought.rough, _BAR_LEANS, sought.down).max(axis=0)
     tips = tips[np.argsort(-rough, kind="stable")[:_MOST_TIPS]]
-    scores = _scores(True, gx, gy, tips, sought.half_widths_px, _LEANS, sought.down)
+    scores = _scores(True, gradients, tips, sought.half_widths_px, _LEANS, sought.down)
     found = _best(tips, scores, sought.half_widths_px, _LEANS)
     down = bar_ways(found.lean, sought.down)[0]
     inside = replace(found, centre_px=tips + found.radius_px[:, None] * down)
@@ -110,8 +112,7 @@ def nominate(gx: Field, gy: Field, most: int, sought: Sought) -> Nominations:
 
 def bars(
     temperature: Field,
-    gx: Field,
-    gy: Field,
+    gradients: Field,
     between: Array,
     ends: Nominations,
     most: int,
@@ -135,7 +136,7 @@ def bars(
         at = at[_beside(sought.turned(at.astype(np.float64)).T, 0.0, middle, lean) > _APART_PX]
     if len(at) == 0:
         return _NONE
-    scores = _scores(False, gx, gy, at, sought.half_widths_px, _BAR_LEANS, sought.down)
+    scores = _scores(False, gradients, at, sought.half_widths_px, _BAR_LEANS, sought.down)
     found = _best(at, scores, sought.half_widths_px, _BAR_LEANS)
     centres = sought.turned(found.centre_px)
     order = np.argsort(-found.score, kind="stable")
@@ -169,14 +170,14 @@ def unexplained(
     way = tips_px - feet_px
     bars_seen = list(zip(0.5 * (tips_px + feet_px), (way[:, 0] / way[:, 1]).tolist(), strict=True))
     low, high = between
-    found = []
-    for i in np.flatnonzero(ends.score > least):
-        lean, (way_px, _) = ends.lean[i], bar_ways(ends.lean[i], sought.down)
-        place = ends.centre_px[i] + 8.0 * way_px
-        row, column = np.rint(place).astype(int)[::-1].clip(0, np.array(temperature.shape) - 1)
-        middle = sought.turned(place)
-        if temperature[row, column] < low + 0.6 * (high - low):
-            continue  # the gap between two teats below an arm has a bar's outline too
+    places = ends.centre_px + 8.0 * bar_ways(ends.lean, sought.down)[0]
+    rows, columns = np.rint(places).astype(int).T[::-1]
+    size = temperature.shape
+    warm = temperature[rows.clip(0, size[0] - 1), columns.clip(0, size[1] - 1)]
+    middles, found = sought.turned(places), list[Array]()
+    # the gap between two teats below an arm has a bar's outline too
+    for i in np.flatnonzero((ends.score > least) & (warm >= low + 0.6 * (high - low))):
+        middle, lean = middles[i], ends.lean[i]
         if all(
             _beside(middle, lean, other, slope) > 1.2 * ends.radius_px[i]
             for other, slope in bars_seen
@@ -203,30 +204,18 @@ def _best(
     )
 
 
-def strengths(
-    picture: Field, blur_px: float = 0.8, noises: float = 4.0, border: int = 0
-) -> tuple[Field, Field]:
-    """Gradient (x, y), each length squeezed below 1; one half at ``noises`` times the noise's. With
-    a ``border`` of zeros.
+def strengths(picture: Field, blur_px: float = 0.8, noises: float = 4.0, border: int = 0) -> Field:
+    """Gradients (rows, columns, 2), each length squeezed below 1; one half at ``noises`` times the
+    noise's. With a ``border`` of zeros.
     """
     smooth = cv2.GaussianBlur(picture, (0, 0), blur_px)
-    rows, columns = picture.shape
-    gx, gy = np.zeros((2, rows + 2 * border, columns + 2 * border), dtype=np.float32)
-    inner = np.s_[border : border + rows, border : border + columns]
-    for g, order in ((gx, (1, 0)), (gy, (0, 1))):
-        cv2.Sobel(smooth, cv2.CV_32F, *order, dst=g[inner], ksize=3, scale=0.125)
-    squeezed: Field = np.asarray(cv2.magnitude(gx[inner], gy[inner], smooth), dtype=np.float32)
-    squeezed += max(noises * median(squeezed[::3, ::3]), 1e-6)
-    np.reciprocal(squeezed, out=squeezed)
-    gx[inner] *= squeezed
-    gy[inner] *= squeezed
-    return gx, gy
+    half = max(noises * median(kernels.steepness(smooth, 3)), 1e-6)
+    return np.asarray(kernels.squeezed(smooth, half, border))
 
 
 def _scores(
     end: bool,
-    gx: Field,
-    gy: Field,
+    gradients: Field,
     at: Field,
     widths: tuple[float, ...],
     leans: tuple[float, ...],
@@ -235,14 +224,14 @@ def _scores(
     """Scores (shapes, n) of bars of each half width px and lean with their tips, for ``end``, or
     above their sides at whole pixels ``at`` (n, 2).
     """
-    columns, flat_x, flat_y = gx.shape[1], gx.ravel(), gy.ravel()
+    columns, every = gradients.shape[1], gradients.reshape(-1, 2)
     whole = at.astype(np.intp) + ROOM_PX
     start = whole[:, 1] * columns + whole[:, 0]
     found = []
     for width in widths:
         off, normals = _shapes(end, width, leans, down)
         flat = off[..., 1] * columns + off[..., 0]
-        found.append(kernels.along_shapes(flat_x, flat_y, start, flat, normals, end))
+        found.append(kernels.along_shapes(every, start, flat, normals, end))
     left, right, *top = np.concatenate(found).swapaxes(0, 1)
     return joined(top[0], left, right) if end else np.minimum(-left, -right)
 

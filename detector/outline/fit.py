@@ -140,17 +140,16 @@ def weights(seen: OutlineEdges, scale: float) -> Array:
     return np.asarray(found)
 
 
-def normal_equations(
-    teats: Array, seen: OutlineEdges, weight: Array, prior: Prior
-) -> tuple[Array, Array]:
-    """Matrices (m, 8, 8) and right sides (m, 8) of the least-squares step, priors included."""
-    H, b = package.kernels.squares(seen.jacobian, seen.offset_px, weight)
-    usual, sure = _usual(prior)
-    return H + np.diag(sure), b + sure * np.where(sure > 1e-6, usual - teats, 0.0)
+def information(seen: OutlineEdges, weight: Array, sure: Array) -> Array:
+    """Matrices (m, 8, 8) of the least-squares step, with the priors' `usual` inverse variances
+    (8,), or (m, 8).
+    """
+    H, _ = package.kernels.squares(seen.jacobian, seen.offset_px, weight)
+    return np.asarray(H + sure[..., None] * np.eye(COUNT))
 
 
 @cache
-def _usual(prior: Prior) -> tuple[Array, Array]:
+def usual(prior: Prior) -> tuple[Array, Array]:
     """Means and inverse variances (8,) of a teat's numbers."""
     mean = np.array([0, 0, 0, 0, 0, prior.radius_mm, 0, 1])
     sds = (prior.lean_sd, prior.lean_sd, prior.radius_sd_mm, prior.taper_sd, prior.height_sd)
@@ -159,9 +158,8 @@ def _usual(prior: Prior) -> tuple[Array, Array]:
 
 def step(teats: Array, seen: OutlineEdges, weight: Array, prior: Prior) -> Array:
     """Teats (m, 8) after one damped step, no longer than makes sense."""
-    usual, sure = _usual(prior)
     moved = package.kernels.step(
-        np.ascontiguousarray(teats), seen.jacobian, seen.offset_px, weight, usual, sure,
+        np.ascontiguousarray(teats), seen.jacobian, seen.offset_px, weight, *usual(prior),
         _DAMPING, _LONGEST, _LEAST, _MOST,
     )  # fmt: skip
     return np.asarray(moved)

@@ -434,13 +434,62 @@ def edges(
             _lit_alike(light, views, offset[row, at], sd[row, at], limb[row, at], apart[row, at])
 
 
+@_within
+def _gradient(
+    above: Field, here: Field, below: Field, before: int, at: int, after: int
+) -> tuple[float, float]:
+    """Sobel's of the pixel ``at`` in a row between two, an eighth."""
+    x = _f4(2) * (here[after] - here[before])
+    x += (above[after] - above[before]) + (below[after] - below[before])
+    y = _f4(2) * below[at] + (below[before] + below[after])
+    y -= _f4(2) * above[at] + (above[before] + above[after])
+    return _f4(0.125) * x, _f4(0.125) * y
+
+
+@_compiled("f4[:,::1](f4[:,::1],i8)")
+def steepness(field: Field, every: int) -> Field:
+    """Lengths of gradients, at one pixel of so many in either direction; the rim mirrors."""
+    rows, columns = field.shape
+    result = np.empty(((rows + every - 1) // every, (columns + every - 1) // every), dtype=_f4)
+    for i in range(len(result)):
+        r = i * every
+        above, here, below = field[abs(r - 1)], field[r], field[r + 1 if r + 1 < rows else r - 1]
+        for j in range(result.shape[1]):
+            c = j * every
+            x, y = _gradient(above, here, below, abs(c - 1), c, c + 1 if c + 1 < columns else c - 1)
+            result[i, j] = np.sqrt(x * x + y * y)
+    return result
+
+
+@_compiled("f4[:,:,::1](f4[:,::1],f4,i8)")
+def squeezed(field: Field, half: np.float32, border: int) -> Field:
+    """Gradients (rows, columns, 2), each as long as a share of 1, one half at a length of
+    ``half``; with a border of zeros.
+    """
+    rows, columns = field.shape
+    result = np.zeros((rows + 2 * border, columns + 2 * border, 2), dtype=_f4)
+    x, y, last = np.empty(columns, dtype=_f4), np.empty(columns, dtype=_f4), columns - 1
+    for r in range(rows):
+        above, here, below = field[abs(r - 1)], field[r], field[r + 1 if r + 1 < rows else r - 1]
+        x[0], y[0] = _gradient(above, here, below, 1, 0, 1)
+        x[last], y[last] = _gradient(above, here, below, last - 1, last, last - 1)
+        for c in range(columns - 2):
+            x[c + 1], y[c + 1] = _gradient(above, here, below, c, c + 1, c + 2)
+        for c in range(columns):
+            share = _f4(1) / (np.sqrt(x[c] * x[c] + y[c] * y[c]) + half)
+            x[c] *= share
+            y[c] *= share
+        row = result[border + r]
+        for c in range(columns):
+            row[border + c, 0], row[border + c, 1] = x[c], y[c]
+    return result
+
+
 @_compiled(
-    "f4[:,::1](f4[:,::1],f4[:,::1],f4[:,::1],f8[:,::1],f8[::1],f8[::1],f8[::1],f8[:,::1],f8[::1],"
-    "b1)"
+    "f4[:,::1](f4[:,:,::1],f4[:,::1],f8[:,::1],f8[::1],f8[::1],f8[::1],f8[:,::1],f8[::1],b1)"
 )
 def across(
-    gx: Field,
-    gy: Field,
+    gradients: Field,
     shifts: Field,
     teats: Array,
     swell: Array,
@@ -450,13 +499,17 @@ def across(
     below: Array,
     end: bool,
 ) -> Field:
-    """`depth_search._scores` (shifts, m) of teats (m, 8), each with its ``swell`` (m,).
-    ``camera`` (22,): numbers of `fit.View`; ``arc`` (k, 2): of the end, down and to the right.
+    """Scores (shifts, m) of teats (m, 8), each with its ``swell`` (m,), in `squeezed` gradients
+    with a border of one. ``camera`` (22,): numbers of `fit.View`; ``arc`` (k, 2): of the end, down
+    and to the right.
     """
-    rows, columns = gx.shape
+    rows, columns, _ = gradients.shape
+    flat, moved = gradients.reshape(-1), shifts + _f4(1.5)
     lens, R, T = camera[:10], camera[10:19].reshape(3, 3), camera[19:]
     result, sums = np.empty((len(shifts), len(teats)), dtype=_f4), np.ones((3, len(shifts)), _f4)
     middle, lower, none = np.empty(3), np.empty(3), np.zeros(3)
+    left, right = moved[:, 0].min(), moved[:, 0].max()
+    upper, under = moved[:, 1].min(), moved[:, 1].max()
     for i in range(len(teats)):
         teat = teats[i]
         for d in range(3):
@@ -484,14 +537,17 @@ def across(
                     way_x, way_y = nx, ny
                 x, y = _f4(x0 - corner[0] + half * way_x), _f4(y0 - corner[1] + half * way_y)
                 normal_x, normal_y = _f4(nx), _f4(ny)
+                inside = x + left >= 0 and x + right < columns
+                inside = inside and y + upper >= 0 and y + under < rows
                 for j in range(len(shifts)):
-                    u = x + (shifts[j, 0] + _f4(1.5))
-                    v = y + (shifts[j, 1] + _f4(1.5))
-                    column, row = int(u), int(v)
-                    if not (0 <= u < columns and 0 <= v < rows):
-                        column = int(min(max(u, _f4(0)), _f4(columns - 1)))
-                        row = int(min(max(v, _f4(0)), _f4(rows - 1)))
-                    sums[part, j] += abs(gx[row, column] * normal_x + gy[row, column] * normal_y)
+                    u, v = x + moved[j, 0], y + moved[j, 1]
+                    if not inside:
+                        u, v = (
+                            min(max(u, _f4(0)), _f4(columns - 1)),
+                            min(max(v, _f4(0)), _f4(rows - 1)),
+                        )
+                    at = 2 * (int(v) * columns + int(u))
+                    sums[part, j] += abs(flat[at] * normal_x + flat[at + 1] * normal_y)
             sums[part] /= _f4(count)
         for j in range(len(shifts)):
             better, other = max(sums[0, j], sums[1, j]), min(sums[0, j], sums[1, j])
@@ -499,12 +555,10 @@ def across(
     return result
 
 
-@_compiled("f4[:,:,::1](f4[::1],f4[::1],i8[::1],i8[:,:,::1],f4[:,:,:,::1],b1)")
-def along_shapes(
-    gx: Field, gy: Field, start: Array, off: Array, normals: Field, absolute: bool
-) -> Field:
-    """The loop of `thermal._scores`: mean strengths (shapes, parts, n) at places ``off`` (shapes,
-    parts, k) from ``start`` (n,) in flat gradients, along normals (shapes, parts, k, 2).
+@_compiled("f4[:,:,::1](f4[:,::1],i8[::1],i8[:,:,::1],f4[:,:,:,::1],b1)")
+def along_shapes(flat: Field, start: Array, off: Array, normals: Field, absolute: bool) -> Field:
+    """Mean strengths (shapes, parts, n) at places ``off`` (shapes, parts, k) from ``start`` (n,) in
+    flat gradients (., 2), along normals (shapes, parts, k, 2).
     """
     shapes, parts, k = off.shape
     result = np.zeros((shapes, parts, len(start)), dtype=_f4)
@@ -515,7 +569,7 @@ def along_shapes(
                 x, y, step = normals[i, part, j, 0], normals[i, part, j, 1], off[i, part, j]
                 for n in range(len(start)):
                     index = start[n] + step
-                    value = gx[index] * x + gy[index] * y
+                    value = flat[index, 0] * x + flat[index, 1] * y
                     row[n] += abs(value) if absolute else value
             row /= _f4(k)
     return result

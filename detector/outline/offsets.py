@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from detector.geometry import Array
 from detector.outline.edges import CLEAR
 from detector.outline.fine import FINE_OUTLINE, Fitted
-from detector.outline.fit import OutlineEdges, View, look, normal_equations
+from detector.outline.fit import OutlineEdges, View, information, look, usual
 from detector.outline.model import END
 from detector.outline.prior import Prior
 
@@ -31,7 +31,7 @@ def row_offsets(fitted: Fitted, prior: Prior) -> tuple[Array, Array]:
     """Rows px (m,) by which the right picture's edges are off, each teat free; their weights."""
     n = len(FINE_OUTLINE.part)
     seen, weight = fitted.seen, fitted.weight
-    H, _ = normal_equations(fitted.teats, seen, weight, prior)
+    H = information(seen, weight, usual(prior)[1])
     used = weight > 0
     j = np.where(used[..., None], seen.jacobian, 0.0) * weight[..., None]
     r = np.where(used, seen.offset_px, 0.0)
@@ -56,12 +56,12 @@ def thermal_offsets(seen: OutlineEdges, hidden: NDArray[np.bool_]) -> tuple[Arra
     least = np.diag([_SHIFT_SD**-2, _SHIFT_SD**-2, _SWELL_SD**-2])
     trusted = weight
     for _ in range(3):
-        G = np.einsum("mki,mk,mkj->mij", moves, trusted, moves) + least
-        b = np.einsum("mki,mk->mi", moves, trusted * off)
-        shift = np.linalg.solve(G, b[..., None])[..., 0]
-        left = off - np.einsum("mki,mi->mk", moves, shift)
+        pull = (moves * trusted[..., None]).transpose(0, 2, 1)
+        G = pull @ moves + least
+        shift = np.linalg.solve(G, pull @ off[..., None])
+        left = off - (moves @ shift)[..., 0]
         trusted = weight / (1 + (left / _ROBUST_PX) ** 2)
-    return shift[:, :2], np.diagonal(G, axis1=1, axis2=2)[:, :2]
+    return shift[:, :2, 0], np.diagonal(G, axis1=1, axis2=2)[:, :2]
 
 
 def thermal_offsets_far(teats: Array, view: View) -> Array:
