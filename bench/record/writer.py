@@ -27,13 +27,7 @@ from typing import Any, ClassVar
 from bench.files import Picture, make_folder, sync_folder, write_pictures, write_synced
 from bench.record.chain import add_link
 from bench.record.reader import TrialRecord, check_version, database_in
-from bench.record.schema import (
-    DATABASE,
-    LATER_WORD,
-    OF_A_TRIAL,
-    Row,
-    make_tables,
-)
+from bench.record.schema import DATABASE, LATER_WORD, OF_A_TRIAL, Row, make_tables
 from bench.version import __version__
 from instruments.clock import wall_time as time_of_day
 
@@ -57,11 +51,7 @@ class Store:
     keeps_pictures: ClassVar[bool] = True
     pragmas: ClassVar[tuple[str, ...]] = PRAGMAS
 
-    def __init__(
-        self,
-        folder: Path,
-        session: int | None = None,
-    ) -> None:
+    def __init__(self, folder: Path, session: int | None = None) -> None:
         self.folder = folder
         # the watch writes on the clock's thread, all others on the main one
         self._lock = threading.RLock()
