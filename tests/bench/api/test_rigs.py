@@ -41,6 +41,7 @@ def test_what_is_not_homed_or_was_left_says_what_to_do() -> None:
             with pytest.raises(LimitError, match=r"it is not homed .*Call home\(\) first"):
                 early()
         rig.home()
+        rig.capture()
         views = bench.watch_bath(bath, clock=rig.clock)
         assert [next(views).started for _ in range(2)] == [False, False]
     for act in (rig.home, rig.move, rig.capture, rig.touch, rig.safe, lambda: rig.heat(33.0)):
