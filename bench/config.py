@@ -150,6 +150,16 @@ class ArgumentError(ConfigError, ValueError):
     """A value that can't be: to programs a ConfigError, within a model of a file its fault."""
 
 
+def beside(folder: Path, holds: str, bare: str = "runs") -> str:
+    """What to say of a ``folder`` that isn't there: which one beside it was meant, that ``holds``
+    this, and the newest three; a bare name's are in ``bare``.
+    """
+    where = folder.parent if len(folder.parts) > 1 else Path(bare)
+    known = sorted((path.parent.name for path in where.glob(f"*/{holds}")), reverse=True)
+    near = did_you_mean(folder.name, [*known, "latest"]) or "."
+    return f"{near} {where} has {', '.join(known[:3])}." if known else near
+
+
 @contextmanager
 def wrong_use() -> Iterator[None]:
     """A ValueError of a room that knows no ConfigError becomes one."""

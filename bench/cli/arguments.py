@@ -45,15 +45,13 @@ def code_of(verdict: str) -> int:
     return {"met": CODES.met, "not met": CODES.not_met}.get(verdict, CODES.inconclusive)
 
 
-LATEST = "latest"
-
-
 def a_run(text: str) -> Path:
-    """A run's folder; ``latest``: the newest one in runs/."""
-    if text != LATEST or Path(text).exists():
+    """A run's folder by its path or by its name in runs/; ``latest``: the newest one there."""
+    if Path(text).exists():
         return Path(text)
-    found = max(Path("runs").glob("*/run.sqlite"), key=lambda path: path.parent.name, default=None)
-    return found.parent if found else Path(text)
+    there = (path.parent for path in Path("runs").glob("*/run.sqlite"))
+    fitting = (run for run in there if text in (run.name, "latest"))
+    return max(fitting, key=lambda run: run.name, default=Path(text))
 
 
 def complain(text: str, code: int) -> int:

@@ -74,9 +74,9 @@ CAMERAS_OF = option(
     "--rig RIG", "whose cameras: a shipped rig by name, or a .toml file (default: emulated)"
 )
 WORKERS = option("--workers N", "how many processes (default: one a processor)", whole(1, 1024))
-RUN = option("run RUN", "the run's folder; 'latest': the newest in runs/", a_run)
+RUN = option("run RUN", "the run's folder, its name in runs/, or 'latest', the newest there", a_run)
 SUMMARY = option("--summary FILE", "append what was found to this file as Markdown, for CI", Path)
-RECORDING = option("recording RECORDING", "a recording's folder", Path)
+RECORDING = option("recording RECORDING", "a recording's folder, or a run's", a_run)
 OUT_RUNS = option("--out DIR", "the folder for run folders", default=Path("runs"))
 DETECTOR_HELP = "a detector by name, a file DETECTOR.toml, or exec:COMMAND (help detectors)"
 DETECTORS = option("--detector NAME", f"{DETECTOR_HELP}; may be given several times", many=True)
@@ -305,7 +305,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "write the report of a run again",
         "report latest --open",
         RUN,
-        option("--baseline RUN", "also compare it with this older run of the same scenes"),
+        option("--baseline RUN", "also compare it with this older run of the same scenes", a_run),
         DESPITE_DAMAGE,
         one_of(
             flag("--pdf", "fail where no Chromium, Chrome or Edge prints report.pdf"),
@@ -350,7 +350,9 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "compare": (
         "compare runs, or the detectors of one run, trial by trial",
         "compare runs/old runs/new --gate",
-        option("run RUN", "runs' folders, or 'latest'; the first is the old one", a_run, nargs="+"),
+        option(
+            "run RUN", "folders, names, or 'latest'; the first is the old one", a_run, nargs="+"
+        ),
         *COMPARED,
         flag(
             "--together", "judge all runs as one, by their counts and errors, instead of comparing"
@@ -836,6 +838,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             "--ends DIR",
             "a run or recording with touched teat ends, in place of a board; with --rig the phantom"
             " is seen anew, standing as in its last trial",
+            a_run,
         ),
         *TOUCH_NOISE,
         option("--page DIR", "also write a page there"),
@@ -933,14 +936,14 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option(
             "recording RECORDING",
             "whose first frame is shown (default: a simulated one)",
-            Path,
+            a_run,
             nargs="?",
         ),
     ),
     "help": (
         "show a page of the documentation here, without a network; without TOPIC, list them",
         "help record",
-        option("topic TOPIC", "a page, or a command that a page explains", nargs="?"),
+        option("topic TOPIC", "a page, or a command that a page explains", nargs="*"),
     ),
     "plugin": ("list the drivers of other packages (help drivers)", "plugin"),
     "plugin check": (

@@ -27,12 +27,8 @@ if TYPE_CHECKING:
 
 # whose first member that the detector was not trained on is shown where no recording is named
 SITUATION = "ideal"
-# files of each language's skeleton, and what they are called behind the detector's name
-SKELETONS = {
-    "python": {"detector.py": ".py"},
-    "javascript": {"detector.js": ".js"},
-    "cpp": {"detector.cpp": ".cpp"},
-}
+# how the file of each language's skeleton ends
+SKELETONS = {"python": ".py", "javascript": ".js", "cpp": ".cpp"}
 COMPILED = "c++ -O2 -std=c++17 -o {name} {name}.cpp"
 
 
@@ -52,30 +48,22 @@ def new(given: argparse.Namespace) -> None:
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,60}", name):
         raise ConfigError.plain(f"--name {name}: letters, digits, - and _ only")
     skeletons = Path(detector.__file__).parent / "external" / "skeletons"
-    files = {given.out / f"{name}{end}": one for one, end in SKELETONS[given.language].items()}
-    program, file = next(iter(files)), given.out / f"{name}.toml"
-    if there := [path for path in (*files, file) if path.exists()]:
+    end = SKELETONS[given.language]
+    files = program, file = given.out / f"{name}{end}", given.out / f"{name}.toml"
+    if there := [path for path in files if path.exists()]:
         raise ConfigError.plain(f"{there[0]} is there already. Give another --name.")
-    command = {
-        "python": [_python(), program.name],
-        "javascript": ["node", program.name],
-        "cpp": [f"./{name}"],
-    }[given.language]
-    table = {
-        "about": f"{name}, a skeleton: {given.language}",
-        "command": command,
-        "start_limit_s": 30.0,
-        "time_limit_s": 30.0,
-    }
+    commands = {"python": [_python(), program.name], "javascript": ["node", program.name]}
+    command, about = commands.get(given.language, [f"./{name}"]), f"a skeleton: {given.language}"
+    limits = dict.fromkeys(("start_limit_s", "time_limit_s"), 30.0)
+    table = {"about": f"{name}, {about}", "command": command, **limits}
     heading = "A detector of your own; all keys: teatbench help detectors. The command runs here."
     if given.language == "cpp":
         heading += f"\nCompile it first: {COMPILED.format(name=name)}"
     given.out.mkdir(parents=True, exist_ok=True)
-    for path, skeleton in files.items():
-        write_synced(path, (skeletons / skeleton).read_bytes())
+    write_synced(program, (skeletons / f"detector{end}").read_bytes())
     write_synced(file, toml_text(table, heading).encode("utf-8"))
     word = name if name in bench.detectors() else file
-    print(*(f"written: {path}" for path in (*files, file)), sep="\n")
+    print(*(f"written: {path}" for path in files), sep="\n")
     if given.language == "cpp":
         print(f"compile: cd {given.out} && {COMPILED.format(name=name)}")
     elif given.language == "javascript" and not shutil.which("node"):

@@ -93,8 +93,7 @@ def _arm(found: FoundInstrument, ask: Ask) -> Mapping[str, object]:
 
 
 def _bath(found: FoundInstrument, ask: Ask) -> Mapping[str, object]:
-    profiles = found.profiles
-    answer = profiles[0]
+    profiles, answer = found.profiles, found.profiles[0]
     if len(profiles) > 1:
         fits = ", ".join(profiles)
         answer = ask(f"{found.url} answers by several profiles ({fits}): which is it?", answer)

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from functools import cache
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from bench.cli.arguments import CODES, EXIT_CODES, call, complain, in_switches
 from bench.cli.commands import COMMANDS, FUNCTIONS, GROUPS, MODULES, ONCE, REMOVED, TASKS, following
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 FILENAME_EXCED_RANGE = 206  # of Windows, which gives it the errno of a file that is not there
 
+ODD_BYTES = re.compile("[\ud800-\udfff]")  # what no record, page or terminal can hold
 HELP_COLUMNS = 78
 FEW = 8  # choices that a message lists
 MORE_HELP = (
@@ -66,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
                 argcomplete.autocomplete(top, always_complete_options=False)
             words = sys.argv[1:] if arguments is None else arguments
-            if odd := next((word for word in words if not _is_text(word)), None):
+            if odd := next(filter(ODD_BYTES.search, words), None):
                 shown = ascii(odd)
                 return complain(f"{shown} isn't UTF-8: name it otherwise", CODES.wrong_use)
             starts = (" ".join(words[:count]) for count in (1, 2, 3))
@@ -105,11 +106,6 @@ def _address_limit() -> int:
 
     soft, _ = resource.getrlimit(resource.RLIMIT_AS)
     return sys.maxsize if soft == resource.RLIM_INFINITY else soft
-
-
-def _is_text(word: str) -> bool:
-    """Whether a record, a page and a terminal can hold a name: not one of odd bytes."""
-    return not any("\ud800" <= letter <= "\udfff" for letter in word)
 
 
 def _run(given: argparse.Namespace) -> int:
@@ -197,6 +193,14 @@ class Parser(argparse.ArgumentParser):
             meant = did_you_mean(odd[0].partition("=")[0], self._option_string_actions)
             self.error(f"unrecognized arguments: {' '.join(odd)}{meant}")
         return found, odd
+
+    def error(self, message: str) -> NoReturn:
+        """Without a command of its group, those that there are; all are too many."""
+        groups = [one for one in self._actions if isinstance(one, argparse._SubParsersAction)]
+        if message.endswith(": COMMAND") and self.prog.count(" "):
+            rows = ((one.dest, one.help) for group in groups for one in group._choices_actions)
+            message += "".join(f"\n  {self.prog} {name}: {what}" for name, what in rows)
+        super().error(message)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         choices = list(action.choices or ())

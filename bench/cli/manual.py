@@ -8,10 +8,12 @@ import sys
 from pathlib import Path
 
 from bench.cli.arguments import print_values
+from bench.cli.commands import COMMANDS, GROUPS, ONCE, REMOVED
 from bench.config import ConfigError, did_you_mean
 
 HERE = Path(__file__).parents[1]
 COMMENT = re.compile(r"<!--.*?-->\n?", re.DOTALL)
+TERM = re.compile(r"^\| (?!Term)(\w[^|]*) \| (.+) \|$", re.MULTILINE)  # glossary.md
 ROW = re.compile(r"^\| (`.+`) \| (\[.+\.md\).*) \|$", re.MULTILINE)  # index.md: commands, pages
 WIDEST = 100
 
@@ -23,7 +25,7 @@ def folder() -> Path:
 
 
 def topics() -> dict[str, Path]:
-    """Each page by its name, and each command with the page that explains it."""
+    """Each page by its name, and each command, with its names of once, by the page about it."""
     pages = {path.stem: path for path in sorted(folder().glob("*.md"))}
     rows = ROW.findall(_read(pages["index"]))
     named = {
@@ -31,7 +33,9 @@ def topics() -> dict[str, Path]:
         for commands, links in rows
         for command in re.findall(r"`([a-z-]+)`", commands)
     }
-    return named | pages
+    firsts = {name: name.split()[0] for name in (*GROUPS, *COMMANDS)}
+    firsts |= {old: name for name, earlier in ONCE.items() for old in earlier}
+    return {name: named[first] for name, first in firsts.items() if first in named} | pages
 
 
 def _read(page: Path) -> str:
@@ -40,15 +44,20 @@ def _read(page: Path) -> str:
 
 def shown(given: argparse.Namespace) -> None:
     known = topics()
-    if given.topic is None:
+    if not given.topic:
         titles = {path.stem: _read(path).partition("\n")[0].strip("# ") for path in known.values()}
         print_values(dict(sorted(titles.items())))
-        print("A command's name shows the page that explains it.")
+        print(
+            "A command's name shows the page that explains it, a term of the glossary its meaning."
+        )
         return
-    if given.topic not in known:
-        said = did_you_mean(given.topic, known) or ". 'teatbench help' lists the pages."
-        raise ConfigError.plain(f'no page "{given.topic}"{said}')
-    text = COMMENT.sub("", _read(known[given.topic]))
+    topic, terms = " ".join(given.topic), dict(TERM.findall(_read(known["glossary"])))
+    if topic in REMOVED:
+        raise ConfigError.plain(f"'{topic}' went: {REMOVED[topic]}")
+    if topic not in {*known, *terms}:
+        said = did_you_mean(topic, [*known, *terms]) or ". 'teatbench help' lists the pages."
+        raise ConfigError.plain(f'no page "{topic}"{said}')
+    text = COMMENT.sub("", _read(known[topic])) if topic in known else f"{topic}: {terms[topic]}"
     if not sys.stdout.isatty():
         print(text)
         return

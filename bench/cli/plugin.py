@@ -10,8 +10,7 @@ from bench.testing import check_driver, drivers
 
 
 def listed(_: argparse.Namespace) -> None:
-    none = {"none": "no package here has a driver (teatbench help drivers)"}
-    print_values(drivers() or none)
+    print_values(drivers() or {"none": "no package here has a driver (teatbench help drivers)"})
 
 
 def check(given: argparse.Namespace) -> int:

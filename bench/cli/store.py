@@ -16,6 +16,7 @@ import bench
 from bench.cli.arguments import CODES, code_of, complain, json_of
 from bench.cli.terminal import working
 from bench.config import ConfigError
+from bench.scoring.rates import plural
 
 if TYPE_CHECKING:
     from reports.runs import Runs
@@ -48,6 +49,8 @@ def check(given: argparse.Namespace) -> int:
     print("looked at " + ", ".join(f"{count} {name}" for name, count in done.counts.items()))
     if done.head.number:
         print(f"digest: {done.head.wall_digest}\ndigest without real time: {done.head.digest}")
+    if looks := done.head.number - done.unlooked.number:
+        print(f"digest before {plural(looks, 'look')} of 'compare': {done.unlooked.wall_digest}")
     if done.unchecked:
         return complain(done.unchecked, CODES.inconclusive)
     print(done.sentence)
@@ -161,9 +164,9 @@ def control(given: argparse.Namespace) -> None:
 def runs(given: argparse.Namespace) -> None:
     with working("reading the runs"):
         found = bench.list_runs(given.folder)
-    page, why = None, ""
+    page, why = None, "not written: no runs are there"
     try:
-        page = str(bench.write_runs_page(found))
+        page = str(bench.write_runs_page(found)) if found.runs else None
     except OSError as error:  # a folder to look at, and no more
         why = f"not written: {error.strerror or error}"
     if given.json:

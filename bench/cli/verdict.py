@@ -27,7 +27,6 @@ COLOURS: dict[str, str] = {  # the others are yellow
     **dict.fromkeys(UNFINISHED, "red"),
     "met": "green",
     "not met": "red",
-    "running": "yellow",
 }
 
 
@@ -81,8 +80,7 @@ def _bench(record: RunRecord, judgement: Judgement) -> Text:
 
 def _scoreboard(console: Terminal, record: RunRecord, judgements: Sequence[Judgement]) -> Table:
     """Requirements by detector; of those of the bench only what is not met."""
-    several = len(judgements) > 1
-    title = record.facts["title"]
+    several, title = len(judgements) > 1, record.facts["title"]
     table = Table(title=title if several else f"{title}: detector {judgements[0].detector}")
     table.add_column("requirement")
     table.add_column("limit", justify="right")

@@ -2,9 +2,9 @@
 before it.
 
 A link covers the rows that one transaction added, table by table, with the SHA-256 of what SQLite
-holds of them. ``digest`` leaves out real time, so that it repeats with the seed; ``wall_digest``
-covers every column. A row that is changed, added or removed later breaks its link; a chain that is
-written anew as a whole gets another last digest than the one that the report names.
+holds of them. ``digest`` leaves out real time and looks, so that it repeats with the seed;
+``wall_digest`` covers every column. A row that is changed, added or removed later breaks its link;
+a chain written anew as a whole gets another last digest than the one that the report names.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ from bench.record.schema import LATER_WORD
 
 ZERO = "0" * 64
 # keys that begin like this hold what doesn't repeat with the seed
-VARYING_FACTS = ("wall", "command", "recorded to")
+LOOK = "look "
+VARYING_FACTS = ("wall", "command", "recorded to", LOOK)
+OUTSIDE = "{}"  # what the plain digest covers of a link with looks alone: it stays as it was
 
 COLUMNS = "number, covers, digest, wall_covers, wall_digest"
 Spans = Mapping[str, tuple[int, int]]  # table -> first and last rowid
@@ -50,8 +52,10 @@ def add_link(db: sqlite3.Connection, spans: Spans, facts: Collection[str]) -> No
         plain, whole = fingerprint(db, table, first, last)
         covers[table], wall_covers[table] = [first, last, plain], [first, last, whole]
     if facts:
+        repeats = spans or not all(key.startswith(LOOK) for key in facts)
         prints = {key: fact_fingerprint(db, key) for key in facts}
-        covers[LATER_WORD] = {key: plain for key, (plain, _) in prints.items() if plain is not None}
+        own = {key: plain for key, (plain, _) in prints.items() if plain is not None}
+        covers |= {LATER_WORD: own} if repeats else {}
         wall_covers[LATER_WORD] = {key: whole for key, (_, whole) in prints.items()}
     plain, whole = _text(covers), _text(wall_covers)
     head = linked(head_of(db), plain, whole)
@@ -63,7 +67,7 @@ def linked(before: Head, covers: str, wall_covers: str) -> Head:
     """The head with the link that follows ``before``. What it covers is JSON: table -> [first
     rowid, last rowid, SHA-256]; facts: key -> SHA-256.
     """
-    digest = _sha256(f"{before.digest}\n{covers}")
+    digest = _sha256(f"{before.digest}\n{covers}") if covers != OUTSIDE else before.digest
     wall_digest = _sha256(f"{before.wall_digest}\n{digest}\n{wall_covers}")
     return Head(before.number + 1, digest, wall_digest)
 

@@ -18,7 +18,7 @@ from typing import Any
 
 from bench.config import ConfigError
 from bench.files import sha256_of
-from bench.record.chain import COLUMNS, Head, fact_fingerprint, fingerprint, linked
+from bench.record.chain import COLUMNS, OUTSIDE, Head, fact_fingerprint, fingerprint, linked
 from bench.record.reader import opened
 from bench.record.schema import DATABASE, GUARDIAN_FACT, GUARDIAN_FILES, LATER_WORD, tables_of
 from instruments.errors import InstrumentError
@@ -48,11 +48,14 @@ _damage, _note = partial(Finding, Weight.DAMAGE), partial(Finding, Weight.NOTE)
 
 @dataclass(frozen=True, slots=True)
 class CheckResult:
-    """What was looked at (counts by name), what was found, and the chain's last link as it is."""
+    """What was looked at (counts by name), what was found, the chain's last link as it is, and its
+    last but for looks that came later (`looks.write_looks`).
+    """
 
     counts: Mapping[str, int]
     findings: tuple[Finding, ...]
     head: Head
+    unlooked: Head
 
     @property
     def whole(self) -> bool:
@@ -94,8 +97,10 @@ def check_record(run: Path | str, digest: str | None = None) -> CheckResult:
             }
         except (sqlite3.Error, ValueError, TypeError, RecursionError) as error:
             findings.append(_damage(f"{DATABASE} can't be read to its end: {error}"))
-    head = Head(links[-1][0], links[-1][2], links[-1][4]) if links else Head()
-    return CheckResult({**counts, "links": head.number}, tuple(findings), head)
+    own = next((at for at, link in enumerate(reversed(links)) if link[1] != OUTSIDE), 0)
+    heads = [Head(link[0], link[2], link[4]) for link in links]
+    head, unlooked = (heads[-1], heads[-1 - own]) if heads else (Head(), Head())
+    return CheckResult({**counts, "links": head.number}, tuple(findings), head, unlooked)
 
 
 @contextmanager

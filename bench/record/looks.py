@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import Any
 
 from bench.config import ConfigError
+from bench.record.chain import LOOK
 from bench.record.reader import RunRecord
 from bench.record.writer import Store
 
-FACT = "look "
 TOGETHER, GATE = "together", "gate"
 
 
@@ -43,7 +43,7 @@ class InterimLook:
     @property
     def key(self) -> str:
         """What it is called in the record: by what was looked at, not by what was seen."""
-        return FACT + claim_of(self.kind, self.claim, self.data)[:16]
+        return LOOK + claim_of(self.kind, self.claim, self.data)[:16]
 
 
 def claim_of(*parts: Any) -> str:
@@ -54,7 +54,7 @@ def claim_of(*parts: Any) -> str:
 
 def id_of(run: RunRecord) -> str:
     """What a run is known by, wherever its folder lies: its chain's first link, else its facts."""
-    own = {key: value for key, value in run.facts.items() if not key.startswith(FACT)}
+    own = {key: value for key, value in run.facts.items() if not key.startswith(LOOK)}
     return (run.first_link or claim_of(own))[:16]
 
 
@@ -68,7 +68,7 @@ def looks_before(
         key: InterimLook(**value)
         for run in runs
         for key, value in run.facts.items()
-        if key.startswith(FACT) and (value["kind"], value["claim"]) == (kind, claim)
+        if key.startswith(LOOK) and (value["kind"], value["claim"]) == (kind, claim)
     }
     this = next((look for look in found.values() if look.data == data), None)
     return tuple(

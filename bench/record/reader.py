@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.config import ConfigError
+from bench.config import ConfigError, beside
 from bench.record.chain import Head, head_of
 from bench.record.schema import (
     DATABASE,
@@ -66,9 +66,8 @@ def database_in(folder: Path) -> Path:
         where = Path("runs").resolve()
         raise ConfigError.plain(f"there are no runs yet in {where}: teatbench run six-situations")
     if not (folder / DATABASE).is_file():
-        raise ConfigError.plain(
-            f"{folder} is no run: there is no {DATABASE} in it. Give a folder under runs/."
-        )
+        near = beside(folder, DATABASE)
+        raise ConfigError.plain(f"{folder} is no run: there is no {DATABASE} in it{near}")
     return folder / DATABASE
 
 

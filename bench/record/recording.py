@@ -17,7 +17,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.config import beside
 from bench.files import replace_whole
+from bench.record.schema import DATABASE
 from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import FrameSet, grey8, no_temperatures
 from instruments.errors import DeviceError
@@ -62,7 +64,8 @@ class Recording:
         self.path = Path(path)
         frames = self.path / "frames"
         if not self.path.is_dir():
-            raise RecordingError(f"{self.path}: there is no such folder; a recording has frames/")
+            near = beside(self.path, DATABASE)
+            raise RecordingError(f"{path}: there is no such folder{near} A recording has frames/.")
         if not frames.is_dir():
             raise RecordingError(f"{frames}: missing; a recording has its images in frames/<id>/")
         self.frames: tuple[str, ...] = tuple(sorted(p.name for p in frames.iterdir() if p.is_dir()))

@@ -14,7 +14,7 @@ import numpy as np
 
 from bench.config import ConfigError, read_calibration
 from bench.record.check import checked_first
-from bench.record.reader import RunRecord, database_in, read_run
+from bench.record.reader import RunRecord, read_run
 from bench.record.schema import DATABASE
 from bench.report.growing import REPORT
 from bench.report.trials import round_teats, shown, views_of, worst_trials
@@ -51,7 +51,7 @@ def list_runs(folder: Path | str = "runs") -> Runs:
         try:
             runs.append(_listed(one))
         except (ConfigError, OSError) as error:
-            others.append((one.name, _unread(one, error)))
+            others.append((one.name, _unread(error)))
     runs.sort(key=lambda run: (run.started, run.folder.name), reverse=True)
     whole = {run.folder.name for run in runs if not run.damage}
     drawn = list(charts([one for one in history(folder) if one.run in whole]))
@@ -62,11 +62,11 @@ def list_runs(folder: Path | str = "runs") -> Runs:
     return Runs(folder, tuple(runs), tuple(others), health, warned)
 
 
-def _unread(folder: Path, error: Exception) -> str:
-    """Why the run in ``folder`` is not shown."""
+def _unread(error: Exception) -> str:
+    """Why a run is not shown."""
     if isinstance(error, OSError) and error.filename and error.strerror:
         return f"{error.filename} can't be read: {error.strerror}"
-    return str(error) if (folder / DATABASE).is_file() else f"There is no {DATABASE} in it."
+    return str(error)
 
 
 def _drawn(chart: Chart, name: str) -> Figure:
@@ -78,7 +78,8 @@ def _drawn(chart: Chart, name: str) -> Figure:
 
 
 def _listed(folder: Path) -> Run:
-    database_in(folder)
+    if not (folder / DATABASE).is_file():
+        raise ConfigError.plain(f"There is no {DATABASE} in it.")
     with checked_first([folder], despite_damage=True) as damage:
         run = read_run(folder, damage)
         scored_too = not run.damage and any(trial.scores for trial in run.trials)
@@ -147,7 +148,7 @@ def write_queue_page(out: Path | str = "runs") -> tuple[QueueStatus, Path]:
         try:
             runs.append(_listed(folder / name))
         except (ConfigError, OSError) as error:
-            others.append((name, _unread(folder / name, error)))
+            others.append((name, _unread(error)))
     found = Runs(folder, tuple(runs), tuple(others))
     title = f"Queue of {plural(len(queue.scripts), 'script')}"
     summary = f"{queue.rig}, begun {queue.started[:16].replace('T', ' ')}; {queue.headline}."

@@ -120,6 +120,14 @@ def test_nothing_sticks_out_of_the_page(seen: Seen) -> None:
         expect(seen.page.locator("#verdict .next")).to_be_visible()
 
 
+def test_coordinates_stay_on_one_line_of_a_tablet(browser: Browser, report: Path) -> None:
+    with window(browser, width=768) as seen:
+        page = seen.open(report, "trial-002")
+        cells = page.locator("#trial-002 .scroll td:visible")
+        assert cells.filter(has_text=re.compile(r"\d, -?\d.*, -?\d")).count()
+        assert max(cells.evaluate_all("(all) => all.map((one) => one.offsetHeight)")) < 40
+
+
 def test_readable_without_javascript(browser: Browser, report: Path) -> None:
     with window(browser, javascript=False) as seen:
         page = seen.open(report, "trial-003")

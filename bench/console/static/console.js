@@ -16,7 +16,7 @@ async function exchanged(code) {
 const CLIENT = sessionStorage.getItem("client") || crypto.randomUUID();
 sessionStorage.setItem("client", CLIENT);
 const NAME = /Mobi|Android/.test(navigator.userAgent) ? "a telephone or tablet" : "a computer's browser";
-const RETRY_MS = 1000, EVENTS = 40, TRUTH = "#2fbf71", TONES = ["#3d8fe5", "#e5a13d", "#c678dd", "#8a97a5"];
+const RETRY_MS = 1000, SILENT_S = 5, EVENTS = 40, TRUTH = "#2fbf71", TONES = ["#3d8fe5", "#e5a13d", "#c678dd", "#8a97a5"];
 // of an answer by its detector's place, as in the report: cross, square, triangle, diamond
 const MARKS = ["✕", "□", "△", "◇"], form = (who) => (who - 1 + Math.floor((who - 1) / 4)) % 4;
 const marked = (who, x, y, r) => [`M${x - r} ${y - r}l${2 * r} ${2 * r}M${x - r} ${y + r}l${2 * r} ${-2 * r}`, `M${x - r} ${y - r}h${2 * r}v${2 * r}h${-2 * r}z`, `M${x} ${y - 1.2 * r}L${x + r} ${y + r}H${x - r}z`, `M${x} ${y - 1.3 * r}L${x + 1.3 * r} ${y}L${x} ${y + 1.3 * r}L${x - 1.3 * r} ${y}z`][form(who)];
@@ -251,10 +251,10 @@ function live() {
   const bath = now.bath, said = run.status.instruments.find((one) => one.name === "bath");
   run.band_k = bath.band_k;
   byId("temperature").textContent = number(bath.temp_c, "°C");
-  const steady = bath.state === "stable";
-  byId("temperature").className = said?.trouble ? "huge bad" : steady ? "huge good" : "huge warn";
+  const steady = bath.state === "stable", old = run.status.age_s >= SILENT_S; // its bench hangs
+  byId("temperature").className = said?.trouble ? "huge bad" : old ? "huge soft" : steady ? "huge good" : "huge warn";
   const why = bath.why_not_stable && !run.status.doing.includes("waiting for the bath") ? ` ${words(bath.why_not_stable)}${/[.?]$/.test(bath.why_not_stable) ? "" : "."}` : "";
-  byId("gate").textContent = said?.trouble ? said.text : run.status.step === "going to safe" ? run.status.step : said?.safe === "at rest" ? "not heated" : `${bath.state}${["heating", "cooling"].includes(bath.state) ? " to" : " at"} ${number(bath.set_point_c, "°C", 1)} ± ${number(bath.band_k, "K")}` + (steady ? "" : `; stable in about ${minutes(bath.stable_in_s)}.${why}`);
+  byId("gate").textContent = said?.trouble ? said.text : old ? `as it was ${minutes(run.status.age_s)} ago` : run.status.step === "going to safe" ? run.status.step : said?.safe === "at rest" ? "not heated" : `${bath.state}${["heating", "cooling"].includes(bath.state) ? " to" : " at"} ${number(bath.set_point_c, "°C", 1)} ± ${number(bath.band_k, "K")}` + (steady ? "" : `; stable in about ${minutes(bath.stable_in_s)}.${why}`);
   if (plot && bath.t_s !== null && bath.t_s > (run.curve[0].at(-1) ?? -1)) {
     run.curve[0].push(bath.t_s); run.curve[1].push(bath.temp_c);
     if (run.curve[0].length > 1200) run.curve = run.curve.map((one) => one.filter((_, k) => k % 2 === 0));

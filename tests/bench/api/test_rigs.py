@@ -50,6 +50,7 @@ def test_what_is_not_homed_or_was_left_says_what_to_do() -> None:
                 getattr(driver, call)(*given)
         with pytest.raises(LimitError, match="x_mm = 500 is out of reach, -150 to 150"):
             rig.move(500.0)
+        rig.capture()
         views = bench.watch_bath(bath, clock=rig.clock)
         assert [next(views).started for _ in range(2)] == [False, False]
     for act in (rig.home, rig.move, rig.capture, rig.touch, rig.safe, lambda: rig.heat(33.0)):

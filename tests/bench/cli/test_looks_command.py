@@ -58,6 +58,7 @@ def verdict_on_false_teats(one: Any) -> tuple[str, str]:
 def test_a_look_is_written_into_every_run_once_and_the_records_stay_whole(
     runs: dict[str, Path], said: Said
 ) -> None:
+    before = check_record(runs["a"]).head
     first = looked(said, runs["a"], runs["b"])
     assert first["looks"]["reliability"] == {
         "planned": 1, "own": [1, 1], "pooled": [], "left_out": [], "apart": 1,
@@ -71,6 +72,11 @@ def test_a_look_is_written_into_every_run_once_and_the_records_stay_whole(
     assert list(ledger(runs["a"])) == [key]
     for name in "ab":
         assert check_record(runs[name]).whole
+    after = check_record(runs["a"])
+    assert (after.head.digest, after.unlooked) == (before.digest, before)
+    assert after.head.wall_digest != before.wall_digest
+    text = said(0, "store check {} --digest {}", runs["a"], before.wall_digest).out
+    assert f"digest before 1 look of 'compare': {before.wall_digest}\n" in text
     text = said(0, "compare {} {} --together", runs["a"], runs["b"]).out
     assert "A further look: 2 came before it" in text
 

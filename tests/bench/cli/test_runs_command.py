@@ -62,5 +62,17 @@ def test_a_run_in_place_of_its_folder_is_refused(said: Said, runs: Path) -> None
     assert "is one run" in said(2, "runs {}", runs / "second").err
 
 
-def test_an_empty_folder_has_a_page(said: Said, tmp_path: Path) -> None:
-    assert "0 runs" in said(0, "runs {}", tmp_path).out
+def test_a_folder_without_runs_stays_as_it_was(said: Said, tmp_path: Path) -> None:
+    assert said(0, "runs {}", tmp_path).out.endswith("Page: not written: no runs are there\n")
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_run_goes_by_its_name_in_runs(
+    said: Said, runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(runs.rename(runs.with_name("runs")).parent)
+    for command in ("store check {}", "compare latest {}", "report first --no-pdf --baseline {}"):
+        said(0, command, "second")
+        wrong = said(2, command, "secnd").err
+        assert 'did you mean "second"? runs has second, first, damaged' in wrong
+    assert 'did you mean "second"' in said(2, "detect secnd").err

@@ -25,12 +25,12 @@ WRONG_USE = {  # code 2
     "run no-such-script": 'no trial script "no-such-script"',
     "run six-situation": 'did you mean "six-situations"',
     "run --rig none.toml": "can't be read",
-    "run --rig=": 'no rig ""',
     "run --summary none/s.md": "--summary none/s.md: it can't be written",
     "run --detector thesys": 'did you mean "thesis"',
     "run --seed x": "'x' is not a whole number",
     "run --seed -1": "'-1' is not a whole number",
     "report nowhere": "is no run",
+    "report lastest": 'did you mean "latest"?',
     "report latest": "there are no runs yet in ",
     "compare latest nowhere": ": teatbench run six-situations",
     "runs nowhere": "no such folder",
@@ -82,7 +82,7 @@ WRONG_USE = {  # code 2
     f"bath set {NO_BATH} warm": "'warm' is not a temperature",
     f"bath set {NO_BATH} nan": "'nan' is not a temperature",
     f"bath watch {NO_BATH} --seconds 0": "'0' is not a number of seconds",
-    "arm": "required: COMMAND",
+    "arm": "required: COMMAND\n  teatbench arm read: ",
     "arm fly": "invalid choice: 'fly'",
     "arm read": "required: --port",
     f"arm read {EMULATED} --packets 0": "'0' is not a whole number from 1 to 1000",
@@ -160,9 +160,16 @@ def test_a_port_that_cannot_be_opened_is_named(said: Said) -> None:
     assert "the port can't be opened" in said(3, "arm read --port /dev/null --homed").err
 
 
-@pytest.mark.parametrize("command", ["run", "run --rig", "score", "detect", "report", "emulate"])
-def test_a_name_that_is_too_long_is_named_as_that(command: str, tmp_path: Path, said: Said) -> None:
+NAMELESS = {"run": 'no trial script ""', "run --rig": 'no rig ""', "emulate": 'no rig ""'}
+NAMELESS |= {"score": "frames: missing", "detect": "frames: missing", "report": ". is no run"}
+
+
+@pytest.mark.parametrize("command", NAMELESS)
+def test_a_name_that_is_too_long_or_empty_is_named(
+    command: str, tmp_path: Path, said: Said
+) -> None:
     assert "disk full" not in said(2, f"{command} {{}}", tmp_path / ("long" * 80)).err
+    assert NAMELESS[command] in said(2, f"{command} {{}}", "").err
 
 
 def test_what_may_not_be_read(tmp_path: Path, said: Said, monkeypatch: pytest.MonkeyPatch) -> None:

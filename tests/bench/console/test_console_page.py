@@ -9,21 +9,27 @@ import shutil
 import sqlite3
 import time
 from contextlib import closing
+from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 from playwright.sync_api import Page, expect
 
 from bench.record.reader import read_run
 from bench.record.schema import DATABASE
-from bench.record.state import run_lock
+from bench.record.state import State, run_lock
 from bench.results.queue import QueueNote
+from bench.results.status import GOING_TO_SAFE, Link, OpenPrompt
 from bench.run.lock import locked
+from instruments.clock import wall_time
 from instruments.operators.mailbox import read_prompt
 from tests.bench.console import served
 from tests.bench.operated_runs import SCRIPT, texts
+from tests.bench.results.test_status import LIVES, said_by, stopped
 from tests.bench.small_run import KEPT, written_anew
-from tests.chromium import browser_page, violations
+from tests.chromium import browser_page, violations, weak_texts
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 HOSTILE = "<img src=x onerror=document.title='pwned'> & </script>"
@@ -215,3 +221,58 @@ def test_a_queue_is_followed_from_one_run_to_the_next(tmp_path: Path) -> None:
         note.ends("tripped by interlock cold")
         expect(card).to_contain_text("Ended early, 1 of 3 scripts finished", timeout=SOON_MS)
         assert page.url.endswith(second.name), "a queue that has ended is left where it is"
+
+
+BATH = {"temp_c": 33.0, "set_point_c": 33.0, "band_k": 0.2, "state": "stable", "t_s": 60.0}
+LAST = "last reading of this run; nothing is read now"
+ENDED = {
+    State.FAULTED: "The run was faulted after 2 of 18 trials: bath: no answer for 12 s.",
+    State.TRIPPED: "The run was tripped after 2 of 18 trials: bath: no answer for 12 s.",
+    State.ABORTED: "The run was aborted after 2 of 18 trials: bath: no answer for 12 s.",
+    State.INTERRUPTED: "The bench died before the run was over; 2 of 18 trials are kept.",
+}
+SILENT = replace(LIVES.instruments[0], link=Link.SILENT, age_s=600.0)
+UNDER_WAY: tuple[tuple[dict[str, Any], tuple[str, ...]], ...] = (
+    ({"step": "settling", "doing": "240 s"}, ("Settling", "240 s", "stable at 33.0 °C ± 0.20 K")),
+    (
+        {"asked": OpenPrompt("touch", number=1)},
+        ("Running", "waiting for an answer: touch", "stable"),
+    ),
+    ({"paused": True, "doing": ""}, ("Running, a pause is asked for", "", "stable at")),
+    ({"instruments": (SILENT,)}, ("Running", "", "bath: no answer for 600 s")),
+    ({"step": GOING_TO_SAFE}, ("Going to safe", "", "going to safe")),
+    (
+        {"wall_time": "2026-11-26T10:00+00:00"},
+        ("Running", "the bench has said nothing for", "as it was"),
+    ),
+)
+
+
+def test_each_state_of_a_run_has_its_lines(tmp_path: Path) -> None:
+    """Line by line: what it does or how it ended, why, and how the bath is."""
+    runs = tmp_path / "runs"
+    folders = {state: stopped(state, tmp_path / state) for state in (*ENDED, State.RUNNING)}
+    runs.mkdir()
+    running = [one.rename(runs / state) for state, one in folders.items()][-1]
+    with served.console(runs, tmp_path) as one, browser_page() as seen:
+        page = seen.page
+        page.context.set_offline(False)
+        page.goto(one.address)
+
+        def says(*lines: str) -> None:
+            for name, line in zip(("#doing", "#step", "#gate"), lines, strict=True):
+                expect(page.locator(name)).to_contain_text(line, timeout=SOON_MS)
+
+        with locked(run_lock(running), "a run", print, "run"):
+            for state, why in ENDED.items():
+                page.evaluate("(run) => { location.hash = `#/${run}`; }", state)
+                says(state.capitalize(), why, LAST)
+            page.evaluate("() => { location.hash = '#/running'; }")
+            says("Starting", "", LAST)
+            soon = (wall_time() + timedelta(days=1)).isoformat()  # of no age, however slow we are
+            for how, lines in UNDER_WAY:
+                status = replace(LIVES, **{"wall_time": soon, **how})
+                said_by(running, status, bath=BATH, interlocks=[], tip=None, ends=[], frames=0)
+                says(*lines)
+            assert not violations(page)
+            assert not weak_texts(page)

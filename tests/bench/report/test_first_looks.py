@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from bench.record.reader import RunRecord, read_run
+from bench.report.tables import scoreboard
 from bench.report.trials import first_looks, first_trials, undecided_of, worst_trials
 from bench.results.verdicts import Judgement
 from bench.scoring.decisions import Decision, Verdict
@@ -65,3 +66,10 @@ def test_the_cards_begin_with_the_same_detector_as_the_line_above_them() -> None
 def test_whom_the_run_has_not_decided(verdict: Verdict, undecided: bool) -> None:
     decision = Decision(name="error", verdict=verdict, limit=5.0, rule="", sentence="")
     assert (UNDER_TEST in undecided_of([Judgement(UNDER_TEST, (decision,))])) is undecided
+    sound = (replace(decision, name=name, verdict=Verdict.MET) for name in ("arm", "bath"))
+    made = (decision, *sound)
+    for own, called in ({"arm", "bath"}, "own"), ({"arm", "bath", "error"}, "other ones"):
+        (*_, last) = scoreboard([Judgement(UNDER_TEST, made, frozenset(own))]).rows
+        assert last[0] == f"The bench's {called}"
+        assert last[2][0] is not None
+        assert last[2][0].value == "2 of 2"

@@ -104,11 +104,11 @@ def test_every_surface_has_the_same_word(state: State, tmp_path: Path, said: Sai
         assert "2 of 18 trials" in junit
 
 
-def said_by(folder: Path, status: RunStatus) -> None:
+def said_by(folder: Path, status: RunStatus, **more: object) -> None:
     """What a run's bench has written of itself."""
     place = folder / FOLDER / LIVE
     place.parent.mkdir(exist_ok=True)
-    place.write_text(json.dumps({"status": status.as_dict()}), encoding="utf-8")
+    place.write_text(json.dumps({"status": status.as_dict(), **more}), encoding="utf-8")
 
 
 HERE = " at its terminal for 1 min"

@@ -150,7 +150,7 @@ def test_a_disk_that_is_full_amid_one_script_ends_it_alone_and_without_room_none
             raise sqlite3.OperationalError("database or disk is full")
         bath(self, reading)
 
-    def no_space(*_: object) -> Path:
+    def no_space(*_: object, **__: object) -> Path:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(Store, "bath", full)
@@ -163,9 +163,11 @@ def test_a_disk_that_is_full_amid_one_script_ends_it_alone_and_without_room_none
         assert kinds(runs[1], "fault") == ["the record could not be written: the disk is full"]
         assert bath_safe(runs[-1]) is Safe.READ_BACK
         monkeypatch.setattr("bench.report.page.write_report", no_space)
+        monkeypatch.setattr("bench.report.runs.write_runs", no_space)
     assert queue.ended == NO_ROOM
     said = capsys.readouterr().out
     assert f"c and what follows are not begun. {NO_ROOM}" in said
+    assert said.endswith(f"Queue: {queue.headline}\nPage: not written: No space left on device\n")
     then = f"No space left on device. Make room, then: teatbench report {runs[0].folder}"
     assert f"{runs[0].folder / 'report'}: {then}" in said
 
