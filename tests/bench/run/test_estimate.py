@@ -95,7 +95,8 @@ def test_an_emulated_run_takes_as_long_as_estimated_and_says_what_is_left_all_th
     doing = [line for line in lines if line["what"] == "doing" and line["t_s"] is not None]
     after = [line for line in doing if "left" not in line]
     assert after == doing[-len(after) :], "from the first second on"
-    assert [line["text"] for line in after] == ["going to safe", "writing the report"]
+    ends = ["going to safe", "all instruments are safe", "writing the report"]
+    assert [line["text"] for line in after] == ends
     doing = doing[: -len(after)]
     for line in doing:
         left_min = int(re.sub("less than a", "about 0", line["left"]).split()[1])
