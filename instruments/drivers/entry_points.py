@@ -70,8 +70,8 @@ class Plugin:
                 shape = signature(self.maker)
                 shape.bind(*given, **self.keys)
             except TypeError as error:
-                known = ", ".join(list(shape.parameters)[len(given) :]) or "none"
-                raise LimitError(self.name, f"{error}", hint=f"{self} takes: {known}.") from error
+                hint = f"{self} takes: {', '.join(list(shape.parameters)[len(given) :])}."
+                raise LimitError(self.name, f"{error}", asked=self.url, hint=hint) from error
         return self.maker(*given, **self.keys)
 
     def with_keys(self, **keys: str) -> Plugin:

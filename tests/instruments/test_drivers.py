@@ -81,8 +81,9 @@ def test_a_broken_promise_is_found(mode: str, world: tuple[World, VirtualClock])
 
 
 def test_wrong_keys_and_what_is_no_emulator_are_said() -> None:
-    with pytest.raises(LimitError, match=r"'ulr'.*takes: url"):
-        load("bath", PluginUrl("tank", {"ulr": "x"})).make(VirtualClock())
+    for keys, said in (({"ulr": "x"}, "'url'"), ({"url": "x", "ulr": "y"}, "'ulr'")):
+        with pytest.raises(LimitError, match=rf"argument:? {said} .*ulr=.*takes: url"):
+            load("bath", PluginUrl("tank", keys)).make(VirtualClock())
     with pytest.raises(bench.ConfigError, match=r"^`emulator`: .*makes no emulator"):
         list(check_driver(dict, "bath", emulator=str, clock=VirtualClock()))
 

@@ -99,7 +99,7 @@ def test_a_rig_is_open_homed_and_safe_after_each_test(pytester: pytest.Pytester)
 
         def test_heats(rig, bath, arm, stage, cameras):
             assert arm.homed and stage.homed and rig.emulated
-            kept.append((rig, bath))
+            kept.append((rig, rig.devices.bath))
             rig.heat(33.0, wait=False)
             assert rig.devices.active == ("bath", "pump")
             raise RuntimeError("amid heating")
