@@ -171,7 +171,8 @@ def test_a_kill_in_any_step_leaves_standby_and_a_record_of_it(
         assert note is not None, outcome.step
         assert (note["cause"], note["standby"], note["tries"]) == ("died", True, 1), outcome.step
         noticed = datetime.fromisoformat(note["wall_noticed"])
-        assert abs((noticed - outcome.killed).total_seconds()) < 1.0
+        # between the kill and the standby that was seen, however long a busy machine took
+        assert -0.01 <= (noticed - outcome.killed).total_seconds() < outcome.seconds + 1.0
         assert note["seconds"] < STANDBY_S
         sentence = (
             f"The bench died at {note['wall_noticed']}; the guardian had the bath in standby at"
