@@ -8,9 +8,8 @@ ridge, of fits labelled by whether an end is near. The least odds of what is giv
 odds by which fits of one end are weighted, are those that do best. Standard deviations are linear
 in their terms: factors, none negative, are those of the greatest likelihood of the errors that were
 made (an end taken for another's counts for none of them). Both are done twice, as the
-first answers change which fits are tried. The limits by which fits are tried again stay as they are
-unless ``--limits`` asks for them: each is then set to its neighbours in turn, the detector runs on
-all scenes, and what does better stays (fifteen runs over all scenes).
+first answers change which fits are tried. The limits by which fits are tried again stay, unless
+``--limits`` tries two others of each, by fifteen runs on all scenes.
 
 The gate: each family is judged by weights that were learned without it. A change passes that has as
 many ends found, less four for each false one, as the file says.
@@ -21,7 +20,7 @@ from __future__ import annotations
 import argparse
 import json
 import pickle
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -41,7 +40,7 @@ from detector.external.serve import Pictures
 from detector.fused.covariances import TERMS, variance_terms
 from detector.fused.decide import MEASURES, NEAR_MM, Fits, means, measures, pass_through
 from detector.fused.evidence import Evidence
-from detector.fused.learned import FILE
+from detector.fused.learned import FILE, in_order
 from detector.outline.model import apexes
 from detector.outline.prior import Prior, world_from_teats
 from instruments.world.scene import Renderer
@@ -153,6 +152,11 @@ def shown_of(family: str, calibration: Calibration, data: Any) -> Shown | None:
     )  # fmt: skip
 
 
+def every_shown(frames: Path) -> list[Shown]:
+    """Of all scenes."""
+    return [shown for scene in scenes(frames) if (shown := shown_of(*scene))]
+
+
 def _off(one: Shown) -> Array:
     """How far each fit's end is from the nearest (m,), mm."""
     away = np.linalg.norm(one.places_mm[:, None] - one.ends_mm, axis=2)
@@ -227,28 +231,17 @@ def learned_spread(some: Sequence[Shown]) -> Array:
     return np.asarray(np.where(found.x > -7.0, np.exp(found.x), 0.0))
 
 
-def gained(limits: Mapping[str, float], frames: Path) -> int:
-    """Ends found in all scenes, less four for each false one, with such limits."""
-    usual, gain = fused.LEARNED, 0
-    fused.LEARNED = replace(usual, limits=limits)
-    for _, calibration, data in scenes(frames):
-        pictures = Pictures(data["left"], data["right"], None, data["thermal_k"])
-        answer, ends = fused.FusedDetector().detect(pictures, calibration), data["ends_mm"]
-        found = np.array([teat.world_mm for teat in answer.teats]).reshape(-1, 3)
-        counts = match(found, ends, data["visible"], gate_mm(ends)).counts
-        gain += counts.matched - FALSE * counts.false
-    fused.LEARNED = usual
-    return gain
-
-
 def learned_limits(frames: Path) -> dict[str, float]:
-    """Each of `LIMITS` in turn, from those that are in use on: the least change that does best."""
-    limits = dict(fused.LEARNED.limits)
-    best = gained(limits, frames)
-    for name, values in LIMITS.items():
-        for value in values:
-            if (gain := gained(limits | {name: value}, frames)) > best:
-                limits, best = limits | {name: value}, gain
+    """Each of `LIMITS` in turn, from those in use on: the least change that does best."""
+    now, best, limits = fused.LEARNED, -np.inf, dict(fused.LEARNED.limits)
+    by = in_order(now.weights, MEASURES), now.bias, now.least, now.power
+    tried = [(name, value) for name, values in LIMITS.items() for value in values]
+    for name, value in [("side", limits["side"]), *tried]:
+        fused.LEARNED = replace(now, limits=limits | {name: value})
+        count = judged(every_shown(frames), *by)
+        if (gain := count["found"] - FALSE * count["false"]) > best:
+            best, limits = gain, limits | {name: value}
+    fused.LEARNED = now
     return limits
 
 
@@ -279,7 +272,7 @@ def main() -> None:
     parser.add_argument("--limits", action="store_true", help="learn the limits of refits too")
     given = parser.parse_args()
     given.frames.mkdir(parents=True, exist_ok=True)
-    some = [shown for scene in scenes(given.frames) if (shown := shown_of(*scene))]
+    some = every_shown(given.frames)
     (given.frames / "shown.pickle").write_bytes(pickle.dumps(some))  # for studies
     (weights, bias), factors = learned_odds(some), learned_spread(some)
     power = min(POWERS, key=lambda each: judged(some, weights, bias, LEASTS[0], each)["mean mm"])
@@ -300,32 +293,22 @@ def main() -> None:
     usual = dict(zip(MEASURES, np.round(right.mean(axis=0), 4).tolist(), strict=True))
     by_name = dict(zip(MEASURES, np.round(weights, 4).tolist(), strict=True))
     spread = dict(zip(TERMS, np.round(factors[1:], 5).tolist(), strict=True))
+    made = {"seed": SEED, "first": FIRST, "members": MEMBERS, "rigs": RIGS, "scenes": len(some)}
+    made |= {
+        "fits": sum(len(one.seen) for one in some),
+        "ends": sum(len(one.errors_mm) for one in some),
+    }
+    odds = {"least": least, "power": power, "bias": round(bias, 4)}
     table = {
-        "made": {
-            "seed": SEED,
-            "first": FIRST,
-            "members": MEMBERS,
-            "rigs": RIGS,
-            "scenes": len(some),
-        }
-        | {"fits": sum(len(one.seen) for one in some)}
-        | {"ends": sum(len(one.errors_mm) for one in some)},
-        "odds": {
-            "least": least,
-            "power": power,
-            "bias": round(bias, 4),
-            "weights": by_name,
-            "usual": usual,
-        },
+        "made": made,
+        "odds": odds | {"weights": by_name, "usual": usual},
         "spread": {"edges": round(float(factors[0]), 5), "terms": spread},
         "limits": learned_limits(given.frames) if given.limits else dict(fused.LEARNED.limits),
         "families left out": left_out,
     }
     given.out.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
-    total = {
-        key: sum(one[key] for one in left_out.values()) for key in ("visible", "found", "false")
-    }
-    print(f"families left out in turn: {total}")
+    for key in ("visible", "found", "false"):
+        print(f"{key}, families left out in turn: {sum(one[key] for one in left_out.values())}")
 
 
 if __name__ == "__main__":

@@ -80,13 +80,13 @@ _STRETCH = 4  # points of an outline that share a shift: some 10 px
 
 def _sure(fitted: Fitted, p: Parameters) -> Array:
     """Inverse variances (m, 8) of the priors of fits."""
-    return np.where(fitted.shaped[:, None], *(usual(q.prior)[1] for q in (any_shape(p), p)))
+    return np.where(fitted.shaped[:, None], *(usual(q)[1] for q in (any_shape(p.prior), p.prior)))
 
 
 def _of_ends(fitted: Fitted, p: Parameters) -> Array:
     """How ends move with the right sides of the normal equations (m, 8, 3)."""
     H = information(fitted.seen, fitted.weight, _sure(fitted, p))
-    return np.linalg.solve(H, apex_jacobian(fitted.teats).transpose(0, 2, 1))
+    return np.asarray(np.linalg.solve(H, apex_jacobian(fitted.teats).transpose(0, 2, 1)))
 
 
 def held(fitted: Fitted, p: Parameters) -> Array:
@@ -244,10 +244,8 @@ TERMS: dict[str, Term] = {
 }
 
 
-def ways(fits: Fits, held_mm: Array, calibration: Calibration) -> dict[str, Array]:
-    """By way of `Term` vectors (m, 3), the fits' frame: mm a mm, along the line of sight mm a px of
-    disparity, and `held`.
-    """
+def variance_terms(fits: Fits, held_mm: Array, calibration: Calibration) -> Array:
+    """Vectors (m, k, 3) of `TERMS`, the fits' frame, of fits and what `held` says of them."""
     axis, ends = axes(fits.teats), apexes(fits.teats)
     distance = np.linalg.norm(ends, axis=1, keepdims=True)
     sight = ends / distance
@@ -255,12 +253,7 @@ def ways(fits: Fits, held_mm: Array, calibration: Calibration) -> dict[str, Arra
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     px = disparities_px(ends, calibration)[:, None]
     by = {"along": axis, "across": across, "sight": sight * distance / px}
-    return by | dict(zip(HELD, held_mm.transpose(2, 0, 1), strict=True))
-
-
-def variance_terms(fits: Fits, held_mm: Array, calibration: Calibration) -> Array:
-    """Vectors (m, k, 3) of `TERMS`, the fits' frame, of fits and what `held` says of them."""
-    by = ways(fits, held_mm, calibration)
+    by |= dict(zip(HELD, held_mm.transpose(2, 0, 1), strict=True))
     every = (by[term.way] * np.asarray(term.of(fits))[:, None] for term in TERMS.values())
     return np.stack(list(every), axis=1)
 

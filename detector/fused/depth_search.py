@@ -190,8 +190,8 @@ def _scores(
     arc = np.column_stack([-np.cos(_ARC), np.sin(_ARC)])
     swells = np.array(np.broadcast_to(swell, m), dtype=float)
     found = kernels.across(
-        each.gradients, shifts, np.ascontiguousarray(teats), swells, each.view.numbers,
-        each.view.corner_px, arc, _BELOW, end,
+        each.gradients, shifts, np.ascontiguousarray(teats), swells,
+        (each.view.numbers, each.view.corner_px), (arc, _BELOW), end,
     )  # fmt: skip
     return np.asarray(found)
 

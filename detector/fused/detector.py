@@ -128,24 +128,17 @@ class FusedDetector:
         fits begin once more, and what is still unseen is predicted. Cameras that are known to be
         off widen the covariances.
         """
-        answer = self._with_history(frames, calibration, context)
-        return with_cameras_off(answer, context.cameras, calibration) if context.cameras else answer
-
-    def _with_history(
-        self, frames: Frames, calibration: Calibration, context: Context
-    ) -> Detection:
         answer = self.detect(frames, calibration)
-        expected = predicted(context, answer.teats)
-        if not expected:
-            return answer
-        world = np.array([teat.world_mm for teat in expected.values()])
-        ends = world_from_teats(calibration).inverse().apply(world)
-        starts = upright(ends, calibration, _BESIDE_PX, self.settings.prior).reshape(-1, COUNT)
-        with suppress(pictures.UnusableError):
-            again = _detect(frames, calibration, self.settings, [], starts)
-            if _as_expected(again, answer, expected):
-                answer, expected = again, predicted(context, again.teats)
-        return replace(answer, predicted=tuple(expected.values()))
+        if expected := predicted(context, answer.teats):
+            world = np.array([teat.world_mm for teat in expected.values()])
+            ends = world_from_teats(calibration).inverse().apply(world)
+            starts = upright(ends, calibration, _BESIDE_PX, self.settings.prior).reshape(-1, COUNT)
+            with suppress(pictures.UnusableError):
+                again = _detect(frames, calibration, self.settings, [], starts)
+                if _as_expected(again, answer, expected):
+                    answer, expected = again, predicted(context, again.teats)
+            answer = replace(answer, predicted=tuple(expected.values()))
+        return with_cameras_off(answer, context.cameras, calibration) if context.cameras else answer
 
 
 def _as_expected(more: Detection, less: Detection, expected: Mapping[int, Teat]) -> bool:

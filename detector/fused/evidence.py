@@ -67,9 +67,11 @@ def weigh(
     )
     good = (weight > 0) & (np.abs(offset) < _CLOSE_PX) & (sd < _MOST_SD_PX)
     open_ = ~fitted.hidden.reshape(m, -1, n)
-    shares = {
-        p: _share(good[:, :, part == p], open_[:, :, part == p]) for p in (SIDE_A, END, SIDE_B)
-    }
+    shares = list[Array]()  # of good points of those not hidden; mostly hidden: missing
+    for p in (SIDE_A, END, SIDE_B):
+        shown = open_[:, :, part == p]
+        least = np.maximum(shown.sum(axis=2), 0.4 * shown.shape[2])
+        shares.append((good[:, :, part == p] & shown).sum(axis=2) / least)
     misfit = _misfit(offset[:, :2], weight[:, :2])
     end_misfit = _misfit(offset[:, :2, part == END], weight[:, :2, part == END])
     sides = np.stack([shares[SIDE_A], shares[SIDE_B]])
@@ -99,13 +101,6 @@ def _misfit(offset_px: Array, weight: Array) -> Array:
     """Root mean square (m,) of edges (m, views, k), weighted."""
     squares = (offset_px**2 * weight).sum(axis=(1, 2))
     return np.asarray(np.sqrt(squares / np.maximum(weight.sum(axis=(1, 2)), 1e-9)))
-
-
-def _share(good: NDArray[np.bool_], open_: NDArray[np.bool_]) -> Array:
-    """Share (m, views) of good points of those not hidden (m, views, k); mostly hidden: missing."""
-    return np.asarray(
-        (good & open_).sum(axis=2) / np.maximum(open_.sum(axis=2), 0.4 * good.shape[2])
-    )
 
 
 def _offsets(fitted: Fitted) -> Array:

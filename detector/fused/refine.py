@@ -27,7 +27,6 @@ from detector.outline.fine import (
     Fitted,
     fine,
     look_again,
-    next_to,
 )
 from detector.outline.fit import OutlineEdges, View, look, step, weights
 from detector.outline.model import (
@@ -43,7 +42,7 @@ from detector.outline.model import (
     apexes,
     axes,
 )
-from detector.outline.prior import disparities_px
+from detector.outline.prior import Prior, disparities_px
 
 _MOST_A_BAR = 2
 _ROUGH_STEPS = 2
@@ -60,8 +59,7 @@ def refine(
     teats = _rough(teats, views, p, apexes(known.teats) if known else np.zeros((0, 3)))
     if len(teats) == 0:
         return None
-    hidden = np.zeros((len(teats), len(views) * len(FINE_OUTLINE.part)), dtype=bool)
-    nearly = fine(teats, hidden, views, p.prior, steps=2)
+    nearly = fine(teats, None, views, p.prior, steps=2)
     # in each place go on with the one with most of its outline seen
     ends, kept = apexes(nearly.teats), list[int]()
     for i in np.argsort(-(nearly.weight > 0).sum(axis=1), kind="stable").tolist():
@@ -149,20 +147,19 @@ def refine_beside(
         start[:, CX] += aside_mm
     again = replace(fitted.take(np.tile(np.arange(n), 4)), teats=starts.reshape(-1, COUNT))
     found = list[Fitted]()
-    for shaped, priors in ((False, p), (True, any_shape(p))):
+    for shaped, prior in ((False, p.prior), (True, any_shape(p.prior))):
         at = np.flatnonzero(again.shaped == shaped)
         if len(at):
             some = again.take(at)
-            fits = fine(some.teats, some.hidden, views, priors.prior, steps=FINE_STEPS - 1)
+            fits = fine(some.teats, some.hidden, views, prior, steps=FINE_STEPS - 1)
             found.append(replace(fits, followed=some.followed, shaped=some.shaped))
     return reduce(operator.add, found)
 
 
 @cache
-def any_shape(p: Parameters) -> Parameters:
-    """The prior of short teats: tapered, and flat to pointed."""
-    prior = replace(p.prior, lean_sd=0.12, radius_sd_mm=2.5, taper_sd=0.07, height_sd=0.35)
-    return replace(p, prior=prior)
+def any_shape(prior: Prior) -> Prior:
+    """That of short teats: tapered, and flat to pointed."""
+    return replace(prior, lean_sd=0.12, radius_sd_mm=2.5, taper_sd=0.07, height_sd=0.35)
 
 
 def shaped_again(fitted: Fitted, views: tuple[View, ...], p: Parameters) -> Fitted:
@@ -173,7 +170,7 @@ def shaped_again(fitted: Fitted, views: tuple[View, ...], p: Parameters) -> Fitt
     along, every = np.zeros(len(part)), np.ones(len(fitted.teats), dtype=bool)
     along[part != END] = np.concatenate([FINE_OUTLINE.along_mm[::-1], FINE_OUTLINE.along_mm])
     hidden = np.tile(along > _SHORT_MM, (count, len(views)))
-    found = fine(fitted.teats, hidden, views, any_shape(p).prior, steps=FINE_STEPS + 1)
+    found = fine(fitted.teats, hidden, views, any_shape(p.prior), steps=FINE_STEPS + 1)
     return replace(fitted, shaped=every) + replace(found, shaped=every)
 
 
@@ -182,13 +179,14 @@ def one_sided(teats: Array, p: Parameters, views: int) -> tuple[Array, NDArray[n
     Where teats touch, the other side is the neighbour's.
     """
     starts, masks = [], []
-    for lost, sign in ((SIDE_B, -1.0), (SIDE_A, 1.0)):
+    ends = np.array_split(np.flatnonzero(FINE_OUTLINE.part == END), 2)
+    for lost, sign, half in ((SIDE_B, -1.0, ends[1]), (SIDE_A, 1.0, ends[0])):
         start = teats.copy()
         start[:, CX] += sign * (start[:, RADIUS] - p.prior.radius_mm)
         start[:, RADIUS], start[:, TAPER] = p.prior.radius_mm, 0.0
         starts.append(start)
         left_out = FINE_OUTLINE.part == lost
-        left_out[next_to(lost, 2)] = True
+        left_out[half] = True
         left_out = np.tile(left_out, views)
         masks.append(np.repeat(left_out[None], len(teats), axis=0))
     return np.concatenate(starts), np.concatenate(masks)
@@ -197,8 +195,7 @@ def one_sided(teats: Array, p: Parameters, views: int) -> tuple[Array, NDArray[n
 def refine_slid(slid: Array, views: tuple[View, ...], p: Parameters) -> Fitted:
     """Fits from ``slid`` (n, 8), followed up their sides."""
     tight = replace(p.prior, height_sd=_SHAPE * p.prior.height_sd)
-    shape = (len(slid), len(views) * len(FINE_OUTLINE.part))
-    more = fine(slid, np.zeros(shape, dtype=bool), views, tight)
+    more = fine(slid, None, views, tight)
     return replace(more, followed=np.ones(len(slid), dtype=bool))
 
 

@@ -40,7 +40,8 @@ def doubts(
 
 def _likeliest(decision: Decision) -> list[int]:
     """All fits, the likeliest first."""
-    return np.argsort(-decision.odds, kind="stable").tolist()
+    order: list[int] = np.argsort(-decision.odds, kind="stable").tolist()
+    return order
 
 
 def _one_each(rows: list[int], same: NDArray[np.bool_]) -> list[int]:
@@ -65,7 +66,7 @@ def shapes(
     tried = unlike & (evidence.end.min(axis=1) > limits["end, another shape"])
     same, kept = on_one_bar(teats), list[int]()
     sound = [i for i in decision.accepted if not unlike[i]]
-    inside = pass_through(teats, teats[sound]).any(axis=1)
+    inside = np.asarray(pass_through(teats, teats[sound]).any(axis=1))
     for i in _likeliest(decision):
         if tried[i] and not same[i, kept + sound].any() and not inside[i]:
             kept.append(i)
@@ -79,7 +80,7 @@ def unsure(
     against, one a place, the likeliest first.
     """
     accepted = decision.accepted
-    inside = pass_through(teats, teats[accepted]).any(axis=1)
+    inside = np.asarray(pass_through(teats, teats[accepted]).any(axis=1))
     open_ = [i for i in _likeliest(decision) if decision.by_place[i] and not inside[i]]
     more = _one_each(open_, on_one_bar(teats))[: p.most_unsure]
     return [i for i in accepted if evidence.sd_mm[i] > limits["sd, mm"]] + more

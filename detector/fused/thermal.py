@@ -208,8 +208,8 @@ def strengths(picture: Field, blur_px: float = 0.8, noises: float = 4.0, border:
     """Gradients (rows, columns, 2), each length squeezed below 1; one half at ``noises`` times the
     noise's. With a ``border`` of zeros.
     """
-    smooth = cv2.GaussianBlur(picture, (0, 0), blur_px)
-    half = max(noises * median(kernels.steepness(smooth, 3)), 1e-6)
+    smooth: Field = np.asarray(cv2.GaussianBlur(picture, (0, 0), blur_px), dtype=np.float32)
+    half = np.float32(max(noises * median(kernels.steepness(smooth, 3)), 1e-6))
     return np.asarray(kernels.squeezed(smooth, half, border))
 
 
@@ -233,7 +233,10 @@ def _scores(
         flat = off[..., 1] * columns + off[..., 0]
         found.append(kernels.along_shapes(every, start, flat, normals, end))
     left, right, *top = np.concatenate(found).swapaxes(0, 1)
-    return joined(top[0], left, right) if end else np.minimum(-left, -right)
+    if not end:
+        return np.asarray(np.minimum(-left, -right))
+    # a bar may lack a side, but not its end
+    return np.asarray(top[0] * (0.7 * np.maximum(left, right) + 0.3 * np.minimum(left, right)))
 
 
 def bar_ways(lean: Array | float, down: tuple[float, float]) -> tuple[Array, Array]:
@@ -260,11 +263,6 @@ def _shapes(
         arc = -np.cos(_ARC)[:, None] * down + np.sin(_ARC)[:, None] * right
         normals, places = [*normals, arc], [*places, width * (down + arc)]
     return np.rint(np.stack(places, 1)).astype(np.intp), np.stack(normals, 1).astype(np.float32)
-
-
-def joined(top: Array, left: Array, right: Array) -> Array:
-    """One score from those of the end and of both sides: a bar may lack a side, but not its end."""
-    return np.asarray(top * (0.7 * np.maximum(left, right) + 0.3 * np.minimum(left, right)))
 
 
 def _peaks(tips: Field, score: Array, most: int, apart_px: float, least: float) -> NDArray[np.intp]:

@@ -98,11 +98,6 @@ def _rounded(values: Array, steps: Array | float) -> Array:
     return np.asarray(np.rint(values * steps) / steps)
 
 
-def _steps(noise: Array) -> Array:
-    """Steps an intensity, powers of two."""
-    return np.asarray(np.ldexp(1.0, 1 + _LEVELS - np.frexp(noise)[1]))
-
-
 def _blurred_root(depth: Array, blur: float) -> Array:
     """sqrt(max(depth, 0)) after a Gaussian blur."""
     t = np.arange(-4 * blur, 4 * blur + _FINE / 2, _FINE)
@@ -129,8 +124,7 @@ def sample_into(
     ``corner_px`` (2,). ``places``: middles and normals (., k, 2), which rows of these, and of each
     the first and how many.
     """
-    rows, columns = field.shape
-    x, y, inside = package.kernels.places(*places, corner_px, offsets_px, rows, columns)
+    x, y, inside = package.kernels.places(places, corner_px, offsets_px, field.shape)
     cv2.remap(field, x, y, cv2.INTER_CUBIC, dst=lines)
     lines[~inside] = np.nan
 
@@ -153,9 +147,11 @@ def find_edges(
     A line without a clear edge is joined with its neighbours' residuals, and its edge counts less
     for what they share.
     """
+    steps = np.ldexp(1.0, 1 + _LEVELS - np.frexp(noise)[1])  # an intensity, powers of two
     package.kernels.edges(
-        lines, noise, _steps(noise), profile.rows, profile.flat, profile.places, profile.pull,
-        profile.grid_px, _NEIGHBOURS, CLEAR, _DOUBT, LIGHT, which, first, *edges,
+        lines, noise, steps, (profile.rows, profile.flat),
+        (profile.places, profile.pull, profile.grid_px), (_NEIGHBOURS, CLEAR, _DOUBT), LIGHT,
+        which, first, edges,
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from detector import outline as package
 from detector.geometry import Array
 from detector.outline.fit import OutlineEdges, View, look, step, weights
-from detector.outline.model import END, SIDE_A, Outline, Rows
+from detector.outline.model import Outline, Rows
 from detector.outline.prior import Prior
 
 ROUGH_OUTLINE, FINE_OUTLINE = Outline.of(55.0, 8, 12), Outline.of(Prior().length_mm, 28, 24)
@@ -42,14 +42,18 @@ class Fitted(Rows):
 
 def fine(
     teats: Array,
-    hidden: NDArray[np.bool_],
+    hidden: NDArray[np.bool_] | None,
     views: tuple[View, ...],
     prior: Prior,
     seen: OutlineEdges | None = None,
     steps: int = FINE_STEPS,
     first: int = 0,
 ) -> Fitted:
-    """Teats (m, 8) after ``steps`` fine steps, ``first`` of them done; ``seen``: if known."""
+    """Teats (m, 8) after ``steps`` fine steps, ``first`` of them done; ``seen``: if known; what is
+    ``hidden`` (m, k): if anything.
+    """
+    if hidden is None:
+        hidden = np.zeros((len(teats), len(views) * len(FINE_OUTLINE.part)), dtype=bool)
     seen = look(teats, views, FINE_OUTLINE, fine=True) if seen is None else seen
     for number in range(first, first + steps):
         moved = step(teats, seen, _trusted(seen, hidden, number), prior)
@@ -66,8 +70,9 @@ def look_again(
     """Edges after a ``change`` (m, 8): optical ones anew where outlines moved, thermal kept."""
     outline = FINE_OUTLINE if fine else ROUGH_OUTLINE
     k = 2 * len(outline.part)
-    offset, moving = package.kernels.follow(seen.jacobian, seen.offset_px, change, k, _STILL_PX)
-    seen = replace(seen, offset_px=offset)
+    moves = (seen.jacobian @ change[..., None])[..., 0]
+    seen = replace(seen, offset_px=seen.offset_px - moves)
+    moving = np.flatnonzero(~(np.abs(moves[:, :k]) < _STILL_PX).all(axis=1))
     if len(moving) == 0:
         return seen
     return look(teats, views[:2], outline, fine=fine, known=seen, which=moving)
@@ -83,12 +88,3 @@ def _trusted(seen: OutlineEdges, hidden: NDArray[np.bool_], number: int) -> Arra
     counts = len(FINE_OUTLINE.along_mm), len(FINE_OUTLINE.over_end)
     package.kernels.trusted(weight, seen.offset_px, seen.floor_px, hidden, *counts, _LIMITS)
     return weight
-
-
-def next_to(side: int, parts: int) -> slice:
-    """The points of the end, in the part of so many that is next to a side."""
-    end = FINE_OUTLINE.slices[END]
-    count = (end.stop - end.start) // parts
-    return (
-        slice(end.start, end.start + count) if side == SIDE_A else slice(end.stop - count, end.stop)
-    )

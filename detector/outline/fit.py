@@ -24,7 +24,6 @@ from detector.outline.model import (
     LEAN_X,
     LEAN_Z,
     RADIUS,
-    STEP_MM,
     Outline,
     Rows,
     axes,
@@ -80,12 +79,6 @@ class OutlineEdges(Rows):
         jacobian = np.zeros((m, k, COUNT))
         return cls(offset, sd, clarity, floor, jacobian, pixels, normals, limb, unlike)
 
-    def copied(self) -> OutlineEdges:
-        """The same, but for Jacobian and floor in arrays of its own."""
-        kept = {"jacobian", "floor_px"}
-        values = ((name, getattr(self, name)) for name in self.__slots__)
-        return OutlineEdges(*(value if name in kept else value.copy() for name, value in values))
-
 
 def look(
     teats: Array,
@@ -103,12 +96,15 @@ def look(
     """
     m, n = len(teats), len(outline.part)
     which = np.arange(m) if which is None else which
-    seen = known.copied() if known else OutlineEdges.empty(m, n, views)
+    if known:  # but for floor and Jacobian in arrays of its own
+        shared = {"floor_px", "jacobian"}
+        own = {name: getattr(known, name).copy() for name in {*known.__slots__} - shared}
+    seen = dataclasses.replace(known, **own) if known else OutlineEdges.empty(m, n, views)
     cameras = np.stack([view.numbers for view in views])
     teats = np.ascontiguousarray(teats[which])
     package.kernels.outlines(
-        teats, cameras, outline.along_mm, outline.over_end, STEP_MM, slopes_too and known is None,
-        which, seen.pixels_px, seen.normals, seen.jacobian,
+        teats, cameras, (outline.along_mm, outline.over_end), slopes_too and known is None,
+        which, (seen.pixels_px, seen.normals, seen.jacobian),
     )  # fmt: skip
     first = 0
     for profile, group in groupby(views, lambda view: view.fine if fine else view.rough):
@@ -126,10 +122,11 @@ def look(
 
 
 _DAMPING = 1e-4
-# of a step, and of teats after it
-_LONGEST = np.array([4.0, 4.0, 30.0, 0.15, 0.15, 2.0, 0.05, 0.2])
-_LEAST = np.array([-np.inf, -np.inf, -np.inf, -1.2, -1.2, 4.0, -0.25, 0.5])
-_MOST = np.array([np.inf, np.inf, np.inf, 1.2, 1.2, 25.0, 0.25, 2.0])
+_LIMITS = (  # of a step, and of teats after it: at least and at most
+    np.array([4.0, 4.0, 30.0, 0.15, 0.15, 2.0, 0.05, 0.2]),
+    np.array([-np.inf, -np.inf, -np.inf, -1.2, -1.2, 4.0, -0.25, 0.5]),
+    np.array([np.inf, np.inf, np.inf, 1.2, 1.2, 25.0, 0.25, 2.0]),
+)
 
 
 def weights(seen: OutlineEdges, scale: float) -> Array:
@@ -160,7 +157,7 @@ def step(teats: Array, seen: OutlineEdges, weight: Array, prior: Prior) -> Array
     """Teats (m, 8) after one damped step, no longer than makes sense."""
     moved = package.kernels.step(
         np.ascontiguousarray(teats), seen.jacobian, seen.offset_px, weight, *usual(prior),
-        _DAMPING, _LONGEST, _LEAST, _MOST,
+        _DAMPING, _LIMITS,
     )  # fmt: skip
     return np.asarray(moved)
 

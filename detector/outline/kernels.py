@@ -1,5 +1,4 @@
-"""The hot loops of the fits, and of the fused detector's searches, compiled by numba: each gives
-what the numpy function that its docstring names gives, and is tested against it.
+"""The hot loops of the fits, and of the fused detector's searches, compiled by numba.
 
 Compiled for one signature when this module is imported, and kept on disk (beside the module, else
 in the user's cache, or in NUMBA_CACHE_DIR). What is kept is as old as the file of a loop: so one
@@ -19,8 +18,11 @@ from numpy.typing import NDArray
 from detector.geometry import Array
 
 Field = NDArray[np.float32]
+Ids = NDArray[np.intp]
+Arrays = tuple[Array, ...]
 Loop = TypeVar("Loop", bound=Callable[..., Any])
 _f4 = np.float32
+_STEP_MM = 0.1  # outward, to see how far an outline moves
 
 
 def _compiled(signature: str) -> Callable[[Loop], Loop]:
@@ -81,7 +83,7 @@ def _pixel(
 def _contour(
     teat: Array, centre: Array, axis: Array, along: Array, over: Array, arms: Array, normals: Array
 ) -> None:
-    """`model.contours` of one teat (8,) whose middle and axis are in the camera's frame: fills
+    """The outline of one teat (8,) whose middle and axis are in the camera's frame: fills
     points from the middle and normals, (n, 3) each.
     """
     radius, taper, height = teat[5], teat[6], teat[7]
@@ -139,8 +141,8 @@ def _slope(
     normal: Array,
     result: Array,
 ) -> None:
-    """`model.slopes` of one point: fills (8,); ``axis`` and how it ``turned`` (2, 3) by either lean
-    are in the teats' frame.
+    """How far one point moves outward with each number: fills (8,); ``axis`` and how it ``turned``
+    (2, 3) by either lean are in the teats' frame.
     """
     along_q = along_n = round_q = 0.0
     for i in range(3):
@@ -161,24 +163,14 @@ def _slope(
     result[7] = px_a_mm * (0.0 if below > 0 else along_n * along_q / teat[7])
 
 
-@_compiled(
-    "void(f8[:,::1],f8[:,::1],f8[::1],f8[::1],f8,b1,i8[::1],f8[:,:,::1],f8[:,:,::1],f8[:,:,::1])"
-)
+@_compiled("void(f8[:,::1],f8[:,::1],UniTuple(f8[::1],2),b1,i8[::1],UniTuple(f8[:,:,::1],3))")
 def outlines(
-    teats: Array,
-    cameras: Array,
-    along: Array,
-    over: Array,
-    step_mm: float,
-    slopes_too: bool,
-    which: NDArray[np.intp],
-    pixels: Array,
-    normals: Array,
-    jacobian: Array,
+    teats: Array, cameras: Array, outline: Arrays, slopes_too: bool, which: Ids, found: Arrays
 ) -> None:
     """`model.outlines` of teats (m, 8) in ``cameras`` (views, 22), numbers of `fit.View`: fills
     rows ``which`` (m,) of pixels, normals (., views * n, 2) and Jacobians (., views * n, 8).
     """
+    (along, over), (pixels, normals, jacobian) = outline, found
     n = 2 * len(along) + len(over)
     arms, outward, turned = np.empty((n, 3)), np.empty((n, 3)), np.empty((2, 3))
     axis, centre = np.empty(3), np.empty(3)
@@ -207,25 +199,26 @@ def outlines(
                 normal[j, 0], normal[j, 1] = y / length, -x / length
             if slopes_too:
                 for j in range(n):
-                    x, y = _pixel(centre, arms[j], outward[j], step_mm, lens)
+                    x, y = _pixel(centre, arms[j], outward[j], _STEP_MM, lens)
                     px = (x - place[j, 0]) * normal[j, 0] + (y - place[j, 1]) * normal[j, 1]
                     slope = jacobian[which[i], first + j]
-                    _slope(teat, own, turned, R, px / step_mm, arms[j], outward[j], slope)
+                    _slope(teat, own, turned, R, px / _STEP_MM, arms[j], outward[j], slope)
 
 
 @_within
 def _likeliest(
     left: Field,
     straight: Field,
-    places: Array,
-    pull: Field,
+    grid: tuple[Array, Field, float],
     floor: np.float32,
     freedom: np.float32,
-    grid_px: float,
-    which: NDArray[np.intp],
+    which: Ids,
     result: Array,
 ) -> None:
-    """`edges._likeliest` of some of lines (n, g): fills offset, sd, clarity (3, n) of these."""
+    """The edge of some of lines (n, g) by residuals of steps and of a straight line: fills offset,
+    standard deviation, clarity (3, n) of these. ``grid``: places, what each costs, how far apart.
+    """
+    places, pull, apart_px = grid
     g = left.shape[1]
     cost = np.empty(g, dtype=_f4)
     for j in which:
@@ -243,14 +236,14 @@ def _likeliest(
         before, here, after = np.float64(before), np.float64(here), np.float64(after)
         bend = max(before - 2 * here + after, 1e-9)
         shift = min(max(0.5 * (before - after) / bend, -1.0), 1.0)
-        result[0, j] = places[inner] + shift * grid_px if best == inner else np.nan
-        result[1, j] = np.sqrt(2.0 / bend) * grid_px
+        result[0, j] = places[inner] + shift * apart_px if best == inner else np.nan
+        result[1, j] = np.sqrt(2.0 / bend) * apart_px
         result[2, j] = (straight[j] - left[j, best]) / scale if best == inner else 0.0
 
 
 @_within
 def _summed(values: Field, size: int, result: Field) -> None:
-    """`edges._summed` of neighbouring lines (n, g); as scipy's filter, ends repeated."""
+    """Sums of neighbouring lines (n, g), as scipy's uniform filter has them; ends repeated."""
     n, g = values.shape
     half, total = size // 2, np.zeros(g)
     for j in range(-half, half + 1):
@@ -287,7 +280,7 @@ def _centred(line: Field, flat: Array, steps: float, y: Array) -> tuple[float, f
 def _left_over(
     lines: Field, rows: Array, flat: Array, steps: float, left: Field, straight: Field
 ) -> None:
-    """`edges._left_over` of lines (n, s): fills residuals of steps (k, n, g) and straight (n,)."""
+    """Of lines (n, s): fills residuals of steps (k, n, g), and of straight lines (n,)."""
     models, n, g = left.shape
     y, sums = np.zeros(lines.shape), np.zeros((n, 3))
     for j in range(n):
@@ -310,17 +303,16 @@ def _left_over(
 def _with_neighbours(
     left: Field,
     straight: Field,
-    places: Array,
-    pull: Field,
+    grid: tuple[Array, Field, float],
     floor: np.float32,
     freedom: np.float32,
-    grid_px: float,
-    neighbours: int,
-    clear: float,
-    doubt: float,
+    joining: tuple[int, float, float],
     result: Array,
 ) -> None:
-    """The second part of `edges._alone_or_together`: ``result`` (3, k, n) of faint lines anew."""
+    """Edges of faint lines anew, each taken together with its neighbours: fills ``result``
+    (3, k, n). ``joining``: how many, the clarity of an edge beyond doubt, and what one counts less.
+    """
+    neighbours, clear, doubt = joining
     faint = np.flatnonzero(result[2, 0] < clear)
     if len(faint) == 0:
         return
@@ -330,7 +322,7 @@ def _with_neighbours(
     least = _f4(neighbours) * floor
     for k in range(models):
         _summed(left[k], neighbours, together)
-        _likeliest(together, shared[:, 0], places, pull, least, freedom, grid_px, faint, joint)
+        _likeliest(together, shared[:, 0], grid, least, freedom, faint, joint)
         for j in faint:
             result[0, k, j] = joint[0, j]
             result[1, k, j] = joint[1, j] * np.sqrt(neighbours)
@@ -369,55 +361,42 @@ def _lit_alike(
 
 
 @_compiled(
-    "void(f4[:,:,:,::1],f8[::1],f8[::1],f8[:,::1],f8[:,::1],f8[::1],f4[::1],f8,i8,f8,f8,f8[::1],"
-    "i8[::1],i8,f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1])"
+    "void(f4[:,:,:,::1],f8[::1],f8[::1],UniTuple(f8[:,::1],2),Tuple((f8[::1],f4[::1],f8)),"
+    "Tuple((i8,f8,f8)),f8[::1],i8[::1],i8,UniTuple(f8[:,::1],5))"
 )
 def edges(
     lines: Field,
     noise: Array,
     steps: Array,
-    rows: Array,
-    flat: Array,
-    places: Array,
-    pull: Field,
-    grid_px: float,
-    neighbours: int,
-    clear: float,
-    doubt: float,
+    bases: tuple[Array, Array],
+    grid: tuple[Array, Field, float],
+    joining: tuple[int, float, float],
     light: Array,
-    which: NDArray[np.intp],
+    which: Ids,
     first: int,
-    offset: Array,
-    sd: Array,
-    clarity: Array,
-    limb: Array,
-    apart: Array,
+    found: tuple[Array, ...],
 ) -> None:
-    """`edges.find_edges` of lines (views, m, n, s), NaN beyond a picture, and `edges.lit_alike`:
-    fills rows ``which`` (m,) of offsets and so on (., k), from column ``first`` on. ``rows``
-    (c * g, s); ``noise``, ``steps`` (views,); ``light``: `edges.LIGHT`.
+    """`edges.find_edges` of lines (views, m, n, s), NaN beyond a picture: fills rows ``which`` (m,)
+    of what is ``found`` (., k), from column ``first`` on. ``bases``: of steps (c * g, s) and of
+    straight lines; ``noise``, ``steps`` (views,); ``light``: `edges.LIGHT`.
     """
+    (rows, flat), (places, _, _) = bases, grid
+    offset, sd, clarity, limb, apart = found
     views, m, n, s = lines.shape
     g = len(places)
     models = (len(rows) // g + 1) // 2
     result, every = np.empty((3, models, n)), np.arange(n)
     left, straight = np.empty((models, n, g), dtype=_f4), np.empty(n, dtype=_f4)
     for v in range(views):
-        floor, many = _f4(s * noise[v] ** 2), _f4(s * neighbours)
+        floor, many = _f4(s * noise[v] ** 2), _f4(s * joining[0])
         for i in range(m):
             row, at = which[i], slice(first + v * n, first + (v + 1) * n)
             _left_over(lines[v, i], rows, flat, steps[v], left, straight)
             for k in range(models):
-                found = result[:, k]
-                _likeliest(left[k], straight, places, pull, floor, _f4(s), grid_px, every, found)
-            _with_neighbours(
-                left, straight, places, pull, floor, many, grid_px, neighbours, clear, doubt, result
-            )
-            offset[row, at], sd[row, at], clarity[row, at] = (
-                result[0, 0],
-                result[1, 0],
-                result[2, 0],
-            )
+                _likeliest(left[k], straight, grid, floor, _f4(s), every, result[:, k])
+            _with_neighbours(left, straight, grid, floor, many, joining, result)
+            offset[row, at], sd[row, at] = result[0, 0], result[1, 0]
+            clarity[row, at] = result[2, 0]
             limb[row, at] = apart[row, at] = 0.0
             for j in range(n):
                 c = first + v * n + j
@@ -486,23 +465,23 @@ def squeezed(field: Field, half: np.float32, border: int) -> Field:
 
 
 @_compiled(
-    "f4[:,::1](f4[:,:,::1],f4[:,::1],f8[:,::1],f8[::1],f8[::1],f8[::1],f8[:,::1],f8[::1],b1)"
+    "f4[:,::1](f4[:,:,::1],f4[:,::1],f8[:,::1],f8[::1],UniTuple(f8[::1],2),"
+    "Tuple((f8[:,::1],f8[::1])),b1)"
 )
 def across(
     gradients: Field,
     shifts: Field,
     teats: Array,
     swell: Array,
-    camera: Array,
-    corner: Array,
-    arc: Array,
-    below: Array,
+    view: Arrays,
+    shape: Arrays,
     end: bool,
 ) -> Field:
     """Scores (shifts, m) of teats (m, 8), each with its ``swell`` (m,), in `squeezed` gradients
-    with a border of one. ``camera`` (22,): numbers of `fit.View`; ``arc`` (k, 2): of the end, down
-    and to the right.
+    with a border of one. ``view``: numbers of `fit.View` (22,) and the first pixel's place;
+    ``shape``: (k, 2) of the end, down and to the right, and of the sides.
     """
+    (camera, corner), (arc, below) = view, shape
     rows, columns, _ = gradients.shape
     flat, moved = gradients.reshape(-1), shifts + _f4(1.5)
     lens, R, T = camera[:10], camera[10:19].reshape(3, 3), camera[19:]
@@ -582,30 +561,21 @@ def _known(value: float, instead: float) -> float:
 
 @_compiled(
     "Tuple((f4[:,::1],f4[:,::1],b1[::1]))"
-    "(f8[:,:,::1],f8[:,:,::1],i8[::1],i8,i8,f8[::1],f8[::1],i8,i8)"
+    "(Tuple((f8[:,:,::1],f8[:,:,::1],i8[::1],i8,i8)),f8[::1],f8[::1],UniTuple(i8,2))"
 )
 def places(
-    middles: Array,
-    normals: Array,
-    which: NDArray[np.intp],
-    first: int,
-    n: int,
-    corner: Array,
-    offsets: Array,
-    rows: int,
-    columns: int,
+    lines: tuple[Array, Array, Ids, int, int], corner: Array, offsets: Array, size: tuple[int, int]
 ) -> tuple[Field, Field, NDArray[np.bool_]]:
-    """The first part of `edges.sample`, of ``n`` lines from ``first`` on of rows ``which`` (m,):
-    columns and rows (m * n, s) of their samples, and which lines (m * n,) are inside.
+    """Columns and rows (m * n, s) of samples along ``lines``: middles and normals, which rows of
+    these (m,), of each the first and how many; and which lines (m * n,) are in a picture.
     """
+    (middles, normals, which, first, n), (rows, columns) = lines, size
     m, s = len(which), len(offsets)
     x, y = np.empty((m * n, s), dtype=_f4), np.empty((m * n, s), dtype=_f4)
     inside = np.empty(m * n, dtype=np.bool_)
     for j in range(m * n):
-        middle, normal = (
-            middles[which[j // n], first + j % n],
-            normals[which[j // n], first + j % n],
-        )
+        row, column = which[j // n], first + j % n
+        middle, normal = middles[row, column], normals[row, column]
         u, v = _f4(_known(middle[0] - corner[0], -1e4)), _f4(_known(middle[1] - corner[1], -1e4))
         right, down = _f4(_known(normal[0], 0.0)), _f4(_known(normal[1], 0.0))
         for k in range(s):
@@ -654,8 +624,8 @@ def trusted(
     of_end: int,
     limits: Array,
 ) -> None:
-    """The last part of `refine._trusted`: takes from ``weight`` (m, k) what is doubtful. Points of
-    a side and an end; ``limits``: `refine._LIMITS`.
+    """The last part of `fine._trusted`: takes from ``weight`` (m, k) what is doubtful. Points of
+    a side and an end; ``limits``: `fine._LIMITS`.
     """
     close_floors, least_side, least_alone, most_other = limits
     m, n = len(weight), 2 * of_side + of_end
@@ -685,7 +655,7 @@ def trusted(
 
 @_compiled("Tuple((f8[:,:,::1],f8[:,::1]))(f8[:,:,::1],f8[:,::1],f8[:,::1])")
 def squares(jacobian: Array, offset: Array, weight: Array) -> tuple[Array, Array]:
-    """The sums of `fit.normal_equations`: matrices (m, 8, 8) and right sides (m, 8)."""
+    """The sums of `fit.information`: matrices (m, 8, 8) and right sides (m, 8)."""
     m, k = weight.shape
     H, b = np.zeros((m, 8, 8)), np.zeros((m, 8))
     weighted = np.empty(8)
@@ -725,7 +695,7 @@ def _solve(A: Array, b: Array, x: Array) -> None:
 
 
 @_compiled(
-    "f8[:,::1](f8[:,::1],f8[:,:,::1],f8[:,::1],f8[:,::1],f8[::1],f8[::1],f8,f8[::1],f8[::1],f8[::1])"
+    "f8[:,::1](f8[:,::1],f8[:,:,::1],f8[:,::1],f8[:,::1],f8[::1],f8[::1],f8,UniTuple(f8[::1],3))"
 )
 def step(
     teats: Array,
@@ -735,11 +705,10 @@ def step(
     usual: Array,
     sure: Array,
     damping: float,
-    longest: Array,
-    least: Array,
-    most: Array,
+    limits: tuple[Array, Array, Array],
 ) -> Array:
-    """`fit.step` of teats (m, 8): the rest are its own numbers."""
+    """`fit.step` of teats (m, 8); ``limits``: of the step, and of teats after it."""
+    longest, least, most = limits
     H, b = squares(jacobian, offset, weight)
     moved, change = np.empty_like(teats), np.empty(8)
     for i in range(len(teats)):
@@ -756,22 +725,3 @@ def step(
             value = teats[i, p] + _known(change[p] / too_long, 0.0)
             moved[i, p] = min(max(value, least[p]), most[p])
     return moved
-
-
-@_compiled("Tuple((f8[:,::1],i8[::1]))(f8[:,:,::1],f8[:,::1],f8[:,::1],i8,f8)")
-def follow(
-    jacobian: Array, offset: Array, change: Array, k: int, still_px: float
-) -> tuple[Array, NDArray[np.intp]]:
-    """The first part of `refine._look_again`: offsets (m, .) after a ``change`` (m, 8), and whose
-    first ``k`` points moved by more than ``still_px`` somewhere.
-    """
-    result, moving = np.empty_like(offset), np.zeros(len(offset), dtype=np.bool_)
-    for i in range(len(offset)):
-        for j in range(offset.shape[1]):
-            moves = 0.0
-            for p in range(8):
-                moves += jacobian[i, j, p] * change[i, p]
-            result[i, j] = offset[i, j] - moves
-            if j < k and not abs(moves) < still_px:
-                moving[i] = True
-    return result, np.flatnonzero(moving)

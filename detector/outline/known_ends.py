@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from detector.calibration import Calibration
 from detector.geometry import Array
 from detector.outline import pictures
+from detector.outline.edges import Field
 from detector.outline.fine import FINE_OUTLINE, ROUGH_OUTLINE, Fitted, fine
-from detector.outline.fit import View, look, step, upright, weights
+from detector.outline.fit import look, step, upright, weights
 from detector.outline.model import COUNT, END, apexes
 from detector.outline.offsets import (
     LEAST_END,
@@ -123,7 +124,11 @@ class _Seen:
 
 
 def _seen(
-    left: Array, right: Array, stated: Calibration, known: Array, shift: tuple[float, float, float]
+    left: Field,
+    right: Field,
+    stated: Calibration,
+    known: Array,
+    shift: tuple[float, float, float],
 ) -> _Seen:
     """Of ends (k, 3), the fits' frame, looked for where the pictures are shifted by so many
     columns of the left and right one and rows of the right one; rows follow what is found.
@@ -131,11 +136,16 @@ def _seen(
     x_left, x_right, y = shift
     stated = stated.moved("left", "cx", x_left).moved("right", "cx", x_right)
     prior = Prior()
+    tight = replace(prior, taper_sd=0.5 * prior.taper_sd, height_sd=0.2 * prior.height_sd)
     for _ in range(_AGAIN if shift == (0.0, 0.0, 0.0) else _AGAIN_SHIFTED):
         calibration = stated.moved("right", "cy", y)
         starts = upright(known, calibration, _BESIDE_PX, prior)
-        views = tuple(optical_views(left, right, calibration, starts.reshape(-1, COUNT)))
-        fitted = _fitted(starts.reshape(-1, COUNT), views, prior)
+        teats = starts.reshape(-1, COUNT)
+        views = tuple(optical_views(left, right, calibration, teats))
+        for _ in range(_ROUGH_STEPS):
+            rough = look(teats, views, ROUGH_OUTLINE, fine=False)
+            teats = step(teats, rough, weights(rough, _ROUGH_SCALE), tight)
+        fitted = fine(teats, None, views, prior)
         best = _best(fitted, known)
         some = fitted.take(np.maximum(best, 0))
         rows, _ = row_offsets(some, prior)
@@ -145,19 +155,14 @@ def _seen(
             break
         y += down
     off = _disparity(calibration, apexes(some.teats)) - _disparity(calibration, known)
-    measured = (best >= 0) & (_end_share(some) >= LEAST_END) & stays
+    # sides run on where the rows are wrong, the end can't be at two places
+    ends = _close(some).reshape(len(best), -1, len(FINE_OUTLINE.part))[
+        ..., FINE_OUTLINE.part == END
+    ]
+    measured = (best >= 0) & (ends.mean(axis=2).min(axis=1) >= LEAST_END) & stays
     if measured.any():
         measured &= np.abs(off - np.median(off[measured])) < _AGREE_PX
     return _Seen(some, measured, off + x_left - x_right, rows + y)
-
-
-def _fitted(teats: Array, views: tuple[View, ...], prior: Prior) -> Fitted:
-    tight = replace(prior, taper_sd=0.5 * prior.taper_sd, height_sd=0.2 * prior.height_sd)
-    for _ in range(_ROUGH_STEPS):
-        seen = look(teats, views, ROUGH_OUTLINE, fine=False)
-        teats = step(teats, seen, weights(seen, _ROUGH_SCALE), tight)
-    hidden = np.zeros((len(teats), len(views) * len(FINE_OUTLINE.part)), dtype=bool)
-    return fine(teats, hidden, views, prior)
 
 
 def _best(fitted: Fitted, known: Array) -> NDArray[np.intp]:
@@ -176,14 +181,6 @@ def _close(fitted: Fitted) -> NDArray[np.bool_]:
     """Which of the outlines' points (m, views * n) have an edge near them."""
     off = np.abs(fitted.seen.offset_px)
     return np.asarray((fitted.weight > 0) & (off < _CLOSE_PX))
-
-
-def _end_share(fitted: Fitted) -> Array:
-    """How much of each end's outline (m,) is seen in the picture that shows less of it: sides run
-    on where the rows are wrong, the end can't be at two places.
-    """
-    close = _close(fitted).reshape(len(fitted.teats), -1, len(FINE_OUTLINE.part))
-    return np.asarray(close[:, :, FINE_OUTLINE.part == END].mean(axis=2).min(axis=1))
 
 
 def _disparity(calibration: Calibration, points: Array) -> Array:

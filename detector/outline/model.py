@@ -62,12 +62,6 @@ class Outline:
         k, m = len(self.along_mm), len(self.over_end)
         return np.repeat([SIDE_A, END, SIDE_B], [k, m, k])
 
-    @cached_property
-    def slices(self) -> tuple[slice, slice, slice]:
-        """Where each part is."""
-        k, m = len(self.along_mm), len(self.over_end)
-        return slice(0, k), slice(k, k + m), slice(k + m, 2 * k + m)
-
 
 def axes(teats: Array) -> Array:
     """Unit vectors (m, 3) from end to base of teats (m, 8), towards +y."""
@@ -80,9 +74,6 @@ def axes(teats: Array) -> Array:
 def apexes(teats: Array) -> Array:
     """Teat ends (m, 3) mm: the rounded end's point on the axis, in the teats' frame."""
     return np.asarray(teats[:, :3] - (teats[:, RADIUS] * teats[:, HEIGHT])[:, None] * axes(teats))
-
-
-STEP_MM = 0.1  # outward, to see how far the outline moves
 
 
 def numbers_of(camera: Camera, camera_from_teats: Motion) -> Array:
@@ -104,7 +95,7 @@ def outlines(
     pixels, normals = np.empty((2, len(teats), k, 2))
     jacobian = np.zeros((len(teats), k, COUNT))
     package.kernels.outlines(
-        np.ascontiguousarray(teats), cameras, outline.along_mm, outline.over_end, STEP_MM,
-        slopes_too, np.arange(len(teats)), pixels, normals, jacobian,
+        np.ascontiguousarray(teats), cameras, (outline.along_mm, outline.over_end),
+        slopes_too, np.arange(len(teats)), (pixels, normals, jacobian),
     )  # fmt: skip
     return pixels, normals, jacobian

@@ -10,10 +10,11 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from detector import outline as package
 from detector.geometry import Array
 from detector.outline.edges import CLEAR
 from detector.outline.fine import FINE_OUTLINE, Fitted
-from detector.outline.fit import OutlineEdges, View, information, look, usual
+from detector.outline.fit import OutlineEdges, View, look, usual
 from detector.outline.model import END
 from detector.outline.prior import Prior
 
@@ -29,19 +30,18 @@ _LEAST_INFORMATION = 15.0  # of an outline: sd 0.26 px; one far off counts for l
 
 def row_offsets(fitted: Fitted, prior: Prior) -> tuple[Array, Array]:
     """Rows px (m,) by which the right picture's edges are off, each teat free; their weights."""
-    n = len(FINE_OUTLINE.part)
-    seen, weight = fitted.seen, fitted.weight
-    H = information(seen, weight, usual(prior)[1])
-    used = weight > 0
-    j = np.where(used[..., None], seen.jacobian, 0.0) * weight[..., None]
-    r = np.where(used, seen.offset_px, 0.0)
-    down = np.zeros_like(r)
-    down[:, n : 2 * n] = seen.normals[:, n : 2 * n, 1]
-    down = np.where(used, down, 0.0)
-    b, a = (np.einsum("mki,mk->mi", j, x) for x in (down, r))
-    explained = np.linalg.solve(H, b[..., None])[..., 0]
+    at, seen, weight = (
+        slice(len(FINE_OUTLINE.part), 2 * len(FINE_OUTLINE.part)),
+        fitted.seen,
+        fitted.weight,
+    )
+    off, down = np.where(weight > 0, seen.offset_px, 0.0), np.zeros_like(weight)
+    down[:, at] = np.where(weight[:, at] > 0, seen.normals[:, at, 1], 0.0)
+    # what moving the teat explains of rows and of edges
+    (H, b), (_, a) = (package.kernels.squares(seen.jacobian, each, weight) for each in (down, off))
+    explained = np.linalg.solve(H + np.diag(usual(prior)[1]), b[..., None])[..., 0]
     weight_of_rows = (weight * down**2).sum(axis=1) - (b * explained).sum(axis=1)
-    score = (weight * down * r).sum(axis=1) - (a * explained).sum(axis=1)
+    score = (weight * down * off).sum(axis=1) - (a * explained).sum(axis=1)
     return score / np.maximum(weight_of_rows, 1e-9), weight_of_rows
 
 
@@ -70,32 +70,45 @@ def thermal_offsets_far(teats: Array, view: View) -> Array:
     where it is looked for: so other shifts are tried, the same for all teats, until all show one.
     """
     best = np.full((len(teats), 2), np.nan)
-    for shift in _THERMAL_SHIFTS if len(teats) else ():
-        found = _thermal_near(teats, view, np.array(shift))
-        ends, most = (int(np.isfinite(one[:, 0]).sum()) for one in (found, best))
-        if ends > most:
-            best = found
-        if ends == len(teats):
+    for shifts in (_THERMAL_SHIFTS[:1], _THERMAL_SHIFTS[1:]) if len(teats) else ():
+        for found in _thermal_near(teats, view, np.array(shifts)):
+            if np.isfinite(found[:, 0]).sum() > np.isfinite(best[:, 0]).sum():
+                best = found
+        if np.isfinite(best[:, 0]).all():
             break
     return best
 
 
 def _thermal_near(teats: Array, view: View, moved: Array) -> Array:
-    """The same, looked for where the picture is moved by (2,), and again where it is found."""
+    """The same (k, m, 2), looked for where the picture is ``moved`` (k, 2), and again where it is
+    found.
+    """
+    m, n, found = len(teats), len(FINE_OUTLINE.part), np.full((len(moved), len(teats), 2), np.nan)
+    rows, cc = np.arange(len(moved)), np.array(view.camera.cc)
     for _ in range(_AGAIN):
-        camera = replace(view.camera, cc=tuple((np.array(view.camera.cc) + moved).tolist()))
-        seen = look(teats, (replace(view, camera=camera),), FINE_OUTLINE, fine=True)
-        off, weight = thermal_offsets(seen, np.zeros(seen.offset_px.shape, dtype=bool))
+        places = (tuple(place) for place in (cc + moved).tolist())
+        cameras = (replace(view.camera, cc=place) for place in places)
+        views = tuple(replace(view, camera=camera) for camera in cameras)
+        every = look(teats, views, FINE_OUTLINE, fine=True, slopes_too=False)
+        arrays = (getattr(every, name) for name in OutlineEdges.__slots__)
+        seen = OutlineEdges(*(array.reshape(-1, n, *array.shape[2:]) for array in arrays))
         near = np.abs(seen.offset_px) < _CLOSE_PX
         whole = near.mean(axis=1) >= LEAST_SEEN
         whole &= near[:, FINE_OUTLINE.part == END].mean(axis=1) >= LEAST_END
+        off, weight = (
+            each.reshape(m, -1, 2) for each in thermal_offsets(seen, np.zeros(near.shape, bool))
+        )
         some = weight > _LEAST_INFORMATION
-        pairs = zip(off.T, some.T, strict=True)
-        step_px = np.array([np.median(o[c]) if c.any() else 0.0 for o, c in pairs])
-        if (np.abs(step_px) < STAYS_PX).all():
-            some &= whole[:, None] & (np.abs(off - step_px) < _CLOSE_PX)
-            return np.where(some, off + moved, np.nan)
+        # the median of those that show one, 0 without
+        ranked, count = np.sort(np.where(some, off, np.inf), axis=0), some.sum(axis=0)
+        middle = [np.take_along_axis(ranked, i[None], 0)[0] for i in ((count - 1) // 2, count // 2)]
+        step_px = np.where(count > 0, 0.5 * (middle[0] + middle[1]), 0.0)
+        stays = (np.abs(step_px) < STAYS_PX).all(axis=1)
+        some &= whole.reshape(m, -1, 1) & (np.abs(off - step_px) < _CLOSE_PX)
+        found[rows[stays]] = np.where(some, off + moved, np.nan).swapaxes(0, 1)[stays]
         moved = moved + step_px
-        if np.abs(moved).max() > THERMAL_REACH_PX:
+        on = ~stays & (np.abs(moved).max(axis=1) <= THERMAL_REACH_PX)
+        rows, moved = rows[on], moved[on]
+        if len(rows) == 0:
             break
-    return np.full((len(teats), 2), np.nan)
+    return found

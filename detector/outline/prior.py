@@ -44,13 +44,9 @@ class Prior:
     most_mm_a_px: float = 100.0  # of depth, a pixel of disparity
 
 
+@lru_cache(maxsize=16)
 def right_from_teats(calibration: Calibration) -> Motion:
     """The fits' frame in the right camera's."""
-    return _right_from_teats(calibration)
-
-
-@lru_cache(maxsize=16)
-def _right_from_teats(calibration: Calibration) -> Motion:
     base = np.array([0.0, 0.0, 1.0 if calibration.hanging else -1.0])
     y = calibration.world_from_right.R.T @ base
     # of a camera that looks along the teats, its rows are as good as level

@@ -8,14 +8,11 @@ import shutil
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from bench.config import ConfigError
 from bench.record.reader import read_run
@@ -25,6 +22,7 @@ from bench.results.comparison import compare_folders, scored_together
 from bench.scoring.decisions import Verdict
 from detector import registry
 from detector.calibration import Calibration
+from detector.external.serve import Pictures
 from detector.protocol import Detection, Detector, Frames
 from tests.bench.commands import Said, teatbench
 from tests.bench.small_run import written_anew
@@ -34,16 +32,6 @@ pytestmark = pytest.mark.slow
 
 SCENES = 3
 WIDER = "UPDATE scores SET score = replace(score, '\"limit_mm\": 5.0', '\"limit_mm\": 9.0')"
-
-
-@dataclass(frozen=True)
-class Shifted:
-    """A frame set whose left picture lies a little to the side."""
-
-    left: NDArray[Any]
-    right: NDArray[Any]
-    thermal: NDArray[Any] | None
-    thermal_k: NDArray[Any] | None
 
 
 class Faulted:
@@ -60,9 +48,8 @@ class Faulted:
         left = cv2.warpAffine(
             frames.left, motion, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
         )
-        return self._inner.detect(
-            Shifted(left, frames.right, frames.thermal, frames.thermal_k), calibration
-        )
+        pictures = Pictures(left, frames.right, frames.thermal, frames.thermal_k)
+        return self._inner.detect(pictures, calibration)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from detector.fused import depth_search
+from detector.fused import depth_search, refits
+from detector.fused.learned import learned
 from detector.fused.parameters import Parameters
 from detector.outline.model import CX
 from tests.detector.fused.conftest import Body, Find
+from tests.learn_fused import LIMITS
 
 
 @pytest.mark.slow
@@ -43,3 +46,13 @@ def test_a_bright_dome_isnt_the_whole_teat(find: Find, udder: list[Body]) -> Non
     near = [way for way in ways if way < 25.0]
     assert len(near) == 1
     assert near[0] < 1.0, near
+
+
+def test_an_end_begins_again_beyond_the_learned_limit() -> None:
+    teats = np.zeros((2, 8))
+    teats[:, 0], teats[:, 5], teats[:, 7] = (0.0, 100.0), 11.0, 1.0
+    decision: Any = SimpleNamespace(accepted=[0, 1], odds=np.ones(2), by_place=np.zeros(2, bool))
+    evidence: Any = SimpleNamespace(sd_mm=np.array([0.2, 0.4]))
+    for limit_mm, again in ((0.3, [1]), (0.5, [])):
+        assert refits.unsure(teats, evidence, decision, {"sd, mm": limit_mm}, Parameters()) == again
+    assert set(LIMITS) == set(learned().limits)

@@ -180,9 +180,7 @@ def test_other_rigs_find_the_same_ends(
         (lambda rig: moved.with_pixels(rig, 0.02), "pixels"),
         (
             lambda rig: replace(
-                rig,
-                world_from_right=rig.world_from_right,
-                thermal_from_left=Motion.from_vectors([0.0, 2.0, 0.0], [0.0, 0.0, 0.0]),
+                rig, thermal_from_left=Motion.from_vectors([0.0, 2.0, 0.0], np.zeros(3))
             ),
             "no place in common",
         ),
