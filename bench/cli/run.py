@@ -17,7 +17,6 @@ from bench.cli.arguments import CODES, json_of
 from bench.cli.store import undamaged
 from bench.cli.terminal import Terminal, TerminalProgress, working
 from bench.config import ConfigError
-from bench.results.queue import queues
 from bench.run.events import ENDED, Events, event_lines
 from instruments.operators.console import keyboard_of
 
@@ -125,10 +124,9 @@ def _shown(
             print(found.took)
     page = reports[-1].page if reports else None
     if len(scripts) > 1:
-        print(f"Queue: {next(queues(given.out)).headline}")
         try:
-            _, page = bench.write_queue_page(given.out)
-            print(f"Page: {page}")
+            queue, page = bench.write_queue_page(given.out)
+            print(f"Queue: {queue.headline}\nPage: {page}")
         except OSError as error:
             print(f"Page: not written: {error.strerror or error}")
         codes += [CODES.fault] * (len(scripts) - len(reports))

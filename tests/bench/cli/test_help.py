@@ -72,11 +72,7 @@ def test_a_page_of_the_documentation_is_shown_offline(said: Said) -> None:
     assert said(0, "help store check").out == said(0, "help record").out
     assert said(0, "help tell").out == said(0, "help control").out
     assert said(0, "help guard band").out.startswith("guard band: What is taken off a limit")
-    for near, meant in {
-        "recor": "record",
-        "store chek": "store check",
-        "guard bnd": "guard band",
-    }.items():
+    for near, meant in ("recor", "record"), ("store chek", "store check"), ("apx", "apex"):
         assert f'did you mean "{meant}"' in said(2, f"help {near}").err
     assert "went: bash and zsh" in said(2, "help completion").err
     assert {*COMMANDS} - {*topics()} <= {"help"}  # every command has its page

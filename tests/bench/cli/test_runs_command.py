@@ -58,13 +58,10 @@ def test_the_page_stands_alone(said: Said, runs: Path) -> None:
     assert (runs / "index.html").read_text(encoding="utf-8") == page
 
 
-def test_a_run_in_place_of_its_folder_is_refused(said: Said, runs: Path) -> None:
-    assert "is one run" in said(2, "runs {}", runs / "second").err
-
-
 def test_a_folder_without_runs_stays_as_it_was(said: Said, tmp_path: Path) -> None:
     assert said(0, "runs {}", tmp_path).out.endswith("Page: not written: no runs are there\n")
     assert not [*tmp_path.iterdir()]
+    assert "is one run" in said(2, "runs {}", KEPT).err
 
 
 def test_a_run_goes_by_its_name_in_runs(

@@ -226,9 +226,9 @@ def test_a_queue_is_followed_from_one_run_to_the_next(tmp_path: Path) -> None:
 BATH = {"temp_c": 33.0, "set_point_c": 33.0, "band_k": 0.2, "state": "stable", "t_s": 60.0}
 LAST = "last reading of this run; nothing is read now"
 ENDED = {
-    State.FAULTED: "The run was faulted after 2 of 18 trials: bath: no answer for 12 s.",
-    State.TRIPPED: "The run was tripped after 2 of 18 trials: bath: no answer for 12 s.",
-    State.ABORTED: "The run was aborted after 2 of 18 trials: bath: no answer for 12 s.",
+    one: f"The run was {one} after 2 of 18 trials: bath: no answer for 12 s."
+    for one in (State.FAULTED, State.TRIPPED, State.ABORTED)
+} | {
     State.INTERRUPTED: "The bench died before the run was over; 2 of 18 trials are kept.",
 }
 SILENT = replace(LIVES.instruments[0], link=Link.SILENT, age_s=600.0)
