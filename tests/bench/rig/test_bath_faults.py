@@ -13,6 +13,7 @@ import pytest
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import load_rig
 from instruments.bath.driver import Bath
+from instruments.bath.emulator import FAULTS
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
 from tests.bench.test_config import rig_with
@@ -119,3 +120,61 @@ def test_what_the_driver_says(
         assert reading.temp_c == pytest.approx(true_c(twin), abs=0.051)
         bath.safe()
         assert not twin.world.plant.running
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("profile", [JULABO, EUROTHERM, WATLOW, OMEGA])
+def test_a_stuck_heater_shows_in_the_temperature_alone(tmp_path: Path, profile: str) -> None:
+    with running(tmp_path, profile, "stuck heater", for_s=1000.0) as (twin, bath):
+        twin.world.clock.sleep(150.0)
+        reading = bath.read()
+        assert reading.temp_c > 35.0
+        assert reading.power_percent == 0.0
+        bath.safe()
+        twin.world.clock.sleep(60.0)
+        assert bath.read().temp_c > reading.temp_c + 1.0, (
+            "what standby can't stop, the cut-out has to"
+        )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("profile", [JULABO, EUROTHERM, WATLOW, OMEGA])
+def test_a_dead_heater_cools_whatever_the_output(tmp_path: Path, profile: str) -> None:
+    with running(tmp_path, profile, "dead heater", for_s=3000.0) as (twin, bath):
+        twin.world.clock.sleep(1500.0)
+        reading = bath.read()
+        assert reading.temp_c < 32.5
+        assert reading.power_percent is not None
+        assert reading.power_percent > 40.0
+
+
+def test_a_stopped_pump_shows_at_the_external_sensor(tmp_path: Path) -> None:
+    with running(tmp_path, JULABO, "pump stopped", for_s=1000.0) as (twin, bath):
+        before = bath.read()
+        twin.world.clock.sleep(120.0)
+        after = bath.read()
+        assert before.external_c is not None
+        assert after.external_c is not None
+        assert before.external_c - after.external_c > 1.5
+        assert after.running
+
+
+@pytest.mark.slow
+def test_a_low_level_is_the_circulators_alarm_and_cuts_every_heater(tmp_path: Path) -> None:
+    with running(tmp_path, JULABO, "low level") as (twin, bath):
+        twin.world.clock.sleep(1.0)
+        assert bath.profile.alarm_text(bath.read().alarm).startswith("alarm 1, low level")
+        with pytest.raises(DeviceError, match="not started: alarm 1, low level"):
+            bath.start(33.0)
+        assert twin.world.plant.heat_w == 0.0
+    with running(tmp_path, EUROTHERM, "low level") as (twin, bath):
+        twin.world.clock.sleep(20.0)
+        assert bath.read().alarm == 0, "a controller of its own knows nothing of the float switch"
+        assert twin.world.plant.heat_w == 0.0
+
+
+def test_none_is_left_out() -> None:
+    """Every name that the issue lists is tried above or, with a shape of its own, below."""
+    tried = {name for name, *_ in ON_THE_WIRE} | {"stuck heater", "dead heater", "pump stopped"}
+    tried |= {"low level"}
+    assert set(FAULTS) - tried == {"gaps refused", "manual mode", "frozen sensor"}

@@ -35,6 +35,16 @@ def run(rig: Path, folder: Path, code: set[int], *, window_s: float = 60.0) -> R
 
 
 @pytest.mark.slow
+def test_a_run_whose_pump_is_a_relays(tmp_path: Path) -> None:
+    record = run(rig_of(tmp_path, "eurotherm-3200", relay=True), tmp_path, {0, 1, 4})
+    assert record.ending == "finished"
+    assert record.facts["pump"].startswith("switched by itself: 10 s before the heater")
+    said = " ".join(str(event["text"]) for event in record.events)
+    assert "the pump ran on for 60 s and is off" in said
+    assert float(record.bath[:, 1].max()) == pytest.approx(33.0, abs=0.3)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["power cut", "silence"])
 def test_a_relay_that_fails_ends_the_heat(fault: str, tmp_path: Path) -> None:
     rig = rig_of(tmp_path, "eurotherm-3200", FAULT.format(name=fault, at_s=200.0), relay=True)

@@ -160,6 +160,25 @@ def test_on_another_thread_nothing_is_installed() -> None:
 
 @pytest.mark.slow
 @posix
+@pytest.mark.parametrize("gap_s", [0.15, 0.0], ids=["one after the other", "at once"])
+def test_requests_that_follow_a_first_one_cut_nothing_off(gap_s: float, tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    with subprocess.Popen(
+        [sys.executable, "-c", CHILD, str(log), "30"], cwd=ROOT, stdout=subprocess.PIPE
+    ) as child:
+        assert child.stdout is not None
+        child.stdout.readline()
+        for number in (signal.SIGHUP, signal.SIGTERM, signal.SIGINT):
+            child.send_signal(number)
+            time.sleep(gap_s)
+        child.wait(60)
+    *lines, why = log.read_text(encoding="utf-8").strip().split("\n")
+    assert lines == SAFE
+    assert "SIGHUP" in why or not gap_s
+
+
+@pytest.mark.slow
+@posix
 def test_a_storm_of_signals_from_the_end_of_the_work_on_cuts_nothing_off(tmp_path: Path) -> None:
     """The moment between work and safe is the one that a plain `finally` loses."""
     for number in range(4):

@@ -137,6 +137,18 @@ def test_a_pump_that_turns_with_run_is_on_when_the_controller_runs() -> None:
 
 
 @pytest.mark.slow
+def test_every_driver_declares_its_safe_state_and_gets_there() -> None:
+    with open_instruments(load_rig(find_rig(None)), seed=1) as devices:
+        assert set(devices.safe_states()) == {"bath", "stage", "arm", "cameras"}
+        assert all(devices.safe_states().values())
+        devices.bath.start(33.0)
+        message: list[str] = []
+        assert devices.make_safe(message.append) == {}
+        assert {"bath is safe", "stage is safe", "arm is safe"} <= set(message)
+        assert devices.bath.read().running is False
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["silence", "busy", "wrong length", "late answer", "manual mode"])
 def test_going_to_safe_is_bounded_in_time_and_goes_on_to_the_others(fault: str) -> None:
     """The bath is never reached or never obeys; stage and arm are safe within half a minute."""

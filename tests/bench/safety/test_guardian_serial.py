@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -19,6 +20,7 @@ import pytest
 
 from bench.record.reader import read_run
 from bench.results.headline import guardian_text
+from bench.rig.guardian import DONE
 from instruments.bath.emulator import BathEmulator, RelayEmulator
 from instruments.bath.profile import load_register_profile, load_relay
 from instruments.clock import RealClock
@@ -33,6 +35,7 @@ from tests.bench.safety.guards import (
     guardian_record,
     standby_after,
 )
+from tests.conftest import ROOT
 from tests.waiting import within
 
 if sys.platform == "win32":
@@ -52,6 +55,24 @@ def to_settling(running: MarkedBench) -> None:
     running.enter()
     running.wait_for(f"{MARK}settling")
     time.sleep(1.5)
+
+
+def test_a_killed_bench_leaves_its_serial_port_to_the_guardian(
+    recording: Path, tmp_path: Path, measured: Measured
+) -> None:
+    with real_rig(tmp_path / "rig", recording, profile=RTU_FAMILY, pty=True, window_s=60.0) as rig:
+        assert rig.twin.urls["bath"].startswith("/dev/")
+        plant = rig.twin.world.plant
+        with marked_bench(rig, "settling") as running:
+            to_settling(running)
+            assert plant.running
+            running.signal("SIGKILL")
+            seconds = standby_after(plant)
+            measured("SIGKILL while settling, serial port", seconds)
+            running.process.join(60)
+        assert seconds < STANDBY_S
+        text = guardian_record(rig.run_folder(), lambda record: record["standby"])
+        assert text["cause"] == "died"
 
 
 def test_a_hung_bench_that_holds_its_serial_port_is_ended_first(
@@ -162,3 +183,14 @@ def test_a_dead_relay_does_not_prevent_standby(hot: Hot) -> None:
     text = json.loads(hot.record.read_text(encoding="utf-8"))
     assert text["standby"] is True
     assert text["pump"].startswith("was left as it was: ")
+
+
+def test_a_bench_that_has_made_safe_itself_leaves_the_pump_alone(hot: Hot) -> None:
+    more = [f"--record={hot.record}", "--bench=1"]
+    command = [sys.executable, "-m", "bench.rig.guardian", *hot.arguments, *more]
+    done = subprocess.run(
+        command, cwd=ROOT, input=f"{DONE}\n".encode(), stdout=subprocess.PIPE, timeout=60
+    )
+    assert done.returncode == 0
+    assert (hot.plant.running, hot.plant.pump) == (True, "on")
+    assert not hot.record.exists()

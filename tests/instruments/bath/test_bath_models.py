@@ -26,10 +26,10 @@ from tests.instruments.bath.test_bath_profile import (
     WATLOW_MEMORY,
 )
 from tests.instruments.bath.test_line_baths import (
-    FAMILIES,
     JULABO_REPLIES,
     LAUDA_REPLIES,
     LINE_FAMILIES,
+    POLYSCIENCE,
     Typed,
     emulated,
     julabo,
@@ -144,9 +144,8 @@ def test_polyscience_with_run_and_stand_by(identify: bool) -> None:
             on.replies["RW"] = command[-1]
         on.confirm = "!" if command.startswith("SW") else "?"
 
-    typed = FAMILIES["polyscience"].typed()
-    typed.replies |= {"RO": "?", "RW": "1", "RJ": "?"}
-    typed.acts = act
+    replies = POLYSCIENCE | {"RO": "?", "RW": "1", "RJ": "?"}
+    typed = Typed(VirtualClock(), replies, reply_end=b"\r", acts=act)
     profile = load_profile("polyscience")
     with closing(Listener(typed, typed.clock, lock=threading.RLock(), name="bath")) as listener:
         url = f"tcp://127.0.0.1:{listener.port}"
@@ -189,8 +188,10 @@ def test_a_ramp_is_not_written_in_another_unit_of_time(code: int) -> None:
 
 @pytest.mark.parametrize(("code", "alarm"), [("7FFF", 0), ("0003", 0), ("FFFB", -5)])
 def test_only_a_negative_number_is_hubers_fault(code: str, alarm: int) -> None:
-    typed = FAMILIES["huber-pb"].typed()
-    typed.replies["{M05****"] = f"{{S05{code}"
+    shown = {"01": "0802", "00": "0CE4", "14": "0000", "05": code, "07": "C504", "1B": "3039"}
+    shown |= {"06": "7FFF", "0A": "0000"}
+    replies = {f"{{M{at}****": f"{{S{at}{word}" for at, word in shown.items()}
+    typed = Typed(VirtualClock(), replies, end=b"\r\n", reply_end=b"\r\n")
     with served(typed, "huber-pb") as (_, bath):
         assert bath.read().alarm == alarm
 

@@ -60,6 +60,25 @@ def test_safe_writes_even_what_seems_so_already(stand: Stand) -> None:
     assert [address for _, address in stand.emulator.writes()] == [0]
 
 
+@pytest.mark.parametrize(
+    ("fault", "error"),
+    [("silence", LinkError), ("busy", DeviceError), ("manual mode", DeviceError)],
+)
+def test_safe_says_so_when_it_can_not(
+    stand: Stand, fault: str, error: type[InstrumentError]
+) -> None:
+    bath = stand.bath()
+    bath.start(33.0)
+    stand.emulator.fault(fault)
+    start = stand.clock.now()
+    with pytest.raises(error):
+        bath.safe()
+    assert stand.clock.now() - start < 10.0
+    stand.emulator.fault(fault, on=False)
+    bath.safe()
+    assert not stand.plant.running
+
+
 # ---- a controller of another make: answers that pymodbus lets through
 
 

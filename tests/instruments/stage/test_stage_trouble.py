@@ -3,19 +3,68 @@ and somebody has to ask for it."""
 
 from __future__ import annotations
 
+import contextlib
+import sys
+import threading
 from collections.abc import Callable, Mapping
 
 import pytest
 
+from instruments.clock import RealClock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
-from instruments.stage.driver import Spoken
-from instruments.stage.emulator.board import StageFault
+from instruments.link import Link
+from instruments.stage.driver import Spoken, Stage
+from instruments.stage.emulator.board import StageEmulator, StageFault
 from instruments.stage.emulator.grbl import GrblController, Mode
 from instruments.stage.emulator.store import CLASSIC, GRBL_HAL, Dialect
 from instruments.stage.protocol import codes
 from tests.instruments.stage.board import GREETING, Bench, Parrot, identify
 
 Make = Callable[..., Bench]
+
+
+@pytest.mark.parametrize(
+    ("fault", "error", "what", "refusal"),
+    [
+        (StageFault.RESTART, DeviceError, "restarted by itself", "no move before homing"),
+        (
+            StageFault.LOST_OK,
+            LinkError,
+            r"no answer \(asked G21.*after 2 s\)",
+            "is still outstanding",
+        ),
+        (
+            StageFault.GARBAGE,
+            ProtocolError,
+            r"malformed answer: .*FF 00 3C 52 75 7C 1B",
+            "no move before",
+        ),
+    ],
+)
+def test_a_fault_in_a_move_is_a_sentence_and_asks_for_recovery(
+    make: Make, fault: StageFault, error: type[InstrumentError], what: str, refusal: str
+) -> None:
+    bench = make()
+    stage = bench.homed()
+    bench.emulator.inject(fault, 0.5)
+    with pytest.raises(error, match=what):
+        stage.move_to(-250, -250)
+    assert stage.homed == (fault is StageFault.LOST_OK)
+    with pytest.raises(InstrumentError, match=refusal):
+        stage.home() if fault is StageFault.LOST_OK else stage.move_to(-5, -5)
+
+
+def test_silence_in_a_move(bench: Bench) -> None:
+    stage = bench.homed()
+    stage.begin_move(-200, -200)
+    bench.emulator.inject(StageFault.SILENT)
+    with pytest.raises(LinkError, match="no status report"):
+        stage.finish_move()
+    start = bench.clock.now()
+    with pytest.raises(LinkError, match="can't be stopped"):
+        stage.stop()
+    assert bench.clock.now() - start < 15
+    assert not stage.homed
 
 
 def test_a_cable_that_is_back_is_used_to_make_safe(bench: Bench) -> None:
@@ -80,6 +129,13 @@ def test_devices_that_speak_another_dialect_are_refused(dialect: Spoken) -> None
         identify(Parrot(b"nothing of the kind\r\n", {}), dialect=dialect)
 
 
+FAST = (
+    {24: 6000, 25: 60000, 26: 1}
+    | {110 + axis: 60000 for axis in range(3)}
+    | {120 + axis: 20000 for axis in range(3)}
+)
+
+
 @pytest.mark.parametrize(
     ("dialect", "code", "critical"),
     [
@@ -128,3 +184,25 @@ def test_a_board_that_sleeps_has_to_be_homed(bench: Bench) -> None:
     stage.recover()
     stage.home()
     stage.move_to(-60, -60)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals: POSIX only")
+def test_the_driver_works_on_a_pseudo_terminal() -> None:
+    from instruments.pty_listener import PtyListener
+
+    with contextlib.closing(RealClock()) as clock:
+        emulator = StageEmulator(clock, settings=FAST)
+        with (
+            contextlib.closing(
+                PtyListener(emulator, clock, lock=threading.RLock(), name="stage", baud=115200)
+            ) as listener,
+            contextlib.closing(Stage(Link(listener.url, clock, who="stage"), clock)) as stage,
+        ):
+            assert stage.connect().dialect == "Grbl"
+            stage.home()
+            stage.move_to(-20, -30)
+            assert emulator.position_mm() == pytest.approx([-20, -30, -1])
+            stage.begin_move(-290, -30, feed_mm_min=6000)
+            stage.stop()
+            assert stage.status().name == "Hold:0"
