@@ -41,7 +41,6 @@ LOOK = {"bath": "the bath is in standby", "stage": "the stage stands", "pump": "
 INSTRUMENTS_FACT = "instruments at the end"
 GOING_TO_SAFE = "going to safe"
 ALL_SAFE = "all instruments are safe"
-NEVER_ON = "nothing was switched on"
 
 
 class Link(StrEnum):
@@ -436,13 +435,12 @@ def _orphaned(
 
 def _safety(run: RunRecord, status: RunStatus) -> str:
     """That nothing is left to be made safe; empty where something is, or nobody knows."""
-    if status.state is State.INTERRUPTED:
-        return ""
-    if not status.instruments:
+    known = status.state is not State.INTERRUPTED
+    if known and not status.instruments:
         never_on = run.facts.get(INSTRUMENTS_FACT, {}).get("session") == run.sessions
-        return NEVER_ON if never_on else ""
+        return "nothing was switched on" if never_on else ""
     at_rest = {one.safe for one in status.instruments} <= {Safe.AT_REST, Safe.READ_BACK}
-    return ALL_SAFE if at_rest else ""
+    return ALL_SAFE if known and at_rest else ""
 
 
 def _look(status: RunStatus) -> tuple[str, ...]:

@@ -96,6 +96,8 @@ def test_runs_of_another_rig_crowd_out_none_of_this_one(tmp_path: Path) -> None:
         store.close()
     assert [one.run for one in history(tmp_path, 1, "operated")] == ["1"]
     assert [one.run for one in history(tmp_path, 1)] == ["1", "3"]
+    (tmp_path / KEPT).unlink()
+    assert [one.rig for one in history(tmp_path)] == ["operated", "another", "another"]
 
 
 def test_a_few_sentences_warn_before_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
