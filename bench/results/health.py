@@ -140,13 +140,13 @@ def history(folder: Path, most: int | None = None, rig: str = "") -> list[RunHea
                 found[run.name] = there
             elif left != 0 and not holder_of(run):
                 with suppress(ConfigError, OSError):
-                    of = str(read_run(run, whole=False).facts.get("rig", ""))
-                    if rig not in ("", of):
+                    if rig and read_run(run, whole=False).facts.get("rig") != rig:
                         continue
                     left, record = left and left - 1, read_run(run)
                     values = {k: round(v, 4) for k, v in _values(record) if np.isfinite(v)}
                     started, kind = (str(record.facts[key]) for key in ("wall_started", "kind"))
-                    found[run.name] = RunHealth(run.name, started, of, kind, values, stamp)
+                    on = str(record.facts.get("rig", ""))
+                    found[run.name] = RunHealth(run.name, started, on, kind, values, stamp)
     if found != kept:
         text = json.dumps({"version": VERSION, "runs": [asdict(one) for one in found.values()]})
         with suppress(OSError, ConfigError):
