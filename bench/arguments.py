@@ -14,7 +14,7 @@ from functools import cache, partial, wraps
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-from bench.config import ConfigError, short, wrong_use
+from bench.config import ArgumentError, ConfigError, short
 from instruments.errors import LimitError
 from textfiles.bounds import NUMBER, WHOLE
 
@@ -45,8 +45,8 @@ def guarded(thing: Any, package: str) -> Any:
                 given.arguments[name] = value = tuple(value)
             many = shape.parameters[name].kind is inspect.Parameter.VAR_POSITIONAL
             hint = hints().get(name, Any)  # a method's self has none
-            if not all(fits(one, hint) for one in (value if many else [value])):
-                said = short(" ".join(repr(value).split()))
+            if wrong := [one for one in (value if many else [value]) if not fits(one, hint)]:
+                said = short(" ".join(repr(wrong[0]).split()))
                 raise ConfigError.plain(f"{name} is {said}, not {words(hint)}")
         return thing(*given.args, **given.kwargs)
 
@@ -76,8 +76,12 @@ class Lent:
 
     def _ask(self, method: Callable[..., Any], *args: Any, **more: Any) -> Any:
         self._given()
-        with wrong_use():
+        try:
             return _guarded(method)(self._of, *args, **more)
+        except ValueError as error:
+            if type(error) is not ValueError:  # one with a name of its own is promised as it is
+                raise
+            raise ArgumentError.plain(str(error)) from error
 
 
 @contextmanager

@@ -244,9 +244,11 @@ def read_text(path: Path) -> str:
 def _near(path: Path, error: Exception) -> str:
     """Where a file was looked for that isn't there, and what may have been meant."""
     folder = path.resolve().parent
-    if not isinstance(error, FileNotFoundError) or not folder.is_dir():
+    if not isinstance(error, FileNotFoundError):
         return ""
-    return f" (in {folder}{did_you_mean(path.name, [one.name for one in folder.iterdir()])})"
+    if not folder.is_dir():
+        return f" (there is no folder {folder})"
+    return f" (in {folder}{did_you_mean(path.stem, [one.stem for one in folder.glob('*.*')])})"
 
 
 def toml_of(path: Path) -> dict[str, Any]:
@@ -326,7 +328,7 @@ def _message(detail: ErrorDetails, model: type[BaseModel]) -> str:
     path, kind, context = detail["loc"], detail["type"], detail.get("ctx", {})
     if kind == "extra_forbidden":
         known = sorted(_fields_at(model, path[:-1]))
-        near = did_you_mean(str(path[-1]), known) or _elsewhere(model, path[-1])
+        near = _elsewhere(model, path) or did_you_mean(str(path[-1]), known)
         return f"unknown key{near} (allowed here: {', '.join(known)})"
     if kind in ("missing", "union_tag_not_found"):
         return "is missing"
@@ -339,12 +341,14 @@ def _message(detail: ErrorDetails, model: type[BaseModel]) -> str:
     return f"{message[0].lower()}{message[1:]} (found {short(repr(detail['input']))})"
 
 
-def _elsewhere(model: type[BaseModel], key: str | int) -> str:
-    """The table that has the unknown ``key``."""
+def _elsewhere(model: type[BaseModel], path: Sequence[str | int]) -> str:
+    """Where the unknown key at the end of ``path`` belongs; empty where no table has it."""
+    key = path[-1]
+    places = ["the top of the file"] if key in model.model_fields else []
     for name, field in model.model_fields.items():
         if any(key in one.model_fields for one in _models_in(field.annotation)):
-            return f"; it belongs to [{field.alias or name}]"
-    return ""
+            places.append(f"[[{name}]]" if "tuple" in str(field.annotation) else f"[{name}]")
+    return f"; it belongs to {' or '.join(places)}" if places else ""
 
 
 def _key_of(detail: ErrorDetails, table: Any) -> KeyPath:

@@ -104,9 +104,10 @@ def try_out(given: argparse.Namespace) -> int:
         answers = [bench.detect(detector, shot)]
         if not _fault(answers[0]):
             answers.append(bench.detect(detector, shot))
+        device = getattr(detector, "device", "")
     where = given.recording or f"the simulated situation {SITUATION}"
-    device = f" on {device}" if (device := getattr(detector, "device", "")) else ""
-    print(f"detector {answers[0].detector}{device}, frame {frame} of {where}")
+    on = f" on {device}" if device else ""
+    print(f"detector {answers[0].detector}{on}, frame {frame} of {where}")
     for number, answer in enumerate(answers, 1):
         if why := _fault(answer):
             for line in answer.stderr.splitlines():

@@ -143,7 +143,8 @@ def notes(comparison: Comparison) -> Iterator[str]:
 def _truth(comparison: Comparison) -> Iterator[str]:
     """How well the truth of two touched runs agrees: each run is a set-up."""
     old, new = comparison.old.run, comparison.new.run
-    found = truth_gage((old, new)) if old.folder.resolve() != new.folder.resolve() else None
+    same = {pair.pose for pair in comparison.pairs}
+    found = truth_gage((old, new), same) if old.folder.resolve() != new.folder.resolve() else None
     if found is None or found.studies is None:
         return
     width_mm, first = 2.0 * comparison.pairs[0].old.limit_mm, found.studies[0]

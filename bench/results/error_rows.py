@@ -9,7 +9,7 @@ is a run, or, of one run, a repeat. Cells must be full; the rest is left out and
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import compress
@@ -302,11 +302,11 @@ class TruthGage:
     common_mm: tuple[float, ...] = (0.0, 0.0, 0.0)
 
 
-def truth_gage(runs: Sequence[RunRecord]) -> TruthGage:
-    """The study over all touches that were not refused, of trials that count."""
+def truth_gage(runs: Sequence[RunRecord], poses: Collection[str] = ()) -> TruthGage:
+    """The study over all touches that were not refused, of trials that count, and of ``poses``."""
     touches: Touches = {}
     for number, run in enumerate(runs):
-        for trial in run.counted:
+        for trial in (one for one in run.counted if not poses or one.pose in poses):
             appraiser = f"run {number}" if len(runs) > 1 else trial.id
             for row in trial.touches:
                 if row["refused"] is None:

@@ -62,6 +62,9 @@ def make_detectors(
     made = [_make(name, folder, gives_up) for name in named]
     made += [one for one in given if not isinstance(one, str)]
     for detector in made:
+        if not isinstance(getattr(detector, "name", None), str):
+            what = f"the detector {type(detector).__name__} has no `name`, by which a run lists it"
+            raise ConfigError.plain(f"{what}. Give it that attribute, a text.")
         if sum(other.name == detector.name for other in made) > 1:
             raise ConfigError.plain(
                 f'two detectors are called "{detector.name}". Give one a file with a name of its'

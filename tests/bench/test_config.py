@@ -149,8 +149,9 @@ def test_shipped_scripts_load() -> None:
         ('{ kind = "cold_teat" }', '{ kind = "cold_teet" }', "object 1"),
         ('detectors = ["thesis"]', 'detectors = ["thesys"]', 'did you mean "thesis"'),
         ('kind = "success"', 'kind = "sucess"', """.kind: 'sucess' is not allowed; did you mean"""),
-        ('kind = "success"', "", "requirements[2].kind: is missing"),
-        ("mean_k = 0.10", "mean_k = 0.10\nrepeats = 3", "unknown key; it belongs to [trials]"),
+        ('kind = "success"', "# none", "requirements[2].kind: is missing"),
+        ("mean_k = 0.10", "mean_k = 0.10\nrepeats = 3", "to the top of the file or [[trials]] ("),
+        ('detectors = ["thesis"]', "limit_mm = 3", "unknown key; it belongs to [[requirements]] ("),
         ("limit_mm = 5.0", "limit_mm = -5.0", "requirements[1].limit_mm"),
         ('name = "overlapping"', 'name = "non-vertical"', "two have the name"),
         ("rate = 0.95", "rate = 1.0", "rate"),
@@ -239,7 +240,7 @@ def test_names_that_are_not_there_list_what_is(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="is a folder"):
         find_rig(str(tmp_path))
     (tmp_path / "nine.toml").touch()
-    with pytest.raises(ConfigError, match=rf'in {tmp_path}; did you mean "nine.toml"'):
+    with pytest.raises(ConfigError, match=rf'in {tmp_path}; did you mean "nine"'):
         load_rig(tmp_path / "none.toml")
 
 
