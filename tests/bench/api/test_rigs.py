@@ -74,6 +74,9 @@ class Blind:
 def test_a_detector_is_an_object_too_and_none_behind_its_with_block() -> None:
     (line, _), *_ = bench.detect_recording(ROOT / "tests" / "data" / "path_traced", [Blind()])
     assert (line["detector"], line["teats"]) == ("blind", [])
+    nameless: Any = type("Mine", (), {"detect": Blind.detect})()
+    with pytest.raises(bench.ConfigError, match="the detector Mine has no `name`"):
+        list(bench.detect_recording(ROOT / "tests" / "data" / "path_traced", [nameless]))
     with bench.open_detector("fused") as fused:
         assert isinstance(fused, type(registry.create("fused")))
     with pytest.raises(LimitError, match=r"^detector: it was closed at the end"):

@@ -190,6 +190,10 @@ def test_a_comparison_of_two_runs_tells_how_well_their_truths_agree(tmp_path: Pa
     (text,) = [note for note in notes(compare_sides(old, new)) if note.startswith(of_truth)]
     assert "40 ends touched 3 times in each run" in text
     assert "reproducibility 0.000, 0.000, 0.000 mm" in text
+    found = compare_sides(old, new)
+    few = replace(found, pairs=tuple(one for one in found.pairs if one.pose in ("p0", "p1", "p2")))
+    (text,) = [note for note in notes(few) if note.startswith(of_truth)]
+    assert "3 ends touched" in text, "of poses that are compared alone"
     assert "of the tolerance of 10 mm" in text
     assert not [note for note in notes(compare_sides(old, old)) if note.startswith(of_truth)]
 
