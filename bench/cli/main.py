@@ -92,9 +92,7 @@ def _set_up_libraries(*, alone: bool) -> None:
     for name, value in LIBRARIES.items():
         os.environ.setdefault(name, value)
     if alone:
-        # Python's searches for cycles take an eighth of a start, the one of all objects at its end
-        # a third of a second
-        gc.set_threshold(20_000, 20, 20)
+        # Python's search for cycles among all objects at its end takes a third of a second
         atexit.register(gc.freeze)
 
 
