@@ -125,6 +125,7 @@ def test_a_watcher_that_stops_reading_costs_bounded_memory_and_delays_no_one(
             stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             stuck.sendall(request.encode())
             assert stuck.recv(100)
+            assert one.ask(f"/runs/{folder.name}", client="two").body  # loads what judges a run
             before = resident_kb(one.process.pid)
             line = {"what": "event", "kind": "note", "text": "x" * 900, "wall_time": "", "t_s": 0.0}
             with (folder / EVENTS_FILE).open("ab") as file:
