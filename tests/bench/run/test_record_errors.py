@@ -88,7 +88,8 @@ def test_a_full_disk_ends_safely_and_the_run_goes_on_where_there_is_room_again(
     if not for_good:
         status = read_status(run.folder)
         assert status.headline.startswith("faulted")
-        assert status.why.endswith("trials: the record could not be written: the disk is full.")
+        why = "trials: the record could not be written: the disk is full."
+        assert status.why.endswith(f"{why} All instruments are safe.")
         assert status.next[-1].startswith(f"Make room in {run.folder}, then resume: teatbench res")
     assert resume(tmp_path, "runs")[1] is RunState.FINISHED
     whole = read_run(only_run(tmp_path, "runs"))
