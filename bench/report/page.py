@@ -142,7 +142,7 @@ def build_page(
             f"{left_out}.{emulated}"
         ),
         sentence=status.why,
-        confidence=_confidence(run, rules, poses, status.word),
+        confidence=_confidence(run, rules, poses, {*status.verdicts.values()}),
         next_action="\n".join(status.next),
         each=tuple((name, cast(Verdict, word)) for name, word in status.verdicts.items())
         if status.decided and len(judgements) > 1
@@ -247,7 +247,7 @@ def anchors_of(run: RunRecord) -> dict[str, str]:
     return {trial.id: f"#{trial_id(trial)}" for trial in run.trials}
 
 
-def _confidence(run: RunRecord, rules: Rules, poses: int, word: str) -> str:
+def _confidence(run: RunRecord, rules: Rules, poses: int, words: set[str]) -> str:
     claims = [
         (r.rate, r.confidence)
         for r in rules.requirements
@@ -265,7 +265,7 @@ def _confidence(run: RunRecord, rules: Rules, poses: int, word: str) -> str:
         return f"{poses} poses have no truth: they show nothing of how well a detector finds teats."
     best = (1.0 - confidence) ** (1.0 / poses)
     message = f"{plural(poses, 'pose')} {'was' if poses == 1 else 'were'} tried: "
-    if word == "not met":
+    if words == {"not met"}:  # what another detector shows depends on how many there are
         message += "what failed in them shows what is not met, however few they are."
     else:
         message += f"without a failure so many show a success rate of at least {100 * best:.1f} %,"

@@ -222,8 +222,10 @@ def test_how_sure_that_is_fits_the_verdict(
 ) -> None:
     run = record(tmp_path, off_by([off_mm] * poses))
     assert run_verdict(judge(run, RULES)) == word
-    sure = _confidence(run, RULES, poses, word)
+    sure = _confidence(run, RULES, poses, {word})
     assert sure.startswith(said)
+    of_two = _confidence(run, RULES, poses, {word, "inconclusive"})
+    assert of_two.startswith(f"{poses} poses were tried: without a failure"), "of another detector"
     assert ("takes 59 poses without a failure" in sure) is (poses < 59)
 
 
