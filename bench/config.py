@@ -347,7 +347,8 @@ def _elsewhere(model: type[BaseModel], path: Sequence[str | int]) -> str:
     places = ["the top of the file"] if key in model.model_fields else []
     for name, field in model.model_fields.items():
         if any(key in one.model_fields for one in _models_in(field.annotation)):
-            places.append(f"[[{name}]]" if "tuple" in str(field.annotation) else f"[{name}]")
+            many = typing.get_origin(field.annotation) is tuple
+            places.append(f"[[{name}]]" if many else f"[{name}]")
     return f"; it belongs to {' or '.join(places)}" if places else ""
 
 
