@@ -8,7 +8,6 @@ import json
 import os
 import random
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -32,6 +31,7 @@ from instruments.world.situations import situation
 from tests.bench.campaign.small_campaign import KILLS, Here, module, small_plan
 from tests.bench.commands import Said
 from tests.bench.forked import Running, begin
+from tests.ports import free_ports
 from tests.waiting import within
 
 # with 50 by hand: 200 scenes
@@ -290,8 +290,7 @@ def test_a_dask_cluster_makes_the_same_rows_whoever_of_it_is_killed(
     file, out = tmp_path / "plan.toml", tmp_path / "out"
     quick = plan.model_copy(update={"chunk_limit_s": 5.0})
     file.write_text(plan_text(quick, {}), encoding="utf-8")
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    address = f"tcp://127.0.0.1:{free_ports(1)}"
     shards = Shards(out)
     campaign = ("campaign", "run", file, "--dask", address, "--json", "--out", out)
     at = ("--host", "127.0.0.1", "--no-dashboard")

@@ -238,7 +238,9 @@ def test_grab_takes_again_what_has_a_fault(tmp_path: Path, said: Said) -> None:
 
 
 @pytest.mark.slow
-def test_a_gige_vision_camera(tmp_path: Path, said: Said) -> None:
+def test_a_gige_vision_camera(
+    tmp_path: Path, said: Said, capsys: pytest.CaptureFixture[str]
+) -> None:
     with gige_camera() as serial:
         expected = f"genicam:Aravis-Fake-{serial}  Aravis Fake {serial} GigEVision at {ADDRESS}"
         assert expected in said(0, "camera list").out
@@ -247,8 +249,12 @@ def test_a_gige_vision_camera(tmp_path: Path, said: Said) -> None:
         focused = said(0, "camera focus {} --seconds 0.3 --every 0.1", f"genicam:{ADDRESS}").out
         assert "single" in focused
         grab = "camera grab {} genicam:Fake_1 --out {}"
-        why = said(0, grab, f"genicam:{ADDRESS}", tmp_path / "grabbed").err
-        assert "put calibration.toml into the folder" in why
+        capsys.readouterr()
+        # no trigger is common to both: on a busy machine they expose further apart than is allowed
+        while code := teatbench(grab, f"genicam:{ADDRESS}", tmp_path / "grabbed"):
+            why = capsys.readouterr().err
+            assert (code, "after the first of its set, limit 0.05 s" in why) == (3, True), why
+        assert "put calibration.toml into the folder" in capsys.readouterr().err
     frames = Recording(tmp_path / "grabbed").load("0000")
     assert frames.left.shape == frames.right.shape == (512, 512)
 

@@ -27,6 +27,7 @@ from instruments.clock import PacedClock, VirtualClock, stopwatch_s
 from instruments.errors import InstrumentError
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.forked import begin
+from tests.ports import free_ports
 
 ALL = ("arm", "bath", "stage", "cameras")
 
@@ -111,18 +112,6 @@ def post(url: str, words: str, **headers: str) -> str:
         return str(answer.read().decode("utf-8"))
 
 
-def free_base() -> int:
-    """A port behind which some more are free."""
-    for base in range(21_000, 30_000, len(PORTS)):
-        try:
-            for more in range(len(PORTS)):
-                socket.create_server(("127.0.0.1", base + more)).close()
-        except OSError:
-            continue
-        return base
-    raise AssertionError("no free ports")
-
-
 @contextmanager
 def emulating(*arguments: str) -> Iterator[str]:
     """`emulate` in another process; gives the address of its page."""
@@ -140,7 +129,8 @@ def emulating(*arguments: str) -> Iterator[str]:
 def test_a_written_rig_stays_good_and_its_cables_are_on_a_page(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    small, written, base = write_small_rig(tmp_path), tmp_path / "written.toml", free_base()
+    small, written = write_small_rig(tmp_path), tmp_path / "written.toml"
+    base = free_ports(len(PORTS))
     for more in (["--write-rig", str(written)], []):
         with emulating(str(small), "--port-base", str(base), *more) as page:
             assert page == f"http://127.0.0.1:{base + PORTS.index('cameras')}/"

@@ -7,7 +7,6 @@ from __future__ import annotations
 import os
 import select
 import shutil
-import socket
 import subprocess
 import threading
 from collections.abc import Iterator
@@ -25,10 +24,10 @@ from instruments.pty_listener import PtyListener
 from tests.instruments.bath.devices import calm_plant
 
 EXAMPLES = Path("/usr/share/doc/libmodbus-dev/examples")
-FIXED = {  # addresses in the examples' sources, and where a test's own come from
-    '"127.0.0.1", 1502': '"127.0.0.1", atoi(getenv("PEER_PORT"))',
-    '"/dev/ttyUSB0"': 'getenv("PEER_DEVICE")',
-}
+# addresses in the examples' sources, and where a test's own come from
+DEVICE = {'"/dev/ttyUSB0"': 'getenv("PEER_DEVICE")'}
+PORT = {'"127.0.0.1", 1502': '"127.0.0.1", atoi(getenv("PEER_PORT"))'}
+SOCKET = {"s = modbus_tcp_listen(ctx, 1)": 's = atoi(getenv("PEER_SOCKET"))'}  # one that listens
 NAP = "usleep(500000)"  # of the server's late register: on a busy machine any answer takes as long
 LONG_NAP = "sleep(5)"
 CONNECTED = "if (modbus_connect(ctx) == -1)"
@@ -55,8 +54,8 @@ def program(name: str) -> str:
 
 
 def built(example: str, folder: Path, *, over_rtu: bool = False) -> Path:
-    """One of libmodbus's example programs, told its address by PEER_PORT or PEER_DEVICE; `absent`
-    where it can't be built.
+    """One of libmodbus's example programs, told its address by PEER_DEVICE, or PEER_PORT for a client
+    and PEER_SOCKET for a server; `absent` where it can't be built.
 
     ``over_rtu`` makes a client that only knows TCP ask over a serial port.
     """
@@ -64,12 +63,12 @@ def built(example: str, folder: Path, *, over_rtu: bool = False) -> Path:
     if not source.is_file() or not Path("/usr/include/modbus/modbus.h").is_file():
         absent("needs libmodbus's headers and examples: apt-get install libmodbus-dev")
     text = source.read_text(encoding="utf-8")
-    assert all(fixed in text for fixed in FIXED), f"{source} has changed"
+    client = PORT | {CONNECTED: PATIENT}
+    changes = DEVICE | (client if "client" in example else SOCKET | {NAP: LONG_NAP})
+    assert all(fixed in text for fixed in changes), f"{source} has changed"
     if over_rtu:
         text = text.replace('modbus_new_tcp("127.0.0.1", 1502)', OVER_RTU)
-    patience = {CONNECTED: PATIENT} if "client" in example else {NAP: LONG_NAP}
-    assert all(fixed in text for fixed in patience), f"{source} has changed"
-    for fixed, note in (FIXED | patience).items():
+    for fixed, note in changes.items():
         text = text.replace(fixed, note)
     copy = folder / source.name
     copy.write_text(text, encoding="utf-8")
@@ -166,10 +165,3 @@ class Bridge:
                 data = os.read(self._near, 4096)
                 for host in list(self._hosts):
                     host.send(data)
-
-
-def free_port() -> int:
-    """A TCP port that nobody listens on just now."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port: int = server.getsockname()[1]
-        return port

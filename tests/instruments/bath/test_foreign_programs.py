@@ -28,7 +28,7 @@ from instruments.errors import DeviceError
 from instruments.listener import Connection, Listener
 from instruments.world.plant import Plant
 from tests.instruments.bath.devices import calm_plant
-from tests.instruments.bath.peers import Device, absent, free_port, real_time
+from tests.instruments.bath.peers import Device, absent, real_time
 
 pytestmark = pytest.mark.slow
 
@@ -222,10 +222,10 @@ def test_the_driver_on_pymodbustcps_server() -> None:
     bank = server_of.DataBank(h_regs_size=100, i_regs_size=100, coils_size=1, d_inputs_size=1)
     bank._h_regs = [flat(HOLDING).get(at, 0) for at in range(100)]
     bank._i_regs = [flat(INPUT).get(at, 0) for at in range(100)]
-    server = server_of.ModbusServer("127.0.0.1", free_port(), no_block=True, data_bank=bank)
+    server = server_of.ModbusServer("127.0.0.1", 0, no_block=True, data_bank=bank)
     server.start()
     try:
-        check_presto(f"tcp://127.0.0.1:{server.port}")
+        check_presto(f"tcp://127.0.0.1:{server._service.server_address[1]}")
     finally:
         server.stop()
 

@@ -12,10 +12,11 @@ import importlib.util
 import os
 import random
 import re
+import socket
 import subprocess
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from itertools import cycle
@@ -38,7 +39,6 @@ from tests.instruments.bath.peers import (
     Device,
     absent,
     built,
-    free_port,
     memory_profile,
     program,
     real_time,
@@ -101,10 +101,10 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @contextmanager
-def running(server: Path, kind: str, **address: str) -> Iterator[None]:
-    environment = {**os.environ, **address}
+def running(server: Path, kind: str, sockets: Sequence[int] = (), **address: str) -> Iterator[None]:
+    environment, quiet = {**os.environ, **address}, subprocess.DEVNULL
     with subprocess.Popen(
-        [server, kind], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment
+        [server, kind], stdout=quiet, stderr=quiet, env=environment, pass_fds=sockets
     ) as process:
         try:
             yield
@@ -114,9 +114,11 @@ def running(server: Path, kind: str, **address: str) -> Iterator[None]:
 
 @contextmanager
 def tcp_server(server: Path) -> Iterator[str]:
-    port = free_port()
-    with running(server, "tcp", PEER_PORT=str(port)):
-        yield f"tcp://127.0.0.1:{port}"
+    with socket.create_server(("127.0.0.1", 0)) as bound:
+        number, port = bound.fileno(), bound.getsockname()[1]
+        with running(server, "tcp", [number], PEER_SOCKET=str(number)):
+            bound.close()  # once the server has ended nobody listens
+            yield f"tcp://127.0.0.1:{port}"
 
 
 @contextmanager
