@@ -24,8 +24,8 @@ VENV = ROOT / ".venv"
 LOCKS = ROOT / "locks"  # made by the command at the top of each, after that of constraints.txt
 NEEDED = (3, 11)
 PYTEST_OPTIONS = (
-    # most of a test in real time is waiting; ten processes hold some 9 GB
-    *("-n", str(max(os.cpu_count() or 1, min(5 * (os.cpu_count() or 1), 10)))),
+    # a test in real time mostly waits; each process takes 20 s of a processor to start, and 0.9 GB
+    *("-n", str(max(os.cpu_count() or 1, min(3 * (os.cpu_count() or 1), 10)))),
     *("--dist", "loadfile", "--no-loadscope-reorder"),  # slow files first: tests/conftest.py
     *("--max-worker-restart", "0"),  # a test that killed its worker would kill the next one
 )

@@ -4,6 +4,7 @@ shared where they may be.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import gc
 import os
@@ -52,6 +53,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """A CI that starts in the background (`&`, `nohup`) ignores signals, and its children too:
     tests that send them need them heard.
     """
+    gc.disable()  # what is imported and collected stays
     # hypothesis: the same examples in a CI
     fixed = settings().derandomize and config.getoption("hypothesis_seed") is None
     # how fast the machine is says nothing of the code
@@ -86,13 +88,13 @@ def pytest_collection_finish() -> None:
     """What is collected stays to the end: the garbage collector need not walk it in each test, nor
     come as often as in a program of Python's usual size.
     """
+    gc.enable()
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)
-
-
-def pytest_sessionfinish() -> None:
-    gc.unfreeze()  # at their end extension modules look whether anything of theirs is left
+    # at their end extension modules look whether anything of theirs is left; pytest walks the rest
+    # five times before
+    atexit.register(gc.unfreeze)
 
 
 @pytest.hookimpl(wrapper=True)

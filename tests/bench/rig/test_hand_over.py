@@ -7,8 +7,11 @@ import os
 import subprocess
 import sys
 import tempfile
-from contextlib import AbstractContextManager
+import threading
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from typing import IO, cast
 
 import psutil
 import pytest
@@ -16,7 +19,7 @@ from filelock import FileLock
 
 from bench.results.headline import guardian_text
 from bench.rig.emulated_rig import PORTS, EmulatedRig
-from bench.rig.guardian import DONE
+from bench.rig.guardian import ALIVE, DONE
 from bench.rig.guardian_client import GuardianClient, GuardianTarget, Heartbeat
 from bench.rig.hand_over import HAND_OVER_S, BathLock, bath_name, forget_guardian, free_bath
 from bench.rig.loading import load_rig
@@ -47,6 +50,25 @@ def of_bench(
     record = hot.folder / f"{name}.json"
     bath = "--profile=julabo-presto", f"--url={hot.url}"
     return guardian(*bath, f"--record={record}", f"--bench={bench}")
+
+
+@contextmanager
+def beating(guardian: subprocess.Popen[bytes]) -> Iterator[None]:
+    """Heartbeats, as a bench sends them: to start a process may take longer than a hang."""
+    ended, pipe = threading.Event(), cast(IO[bytes], guardian.stdin)
+
+    def beat() -> None:
+        while not ended.wait(0.5):
+            pipe.write(ALIVE.encode() + b"\n")
+            pipe.flush()
+
+    thread = threading.Thread(target=beat)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 def next_of(hot: HotBath, name: str = "guardian-2") -> GuardianClient:
@@ -128,7 +150,8 @@ def test_one_that_does_not_answer_is_ended(hot: HotBath, baths: Path) -> None:
 def test_one_whose_bench_lives_keeps_the_bath(hot: HotBath, baths: Path) -> None:
     with of_bench(hot, os.getpid()) as old:
         assert old.stdin is not None
-        with pytest.raises(LinkError, match=r"another guardian has it.*for a bench that lives"):
+        wanted = r"another guardian has it.*for a bench that lives"
+        with beating(old), pytest.raises(LinkError, match=wanted):
             next_of(hot)
         assert old.poll() is None
         old.stdin.write(DONE.encode() + b"\n")
