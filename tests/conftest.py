@@ -13,9 +13,11 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from functools import _lru_cache_wrapper
+from functools import _lru_cache_wrapper, cache
 from pathlib import Path
+from typing import Any
 
+import cv2
 import pytest
 from hypothesis import settings
 
@@ -34,14 +36,15 @@ STANDBY, UNMARKED = "s to standby, ", "s of a processor, "
 # since damaged and odd data come as far as there; and of the others, which alone look at theirs
 UNDRAWN = (
     *("tests.bench.record.test_damaged_runs", "tests.bench.results.test_score_detectors"),
-    *("tests.bench.run.test_end_to_end", "tests.bench.truth.test_truth_runs"),
-    *("tests.bench.calibrate.test_checks", "tests.bench.report.test_odd_recordings"),
+    *("tests.bench.run.test_end_to_end", "tests.bench.report.test_odd_recordings"),
+    "tests.bench.calibrate.test_checks",
     *("tests.bench.report.test_detector_errors", "tests.bench.campaign.test_campaign"),
 )
 DRAWN = tuple(
     f"tests.bench.report.test_{name}" for name in ("report_points", "report_spread", "summary")
 )
 ROOMS = ("cli", "console", "record", "rig", "run", "safety", "script", "truth")
+KEEPING = ("tests.", "instruments.world.", "bench.campaign.")
 BARE = (
     *(f"tests.bench.{room}." for room in ROOMS),
     *("tests.bench.report.test_report_thesis", "tests.test_docs", "tests.detector.test_depth"),
@@ -54,6 +57,8 @@ def pytest_configure(config: pytest.Config) -> None:
     tests that send them need them heard.
     """
     gc.disable()  # what is imported and collected stays
+    if os.environ.get("PYTEST_XDIST_WORKER"):  # others have the other processors; idle threads spin
+        cv2.setNumThreads(1)
     # hypothesis: the same examples in a CI
     fixed = settings().derandomize and config.getoption("hypothesis_seed") is None
     # how fast the machine is says nothing of the code
@@ -187,11 +192,16 @@ def _forget_what_is_kept() -> None:
     """What tests draw once and keep (`functools.cache`) is some 200 MB a renderer, and what the
     renderer and campaigns keep of their last rigs is as much.
     """
-    for name, module in list(sys.modules.items()):
-        if name.startswith(("tests.", "instruments.world.", "bench.campaign.")):
-            for thing in list(vars(module).values()):
-                if isinstance(thing, _lru_cache_wrapper):
-                    thing.cache_clear()
+    for name in [one for one in sys.modules if one.startswith(KEEPING)]:
+        for kept in _caches_of(name):
+            kept.cache_clear()
+
+
+@cache
+def _caches_of(name: str) -> list[_lru_cache_wrapper[Any]]:
+    """Of a module; they are there once it is loaded."""
+    things = vars(sys.modules[name]).values()
+    return [one for one in things if isinstance(one, _lru_cache_wrapper)]
 
 
 def resident_mib() -> float:

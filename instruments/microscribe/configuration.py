@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
@@ -112,6 +113,7 @@ class DeviceInfo:
     parameters: Parameters
     beta: int
 
+    @lru_cache(maxsize=8)  # noqa: B019 - a few arms; what is kept of a shape is kept by its object
     def geometry(self) -> ArmGeometry:
         """Its shape, in rad and mm."""
         p, turns = self.parameters, np.array(self.maxima.turns)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -69,7 +70,7 @@ class KinematicError:
     ) -> None:
         chance = np.random.default_rng([seed, _PARAMETERS])
         later = np.arange(JOINTS) > 0
-        self._stored = geometry
+        self.stored = geometry
         self._real = dataclasses.replace(
             geometry,
             alpha_rad=geometry.alpha_rad + later * chance.normal(0.0, 3e-4, JOINTS),
@@ -92,8 +93,11 @@ class KinematicError:
 
     def _raw(self, angles_rad: Floats) -> Floats:
         real, _ = self._real.forward_angles(angles_rad + self._zeros_rad)
-        stored, _ = self._stored.forward_angles(angles_rad)
+        stored, _ = self.stored.forward_angles(angles_rad)
         return real - stored
+
+
+_error_of = lru_cache(maxsize=8)(KinematicError)
 
 
 def workspace(geometry: ArmGeometry, home_rad: Floats, chance: np.random.Generator) -> Floats:
@@ -112,6 +116,24 @@ class Pose:
     counts_per_mm: Floats  # (6, 3)
 
 
+@lru_cache(maxsize=1024)  # a target is tried, then touched, and again in each cycle of a script
+def _solved(error: KinematicError, home: tuple[int, ...], *at: float) -> Pose:
+    geometry = error.stored
+    counts = inverse(geometry, at[:3], at[3:] or None, start=home)
+    goal = np.array(at[:3]) + error.at(geometry.angles(counts))[0]
+    # a step of a fraction of a millimetre: Newton is exact to 1e-9 mm after three
+    for _ in range(3):
+        tip, _ = geometry.forward(counts)
+        counts = counts + _counts_per_mm(geometry, counts) @ (goal - tip[0])
+    return Pose(counts, _counts_per_mm(geometry, counts))
+
+
+def _counts_per_mm(geometry: ArmGeometry, counts: Floats) -> Floats:
+    slopes = geometry.jacobian(geometry.angles(counts))[0, :3]
+    per_rad = geometry.turns / (2.0 * np.pi)
+    return np.asarray(np.linalg.pinv(slopes) * per_rad[:, None])
+
+
 class Mechanics:
     """One arm's joints in a hand. ``home`` (6,): counts on the peg; ``accuracy_mm``: mean error;
     ``tremor_mm``: the tip's rms distance from its target.
@@ -127,13 +149,12 @@ class Mechanics:
         accuracy_mm: float,
         tremor_mm: float,
     ) -> None:
-        self._geometry = geometry
         self._home = home
         self._hand = hand
         self._seed = seed
         self._tremor_mm = tremor_mm
-        home_rad = geometry.angles(home)[0]
-        self._error = KinematicError(geometry, home_rad, seed=seed, accuracy_mm=accuracy_mm)
+        home_rad = tuple(geometry.angles(home)[0].tolist())
+        self._error = _error_of(geometry, home_rad, seed=seed, accuracy_mm=accuracy_mm)
         self._held: tuple[bytes, Pose] | None = None
         self._block: tuple[Pose, int, list[list[int]]] | None = None
 
@@ -155,19 +176,8 @@ class Mechanics:
 
     def solve(self, point_mm: Floats, direction: Floats | None) -> Pose:
         """The pose for this target, the arm's inaccuracy included. Raises OutOfReachError."""
-        counts = inverse(self._geometry, point_mm, direction, start=self._home)
-        goal = np.asarray(point_mm) + self._error.at(self._geometry.angles(counts))[0]
-        # a step of a fraction of a millimetre: Newton is exact to 1e-9 mm after three
-        for _ in range(3):
-            tip, _ = self._geometry.forward(counts)
-            counts = counts + self._counts_per_mm(counts) @ (goal - tip[0])
-        return Pose(counts, self._counts_per_mm(counts))
-
-    def _counts_per_mm(self, counts: Floats) -> Floats:
-        slopes = self._geometry.jacobian(self._geometry.angles(counts))[0, :3]
-        per_rad = self._geometry.turns / (2.0 * np.pi)
-        moved: Floats = np.linalg.pinv(slopes) * per_rad[:, None]
-        return moved
+        up = () if direction is None else direction.tolist()
+        return _solved(self._error, tuple(self._home), *point_mm.tolist(), *up)
 
     def tremor(self, block: int) -> Floats:
         """How far the hand is off at each packet of a block, (n, 3) mm."""

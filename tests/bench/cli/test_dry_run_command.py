@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.loading import find_rig, load_rig
+from bench.rig.loading import load_rig
 from bench.rig.model import EmulatedStage
 from bench.run import estimate
 from bench.script.model import find_script
@@ -73,7 +73,8 @@ ELSEWHERE = {"/dev/ttyACM0": NO_STAGE, 'cut_out_tested = ""': 'cut_out_tested = 
 def test_json_is_of_a_dry_run(tmp_path: Path, said: Said) -> None:
     assert "--json is for --dry-run" in said(2, "run --json --out {}", tmp_path / "runs").err
     script, runs = one(tmp_path)
-    both = json.loads(said(0, "run {} {} --dry-run --json --out {}", script, script, runs).out)
+    command = "run {} {} --dry-run --json --rig {} --out {}"
+    both = json.loads(said(0, command, script, script, write_small_rig(tmp_path), runs).out)
     assert both["schema_version"] == 1
     assert [seen["trials"] for seen in both["scripts"]] == [1, 1]
 
@@ -159,7 +160,7 @@ FAR = ', "pose": {"x_mm": 170.0}'
 @pytest.mark.slow
 def test_a_script_of_which_no_trial_is_within_the_travel(tmp_path: Path, said: Said) -> None:
     script, runs = one(tmp_path, FAR)
-    seen = said(2, DRY, [script, script], runs).out
+    seen = said(2, f"{DRY} --rig {{}}", [script, script], runs, write_small_rig(tmp_path)).out
     assert seen.count(f"{script.stem}: One\n") == 2
     assert "not checked: the script as a whole: no trial is within the stage's travel" in seen
 
@@ -168,7 +169,7 @@ def test_a_script_of_which_no_trial_is_within_the_travel(tmp_path: Path, said: S
 def test_a_controllers_own_settings_are_asked_for_and_rehearsed_with(
     tmp_path: Path, said: Said
 ) -> None:
-    rig = load_rig(find_rig(None))
+    rig = load_rig(write_small_rig(tmp_path))
     wide = rig.rig.emulation.model_copy(update={"stage": EmulatedStage(settings={130: 640.0})})
     twin = replace(rig, rig=rig.rig.model_copy(update={"emulation": wide}))
     with closing(RealClock()) as clock, EmulatedRig(twin, clock, 1) as there:
