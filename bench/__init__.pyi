@@ -1,267 +1,147 @@
-# What a name of this package is, for type checkers: `PLACES` in __init__.py says it to Python.
-from bench.api.calibration import makers_calibration, open_cameras_of, take_views, touch_points
-from bench.api.campaigns import CampaignResult, run_campaign
-from bench.api.instruments import (
-    ArmView,
-    BathView,
-    acknowledge,
-    describe_bath,
-    open_arm,
-    record_frames,
-    watch_arm,
-    watch_bath,
-)
-from bench.api.planning import ScriptPlan, check_script, plan_poses, plan_script
-from bench.api.records import compare_runs, control_run, export_record, judge_together, pack_run
-from bench.api.rigs import OpenRig, open_rig, rig_notes
-from bench.api.runs import (
-    BathRow,
-    DetectionRow,
-    EventRow,
-    FoundRow,
-    TouchRow,
-    TrialRow,
-    TruthOfTeat,
-    load_script,
-    read_rows,
-    read_run,
-    read_table,
-    resume_run,
-    rig_of_run,
-    run_queue,
-    run_script,
-    score_recording,
-    scripts,
-    write_report,
-)
-from bench.api.shots import (
-    Shot,
-    detect,
-    detectors,
-    draw,
-    families,
-    labels,
-    load_rig,
-    member,
-    open_detector,
-    rigs,
-    score,
-)
-from bench.calibrate.board_print import board_pdf
-from bench.calibrate.board_scenes import record_boards
-from bench.calibrate.cameras import (
-    CamerasResult,
-    ThermalFormat,
-    calibrate_pair,
-    calibrate_thermal,
-    check_pair,
-    delivered_by,
-    map_pairs,
-)
-from bench.calibrate.exchange import read_foreign, write_bouguet, write_opencv, write_ros
-from bench.calibrate.merge import calibration_record, merge_parts, read_part, write_calibration
-from bench.calibrate.stage import calibrate_stage
-from bench.calibrate.views import BoardViews, ViewsRequest, find_pictures, find_views
-from bench.calibrate.world import calibrate_world, check_points, read_points
-from bench.campaign.comparison import compare_campaigns
-from bench.campaign.plan import CampaignPlan, make_plan
-from bench.campaign.pool import PoolError
-from bench.campaign.run import run_chunk
-from bench.campaign.shards import query_campaign
-from bench.config import ConfigError
-from bench.dry_run.pose_checks import ScriptCheck
-from bench.record.check import CheckResult, check_record, checked_first, damage_text
-from bench.record.reader import RunRecord
-from bench.record.recording import Recording, RecordingError, RecordingWriter, TruthRow
-from bench.report.comparison import write_comparison
-from bench.report.runs import list_runs, write_queue_page, write_runs_page
-from bench.report.scenes import show_scenes
-from bench.results.answers import Answer
-from bench.results.cameras_agree import CamerasCheck, check_ends
-from bench.results.comparison import Comparison, Together, verdict_of
-from bench.results.status import Reported, RunStatus
-from bench.results.verdicts import Judgement
-from bench.rig.alone import (
-    OpenCameras,
-    bath_profile,
-    check_rig,
-    check_target,
-    describe_stage,
-    list_cameras,
-    open_bath,
-    open_cameras,
-    open_stage,
-    with_retries,
-)
-from bench.rig.leaving import NotSafeError
-from bench.rig.loading import LoadedRig, find_board
-from bench.rig.opening import BringUpError
-from bench.rig.scenes import record_scenes, write_sheet
-from bench.run.detections import detect_recording
-from bench.run.lock import RigInUseError
-from bench.safety.interlocks import InterlockTrip
-from bench.safety.latch import LatchedError, latched
-from bench.scoring.decisions import Decision, Verdict
-from bench.scoring.sample_size import SampleSizePlan
-from bench.scoring.scene import SceneScore
-from bench.script.model import LoadedScript
-from bench.truth.registration import write_registration
-from bench.truth.touching import NoTruthError
-from bench.version import __version__
-from instruments.camera.quality import edge_blur_px
-from instruments.operators.operator import (
-    OperatorAbort,
-    OperatorEnough,
-    OperatorRepeat,
-    OperatorSkip,
-)
-from instruments.world.boards import NoPlaceError
-
-__all__ = [
-    "Answer",
-    "ArmView",
-    "BathRow",
-    "BathView",
-    "BoardViews",
-    "BringUpError",
-    "CamerasCheck",
-    "CamerasResult",
-    "CampaignPlan",
-    "CampaignResult",
-    "CheckResult",
-    "Comparison",
-    "ConfigError",
-    "Decision",
-    "DetectionRow",
-    "EventRow",
-    "FoundRow",
-    "InterlockTrip",
-    "Judgement",
-    "LatchedError",
-    "LoadedRig",
-    "LoadedScript",
-    "NoPlaceError",
-    "NoTruthError",
-    "NotSafeError",
-    "OpenCameras",
-    "OpenRig",
-    "OperatorAbort",
-    "OperatorEnough",
-    "OperatorRepeat",
-    "OperatorSkip",
-    "PoolError",
-    "Recording",
-    "RecordingError",
-    "RecordingWriter",
-    "Reported",
-    "RigInUseError",
-    "RunRecord",
-    "RunStatus",
-    "SampleSizePlan",
-    "SceneScore",
-    "ScriptCheck",
-    "ScriptPlan",
-    "Shot",
-    "ThermalFormat",
-    "Together",
-    "TouchRow",
-    "TrialRow",
-    "TruthOfTeat",
-    "TruthRow",
-    "Verdict",
-    "ViewsRequest",
-    "__version__",
-    "acknowledge",
-    "bath_profile",
-    "board_pdf",
-    "calibrate_pair",
-    "calibrate_stage",
-    "calibrate_thermal",
-    "calibrate_world",
-    "calibration_record",
-    "check_ends",
-    "check_pair",
-    "check_points",
-    "check_record",
-    "check_rig",
-    "check_script",
-    "check_target",
-    "checked_first",
-    "compare_campaigns",
-    "compare_runs",
-    "control_run",
-    "damage_text",
-    "delivered_by",
-    "describe_bath",
-    "describe_stage",
-    "detect",
-    "detect_recording",
-    "detectors",
-    "draw",
-    "edge_blur_px",
-    "export_record",
-    "families",
-    "find_board",
-    "find_pictures",
-    "find_views",
-    "judge_together",
-    "labels",
-    "latched",
-    "list_cameras",
-    "list_runs",
-    "load_rig",
-    "load_script",
-    "make_plan",
-    "makers_calibration",
-    "map_pairs",
-    "member",
-    "merge_parts",
-    "open_arm",
-    "open_bath",
-    "open_cameras",
-    "open_cameras_of",
-    "open_detector",
-    "open_rig",
-    "open_stage",
-    "pack_run",
-    "plan_poses",
-    "plan_script",
-    "query_campaign",
-    "read_foreign",
-    "read_part",
-    "read_points",
-    "read_rows",
-    "read_run",
-    "read_table",
-    "record_boards",
-    "record_frames",
-    "record_scenes",
-    "resume_run",
-    "rig_notes",
-    "rig_of_run",
-    "rigs",
-    "run_campaign",
-    "run_chunk",
-    "run_queue",
-    "run_script",
-    "score",
-    "score_recording",
-    "scripts",
-    "show_scenes",
-    "take_views",
-    "touch_points",
-    "verdict_of",
-    "watch_arm",
-    "watch_bath",
-    "with_retries",
-    "write_bouguet",
-    "write_calibration",
-    "write_comparison",
-    "write_opencv",
-    "write_queue_page",
-    "write_registration",
-    "write_report",
-    "write_ros",
-    "write_runs_page",
-    "write_sheet",
-]
+# The names of this package, once: type checkers read them here, and so does textfiles/lazy.py.
+from bench.api.calibration import makers_calibration as makers_calibration
+from bench.api.calibration import open_cameras_of as open_cameras_of
+from bench.api.calibration import take_views as take_views
+from bench.api.calibration import touch_points as touch_points
+from bench.api.campaigns import CampaignResult as CampaignResult
+from bench.api.campaigns import run_campaign as run_campaign
+from bench.api.instruments import ArmView as ArmView
+from bench.api.instruments import BathView as BathView
+from bench.api.instruments import acknowledge as acknowledge
+from bench.api.instruments import describe_bath as describe_bath
+from bench.api.instruments import open_arm as open_arm
+from bench.api.instruments import record_frames as record_frames
+from bench.api.instruments import watch_arm as watch_arm
+from bench.api.instruments import watch_bath as watch_bath
+from bench.api.planning import ScriptPlan as ScriptPlan
+from bench.api.planning import check_script as check_script
+from bench.api.planning import plan_poses as plan_poses
+from bench.api.planning import plan_script as plan_script
+from bench.api.records import compare_runs as compare_runs
+from bench.api.records import control_run as control_run
+from bench.api.records import export_record as export_record
+from bench.api.records import judge_together as judge_together
+from bench.api.records import pack_run as pack_run
+from bench.api.rigs import OpenRig as OpenRig
+from bench.api.rigs import open_rig as open_rig
+from bench.api.rigs import rig_notes as rig_notes
+from bench.api.runs import BathRow as BathRow
+from bench.api.runs import DetectionRow as DetectionRow
+from bench.api.runs import EventRow as EventRow
+from bench.api.runs import FoundRow as FoundRow
+from bench.api.runs import TouchRow as TouchRow
+from bench.api.runs import TrialRow as TrialRow
+from bench.api.runs import TruthOfTeat as TruthOfTeat
+from bench.api.runs import load_script as load_script
+from bench.api.runs import read_rows as read_rows
+from bench.api.runs import read_run as read_run
+from bench.api.runs import read_table as read_table
+from bench.api.runs import resume_run as resume_run
+from bench.api.runs import rig_of_run as rig_of_run
+from bench.api.runs import run_queue as run_queue
+from bench.api.runs import run_script as run_script
+from bench.api.runs import score_recording as score_recording
+from bench.api.runs import scripts as scripts
+from bench.api.runs import write_report as write_report
+from bench.api.shots import Shot as Shot
+from bench.api.shots import detect as detect
+from bench.api.shots import detectors as detectors
+from bench.api.shots import draw as draw
+from bench.api.shots import families as families
+from bench.api.shots import labels as labels
+from bench.api.shots import load_rig as load_rig
+from bench.api.shots import member as member
+from bench.api.shots import open_detector as open_detector
+from bench.api.shots import rigs as rigs
+from bench.api.shots import score as score
+from bench.calibrate.board_print import board_pdf as board_pdf
+from bench.calibrate.board_scenes import record_boards as record_boards
+from bench.calibrate.cameras import CamerasResult as CamerasResult
+from bench.calibrate.cameras import ThermalFormat as ThermalFormat
+from bench.calibrate.cameras import calibrate_pair as calibrate_pair
+from bench.calibrate.cameras import calibrate_thermal as calibrate_thermal
+from bench.calibrate.cameras import check_pair as check_pair
+from bench.calibrate.cameras import delivered_by as delivered_by
+from bench.calibrate.cameras import map_pairs as map_pairs
+from bench.calibrate.exchange import read_foreign as read_foreign
+from bench.calibrate.exchange import write_bouguet as write_bouguet
+from bench.calibrate.exchange import write_opencv as write_opencv
+from bench.calibrate.exchange import write_ros as write_ros
+from bench.calibrate.merge import calibration_record as calibration_record
+from bench.calibrate.merge import merge_parts as merge_parts
+from bench.calibrate.merge import read_part as read_part
+from bench.calibrate.merge import write_calibration as write_calibration
+from bench.calibrate.stage import calibrate_stage as calibrate_stage
+from bench.calibrate.views import BoardViews as BoardViews
+from bench.calibrate.views import ViewsRequest as ViewsRequest
+from bench.calibrate.views import find_pictures as find_pictures
+from bench.calibrate.views import find_views as find_views
+from bench.calibrate.world import calibrate_world as calibrate_world
+from bench.calibrate.world import check_points as check_points
+from bench.calibrate.world import read_points as read_points
+from bench.campaign.comparison import compare_campaigns as compare_campaigns
+from bench.campaign.plan import CampaignPlan as CampaignPlan
+from bench.campaign.plan import make_plan as make_plan
+from bench.campaign.pool import PoolError as PoolError
+from bench.campaign.run import run_chunk as run_chunk
+from bench.campaign.shards import query_campaign as query_campaign
+from bench.config import ConfigError as ConfigError
+from bench.dry_run.pose_checks import ScriptCheck as ScriptCheck
+from bench.record.check import CheckResult as CheckResult
+from bench.record.check import check_record as check_record
+from bench.record.check import checked_first as checked_first
+from bench.record.check import damage_text as damage_text
+from bench.record.reader import RunRecord as RunRecord
+from bench.record.recording import Recording as Recording
+from bench.record.recording import RecordingError as RecordingError
+from bench.record.recording import RecordingWriter as RecordingWriter
+from bench.record.recording import TruthRow as TruthRow
+from bench.report.comparison import write_comparison as write_comparison
+from bench.report.runs import list_runs as list_runs
+from bench.report.runs import write_queue_page as write_queue_page
+from bench.report.runs import write_runs_page as write_runs_page
+from bench.report.scenes import show_scenes as show_scenes
+from bench.results.answers import Answer as Answer
+from bench.results.cameras_agree import CamerasCheck as CamerasCheck
+from bench.results.cameras_agree import check_ends as check_ends
+from bench.results.comparison import Comparison as Comparison
+from bench.results.comparison import Together as Together
+from bench.results.comparison import verdict_of as verdict_of
+from bench.results.status import Reported as Reported
+from bench.results.status import RunStatus as RunStatus
+from bench.results.verdicts import Judgement as Judgement
+from bench.rig.alone import OpenCameras as OpenCameras
+from bench.rig.alone import bath_profile as bath_profile
+from bench.rig.alone import check_rig as check_rig
+from bench.rig.alone import check_target as check_target
+from bench.rig.alone import describe_stage as describe_stage
+from bench.rig.alone import list_cameras as list_cameras
+from bench.rig.alone import open_bath as open_bath
+from bench.rig.alone import open_cameras as open_cameras
+from bench.rig.alone import open_stage as open_stage
+from bench.rig.alone import with_retries as with_retries
+from bench.rig.leaving import NotSafeError as NotSafeError
+from bench.rig.loading import LoadedRig as LoadedRig
+from bench.rig.loading import find_board as find_board
+from bench.rig.opening import BringUpError as BringUpError
+from bench.rig.scenes import record_scenes as record_scenes
+from bench.rig.scenes import write_sheet as write_sheet
+from bench.run.detections import detect_recording as detect_recording
+from bench.run.lock import RigInUseError as RigInUseError
+from bench.safety.interlocks import InterlockTrip as InterlockTrip
+from bench.safety.latch import LatchedError as LatchedError
+from bench.safety.latch import latched as latched
+from bench.scoring.decisions import Decision as Decision
+from bench.scoring.decisions import Verdict as Verdict
+from bench.scoring.sample_size import SampleSizePlan as SampleSizePlan
+from bench.scoring.scene import SceneScore as SceneScore
+from bench.script.model import LoadedScript as LoadedScript
+from bench.truth.registration import write_registration as write_registration
+from bench.truth.touching import NoTruthError as NoTruthError
+from bench.version import __version__ as __version__
+from instruments.camera.quality import edge_blur_px as edge_blur_px
+from instruments.operators.operator import OperatorAbort as OperatorAbort
+from instruments.operators.operator import OperatorEnough as OperatorEnough
+from instruments.operators.operator import OperatorRepeat as OperatorRepeat
+from instruments.operators.operator import OperatorSkip as OperatorSkip
+from instruments.world.boards import NoPlaceError as NoPlaceError

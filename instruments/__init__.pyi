@@ -1,53 +1,31 @@
-# What a name of this package is, for type checkers: `PLACES` in __init__.py says it to Python.
-from instruments.bath.reading import BathReading
-from instruments.camera.frame import FrameError, FrameFault, Ranging, RawFrame
-from instruments.captures.capture import CaptureError, CaptureFile
-from instruments.clock import Clock, RealClock, VirtualClock
-from instruments.drivers.plugin import (
-    ArmDriver,
-    ArmPoint,
-    BathDriver,
-    BathState,
-    Camera,
-    CameraGroup,
-    MakersCalibration,
-    MakersLens,
-    StageDriver,
-    StageState,
-)
-from instruments.drivers.protocols import Arm, Bath, Cameras, Stage
-from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
-from instruments.link import Link
-
-__all__ = [
-    "Arm",
-    "ArmDriver",
-    "ArmPoint",
-    "Bath",
-    "BathDriver",
-    "BathReading",
-    "BathState",
-    "Camera",
-    "CameraGroup",
-    "Cameras",
-    "CaptureError",
-    "CaptureFile",
-    "Clock",
-    "DeviceError",
-    "FrameError",
-    "FrameFault",
-    "InstrumentError",
-    "LimitError",
-    "Link",
-    "LinkError",
-    "MakersCalibration",
-    "MakersLens",
-    "ProtocolError",
-    "Ranging",
-    "RawFrame",
-    "RealClock",
-    "Stage",
-    "StageDriver",
-    "StageState",
-    "VirtualClock",
-]
+# The names of this package, once: type checkers read them here, and so does textfiles/lazy.py.
+from instruments.bath.reading import BathReading as BathReading
+from instruments.camera.frame import FrameError as FrameError
+from instruments.camera.frame import FrameFault as FrameFault
+from instruments.camera.frame import Ranging as Ranging
+from instruments.camera.frame import RawFrame as RawFrame
+from instruments.captures.capture import CaptureError as CaptureError
+from instruments.captures.capture import CaptureFile as CaptureFile
+from instruments.clock import Clock as Clock
+from instruments.clock import RealClock as RealClock
+from instruments.clock import VirtualClock as VirtualClock
+from instruments.drivers.plugin import ArmDriver as ArmDriver
+from instruments.drivers.plugin import ArmPoint as ArmPoint
+from instruments.drivers.plugin import BathDriver as BathDriver
+from instruments.drivers.plugin import BathState as BathState
+from instruments.drivers.plugin import Camera as Camera
+from instruments.drivers.plugin import CameraGroup as CameraGroup
+from instruments.drivers.plugin import MakersCalibration as MakersCalibration
+from instruments.drivers.plugin import MakersLens as MakersLens
+from instruments.drivers.plugin import StageDriver as StageDriver
+from instruments.drivers.plugin import StageState as StageState
+from instruments.drivers.protocols import Arm as Arm
+from instruments.drivers.protocols import Bath as Bath
+from instruments.drivers.protocols import Cameras as Cameras
+from instruments.drivers.protocols import Stage as Stage
+from instruments.errors import DeviceError as DeviceError
+from instruments.errors import InstrumentError as InstrumentError
+from instruments.errors import LimitError as LimitError
+from instruments.errors import LinkError as LinkError
+from instruments.errors import ProtocolError as ProtocolError
+from instruments.link import Link as Link

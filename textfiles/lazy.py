@@ -1,29 +1,38 @@
-"""Names of a package that are loaded when they are first used."""
+"""Names of a package that are loaded when they are first used. Its stub lists them, as
+``from MODULE import NAME as NAME``: the only list, which type checkers read too.
+"""
 
 from importlib import import_module
 from sys import modules
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
     from typing import Any
 
 
-def lazily(
-    package: str, places: "Mapping[str, tuple[str, ...]]", guard: str = ""
-) -> "Callable[[str], Any]":
-    """``__getattr__`` of ``package``, for the names that the modules in ``places`` have. What is
-    loaded is handed out as ``guarded`` of the module ``guard`` gives it back.
+def lazily(package: str, guard: str = "") -> "Callable[[str], Any]":
+    """``__getattr__`` of ``package``, for the names in its stub, and ``__all__``. What is loaded is
+    handed out as ``guarded`` of the module ``guard`` gives it back.
     """
-    known = {name: module for module, names in places.items() for name in names}
+    known = dict[str, str]()
 
     def get(name: str) -> "Any":
+        there = modules[package]
+        if not known:
+            spec: Any = there.__spec__
+            for line in spec.loader.get_data(f"{spec.origin}i").decode().splitlines():
+                if line.startswith("from "):
+                    _, module, _, one, *_ = line.split()
+                    known[one] = module
+        if name == "__all__":
+            return [one for one in known if one[0] != "_"]
         if name not in known:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         found = getattr(import_module(known[name]), name)
         if guard:
             found = import_module(guard).guarded(found, package)
-        setattr(modules[package], name, found)
+        setattr(there, name, found)
         return found
 
     return get

@@ -189,11 +189,12 @@ def record_frames(
         yield name
 
 
-def acknowledge(rig: AnyRig, *, capture: CaptureFile | None = None) -> None:
-    """Let a rig run again whose interlock has tripped, once its bath reads as it may. Raises
-    ConfigError, InstrumentError.
+def acknowledge(rig: AnyRig, *, capture: CaptureFile | None = None) -> bool:
+    """Let a rig run again whose interlock has tripped, once its bath reads as it may; False where
+    none has, and nothing was done. Raises ConfigError, InstrumentError.
     """
     loaded = load_rig(rig)
     if found := latch.latched(loaded):
         with open_bath(loaded.rig.bath.url, loaded.profile, capture=capture) as bath:
             latch.acknowledge(loaded, found, bath.read())
+    return bool(found)

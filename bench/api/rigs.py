@@ -167,19 +167,26 @@ class OpenRig:
         if self._watch:
             self._watch.check()
 
-    def home(self) -> None:
-        """Sign on to the arm and have it homed; home the stage. Of what is open, and not homed."""
-        arm, stage = self.devices.arm, self.devices.stage
+    def home(self) -> tuple[str, ...]:
+        """Sign on to the arm and have it homed; home the stage: of what is open, and not homed.
+        Which of them were homed now; warns where neither is open.
+        """
+        arm, stage, homed = self.devices.arm, self.devices.stage, list[str]()
+        if not (arm or stage):
+            self._warn("nothing to home: this rig has no arm and no stage, or they are not open")
         if arm and not arm.homed:
             arm.sign_on()
             self.tip.refuse_other_arm()
             self.operator.ask(Homing(arm.homing), self.check)
             arm.confirm_homed()
+            homed.append("arm")
         if stage and not stage.homed:
             stage.connect()
             stage.home()
             self._pose = None
+            homed.append("stage")
         self.check()
+        return tuple(homed)
 
     def move(
         self, x_mm: float = 0.0, y_mm: float = 0.0, *, z_mm: float = 0.0, yaw_deg: float = 0.0
@@ -279,9 +286,10 @@ class OpenRig:
         """``shot`` with the truth of its ends, as `touch` or `truth` gave it."""
         return replace(shot, truth=tuple(truth))
 
-    def safe(self, *, keep_arm: bool = False) -> None:
+    def safe(self, *, keep_arm: bool = False) -> tuple[str, ...]:
         """Heater off and its watch ended, stage at a stand, arm's session ended; as leaving the rig
-        does. ``keep_arm``: its session goes on, so that it stays homed. Raises DeviceError.
+        does. ``keep_arm``: its session goes on, so that it stays homed. What was made safe: nothing
+        where neither is open. Raises DeviceError.
         """
         self.end_watch()  # else a heater that is off is a stranger's doing
         said: list[str] = []
@@ -291,6 +299,7 @@ class OpenRig:
         unsafe = self.devices.make_safe(said.append, only=wanted)
         if unsafe:
             raise DeviceError("rig", "; ".join(said), asked="safe", hint=" ".join(unsafe.values()))
+        return tuple(wanted)
 
     def end_watch(self) -> None:
         """No further readings of the bath."""

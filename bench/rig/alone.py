@@ -77,7 +77,9 @@ class OpenCameras:
 
 @contextmanager
 def open_cameras(sources: Sequence[str]) -> Iterator[OpenCameras]:
-    """Cameras of a rig (none: the emulated one) or by URL. Raises ConfigError, InstrumentError."""
+    """Cameras of a rig (none: the emulated one) or by URL, until the block ends. Raises
+    ConfigError, InstrumentError.
+    """
     by_url = any(source.partition(":")[0] in ("opencv", "genicam", "files") for source in sources)
     if by_url and len(sources) > len(KNOWN):
         raise ConfigError.plain(
@@ -98,21 +100,27 @@ def open_cameras(sources: Sequence[str]) -> Iterator[OpenCameras]:
         ):
 
             def picture() -> dict[str, Grey]:
-                camera.begin()
-                return {ONE: Conversion().picture(camera.take())}
+                one.begin()
+                return {ONE: Conversion().picture(one.take())}
 
             look = with_retries(picture)
-            yield OpenCameras(clock, lambda: {ONE: camera.identity}, look, None, rig)
+            opened = OpenCameras(clock, lambda: {ONE: one.identity}, look, None, rig)
+            with lent(camera, ONE) as one, lent(opened, ONE) as given:
+                yield given
         return
     else:
         tables = {
             name: {"url": _table(source).url} for name, source in zip(KNOWN, sources, strict=False)
         }
         rig = rig_of(cameras=CamerasTable.model_validate(tables))
-    with open_instruments(rig, ("cameras",)) as devices:
-        cameras = devices.cameras
+    with (
+        open_instruments(rig, ("cameras",)) as devices,
+        lent(devices.cameras, "cameras") as cameras,
+    ):
         look = with_retries(lambda: pictures(cameras.capture()))
-        yield OpenCameras(devices.clock, lambda: cameras.identity, look, cameras, rig)
+        opened = OpenCameras(devices.clock, lambda: cameras.identity, look, cameras, rig)
+        with lent(opened, "cameras") as given:
+            yield given
 
 
 def _table(source: str) -> OneCamera:

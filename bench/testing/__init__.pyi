@@ -1,27 +1,18 @@
-# What a name of this package is, for type checkers: `PLACES` in __init__.py says it to Python.
-from bench.campaign.perturbations import Applied
-from bench.testing.checking import Look, SceneFailedError, check, look
-from bench.testing.found import keep
-from bench.testing.plugins import check_driver, drivers
-from bench.testing.scene import Object, Pose, Scene, Teat
-from bench.testing.strategies import layouts, objects, perturbations, poses, scenes
-
-__all__ = [
-    "Applied",
-    "Look",
-    "Object",
-    "Pose",
-    "Scene",
-    "SceneFailedError",
-    "Teat",
-    "check",
-    "check_driver",
-    "drivers",
-    "keep",
-    "layouts",
-    "look",
-    "objects",
-    "perturbations",
-    "poses",
-    "scenes",
-]
+# The names of this package, once: type checkers read them here, and so does textfiles/lazy.py.
+from bench.campaign.perturbations import Applied as Applied
+from bench.testing.checking import Look as Look
+from bench.testing.checking import SceneFailedError as SceneFailedError
+from bench.testing.checking import check as check
+from bench.testing.checking import look as look
+from bench.testing.found import keep as keep
+from bench.testing.plugins import check_driver as check_driver
+from bench.testing.plugins import drivers as drivers
+from bench.testing.scene import Object as Object
+from bench.testing.scene import Pose as Pose
+from bench.testing.scene import Scene as Scene
+from bench.testing.scene import Teat as Teat
+from bench.testing.strategies import layouts as layouts
+from bench.testing.strategies import objects as objects
+from bench.testing.strategies import perturbations as perturbations
+from bench.testing.strategies import poses as poses
+from bench.testing.strategies import scenes as scenes

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 MARK = "requirement"
 OWN_PROFILES = ("default", "ci")  # of hypothesis itself
+SHRINKING_S = 3600.0  # instead of hypothesis's 5 minutes by the clock, too few on a busy machine
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -54,22 +55,24 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def _give_time(items: Sequence[pytest.Item]) -> None:
-    """Hypothesis gives up no example for its time, and looks for one fault at a time: in modules
-    that import `bench.testing`, under a profile of hypothesis itself. ``@given`` has taken its
-    settings from the profile by then, so that they are changed on the test.
+    """Hypothesis gives up no example for its time, looks for one fault at a time, and draws no
+    hundred scenes more to explain it (what differs does): in modules that import `bench.testing`,
+    under a profile of hypothesis itself. ``@given`` has taken its settings from the profile by
+    then, so that they are changed on the test.
     """
     settings: Any = getattr(sys.modules.get("hypothesis"), "settings", None)
     profile = settings.get_current_profile_name() if settings else ""
     if profile.split("-with-")[0] not in OWN_PROFILES:
         return
-    usual = settings().deadline
+    usual, explain = settings(), sys.modules["hypothesis"].Phase.explain
     for item in items:
         test: Any = getattr(item, "obj", None)
         test = getattr(test, "__func__", test)
         given = getattr(test, "_hypothesis_internal_use_settings", None)
         if test and given and _draws_scenes(getattr(item, "module", None)):
-            limits = {"deadline": None} if given.deadline == usual else {}
-            own = settings(given, report_multiple_bugs=False, **limits)
+            limits = {"deadline": None} if given.deadline == usual.deadline else {}
+            phases = [one for one in given.phases if one is not explain]
+            own = settings(given, report_multiple_bugs=False, phases=phases, **limits)
             test._hypothesis_internal_use_settings = own
 
 
@@ -78,6 +81,19 @@ def _draws_scenes(module: ModuleType | None) -> bool:
     named = [one for one in kept if isinstance(one, FunctionType | type | ModuleType)]
     places = [str(getattr(one, "__module__", None) or one.__name__) for one in named]
     return any(one == "bench" or one.startswith("bench.testing") for one in places)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
+    """A scene is made simpler until it is the simplest, however busy the machine is."""
+    engine: Any = sys.modules.get("hypothesis.internal.conjecture.engine")
+    if engine is None or not _draws_scenes(getattr(item, "module", None)):
+        return (yield)
+    usual, engine.MAX_SHRINKING_SECONDS = engine.MAX_SHRINKING_SECONDS, SHRINKING_S
+    try:
+        return (yield)
+    finally:
+        engine.MAX_SHRINKING_SECONDS = usual
 
 
 _REQUIRED = pytest.StashKey[Mapping[str, Sequence[str]]]()

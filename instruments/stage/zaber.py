@@ -186,6 +186,8 @@ class ZaberDialogue(Dialogue):
             if not answer.taken:
                 why = REFUSALS.get(answer.data, "see the maker’s manual")
                 what, hint = f"refused, {answer.data}: {why}", "Call stop(), then try again."
+                if answer.data == "PARKED":
+                    hint = "Home it, which unparks it."
                 raise DeviceError(self.who, what, asked=text, hint=hint)
             if answer.flag not in HARMLESS:
                 self.upsets += 1

@@ -18,6 +18,7 @@ _MOVE = re.compile(r"move (?:(min|max)|(?:(abs|rel) (-?\d+)))(?: (\d+))?")
 ORDER = ("FE", "FS", "WL", "WM", "WR", "WH", "NI")
 SPEED = 1.6384
 VERSION, SERIAL = "7.38", 65000
+DEVICE_ID = 99_999  # of no product: what this emulates is in no data base of the maker's
 
 
 class ZaberController(Controller):
@@ -26,6 +27,12 @@ class ZaberController(Controller):
     def power_up(self) -> None:
         super().power_up()
         self._flags: list[set[str]] = [{"WR"} for _ in range(self.settings.axes)]
+        # mm by axis: a parked one keeps its position without power
+        self._parked: dict[int, float] = getattr(self, "_parked", {})
+        for axis, place_mm in self._parked.items():
+            self.offset_mm[axis] = place_mm
+            self.homed.add(axis)
+            self._flags[axis].clear()
         self._to_home: list[int] = []
         self._homing: Iterator[float] | None = None
         # the usual one: settings have mm/min
@@ -88,7 +95,10 @@ class ZaberController(Controller):
                 self._maxspeed[at] = int(value)
             case ["move", *_] if moves := _MOVE.fullmatch(words):
                 return self._move(at, *moves.groups())
+            case ["tools", "parking", "park" | "unpark" as how]:
+                return self._park(at, how)
             case ["home"]:
+                self._parked.pop(at, None)
                 self._to_home.append(at)
                 self._flags[at] -= {"NI"}
             case ["stop"]:
@@ -106,6 +116,8 @@ class ZaberController(Controller):
         self, at: int, end: str | None, way: str | None, by: str | None, speed: str | None
     ) -> tuple[bool, str]:
         """To an end, or so many microsteps; a speed of its own is known from 7.25 on."""
+        if at in self._parked:
+            return False, "PARKED"
         (low, high), steps, target = self._ends(at), self.settings[100 + at], [*self.target_mm()]
         starts = {"abs": 0, "rel": round(target[at] * steps), "min": low, "max": high}
         place, pace = starts[end or way or ""] + int(by or 0), int(speed or self._maxspeed[at])
@@ -114,6 +126,18 @@ class ZaberController(Controller):
         target[at] = place / steps
         self._flags[at] -= {"NI"}
         self.go(tuple(target), pace / SPEED / steps)
+        return True, "0"
+
+    def _park(self, at: int, how: str) -> tuple[bool, str]:
+        """Keep the position of an axis that stands; all moves but homing are refused then."""
+        if how == "unpark":
+            self._parked.pop(at, None)
+            return True, "0"
+        if self._flags[at] & {"WR", "WH"}:
+            return False, "BADDATA"
+        if self.moving or self._homing is not None:
+            return False, "STATUSBUSY"
+        self._parked[at] = self.place_mm()[at]
         return True, "0"
 
     def _stop(self, at: int) -> None:
@@ -134,6 +158,10 @@ class ZaberController(Controller):
             "limit.max": high,
             "maxspeed": self._maxspeed[at],
             "accel": round(self.settings[120 + at] * steps * SPEED / 10_000),
+            "deviceid": DEVICE_ID,
+            "device.id": DEVICE_ID,
+            "parking.state": int(at in self._parked),
+            "system.axiscount": 1,
             "system.serial": SERIAL + at,
             "version": VERSION,
         }

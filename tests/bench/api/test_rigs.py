@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 from typing import Any, ClassVar, cast
 
+import cv2
 import numpy as np
 import pytest
 
@@ -61,6 +62,31 @@ def test_what_is_not_homed_or_was_left_says_what_to_do() -> None:
             getattr(bath, name)()
     with pytest.raises(LimitError, match="it was left, and is closed"):
         stage.position()
+
+
+def test_what_was_done_is_said_and_nothing_too() -> None:
+    said: list[str] = []
+    with bench.open_rig("emulated", ("arm", "stage", "operator")) as rig:
+        assert [rig.home(), rig.home()] == [("arm", "stage"), ()]
+        assert rig.safe() == ("stage", "arm")
+    with bench.open_rig("emulated", ("cameras",), warn=said.append) as rig:
+        assert (rig.home(), rig.safe()) == ((), ())
+    assert [text.partition(":")[0] for text in said] == ["nothing to home"]
+    assert not bench.acknowledge("emulated")
+
+
+def test_cameras_are_not_used_behind_their_with_block(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "0.png"), np.full((48, 64), 90, np.uint8))
+    for sources in ([], [f"files:{tmp_path}/*.png"]):
+        with bench.open_cameras(sources) as cameras:
+            assert isinstance(cameras, bench.OpenCameras)
+            assert cameras.describe()["cameras"]
+            look, whole = cameras.look, cameras.frame_set
+        for act in (cameras.describe, look, *([whole.capture] if whole else [])):
+            with pytest.raises(LimitError, match="closed at the end of its with block"):
+                act()
+        with pytest.raises(LimitError, match="closed at the end of its with block"):
+            _ = cameras.identity
 
 
 class Blind:

@@ -68,6 +68,21 @@ def test_slow(number):
 """
 
 
+# the second module draws no scenes
+PATIENT = """
+import sys
+from hypothesis import Phase, given, settings, strategies as st
+{}
+
+@settings(max_examples=1)
+@given(st.just(0))
+def test_it(number):
+    engine = sys.modules["hypothesis.internal.conjecture.engine"]
+    explains = Phase.explain in test_it._hypothesis_internal_use_settings.phases
+    assert (engine.MAX_SHRINKING_SECONDS, explains) == {}
+"""
+
+
 @pytest.fixture
 def rig(pytester: pytest.Pytester) -> str:
     return str(write_small_rig(pytester.path))
@@ -89,6 +104,21 @@ def test_it_imports_nothing_before_it_is_asked(pytester: pytest.Pytester) -> Non
     pytester.makepyfile(program)
     result = pytester.runpytest_subprocess(*PLUGIN, "-p", "no:hypothesispytest")
     result.assert_outcomes(passed=1)
+
+
+def test_a_busy_machine_has_the_time_to_make_a_scene_simpler(pytester: pytest.Pytester) -> None:
+    """Hypothesis stops after 5 minutes by the clock; and its explanation takes a hundred scenes."""
+    from hypothesis.internal.conjecture import engine
+
+    usual = engine.MAX_SHRINKING_SECONDS
+    pytester.makepyfile(
+        test_scenes=PATIENT.format("from bench.testing import check", (3600.0, False)),
+        test_others=PATIENT.format("", (usual, True)),
+    )
+    pytester.makeconftest("import hypothesis\nhypothesis.settings.load_profile('default')")
+    with bare():
+        pytester.runpytest_inprocess(*PLUGIN).assert_outcomes(passed=2)
+    assert usual == engine.MAX_SHRINKING_SECONDS
 
 
 @pytest.mark.slow

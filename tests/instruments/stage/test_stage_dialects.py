@@ -262,3 +262,16 @@ def test_a_late_zaber_reply_is_not_taken_for_another_commands(make: Make) -> Non
     bench.emulator._send(b"@01 1 98 OK IDLE -- 77777\r\n@01 1 OK IDLE -- 5\r\n!01 1 IDLE --\r\n")
     stage.move_to(50, 60)
     assert stage.position()[:2] == pytest.approx([50, 60], abs=0.003)
+
+
+def test_a_parked_zaber_keeps_its_place_without_power_and_goes_on_after_homing(make: Make) -> None:
+    stage = (bench := make(dialect=ZABER, axes="XY")).homed()
+    stage.move_to(40, 60)
+    stage._dialogue.command("1 1 tools parking park")
+    _restarts_unheard(bench)
+    assert bench.emulator._controller.place_mm()[:2] == pytest.approx((40.0, 0.0), abs=0.003)
+    stage.recover()
+    with pytest.raises(DeviceError, match=r"PARKED: the axis is parked.*Home it, which unparks"):
+        stage._dialogue.command("1 1 move rel 250")
+    stage.home()
+    stage.move_to(50, 60)

@@ -260,7 +260,7 @@ import sys
 from zaber_motion import Units
 from zaber_motion.ascii import Connection
 from zaber_motion.exceptions import (
-    BadDataException, CommandFailedException, RequestTimeoutException
+    BadDataException, CommandFailedException, DeviceDbFailedException, RequestTimeoutException
 )
 
 with Connection.open_tcp("127.0.0.1", int(sys.argv[1])) as connection:
@@ -284,6 +284,17 @@ with Connection.open_tcp("127.0.0.1", int(sys.argv[1])) as connection:
         move()
         assert other.get_position(Units.NATIVE) == other.settings.get(f"limit.{end}")
     other.move_absolute(250, Units.NATIVE, velocity=4096)
+    other.park()
+    try:
+        other.move_absolute(0, Units.NATIVE)
+    except CommandFailedException as error:
+        print(error.details.response_data, other.is_parked())
+    other.unpark()
+    assert not other.is_parked()
+    try:  # all that it asks the device is answered; its data base is elsewhere
+        devices[0].identify()
+    except DeviceDbFailedException as error:
+        print(type(error).__name__)
     assert connection.stop_all() == [1, 2, 3]
     for alone in (devices[0].get_axis(2), connection.get_device(9)):
         try:
@@ -308,8 +319,10 @@ def test_the_makers_library_drives_the_emulated_zaber() -> None:
             command = [sys.executable, "-c", MAKERS_LIBRARY, str(listener.port)]
             ended = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert ended.returncode == 0, ended.stderr
-    *failed, device, serial, steps = ended.stdout.split()
-    assert failed == ["CommandFailedException", "RequestTimeoutException"]
+    parked, yes, *failed, device, serial, steps = ended.stdout.split()
+    assert (parked, yes) == ("PARKED", "True")
+    known = [f"{kind}Exception" for kind in ("DeviceDbFailed", "CommandFailed", "RequestTimeout")]
+    assert failed == known
     assert (device, serial) == ("3", "65002")
     x_mm, y_mm, _ = emulator.position_mm()
     assert 0.0 < x_mm < 50.0
