@@ -53,7 +53,6 @@ from reports.page import (
     Part,
     Score,
     Scoreboard,
-    Section,
     Table,
     Tone,
 )
@@ -583,27 +582,19 @@ def _changed(comparison: Comparison) -> Table:
     )
 
 
-def baseline_section(baseline: Path, folder: Path, damage: tuple[str, ...] = ()) -> Section:
+def baseline_parts(baseline: Path, folder: Path, damage: tuple[str, ...] = ()) -> Iterator[Part]:
     """The run in ``folder`` (new) against ``baseline`` (old). Raises ConfigError."""
-    found = compare_folders([baseline, folder], damage=damage)
-    parts = tuple(
-        part
-        for number, one in enumerate(found, 1)
-        for part in (*_figure(one, number), *comparison_parts(one))
-    )
-    return Section("baseline", "Against the baseline", parts)
+    for number, one in enumerate(compare_folders([baseline, folder], damage=damage), 1):
+        yield from _figure(one, number)
+        yield from comparison_parts(one)
 
 
-def detectors_section(run: RunRecord) -> tuple[Section, ...]:
+def detectors_parts(run: RunRecord) -> Iterator[Part]:
     """Each later scored detector against the first, on the same frames."""
     first, *others = (Side(run, name) for name in run.detectors)
-    parts = tuple(
-        part
-        for other in others
-        if {t.id for t in first.trials} & {t.id for t in other.trials}
-        for part in _of_one_run(compare_sides(first, other))
-    )
-    return (Section("detectors", "Detectors compared", parts),) if parts else ()
+    for other in others:
+        if {t.id for t in first.trials} & {t.id for t in other.trials}:
+            yield from _of_one_run(compare_sides(first, other))
 
 
 def _of_one_run(found: Comparison) -> Iterator[Part]:

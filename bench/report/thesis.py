@@ -27,7 +27,7 @@ from detector.calibration import Calibration
 from detector.calibration.thesis_rig import LEFT, RIGHT
 from detector.geometry import apply_homography
 from instruments.world.situations import spoken
-from reports.page import Part, Section, Table
+from reports.page import Part, Table
 
 LAYOUT = "table-5-1"  # whose ends those of the test are
 SIGNED_MEAN = "components.bias_mm"
@@ -51,14 +51,14 @@ NOTE = (
 Row = tuple[str, str, str, str, str, str]
 
 
-def thesis_chapter(run: RunRecord, rules: Rules, calibration: Calibration) -> tuple[Section, ...]:
-    """The chapter of a scored run that is one of the thesis's tests; else none."""
+def thesis_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:
+    """The chapter of a scored run that is one of the thesis's tests; else nothing."""
     figures = thesis()
     known = [one for one in figures.situations if one.name in situations(run)]
     kinds: list[Kind] = ["situations"] if known else []
     kinds += ["plane"] if PLANE in situations(run) else []
     if not kinds or not any(trial.scores for trial in run.counted):
-        return ()
+        return
     rows = [*_situations(run, known)] if known else []
     # situations whose every trial shows the ends of table 5.1 upright, in place
     trials = rules.trials if isinstance(rules, Script) else ()
@@ -72,11 +72,11 @@ def thesis_chapter(run: RunRecord, rules: Rules, calibration: Calibration) -> tu
         rows += _first_test(figures, errors)
     rows += _plane(run, figures) if "plane" in kinds else ()
     rows += [*_asked(run, figures), *_rig(run, figures, calibration)]
-    pictured = tuple(_pictured(run, known, calibration)) if known else ()
     # What was printed, what its tables give, and what this run measured
-    beside = table("thesis", rows, note=NOTE if known else "")
-    parts = (beside, *pictured, elsewhere_table(figures, *kinds))
-    return (Section("published", "Beside the thesis", parts),)
+    yield table("thesis", rows, note=NOTE if known else "")
+    if known:
+        yield from _pictured(run, known, calibration)
+    yield elsewhere_table(figures, *kinds)
 
 
 def elsewhere_table(figures: Thesis, *shown: Kind) -> Table:
