@@ -46,7 +46,7 @@ PLACES = {
     "bench.report.scenes": ("show_scenes",),
     "bench.results.answers": ("Answer",),
     "bench.results.cameras_agree": ("CamerasCheck", "check_ends"),
-    "bench.results.comparison": ("Comparison", "Together", "verdict_of"),
+    "bench.results.comparison": ("Comparison", "PooledRuns", "Together", "verdict_of"),
     "bench.results.status": ("Reported", "RunStatus"),
     "bench.results.verdicts": ("Judgement",),
     "bench.rig.alone": ("OpenCameras", "bath_profile", "check_rig", "check_target",

@@ -78,7 +78,7 @@ from bench.report.runs import list_runs, write_queue_page, write_runs_page
 from bench.report.scenes import show_scenes
 from bench.results.answers import Answer
 from bench.results.cameras_agree import CamerasCheck, check_ends
-from bench.results.comparison import Comparison, Together, verdict_of
+from bench.results.comparison import Comparison, PooledRuns, Together, verdict_of
 from bench.results.status import Reported, RunStatus
 from bench.results.verdicts import Judgement
 from bench.rig.alone import (
@@ -150,6 +150,7 @@ __all__ = [
     "OperatorRepeat",
     "OperatorSkip",
     "PoolError",
+    "PooledRuns",
     "Recording",
     "RecordingError",
     "RecordingWriter",

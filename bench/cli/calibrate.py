@@ -70,7 +70,14 @@ def cameras(given: argparse.Namespace) -> int:
 def thermal(given: argparse.Namespace) -> None:
     from bench.report.calibration import pairs_page, thermal_page
 
-    delivered = _delivered(given)
+    # how the pictures come: by command, by the rig's calibration or by its file
+    usual = bench.delivered_by(bench.load_rig(given.rig)) if given.rig else bench.ThermalFormat()
+    delivered = bench.ThermalFormat(
+        given.sensor_size or usual.sensor_size,
+        given.mirrored or usual.mirrored,
+        given.polarity or usual.polarity,
+        given.model,
+    )
     if given.pairs is not None:
         if given.image_size is None:
             raise ConfigError.plain(
@@ -99,17 +106,6 @@ def thermal(given: argparse.Namespace) -> None:
     of_views = [*result.joint.view_rms_px("thermal").values()]
     rms = float(np.sqrt(np.mean(np.square(of_views))))
     print(f"thermal camera: {rms:.3f} px rms over {len(of_views)} views")
-
-
-def _delivered(given: argparse.Namespace) -> bench.ThermalFormat:
-    """How thermal pictures come, by command, by the rig's calibration or by its file."""
-    usual = bench.delivered_by(bench.load_rig(given.rig)) if given.rig else bench.ThermalFormat()
-    return bench.ThermalFormat(
-        given.sensor_size or usual.sensor_size,
-        given.mirrored or usual.mirrored,
-        given.polarity or usual.polarity,
-        given.model,
-    )
 
 
 def world(given: argparse.Namespace) -> int:

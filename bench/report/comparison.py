@@ -594,20 +594,18 @@ def detectors_parts(run: RunRecord) -> Iterator[Part]:
     first, *others = (Side(run, name) for name in run.detectors)
     for other in others:
         if {t.id for t in first.trials} & {t.id for t in other.trials}:
-            yield from _of_one_run(compare_sides(first, other))
-
-
-def _of_one_run(found: Comparison) -> Iterator[Part]:
-    """Without a filter, since that of the trials is the page's, and without the runs' names."""
-    old, new = found.old.detector, found.new.detector
-    yield Paragraph(
-        f"{new} against {old}, in the same frames: {old} is the old one, {new} the new."
-    )
-    for part in comparison_parts(found):
-        if isinstance(part, Table):
-            yield replace(part, caption=f"{part.caption}: {new} against {old}", searchable=False)
-        elif not isinstance(part, KeyValues):
-            yield part
+            found = compare_sides(first, other)
+            old, new = found.old.detector, found.new.detector
+            yield Paragraph(
+                f"{new} against {old}, in the same frames: {old} is the old one, {new} the new."
+            )
+            for part in comparison_parts(found):
+                if isinstance(part, Table):
+                    yield replace(
+                        part, caption=f"{part.caption}: {new} against {old}", searchable=False
+                    )
+                elif not isinstance(part, KeyValues):
+                    yield part
 
 
 def _figure(found: Comparison, number: int) -> Iterator[Part]:

@@ -92,28 +92,24 @@ def write_run_report(
     """
     run = read_run(folder, damage)
     try:
-        return _written(run, folder, baseline, parts)
+        rules = stored_rules(folder)
+        judgements = judge(run, rules) if any(trial.scores for trial in run.trials) else ()
+        calibration = read_calibration(folder / "calibration.toml", doubtful=True)
+        status = status_of(run, judgements)
+        page = build_page(
+            run, status, rules, judgements, calibration, folder / REPORT, baseline, parts
+        )
+        # by another reading of the run: it may not stand beside this one
+        (folder / REPORT / PDF).unlink(missing_ok=True)
+        path = write_report(page, folder / REPORT)
+        listed = judgements if status.decided else judge(run, rules)  # its requirements, too
+        write_exports(run, status, listed, folder / REPORT)
+        return Reported(folder, path, run, judgements, status)
     except OSError as error:
         if error.errno != errno.ENOSPC:
             raise
         why = f"{error.strerror}. Make room, then: teatbench report {folder}"
         raise OSError(error.errno, why, str(folder / REPORT)) from error
-
-
-def _written(
-    run: RunRecord, folder: Path, baseline: Iterable[Part], parts: TrialParts | None
-) -> Reported:
-    rules = stored_rules(folder)
-    judgements = judge(run, rules) if any(trial.scores for trial in run.trials) else ()
-    calibration = read_calibration(folder / "calibration.toml", doubtful=True)
-    status = status_of(run, judgements)
-    page = build_page(run, status, rules, judgements, calibration, folder / REPORT, baseline, parts)
-    # by another reading of the run: it may not stand beside this one
-    (folder / REPORT / PDF).unlink(missing_ok=True)
-    path = write_report(page, folder / REPORT)
-    listed = judgements if status.decided else judge(run, rules)  # its requirements, too
-    write_exports(run, status, listed, folder / REPORT)
-    return Reported(folder, path, run, judgements, status)
 
 
 def build_page(

@@ -18,7 +18,7 @@ from bench.report.trials import project_all
 from bench.report.wording import NOT_MEASURED, listed, number, spanned, table
 from bench.results.error_rows import error_rows
 from bench.results.thesis_figures import Kind, Situation, Thesis, errors_of_test_mm, thesis
-from bench.results.thesis_pictures import GATE_PX, PICTURES, RADIUS_MM, InPictures, in_pictures
+from bench.results.thesis_pictures import GATE_PX, PICTURES, RADIUS_MM, ImageDistances, in_pictures
 from bench.results.verdicts import latency_of, scored
 from bench.scoring.errors import Bools, ErrorSummary, Floats, summarise
 from bench.scoring.rates import percent
@@ -155,7 +155,7 @@ def _pictured(
         )
 
 
-def _by_teat(seen: InPictures, known: Sequence[Situation]) -> Iterator[tuple[object, ...]]:
+def _by_teat(seen: ImageDistances, known: Sequence[Situation]) -> Iterator[tuple[object, ...]]:
     for one in known:
         each = zip(seen.situations, seen.teats, strict=True)
         for teat in dict.fromkeys(t for s, t in each if s == one.name):

@@ -7,7 +7,7 @@ from textfiles.lazy import lazily
 # by the module that has them; type checkers read __init__.pyi
 PLACES = {
     "bench.campaign.perturbations": ("Applied",),
-    "bench.testing.checking": ("Look", "SceneFailedError", "check", "look"),
+    "bench.testing.checking": ("Look", "SceneFailedError", "SceneResult", "check", "look"),
     "bench.testing.found": ("keep",),
     "bench.testing.plugins": ("check_driver", "drivers"),
     "bench.testing.scene": ("Object", "Pose", "Scene", "Teat"),

@@ -1,6 +1,6 @@
 # What a name of this package is, for type checkers: `PLACES` in __init__.py says it to Python.
 from bench.campaign.perturbations import Applied
-from bench.testing.checking import Look, SceneFailedError, check, look
+from bench.testing.checking import Look, SceneFailedError, SceneResult, check, look
 from bench.testing.found import keep
 from bench.testing.plugins import check_driver, drivers
 from bench.testing.scene import Object, Pose, Scene, Teat
@@ -13,6 +13,7 @@ __all__ = [
     "Pose",
     "Scene",
     "SceneFailedError",
+    "SceneResult",
     "Teat",
     "check",
     "check_driver",

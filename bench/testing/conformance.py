@@ -93,7 +93,7 @@ class Cable:
         self.device.disconnect(connection)
 
 
-class Wired(Subject):
+class LoopbackSubject(Subject):
     """An instrument on loopback: its emulator on a link that can be cut; ``late_s``: how late an
     answer comes that an abort does not wait for.
     """
@@ -124,6 +124,9 @@ class Wired(Subject):
 
     def end(self) -> None:
         self.listener.close()
+
+
+Wired = LoopbackSubject  # its name in earlier releases, for one more
 
 
 @contextmanager

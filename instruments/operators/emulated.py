@@ -14,7 +14,7 @@ import numpy as np
 from instruments.clock import sleep_looking
 from instruments.operators import operator as op
 from instruments.world.boards import Board, poses
-from instruments.world.optics import CameraModel, Floats
+from instruments.world.optics import Floats
 from instruments.world.phantom import PlatePose
 from instruments.world.solids import as_point
 from instruments.world.world import World
@@ -69,7 +69,11 @@ class EmulatedOperator:
             sleep_looking(self._world.clock, self._prompt_s, check, LOOK_S)
         match request:
             case op.Arrangement():
-                return self._set_up(request)
+                self._world.show(None)
+                self._stands = request, pose = self._placed(request)
+                self._world.arrange(request.phantom.moved(pose), request.objects, request.scene)
+                seen = self._world.renderer.visible_ends(self._world.scene())
+                return op.Answer(tuple(bool(row.all()) for row in np.asarray(seen)))
             case op.Touch(teat, of):
                 self._touch(teat, of)
             case op.CheckPoint(touch, of):
@@ -89,13 +93,6 @@ class EmulatedOperator:
 
     def _hold(self, tip_mm: Floats, axis: Floats) -> None:
         self._world.hold(tip_mm + self._rng.normal(0.0, self._hand_error_mm, 3), axis)
-
-    def _set_up(self, wanted: op.Arrangement) -> op.Answer:
-        self._world.show(None)
-        self._stands = wanted, pose = self._placed(wanted)
-        self._world.arrange(wanted.phantom.moved(pose), wanted.objects, wanted.scene)
-        seen = self._world.renderer.visible_ends(self._world.scene())
-        return op.Answer(tuple(bool(row.all()) for row in np.asarray(seen)))
 
     def _touch(self, teat: int, of: int) -> None:
         if teat > 1 and self._makes("forgotten teat"):
@@ -141,8 +138,23 @@ class BoardHands:
         if not asked.fixed and asked.number > SHOWN:
             raise op.OperatorEnough(f"the emulated operator has shown the board {SHOWN} times")
         cameras = tuple(c for c in self._world.renderer.cameras if c.name in asked.cameras)
-        if asked.fixed:
-            board = self._fixed(asked, cameras)
+        if asked.fixed:  # near the teat ends, in reach, tilted towards the middle of the cameras
+            turn = (asked.number - 1) % len(FIXED_TURNS_RAD)
+            middle = self._world.ends_mm().mean(axis=0) + np.array(FIXED_SHIFTS_MM[turn])
+            away = middle - np.mean([camera.centre_mm for camera in cameras], axis=0)
+            away = away / np.linalg.norm(away)
+            across = np.cross(away, [0.0, 0.0, 1.0])
+            across = across / np.linalg.norm(across)
+            along = np.cross(away, across)
+            up, side = FIXED_TURNS_RAD[turn]
+            away, along = (
+                np.cos(up) * away - np.sin(up) * along,
+                np.cos(up) * along + np.sin(up) * away,
+            )
+            across = np.cos(side) * across + np.sin(side) * away
+            width, height = asked.pattern.size_mm
+            corner = middle - 0.5 * (width * across + height * along)
+            board = Board(as_point(corner), as_point(across), as_point(along), asked.pattern)
         else:
             views = _views(asked.pattern, cameras, DEPTHS_MM, self._world.seed, SHOWN)
             board = views[asked.number - 1]
@@ -157,19 +169,3 @@ class BoardHands:
         # nearly upright, which the arm reaches farthest with
         axis = 0.5 * normal + np.array([0.0, 0.0, 1.0])
         return self._board.corners_mm[corner] + tip_radius_mm * normal, axis / np.linalg.norm(axis)
-
-    def _fixed(self, asked: op.BoardPose, cameras: Sequence[CameraModel]) -> Board:
-        """Near the teat ends, within the arm's reach, tilted towards the middle of the cameras."""
-        turn = (asked.number - 1) % len(FIXED_TURNS_RAD)
-        middle = self._world.ends_mm().mean(axis=0) + np.array(FIXED_SHIFTS_MM[turn])
-        away = middle - np.mean([camera.centre_mm for camera in cameras], axis=0)
-        away = away / np.linalg.norm(away)
-        across = np.cross(away, [0.0, 0.0, 1.0])
-        across = across / np.linalg.norm(across)
-        along = np.cross(away, across)
-        up, side = FIXED_TURNS_RAD[turn]
-        along, away = np.cos(up) * along + np.sin(up) * away, np.cos(up) * away - np.sin(up) * along
-        across = np.cos(side) * across + np.sin(side) * away
-        width, height = asked.pattern.size_mm
-        corner = middle - 0.5 * (width * across + height * along)
-        return Board(as_point(corner), as_point(across), as_point(along), asked.pattern)

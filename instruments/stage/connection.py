@@ -75,7 +75,7 @@ def whole(question: Callable[P, R]) -> Callable[P, R]:
     return asked
 
 
-class Turns:
+class TurnLock:
     """Whose turn it is to ask. Reentrant, and taken by `with` alone: an interrupt keeps none."""
 
     def __init__(self) -> None:
@@ -128,7 +128,7 @@ class Dialogue:
         self.upsets = 0
         self.alarm: int | str | None = None
         self.outstanding: str | None = None  # the line whose answer hasn't come
-        self.turns = Turns()
+        self.turns = TurnLock()
         self._link = link
         self._clock = clock
         self._decoder = Decoder(self._parse)
@@ -288,7 +288,9 @@ class Dialogue:
 
     def _welcome(self) -> Welcome | None:
         """The welcome and what comes with it; None if nothing came. Raises ProtocolError."""
-        self._forget()
+        self._decoder, self._offset = Decoder(self._parse), None
+        self.alarm = self.outstanding = None
+        self._inbox.clear()
         welcome, seen = None, b""
         start_s = self._clock.now()
         wait = self._link.reception(start_s + START_S)
@@ -307,16 +309,6 @@ class Dialogue:
             welcome = _last_welcome(self._decoder, more) or welcome
             self.firmware = welcome.dialect
         return welcome
-
-    def _forget(self) -> None:
-        """Whatever was outstanding, kept or half received."""
-        self._decoder, self.alarm, self.outstanding, self._offset = (
-            Decoder(self._parse),
-            None,
-            None,
-            None,
-        )
-        self._inbox.clear()
 
     def _check(self, text: str) -> None:
         """Nothing is sent over an alarm or an open question."""
