@@ -69,11 +69,7 @@ class EmulatedOperator:
             sleep_looking(self._world.clock, self._prompt_s, check, LOOK_S)
         match request:
             case op.Arrangement():
-                self._world.show(None)
-                self._stands = request, pose = self._placed(request)
-                self._world.arrange(request.phantom.moved(pose), request.objects, request.scene)
-                seen = self._world.renderer.visible_ends(self._world.scene())
-                return op.Answer(tuple(bool(row.all()) for row in np.asarray(seen)))
+                return self._set_up(request)
             case op.Touch(teat, of):
                 self._touch(teat, of)
             case op.CheckPoint(touch, of):
@@ -93,6 +89,13 @@ class EmulatedOperator:
 
     def _hold(self, tip_mm: Floats, axis: Floats) -> None:
         self._world.hold(tip_mm + self._rng.normal(0.0, self._hand_error_mm, 3), axis)
+
+    def _set_up(self, wanted: op.Arrangement) -> op.Answer:
+        self._world.show(None)
+        self._stands = wanted, pose = self._placed(wanted)
+        self._world.arrange(wanted.phantom.moved(pose), wanted.objects, wanted.scene)
+        seen = self._world.renderer.visible_ends(self._world.scene())
+        return op.Answer(tuple(bool(row.all()) for row in np.asarray(seen)))
 
     def _touch(self, teat: int, of: int) -> None:
         if teat > 1 and self._makes("forgotten teat"):

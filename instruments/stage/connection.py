@@ -288,9 +288,7 @@ class Dialogue:
 
     def _welcome(self) -> Welcome | None:
         """The welcome and what comes with it; None if nothing came. Raises ProtocolError."""
-        self._decoder, self._offset = Decoder(self._parse), None
-        self.alarm = self.outstanding = None
-        self._inbox.clear()
+        self._forget()
         welcome, seen = None, b""
         start_s = self._clock.now()
         wait = self._link.reception(start_s + START_S)
@@ -309,6 +307,16 @@ class Dialogue:
             welcome = _last_welcome(self._decoder, more) or welcome
             self.firmware = welcome.dialect
         return welcome
+
+    def _forget(self) -> None:
+        """Whatever was outstanding, kept or half received."""
+        self._decoder, self.alarm, self.outstanding, self._offset = (
+            Decoder(self._parse),
+            None,
+            None,
+            None,
+        )
+        self._inbox.clear()
 
     def _check(self, text: str) -> None:
         """Nothing is sent over an alarm or an open question."""
