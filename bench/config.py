@@ -24,8 +24,8 @@ from detector.calibration import Calibration, CalibrationError, load_calibration
 from textfiles.bounds import Bounds
 from textfiles.documents import DocumentError, read_toml
 from textfiles.text import TextError, text_of
-from textfiles.words import did_you_mean as did_you_mean
-from textfiles.words import short as short
+from textfiles.text import did_you_mean as did_you_mean
+from textfiles.text import short as short
 
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\[\]=]+?)\s*\]\]?\s*(#.*)?$")
 _KEY = re.compile(

@@ -4,10 +4,15 @@ situations or by the ends of its layout.
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from operator import attrgetter
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +22,6 @@ from bench.report.tables import situations, truth_known_mm
 from bench.report.trials import project_all
 from bench.report.wording import NOT_MEASURED, listed, number, spanned, table
 from bench.results.error_rows import error_rows
-from bench.results.thesis_figures import Kind, Situation, Thesis, errors_of_test_mm, thesis
 from bench.results.thesis_pictures import GATE_PX, PICTURES, RADIUS_MM, ImageDistances, in_pictures
 from bench.results.verdicts import latency_of, scored
 from bench.scoring.errors import Bools, ErrorSummary, Floats, summarise
@@ -29,6 +33,10 @@ from detector.geometry import apply_homography
 from instruments.world.situations import spoken
 from reports.page import Part, Table
 
+Kind = Literal["situations", "plane"]  # of a report, where a figure is shown
+# tables of thesis.toml by name, their arrays as tuples
+Thesis = SimpleNamespace
+Situation = SimpleNamespace
 LAYOUT = "table-5-1"  # whose ends those of the test are
 SIGNED_MEAN = "components.bias_mm"
 # of an `ErrorSummary`: the components as the thesis averages them, and the distances
@@ -49,6 +57,25 @@ NOTE = (
 )
 # figure, section, printed, by its tables, this run, what is wrong in it or to be known
 Row = tuple[str, str, str, str, str, str]
+
+
+@cache
+def thesis() -> Thesis:
+    """The published figures as printed, defects included, each with its section."""
+
+    def named(value: Any) -> Any:
+        if isinstance(value, dict):
+            return SimpleNamespace(**{key: named(one) for key, one in value.items()})
+        return tuple(map(named, value)) if isinstance(value, list) else value
+
+    found: Thesis = named(tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8")))
+    return found
+
+
+def errors_of_test_mm(figures: Thesis, number: Literal[1, 2]) -> Floats:
+    """Errors (4, 3) of the first or the second test, from its tables: triangulated less touched."""
+    found = (figures.test_1 if number == 1 else figures.test_2).triangulated_mm
+    return np.asarray(np.subtract(found, figures.test_1.measured_mm), dtype=np.float64)
 
 
 def thesis_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:

@@ -17,13 +17,15 @@ import pytest
 from bench.record.reader import RunRecord
 from bench.report.thesis import (
     PLANE,
+    Kind,
     elsewhere_table,
+    errors_of_test_mm,
     largest_region_mm,
     places_of,
     published_counts,
+    thesis,
     thesis_parts,
 )
-from bench.results.thesis_figures import Kind, errors_of_test_mm, thesis
 from bench.rig.loading import find_rig, load_rig
 from bench.scoring.errors import summarise
 from bench.script.model import TRIALS, load_script
