@@ -245,7 +245,8 @@ def write_report(
 
     run, older = Path(folder), [Path(baseline)] if baseline is not None else []
     with known([run, *older], damage) as there:
-        parts = (part for one in older for part in baseline_parts(one, run, there))
+        # first: a comparison is a look, which the record that is reported then has
+        parts = tuple(part for one in older for part in baseline_parts(one, run, there))
         return write_run_report(run, parts, there)
 
 

@@ -483,8 +483,8 @@ def score_recording(
     calibration = read_calibration(recording.calibration_path, doubtful=True)
     doubts = doubts_of(recording, calibration)
     # a rig is refused by what it is, and a calibration that can't be does not say
-    known = None if doubts else calibration
-    with introduced(under_test, members_of(recording), known):
+    of_rig = None if doubts else calibration
+    with introduced(under_test, members_of(recording), of_rig):
         truth = {} if doubts else recording.truth  # nothing is charged where none can be found
         examiner, so_far = Examiner(calibration), CamerasSoFar()
         rules, planned, poses = RECORDING_RULES, len(recording.frames), _pose_names(recording)
