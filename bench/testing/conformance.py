@@ -93,7 +93,7 @@ class Cable:
         self.device.disconnect(connection)
 
 
-class LoopbackSubject(Subject):
+class Wired(Subject):
     """An instrument on loopback: its emulator on a link that can be cut; ``late_s``: how late an
     answer comes that an abort does not wait for.
     """
@@ -124,9 +124,6 @@ class LoopbackSubject(Subject):
 
     def end(self) -> None:
         self.listener.close()
-
-
-Wired = LoopbackSubject  # its name in earlier releases, for one more
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from typing import Any, cast
 
 from bench.config import ConfigError
 from bench.rig.opening import emulated_world
-from bench.testing.conformance import Finding, LoopbackSubject, NotCheckedError, Subject, conform
+from bench.testing.conformance import Finding, NotCheckedError, Subject, Wired, conform
 from instruments.clock import Clock, RealClock
 from instruments.drivers import entry_points as plugs
 from instruments.drivers.arm import PluggedArm
@@ -103,13 +103,13 @@ class PluginSubject(Subject):
         return True
 
 
-class OnEmulator(PluginSubject, LoopbackSubject):
+class OnEmulator(PluginSubject, Wired):
     """The same on its package's emulator, whose ``is_safe``, where it has one, is asked."""
 
     def __init__(
         self, kind: Kind, plugged: Plugin, clock: Clock, emulator: Any, late_s: float = LATE_S
     ) -> None:
-        LoopbackSubject.__init__(self, clock, emulator, kind, late_s)
+        Wired.__init__(self, clock, emulator, kind, late_s)
         self.emulator = emulator
         at = plugged.with_keys(url=self.listener.url)
         PluginSubject.__init__(self, kind, at, clock, works=True)

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import pytest
 
-from bench.testing.conformance import CHECKS, Check, LoopbackSubject, Subject, abort_in, conform
+from bench.testing.conformance import CHECKS, Check, Subject, Wired, abort_in, conform
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_register_profile
@@ -35,7 +35,7 @@ from tests.instruments.microscribe.rigs import Hand
 pytestmark = pytest.mark.slow
 
 
-class Arm(LoopbackSubject):
+class Arm(Wired):
     def __init__(self) -> None:
         clock = VirtualClock()
         self.emulator = ArmEmulator(Hand(clock), clock, seed=5)
@@ -60,7 +60,7 @@ class Arm(LoopbackSubject):
         return self.emulator.state is State.FINDING_BAUD
 
 
-class WaterBath(LoopbackSubject):
+class WaterBath(Wired):
     def __init__(self) -> None:
         clock = VirtualClock()
         self.plant = Plant(1)
@@ -86,7 +86,7 @@ class WaterBath(LoopbackSubject):
         return not self.plant.running
 
 
-class Table(LoopbackSubject):
+class Table(Wired):
     firmware: ClassVar[Dialect] = CLASSIC
     spoken: ClassVar[Spoken] = "grbl"
     place_mm: ClassVar[float] = -200.0
