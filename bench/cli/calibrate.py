@@ -259,16 +259,12 @@ def _views_of(
             max_views=given.max_views,
             mirrored=request.mirrored,
         )
-    _print_some("left out", [f"{one.camera} {one.view}: {one.reason}" for one in views.refused])
+    for one in views.refused[:SHOWN]:
+        print(f"left out: {one.camera} {one.view}: {one.reason}")
+    if (more := len(views.refused) - SHOWN) > 0:
+        print(f"left out: {more} more")
     paths = (*files, *(path for views_of in found.values() for path in views_of.values()))
     return views, paths, identity
-
-
-def _print_some(what: str, lines: Sequence[str]) -> None:
-    for text in lines[:SHOWN]:
-        print(f"{what}: {text}")
-    if (more := len(lines) - SHOWN) > 0:
-        print(f"{what}: {more} more")
 
 
 def _finish(
