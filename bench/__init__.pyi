@@ -105,6 +105,7 @@ from bench.results.answers import Answer as Answer
 from bench.results.cameras_agree import CamerasCheck as CamerasCheck
 from bench.results.cameras_agree import check_ends as check_ends
 from bench.results.comparison import Comparison as Comparison
+from bench.results.comparison import PooledRuns as PooledRuns
 from bench.results.comparison import Together as Together
 from bench.results.comparison import verdict_of as verdict_of
 from bench.results.status import Reported as Reported

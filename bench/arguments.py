@@ -57,7 +57,7 @@ def guarded(thing: Any, package: str) -> Any:
 _guarded = cache(lambda function: guarded(function, function.__module__))
 
 
-class Lent:
+class GuardedProxy:
     """An open thing as a program gets it: its methods as `guarded`, a wrong value a ConfigError
     too. `_given` raises LimitError once it was given back.
     """
@@ -95,7 +95,7 @@ def lent(of: Kind, who: str) -> Iterator[Kind]:
             raise LimitError(who, "it was closed at the end of its with block", hint=hint)
 
     try:
-        yield cast(Kind, Lent(of, given))
+        yield cast(Kind, GuardedProxy(of, given))
     finally:
         left.append(True)
 

@@ -24,8 +24,8 @@ from detector.calibration import Calibration, CalibrationError, load_calibration
 from textfiles.bounds import Bounds
 from textfiles.documents import DocumentError, read_toml
 from textfiles.text import TextError, text_of
-from textfiles.words import did_you_mean as did_you_mean
-from textfiles.words import short as short
+from textfiles.text import did_you_mean as did_you_mean
+from textfiles.text import short as short
 
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\[\]=]+?)\s*\]\]?\s*(#.*)?$")
 _KEY = re.compile(
@@ -354,12 +354,7 @@ def _elsewhere(model: type[BaseModel], path: Sequence[str | int]) -> str:
 
 def _key_of(detail: ErrorDetails, table: Any) -> KeyPath:
     """What the fault is about: of a table of a wrong kind, its key ``kind``."""
-    kind = ("kind",) if detail["type"].startswith("union_tag") else ()
-    return (*_without_tags(detail["loc"], table), *kind)
-
-
-def _without_tags(path: KeyPath, table: Any) -> KeyPath:
-    """``path`` without the tags that pydantic puts in for the members of a union."""
+    path: KeyPath = detail["loc"]
     kept: list[str | int] = []
     for index, part in enumerate(path):
         inside = (
@@ -371,7 +366,8 @@ def _without_tags(path: KeyPath, table: Any) -> KeyPath:
             table = table[part]
         if inside or index == len(path) - 1:
             kept.append(part)
-    return tuple(kept)
+    kind = ("kind",) if detail["type"].startswith("union_tag") else ()
+    return (*kept, *kind)
 
 
 def _fields_at(model: type[BaseModel], path: Sequence[str | int]) -> set[str]:

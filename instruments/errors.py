@@ -31,9 +31,6 @@ class InstrumentError(Exception):
         self.seen = seen
         self.seconds = seconds
         self.hint = hint
-        super().__init__(self._sentence())
-
-    def _sentence(self) -> str:
         facts = []
         if self.asked is not None:
             facts.append(f"asked {_shown(self.asked)}")
@@ -44,7 +41,7 @@ class InstrumentError(Exception):
         text = f"{self.who}: {self.what}"
         if facts:
             text += f" ({', '.join(facts)})"
-        return text + (f". {self.hint}" if self.hint else "")
+        super().__init__(text + (f". {self.hint}" if self.hint else ""))
 
 
 def _shown(fact: str | bytes) -> str:

@@ -131,7 +131,7 @@ class Loopback(Connection):
     """
 
     def __init__(self, device: Device, clock: VirtualClock, lock: threading.RLock) -> None:
-        self._answers = _Answers()
+        self._answers = _HostBuffer()
         super().__init__(self._answers, clock, lock)
         self._device, self._time = device, clock
         self._connected = False
@@ -180,7 +180,7 @@ class Loopback(Connection):
         self.close()
 
 
-class _Answers:
+class _HostBuffer:
     """A device's end of a `Loopback`: keeps what it says until the host reads."""
 
     def __init__(self) -> None:

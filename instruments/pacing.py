@@ -135,7 +135,12 @@ class Pacer:
             if self._port.ready() and not self._receive(self._clock.now()):
                 return
             while True:
-                self._hand_over()
+                now, data = self._clock.now(), b""
+                while self._for_host and self._for_host[0][0] <= now:
+                    data += self._for_host.popleft()[1]
+                if data:
+                    with contextlib.suppress(OSError):  # the host has gone: the next read says so
+                        self._port.write(data)
                 if (
                     self._aborted
                     or (self._hung_up and not self._for_host)
@@ -155,18 +160,17 @@ class Pacer:
         if self._clock.now() < self._received_s:
             self._wait(listen=False)
             return True
-        self._deliver(receive)
+        # each byte by itself, so that each answer starts where its question ended
+        data, self._received = self._received, b""
+        step = 1 if self._to_device.byte_s else len(data)
+        for end in range(step, len(data) + 1, step):
+            self._moment_s = self._received_s - (len(data) - end) * self._to_device.byte_s
+            if not (self._hung_up or self._aborted):
+                receive(data[end - step : end])
+        self._moment_s = None
         # What waits by now followed without a gap: it began when the last byte ended, not when this
         # thread looked.
         return not self._port.ready() or self._receive(self._received_s)
-
-    def _hand_over(self) -> None:
-        now, data = self._clock.now(), b""
-        while self._for_host and self._for_host[0][0] <= now:
-            data += self._for_host.popleft()[1]
-        if data:
-            with contextlib.suppress(OSError):  # the host has gone: the next read says so
-                self._port.write(data)
 
     def _receive(self, from_s: float) -> bool:
         try:
@@ -177,16 +181,6 @@ class Pacer:
             return False
         self._received_s = self._to_device.carry(len(self._received), from_s)
         return bool(self._received)
-
-    def _deliver(self, receive: Callable[[bytes], None]) -> None:
-        """Give each byte by itself, so that each answer starts where its question ended."""
-        data, self._received = self._received, b""
-        step = 1 if self._to_device.byte_s else len(data)
-        for end in range(step, len(data) + 1, step):
-            self._moment_s = self._received_s - (len(data) - end) * self._to_device.byte_s
-            if not (self._hung_up or self._aborted):
-                receive(data[end - step : end])
-        self._moment_s = None
 
     def _wait(self, *, listen: bool) -> bool:
         """Wait for the next due time or a wake; True when the host has sent something."""

@@ -1,10 +1,12 @@
 """Bytes to text as editors, spreadsheets and PowerShell save it: UTF-8 or UTF-16, with or without a
-byte-order mark, lines ended by LF, CRLF or CR.
+byte-order mark, lines ended by LF, CRLF or CR; and words in a message about what was written.
 """
 
 from __future__ import annotations
 
 import codecs
+import difflib
+from collections.abc import Iterable
 from pathlib import Path
 
 MOST_BYTES = 32 * 1024 * 1024  # no file that a person writes is as long
@@ -42,3 +44,16 @@ def text_of(path: Path) -> str:
     """The text of a file. Raises TextError, OSError."""
     with path.open("rb") as file:
         return decoded(file.read(MOST_BYTES + 1))
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """``; did you mean "x"?`` when one of ``known`` is near, else the empty string."""
+    there = list(known)
+    begun = [one for one in there if one.startswith(word)] if word else []
+    near = difflib.get_close_matches(word, there, n=1, cutoff=0.6) or begun
+    return f'; did you mean "{near[0]}"?' if near else ""
+
+
+def short(text: str) -> str:
+    """``text`` as far as it has room in a message."""
+    return text if len(text) <= 60 else text[:57] + "..."

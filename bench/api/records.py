@@ -12,7 +12,7 @@ from pathlib import Path
 from bench.config import ConfigError, check_within, several, writing, wrong_use
 from bench.files import write_synced
 from bench.record.check import NOT_AS_WRITTEN, checked_first
-from bench.results.comparison import Comparison, Together, compare_folders, judge_folders
+from bench.results.comparison import Comparison, PooledRuns, compare_folders, judge_folders
 from bench.results.status import read_status
 from bench.run.interruptions import leave_request, was_taken
 from instruments.clock import RealClock
@@ -62,7 +62,7 @@ def judge_together(
     *,
     across_scripts: bool = False,
     damage: Damage = None,
-) -> tuple[Together, ...]:
+) -> tuple[PooledRuns, ...]:
     """Judge each detector on all runs as one, by the first run's requirements: `teatbench compare
     --together`. The look is written into the records. Raises ConfigError, also for runs of several
     scripts without ``across_scripts``.

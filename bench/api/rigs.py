@@ -10,7 +10,7 @@ from typing import TypeVar, cast
 import numpy as np
 
 from bench.api.shots import AnyRig, Shot, load_rig
-from bench.arguments import Lent
+from bench.arguments import GuardedProxy
 from bench.config import ConfigError, check_within, several
 from bench.record.recording import TruthRow
 from bench.rig.devices import Devices
@@ -51,7 +51,7 @@ class OpenRig:
 
     def __init__(self, loaded: LoadedRig, devices: Devices, warn: Callable[[str], None]) -> None:
         self.loaded, self._devices, self._warn = loaded, devices, warn
-        self._left, self._lent = False, dict[str, Lent]()
+        self._left, self._lent = False, dict[str, GuardedProxy]()
         self._stands: Arrangement | None = None
         self._visible: tuple[bool, ...] = ()
         # where homing leaves the plate nobody says
@@ -315,7 +315,7 @@ class OpenRig:
         if device is None:
             what = f"this rig has no {name}, or it was not opened"
             raise LimitError("rig", what, hint=f'Name it: open_rig(…, instruments=("{name}",)).')
-        return cast(Opened, self._lent.setdefault(name, Lent(device, lambda: self.devices)))
+        return cast(Opened, self._lent.setdefault(name, GuardedProxy(device, lambda: self.devices)))
 
 
 def rig_notes(rig: AnyRig) -> Iterator[str]:
@@ -363,6 +363,6 @@ def open_rig(
     ) as devices:
         opened = OpenRig(loaded, devices, warn)
         try:
-            yield cast(OpenRig, Lent(opened, lambda: opened.devices))
+            yield cast(OpenRig, GuardedProxy(opened, lambda: opened.devices))
         finally:
             opened.leave()

@@ -240,13 +240,14 @@ def write_report(
     """Write the report of a run again: `teatbench report`; compared with the older run ``baseline``
     of the same scenes. ``damage`` as of `resume_run`. Raises ConfigError.
     """
-    from bench.report.comparison import baseline_section
+    from bench.report.comparison import baseline_parts
     from bench.report.page import write_run_report
 
     run, older = Path(folder), [Path(baseline)] if baseline is not None else []
     with known([run, *older], damage) as there:
-        chapters = tuple(baseline_section(one, run, there) for one in older)
-        return write_run_report(run, chapters, there)
+        # first: a comparison is a look, which the record that is reported then has
+        parts = tuple(part for one in older for part in baseline_parts(one, run, there))
+        return write_run_report(run, parts, there)
 
 
 def read_run(folder: Path | str) -> RunRecord:

@@ -158,7 +158,11 @@ def _yaml(path: Path, text: str) -> Any:
     if len(text) > MOST_CHARACTERS:
         raise ConfigError.plain(f"{path}: has {len(text)} characters; is it a calibration?")
     try:
-        _refuse_depth(text)
+        depth = 0  # of brackets in brackets, of which the library takes minutes
+        for bracket in _BRACKETS.findall(text):
+            depth = max(0, depth + (1 if bracket in "[{" else -1))
+            if depth > DEEPEST:
+                raise RecursionError
         loader = _Loader(text)
         try:
             node = loader.get_single_node()
@@ -180,15 +184,6 @@ def _yaml(path: Path, text: str) -> Any:
     except Exception as error:
         raise ConfigError.plain(f"{path}: not YAML: {short(str(error))}") from error
     return found
-
-
-def _refuse_depth(text: str) -> None:
-    """Raise RecursionError for brackets in brackets, of which the library takes minutes."""
-    depth = 0
-    for mark in _BRACKETS.findall(text):
-        depth = max(0, depth + (1 if mark in "[{" else -1))
-        if depth > DEEPEST:
-            raise RecursionError
 
 
 def _refuse_bomb(root: yaml.Node) -> None:

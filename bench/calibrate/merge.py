@@ -103,16 +103,8 @@ def merge_parts(files: Sequence[PartFile], record: Record) -> Calibration:
             )
     values = {name: getattr(file.part, name) for name, file in found.items()}
     values.setdefault("thermal_from_left", None)
-    return Calibration(
-        **values, covariance=_together(files, found), record=_whole_record(files, record)
-    )
-
-
-def _together(
-    files: Sequence[PartFile], found: Mapping[str, PartFile]
-) -> ParameterCovariance | None:
-    """One covariance: the world's file has the pair's too; other parts are independent."""
-    world, cameras = found["world_from_right"], found["left"]
+    # the world's file has the pair's covariance too; other parts are independent
+    world = found["world_from_right"]
     of_world = world.part.covariance
     has_pair = world is not cameras and any(
         owner != "world" for owner, _ in (of_world.names if of_world else ())
@@ -120,7 +112,9 @@ def _together(
     kept = [f.part.covariance for f in files if not (f is cameras and has_pair)]
     known = [one for one in kept if one]
     names = tuple(name for one in known for name in one.names)
-    return ParameterCovariance(names, block_diag(*(one.matrix for one in known))) if known else None
+    matrix = block_diag(*(one.matrix for one in known))
+    covariance = ParameterCovariance(names, matrix) if known else None
+    return Calibration(**values, covariance=covariance, record=_whole_record(files, record))
 
 
 def _whole_record(files: Sequence[PartFile], record: Record) -> Record:

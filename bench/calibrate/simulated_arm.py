@@ -90,7 +90,20 @@ class TryingArm:
 
     def _target(self, step: Step) -> tuple[Floats, Floats | None]:
         if step.what in DIVOTS_MM:
-            return self._swung(np.array(DIVOTS_MM[step.what]), step.number)
+            # upright, then leaning another way each time, as far as the arm's joints allow
+            point = np.array(DIVOTS_MM[step.what])
+            key = tuple(point.tolist())
+            if key not in self._within:
+                turns = 2.4 * np.arange(8)
+                across, up = np.sin(LEAN_RAD), np.full(8, np.cos(LEAN_RAD))
+                leaning = np.column_stack([across * np.cos(turns), across * np.sin(turns), up])
+                self._within[key] = []
+                for axis in (np.array([0.0, 0.0, 1.0]), *leaning):
+                    with suppress(OutOfReachError):
+                        self.emulator.check_reach(point, axis)
+                        self._within[key].append(axis)
+            within = self._within[key]
+            return point, within[step.number % len(within)]
         if step.what.startswith("length"):
             along = np.array(BARS[step.number % len(BARS)], dtype=np.float64)
             side = -1.0 if step.what == "length a" else 1.0
@@ -101,18 +114,3 @@ class TryingArm:
             point = self._placed.inverse().apply(world)
         self.emulator.check_reach(point, None)
         return point, None
-
-    def _swung(self, point: Floats, number: int) -> tuple[Floats, Floats]:
-        """Upright, then leaning another way each time, as far as the arm's joints allow."""
-        key = tuple(point.tolist())
-        if key not in self._within:
-            turns = 2.4 * np.arange(8)
-            across, up = np.sin(LEAN_RAD), np.full(8, np.cos(LEAN_RAD))
-            leaning = np.column_stack([across * np.cos(turns), across * np.sin(turns), up])
-            self._within[key] = []
-            for axis in (np.array([0.0, 0.0, 1.0]), *leaning):
-                with suppress(OutOfReachError):
-                    self.emulator.check_reach(point, axis)
-                    self._within[key].append(axis)
-        within = self._within[key]
-        return point, within[number % len(within)]

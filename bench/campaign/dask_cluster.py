@@ -34,7 +34,7 @@ LOOK_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Done:
+class ChunkResult:
     """What a Dask worker gives back: rows, what went wrong meanwhile, and what made them."""
 
     rows: Rows
@@ -47,7 +47,7 @@ _IDLE: defaultdict[str, list[LocalPool]] = defaultdict(list)
 _LOCK = threading.Lock()
 
 
-def work(key: str, job: Job, chunk: Chunk) -> Done:
+def work(key: str, job: Job, chunk: Chunk) -> ChunkResult:
     """The task of a Dask worker: runs a chunk in a process that stays for the client's next one."""
     said: list[str] = []
     with _LOCK:
@@ -69,7 +69,7 @@ def work(key: str, job: Job, chunk: Chunk) -> Done:
             _IDLE[key].append(pool)
     if not wanted:
         pool.close()
-    return Done(rows, tuple(said), of_program())
+    return ChunkResult(rows, tuple(said), of_program())
 
 
 def clear(key: str) -> None:
@@ -87,7 +87,7 @@ class DaskPool:
         self._job, self._address, self._say = job, address, say
         self._key = uuid.uuid4().hex
         self._client: Client | None = None
-        self._given: dict[Future[Done], Chunk] = {}
+        self._given: dict[Future[ChunkResult], Chunk] = {}
         self._again: deque[Chunk] = deque()
         self._open: dict[str, tuple[Chunk, list[Rows]]] = {}  # and its pieces that are done
         self._lost: Counter[Chunk] = Counter()
@@ -124,7 +124,18 @@ class DaskPool:
                 warned = True
                 self._say(f"no chunk was done for {silent_s:.0f} s by the cluster {self._address}")
             if silent_s > limit_s * (1 if dead else PATIENCE):
-                self._renew(limit_s)
+                self._renewed += 1
+                if self._renewed > RENEWALS:
+                    raise PoolError(
+                        f"the cluster {self._address} did nothing for {RENEWALS + 1} times"
+                        f" {limit_s:.0f} s. Are its scheduler and workers there?"
+                    )
+                self._say(f"the cluster {self._address} is reached anew")
+                self._put_back(list(self._given))
+                self._disconnect()
+                with suppress(PoolError):
+                    self._connect()
+                self._last_result_s = stopwatch_s()
                 warned = False
 
     def _fill(self, chunks: Iterator[Chunk]) -> None:
@@ -147,7 +158,7 @@ class DaskPool:
                 return
             self._given[future] = part
 
-    def _wait(self) -> list[Future[Done]]:
+    def _wait(self) -> list[Future[ChunkResult]]:
         """Those that have ended, after `LOOK_S` perhaps none."""
         if not self._given:
             threading.Event().wait(LOOK_S)
@@ -161,12 +172,12 @@ class DaskPool:
             return []
         return [one for one in self._given if one.status in ("finished", "error")]
 
-    def _put_back(self, futures: list[Future[Done]]) -> None:
+    def _put_back(self, futures: list[Future[ChunkResult]]) -> None:
         for future in futures:
             self._again.append(self._given.pop(future))
 
-    def _take(self, part: Chunk, future: Future[Done]) -> Iterator[tuple[Chunk, Rows]]:
-        found: Done | None
+    def _take(self, part: Chunk, future: Future[ChunkResult]) -> Iterator[tuple[Chunk, Rows]]:
+        found: ChunkResult | None
         try:
             found = future.result(timeout=CONNECT_S)
         except KilledWorker:
@@ -200,7 +211,7 @@ class DaskPool:
             del self._open[part.name]
             yield chunk, sum(sorted(done, key=lambda rows: rows.scenes[0].member), Rows())
 
-    def _worker_lost(self, part: Chunk) -> Done | None:
+    def _worker_lost(self, part: Chunk) -> ChunkResult | None:
         """Workers went with this chunk, or with another that they had: halve it in the end."""
         self._lost[part] += 1
         self._say(f"the cluster lost its workers at {part.name}")
@@ -212,7 +223,9 @@ class DaskPool:
             self._again.append(replace(part, members=part.members[half:]))
         else:
             why = "the cluster's workers went with it each time"
-            return Done(set_aside(part.scenes[0], self._job.detector_names, why), (), of_program())
+            return ChunkResult(
+                set_aside(part.scenes[0], self._job.detector_names, why), (), of_program()
+            )
         return None
 
     def _threads(self) -> int:
@@ -223,20 +236,6 @@ class DaskPool:
             return sum(self._client.nthreads().values())
         except Exception:  # whatever a closed connection raises
             return 0
-
-    def _renew(self, limit_s: float) -> None:
-        self._renewed += 1
-        if self._renewed > RENEWALS:
-            raise PoolError(
-                f"the cluster {self._address} did nothing for {RENEWALS + 1} times"
-                f" {limit_s:.0f} s. Are its scheduler and workers there?"
-            )
-        self._say(f"the cluster {self._address} is reached anew")
-        self._put_back(list(self._given))
-        self._disconnect()
-        with suppress(PoolError):
-            self._connect()
-        self._last_result_s = stopwatch_s()
 
     def _connect(self) -> None:
         try:

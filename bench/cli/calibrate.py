@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -52,8 +52,9 @@ def cameras(given: argparse.Namespace) -> int:
     lens = {"model": given.model, "square_pixels": given.square_pixels}
     with working("fitting the cameras"):
         result = bench.calibrate_pair(views, **lens)
-    at_mm, record = given.distance, _record(given, paths, cameras=identity | named)
-    _write_step(given, result.part(record), cameras_page(result, record, command_line(), at_mm))
+    at_mm = given.distance
+    page = partial(cameras_page, result, at_mm=at_mm)
+    _finish(given, result.part, page, inputs=paths, cameras=identity | named)
     for camera, coverage in result.coverage.items():
         if coverage.missing:
             print(f"still missing, {camera}: {'; '.join(coverage.missing)}")
@@ -70,7 +71,14 @@ def cameras(given: argparse.Namespace) -> int:
 def thermal(given: argparse.Namespace) -> None:
     from bench.report.calibration import pairs_page, thermal_page
 
-    delivered = _delivered(given)
+    # how the pictures come: by command, by the rig's calibration or by its file
+    usual = bench.delivered_by(bench.load_rig(given.rig)) if given.rig else bench.ThermalFormat()
+    delivered = bench.ThermalFormat(
+        given.sensor_size or usual.sensor_size,
+        given.mirrored or usual.mirrored,
+        given.polarity or usual.polarity,
+        given.model,
+    )
     if given.pairs is not None:
         if given.image_size is None:
             raise ConfigError.plain(
@@ -78,9 +86,8 @@ def thermal(given: argparse.Namespace) -> None:
                 " pixels the pairs name"
             )
         mapped = bench.map_pairs(given.pairs)
-        record = _record(given, (given.pairs,))
-        part = mapped.part(given.image_size, delivered, record)
-        _write_step(given, part, pairs_page(mapped, record, command_line()))
+        part = partial(mapped.part, given.image_size, delivered)
+        _finish(given, part, partial(pairs_page, mapped), inputs=(given.pairs,))
         return
     if not (given.frames or given.rig) or not given.board or not given.cameras:
         raise ConfigError.plain(
@@ -94,22 +101,11 @@ def thermal(given: argparse.Namespace) -> None:
     with working("fitting the thermal camera"):
         plane = {"plane_depth_mm": given.plane} if given.plane else {}
         result = bench.calibrate_thermal(views, pair.part, delivered, **plane)
-    record = _record(given, paths, cameras=identity, pair=pair)
-    _write_step(given, result.part(record), thermal_page(result, record, command_line()))
+    page = partial(thermal_page, result)
+    _finish(given, result.part, page, inputs=paths, cameras=identity, pair=pair)
     of_views = [*result.joint.view_rms_px("thermal").values()]
     rms = float(np.sqrt(np.mean(np.square(of_views))))
     print(f"thermal camera: {rms:.3f} px rms over {len(of_views)} views")
-
-
-def _delivered(given: argparse.Namespace) -> bench.ThermalFormat:
-    """How thermal pictures come, by command, by the rig's calibration or by its file."""
-    usual = bench.delivered_by(bench.load_rig(given.rig)) if given.rig else bench.ThermalFormat()
-    return bench.ThermalFormat(
-        given.sensor_size or usual.sensor_size,
-        given.mirrored or usual.mirrored,
-        given.polarity or usual.polarity,
-        given.model,
-    )
 
 
 def world(given: argparse.Namespace) -> int:
@@ -126,8 +122,8 @@ def world(given: argparse.Namespace) -> int:
         to_touch = given.rig, board, given.out
         given.points = bench.touch_points(*to_touch, known=pair.part, **_live(given))
     result = bench.calibrate_world(bench.read_points(given.points), pair.part, **_noise(given))
-    record = _record(given, (given.points,), pair=pair)
-    _write_step(given, result.part(record), world_page(result, record, command_line()))
+    page = partial(world_page, result)
+    _finish(given, result.part, page, inputs=(given.points,), pair=pair)
     fit = result.fit
     print(
         f"{len(fit.touched_mm)} points: missed by {fit.comparison.rigid.fre_mm:.3f} mm rms, lengths"
@@ -137,8 +133,7 @@ def world(given: argparse.Namespace) -> int:
 
 
 def merge(given: argparse.Namespace) -> None:
-    whole = bench.merge_parts([bench.read_part(path) for path in given.parts], _record(given))
-    _write_step(given, whole, None)
+    _finish(given, partial(bench.merge_parts, [bench.read_part(path) for path in given.parts]))
 
 
 def check(given: argparse.Namespace) -> int:
@@ -149,8 +144,7 @@ def check(given: argparse.Namespace) -> int:
     given.by, given.out = "", given.calibration
     if given.ends:
         return _check_ends(given, part)
-    findings, page, looked_at = (_check_points if given.points else _check_board)(given, part)
-    _write_page(given, page, given.page)
+    findings, looked_at = (_check_points if given.points else _check_board)(given, part)
     if not findings and looked_at < LEAST_LOOKED_AT:
         what = "points" if given.points else "views of the board"
         text = f"{looked_at} {what} tell nothing, at least {LEAST_LOOKED_AT} are needed"
@@ -159,8 +153,8 @@ def check(given: argparse.Namespace) -> int:
     return _say(findings)
 
 
-def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Any], Page, int]:
-    """Findings, their page, and how many views were looked at."""
+def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Any], int]:
+    """Findings, and how many views were looked at."""
     from bench.report.calibration import check_page
 
     others = ", touched points (--points CSV), touched ends (--ends DIR),"
@@ -172,11 +166,11 @@ def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Any], 
         f"{len(again.views)} views: lengths {scale:.5f} ± {sd:.5f} of the print, rows"
         f" {again.epipolar_rms_px:.2f} px rms"
     )
-    page = check_page(again, findings, _record(given, paths), command_line())
-    return findings, page, len(again.views)
+    _finish(given, None, partial(check_page, again, findings), inputs=paths)
+    return findings, len(again.views)
 
 
-def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Any], Page, int]:
+def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Any], int]:
     """As `_check_board`, of points."""
     from bench.report.calibration import check_points_page
 
@@ -188,9 +182,8 @@ def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Any],
         f"{len(again.missed_mm)} points: missed by {rms:.2f} mm rms,"
         f" {np.sqrt(np.mean(again.expected_mm**2)):.2f} mm is to be expected"
     )
-    record = _record(given, (given.points,))
-    page = check_points_page(again, findings, record, command_line())
-    return findings, page, len(again.missed_mm)
+    _finish(given, None, partial(check_points_page, again, findings), inputs=(given.points,))
+    return findings, len(again.missed_mm)
 
 
 def _check_ends(given: argparse.Namespace, part: Part) -> int:
@@ -217,8 +210,7 @@ def _check_ends(given: argparse.Namespace, part: Part) -> int:
     print(f"{found.measured} of {found.ends} ends measured")
     for one in found.offsets:
         print(f"{one.text}, over {one.poses} {'ends' if anew else 'poses'}")
-    page = check_ends_page(found, decision, _record(given), command_line())
-    _write_page(given, page, given.page)
+    _finish(given, None, partial(check_ends_page, found, decision))
     if decision.verdict is bench.Verdict.MET:
         print("It still holds.")
         return CODES.met
@@ -267,40 +259,38 @@ def _views_of(
             max_views=given.max_views,
             mirrored=request.mirrored,
         )
-    _print_some("left out", [f"{one.camera} {one.view}: {one.reason}" for one in views.refused])
+    for one in views.refused[:SHOWN]:
+        print(f"left out: {one.camera} {one.view}: {one.reason}")
+    if (more := len(views.refused) - SHOWN) > 0:
+        print(f"left out: {more} more")
     paths = (*files, *(path for views_of in found.values() for path in views_of.values()))
     return views, paths, identity
 
 
-def _print_some(what: str, lines: Sequence[str]) -> None:
-    for text in lines[:SHOWN]:
-        print(f"{what}: {text}")
-    if (more := len(lines) - SHOWN) > 0:
-        print(f"{what}: {more} more")
-
-
-def _record(given: argparse.Namespace, inputs: Sequence[Path] = (), **more: Any) -> Record:
-    return bench.calibration_record(inputs, by=given.by, **more)
-
-
-def _write_step(given: argparse.Namespace, found: Part | Calibration, page: Page | None) -> None:
-    """The step's file, whole or not at all, and its page beside it."""
-    bench.write_calibration(found, given.out, command_line())
-    print(f"written: {given.out}")
-    if page is not None:
-        _write_page(given, page, given.out.with_suffix(".page"))
-
-
-def _write_page(given: argparse.Namespace, page: Page, folder: Path | None) -> None:
-    """Write it, where it is wanted; of a rig with what its instruments are."""
-    if folder:
+def _finish(
+    given: argparse.Namespace,
+    part: Callable[[Record], Part | Calibration] | None,
+    page: Callable[[Record, str], Page] | None = None,
+    **known: Any,
+) -> None:
+    """The end of each step and check, with what its record says: the step's file, whole or not at
+    all, and its page beside it; a check's page where it is wanted. Of a rig it says what its
+    instruments are.
+    """
+    record, folder = bench.calibration_record(by=given.by, **known), getattr(given, "page", None)
+    if part is not None:
+        bench.write_calibration(part(record), given.out, command_line())
+        print(f"written: {given.out}")
+        folder = given.out.with_suffix(".page")
+    if page is not None and folder:
         from bench.report.calibration import with_kind
         from reports.render import write_report
 
-        if rig := getattr(given, "rig", None):
+        made = page(record, command_line())
+        if given.rig:
             used = {"cameras", "arm"} if given.called == "calibrate world" else {"cameras"}
-            page = with_kind(page, used, bench.load_rig(rig).rig.emulated)
-        print(f"page: {write_report(page, folder)}")
+            made = with_kind(made, used, bench.load_rig(given.rig).rig.emulated)
+        print(f"page: {write_report(made, folder)}")
 
 
 def _say(findings: Sequence[Any], *, on_page: bool = False) -> int:
@@ -355,8 +345,8 @@ def take_over(given: argparse.Namespace) -> None:
         raise ConfigError.plain("which tool's files are they? Name it with --format")
     else:
         part = bench.read_foreign(given.file, given.format, given.image_size)
-        part = replace(part, record=_record(given, given.file))
-    _write_step(given, part, None)
+    made = (lambda _: part) if given.rig else (lambda record: replace(part, record=record))
+    _finish(given, made, inputs=given.file)
     for fault in pair_faults(part.right_from_left) if part.right_from_left else ():
         complain(f"look at T before you go on: {fault}", CODES.met)
 

@@ -23,7 +23,7 @@ from bench.cli.commands import COMMANDS, FUNCTIONS, GROUPS, MODULES, ONCE, REMOV
 from bench.safety.signals import installed
 from bench.version import __version__
 from reports.sanitize import sanitizing
-from textfiles.words import did_you_mean
+from textfiles.text import did_you_mean
 
 if TYPE_CHECKING:
     SubParsers = argparse._SubParsersAction[argparse.ArgumentParser]

@@ -81,7 +81,25 @@ def _run(
             begun=shown.say,
         )
         word([one.status for one in reports])
-    return _shown(given, console, scripts, reports)
+    from bench.cli.verdict import open_report, show_verdict
+
+    codes = []
+    for found in reports:
+        codes.append(show_verdict(console, found))
+        _summarize(given, found)
+        if found.took:
+            print(found.took)
+    page = reports[-1].page if reports else None
+    if len(scripts) > 1:
+        try:
+            queue, page = bench.write_queue_page(given.out)
+            print(f"Queue: {queue.headline}\nPage: {page}")
+        except OSError as error:
+            print(f"Page: not written: {error.strerror or error}")
+        codes += [CODES.fault] * (len(scripts) - len(reports))
+    if given.open and page:
+        open_report(page)
+    return max(codes, key=WORST.index)
 
 
 def _summarize(given: argparse.Namespace, found: bench.Reported | None = None) -> None:
@@ -105,34 +123,6 @@ def _words(given: argparse.Namespace, rig: bench.LoadedRig, events: Events) -> I
 
         events.notify = lambda kind: send(kind, lambda: text_of(kind, events.status()))
         yield ended
-
-
-def _shown(
-    given: argparse.Namespace,
-    console: Terminal,
-    scripts: Sequence[bench.LoadedScript],
-    reports: Sequence[bench.Reported],
-) -> int:
-    """Verdicts and times of the runs; the worst exit code."""
-    from bench.cli.verdict import open_report, show_verdict
-
-    codes = []
-    for found in reports:
-        codes.append(show_verdict(console, found))
-        _summarize(given, found)
-        if found.took:
-            print(found.took)
-    page = reports[-1].page if reports else None
-    if len(scripts) > 1:
-        try:
-            queue, page = bench.write_queue_page(given.out)
-            print(f"Queue: {queue.headline}\nPage: {page}")
-        except OSError as error:
-            print(f"Page: not written: {error.strerror or error}")
-        codes += [CODES.fault] * (len(scripts) - len(reports))
-    if given.open and page:
-        open_report(page)
-    return max(codes, key=WORST.index)
 
 
 def resume(given: argparse.Namespace) -> int:

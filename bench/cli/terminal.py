@@ -44,7 +44,7 @@ def _columns() -> tuple[ProgressColumn, ...]:
     return TextColumn("{task.description}"), BarColumn(), _Count(), TimeElapsedColumn()
 
 
-class Working:
+class ProgressBar:
     """A bar of `working`; to be called with how many are done, of how many, and words to that."""
 
     def __init__(self, bar: Progress, what: str, pace: str) -> None:
@@ -69,7 +69,7 @@ class Working:
 
 
 @contextmanager
-def working(what: str, pace: str = "") -> Iterator[Working]:
+def working(what: str, pace: str = "") -> Iterator[ProgressBar]:
     """A transient bar on standard error, where that and the output are a terminal; gives what to
     call with the progress. ``pace`` names what is counted, for the rate.
     """
@@ -82,7 +82,7 @@ def working(what: str, pace: str = "") -> Iterator[Working]:
         disable=not (console.is_terminal and Terminal().is_terminal),
         redirect_stdout=sys.stdout.isatty(),  # a pipe's lines stay its own, whatever is forced
     ) as bar:
-        yield Working(bar, what, pace)
+        yield ProgressBar(bar, what, pace)
 
 
 @contextmanager

@@ -44,7 +44,14 @@ def show_verdict(console: Terminal, found: Reported) -> int:
             console.print(table)
         if decided and len(judgements) > 1:
             for judgement in judgements:
-                console.print(_of_detector(console, judgement))
+                own = [one for one in judgement.decisions if one.name not in judgement.of_bench]
+                sign, colour = _sign(console, judgement.verdict)
+                console.print(
+                    Text.assemble(
+                        (f"{sign} {judgement.detector}", f"bold {colour}"),
+                        f" {'; '.join(_reasons(own))}.",
+                    )
+                )
         else:
             word = (status.word, f"bold {COLOURS.get(status.word, 'yellow')}")
             if status.under_way and not status.damage:
@@ -102,15 +109,6 @@ def _sign(console: Terminal, verdict: Verdict) -> tuple[str, str]:
     """The symbol of a verdict with its colour; the word where the terminal has no such symbol."""
     has = console.encoding.lower().startswith("utf")
     return SIGNS[verdict.value] if has else f"{verdict}:", COLOURS.get(verdict, "yellow")
-
-
-def _of_detector(console: Terminal, judgement: Judgement) -> Text:
-    """One sentence: the verdict on a detector, and what keeps it from a better one."""
-    own = [one for one in judgement.decisions if one.name not in judgement.of_bench]
-    sign, colour = _sign(console, judgement.verdict)
-    return Text.assemble(
-        (f"{sign} {judgement.detector}", f"bold {colour}"), f" {'; '.join(_reasons(own))}."
-    )
 
 
 def _reasons(decisions: Sequence[Decision]) -> Iterator[str]:

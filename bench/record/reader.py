@@ -228,7 +228,27 @@ def read_run(folder: Path, damage: tuple[str, ...] = (), *, whole: bool = True) 
     """The run in ``folder``; unless ``whole`` without trials and readings. Raises ConfigError."""
     try:
         with opened(folder) as db:
-            record = _read(folder, db, damage, whole=whole)
+            db.row_factory = sqlite3.Row
+            holder = holder_of(folder)  # first: a run that ends from here on has its ending
+            facts = _facts(db)
+            (done,) = db.execute("SELECT COUNT(*) FROM trials").fetchone()
+            sessions = [number for (number,) in db.execute("SELECT number FROM sessions")]
+            record = RunRecord(
+                folder=folder,
+                facts=facts,
+                trials=tuple(_trials(db, *ALL)) if whole else (),
+                counted_trials=None if whole else done,
+                skipped=tuple(map(dict, db.execute("SELECT * FROM skipped ORDER BY number"))),
+                checks=tuple(map(dict, db.execute("SELECT * FROM checks ORDER BY number, teat"))),
+                events=tuple(map(dict, db.execute("SELECT * FROM events ORDER BY number"))),
+                **_readings(db, -math.inf if whole else math.inf),
+                sessions=max(sessions, default=1),
+                guardians=_guardians(folder, sessions, facts),
+                head=head_of(db),
+                damage=damage,
+                holder=holder,
+                first_link=str(row[0]) if (row := db.execute(FIRST_LINK).fetchone()) else "",
+            )
     except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
         hint = f"'teatbench store check {folder}' says what is damaged."
         why = f"{type(error).__name__}: {error}. {hint}"
@@ -260,32 +280,6 @@ def _readings(db: sqlite3.Connection, since_s: float) -> dict[str, Any]:
     table = np.array([tuple(row)[:4] for row in bath], dtype=np.float64).reshape(-1, 4)
     more = {f"bath_{name}s": tuple(row[name] for row in bath) for name in ("state", "session")}
     return {"bath": table[:, :3], "external_c": table[:, 3], **more}
-
-
-def _read(
-    folder: Path, db: sqlite3.Connection, damage: tuple[str, ...], *, whole: bool
-) -> RunRecord:
-    db.row_factory = sqlite3.Row
-    holder = holder_of(folder)  # first: a run that ends from here on has its ending
-    facts = _facts(db)
-    (done,) = db.execute("SELECT COUNT(*) FROM trials").fetchone()
-    sessions = [number for (number,) in db.execute("SELECT number FROM sessions")]
-    return RunRecord(
-        folder=folder,
-        facts=facts,
-        trials=tuple(_trials(db, *ALL)) if whole else (),
-        counted_trials=None if whole else done,
-        skipped=tuple(map(dict, db.execute("SELECT * FROM skipped ORDER BY number"))),
-        checks=tuple(map(dict, db.execute("SELECT * FROM checks ORDER BY number, teat"))),
-        events=tuple(map(dict, db.execute("SELECT * FROM events ORDER BY number"))),
-        **_readings(db, -math.inf if whole else math.inf),
-        sessions=max(sessions, default=1),
-        guardians=_guardians(folder, sessions, facts),
-        head=head_of(db),
-        damage=damage,
-        holder=holder,
-        first_link=str(row[0]) if (row := db.execute(FIRST_LINK).fetchone()) else "",
-    )
 
 
 def guardian_files(folder: Path) -> dict[str, Mapping[str, Any]]:

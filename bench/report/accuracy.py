@@ -48,11 +48,6 @@ def accuracy_tables(
         yield table("axes_by_teat", lines, detector=detector)
     yield _distances(run, rows, pool, detector)
     yield _tolerance(pool, detector)
-    yield from _left_out_kinds(run, detector)
-
-
-def _left_out_kinds(run: RunRecord, detector: str) -> Iterator[Table]:
-    """What the answers say of themselves, without places, counted."""
     said = Counter(
         one.partition(": ")[2] if one.startswith("left out at ") else one
         for trial in run.trials

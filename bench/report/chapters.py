@@ -1,5 +1,5 @@
-"""Pages of chapters, one builder for those of calibrations, comparisons and campaigns: what came
-out stands open on the first screen, all else folds, and terms are explained.
+"""Pages of chapters, one builder for those of runs, calibrations, comparisons and campaigns: what
+came out stands open on the first screen, all else folds, and terms are explained.
 """
 
 from __future__ import annotations
@@ -13,6 +13,18 @@ from reports.page import Banner, Page, Part, Section
 Chapters = Mapping[str, tuple[str, Iterable[Part]]]  # title and parts by anchor
 
 
+def sections(
+    chapters: Chapters, about: Mapping[str, str] | None = None, *, folded: bool = False
+) -> tuple[Section, ...]:
+    """Those with a part; ``about``: by anchor what a folded chapter holds."""
+    held = {anchor: (head, tuple(parts)) for anchor, (head, parts) in chapters.items()}
+    return tuple(
+        Section(anchor, head, parts, folded=folded, about=(about or {}).get(anchor, ""))
+        for anchor, (head, parts) in held.items()
+        if parts
+    )
+
+
 def page_of(
     title: str,
     subtitle: str,
@@ -22,11 +34,8 @@ def page_of(
     about: Mapping[str, str] | None = None,
     **more: Any,
 ) -> Page:
-    """``about``: by anchor what a folded chapter holds; chapters without a part are left out."""
-    sections = []
-    for chapters, folds in ((shown, False), (folded, True)):
-        for anchor, (head, parts) in chapters.items():
-            if held := tuple(parts):
-                text = (about or {}).get(anchor, "")
-                sections.append(Section(anchor, head, held, folded=folds, about=text))
-    return Page(title, subtitle, banner, tuple(sections), **{"glossary": terms(), **more})
+    """The chapters ``shown``, then those ``folded``, as `sections`; ``more`` are fields of a
+    `Page`.
+    """
+    both = (*sections(shown), *sections(folded, about, folded=True))
+    return Page(title, subtitle, banner, both, **{"glossary": terms(), **more})

@@ -53,7 +53,6 @@ from reports.page import (
     Part,
     Score,
     Scoreboard,
-    Section,
     Table,
     Tone,
 )
@@ -583,40 +582,30 @@ def _changed(comparison: Comparison) -> Table:
     )
 
 
-def baseline_section(baseline: Path, folder: Path, damage: tuple[str, ...] = ()) -> Section:
+def baseline_parts(baseline: Path, folder: Path, damage: tuple[str, ...] = ()) -> Iterator[Part]:
     """The run in ``folder`` (new) against ``baseline`` (old). Raises ConfigError."""
-    found = compare_folders([baseline, folder], damage=damage)
-    parts = tuple(
-        part
-        for number, one in enumerate(found, 1)
-        for part in (*_figure(one, number), *comparison_parts(one))
-    )
-    return Section("baseline", "Against the baseline", parts)
+    for number, one in enumerate(compare_folders([baseline, folder], damage=damage), 1):
+        yield from _figure(one, number)
+        yield from comparison_parts(one)
 
 
-def detectors_section(run: RunRecord) -> tuple[Section, ...]:
+def detectors_parts(run: RunRecord) -> Iterator[Part]:
     """Each later scored detector against the first, on the same frames."""
     first, *others = (Side(run, name) for name in run.detectors)
-    parts = tuple(
-        part
-        for other in others
-        if {t.id for t in first.trials} & {t.id for t in other.trials}
-        for part in _of_one_run(compare_sides(first, other))
-    )
-    return (Section("detectors", "Detectors compared", parts),) if parts else ()
-
-
-def _of_one_run(found: Comparison) -> Iterator[Part]:
-    """Without a filter, since that of the trials is the page's, and without the runs' names."""
-    old, new = found.old.detector, found.new.detector
-    yield Paragraph(
-        f"{new} against {old}, in the same frames: {old} is the old one, {new} the new."
-    )
-    for part in comparison_parts(found):
-        if isinstance(part, Table):
-            yield replace(part, caption=f"{part.caption}: {new} against {old}", searchable=False)
-        elif not isinstance(part, KeyValues):
-            yield part
+    for other in others:
+        if {t.id for t in first.trials} & {t.id for t in other.trials}:
+            found = compare_sides(first, other)
+            old, new = found.old.detector, found.new.detector
+            yield Paragraph(
+                f"{new} against {old}, in the same frames: {old} is the old one, {new} the new."
+            )
+            for part in comparison_parts(found):
+                if isinstance(part, Table):
+                    yield replace(
+                        part, caption=f"{part.caption}: {new} against {old}", searchable=False
+                    )
+                elif not isinstance(part, KeyValues):
+                    yield part
 
 
 def _figure(found: Comparison, number: int) -> Iterator[Part]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import errno
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import cast
 
@@ -19,12 +20,12 @@ from bench.record.schema import RULES, SCRIPT
 from bench.report import tables
 from bench.report.accuracy import accuracy_tables, gage_parts, limit_parts
 from bench.report.bath import bath_parts, sparkline
-from bench.report.comparison import detectors_section
-from bench.report.glossary import terms
+from bench.report.chapters import Chapters, page_of, sections
+from bench.report.comparison import detectors_parts
 from bench.report.growing import REPORT, TrialParts
 from bench.report.spread import pose_parts, spread_parts
 from bench.report.statements import note_on_statements
-from bench.report.thesis import published_counts, thesis_chapter
+from bench.report.thesis import published_counts, thesis_parts
 from bench.report.trials import (
     first_looks,
     first_trials,
@@ -73,7 +74,6 @@ from reports.page import (
     Page,
     Paragraph,
     Part,
-    Section,
     Verdict,
 )
 from reports.render import in_page, write_report
@@ -83,37 +83,33 @@ PDF = "report.pdf"
 
 def write_run_report(
     folder: Path,
-    chapters: tuple[Section, ...] = (),
+    baseline: Iterable[Part] = (),
     damage: tuple[str, ...] = (),
     parts: TrialParts | None = None,
 ) -> Reported:
-    """Write a run's report and exports, with ``chapters`` after the results and the ``parts`` that
+    """Write a run's report and exports, with what it says of a ``baseline``, and the ``parts`` that
     have grown with the run. Raises ConfigError, OSError.
     """
     run = read_run(folder, damage)
     try:
-        return _written(run, folder, chapters, parts)
+        rules = stored_rules(folder)
+        judgements = judge(run, rules) if any(trial.scores for trial in run.trials) else ()
+        calibration = read_calibration(folder / "calibration.toml", doubtful=True)
+        status = status_of(run, judgements)
+        page = build_page(
+            run, status, rules, judgements, calibration, folder / REPORT, baseline, parts
+        )
+        # by another reading of the run: it may not stand beside this one
+        (folder / REPORT / PDF).unlink(missing_ok=True)
+        path = write_report(page, folder / REPORT)
+        listed = judgements if status.decided else judge(run, rules)  # its requirements, too
+        write_exports(run, status, listed, folder / REPORT)
+        return Reported(folder, path, run, judgements, status)
     except OSError as error:
         if error.errno != errno.ENOSPC:
             raise
         why = f"{error.strerror}. Make room, then: teatbench report {folder}"
         raise OSError(error.errno, why, str(folder / REPORT)) from error
-
-
-def _written(
-    run: RunRecord, folder: Path, chapters: tuple[Section, ...], parts: TrialParts | None
-) -> Reported:
-    rules = stored_rules(folder)
-    judgements = judge(run, rules) if any(trial.scores for trial in run.trials) else ()
-    calibration = read_calibration(folder / "calibration.toml", doubtful=True)
-    status = status_of(run, judgements)
-    page = build_page(run, status, rules, judgements, calibration, folder / REPORT, chapters, parts)
-    # by another reading of the run: it may not stand beside this one
-    (folder / REPORT / PDF).unlink(missing_ok=True)
-    path = write_report(page, folder / REPORT)
-    listed = judgements if status.decided else judge(run, rules)  # its requirements, too
-    write_exports(run, status, listed, folder / REPORT)
-    return Reported(folder, path, run, judgements, status)
 
 
 def build_page(
@@ -123,17 +119,60 @@ def build_page(
     judgements: Sequence[Judgement],
     calibration: Calibration,
     folder: Path,
-    chapters: tuple[Section, ...] = (),
+    baseline: Iterable[Part] = (),
     parts: TrialParts | None = None,
 ) -> Page:
-    """The page; writes copies of frames into ``folder``/images. ``chapters`` come later."""
+    """The page; writes copies of frames into ``folder``/images."""
+    nothing = "Nothing was scored, so no requirement was decided."
+    requirements: tuple[Part, ...] = (Paragraph(nothing, tone="warn"),)
+    if judgements:
+        reasons = tuple(
+            tables.requirements(j, rules, first=not at) for at, j in enumerate(judgements)
+        )
+        folded = Fold("Rules, counts, margins and reasons", reasons)
+        requirements = (tables.scoreboard(judgements), folded)
+    undecided = undecided_of(judgements)
+    looked, count = first_trials(run, undecided), len(run.trials)
+    few = in_page(count, len(run.detectors))
+    behind = _behind(run, status, rules, calibration, baseline, undecided)
+    drawn = tuple(_figures(run, rules, calibration)) if run.trials and judgements else ()
+    drawing = parts or TrialParts()
+    made = tuple(drawing.of(run, calibration, folder, copied=None if few else looked))
+    if judgements:
+        every = chain(requirements, *(parts for _, parts in behind.values()))
+        statements = note_on_statements((*every,), rules, len(judgements))
+        requirements = (requirements[0], replace(folded, parts=(*folded.parts, statements)))
+    by_id = {part.id: part for part in made}
+    looks = [look_at(*one, by_id[trial_id(one[0])], calibration) for one in looked.values()]
+    alarm = f"{NOT_AS_WRITTEN}: no figure below holds. {shortened(run.damage)}"
+    return page_of(
+        str(run.facts["title"]),
+        str(run.facts.get("about", "")),
+        _banner(run, status, rules, several=len(judgements) > 1),
+        {
+            "requirements": ("Requirements", requirements),
+            "looks": ("Where to look first", [Highlights(tuple(looks))] if looks else []),
+            "figures": ("Figures", drawn if looks else []),
+        },
+        behind,
+        {**ABOUT, "page-trials": f"all {count}: filter, sort, frames" if count else "none"},
+        trials=made,
+        trials_in="page-trials",
+        detectors=tuple(run.detectors),
+        worst=tuple(map(trial_id, worst_trials(run, undecided))),
+        alarm=alarm if run.damage else "",
+        footer=(f"teatbench {run.facts['versions']['teatbench']}, run {run.folder.name}",),
+    )
+
+
+def _banner(run: RunRecord, status: RunStatus, rules: Rules, *, several: bool) -> Banner:
     facts = run.facts
     poses, invalid = len({trial.pose for trial in run.counted}), len(run.trials) - len(run.counted)
     left_out = f"; {invalid} more have lost their truth (see Deviations)" if invalid else ""
     # where others were real
     mixed = ", ".join(facts.get("emulated", ()))
     emulated = f" Emulated, and so no measurement: {mixed}." if mixed else ""
-    banner = Banner(
+    return Banner(
         kind=facts["kind"],
         verdict=cast(Verdict, status.word),
         tested=(
@@ -145,101 +184,69 @@ def build_page(
         confidence=_confidence(run, rules, poses, {*status.verdicts.values()}),
         next_action="\n".join(status.next),
         each=tuple((name, cast(Verdict, word)) for name, word in status.verdicts.items())
-        if status.decided and len(judgements) > 1
+        if status.decided and several
         else (),
     )
-    nothing = "Nothing was scored, so no requirement was decided."
-    requirements: tuple[Part, ...] = (Paragraph(nothing, tone="warn"),)
-    if judgements:
-        reasons = tuple(
-            tables.requirements(j, rules, first=not at) for at, j in enumerate(judgements)
-        )
-        folded = Fold("Rules, counts, margins and reasons", reasons)
-        requirements = (tables.scoreboard(judgements), folded)
-    sections = [Section("requirements", "Requirements", requirements)]
-    undecided = undecided_of(judgements)
-    looked, few = first_trials(run, undecided), in_page(len(run.trials), len(run.detectors))
-    behind = tuple(_pages(run, status, rules, calibration, chapters, undecided))
-    drawn = tuple(_figures(run, rules, calibration)) if run.trials and judgements else ()
-    drawing = parts or TrialParts()
-    made = tuple(drawing.of(run, calibration, folder, copied=None if few else looked))
-    if judgements:
-        statements = note_on_statements((*requirements, *behind), rules, len(judgements))
-        with_note = replace(folded, parts=(*folded.parts, statements))
-        sections[0] = replace(sections[0], parts=(requirements[0], with_note))
-    if looked:
-        by_id = {part.id: part for part in made}
-        looks = (look_at(*one, by_id[trial_id(one[0])], calibration) for one in looked.values())
-        sections.append(Section("looks", "Where to look first", (Highlights(tuple(looks)),)))
-        sections.append(Section("figures", "Figures", drawn))
-    alarm = f"{NOT_AS_WRITTEN}: no figure below holds. {shortened(run.damage)}"
-    return Page(
-        title=str(facts["title"]),
-        subtitle=str(facts.get("about", "")),
-        banner=banner,
-        sections=(*sections, *behind),
-        trials=made,
-        trials_in="page-trials",
-        detectors=tuple(run.detectors),
-        worst=tuple(map(trial_id, worst_trials(run, undecided))),
-        alarm=alarm if run.damage else "",
-        footer=(f"teatbench {facts['versions']['teatbench']}, run {run.folder.name}",),
-        glossary=terms(),
-    )
 
 
-def _pages(
+ABOUT = {
+    "page-accuracy": "errors, rates, poses, time",
+    "page-truth": "what is measured, how well",
+    "page-bath": "stability, safe states",
+    "page-thesis": "its figures beside ours",
+    "page-provenance": "item, versions, files, command",
+}
+
+
+def _behind(
     run: RunRecord,
     status: RunStatus,
     rules: Rules,
     calibration: Calibration,
-    chapters: tuple[Section, ...],
+    baseline: Iterable[Part],
     undecided: frozenset[str],
-) -> Iterator[Section]:
-    """What stands behind the first page, by name."""
-
-    def behind(anchor: str, title: str, about: str, *sections: Section) -> Section:
-        return Section(anchor, title, sections, folded=True, about=about)
-
+) -> Mapping[str, tuple[str, Sequence[Part]]]:
+    """What stands behind the first page, by anchor: a title and its chapters."""
     limit_mm, looks = rules.visible_within_mm, first_looks(run, undecided)
-    listed: tuple[Part, ...] = (*([looks] if looks else []), trial_table(run))
-    blamed = tuple(tables.attribution_parts(run, calibration))
-    deviations = (*deviation_parts(run), *fault_parts(run))
+    trials: Chapters = {
+        "trial-list": ("All trials", (*([looks] if looks else []), trial_table(run))),
+        "deviations": ("Deviations and exclusions", (*deviation_parts(run), *fault_parts(run))),
+        "blamed": ("What went wrong where", tables.attribution_parts(run, calibration)),
+    }
+    accuracy: Chapters = {
+        "results": ("Results by situation", _result_parts(run, rules)),
+        "detectors": ("Detectors compared", detectors_parts(run)),
+        "baseline": ("Against the baseline", baseline),
+        "accuracy": ("Errors", _accuracy_parts(run, rules, calibration)),
+        "poses": ("Poses", pose_parts(run, limit_mm, anchors_of(run))),
+        "latency": ("Time", _latency_parts(run, rules)),
+    }
     reference = (
         *(*truth_parts(run), *cameras_parts(run, rules, calibration)),
         *gage_parts(run, limit_mm),
         *(*arm_parts(run), *record_parts(run)),
     )
-    trials = f"all {len(run.trials)}: filter, sort, frames" if run.trials else "none"
-    yield behind(
-        *("page-trials", "Trials", trials),
-        Section("trial-list", "All trials", listed),
-        Section("deviations", "Deviations and exclusions", deviations),
-        *([Section("blamed", "What went wrong where", blamed)] if blamed else []),
-    )
-    yield behind(
-        *("page-accuracy", "Accuracy", "errors, rates, poses, time"),
-        Section("results", "Results by situation", tuple(_result_parts(run, rules))),
-        *detectors_section(run),
-        *chapters,
-        Section("accuracy", "Errors", tuple(_accuracy_parts(run, rules, calibration))),
-        Section("poses", "Poses", tuple(pose_parts(run, limit_mm, anchors_of(run)))),
-        Section("latency", "Time", tuple(_latency_parts(run, rules))),
-    )
-    yield behind(
-        *("page-truth", "Truth and uncertainty", "what is measured, how well"),
-        Section("reference", "Measurand and reference", reference),
-    )
-    yield behind(
-        *("page-bath", "Bath and interlocks", "stability, safe states"),
-        Section("environment", "Bath and environment", tuple(bath_parts(run, rules))),
-    )
-    if thesis := thesis_chapter(run, rules, calibration):
-        yield behind("page-thesis", "Thesis", "its figures beside ours", *thesis)
-    yield behind(
-        *("page-provenance", "Provenance", "item, versions, files, command"),
-        Section("provenance", "Who, with what, when", tuple(provenance_parts(run, status))),
-    )
+    pages: Mapping[str, tuple[str, Chapters]] = {
+        "page-trials": ("Trials", trials),
+        "page-accuracy": ("Accuracy", accuracy),
+        "page-truth": (
+            "Truth and uncertainty",
+            {"reference": ("Measurand and reference", reference)},
+        ),
+        "page-bath": (
+            "Bath and interlocks",
+            {"environment": ("Bath and environment", bath_parts(run, rules))},
+        ),
+        "page-thesis": (
+            "Thesis",
+            {"published": ("Beside the thesis", thesis_parts(run, rules, calibration))},
+        ),
+        "page-provenance": (
+            "Provenance",
+            {"provenance": ("Who, with what, when", provenance_parts(run, status))},
+        ),
+    }
+    return {anchor: (title, sections(of)) for anchor, (title, of) in pages.items()}
 
 
 def anchors_of(run: RunRecord) -> dict[str, str]:

@@ -18,7 +18,7 @@ from bench.record.reader import RunRecord, read_run
 from bench.record.schema import DATABASE
 from bench.report.growing import REPORT
 from bench.report.trials import round_teats, shown, views_of, worst_trials
-from bench.results.health import Chart, charts, history
+from bench.results.health import charts, history
 from bench.results.queue import QueueStatus, queues
 from bench.results.status import RunStatus, status_of
 from bench.results.verdicts import judge, scored, stored_rules
@@ -57,7 +57,13 @@ def list_runs(folder: Path | str = "runs") -> Runs:
     drawn = list(charts([one for one in history(folder) if one.run in whole]))
     health: dict[str, list[Figure]] = {}
     for number, chart in enumerate(drawn, 1):
-        health.setdefault(chart.rig, []).append(_drawn(chart, f"health-{number}"))
+        limits = (chart.limits.centre, chart.limits.sigma) if chart.limits else None
+        broken, dates = [bool(rule) for rule in chart.rules], (chart.dates[0], chart.dates[-1])
+        svg = control_chart(chart.values, limits, broken, BASE, dates, name=f"health-{number}")
+        many = plural(len(chart.values), "run")
+        health.setdefault(chart.rig, []).append(
+            Figure(svg, chart.warning or chart.last, f"{chart.name}, {many}: {chart.last}")
+        )
     warned = [chart.warning for chart in drawn if chart.warning]
     return Runs(folder, tuple(runs), tuple(others), health, warned)
 
@@ -67,14 +73,6 @@ def _unread(error: Exception) -> str:
     if isinstance(error, OSError) and error.filename and error.strerror:
         return f"{error.filename} can't be read: {error.strerror}"
     return str(error)
-
-
-def _drawn(chart: Chart, name: str) -> Figure:
-    limits = (chart.limits.centre, chart.limits.sigma) if chart.limits else None
-    broken, dates = [bool(rule) for rule in chart.rules], (chart.dates[0], chart.dates[-1])
-    svg = control_chart(chart.values, limits, broken, BASE, dates, name=name)
-    runs = plural(len(chart.values), "run")
-    return Figure(svg, chart.warning or chart.last, f"{chart.name}, {runs}: {chart.last}")
 
 
 def _listed(folder: Path) -> Run:

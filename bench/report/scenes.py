@@ -16,6 +16,7 @@ from bench.campaign.shards import Shards
 from bench.config import ConfigError, writing
 from bench.files import write_pictures
 from bench.record.reader import RunRecord, TrialRecord
+from bench.report.chapters import page_of
 from bench.report.trials import trial_part
 from bench.results.answers import close_detectors, examine, score_answers
 from bench.run.rows import detection_tables
@@ -147,11 +148,13 @@ def _page(
     made = {"seed": plan.seed, "limit": f"{plan.limit_mm:g} mm"}
     made |= {"perturbations": perturbed} if perturbed else {}
     made |= plan.made_by
-    return Page(
+    return page_of(
         ", ".join(trial.id for trial in run.trials[:3]),
         f"{run.facts['title']}: frames, truth and answers",
         banner,
-        (),
+        {},
+        {},
+        glossary=(),
         trials=parts,
         detectors=tuple(run.detectors),
         trials_title="Frames",

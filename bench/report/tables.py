@@ -13,7 +13,7 @@ import numpy as np
 from bench.record.reader import RunRecord
 from bench.record.schema import Row
 from bench.report.wording import NOT_MEASURED, Heading, limit, listed, margin, measured, table
-from bench.results.attribution import Cause, What, attributed, counted
+from bench.results.attribution import Cause, DetectionFault, attributed, counted
 from bench.results.doubts import DOUBTS_FACT
 from bench.results.verdicts import (
     LATENCY_RULE,
@@ -243,7 +243,7 @@ def attribution_parts(run: RunRecord, calibration: Calibration | None = None) ->
     for detector in run.detectors:
         found = attributed(run, detector, calibration)
         counts = counted(found)
-        rows = [(what.value, *(counts[what, cause] for cause in Cause)) for what in What]
+        rows = [(what.value, *(counts[what, cause] for cause in Cause)) for what in DetectionFault]
         yield table(
             "attribution",
             rows,

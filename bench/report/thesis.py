@@ -4,10 +4,15 @@ situations or by the ends of its layout.
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from operator import attrgetter
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +22,7 @@ from bench.report.tables import situations, truth_known_mm
 from bench.report.trials import project_all
 from bench.report.wording import NOT_MEASURED, listed, number, spanned, table
 from bench.results.error_rows import error_rows
-from bench.results.thesis_figures import Kind, Situation, Thesis, errors_of_test_mm, thesis
-from bench.results.thesis_pictures import GATE_PX, PICTURES, RADIUS_MM, InPictures, in_pictures
+from bench.results.thesis_pictures import GATE_PX, PICTURES, RADIUS_MM, ImageDistances, in_pictures
 from bench.results.verdicts import latency_of, scored
 from bench.scoring.errors import Bools, ErrorSummary, Floats, summarise
 from bench.scoring.rates import percent
@@ -27,8 +31,12 @@ from detector.calibration import Calibration
 from detector.calibration.thesis_rig import LEFT, RIGHT
 from detector.geometry import apply_homography
 from instruments.world.situations import spoken
-from reports.page import Part, Section, Table
+from reports.page import Part, Table
 
+Kind = Literal["situations", "plane"]  # of a report, where a figure is shown
+# tables of thesis.toml by name, their arrays as tuples
+Thesis = SimpleNamespace
+Situation = SimpleNamespace
 LAYOUT = "table-5-1"  # whose ends those of the test are
 SIGNED_MEAN = "components.bias_mm"
 # of an `ErrorSummary`: the components as the thesis averages them, and the distances
@@ -51,14 +59,33 @@ NOTE = (
 Row = tuple[str, str, str, str, str, str]
 
 
-def thesis_chapter(run: RunRecord, rules: Rules, calibration: Calibration) -> tuple[Section, ...]:
-    """The chapter of a scored run that is one of the thesis's tests; else none."""
+@cache
+def thesis() -> Thesis:
+    """The published figures as printed, defects included, each with its section."""
+
+    def named(value: Any) -> Any:
+        if isinstance(value, dict):
+            return SimpleNamespace(**{key: named(one) for key, one in value.items()})
+        return tuple(map(named, value)) if isinstance(value, list) else value
+
+    found: Thesis = named(tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8")))
+    return found
+
+
+def errors_of_test_mm(figures: Thesis, number: Literal[1, 2]) -> Floats:
+    """Errors (4, 3) of the first or the second test, from its tables: triangulated less touched."""
+    found = (figures.test_1 if number == 1 else figures.test_2).triangulated_mm
+    return np.asarray(np.subtract(found, figures.test_1.measured_mm), dtype=np.float64)
+
+
+def thesis_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:
+    """The chapter of a scored run that is one of the thesis's tests; else nothing."""
     figures = thesis()
     known = [one for one in figures.situations if one.name in situations(run)]
     kinds: list[Kind] = ["situations"] if known else []
     kinds += ["plane"] if PLANE in situations(run) else []
     if not kinds or not any(trial.scores for trial in run.counted):
-        return ()
+        return
     rows = [*_situations(run, known)] if known else []
     # situations whose every trial shows the ends of table 5.1 upright, in place
     trials = rules.trials if isinstance(rules, Script) else ()
@@ -72,11 +99,11 @@ def thesis_chapter(run: RunRecord, rules: Rules, calibration: Calibration) -> tu
         rows += _first_test(figures, errors)
     rows += _plane(run, figures) if "plane" in kinds else ()
     rows += [*_asked(run, figures), *_rig(run, figures, calibration)]
-    pictured = tuple(_pictured(run, known, calibration)) if known else ()
     # What was printed, what its tables give, and what this run measured
-    beside = table("thesis", rows, note=NOTE if known else "")
-    parts = (beside, *pictured, elsewhere_table(figures, *kinds))
-    return (Section("published", "Beside the thesis", parts),)
+    yield table("thesis", rows, note=NOTE if known else "")
+    if known:
+        yield from _pictured(run, known, calibration)
+    yield elsewhere_table(figures, *kinds)
 
 
 def elsewhere_table(figures: Thesis, *shown: Kind) -> Table:
@@ -155,7 +182,7 @@ def _pictured(
         )
 
 
-def _by_teat(seen: InPictures, known: Sequence[Situation]) -> Iterator[tuple[object, ...]]:
+def _by_teat(seen: ImageDistances, known: Sequence[Situation]) -> Iterator[tuple[object, ...]]:
     for one in known:
         each = zip(seen.situations, seen.teats, strict=True)
         for teat in dict.fromkeys(t for s, t in each if s == one.name):

@@ -40,7 +40,7 @@ from bench.truth.arm_check import (
 from bench.truth.carrying import counted, resumed
 from bench.truth.joint import FRAME_FACT
 from bench.truth.registration import Registration, registration_from_facts
-from bench.truth.uncertainty import CHI2_95, How
+from bench.truth.uncertainty import CHI2_95, TruthMethod
 from detector.calibration import Calibration
 from instruments.world.phantom import TEAT_END
 from reports.page import Cell, Notes, Paragraph, Part, Table
@@ -201,7 +201,7 @@ def truth_parts(run: RunRecord) -> Iterator[Part]:
         tone="info",
     )
     ends = [row for trial in run.counted for row in trial.truth]
-    for how in How:
+    for how in TruthMethod:
         budgets = [json.loads(row["budget"]) for row in ends if row["how"] == how and row["budget"]]
         if not budgets:
             continue

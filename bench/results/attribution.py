@@ -32,7 +32,7 @@ class Cause(StrEnum):
     NOT_VISIBLE = "not visible"
 
 
-class What(StrEnum):
+class DetectionFault(StrEnum):
     """What is wrong with a teat, or with a whole trial."""
 
     MISSED = "missed"
@@ -48,7 +48,7 @@ class AttributedFault:
     trial: str
     detector: str
     teat: str
-    what: What
+    what: DetectionFault
     cause: Cause
     why: str
 
@@ -81,18 +81,18 @@ def attributed(
                 cause, why = Cause.CALIBRATION, f"{why}; but the cameras have their {off}"
             found.append(AttributedFault(trial.id, detector, teat, what, cause, why))
     judged_not = (
-        AttributedFault(trial, detector, "", What.NOT_JUDGED, cause, why)
+        AttributedFault(trial, detector, "", DetectionFault.NOT_JUDGED, cause, why)
         for trial, cause, why in _not_judged(run)
     )
     return (*found, *judged_not)
 
 
-def counted(found: tuple[AttributedFault, ...]) -> Counter[tuple[What, Cause]]:
+def counted(found: tuple[AttributedFault, ...]) -> Counter[tuple[DetectionFault, Cause]]:
     """How many of each kind, by cause."""
     return Counter((one.what, one.cause) for one in found)
 
 
-def _wrong(trial: TrialRecord, detector: str) -> Iterator[tuple[What, str, Cause, str]]:
+def _wrong(trial: TrialRecord, detector: str) -> Iterator[tuple[DetectionFault, str, Cause, str]]:
     score = trial.scores.get(detector)
     if score is None:
         return
@@ -100,20 +100,35 @@ def _wrong(trial: TrialRecord, detector: str) -> Iterator[tuple[What, str, Cause
     reasons = [row["reason"] for row in trial.detections if row["detector"] == detector]
     unseen = "it was visible and nothing was found within the gate"
     for teat in score.match.missed:
-        yield What.MISSED, names[teat], Cause.DETECTOR, str(next(filter(None, reasons), unseen))
+        yield (
+            DetectionFault.MISSED,
+            names[teat],
+            Cause.DETECTOR,
+            str(next(filter(None, reasons), unseen)),
+        )
     for (_, teat), distance in zip(score.match.pairs, score.radial_mm, strict=True):
         if distance > score.limit_mm:
             near = teat in score.doubtful
             why = f"{distance:.2f} mm off, limit {score.limit_mm:g} mm"
             known_mm = radial_95_mm(score.u_mm**2 * np.eye(3))
             more = f"; the truth, known to {known_mm:.2f} mm in 95 %, could turn it" if near else ""
-            yield What.OFF, names[teat], Cause.TRUTH if near else Cause.DETECTOR, why + more
+            yield (
+                DetectionFault.OFF,
+                names[teat],
+                Cause.TRUTH if near else Cause.DETECTOR,
+                why + more,
+            )
     for number in score.match.false:
-        yield What.FALSE, "", Cause.DETECTOR, f"finding {number + 1} is at no teat"
+        yield DetectionFault.FALSE, "", Cause.DETECTOR, f"finding {number + 1} is at no teat"
     found = {teat for _, teat in score.match.hidden_pairs}
     for teat, row in enumerate(trial.truth):
         if not row["visible"] and teat not in found:
-            yield What.MISSED, names[teat], Cause.NOT_VISIBLE, "some camera can't see its end"
+            yield (
+                DetectionFault.MISSED,
+                names[teat],
+                Cause.NOT_VISIBLE,
+                "some camera can't see its end",
+            )
 
 
 def _not_judged(run: RunRecord) -> Iterator[tuple[str, Cause, str]]:

@@ -287,7 +287,7 @@ def _name(trial: TrialRecord) -> Hashable:
 
 
 @dataclass(frozen=True, slots=True)
-class Together:
+class PooledRuns:
     """One detector judged on several runs as one: ``looks`` by requirement are those taken before;
     ``scripts`` are named where there are several.
     """
@@ -325,13 +325,16 @@ class Together:
         }
 
 
+Together = PooledRuns  # its name in earlier releases, for one more
+
+
 def judge_folders(
     folders: Sequence[Path],
     detectors: Sequence[str] = (),
     damage: tuple[str, ...] = (),
     *,
     across_scripts: bool = False,
-) -> tuple[Together, ...]:
+) -> tuple[PooledRuns, ...]:
     """Each detector that all runs have (of those named), judged by the first run's requirements,
     and the look written into the record of each. Raises ConfigError where there is none, where
     limits or, unless asked for, scripts differ, and where a look can't be written.
@@ -362,7 +365,7 @@ def judge_folders(
     return tuple(replace(one, scripts=several) for one, _ in found)
 
 
-def _together(runs: Sequence[RunRecord], name: str, rules: Rules) -> tuple[Together, InterimLook]:
+def _together(runs: Sequence[RunRecord], name: str, rules: Rules) -> tuple[PooledRuns, InterimLook]:
     """One detector on all runs, and the look that this is."""
     held = [rule for rule in rules.requirements if isinstance(rule, DetectorRequirement)]
     claim = claim_of(_item(Side(runs[0], name)), [rule.model_dump() for rule in held])
@@ -395,7 +398,7 @@ def _together(runs: Sequence[RunRecord], name: str, rules: Rules) -> tuple[Toget
     poses = {one.name: one.n for one in decisions}
     after = [one.key for one in before]
     look = InterimLook(TOGETHER, claim, data, ids, poses, verdicts, after)
-    return Together(judgement, looks), look
+    return PooledRuns(judgement, looks), look
 
 
 def _decided_on(
@@ -444,8 +447,8 @@ def _called(run: RunRecord) -> str:
     return f"{run.folder.resolve().name} of {named}"
 
 
-def verdict_of(found: Sequence[Comparison] | Sequence[Together]) -> Verdict:
+def verdict_of(found: Sequence[Comparison] | Sequence[PooledRuns]) -> Verdict:
     """The one verdict on all of comparisons (is the new one no worse?) or runs together."""
-    if judged := [one.judgement for one in found if isinstance(one, Together)]:
+    if judged := [one.judgement for one in found if isinstance(one, PooledRuns)]:
         return run_verdict(judged)
     return overall(one.compared.gate.verdict for one in found if isinstance(one, Comparison))

@@ -36,7 +36,7 @@ STAGES = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class InPictures:
+class ImageDistances:
     """One row a visible end and trial: distances of its answer in each of `PICTURES` (n, 5) px, and
     unrefined and refined (n, 2) mm; ``astray``: ends nominated at no teat, by situation.
     """
@@ -62,7 +62,7 @@ class InPictures:
 
 def in_pictures(
     trials: Sequence[TrialRecord], detector: str, calibration: Calibration
-) -> InPictures | None:
+) -> ImageDistances | None:
     """Of a detector that leaves the thesis's stages; None for any other."""
     seen: list[tuple[TrialRecord, list[Row], Floats]] = []
     for trial in trials:
@@ -86,7 +86,7 @@ def in_pictures(
     answers_px = np.concatenate(answers, axis=1)
     compared = _compared(ends, np.concatenate(found), answers_px, calibration)
     situations, teats = tuple(of for of, _ in rows), tuple(str(row["teat"]) for _, row in rows)
-    return InPictures(situations, teats, *compared, astray)
+    return ImageDistances(situations, teats, *compared, astray)
 
 
 def _answers(trace: Mapping[str, Any]) -> Floats:

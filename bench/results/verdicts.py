@@ -77,7 +77,7 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
     """Not met where a check or the dated verification breaks a limit, or refutes the stated
     uncertainty; inconclusive where one is missing. The figure is the arm's own error.
     """
-    shown = _ShownArm(rule, facts)
+    shown = _ArmEvidence(rule, facts)
     tests, dated, limit = shown.tests, shown.dated, shown.limits.location_mm
     nothing = Decision(
         name=rule.name,
@@ -113,7 +113,7 @@ class _ArmLimits(VerificationLimits):
     drift_mm: float = float("inf")
 
 
-class _ShownArm:
+class _ArmEvidence:
     """What a run's facts show of its arm, and the limits that a rule sets it."""
 
     def __init__(self, rule: ArmRequirement, facts: Mapping[str, Any]) -> None:

@@ -136,11 +136,9 @@ class Devices:
             found = attempt("robot" if robot else name.split()[0], step)
             self.safed[found.name] = found
             if not found.is_safe and found.name in BY_HAND:
-                unsafe[found.name] = f"{BY_HAND[found.name]}: {self._brief(found)}"
+                heard_s = self.heard.get(found.name)
+                age_s = None if heard_s is None else self.clock.now() - heard_s
+                unsafe[found.name] = f"{BY_HAND[found.name]}: {silent(found.brief, age_s)}"
             for text in found.texts[name.startswith("pump") and found.is_safe :]:
                 report(text)
         return unsafe
-
-    def _brief(self, found: Safing) -> str:
-        heard_s = self.heard.get(found.name)
-        return silent(found.brief, None if heard_s is None else self.clock.now() - heard_s)

@@ -165,7 +165,15 @@ class EmulatedRig:
             served["stage"] = self.stage, r.stage.baud
         served |= {name: (device, None) for name, device in self._plugged.items()}
         for name, (one, baud) in served.items():
-            self._listen(name, one, baud)
+            how: dict[str, Any] = {"lock": self.world.lock, "name": name}
+            how["baud"] = baud if self._paced else None
+            self._listeners[name] = (
+                PtyListener(one, self._clock, **how)
+                if self._pty and baud is not None
+                else Listener(
+                    one, self._clock, host=self._host, port=port_of(name, self._port_base), **how
+                )
+            )
 
     def _plugged_emulators(self, rig: Rig) -> dict[str, Device]:
         """Of other packages, by instrument. Raises LimitError, ValueError."""
@@ -278,17 +286,6 @@ class EmulatedRig:
                 return mounting.pose(list(position_mm()))
 
         return pose
-
-    def _listen(self, name: str, device: Device, serial_baud: int | None) -> None:
-        how: dict[str, Any] = {"lock": self.world.lock, "name": name}
-        how["baud"] = serial_baud if self._paced else None
-        self._listeners[name] = (
-            PtyListener(device, self._clock, **how)
-            if self._pty and serial_baud is not None
-            else Listener(
-                device, self._clock, host=self._host, port=port_of(name, self._port_base), **how
-            )
-        )
 
     def _plan(self, fault: EmulatedFault) -> None:
         """Put a fault in at its time and take it out at its end."""

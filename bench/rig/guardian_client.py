@@ -30,7 +30,7 @@ BRIEF_S = 10.0  # what needs no word of its own is over by then
 
 
 @dataclass(slots=True)
-class _Doing:
+class _Deadline:
     """What a thread does: ``until_s`` in all, ``silent_until_s`` without a further sign of life."""
 
     what: str
@@ -46,7 +46,7 @@ class Heartbeat:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._doing: dict[str, _Doing] = {}
+        self._doing: dict[str, _Deadline] = {}
 
     def sign(
         self,
@@ -59,7 +59,7 @@ class Heartbeat:
         """``who`` does ``what`` from now on, for ``at_most_s``, silent for ``silence_s`` of it."""
         now_s, quiet_s = stopwatch_s(), at_most_s if silence_s is None else silence_s
         with self._lock:
-            self._doing[who] = _Doing(
+            self._doing[who] = _Deadline(
                 what, threading.get_ident(), at_most_s, now_s + at_most_s, quiet_s, now_s + quiet_s
             )
 

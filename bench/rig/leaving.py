@@ -25,7 +25,6 @@ from bench.rig.guardian_client import GuardianClient, GuardianTarget, Heartbeat
 from bench.rig.guardian_stage import StageTarget
 from bench.rig.loading import LoadedRig
 from instruments.bath.profile import PUMP
-from instruments.bath.reading import BathReading
 from instruments.clock import wall_time
 from instruments.drivers.protocols import Bath, Stage
 from instruments.errors import InstrumentError, LimitError, LinkError
@@ -175,17 +174,15 @@ class Leaving:
         }
         try:
             if bath and bath.heats:
-                note |= _shown(bath, bath.read())
+                reading = bath.read()
+                note |= {"running": reading.running, "set_point_c": reading.set_point_c}
+                if bath.pump == "own":
+                    note["pump"] = bath.profile.row(PUMP).label(bath.get(PUMP))
             path = self._rig.path.with_name(self._rig.path.stem + LEFT)
             with path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(note) + "\n")
         except (InstrumentError, OSError) as error:
             self._warn(f"left running, and that could not be noted: {error}")
-
-
-def _shown(bath: Bath, reading: BathReading) -> dict[str, object]:
-    pump = {"pump": bath.profile.row(PUMP).label(bath.get(PUMP))} if bath.pump == "own" else {}
-    return {"running": reading.running, "set_point_c": reading.set_point_c, **pump}
 
 
 class OpenInstruments(AbstractContextManager[Devices]):

@@ -75,7 +75,7 @@ class BringUpError(InstrumentError):
         super().__init__("rig", "\n  ".join([*lines, *(str(fault) for fault in faults.values())]))
 
 
-class Heard(Tap):
+class AnswerTimes(Tap):
     """Notes when an instrument was last asked what it answered; all goes on to ``then``. What it
     sent may have waited here for long, so that the time of reading says nothing.
     """
@@ -351,7 +351,7 @@ class _Openers:
 
     def _tap(self, name: str) -> Tap:
         then = self._capture.tap(name, self._clock) if self._capture else Tap()
-        return Heard(name, self._clock, self._heard, then)
+        return AnswerTimes(name, self._clock, self._heard, then)
 
     def _link(self, name: str, baud: int) -> Link:
         return Link(self._urls[name], self._clock, who=name, baud=baud, tap=self._tap(name))

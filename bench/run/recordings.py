@@ -16,7 +16,7 @@ from bench.record.reader import RunRecord
 from bench.record.recording import Recording, RecordingError, RecordingWriter, TruthRow
 from bench.results.cameras_agree import truth_rows
 from bench.truth.carrying import resumed
-from bench.truth.uncertainty import How
+from bench.truth.uncertainty import TruthMethod
 from instruments.camera.frame import FrameSet
 
 RECORDED = "recorded to"  # fact: the recording's folder
@@ -93,7 +93,7 @@ class Recorder:
                 self._writer.add(trial.id, Recording(run.folder).load(trial.id))
             if trial.id in has_truth | set(carried.unconfirmed) or trial.invalid is not None:
                 continue
-            if trial.how == How.CARRIED and trial.id in carried.since:
+            if trial.how == TruthMethod.CARRIED and trial.id in carried.since:
                 self._open[trial.id] = truth_rows(trial)
             else:
                 self._writer.add_truth(trial.id, truth_rows(trial))

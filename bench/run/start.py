@@ -77,7 +77,6 @@ from bench.script.model import (
 )
 from bench.script.planned_trials import pose_set
 from bench.truth.touching import truth_row
-from detector.calibration import Calibration
 from detector.protocol import Detector
 from instruments.camera.frame import FrameSet
 from instruments.captures.capture import CaptureFile
@@ -484,51 +483,43 @@ def score_recording(
     calibration = read_calibration(recording.calibration_path, doubtful=True)
     doubts = doubts_of(recording, calibration)
     # a rig is refused by what it is, and a calibration that can't be does not say
-    known = None if doubts else calibration
-    with introduced(under_test, members_of(recording), known):
-        return _scored(path, recording, calibration, doubts, out, progress, under_test)
-
-
-def _scored(
-    path: Path,
-    recording: Recording,
-    calibration: Calibration,
-    doubts: tuple[str, ...],
-    out: Path,
-    progress: Progress,
-    under_test: Sequence[Detector],
-) -> Path:
-    truth = {} if doubts else recording.truth  # nothing is charged where none can be found
-    examiner, so_far = Examiner(calibration), CamerasSoFar()
-    rules, planned, poses = RECORDING_RULES, len(recording.frames), _pose_names(recording)
-    seen = {
-        frame: where_seen(recording.load(frame), calibration, truth.get(frame, ()))
-        for frame in spread(dict.fromkeys(poses.values()))
-    }
-    unchecked = unchecked_text(seen, recording.truth)
-    text = read_text(rules)
-    if not unchecked:  # what can't be checked in a recording keeps no detector from its verdict
-        text = f"{text}\n{read_text(CAMERAS_RULE)}"
-    facts: dict[str, Any] = {"kind": "recorded", "title": f"Recording {path.name}"}
-    facts |= {"about": str(path), "planned": planned, **({DOUBTS_FACT: doubts} if doubts else {})}
-    facts |= {UNCHECKED_FACT: unchecked} if unchecked else {}
-    facts[LOOKED_FACT] = looked_at(recording)
-    with ScoredFrames(
-        out, f"score-{path.name}", rules, text, recording.calibration_path, facts, under_test
-    ) as run:
-        for number, frame in enumerate(recording.frames, 1):
-            progress.trial(number - 1, planned, frame)
-            frames = recording.load(frame)
-            off = so_far.context
-            answers = [examiner.ask(one, frames, off) for one in under_test if not doubts]
-            known, scored = recording.truth.get(frame, ()), truth.get(frame, ())
-            ends = seen.get(frame, {})
-            rows = [truth_row("", row, seen=ends.get(row.teat)) for row in known]
-            so_far.add(poses[frame], rows)
-            situation = known[0].situation if known else "unknown"
-            run.add(frame, poses[frame], situation, frames, answers, scored, rows)
-        progress.trial(planned, planned, "")
-    return run.folder
+    of_rig = None if doubts else calibration
+    with introduced(under_test, members_of(recording), of_rig):
+        truth = {} if doubts else recording.truth  # nothing is charged where none can be found
+        examiner, so_far = Examiner(calibration), CamerasSoFar()
+        rules, planned, poses = RECORDING_RULES, len(recording.frames), _pose_names(recording)
+        seen = {
+            frame: where_seen(recording.load(frame), calibration, truth.get(frame, ()))
+            for frame in spread(dict.fromkeys(poses.values()))
+        }
+        unchecked = unchecked_text(seen, recording.truth)
+        text = read_text(rules)
+        if not unchecked:  # what can't be checked in a recording keeps no detector from its verdict
+            text = f"{text}\n{read_text(CAMERAS_RULE)}"
+        facts: dict[str, Any] = {"kind": "recorded", "title": f"Recording {path.name}"}
+        facts |= {
+            "about": str(path),
+            "planned": planned,
+            **({DOUBTS_FACT: doubts} if doubts else {}),
+        }
+        facts |= {UNCHECKED_FACT: unchecked} if unchecked else {}
+        facts[LOOKED_FACT] = looked_at(recording)
+        with ScoredFrames(
+            out, f"score-{path.name}", rules, text, recording.calibration_path, facts, under_test
+        ) as run:
+            for number, frame in enumerate(recording.frames, 1):
+                progress.trial(number - 1, planned, frame)
+                frames = recording.load(frame)
+                off = so_far.context
+                answers = [examiner.ask(one, frames, off) for one in under_test if not doubts]
+                known, scored = recording.truth.get(frame, ()), truth.get(frame, ())
+                ends = seen.get(frame, {})
+                rows = [truth_row("", row, seen=ends.get(row.teat)) for row in known]
+                so_far.add(poses[frame], rows)
+                situation = known[0].situation if known else "unknown"
+                run.add(frame, poses[frame], situation, frames, answers, scored, rows)
+            progress.trial(planned, planned, "")
+        return run.folder
 
 
 class ScoredFrames:

@@ -56,7 +56,7 @@ from bench.truth.touching import (
     end_u_mm,
     truth_row,
 )
-from bench.truth.uncertainty import How, TrueEnd
+from bench.truth.uncertainty import TrueEnd, TruthMethod
 from detector.protocol import Detector, DetectorProcess
 from instruments.camera.frame import FrameSet
 from instruments.clock import wall_time
@@ -368,7 +368,7 @@ class TrialRun:
         write_trial(ctx.store, script, head, frames, answers, ends, truth_rows, truth.touches)
         self._truth.stored(trial.id, truth)
         if self._recorder and not self.rehearsing:
-            self._recorder.trial(trial.id, frames, ends, confirmed=truth.how is How.TOUCHED)
+            self._recorder.trial(trial.id, frames, ends, confirmed=truth.how is TruthMethod.TOUCHED)
 
     def _of_trial(self, there: ExpectedScene) -> tuple[TrialTruth, str]:
         """The truth, and what speaks against the stage's place. Raises DeviceError, once until
@@ -379,7 +379,7 @@ class TrialRun:
             truth = self._truth.of_trial(there, self._so_far)
             ends_mm = np.array([end.xyz_mm for end in truth.points])
             moved = there.trial, there.fixed, there.ends.expected_mm, ends_mm
-            if stage and truth.how is How.TOUCHED and (doubt := self._moves.doubt(*moved)):
+            if stage and truth.how is TruthMethod.TOUCHED and (doubt := self._moves.doubt(*moved)):
                 if not again:
                     raise AstrayError("truth", doubt)
                 known, self._moves = ", ".join(self._moves.trials), MoveCheck()

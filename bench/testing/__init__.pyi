@@ -2,6 +2,7 @@
 from bench.campaign.perturbations import Applied as Applied
 from bench.testing.checking import Look as Look
 from bench.testing.checking import SceneFailedError as SceneFailedError
+from bench.testing.checking import SceneResult as SceneResult
 from bench.testing.checking import check as check
 from bench.testing.checking import look as look
 from bench.testing.found import keep as keep

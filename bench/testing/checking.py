@@ -33,7 +33,7 @@ WIDTH_PX = 640  # of each picture
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class SceneResult:
     """What a detector made of a scene. ``grade_mm``: the largest error, or stated deviation; of a
     failure above the limit, `GATE_MM` a lost or invented teat. ``fault``: a clause, empty for a
     success.
@@ -42,6 +42,9 @@ class Look:
     score: SceneScore
     grade_mm: float
     fault: str
+
+
+Look = SceneResult  # its name in earlier releases, for one more
 
 
 class Neighbourhood(NamedTuple):
@@ -62,7 +65,7 @@ class SceneFailedError(AssertionError):
     """A detector failed on a scene, which hypothesis makes simpler."""
 
     def __init__(
-        self, detector: str | Detector, scene: Scene, look: Look, limit_mm: float, rig: str
+        self, detector: str | Detector, scene: Scene, look: SceneResult, limit_mm: float, rig: str
     ) -> None:
         super().__init__(f"{name_of(detector)} {look.fault} in {scene!r}")
         self.detector, self.scene, self.look = detector, scene, look
@@ -72,7 +75,7 @@ class SceneFailedError(AssertionError):
         """How many of the scenes one step away fail too: of `NEIGHBOURS` at most, those that are
         plainer first, and evenly of the others.
         """
-        looks, near = list[tuple[Scene, Look]](), self.scene.neighbours()
+        looks, near = list[tuple[Scene, SceneResult]](), self.scene.neighbours()
         plainer = [one for one in near if one.differences() < self.scene.differences()]
         others = [one for one in near if one not in plainer]
         each = -(-len(others) // max(1, NEIGHBOURS - len(plainer))) or 1
@@ -129,14 +132,14 @@ def check(
 
 def look(
     detector: str | Detector, scene: Scene, limit_mm: float = LIMIT_MM, *, rig: str = "emulated"
-) -> Look:
+) -> SceneResult:
     """As `check`, without raising for a failure of the detector."""
     looked = _look if isinstance(detector, Hashable) else _look.__wrapped__
     return looked(cast(Any, detector), scene, limit_mm, rig)
 
 
 @lru_cache(maxsize=MOST_KEPT)
-def _look(detector: Any, scene: Scene, limit_mm: float, rig: str) -> Look:
+def _look(detector: Any, scene: Scene, limit_mm: float, rig: str) -> SceneResult:
     shot = scene.draw(rig)
     answer = asked(detector, shot)
     result = score(answer, shot, limit_mm=limit_mm)
@@ -144,10 +147,10 @@ def _look(detector: Any, scene: Scene, limit_mm: float, rig: str) -> Look:
     if not result.success:
         lost = result.counts.missed + result.counts.false or int(not result.radial_mm)
         grade = limit_mm + GATE_MM * lost + max(0.0, worst - limit_mm)
-        return Look(result, grade, _fault(answer, result, worst, limit_mm))
+        return SceneResult(result, grade, _fault(answer, result, worst, limit_mm))
     spread = [one.covariance_mm2 for one in answer.detection.teats]
     sd = max((float(np.sqrt(np.trace(one))) for one in spread if one is not None), default=0.0)
-    return Look(result, min(limit_mm, max(worst, sd)), "")
+    return SceneResult(result, min(limit_mm, max(worst, sd)), "")
 
 
 def _fault(answer: Answer, result: SceneScore, worst_mm: float, limit_mm: float) -> str:

@@ -25,7 +25,7 @@ LATE_S = 1.0
 SET_POINT_C = 30.0
 
 
-class OfPlugin(Subject):
+class PluginSubject(Subject):
     """``plugged`` as it is; ``works``: it may heat and move."""
 
     def __init__(self, kind: Kind, plugged: Plugin, clock: Clock, *, works: bool) -> None:
@@ -103,7 +103,7 @@ class OfPlugin(Subject):
         return True
 
 
-class OnEmulator(OfPlugin, Wired):
+class OnEmulator(PluginSubject, Wired):
     """The same on its package's emulator, whose ``is_safe``, where it has one, is asked."""
 
     def __init__(
@@ -112,7 +112,7 @@ class OnEmulator(OfPlugin, Wired):
         Wired.__init__(self, clock, emulator, kind, late_s)
         self.emulator = emulator
         at = plugged.with_keys(url=self.listener.url)
-        OfPlugin.__init__(self, kind, at, clock, works=True)
+        PluginSubject.__init__(self, kind, at, clock, works=True)
 
     def is_safe(self) -> bool:
         asked = getattr(self.emulator, "is_safe", None)
@@ -182,4 +182,4 @@ def check_driver(
             made = lambda: OnEmulator(of, plugged, time, _emulated(emulator, world, time))  # noqa: E731
             yield from conform(made)
         else:
-            yield from conform(lambda: OfPlugin(of, plugged, time, works=works))
+            yield from conform(lambda: PluginSubject(of, plugged, time, works=works))

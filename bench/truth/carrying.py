@@ -29,9 +29,9 @@ from bench.truth.uncertainty import (
     CARRY,
     REGISTRATION,
     Component,
-    How,
     Triple,
     TrueEnd,
+    TruthMethod,
     TruthUncertainty,
     triple,
 )
@@ -109,7 +109,7 @@ def moved(
     worst = float(np.sqrt(max(np.linalg.eigvalsh(carry_mm2)[-1], 0.0)))
     budget = TruthUncertainty((*kept, Component(CARRY, worst, source)))
     there, carry = TrueEnd.at(to_mm, budget), tuple(triple(row) for row in carry_mm2)
-    return replace(there, how=How.CARRIED, carry_mm2=carry)
+    return replace(there, how=TruthMethod.CARRIED, carry_mm2=carry)
 
 
 REFERENCE_FACT, UNCONFIRMED_FACT = "truth reference", "truth unconfirmed"
@@ -194,7 +194,7 @@ class CarriedTruth(TouchedTruth):
 
     def stored(self, trial: str, truth: TrialTruth) -> None:
         """Remember that this trial rests on the reference."""
-        if truth.how is How.CARRIED:
+        if truth.how is TruthMethod.CARRIED:
             self.state.since.append(trial)
 
     def end(self) -> None:
@@ -298,7 +298,9 @@ def resumed(run: RunRecord) -> CarryState:
     since = [
         trial.id
         for trial in later
-        if trial.how == How.CARRIED and trial.invalid is None and trial.id not in unconfirmed
+        if trial.how == TruthMethod.CARRIED
+        and trial.invalid is None
+        and trial.id not in unconfirmed
     ]
     checks = max((int(row["number"]) for row in run.checks), default=0)
     return CarryState(reference_from_dict(stored) if stored else None, since, checks, unconfirmed)

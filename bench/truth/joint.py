@@ -30,7 +30,7 @@ from bench.rig.arm_files import TableFrame, load_frame
 from bench.scoring.errors import Floats
 from bench.scoring.joint import JointCovariance
 from bench.truth.registration import registration_from_facts
-from bench.truth.uncertainty import ARM, CARRY, REGISTRATION, TIP_RADIUS, How
+from bench.truth.uncertainty import ARM, CARRY, REGISTRATION, TIP_RADIUS, TruthMethod
 
 # rms gradient of the emulated arms' kinematic errors over their sd along an axis: 0.0025 a mm
 ARM_LENGTH_MM = 400.0
@@ -90,7 +90,7 @@ class _Ends:
         self._places_mm = points_mm(self._rows)
         self._budgets = [_budget(row.get("budget"), row.get("u_mm")) for row in self._rows]
         self._by_id = {trial.id: trial for trial in run.trials}
-        carried = any(row.get("how") == How.CARRIED for row in self._rows)
+        carried = any(row.get("how") == TruthMethod.CARRIED for row in self._rows)
         self._registration = registration_from_facts(run.facts) if carried else None
         self._rests_on = [self._reference(k) for k in range(len(ends))]
 
@@ -99,7 +99,7 @@ class _Ends:
         columns = _Columns(n)
         # where the arm touched it
         touched_mm = self._places_mm.copy()
-        carried = np.array([row.get("how") == How.CARRIED for row in self._rows])
+        carried = np.array([row.get("how") == TruthMethod.CARRIED for row in self._rows])
         fresh = np.zeros((n, 3, 3))
         touch_mm = np.sqrt(self._u(*_OF_A_TOUCH, squared=True))
         references = {one for k, one in enumerate(self._rests_on) if carried[k]}
@@ -129,7 +129,7 @@ class _Ends:
     def _reference(self, k: int) -> str:
         """What an end rests on: the trial, or the check, in which it was touched."""
         row = self._rows[k]
-        if row.get("how") == How.CARRIED:
+        if row.get("how") == TruthMethod.CARRIED:
             for line in json.loads(row.get("budget") or "{}").get("components", ()):
                 if line["name"] == CARRY and (found := _RESTS_ON.search(line["source"])):
                     return found["trial"]

@@ -34,9 +34,9 @@ from bench.truth.uncertainty import (
     REGISTRATION,
     TIP_RADIUS,
     Component,
-    How,
     Triple,
     TrueEnd,
+    TruthMethod,
     TruthUncertainty,
 )
 from detector.outline.known_ends import EndOffsets
@@ -380,9 +380,9 @@ class TrialTruth:
     stage_mm: Triple | None = None
 
     @property
-    def how(self) -> How:
+    def how(self) -> TruthMethod:
         """Touched or carried: all ends of a trial are the same."""
-        return self.points[0].how if self.points else How.TOUCHED
+        return self.points[0].how if self.points else TruthMethod.TOUCHED
 
 
 def truth_row(

@@ -70,7 +70,7 @@ ARM, REGISTRATION, TIP_RADIUS, CARRY = "arm", "registration", "tip radius", "car
 Triple = tuple[float, float, float]
 
 
-class How(StrEnum):
+class TruthMethod(StrEnum):
     TOUCHED = "touched"
     CARRIED = "carried"
 
@@ -83,7 +83,7 @@ class TrueEnd(TruthRow):
     """
 
     uncertainty: TruthUncertainty
-    how: How = How.TOUCHED
+    how: TruthMethod = TruthMethod.TOUCHED
     carry_mm2: tuple[Triple, ...] | None = None
 
     @classmethod

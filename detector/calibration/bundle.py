@@ -45,7 +45,7 @@ class Rig:
 
 
 @dataclass(frozen=True, slots=True)
-class Freedom:
+class FreeParameters:
     """What may move: each camera's ``lens`` parameters, motions; ``aspect``: fx / fy is fixed."""
 
     lens: Mapping[str, frozenset[str]]
@@ -95,7 +95,7 @@ class _Layout:
     poses: int
 
     @classmethod
-    def of(cls, start: Rig, poses: int, freedom: Freedom) -> _Layout:
+    def of(cls, start: Rig, poses: int, freedom: FreeParameters) -> _Layout:
         """The parameters that ``freedom`` leaves to ``poses`` views of the cameras of ``start``."""
         fc = {name: start.cameras[name].fc for name in freedom.aspect}
         shared = [
@@ -150,7 +150,7 @@ SINGULAR = 1e-14  # of the largest eigenvalue: less is rounding
 
 
 def adjust(
-    start: Rig, poses: Sequence[Motion], sightings: Sequence[Sighting], freedom: Freedom
+    start: Rig, poses: Sequence[Motion], sightings: Sequence[Sighting], freedom: FreeParameters
 ) -> Adjustment:
     """The least-squares fit, with equal, independent noise of all corners. Raises BundleError."""
     layout = _Layout.of(start, len(poses), freedom)

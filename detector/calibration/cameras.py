@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from detector.calibration import bundle
-from detector.calibration.bundle import LENS, POSE, BundleError, Freedom, Rig, Sighting
+from detector.calibration.bundle import LENS, POSE, BundleError, FreeParameters, Rig, Sighting
 from detector.calibration.values import Pair
 from detector.geometry import Array, Camera, Motion
 
@@ -100,14 +100,14 @@ def calibrate_camera(
         )
     camera = Camera(image_size, (1.0, 1.0), (0.0, 0.0)).with_lens(lens)
     aspect = frozenset({name}) if square_pixels else frozenset()
-    return _alone(name, views, camera, poses, Freedom({name: free}, aspect, motions=False))
+    return _alone(name, views, camera, poses, FreeParameters({name: free}, aspect, motions=False))
 
 
 def place_board(name: str, views: Sequence[BoardView], lens: Camera) -> CameraFit:
     """Where the board was before a camera whose lens is known and held. Raises TooFewViewsError."""
     _refuse_too_few(name, views)
     poses = [flat_pose(view.board_mm, view.pixels_px, lens) for view in views]
-    return _alone(name, views, lens, poses, Freedom({}, motions=False))
+    return _alone(name, views, lens, poses, FreeParameters({}, motions=False))
 
 
 def flat_pose(board_mm: Floats, pixels_px: Floats, lens: Camera) -> Motion:
@@ -125,7 +125,11 @@ def _refuse_too_few(name: str, views: Sequence[BoardView]) -> None:
 
 
 def _alone(
-    name: str, views: Sequence[BoardView], camera: Camera, poses: Sequence[Motion], freedom: Freedom
+    name: str,
+    views: Sequence[BoardView],
+    camera: Camera,
+    poses: Sequence[Motion],
+    freedom: FreeParameters,
 ) -> CameraFit:
     sightings = tuple(Sighting(name, i, v.board_mm, v.pixels_px) for i, v in enumerate(views))
     fit = bundle.adjust(Rig({name: camera}, {name: Motion.identity()}), poses, sightings, freedom)
@@ -172,7 +176,7 @@ def join_cameras(
     )
     rig = Rig({name: c.fit.rig.cameras[name] for name, c in alone.items()}, motions)
     aspect = frozenset(joint_lenses) if square_pixels else frozenset()
-    freedom = Freedom(dict.fromkeys(joint_lenses, LENS_MODELS[model]), aspect)
+    freedom = FreeParameters(dict.fromkeys(joint_lenses, LENS_MODELS[model]), aspect)
     fit = bundle.adjust(rig, list(poses.values()), sightings, freedom)
     return CameraFit(fit, tuple(poses), sightings)
 

@@ -124,7 +124,7 @@ class CalibrationError(ValueError):
         super().__init__("\n  ".join([f"calibration {path}: {count}", *map(str, faults)]))
 
 
-class _WrongError(Exception):
+class _InvalidValueError(Exception):
     """A value that fails its check."""
 
 
@@ -139,7 +139,7 @@ def _kind(value: Any) -> str:
 
 def _refuse(wrong: object, message: str) -> None:
     if wrong:
-        raise _WrongError(message)
+        raise _InvalidValueError(message)
 
 
 def _of_kind(kind: type, wanted: str) -> Check:
@@ -159,7 +159,9 @@ def _number(value: Any) -> float:
     try:
         found = float(value)
     except OverflowError:
-        raise _WrongError("must be a finite number, this integer is too large for one") from None
+        raise _InvalidValueError(
+            "must be a finite number, this integer is too large for one"
+        ) from None
     _refuse(not math.isfinite(found), f"must be a finite number, not {value}")
     return found
 
@@ -215,7 +217,7 @@ def _day(value: Any) -> str:
     try:
         return date.fromisoformat(text).isoformat()
     except ValueError:
-        raise _WrongError(f'must be a day such as "2026-11-20", not {text!r}') from None
+        raise _InvalidValueError(f'must be a day such as "2026-11-20", not {text!r}') from None
 
 
 def _texts(value: Any) -> dict[str, str]:
@@ -419,7 +421,7 @@ def _checked_block(key: Key, table: Mapping[str, Any]) -> tuple[dict[str, Any], 
         if name in checks:
             try:
                 values[name] = checks[name](value)
-            except _WrongError as wrong:
+            except _InvalidValueError as wrong:
                 faults.append(KeyFault((*key, name), str(wrong)))
     optional = _NEVER_REQUIRED | _NOT_REQUIRED.get(key, set())
     faults += [

@@ -202,7 +202,11 @@ def fit_world(
 
     def world(changed: Pair, left_px: Array, right_px: Array, touched_mm: Array) -> Array:
         there = rigid_fit(touched_mm, changed.in_right_mm(left_px, right_px))
-        return np.concatenate([_near(there.om, here.om), there.T])
+        # the same rotation with its vector on the fit's side of half a turn
+        angle = float(np.linalg.norm(there.om))
+        other = there.om * (1.0 - 2.0 * np.pi / angle) if angle > 0 else there.om
+        om = min((there.om, other), key=lambda om: float(np.linalg.norm(om - here.om)))
+        return np.concatenate([om, there.T])
 
     by_pair = np.zeros((6, len(given.names)))
     for column, ((owner, name), sd) in enumerate(given.sds.items()):
@@ -227,10 +231,3 @@ def fit_world(
     names = (*given.names, *(("world", name) for name in POSE))
     covariance = ParameterCovariance(names, joint)
     return WorldFit(here, compare(data[2], in_right), covariance, in_right, data[2])
-
-
-def _near(om_rad: Array, reference_rad: Array) -> Array:
-    """The same rotation with its vector on the reference's side of half a turn."""
-    angle = float(np.linalg.norm(om_rad))
-    other = om_rad * (1.0 - 2.0 * np.pi / angle) if angle > 0 else om_rad
-    return min((om_rad, other), key=lambda om: float(np.linalg.norm(om - reference_rad)))

@@ -89,7 +89,7 @@ class ExternalDetector:
         self._started_s: float | None = None  # of a start that no call has had yet
         self._not_started: DetectionFailure | None = None
         self._child: Child | None = None
-        self._desk: _Desk | None = None
+        self._desk: _ExchangeFolder | None = None
         self._asked = self._off = self._last_words = ""
         self._starts = self._faults_in_a_row = 0
 
@@ -122,7 +122,7 @@ class ExternalDetector:
         if self._off:
             raise DetectionFailure(self._off, Outcome.OFF)
         if self._desk is None:
-            self._desk = _Desk()
+            self._desk = _ExchangeFolder()
         self._desk.lay_out(frames, calibration)
         if self._child is None:
             self._start()
@@ -221,7 +221,7 @@ class ExternalDetector:
             self._last_words = "\n".join(word for word in words if word)
 
 
-class _Desk:
+class _ExchangeFolder:
     """A folder with one frame set's pictures and the calibration, under neutral names."""
 
     def __init__(self) -> None:

@@ -68,7 +68,7 @@ class Child:
         env = {**known, MARK: self._mark}
         self._process, self._hold = _spawn(command, folder, env, hard_mib)
         self._in = cast(IO[bytes], self._process.stdin)
-        self._lines, self._complaints = _Lines(), _Complaints()
+        self._lines, self._complaints = _Lines(), _StderrTail()
         self._readers = []
         for name, *how in (
             ("answers", self._process.stdout, self._lines.take),
@@ -209,7 +209,7 @@ class _Lines:
         return bool(data) and not self.problem
 
 
-class _Complaints:
+class _StderrTail:
     """The end of what came on standard error."""
 
     def __init__(self) -> None:

@@ -17,7 +17,7 @@ from detector.fused.parameters import Parameters
 from detector.fused.thermal import Field, Nominations, bar_ways, strengths
 from detector.geometry import Array, Camera, Motion
 from detector.outline import kernels
-from detector.outline.fit import View
+from detector.outline.fit import CameraView
 from detector.outline.model import COUNT, HEIGHT, LEAN_X, RADIUS, Rows, apexes, axes
 
 _DISPARITY_STEP_PX = 2.5
@@ -51,10 +51,10 @@ class Map:
     """Squeezed gradients of one view, blurred by a start's error, with a border of zeros."""
 
     gradients: Field
-    view: View
+    view: CameraView
 
     @classmethod
-    def of(cls, view: View, blur_px: float) -> Map:
+    def of(cls, view: CameraView, blur_px: float) -> Map:
         """The map of a view."""
         return cls(strengths(view.field, blur_px, noises=3.0, border=1), view)
 

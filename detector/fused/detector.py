@@ -46,7 +46,7 @@ from detector.fused.thermal import (
     SOME_END,
     SURE_END,
     Nominations,
-    Sought,
+    TeatTemplate,
     bars,
     levels,
     nominate,
@@ -64,7 +64,7 @@ from detector.geometry import Array, Camera
 from detector.history import predicted
 from detector.outline import pictures
 from detector.outline.fine import Fitted, fine
-from detector.outline.fit import View, upright
+from detector.outline.fit import CameraView, upright
 from detector.outline.model import COUNT, apexes, axes
 from detector.outline.offsets import thermal_offsets_far
 from detector.outline.prior import (
@@ -161,12 +161,12 @@ def _stated(teat: Teat) -> Array:
 class _Thermal:
     """The thermal picture in sensor pixels, the delivered picture's lens, cold and warm levels."""
 
-    view: View
+    view: CameraView
     lens: Camera
     px_a_sensor_px: float
     levels: Array  # (2,)
     depths_mm: tuple[float, float]
-    sought: Sought
+    sought: TeatTemplate
 
     @classmethod
     def of(cls, frames: Frames, calibration: Calibration, prior: Prior) -> _Thermal:
@@ -176,7 +176,7 @@ class _Thermal:
         if camera.lens is None:
             raise ValueError("a thermal view without a lens")
         size = camera.image_size[0] / camera.sensor_size[0]
-        sought = Sought.of(view.camera, view.camera_from_teats, depths_mm, prior)
+        sought = TeatTemplate.of(view.camera, view.camera_from_teats, depths_mm, prior)
         return cls(view, camera.lens, size, levels(view.field), depths_mm, sought)
 
     def px(self, points_mm: Array) -> Array:
@@ -202,7 +202,7 @@ class _Judged:
 class _Scene:
     """The pictures about the starts of fits, and the thermal picture's nominations."""
 
-    views: tuple[View, ...]
+    views: tuple[CameraView, ...]
     thermal: _Thermal
     ends: Nominations
     calibration: Calibration
@@ -276,7 +276,7 @@ def _detect(
     return Detection(answers, hidden, "; ".join(said) or None, tuple(trace))
 
 
-def _far_px(judged: _Judged, view: View) -> Array:
+def _far_px(judged: _Judged, view: CameraView) -> Array:
     """How far (k, 2) the thermal outlines of ends that both optical pictures show whole are off,
     sensor px, if near most of them there is none; not-a-number where there is none at all.
     """

@@ -12,7 +12,7 @@ from detector.fused.thermal import Field
 from detector.geometry import Array, Camera, Motion
 from detector.outline.edges import CLEAR
 from detector.outline.fine import FINE_OUTLINE, Fitted
-from detector.outline.fit import View
+from detector.outline.fit import CameraView
 from detector.outline.model import END, RADIUS, SIDE_A, SIDE_B, Rows, axes
 from detector.outline.offsets import row_offsets
 from detector.outline.prior import Prior
@@ -56,7 +56,7 @@ class Evidence(Rows):
 
 
 def weigh(
-    fitted: Fitted, covariances: Array, warmth: Array, views: tuple[View, ...], prior: Prior
+    fitted: Fitted, covariances: Array, warmth: Array, views: tuple[CameraView, ...], prior: Prior
 ) -> Evidence:
     """Evidence from edges about m teats in views, covariances (m, 3, 3), and warmth (m, 5)."""
     seen, part = fitted.seen, FINE_OUTLINE.part

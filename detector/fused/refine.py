@@ -28,7 +28,7 @@ from detector.outline.fine import (
     fine,
     look_again,
 )
-from detector.outline.fit import OutlineEdges, View, look, step, weights
+from detector.outline.fit import CameraView, OutlineEdges, look, step, weights
 from detector.outline.model import (
     COUNT,
     CX,
@@ -53,7 +53,7 @@ _SAME_MM = np.array([2.5, 2.5, 8.0])
 
 
 def refine(
-    teats: Array, views: tuple[View, ...], p: Parameters, known: Fitted | None = None
+    teats: Array, views: tuple[CameraView, ...], p: Parameters, known: Fitted | None = None
 ) -> Fitted | None:
     """What starts ``teats`` (m, 8) lead to beside ``known`` fits, each place once, if anything."""
     teats = _rough(teats, views, p, apexes(known.teats) if known else np.zeros((0, 3)))
@@ -69,7 +69,7 @@ def refine(
     return fine(best.teats, best.hidden, views, p.prior, best.seen, steps=FINE_STEPS - 2, first=2)
 
 
-def _rough(teats: Array, views: tuple[View, ...], p: Parameters, known_mm: Array) -> Array:
+def _rough(teats: Array, views: tuple[CameraView, ...], p: Parameters, known_mm: Array) -> Array:
     if len(teats) == 0:
         return teats
     prior = replace(p.prior, taper_sd=0.5 * p.prior.taper_sd, height_sd=0.2 * p.prior.height_sd)
@@ -134,7 +134,7 @@ _SHORT_MM = 26.0  # of the sides of a teat that stands 35 mm out of an udder
 
 
 def refine_beside(
-    fitted: Fitted, views: tuple[View, ...], p: Parameters, calibration: Calibration
+    fitted: Fitted, views: tuple[CameraView, ...], p: Parameters, calibration: Calibration
 ) -> Fitted:
     """The teats fitted again from either side of where they are, and from in front and behind:
     edges that are weak or another thing's hold a fit near to where it began.
@@ -162,7 +162,7 @@ def any_shape(prior: Prior) -> Prior:
     return replace(prior, lean_sd=0.12, radius_sd_mm=2.5, taper_sd=0.07, height_sd=0.35)
 
 
-def shaped_again(fitted: Fitted, views: tuple[View, ...], p: Parameters) -> Fitted:
+def shaped_again(fitted: Fitted, views: tuple[CameraView, ...], p: Parameters) -> Fitted:
     """The same, and fitted again as short ones of any shape: sides no farther than such a teat
     stands out of an udder. The first fits of these are as unsure as the second.
     """
@@ -192,14 +192,16 @@ def one_sided(teats: Array, p: Parameters, views: int) -> tuple[Array, NDArray[n
     return np.concatenate(starts), np.concatenate(masks)
 
 
-def refine_slid(slid: Array, views: tuple[View, ...], p: Parameters) -> Fitted:
+def refine_slid(slid: Array, views: tuple[CameraView, ...], p: Parameters) -> Fitted:
     """Fits from ``slid`` (n, 8), followed up their sides."""
     tight = replace(p.prior, height_sd=_SHAPE * p.prior.height_sd)
     more = fine(slid, None, views, tight)
     return replace(more, followed=np.ones(len(slid), dtype=bool))
 
 
-def side_stops(teats: Array, views: tuple[View, ...], beyond_mm: float) -> tuple[Array, Array]:
+def side_stops(
+    teats: Array, views: tuple[CameraView, ...], beyond_mm: float
+) -> tuple[Array, Array]:
     """Where the straight sides of teats (m, 8) stop being seen, mm beyond the middle of the end, at
     most ``beyond_mm``: each side in both optical pictures (m, 4), and all together (m,).
     """
@@ -218,7 +220,7 @@ def side_stops(teats: Array, views: tuple[View, ...], beyond_mm: float) -> tuple
     return stops_mm(from_foot), stops_mm(from_foot.mean(axis=1))
 
 
-def slide_to_stop(teats: Array, views: tuple[View, ...]) -> Array:
+def slide_to_stop(teats: Array, views: tuple[CameraView, ...]) -> Array:
     """Teats (m, 8) with ends moved along their axes to where the straight sides stop in the optical
     pictures: light paints rims on a teat, but its sides go on until its end.
     """
@@ -229,7 +231,7 @@ def slide_to_stop(teats: Array, views: tuple[View, ...]) -> Array:
     return slid
 
 
-def slide_to_round(teats: Array, views: tuple[View, ...]) -> Array:
+def slide_to_round(teats: Array, views: tuple[CameraView, ...]) -> Array:
     """Teats (m, 8) with ends moved along their axes by some mm, to where both optical pictures show
     a round end.
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from detector.geometry import Array
 from detector.outline.edges import LEAST_CLEAR, sample
 from detector.outline.fine import FINE_OUTLINE, Fitted
-from detector.outline.fit import View
+from detector.outline.fit import CameraView
 from detector.outline.model import END, SIDE_A, SIDE_B
 
 _X_PX = np.arange(-6.0, 6.5, 0.5)
@@ -45,7 +45,7 @@ class Sharpness:
     clipped: Array
 
 
-def sharpness(fitted: Fitted, views: tuple[View, ...]) -> Sharpness:
+def sharpness(fitted: Fitted, views: tuple[CameraView, ...]) -> Sharpness:
     """Of the edges that the fits found in both optical pictures."""
     n, m = len(FINE_OUTLINE.part), len(fitted.teats)
     if m == 0:

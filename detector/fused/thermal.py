@@ -35,7 +35,7 @@ SURE_END, SOME_END = 0.85, 0.7
 
 
 @dataclass(frozen=True, slots=True)
-class Sought:
+class TeatTemplate:
     """Upright teats in a thermal picture: unit vector from end to base, half widths, sensor px."""
 
     down: tuple[float, float]
@@ -88,7 +88,7 @@ def levels(temperature: Field) -> Array:
     return np.asarray(np.percentile(temperature, [20, 99]))
 
 
-def nominate(gradients: Field, most: int, sought: Sought) -> Nominations:
+def nominate(gradients: Field, most: int, sought: TeatTemplate) -> Nominations:
     """At most ``most`` ends, best first, by `strengths` of a picture in which warm is high, with a
     border of `ROOM_PX`.
     """
@@ -116,7 +116,7 @@ def bars(
     between: Array,
     ends: Nominations,
     most: int,
-    sought: Sought,
+    sought: TeatTemplate,
 ) -> Nominations:
     """At most ``most`` upright warm bars without a clear end of ``ends``, by a picture, its
     `strengths` with a border of `ROOM_PX`, and its `levels`; `centre_px` is on the bar. For ends
@@ -162,7 +162,7 @@ def unexplained(
     ends: Nominations,
     feet_px: Array,
     tips_px: Array,
-    sought: Sought,
+    sought: TeatTemplate,
     least: float,
 ) -> Array:
     """Which ends (k, 2) above ``least`` lie on no bar from ``tips_px`` to ``feet_px`` (k, 2)."""

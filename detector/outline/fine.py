@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from detector import outline as package
 from detector.geometry import Array
-from detector.outline.fit import OutlineEdges, View, look, step, weights
+from detector.outline.fit import CameraView, OutlineEdges, look, step, weights
 from detector.outline.model import Outline, Rows
 from detector.outline.prior import Prior
 
@@ -43,7 +43,7 @@ class Fitted(Rows):
 def fine(
     teats: Array,
     hidden: NDArray[np.bool_] | None,
-    views: tuple[View, ...],
+    views: tuple[CameraView, ...],
     prior: Prior,
     seen: OutlineEdges | None = None,
     steps: int = FINE_STEPS,
@@ -65,7 +65,7 @@ def fine(
 
 
 def look_again(
-    seen: OutlineEdges, teats: Array, change: Array, views: tuple[View, ...], *, fine: bool
+    seen: OutlineEdges, teats: Array, change: Array, views: tuple[CameraView, ...], *, fine: bool
 ) -> OutlineEdges:
     """Edges after a ``change`` (m, 8): optical ones anew where outlines moved, thermal kept."""
     outline = FINE_OUTLINE if fine else ROUGH_OUTLINE

@@ -33,7 +33,7 @@ from detector.outline.prior import Prior, disparities_px
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class CameraView:
     """A picture's region as linear intensities, its first pixel's place, and its camera. ``rough``,
     ``fine``: profiles of edges; ``floor_px``: sd of edges beyond noise.
     """
@@ -69,7 +69,7 @@ class OutlineEdges(Rows):
     unlike_px: Array  # how much farther out a line's own would put its edge
 
     @classmethod
-    def empty(cls, m: int, n: int, views: tuple[View, ...]) -> OutlineEdges:
+    def empty(cls, m: int, n: int, views: tuple[CameraView, ...]) -> OutlineEdges:
         """Of m outlines of n points, before anything is looked at; Jacobians are zero."""
         k = len(views) * n
         offset, sd, clarity, limb, unlike = np.empty((5, m, k))
@@ -82,7 +82,7 @@ class OutlineEdges(Rows):
 
 def look(
     teats: Array,
-    views: tuple[View, ...],
+    views: tuple[CameraView, ...],
     outline: Outline,
     *,
     fine: bool,

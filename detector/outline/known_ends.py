@@ -102,7 +102,7 @@ def offsets_at(frames: Frames, calibration: Calibration, ends_mm: Array) -> list
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
+class _EndFits:
     """What both optical pictures show of k ends: the best fit to each, which ends were measured
     (k,), and their offsets (k,), px.
     """
@@ -129,7 +129,7 @@ def _seen(
     stated: Calibration,
     known: Array,
     shift: tuple[float, float, float],
-) -> _Seen:
+) -> _EndFits:
     """Of ends (k, 3), the fits' frame, looked for where the pictures are shifted by so many
     columns of the left and right one and rows of the right one; rows follow what is found.
     """
@@ -162,7 +162,7 @@ def _seen(
     measured = (best >= 0) & (ends.mean(axis=2).min(axis=1) >= LEAST_END) & stays
     if measured.any():
         measured &= np.abs(off - np.median(off[measured])) < _AGREE_PX
-    return _Seen(some, measured, off + x_left - x_right, rows + y)
+    return _EndFits(some, measured, off + x_left - x_right, rows + y)
 
 
 def _best(fitted: Fitted, known: Array) -> NDArray[np.intp]:

@@ -14,7 +14,7 @@ from detector import outline as package
 from detector.geometry import Array
 from detector.outline.edges import CLEAR
 from detector.outline.fine import FINE_OUTLINE, Fitted
-from detector.outline.fit import OutlineEdges, View, look, usual
+from detector.outline.fit import CameraView, OutlineEdges, look, usual
 from detector.outline.model import END
 from detector.outline.prior import Prior
 
@@ -64,7 +64,7 @@ def thermal_offsets(seen: OutlineEdges, hidden: NDArray[np.bool_]) -> tuple[Arra
     return shift[:, :2, 0], np.diagonal(G, axis1=1, axis2=2)[:, :2]
 
 
-def thermal_offsets_far(teats: Array, view: View) -> Array:
+def thermal_offsets_far(teats: Array, view: CameraView) -> Array:
     """Columns and rows (m, 2), sensor px, that the thermal outlines of teats (m, 8) are off, up to
     `THERMAL_REACH_PX`; not-a-number where none is seen. An outline is found within some pixels of
     where it is looked for: so other shifts are tried, the same for all teats, until all show one.
@@ -79,7 +79,7 @@ def thermal_offsets_far(teats: Array, view: View) -> Array:
     return best
 
 
-def _thermal_near(teats: Array, view: View, moved: Array) -> Array:
+def _thermal_near(teats: Array, view: CameraView, moved: Array) -> Array:
     """The same (k, m, 2), looked for where the picture is ``moved`` (k, 2), and again where it is
     found.
     """

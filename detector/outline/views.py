@@ -11,7 +11,7 @@ from detector.calibration import Calibration
 from detector.geometry import Array, Camera
 from detector.outline import pictures
 from detector.outline.edges import Profile
-from detector.outline.fit import View
+from detector.outline.fit import CameraView
 from detector.outline.prior import right_from_teats
 from detector.protocol import Frames
 
@@ -28,7 +28,7 @@ def optical_views(
     calibration: Calibration,
     guesses: Array,
     noise: float | None = None,
-) -> list[View]:
+) -> list[CameraView]:
     """The parts of both pictures that the guesses (n, 8) reach; ``noise`` where it isn't asked."""
     points = guesses[:, :3]
     points = np.concatenate([points, points + np.array([0.0, 60.0, 0.0])])
@@ -41,11 +41,11 @@ def optical_views(
     ):
         near, corner = pictures.region(picture, camera.project(motion.apply(points)), ROOM_PX)
         found = pictures.noise_of(near) if noise is None else noise
-        made.append(View(near, corner, found, camera, motion, *profiles))
+        made.append(CameraView(near, corner, found, camera, motion, *profiles))
     return made
 
 
-def thermal_view(frames: Frames, calibration: Calibration) -> View:
+def thermal_view(frames: Frames, calibration: Calibration) -> CameraView:
     """The thermal picture on its sensor's grid, whole. Raises UnusableError."""
     warm = pictures.thermal(frames, calibration.thermal)
     camera, motion = calibration.thermal, calibration.thermal_from_right
@@ -73,7 +73,7 @@ def thermal_view(frames: Frames, calibration: Calibration) -> View:
         lens.kc,
     )
     # it can't take a shadow for a teat
-    return View(
+    return CameraView(
         warm, np.zeros(2), pictures.noise_of(warm), sensor,
         motion @ right_from_teats(calibration), THERMAL, THERMAL, THERMAL_FLOOR_PX,
     )  # fmt: skip

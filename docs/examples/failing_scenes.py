@@ -19,7 +19,7 @@ from itertools import count
 
 from hypothesis import HealthCheck, Phase, given, seed, settings, target
 
-from bench.testing import Look, Scene, layouts, look, objects, scenes
+from bench.testing import Scene, SceneResult, layouts, look, objects, scenes
 
 APART, EXAMPLES = 0.2, 200
 
@@ -30,9 +30,9 @@ class OverError(BaseException):
 
 def search(
     detector: str, things: Sequence[str], cpu_s: float, first: int, rig: str = "emulated"
-) -> list[tuple[float, Scene, Look]]:
+) -> list[tuple[float, Scene, SceneResult]]:
     """Scenes that were tried: at which second of the processor, and what came of them."""
-    tried: list[tuple[float, Scene, Look]] = []
+    tried: list[tuple[float, Scene, SceneResult]] = []
     drawn = scenes(
         layouts=layouts(4, 4), objects=objects(*things), most_objects=6, most_perturbations=0
     )

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import ClassVar, Generic, TypeVar, cast
 
-from instruments.bath.profile import WATCHDOG, Device, Identity, Profile
+from instruments.bath.profile import WATCHDOG, Device, Profile
 from instruments.bath.reading import Assembler, BathReading
 from instruments.bath.rows import Quantity
 from instruments.bath.session import BrokenError, RefusedError, Session
@@ -126,7 +126,21 @@ class Access(ABC, Generic[R]):
         """
         self.detect_format()
         for identity in self.family.identity:
-            self._check(identity)
+            row = self.row(identity.row)
+            what = f"it is no {self.profile.family}"
+            hint = f"Is it {identity.otherwise}? " if identity.otherwise else ""
+            hint += "Give the rig the profile of the controller that is there."
+            try:
+                value = self.value(row)
+            except RefusedError as error:
+                if not error.no_row:
+                    raise
+                raise DeviceError(
+                    self.who, what, asked=row.name, seen=error.seen, hint=hint
+                ) from error
+            if not identity.fits(row, value):
+                seen = f"{value:g} (hexadecimal {int(value) & 0xFFFFFFFF:04X})"
+                raise DeviceError(self.who, what, asked=row.name, seen=seen, hint=hint)
         reading = self.first_poll()
         rows = [row for row in map(self.find, self.SHOWN) if row and self.may_ask(row)]
         shown = dict(zip((row.name for row in rows), self.show(rows), strict=True))
@@ -417,22 +431,6 @@ class Access(ABC, Generic[R]):
                 raise
             for row in others:
                 self.send(row, row.values["standby"], urgent=True)
-
-    def _check(self, identity: Identity) -> None:
-        """Raise DeviceError where a row shows another family."""
-        row = self.row(identity.row)
-        what = f"it is no {self.profile.family}"
-        hint = f"Is it {identity.otherwise}? " if identity.otherwise else ""
-        hint += "Give the rig the profile of the controller that is there."
-        try:
-            value = self.value(row)
-        except RefusedError as error:
-            if not error.no_row:
-                raise
-            raise DeviceError(self.who, what, asked=row.name, seen=error.seen, hint=hint) from error
-        if not identity.fits(row, value):
-            seen = f"{value:g} (hexadecimal {int(value) & 0xFFFFFFFF:04X})"
-            raise DeviceError(self.who, what, asked=row.name, seen=seen, hint=hint)
 
     def check_deadline(self, start_s: float, questions: int) -> None:
         """Raises LinkError where a poll that began at ``start_s`` took too long."""

@@ -15,7 +15,7 @@ from typing import ClassVar, Literal, get_args
 from instruments.bath import protocol
 from instruments.bath.line_dialects import Dialect
 from instruments.bath.profile import PUMP, RegisterProfile, RelayProfile, Wiring
-from instruments.bath.protocol import Exchange, Frame, ModbusException, Plain, Read, Write
+from instruments.bath.protocol import Exchange, Frame, ModbusException, RawRequest, Read, Write
 from instruments.bath.register_semantics import Behaviour, Cells, Controller, Values, behaviour_of
 from instruments.bath.rows import Row
 from instruments.bath.witness import device_of
@@ -193,7 +193,7 @@ class Server(Emulator):
         except protocol.UnframedError:
             connection.hang_up()
 
-    def plain(self, request: Plain) -> bytes:  # noqa: ARG002 - for families that have these functions
+    def plain(self, request: RawRequest) -> bytes:  # noqa: ARG002 - for families that have these functions
         """The PDU that answers functions 7 and 8. Raises Refused."""
         raise ModbusException(protocol.ILLEGAL_FUNCTION)
 
@@ -240,7 +240,7 @@ class Server(Emulator):
                 self._cells.read(read)  # refused before anything is written
                 self._cells.write(write)
                 return protocol.answer_read(read, self._read(read))
-            case Plain() as request:
+            case RawRequest() as request:
                 return self.plain(request)
 
     def _read(self, request: Read) -> list[int]:
@@ -280,7 +280,7 @@ class BathEmulator(Server):
         self.profile = profile
         plant.fit(circulator=profile.capabilities.pump == "with run")
 
-    def plain(self, request: Plain) -> bytes:
+    def plain(self, request: RawRequest) -> bytes:
         """The status byte, or the loopback's echo."""
         if request.function == protocol.LOOPBACK:
             if len(request.body) != 4 or request.body[:2] != b"\0\0":

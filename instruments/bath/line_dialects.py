@@ -160,19 +160,16 @@ class Julabo(Dialect):
         word, _, parameter = command.partition(" ")
         word = word.lower()
         if word in self.READS or word.startswith("in_"):
-            return self._said(word)
+            if "FP50" in self.version:
+                swapped = {"in_pv_01": "in_pv_02", "in_pv_02": "in_pv_01"}
+                word = {"in_pv_03": "", "in_pv_04": "", **swapped}.get(word, word)
+            if word == "in_sp_06" and "FP51" in self.version:
+                return f"{int(self.fahrenheit)}"
+            if read := self.READS.get(word):
+                return read(self)
+            return self.stored.get(word, self.INVALID)
         self.rejected = self._set(word, parameter.strip())
         return None
-
-    def _said(self, word: str) -> str:
-        if "FP50" in self.version:
-            swapped = {"in_pv_01": "in_pv_02", "in_pv_02": "in_pv_01"}
-            word = {"in_pv_03": "", "in_pv_04": "", **swapped}.get(word, word)
-        if word == "in_sp_06" and "FP51" in self.version:
-            return f"{int(self.fahrenheit)}"
-        if read := self.READS.get(word):
-            return read(self)
-        return self.stored.get(word, self.INVALID)
 
     def status(self) -> str:
         if self.rejected:

@@ -82,14 +82,14 @@ class Exchange:
 
 
 @dataclass(frozen=True, slots=True)
-class Plain:
+class RawRequest:
     """Functions 7 (status byte) and 8 (loopback): what follows the function code, as it came."""
 
     function: int
     body: bytes
 
 
-Request = Read | Write | Exchange | Plain
+Request = Read | Write | Exchange | RawRequest
 
 
 class ModbusException(Exception):  # noqa: N818 - it is an answer, not a fault
@@ -108,7 +108,7 @@ def parse(pdu: bytes) -> Request:
     """The request. Raises Refused, with the code that the specification's state diagrams give."""
     function, body = pdu[0], pdu[1:]
     if function in (STATUS, LOOPBACK):
-        return Plain(function, body)
+        return RawRequest(function, body)
     if function not in (*READS, WRITE_COIL, WRITE_ONE, WRITE_COILS, WRITE_MANY, EXCHANGE):
         raise ModbusException(ILLEGAL_FUNCTION)
     numbers, head = (4, 8) if function == EXCHANGE else (2, 4)

@@ -66,6 +66,8 @@ class Assembler:
         ProtocolError for an implausible value.
         """
         self._check(rows, values, alarm, diagnoses)
+        needs = self._profile.row("set_point").needs
+        others = ((name, self._profile.find(name), label) for name, label in needs.items())
         return BathReading(
             t_s=t_s,
             temp_c=values["temperature"],
@@ -79,17 +81,12 @@ class Assembler:
             running=self._shows(values, "run", "started"),
             set_point_c=_number(values, "set_point"),
             restarted=self._shows(values, "restarted", "yes"),
-            not_met=self._not_met(values),
-        )
-
-    def _not_met(self, values: Values) -> str:
-        needs = self._profile.row("set_point").needs
-        others = ((name, self._profile.find(name), label) for name, label in needs.items())
-        return ", ".join(
-            f"{name} = {row.label(values[name])} where {label} is needed"
-            for name, row, label in others
-            if row and not math.isnan(values.get(name, math.nan))
-            if values[name] != row.codes[label]
+            not_met=", ".join(
+                f"{name} = {row.label(values[name])} where {label} is needed"
+                for name, row, label in others
+                if row and not math.isnan(values.get(name, math.nan))
+                if values[name] != row.codes[label]
+            ),
         )
 
     def alarm_of(self, row: Quantity, value: float) -> int:

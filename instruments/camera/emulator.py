@@ -145,7 +145,7 @@ def _bytes(values: NDArray[np.float64]) -> Grey:
     return np.ascontiguousarray(np.clip(np.rint(values), 0.0, 255.0).astype(np.uint8))
 
 
-class SeenWorld(Protocol):
+class RenderedWorld(Protocol):
     """What emulated cameras need of the world."""
 
     @property
@@ -163,7 +163,7 @@ class SeenWorld(Protocol):
 class EmulatedCameras:
     """The left, right and thermal camera of the emulated rig."""
 
-    def __init__(self, world: SeenWorld) -> None:
+    def __init__(self, world: RenderedWorld) -> None:
         self._world = world
         self._taken = 0
         self._last: FrameSet | None = None

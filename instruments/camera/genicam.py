@@ -326,22 +326,19 @@ class GenicamCamera:
         opened again.
         """
         if self._lost_control or self._changed:
-            self._reopen()
+            changed, self._changed = self._changed, False
+            if changed:
+                self.close()
+            try:
+                self._open()
+            except BaseException:
+                self._lost_control = True  # the next call tries again
+                raise
         if self._stream is None:
             raise LinkError(self._who, "is closed", asked="a frame")
         while (stale := self._stream.try_pop_buffer()) is not None:
             self._stream.push_buffer(stale)
         self._trigger()
-
-    def _reopen(self) -> None:
-        changed, self._changed = self._changed, False
-        if changed:
-            self.close()
-        try:
-            self._open()
-        except BaseException:
-            self._lost_control = True  # the next call tries again
-            raise
 
     def _trigger(self) -> None:
         if self._settings.trigger != "software":
@@ -370,7 +367,9 @@ class GenicamCamera:
             try:
                 status = buffer.get_status().value_nick.upper().replace("-", "_")
                 if status == "SUCCESS":
-                    return self._frame(buffer, arrived_s, len(passed))
+                    (pixels, bits), amplitude = self._pixels(buffer)
+                    exposed_s = self._time.bench_s(buffer.get_timestamp() * 1e-9, arrived_s)
+                    return RawFrame(pixels, exposed_s, bits, self._ranging, amplitude, len(passed))
                 if status not in UNFILLED:
                     passed.append(status)
             finally:
@@ -378,11 +377,6 @@ class GenicamCamera:
             if arrived_s >= end_s:
                 raise self._none_came(passed)
             self._trigger()
-
-    def _frame(self, buffer: Any, arrived_s: float, passed: int) -> RawFrame:
-        (pixels, bits), amplitude = self._pixels(buffer)
-        exposed_s = self._time.bench_s(buffer.get_timestamp() * 1e-9, arrived_s)
-        return RawFrame(pixels, exposed_s, bits, self._ranging, amplitude, passed)
 
     def _none_came(self, passed: list[str]) -> FrameError:
         """Why there is no frame, after damaged ones with these statuses."""

@@ -132,7 +132,20 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Cache-Control", "no-store")
         self.end_headers()
         with contextlib.suppress(OSError):  # the reader has gone, or takes nothing
-            self._stream(camera, self.server.owner)
+            owner, tick = self.server.owner, 0
+            while not owner.closing and camera not in owner.pulled:
+                tick = max(tick, int(owner.clock.now() / owner.period_s)) + 1
+                owner.wait_until(tick * owner.period_s)
+                frames = owner.frames(tick) if not owner.closing else None
+                picture = getattr(frames, camera) if frames else None
+                if frames is None or picture is None:
+                    continue
+                exposed_s = frames.exposed_s.get(camera, 0.0)
+                first_s = min(frames.exposed_s.values(), default=exposed_s)
+                # one exposed later arrives later
+                owner.wait_until(owner.clock.now() + exposed_s - first_s)
+                jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
+                self.wfile.write(part(jpeg.tobytes(), exposed_s))
 
     def do_POST(self) -> None:
         """One button of the page, then the page again. What isn't understood changes nothing."""
@@ -152,22 +165,6 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - the base class's name for it
         """Nothing is printed."""
-
-    def _stream(self, camera: str, owner: StreamServer) -> None:
-        tick = 0
-        while not owner.closing and camera not in owner.pulled:
-            tick = max(tick, int(owner.clock.now() / owner.period_s)) + 1
-            owner.wait_until(tick * owner.period_s)
-            frames = owner.frames(tick) if not owner.closing else None
-            picture = getattr(frames, camera) if frames else None
-            if frames is None or picture is None:
-                continue
-            exposed_s = frames.exposed_s.get(camera, 0.0)
-            first_s = min(frames.exposed_s.values(), default=exposed_s)
-            # one exposed later arrives later
-            owner.wait_until(owner.clock.now() + exposed_s - first_s)
-            jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
-            self.wfile.write(part(jpeg.tobytes(), exposed_s))
 
 
 def part(jpeg: bytes, exposed_s: float) -> bytes:

@@ -97,7 +97,7 @@ class Mismatch:
 class Player:
     """The far end of connection ``number`` (from 0) of ``end``."""
 
-    def __init__(self, end: FarEnd, number: int, connection: Connection) -> None:
+    def __init__(self, end: ReplayedLink, number: int, connection: Connection) -> None:
         self.number = number
         self._end = end
         self._script = end.conversations[number]
@@ -205,12 +205,12 @@ class Replay:
         lock = threading.RLock()
         self._listeners: list[Listener] = []
         self.mismatches: list[Mismatch] = []
-        self.ends: dict[str, FarEnd] = {}
+        self.ends: dict[str, ReplayedLink] = {}
         self.urls: dict[str, str] = {}
         try:
             for link, conversations in capture.links.items():
                 if links is None or link in links:
-                    end = FarEnd(
+                    end = ReplayedLink(
                         link, conversations, clock, self.mismatches, fast=fast, again=again
                     )
                     listener = Listener(end, clock, lock=lock, name=f"replayed {link}", host=host)
@@ -242,7 +242,7 @@ class Replay:
         self.close()
 
 
-class FarEnd:
+class ReplayedLink:
     """The far end of one link: each connection plays the next that was recorded."""
 
     def __init__(

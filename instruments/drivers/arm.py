@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instruments.clock import Clock
-from instruments.drivers.border import Border
+from instruments.drivers.border import PluginBoundary
 from instruments.drivers.entry_points import Plugin
 from instruments.drivers.plugin import ArmDriver, ArmPoint
 from instruments.errors import DeviceError, LimitError, TouchAgainError
@@ -40,7 +40,7 @@ class PluggedArm:
         self.homing = self.homing_again = said or "Reference the measuring arm as its maker says."
         self.moves = False
         self._clock = clock
-        self._border: Border[ArmDriver] = Border(plugged, self.who, clock)
+        self._border: PluginBoundary[ArmDriver] = PluginBoundary(plugged, self.who, clock)
         self._identity: Identity | None = None
         self._homed_at = 0
 

@@ -9,7 +9,7 @@ from instruments.bath.profile import AlarmCode, Capabilities, NumberUnit, Profil
 from instruments.bath.reading import BathReading
 from instruments.bath.rows import Quantity
 from instruments.clock import Clock
-from instruments.drivers.border import Border
+from instruments.drivers.border import PluginBoundary
 from instruments.drivers.entry_points import Plugin
 from instruments.drivers.plugin import BathDriver, BathState
 from instruments.errors import DeviceError, InstrumentError, LimitError
@@ -67,7 +67,7 @@ class PluggedBath:
         self.on_reading: Callable[[BathReading], None] = lambda _: None
         self.heats, self.watched = False, True
         self._clock = clock
-        self._border: Border[BathDriver] = Border(plugged, self.who, clock)
+        self._border: PluginBoundary[BathDriver] = PluginBoundary(plugged, self.who, clock)
         self._identity: dict[str, str] = {}
         self._alarm = ""
         self._times_made_safe = 0

@@ -28,7 +28,7 @@ class _Job(Generic[T]):
     error: BaseException | None = None
 
 
-class Border(Generic[Made]):
+class PluginBoundary(Generic[Made]):
     """The plug-in ``plugged`` as ``who``, opened when it is first needed and again after a lost
     link. `call` is for one thread at a time. What it gives is checked within the call, so that no
     value of another's makes an exception outside.

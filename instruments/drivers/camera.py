@@ -9,7 +9,7 @@ import numpy as np
 from instruments.camera.cameras import CAN_GIVE, Camera, CameraGroup, MakersCalibration, MakersLens
 from instruments.camera.frame import FrameError, FrameFault, Ranging, RawFrame
 from instruments.clock import Clock
-from instruments.drivers.border import Border
+from instruments.drivers.border import PluginBoundary
 from instruments.drivers.entry_points import Plugin
 from instruments.errors import DeviceError, LimitError
 
@@ -22,7 +22,7 @@ class PluggedCamera:
 
     def __init__(self, plugged: Plugin, name: str, clock: Clock) -> None:
         self.who, self._name = f"{name} camera {plugged.name}", name
-        self._border: Border[Camera] = Border(plugged, self.who, clock)
+        self._border: PluginBoundary[Camera] = PluginBoundary(plugged, self.who, clock)
         with self._border.opening():
             who = self._border.call("identity", lambda camera: str(camera.identity))
         self.identity = f"{who} ({plugged})"
@@ -51,7 +51,7 @@ class PluggedGroup:
 
     def __init__(self, plugged: Plugin, clock: Clock) -> None:
         self.who = f"cameras {plugged.name}"
-        self._border: Border[CameraGroup] = Border(plugged, self.who, clock)
+        self._border: PluginBoundary[CameraGroup] = PluginBoundary(plugged, self.who, clock)
         with self._border.opening():
             given = self._border.call("parts", lambda group: tuple(map(str, group.parts)))
             if not given or not set(given) <= set(CAN_GIVE):
@@ -106,7 +106,9 @@ class PluggedGroup:
         self._border.forget()
 
 
-def checked(border: Border[Camera] | Border[CameraGroup], frame: object) -> RawFrame:
+def checked(
+    border: PluginBoundary[Camera] | PluginBoundary[CameraGroup], frame: object
+) -> RawFrame:
     """A frame that can be one. Raises ProtocolError."""
     if not isinstance(frame, RawFrame) or not isinstance(frame.pixels, np.ndarray):
         raise border.broken("its frame is no RawFrame", type(frame).__name__)

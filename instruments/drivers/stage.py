@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instruments.clock import Clock
-from instruments.drivers.border import Border
+from instruments.drivers.border import PluginBoundary
 from instruments.drivers.entry_points import Plugin
 from instruments.drivers.plugin import StageDriver, StageState
 from instruments.errors import DeviceError, InstrumentError, LimitError
@@ -45,7 +45,7 @@ class PluggedStage(StageCalls):
     def __init__(self, plugged: Plugin, clock: Clock, axes: str) -> None:
         super().__init__(plugged.url, f"stage {plugged.name}", axes)
         self._clock = clock
-        self._border: Border[StageDriver] = Border(plugged, self.who, clock)
+        self._border: PluginBoundary[StageDriver] = PluginBoundary(plugged, self.who, clock)
         self._homed_at = 0  # of the opening
         self._move: _Move | None = None
 

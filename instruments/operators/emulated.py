@@ -14,7 +14,7 @@ import numpy as np
 from instruments.clock import sleep_looking
 from instruments.operators import operator as op
 from instruments.world.boards import Board, poses
-from instruments.world.optics import CameraModel, Floats
+from instruments.world.optics import Floats
 from instruments.world.phantom import PlatePose
 from instruments.world.solids import as_point
 from instruments.world.world import World
@@ -141,8 +141,23 @@ class BoardHands:
         if not asked.fixed and asked.number > SHOWN:
             raise op.OperatorEnough(f"the emulated operator has shown the board {SHOWN} times")
         cameras = tuple(c for c in self._world.renderer.cameras if c.name in asked.cameras)
-        if asked.fixed:
-            board = self._fixed(asked, cameras)
+        if asked.fixed:  # near the teat ends, in reach, tilted towards the middle of the cameras
+            turn = (asked.number - 1) % len(FIXED_TURNS_RAD)
+            middle = self._world.ends_mm().mean(axis=0) + np.array(FIXED_SHIFTS_MM[turn])
+            away = middle - np.mean([camera.centre_mm for camera in cameras], axis=0)
+            away = away / np.linalg.norm(away)
+            across = np.cross(away, [0.0, 0.0, 1.0])
+            across = across / np.linalg.norm(across)
+            along = np.cross(away, across)
+            up, side = FIXED_TURNS_RAD[turn]
+            away, along = (
+                np.cos(up) * away - np.sin(up) * along,
+                np.cos(up) * along + np.sin(up) * away,
+            )
+            across = np.cos(side) * across + np.sin(side) * away
+            width, height = asked.pattern.size_mm
+            corner = middle - 0.5 * (width * across + height * along)
+            board = Board(as_point(corner), as_point(across), as_point(along), asked.pattern)
         else:
             views = _views(asked.pattern, cameras, DEPTHS_MM, self._world.seed, SHOWN)
             board = views[asked.number - 1]
@@ -157,19 +172,3 @@ class BoardHands:
         # nearly upright, which the arm reaches farthest with
         axis = 0.5 * normal + np.array([0.0, 0.0, 1.0])
         return self._board.corners_mm[corner] + tip_radius_mm * normal, axis / np.linalg.norm(axis)
-
-    def _fixed(self, asked: op.BoardPose, cameras: Sequence[CameraModel]) -> Board:
-        """Near the teat ends, within the arm's reach, tilted towards the middle of the cameras."""
-        turn = (asked.number - 1) % len(FIXED_TURNS_RAD)
-        middle = self._world.ends_mm().mean(axis=0) + np.array(FIXED_SHIFTS_MM[turn])
-        away = middle - np.mean([camera.centre_mm for camera in cameras], axis=0)
-        away = away / np.linalg.norm(away)
-        across = np.cross(away, [0.0, 0.0, 1.0])
-        across = across / np.linalg.norm(across)
-        along = np.cross(away, across)
-        up, side = FIXED_TURNS_RAD[turn]
-        along, away = np.cos(up) * along + np.sin(up) * away, np.cos(up) * away - np.sin(up) * along
-        across = np.cos(side) * across + np.sin(side) * away
-        width, height = asked.pattern.size_mm
-        corner = middle - 0.5 * (width * across + height * along)
-        return Board(as_point(corner), as_point(across), as_point(along), asked.pattern)

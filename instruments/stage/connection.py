@@ -75,7 +75,7 @@ def whole(question: Callable[P, R]) -> Callable[P, R]:
     return asked
 
 
-class Turns:
+class TurnLock:
     """Whose turn it is to ask. Reentrant, and taken by `with` alone: an interrupt keeps none."""
 
     def __init__(self) -> None:
@@ -128,7 +128,7 @@ class Dialogue:
         self.upsets = 0
         self.alarm: int | str | None = None
         self.outstanding: str | None = None  # the line whose answer hasn't come
-        self.turns = Turns()
+        self.turns = TurnLock()
         self._link = link
         self._clock = clock
         self._decoder = Decoder(self._parse)

@@ -54,7 +54,17 @@ def lay_over(
             np.concatenate([getattr(one, name) for one in group])
             for name in ("share", "depth_mm", "value")
         )
-        _lay_mixed(flat, np.concatenate(pixels), share, depth, owner, value)
+        pixel = np.concatenate(pixels)
+        # pixels where only one shows go at once
+        alone = np.bincount(pixel, minlength=len(flat))[pixel] == 1
+        once, shared = np.flatnonzero(alone), np.flatnonzero(~alone)
+        at, behind = pixel[once], flat[pixel[once]]
+        flat[at] = behind + share[once] * (value[once] - behind)
+        if len(shared):
+            at, light, behind, _ = _stacked(
+                pixel[shared], share[shared], depth[shared], owner[shared], value[shared]
+            )
+            flat[at] = light + behind * flat[at]
 
 
 def _far_to_near(layers: Sequence[Layer]) -> Iterator[list[Layer]]:
@@ -74,21 +84,6 @@ def _far_to_near(layers: Sequence[Layer]) -> Iterator[list[Layer]]:
         nearest = min(nearest, near) if len(group) > 1 else near
     if group:
         yield group
-
-
-def _lay_mixed(
-    image: NDArray[Any], pixel: Ints, share: Floats, depth: Floats, owner: Ints, value: NDArray[Any]
-) -> None:
-    """Objects that mix in depth: pixels where only one shows go at once."""
-    alone = np.bincount(pixel, minlength=len(image))[pixel] == 1
-    once, shared = np.flatnonzero(alone), np.flatnonzero(~alone)
-    at, behind = pixel[once], image[pixel[once]]
-    image[at] = behind + share[once] * (value[once] - behind)
-    if len(shared):
-        at, light, behind, _ = _stacked(
-            pixel[shared], share[shared], depth[shared], owner[shared], value[shared]
-        )
-        image[at] = light + behind * image[at]
 
 
 def _stacked(
@@ -170,7 +165,19 @@ def cover(solids: Solids, camera: CameraModel) -> Cover:
         nothing = np.zeros(0, dtype=np.intp)
         return Cover(nothing, nothing, nothing, np.zeros(0))
     _refuse_near(float(solids.nearest_depth().min()), camera)
-    return _of_corners(_outlines(solids, camera), camera)
+    depth = np.minimum(solids.a[:, 2], solids.b[:, 2])
+    size_px = np.maximum(solids.radius_a, solids.radius_b) / depth * float(camera.fc.max())
+    corners: dict[int, Floats] = {}
+    for points, above, up_to in RING_POINTS:
+        which = np.flatnonzero((size_px > above) & (size_px <= up_to))
+        if len(which) == 0:
+            continue
+        rings = np.concatenate([_ring(solids, which, points, end) for end in (True, False)], axis=1)
+        clouds = rings[..., :2] / rings[..., 2:]
+        coarse = clouds.astype(np.float32, order="C")
+        for number, cloud, rough in zip(which.tolist(), clouds, coarse, strict=True):
+            corners[number] = cloud[cv2.convexHull(rough, returnPoints=False)[:, 0]]
+    return _of_corners([corners[number] for number in range(len(solids))], camera)
 
 
 def cover_outlines(outlines: Sequence[Floats], camera: CameraModel) -> Cover:
@@ -198,7 +205,13 @@ def _of_corners(corners: Sequence[Floats], camera: CameraModel) -> Cover:
     x_px, y_px = way * camera.fc[:, None]
     pieces = np.maximum(np.ceil(np.sqrt(x_px * x_px + y_px * y_px) / STEP_PX), 1.0).astype(np.intp)
     edge, part = _repeated(pieces)
-    points = _bent(start[:, edge] + part * (way / pieces)[:, edge], camera)
+    # where the lens puts these points, from the first pixel's corner, px
+    plane = start[:, edge] + part * (way / pieces)[:, edge]
+    low, high = (limit[:, None] for limit in _plane_window(camera))
+    pixels = camera.pixels_from_plane(np.minimum(np.maximum(plane, low), high).T).T
+    size = np.array([[camera.width_px], [camera.height_px]], dtype=np.float64)
+    # From here a pixel reaches from its number to the next one.
+    points = np.minimum(np.maximum(pixels + 0.5, -MARGIN_PX), size + MARGIN_PX)
     counts = np.add.reduceat(pieces, np.cumsum(counts) - counts)
     end = points[:, _following(counts)]
     return _areas(counts, points, end, camera)
@@ -215,23 +228,6 @@ def _repeated(counts: Ints) -> tuple[Ints, Ints]:
     """Each place of ``counts`` so many times, and the number of each repetition from 0."""
     which = np.repeat(np.arange(len(counts)), counts)
     return which, np.arange(len(which)) - (np.cumsum(counts) - counts)[which]
-
-
-def _outlines(solids: Solids, camera: CameraModel) -> list[Floats]:
-    """The polygon (m, 2) of each solid in the ideal plane."""
-    depth = np.minimum(solids.a[:, 2], solids.b[:, 2])
-    size_px = np.maximum(solids.radius_a, solids.radius_b) / depth * float(camera.fc.max())
-    corners: dict[int, Floats] = {}
-    for points, above, up_to in RING_POINTS:
-        which = np.flatnonzero((size_px > above) & (size_px <= up_to))
-        if len(which) == 0:
-            continue
-        rings = np.concatenate([_ring(solids, which, points, end) for end in (True, False)], axis=1)
-        clouds = rings[..., :2] / rings[..., 2:]
-        coarse = clouds.astype(np.float32, order="C")
-        for number, cloud, rough in zip(which.tolist(), clouds, coarse, strict=True):
-            corners[number] = cloud[cv2.convexHull(rough, returnPoints=False)[:, 0]]
-    return [corners[number] for number in range(len(solids))]
 
 
 def _ring(solids: Solids, which: Ints, points: int, at_a: bool) -> Floats:
@@ -259,15 +255,6 @@ def _plane_window(camera: CameraModel) -> tuple[Floats, Floats]:
     u, v = np.meshgrid(np.linspace(-MARGIN_PX, w, 9), np.linspace(-MARGIN_PX, h, 9))
     plane = camera.plane_from_pixels(np.column_stack([u.ravel(), v.ravel()]))
     return plane.min(axis=0), plane.max(axis=0)
-
-
-def _bent(plane: Floats, camera: CameraModel) -> Floats:
-    """Where the lens puts points (2, n), from the first pixel's corner, px."""
-    low, high = (limit[:, None] for limit in _plane_window(camera))
-    pixels = camera.pixels_from_plane(np.minimum(np.maximum(plane, low), high).T).T
-    size = np.array([[camera.width_px], [camera.height_px]], dtype=np.float64)
-    # From here a pixel reaches from its number to the next one.
-    return np.minimum(np.maximum(pixels + 0.5, -MARGIN_PX), size + MARGIN_PX)
 
 
 def _areas(counts: Ints, start: Floats, end: Floats, camera: CameraModel) -> Cover:

@@ -174,7 +174,15 @@ def intersect(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats
     """Ray (x, y, 1) with solid ``which``, each (n,), ascending: depth (n,) mm, outward normal
     (3, n), truly hit (n,). ``solids`` are in the frame of the camera, which is outside of them.
     """
-    columns = _columns(solids)
+    # The body's endless cone: |p|^2 - h^2 = (r0 + k h)^2, camera at the origin; the height and qb
+    # are linear in the ray: their coefficients, and qc, are one for each solid.
+    a, axis, r0, k = solids.a.T, solids.axis.T, solids.radius_0, solids.slope
+    h0 = -dot(a, axis)
+    bend = 1.0 + k * k
+    to_b = -a - (bend * h0 + k * r0) * axis
+    qc = dot(a, a) - bend * h0 * h0 - 2.0 * k * r0 * h0 - r0 * r0
+    flat = solids.flat_a + 2.0 * solids.flat_b
+    columns = np.stack([*axis, *to_b, bend, h0, qc, k, r0, *a, solids.low, solids.high, flat])
     depth, hit, normal = np.empty(len(x)), np.empty(len(x), dtype=np.bool_), np.empty((3, len(x)))
     for start in range(0, len(x), BLOCK):
         part = slice(start, start + BLOCK)
@@ -182,21 +190,6 @@ def intersect(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats
             solids, columns, which[part], x[part], y[part]
         )
     return depth, normal, hit
-
-
-def _columns(solids: Solids) -> Floats:
-    """What a ray's hit needs of each of k solids, (17, k).
-
-    The body's endless cone: |p|^2 - h^2 = (r0 + k h)^2, camera at the origin; the height and qb are
-    linear in the ray: their coefficients, and qc, are one for each solid.
-    """
-    a, axis, r0, k = solids.a.T, solids.axis.T, solids.radius_0, solids.slope
-    h0 = -dot(a, axis)
-    bend = 1.0 + k * k
-    to_b = -a - (bend * h0 + k * r0) * axis
-    qc = dot(a, a) - bend * h0 * h0 - 2.0 * k * r0 * h0 - r0 * r0
-    flat = solids.flat_a + 2.0 * solids.flat_b
-    return np.stack([*axis, *to_b, bend, h0, qc, k, r0, *a, solids.low, solids.high, flat])
 
 
 def _meet_block(

@@ -20,7 +20,15 @@ from detector.calibration import (
     load_calibration,
 )
 from detector.calibration.boards import Board
-from detector.calibration.bundle import LENS, POSE, BundleError, Freedom, Rig, Sighting, adjust
+from detector.calibration.bundle import (
+    LENS,
+    POSE,
+    BundleError,
+    FreeParameters,
+    Rig,
+    Sighting,
+    adjust,
+)
 from detector.calibration.cameras import (
     BoardView,
     CameraFit,
@@ -277,4 +285,4 @@ class TestRefusals:
         rig = Rig({"left": camera}, {"left": Motion.identity()})
         few = Sighting("left", 0, BOARD.points_mm[:4], np.zeros((4, 2)))
         with pytest.raises(BundleError, match="4 corners can't fix 15 parameters"):
-            adjust(rig, [Motion.identity()], [few], Freedom({"left": frozenset(LENS)}))
+            adjust(rig, [Motion.identity()], [few], FreeParameters({"left": frozenset(LENS)}))

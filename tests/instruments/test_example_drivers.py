@@ -18,7 +18,7 @@ import pytest
 from bench.calibrate.exchange import read_maker
 from bench.config import ConfigError
 from bench.testing.conformance import CHECKS, conform
-from bench.testing.plugins import OfPlugin
+from bench.testing.plugins import PluginSubject
 from instruments.camera.cameras import CameraSet
 from instruments.camera.frame import Conversion, FrameError, FrameFault
 from instruments.clock import VirtualClock
@@ -52,7 +52,7 @@ def driver(monkeypatch: pytest.MonkeyPatch) -> Drivers:
 def passes(kind: Kind, plugged: Plugin) -> None:
     """What the suite can ask of a stand-in: no link that can be cut, no late answer."""
     clock = VirtualClock()
-    found = list(conform(lambda: OfPlugin(kind, plugged, clock, works=True), CHECKS))
+    found = list(conform(lambda: PluginSubject(kind, plugged, clock, works=True), CHECKS))
     outcomes = [one.outcome for one in found]
     assert outcomes == ["passed", "not checked", "passed", "passed", "not checked"], found
 
@@ -232,7 +232,7 @@ def test_a_group_of_a_realsense(driver: Drivers) -> None:
     with pytest.raises(ConfigError, match="sd can't be: no such parameter: left f"):
         read_maker(replace(stated, sd={"left f": 0.5}), sizes, "RealSense")
     device.columns = 7
-    failed = next(conform(lambda: OfPlugin("camera", plugged, clock, works=True)))
+    failed = next(conform(lambda: PluginSubject("camera", plugged, clock, works=True)))
     assert failed.outcome == "failed"
     assert "its maker's lenses are of {'left': (7, 4)" in failed.why
     device.columns = 6

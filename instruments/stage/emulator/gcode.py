@@ -233,7 +233,29 @@ class GCode:
         modes = replace(modes, feed=self._feed(line, modes))
         target = self._checked(line, modes)
         self._check_unused(line, modes, "FNST")
-        return self._done(line, modes, target)
+        actions: list[Action] = []
+        before, words = self.modes, self._words(line)
+        if line.other == 4:
+            actions.append(Dwell(line.words["P"]))
+        elif (before.spindle, before.coolant) != (modes.spindle, modes.coolant):
+            actions.append(Dwell(0.0))
+        if line.axes == "tool":
+            modes = replace(modes, tool_mm=target[2] if line.codes["tool"] == 43.1 else 0.0)
+        self.offset_changed |= before.tool_mm != modes.tool_mm or before.system != modes.system
+        self.modes = modes
+        if line.other in (28, 30):
+            actions += self._homewards(line, target)
+        elif line.other is not None:
+            actions += self._set(line, target)
+        if line.axes == "motion" and words and modes.motion != 80:
+            actions += self._motion(line, target)
+            self.at_mm = target
+        program = line.codes.get("program", 1)
+        if program != 1:
+            actions.append(Flow(end=program != 0))
+        if program > 1:
+            self.modes, self.offset_changed = replace(modes, **PROGRAM_END), True
+        return actions
 
     def jog(self, text: str) -> Move | None:
         """A jog's move. It leaves no mode behind. Raises RefusedError."""
@@ -361,32 +383,6 @@ class GCode:
             used |= {"R"} if "R" in line.words else set("IJK")
         if line.words.keys() - used:
             raise RefusedError(36)
-
-    def _done(self, line: Line, modes: Modes, target: Vector) -> list[Action]:
-        """Set modes, parameters and offsets; what is left to do, in the firmware's order."""
-        actions: list[Action] = []
-        before, words = self.modes, self._words(line)
-        if line.other == 4:
-            actions.append(Dwell(line.words["P"]))
-        elif (before.spindle, before.coolant) != (modes.spindle, modes.coolant):
-            actions.append(Dwell(0.0))
-        if line.axes == "tool":
-            modes = replace(modes, tool_mm=target[2] if line.codes["tool"] == 43.1 else 0.0)
-        self.offset_changed |= before.tool_mm != modes.tool_mm or before.system != modes.system
-        self.modes = modes
-        if line.other in (28, 30):
-            actions += self._homewards(line, target)
-        elif line.other is not None:
-            actions += self._set(line, target)
-        if line.axes == "motion" and words and modes.motion != 80:
-            actions += self._motion(line, target)
-            self.at_mm = target
-        program = line.codes.get("program", 1)
-        if program != 1:
-            actions.append(Flow(end=program != 0))
-        if program > 1:
-            self.modes, self.offset_changed = replace(modes, **PROGRAM_END), True
-        return actions
 
     def _homewards(self, line: Line, target: Vector) -> list[Action]:
         """By way of the target, on its axes only, to where G28.1 or G30.1 was."""

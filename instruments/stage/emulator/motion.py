@@ -66,7 +66,7 @@ class AxisRates:
 
 
 @dataclass(frozen=True, slots=True)
-class Straight:
+class LinearMove:
     """A straight move. ``feed_mm_s``: what was asked for; None is as fast as possible."""
 
     start_mm: Vector
@@ -92,10 +92,10 @@ class Straight:
 
 
 @dataclass(frozen=True, slots=True)
-class Leg:
+class MoveSegment:
     """A move, or what is run of it from ``from_mm`` on, and when it is where."""
 
-    move: Straight
+    move: LinearMove
     from_mm: float
     run: Run
 
@@ -117,8 +117,8 @@ class Motion:
 
     def __init__(self, at_mm: Vector) -> None:
         self._rest = at_mm
-        self._legs: tuple[Leg, ...] = ()
-        self._held: tuple[tuple[Straight, float], ...] = ()  # and how far each has come
+        self._legs: tuple[MoveSegment, ...] = ()
+        self._held: tuple[tuple[LinearMove, float], ...] = ()  # and how far each has come
         self.percent = (100, 100)  # the overrides of feed and of rapid moves
 
     def position(self, now_s: float) -> Vector:
@@ -143,7 +143,7 @@ class Motion:
         """When the running move ends, or stops; ``inf`` at rest."""
         return next((leg.end_s for leg in self._legs if leg.end_s > now_s + SOON_S), math.inf)
 
-    def left(self, now_s: float) -> tuple[tuple[Straight, float], ...]:
+    def left(self, now_s: float) -> tuple[tuple[LinearMove, float], ...]:
         """The moves that are not over, the running one first, and how far each has come."""
         if self._held:
             return self._held
@@ -165,7 +165,7 @@ class Motion:
             return False
         unit = tuple([(end - at) / length for at, end in zip(start, target, strict=True)])
         top, accel = (rates.along(unit, of) for of in (rates.speed_mm_s, rates.accel_mm_s2))
-        move = Straight(start, target, length, feed_mm_s, top, max(accel, LEAST_MM_S2))
+        move = LinearMove(start, target, length, feed_mm_s, top, max(accel, LEAST_MM_S2))
         self._plan((*self.left(now_s), (move, 0.0)), now_s)
         return True
 
@@ -178,7 +178,7 @@ class Motion:
             brake_mm = min(speed**2 / (2 * move.accel_mm_s2), move.length_mm - along)
             if brake_mm > 0:
                 run = Run(now_s, brake_mm, speed, move.accel_mm_s2, speed)
-                self._legs = (Leg(move, along, run),)
+                self._legs = (MoveSegment(move, along, run),)
                 self._held = ((move, along + brake_mm), *left[1:])
 
     def resume(self, now_s: float) -> None:
@@ -202,16 +202,16 @@ class Motion:
         self._rest = self.position(now_s)
         self._legs = self._held = ()
 
-    def _plan(self, left: Sequence[tuple[Straight, float]], now_s: float) -> None:
+    def _plan(self, left: Sequence[tuple[LinearMove, float]], now_s: float) -> None:
         """Run what is left one after the other, the first from the speed that it has."""
         if self._held:  # a new move waits behind those held
             self._held = tuple(left)
             return
         speed, self._rest = self.speed(now_s), self.position(now_s)
-        legs: list[Leg] = []
+        legs: list[MoveSegment] = []
         for move, along in left:
             if (way := move.length_mm - along) > 0:
                 run = Run(now_s, way, move.speed_mm_s(*self.percent), move.accel_mm_s2, speed)
-                legs.append(Leg(move, along, run))
+                legs.append(MoveSegment(move, along, run))
                 now_s, speed = run.end_s, 0.0
         self._legs = tuple(legs)

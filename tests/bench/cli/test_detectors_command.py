@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from bench.config import read_config
-from bench.results.thesis_figures import thesis
+from bench.report.thesis import thesis
 from bench.script.detectors import DetectorFile
 from detector.external import ProcessLimits
 from detector.registry import available

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.results.attribution import Cause, What, attributed
+from bench.results.attribution import Cause, DetectionFault, attributed
 from bench.rig.arm_files import TableFrame, TouchedPoint
 from tests.bench.report.null_world import (
     FINE,
@@ -85,7 +85,9 @@ def test_a_truth_that_is_nowhere_near_the_script_is_charged_to_no_detector(
 def test_an_end_that_is_called_visible_where_no_camera_sees_is_charged_to_no_detector() -> None:
     """Half of the script's poses are beside the pictures; the rest counts as before."""
     run = done(replace(WORLDS["touched"], beside_mm=BESIDE_MM), Off(), SEED).run
-    found = [one for one in attributed(run, run.detectors[0]) if one.what is What.NOT_JUDGED]
+    found = [
+        one for one in attributed(run, run.detectors[0]) if one.what is DetectionFault.NOT_JUDGED
+    ]
     assert 0 < len(found) < POSES
     assert len(run.counted) == POSES - len(found)
     assert {one.cause for one in found} == {Cause.TRUTH}

@@ -20,7 +20,7 @@ from bench.cli.main import main
 from bench.config import read_calibration
 from bench.record.reader import read_run
 from bench.report.page import build_page
-from bench.report.thesis import thesis_chapter
+from bench.report.thesis import thesis_parts
 from bench.report.trials import trial_part
 from bench.results.status import status_of
 from bench.results.verdicts import judge, stored_rules
@@ -221,7 +221,7 @@ def test_the_six_situations_have_all_the_thesis_figures(folder: Path) -> None:
     run, rules = read_run(folder), stored_rules(folder)
     run = dataclasses.replace(run, facts={**run.facts, "detectors": ["thesis"]})
     calibration = read_calibration(folder / "calibration.toml")
-    (chapter,) = thesis_chapter(run, rules, calibration)
+    chapter = [*thesis_parts(run, rules, calibration)]
     rows = rows_of(chapter)
     start = "teats found, "
     found = {name.removeprefix(start): row for name, row in rows.items() if name.startswith(start)}
@@ -264,7 +264,7 @@ def test_the_six_situations_have_all_the_thesis_figures(folder: Path) -> None:
     other = dataclasses.replace(
         calibration, left=dataclasses.replace(calibration.left, fc=(1300.0, 1300.0))
     )
-    (chapter,) = thesis_chapter(run, rules, other)
+    chapter = [*thesis_parts(run, rules, other)]
     assert "printed" not in rows_of(chapter)["homography from thermal to optical"][3]
 
 

@@ -5,7 +5,7 @@ the chapter of each test that ships.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -17,13 +17,15 @@ import pytest
 from bench.record.reader import RunRecord
 from bench.report.thesis import (
     PLANE,
+    Kind,
     elsewhere_table,
+    errors_of_test_mm,
     largest_region_mm,
     places_of,
     published_counts,
-    thesis_chapter,
+    thesis,
+    thesis_parts,
 )
-from bench.results.thesis_figures import Kind, errors_of_test_mm, thesis
 from bench.rig.loading import find_rig, load_rig
 from bench.scoring.errors import summarise
 from bench.script.model import TRIALS, load_script
@@ -33,7 +35,7 @@ from detector.calibration.thesis_rig import (
     TEAT_ENDS_MM,
     WORLD_MATRIX,
 )
-from reports.page import Cell, Section, Table
+from reports.page import Cell, Part, Table
 from tests.bench.results.test_error_rows import record, trial
 from tests.conftest import SHARED
 
@@ -54,9 +56,9 @@ def text_of(cell: str | Cell) -> str:
 BESIDE = "Figures of the thesis beside this run"
 
 
-def rows_of(section: Section, caption: str = BESIDE) -> dict[str, tuple[str, ...]]:
+def rows_of(parts: Iterable[Part], caption: str = BESIDE) -> dict[str, tuple[str, ...]]:
     """The rows of the table with that caption's start, by their first cell."""
-    tables = (part for part in section.parts if isinstance(part, Table))
+    tables = (part for part in parts if isinstance(part, Table))
     table = next(part for part in tables if part.caption.startswith(caption))
     return {text_of(row[0]): tuple(text_of(cell) for cell in row[1:]) for row in table.rows}
 
@@ -176,7 +178,7 @@ def test_the_plane_s_figures_are_those_of_its_places(plane: RunRecord) -> None:
 def test_the_plane_has_the_chapter_with_the_earlier_system(plane: RunRecord) -> None:
     rules = load_script(TRIALS / "plane-map.toml").script
     calibration = load_rig(find_rig(None)).calibration
-    (chapter,) = thesis_chapter(plane, rules, calibration)
+    chapter = thesis_parts(plane, rules, calibration)
     rows = rows_of(chapter)
     section = "1.4.3.2"
     assert rows["average error"][:4] == (section, "11.79 mm", "", "6.38 mm (24 of 25 found)")
@@ -187,4 +189,4 @@ def test_the_plane_has_the_chapter_with_the_earlier_system(plane: RunRecord) -> 
         "75 x 100 mm, 4.80 mm (15 of 15 found)",
     )
     trials = tuple(replace(t, head={**t.head, "situation": "mine"}) for t in plane.trials)
-    assert thesis_chapter(replace(plane, trials=trials), rules, calibration) == ()
+    assert not [*thesis_parts(replace(plane, trials=trials), rules, calibration)]

@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.record.reader import RunRecord, TrialRecord
 from bench.report.tables import attribution_parts
-from bench.results.attribution import AttributedFault, Cause, What, attributed, counted
+from bench.results.attribution import AttributedFault, Cause, DetectionFault, attributed, counted
 from bench.scoring.scene import SceneScore, score_scene
 from reports.page import Notes, Table
 
@@ -53,38 +53,44 @@ def run(
     return RunRecord(Path(), facts, trials, skipped, events=events)
 
 
-def whose(record: RunRecord) -> list[tuple[str, What, Cause]]:
+def whose(record: RunRecord) -> list[tuple[str, DetectionFault, Cause]]:
     return [(one.teat, one.what, one.cause) for one in attributed(record, "d")]
 
 
 def test_what_the_detector_did_is_the_detectors() -> None:
     seen = score([[0.5, 0, 0], [68.0, 0, 0], [0, 60, 1], [-90, -90, 0]])
     assert whose(run(trial("a", seen))) == [
-        ("4", What.MISSED, Cause.DETECTOR),
-        ("2", What.OFF, Cause.DETECTOR),
-        ("", What.FALSE, Cause.DETECTOR),
+        ("4", DetectionFault.MISSED, Cause.DETECTOR),
+        ("2", DetectionFault.OFF, Cause.DETECTOR),
+        ("", DetectionFault.FALSE, Cause.DETECTOR),
     ]
 
 
 def test_an_end_in_the_guard_band_is_the_truths() -> None:
     found = [*ENDS[:3].tolist(), [65.2, 60.0, 0.0]]
-    assert whose(run(trial("a", score(found, u_mm=0.3)))) == [("4", What.OFF, Cause.TRUTH)]
-    assert whose(run(trial("a", score(found, u_mm=0.001)))) == [("4", What.OFF, Cause.DETECTOR)]
+    assert whose(run(trial("a", score(found, u_mm=0.3)))) == [
+        ("4", DetectionFault.OFF, Cause.TRUTH)
+    ]
+    assert whose(run(trial("a", score(found, u_mm=0.001)))) == [
+        ("4", DetectionFault.OFF, Cause.DETECTOR)
+    ]
 
 
 def test_an_end_that_cannot_be_seen_is_no_detectors_fault() -> None:
     hidden = (True, True, True, False)
     assert whose(run(trial("a", score(ENDS[:3].tolist(), hidden), hidden))) == [
-        ("4", What.MISSED, Cause.NOT_VISIBLE)
+        ("4", DetectionFault.MISSED, Cause.NOT_VISIBLE)
     ]
     assert whose(run(trial("a", score(ENDS.tolist(), hidden), hidden))) == [], "found all the same"
 
 
 def test_a_bath_that_was_not_stable_is_the_benchs_and_a_truth_taken_back_the_truths() -> None:
     missed = score(ENDS[:3].tolist())
-    assert whose(run(trial("a", missed, bath_state="heating"))) == [("4", What.MISSED, Cause.BENCH)]
+    assert whose(run(trial("a", missed, bath_state="heating"))) == [
+        ("4", DetectionFault.MISSED, Cause.BENCH)
+    ]
     assert whose(run(trial("a", missed, invalid="the stage lost its place"))) == [
-        ("4", What.MISSED, Cause.TRUTH)
+        ("4", DetectionFault.MISSED, Cause.TRUTH)
     ]
 
 
@@ -118,5 +124,5 @@ def test_the_report_counts_them_apart_and_names_what_is_not_the_detectors() -> N
     assert isinstance(notes, Notes)
     assert len(notes.items) == 2
     found = attributed(record, "d")
-    assert counted(found)[What.MISSED, Cause.BENCH] == 2
+    assert counted(found)[DetectionFault.MISSED, Cause.BENCH] == 2
     assert isinstance(found[0], AttributedFault)

@@ -14,7 +14,7 @@ import scipy
 from bench.rig.model import ROUNDING_MM
 from bench.truth.carrying import Reference, carried, fixed_key, moved, reference_from_dict
 from bench.truth.touching import end_u_mm, reading_u_mm, tip_radius_u_mm, touched
-from bench.truth.uncertainty import CARRY, CHI2_95, Component, How, TrueEnd, triple
+from bench.truth.uncertainty import CARRY, CHI2_95, Component, TrueEnd, TruthMethod, triple
 from instruments.world.phantom import PlatePose
 from tests.bench.truth.touches import (
     ACCURACY,
@@ -161,7 +161,7 @@ TIPS = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.0, 0.3, 0.3]])
 def test_the_mean_and_the_budget() -> None:
     truth = touched(TIPS, ARM)
     assert truth.xyz_mm == pytest.approx((0.1, 0.1, 0.1))
-    assert truth.how is How.TOUCHED
+    assert truth.how is TruthMethod.TOUCHED
     parts = {c.name: c.u_mm for c in truth.uncertainty.components}
     assert list(parts) == ["arm", "definition", "resolution", "scatter"]
     assert parts["arm"] == 0.23
@@ -203,7 +203,7 @@ def test_a_carried_end_keeps_its_budget_and_gets_a_line() -> None:
     carry = np.diag([0.04, 0.01, 0.0])
     there = moved(start, np.array([1.0, 2.0, 3.0]), carry, "carried 5 mm", 0.35)
     parts = {c.name: c.u_mm for c in there.uncertainty.components}
-    assert there.how is How.CARRIED
+    assert there.how is TruthMethod.CARRIED
     assert there.xyz_mm == (1.0, 2.0, 3.0)
     assert parts["registration"] == 0.35, "the table frame's part is that of the new place"
     assert parts[CARRY] == pytest.approx(0.2), "the worst direction's"

@@ -18,7 +18,7 @@ from bench.record.writer import Store
 from bench.truth.carrying import REFERENCE_FACT, UNCONFIRMED_FACT, CarriedTruth, CarryState, resumed
 from bench.truth.registration import Registration
 from bench.truth.touching import ExpectedScene, NoTruthError, TouchedTruth, Toucher, TrialTruth
-from bench.truth.uncertainty import How, Triple, triple
+from bench.truth.uncertainty import Triple, TruthMethod, triple
 from instruments.operators.operator import Arrangement, Prompt
 from instruments.operators.prompted import PromptedOperator
 from tests.bench.truth.touches import (
@@ -105,7 +105,11 @@ class Bench:
 def test_touched_once_then_carried() -> None:
     bench = Bench()
     truths = [bench.trial(number, 20.0 * number) for number in (0, 1, 2)]
-    assert [t.how for t in truths] == [How.TOUCHED, How.CARRIED, How.CARRIED]
+    assert [t.how for t in truths] == [
+        TruthMethod.TOUCHED,
+        TruthMethod.CARRIED,
+        TruthMethod.CARRIED,
+    ]
     assert len(bench.hand.asked) == 4, "the four ends, once"
     assert [len(t.touches) for t in truths] == [4, 0, 0]
     for number, truth in enumerate(truths):
@@ -140,7 +144,7 @@ def test_a_lost_step_costs_the_trials_since_the_last_good_check_and_no_other() -
     assert "2.00 mm" in bench.invalid["005"]
     assert bench.confirmed == ["001", "002", "003"]
     assert [text for kind, text in bench.note if kind == "invalid" and "004, 005, 006" in text]
-    assert after.how is How.CARRIED, "what was touched in the check is the new reference"
+    assert after.how is TruthMethod.CARRIED, "what was touched in the check is the new reference"
     assert np.allclose([p.xyz_mm for p in after.points], bench.hand.ends, atol=0.05)
     bench.source.end()
     assert bench.confirmed[-1] == "007"
@@ -154,7 +158,7 @@ def test_a_slip_so_wide_that_teats_are_mistaken_invalidates_too() -> None:
     truth = bench.trial(4, 40.0)
     assert list(bench.invalid) == ["001", "002", "003"]
     assert "could not be used" in bench.invalid["001"]
-    assert truth.how is How.TOUCHED, "there is no reference any more"
+    assert truth.how is TruthMethod.TOUCHED, "there is no reference any more"
 
 
 def test_another_phantom_or_a_trial_done_again_is_checked_before_and_touched_anew() -> None:
@@ -163,13 +167,13 @@ def test_another_phantom_or_a_trial_done_again_is_checked_before_and_touched_ane
     bench.trial(1, 10.0)
     other = bench.trial(2, 20.0, fixed="two")
     assert bench.confirmed == ["001"], "checked while it still stood"
-    assert other.how is How.TOUCHED
+    assert other.how is TruthMethod.TOUCHED
     back = bench.trial(3, 30.0, fixed="one")
-    assert back.how is How.TOUCHED, "what was taken away is not where it was"
+    assert back.how is TruthMethod.TOUCHED, "what was taken away is not where it was"
     bench.trial(4, 40.0)
     bench.source.before(ExpectedScene("005", table_5_1(), "one"))
     # and then the operator wanted it again: what went wrong, nobody can tell
-    assert bench.trial(5, 50.0).how is How.TOUCHED
+    assert bench.trial(5, 50.0).how is TruthMethod.TOUCHED
     assert bench.confirmed == ["001", "004"]
 
 
@@ -192,7 +196,7 @@ def test_a_check_that_is_skipped_is_asked_for_again_and_the_last_leaves_trials_u
     bench.trial(0, 0.0)
     bench.trial(1, 10.0)
     bench.hand.skips = 1
-    assert bench.trial(2, 20.0).how is How.CARRIED
+    assert bench.trial(2, 20.0).how is TruthMethod.CARRIED
     why = "check touch 1 was skipped: tired. 1 trial is unconfirmed so far"
     assert bench.note[-1] == ("check touch", why)
     bench.trial(3, 30.0)
@@ -211,7 +215,7 @@ def test_what_was_taken_away_unchecked_is_never_confirmed_by_a_later_check() -> 
     hows = {f"{k:03d}": bench.trial(k, 10.0 * k, fixed="two").how for k in (2, 3)}
     bench.source.end()
     assert bench.confirmed == ["003"]
-    state = resumed(record(bench, {"000": How.TOUCHED, "001": How.CARRIED, **hows}))
+    state = resumed(record(bench, {"000": TruthMethod.TOUCHED, "001": TruthMethod.CARRIED, **hows}))
     assert (state.unconfirmed, state.since) == (["001"], [])
 
 
@@ -221,7 +225,7 @@ def test_no_truth_is_not_carried_on() -> None:
     with pytest.raises(NoTruthError):
         bench.trial(0, 0.0)
     bench.hand.places, bench.hand._next = (), None
-    assert bench.trial(1, 10.0).how is How.TOUCHED
+    assert bench.trial(1, 10.0).how is TruthMethod.TOUCHED
 
 
 def test_what_speaks_against_the_registration_is_reported_at_once() -> None:
@@ -241,13 +245,13 @@ def test_touching_every_trial_needs_neither_stage_nor_checks() -> None:
         source.before(shown)
         truth = source.of_trial(shown)
         source.stored(name, truth)
-        assert truth.how is How.TOUCHED
+        assert truth.how is TruthMethod.TOUCHED
         assert {row["trial"] for row in truth.touches} == {name}
     source.end()
     assert len(hand.asked) == 8
 
 
-def record(bench: Bench, hows: dict[str, How]) -> RunRecord:
+def record(bench: Bench, hows: dict[str, TruthMethod]) -> RunRecord:
     """What a stopped run left: facts, checks and trials, as `read_run` gives them."""
     trials = tuple(
         TrialRecord({"id": name, "invalid": bench.invalid.get(name)}, truth=({"how": how.value},))
@@ -265,7 +269,7 @@ def test_a_stopped_run_goes_on_from_what_is_in_the_store() -> None:
     assert REFERENCE_FACT in bench.facts
     bench.source = bench.new_source(state)
     bench.source.begin()
-    assert bench.trial(6, 60.0).how is How.CARRIED
+    assert bench.trial(6, 60.0).how is TruthMethod.CARRIED
     bench.source.end()
     assert bench.confirmed == ["001", "002", "003", "004", "005", "006"]
 
