@@ -151,11 +151,12 @@ def run_queue(
                     if ended:
                         refuse_no_room(rig, len(script.planned), out)
                     store = _begun(rig, script, out, detectors, how, warm=held.is_warm)
-                except ConfigError as error:
+                except (ConfigError, KeyboardInterrupt) as error:
+                    why = str(error) if isinstance(error, ConfigError) else INTERRUPTED
+                    note.ends(why)
                     if not ended:
                         raise
-                    events.warn(f"{script.name} and what follows are not begun. {error}")
-                    note.ends(str(error))
+                    events.warn(f"{script.name} and what follows are not begun. {why}")
                     break
                 note.runs(store.folder)
                 with locked(run_lock(store.folder), "", events.warn, "run"):
