@@ -154,10 +154,12 @@ def run_queue(
     for (folder, _), script in zip(ended, found, strict=False):
         try:
             reports.append(_timed(parts.report(folder), loaded, script))
-        except OSError as error:  # of a full disk: each run is kept, whatever becomes of the others
+        # of a full disk: each run is kept, whatever becomes of the others
+        except (OSError, sqlite3.Error) as error:
             if len(found) == 1:
                 raise
-            shown.warn(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+            at = getattr(error, "filename", None) or folder
+            shown.warn(f"{at}: {getattr(error, 'strerror', None) or error}")
     return tuple(reports)
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from typing import Any
 
 import bench
@@ -18,29 +17,23 @@ FLAGS |= {"detector": "detectors", **{name: name for name in SAME}}
 
 
 def run(given: argparse.Namespace) -> int:
-    plan, found = _plan(given), None
-    with working_on("campaign") as how:
-        found = bench.run_campaign(plan, given.out, workers=given.workers, dask=given.dask, **how)
-    return _print_result(given, found) if found else CODES.fault
-
-
-@contextmanager
-def working_on(what: str) -> Iterator[dict[str, Any]]:
-    """Arguments of `run_campaign` that show on a bar how far it is. What stops it is printed."""
     from bench.cli.terminal import working
 
-    def progress(status: Any) -> tuple[int, int, str]:
-        failed = ", ".join(f"{name} {count}" for name, count in sorted(status.failures.items()))
-        aside = f"; set aside {status.aside}" if status.aside else ""
-        return status.done, status.planned, f"failures: {failed or 'none yet'}{aside}"
-
+    plan, how = _plan(given), {"workers": given.workers, "dask": given.dask}
     try:
-        with working(what, pace="scenes") as shown:
-            yield {"progress": lambda status: shown(*progress(status)), "say": shown.say}
-    except KeyboardInterrupt:
-        complain("interrupted; give the same command again to go on where it stopped", CODES.fault)
+        with working("campaign", pace="scenes") as shown:
+            how |= {"progress": lambda status: shown(*_progress(status)), "say": shown.say}
+            found = bench.run_campaign(plan, given.out, **how)
     except bench.PoolError as error:
-        complain(f"{error} The same command goes on where it stopped.", CODES.fault)
+        return complain(f"{error} The same command goes on where it stopped.", CODES.fault)
+    return _print_result(given, found)
+
+
+def _progress(status: Any) -> tuple[int, int, str]:
+    """Done, of how many, and what failed."""
+    failed = ", ".join(f"{name} {count}" for name, count in sorted(status.failures.items()))
+    aside = f"; set aside {status.aside}" if status.aside else ""
+    return status.done, status.planned, f"failures: {failed or 'none yet'}{aside}"
 
 
 def show(given: argparse.Namespace) -> None:

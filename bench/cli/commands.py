@@ -5,9 +5,10 @@ arguments. It imports nothing heavy, so that ``--help`` answers at once.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from bench.cli.arguments import (
     Argument,
@@ -23,28 +24,6 @@ from bench.cli.arguments import (
     whole,
 )
 from textfiles.bounds import SPEED
-
-# the help of all: what a user wants to do, and the commands and groups for it
-TASKS = {
-    "run trials": ("run", "resume", "control", "console", "report", "runs", "trials", "plan"),
-    "test a detector": ("score", "detectors", "detect", "compare", "scene", "campaign"),
-    "set up a rig": ("init", "check", "rigs", "calibrate", "emulate", "plugin"),
-    "use one instrument alone": ("arm", "bath", "stage", "camera"),
-    "keep and exchange what was recorded": ("store", "recording", "replay-wire"),
-    "this program": ("help",),
-}
-
-GROUPS = {
-    "store": "check that a run's record is unaltered, or export it (help record)",
-    "recording": "make a recording (frames, calibration, truth) to publish (help record)",
-    "scene": "draw simulated scenes: pictures, recordings, boards (help scene)",
-    "campaign": "score detectors on thousands of simulated scenes (help campaigns)",
-    "arm": "a MicroScribe arm alone: read, watch, home, set the table frame, verify",
-    "bath": "the water bath alone, without a rig file",
-    "stage": "the motion stage alone, without a script",
-    "camera": "the cameras alone: list, show, set the focus, save frames",
-    "calibrate": "calibrate cameras, thermal camera, table and stage (help calibration)",
-}
 
 BAUDS = (9600, 14400, 19200, 28800, 38400, 57600, 115200)
 # of detector.calibration.cameras, which is heavy to import
@@ -390,7 +369,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         TABLES_JSON,
     ),
     "store check": (
-        "check database, frames, files of a run; exit code 0: unaltered, 1: altered, 4: no chain",
+        "check that a run's database, frames and files are as they were written",
         "store check runs/20260601-120000-six-situations",
         RUN,
         option(
@@ -979,22 +958,26 @@ FUNCTIONS = {
     "plugin": "listed",
 }
 ONCE = {"control": ("tell",)}  # names of earlier releases, which work for one more
-# words that went, and what to use
-REMOVED = {
-    "campaign search": "hypothesis draws and simplifies scenes in a test of yours: help testing",
-    "campaign herd": "it is an example that you can change: docs/examples/herd.py",
-    "scene sensitivity": "it is an example that you can change: docs/examples/sensitivity.py",
-    "--coco": "it is an example that you can change: docs/examples/coco.py",
-    "detectors new onnx": "a learned detector is an example: docs/examples/learned_detector.py",
-    "completion": "bash and zsh take 'eval \"$(register-python-argcomplete teatbench)\"'",
-    "--single-file": "send report.pdf, or the folder 'report' as a zip file",
-    "thesis-test-2": "no script puts picked points off; 'calibrate cameras' gives the uncertainty",
-    "thesis-no-refinement": "the trace of 'thesis' has the ends before refinement",
-    "thesis-published-homography-no-refinement": "use thesis-published-homography",
-}
 
 
 @cache
-def following() -> Mapping[str, Sequence[str]]:
-    """What a person mostly does after each command: two commands, of ``following.toml``."""
-    return tomllib.loads(Path(__file__).with_name("following.toml").read_text(encoding="utf-8"))
+def table(name: str) -> Mapping[str, Any]:
+    """A table beside this file. ``tasks``: what a user wants to do, and the commands and groups for
+    it; ``following``: two commands that mostly come next; ``removed``: words that went, and what
+    to use; ``endings``: exit codes, and what stands after Ctrl-C.
+    """
+    return tomllib.loads(Path(__file__).with_name(f"{name}.toml").read_text(encoding="utf-8"))
+
+
+def exit_codes(name: str) -> Mapping[str, str]:
+    """When the command ends with which exit code, in their order."""
+    found = table("endings")
+    own: Mapping[str, Any] = next((row for row in found["codes"] if name in row["of"]), {})
+    codes = found["every"] | {key: text for key, text in own.items() if key != "of"}
+    return dict(sorted(codes.items()))
+
+
+def interrupted(name: str) -> str:
+    """What stands once Ctrl-C has ended the command, and what to do."""
+    rows = table("endings")["interrupted"]
+    return str(next(row["text"] for row in rows if name in row["of"]))

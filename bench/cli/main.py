@@ -18,8 +18,8 @@ from functools import cache
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from bench.cli import commands
 from bench.cli.arguments import CODES, EXIT_CODES, call, complain, in_switches
-from bench.cli.commands import COMMANDS, FUNCTIONS, GROUPS, MODULES, ONCE, REMOVED, TASKS, following
 from bench.safety.signals import installed
 from bench.version import __version__
 from reports.sanitize import sanitizing
@@ -34,8 +34,8 @@ ODD_BYTES = re.compile("[\ud800-\udfff]")  # what no record, page or terminal ca
 HELP_COLUMNS = 78
 FEW = 8  # choices that a message lists
 MORE_HELP = (
-    "'teatbench COMMAND --help' has a command's arguments, and an example of it; 'teatbench help"
-    " COMMAND' the page that explains it."
+    "'teatbench COMMAND --help' has a command's arguments, an example and its exit codes;"
+    " 'teatbench help COMMAND' the page that explains it."
 )
 
 # What libraries read when they are loaded. OpenCV and its FFmpeg would write to the terminal
@@ -53,6 +53,7 @@ LEAST_BYTES = 512 << 20
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; gives back its exit code."""
     _set_up_libraries(alone=arguments is None)
+    given = argparse.Namespace(left="nothing was begun")
     streams = sys.stdout, sys.stderr
     for stream in streams:
         if hasattr(stream, "reconfigure"):
@@ -72,15 +73,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 return complain(f"{shown} isn't UTF-8: name it otherwise", CODES.wrong_use)
             starts = (" ".join(words[:count]) for count in (1, 2, 3))
             asked = (*starts, *(word for word in words if "-" in word))
-            if gone := next((one for one in asked if one in REMOVED), None):
-                return complain(f"'{gone}' went: {REMOVED[gone]}", CODES.wrong_use)
+            if gone := next((one for one in asked if one in commands.table("removed")), None):
+                instead = commands.table("removed")[gone]
+                return complain(f"'{gone}' went: {instead}", CODES.wrong_use)
             given = top.parse_args(arguments)
             if (limit := _address_limit()) < LEAST_BYTES:
                 why = f"{limit >> 20} MB of memory are allowed, {LEAST_BYTES >> 20} are needed"
                 return complain(f"{why}: {LIMIT}", CODES.fault)
             return _run(given)
     except KeyboardInterrupt:
-        return complain("interrupted", CODES.fault)
+        return complain(f"interrupted: {given.left}.", CODES.fault)
     except Exception as error:
         return _unforeseen(error)
     finally:
@@ -120,7 +122,7 @@ def _run(given: argparse.Namespace) -> int:
     except InstrumentError as error:
         return complain(in_switches(error, given), CODES.fault)
     except (OperatorAbort, OperatorSkip) as stop:
-        return complain(f"{stop}; nothing was written", CODES.fault)
+        return complain(f"{stop}; {given.left}.", CODES.fault)
     except sqlite3.Error as error:
         why = f"the run's record can't be written or read: {error}. {HINT}"
         return complain(why, CODES.fault)
@@ -141,7 +143,8 @@ def _say_next(given: argparse.Namespace, code: int) -> None:
         one = value[0] if isinstance(value, list) and value else value
         return shlex.quote(str(one)) if one else found[1].upper()
 
-    then = (re.sub(r"\{(\w+)\}", given_or_named, text) for text in following()[given.called])
+    following = commands.table("following")[given.called]
+    then = (re.sub(r"\{(\w+)\}", given_or_named, text) for text in following)
     print("Then, for instance:", *(f"teatbench {text}" for text in then), sep="\n  ")
 
 
@@ -221,20 +224,30 @@ class TopParser(Parser):
         help_text = self._get_formatter()
         help_text.add_usage(self.usage, self._actions, self._mutually_exclusive_groups)
         help_text.add_text(self.description)
-        (commands,) = (one for one in self._actions if isinstance(one, argparse._SubParsersAction))
-        by_name = {action.dest: action for action in commands._choices_actions}
-        for task, names in TASKS.items():
+        (listed,) = (one for one in self._actions if isinstance(one, argparse._SubParsersAction))
+        by_name = {action.dest: action for action in listed._choices_actions}
+        for task, names in commands.table("tasks")["tasks"].items():
             help_text.start_section(task)
             help_text.add_arguments([by_name[name] for name in names])
             help_text.end_section()
-            first = next(one for one in COMMANDS if one.split()[0] == names[0])
-            help_text.add_text(f"  example: teatbench {COMMANDS[first][1]}")
+            first = next(one for one in commands.COMMANDS if one.split()[0] == names[0])
+            help_text.add_text(f"  example: teatbench {commands.COMMANDS[first][1]}")
         help_text.start_section("options")
-        help_text.add_arguments([one for one in self._actions if one is not commands])
+        help_text.add_arguments([one for one in self._actions if one is not listed])
         help_text.end_section()
         help_text.add_text(MORE_HELP)
         help_text.add_text(self.epilog)
         return help_text.format_help()
+
+
+def _exit_codes(name: str) -> str:
+    """Of a command, a line each; of a group nothing, since each of its commands has its own."""
+    if name not in commands.COMMANDS:
+        return ""
+    lines = ["", "", "exit codes:"]
+    for code, text in commands.exit_codes(name).items():
+        lines += wrap(f"  {code} {text}", HELP_COLUMNS, subsequent_indent="    ")
+    return "\n".join(lines)
 
 
 @cache
@@ -249,33 +262,35 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument("--version", action="version", version=f"teatbench {__version__}")
     parsers: dict[str, argparse.ArgumentParser] = {"": top}
     subparsers: dict[str, SubParsers] = {}
+    groups = commands.table("tasks")["groups"]
 
     def add(name: str, what: str, example: str) -> argparse.ArgumentParser:
         group, _, own = name.rpartition(" ")
         if group not in parsers:
-            add(group, GROUPS[group], example)
+            add(group, groups[group], example)
         if group not in subparsers:
             subparsers[group] = parsers[group].add_subparsers(
                 title="commands",
                 metavar="COMMAND",
-                required=group in ("", *GROUPS),
+                required=group in ("", *groups),
                 parser_class=Parser,  # only the first has tasks
             )
         parsers[name] = subparsers[group].add_parser(
             own,
-            aliases=ONCE.get(name, ()),
+            aliases=commands.ONCE.get(name, ()),
             help=what,
             description="\n".join(wrap(what.replace("%%", "%"), HELP_COLUMNS)),
-            epilog=f"example: teatbench {example}\n\n{EXIT_CODES}",
+            epilog=f"example: teatbench {example}{_exit_codes(name)}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         return parsers[name]
 
-    for name, (what, example, *arguments) in COMMANDS.items():
+    for name, (what, example, *arguments) in commands.COMMANDS.items():
         parser = add(name, what, example)
         for argument in arguments:
             argument(parser)
         first, last = name.split()[0], name.split()[-1]
-        module = next((one for one, words in MODULES.items() if first in words), first)
-        parser.set_defaults(command=(module, FUNCTIONS.get(name, last)), called=name, parser=parser)
+        module = next((one for one, words in commands.MODULES.items() if first in words), first)
+        work, left = (module, commands.FUNCTIONS.get(name, last)), commands.interrupted(name)
+        parser.set_defaults(command=work, called=name, parser=parser, left=left)
     return top

@@ -8,14 +8,13 @@ import sys
 from pathlib import Path
 
 from bench.cli.arguments import print_values
-from bench.cli.commands import COMMANDS, GROUPS, ONCE, REMOVED
+from bench.cli.commands import COMMANDS, ONCE, table
 from bench.config import ConfigError, did_you_mean
 
 HERE = Path(__file__).parents[1]
 COMMENT = re.compile(r"<!--.*?-->\n?", re.DOTALL)
-TERM = re.compile(r"^\| (?!Term)(\w[^|]*) \| (.+) \|$", re.MULTILINE)  # glossary.md
 ROW = re.compile(r"^\| (`.+`) \| (\[.+\.md\).*) \|$", re.MULTILINE)  # index.md: commands, pages
-WIDEST = 100
+WIDEST, FEW = 100, 4
 
 
 def folder() -> Path:
@@ -33,13 +32,21 @@ def topics() -> dict[str, Path]:
         for commands, links in rows
         for command in re.findall(r"`([a-z-]+)`", commands)
     }
-    firsts = {name: name.split()[0] for name in (*GROUPS, *COMMANDS)}
+    firsts = {name: name.split()[0] for name in (*table("tasks")["groups"], *COMMANDS)}
     firsts |= {old: name for name, earlier in ONCE.items() for old in earlier}
     return {name: named[first] for name, first in firsts.items() if first in named} | pages
 
 
 def _read(page: Path) -> str:
     return page.read_text(encoding="utf-8")
+
+
+def _mentioned(words: str) -> str:
+    """The pages that say ``words``, most often first; empty where none does."""
+    word = re.compile(rf"\b{re.escape(words)}\b", re.IGNORECASE)
+    counts = {path.stem: len(word.findall(_read(path))) for path in folder().glob("*.md")}
+    pages = sorted(filter(counts.get, counts), key=lambda page: -counts[page])[:FEW]
+    return f"; these pages speak of it: {', '.join(pages)}" if pages else ""
 
 
 def shown(given: argparse.Namespace) -> None:
@@ -51,13 +58,20 @@ def shown(given: argparse.Namespace) -> None:
             "A command's name shows the page that explains it, a term of the glossary its meaning."
         )
         return
-    topic, terms = " ".join(given.topic), dict(TERM.findall(_read(known["glossary"])))
-    if topic in REMOVED:
-        raise ConfigError.plain(f"'{topic}' went: {REMOVED[topic]}")
-    if topic not in {*known, *terms}:
-        said = did_you_mean(topic, [*known, *terms]) or ". 'teatbench help' lists the pages."
+    from bench.report.glossary import terms
+
+    topic = " ".join(given.topic)
+    found = {spelt.lower(): one for one in terms(in_docs=True) for spelt in (one.name, *one.also)}
+    if topic in table("removed"):
+        raise ConfigError.plain(f"'{topic}' went: {table('removed')[topic]}")
+    if topic in known:
+        text = COMMENT.sub("", _read(known[topic]))
+    elif term := found.get(topic.lower()):
+        text = f"{term.name}: {term.meaning}"
+    else:
+        near = did_you_mean(topic, [*known, *found]) or ". 'teatbench help' lists the pages."
+        said = _mentioned(topic) or near
         raise ConfigError.plain(f'no page "{topic}"{said}')
-    text = COMMENT.sub("", _read(known[topic])) if topic in known else f"{topic}: {terms[topic]}"
     if not sys.stdout.isatty():
         print(text)
         return

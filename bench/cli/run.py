@@ -20,6 +20,8 @@ from bench.config import ConfigError
 from bench.run.events import ENDED, Events, event_lines
 from instruments.operators.console import keyboard_of
 
+# once a run has begun, Ctrl-C ends it by way of safe; later only a report can be missing
+REPORTING = "the run is kept, and its report may be missing: 'teatbench report latest' writes it"
 WORST = (CODES.met, CODES.inconclusive, CODES.not_met, CODES.fault)  # of several runs
 
 
@@ -53,19 +55,24 @@ Word = Callable[[Sequence["bench.RunStatus"]], None]
 @contextmanager
 def _followed(
     given: argparse.Namespace, console: Terminal, rig: bench.LoadedRig
-) -> Iterator[tuple[Events, TerminalProgress, Word]]:
+) -> Iterator[tuple[Events, Callable[[str], None], Word]]:
     """What shows a run's events on the terminal, in the file of events and to who gets word."""
     with event_lines(given.events) as lines, TerminalProgress(console) as shown:
         progress = Events(shown, lines)
+
+        def begun(text: str) -> None:
+            given.left = REPORTING
+            shown.say(text)
+
         with _words(given, rig, progress) as word:
-            yield progress, shown, word
+            yield progress, begun, word
 
 
 def _run(
     given: argparse.Namespace, rig: bench.LoadedRig, scripts: Sequence[bench.LoadedScript]
 ) -> int:
     console = Terminal()
-    with _followed(given, console, rig) as (progress, shown, word):
+    with _followed(given, console, rig) as (progress, begun, word):
         reports = bench.run_queue(
             scripts,
             rig,
@@ -78,10 +85,11 @@ def _run(
             speed=given.speed,
             capture=given.capture,
             progress=progress,
-            begun=shown.say,
+            begun=begun,
         )
         word([one.status for one in reports])
     from bench.cli.verdict import open_report, show_verdict
+    from bench.report.runs import queue_headline
 
     codes = []
     for found in reports:
@@ -91,9 +99,10 @@ def _run(
             print(found.took)
     page = reports[-1].page if reports else None
     if len(scripts) > 1:
+        print(f"Queue: {queue_headline(given.out, [one.folder.name for one in reports])}")
         try:
-            queue, page = bench.write_queue_page(given.out)
-            print(f"Queue: {queue.headline}\nPage: {page}")
+            _, page = bench.write_queue_page(given.out)
+            print(f"Page: {page}")
         except OSError as error:
             print(f"Page: not written: {error.strerror or error}")
         codes += [CODES.fault] * (len(scripts) - len(reports))
@@ -135,13 +144,13 @@ def resume(given: argparse.Namespace) -> int:
             print(f"{given.run}: every trial is done, the bench died before it wrote the report")
             return show_verdict(console, bench.write_report(given.run, damage=damage))
         rig = bench.rig_of_run(given.run)
-        with _followed(given, console, rig) as (progress, shown, word):
+        with _followed(given, console, rig) as (progress, begun, word):
             found = bench.resume_run(
                 given.run,
                 capture=given.capture,
                 progress=progress,
                 typed=typed_lines(by_person=rig.rig.by_person),
-                begun=shown.say,
+                begun=begun,
                 damage=damage,
             )
             word([found.status])

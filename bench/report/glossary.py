@@ -12,19 +12,21 @@ from reports.glossary import Term
 
 
 @cache
-def terms() -> tuple[Term, ...]:
-    """All terms, in the order of the file."""
-    text = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
-    return tuple(
-        Term(name, term["meaning"], tuple(term.get("also", ())))
-        for name, term in tomllib.loads(text).items()
-    )
+def terms(*, in_docs: bool = False) -> tuple[Term, ...]:
+    """All that reports link, in the order of the file; ``in_docs``: by name, with those that only
+    docs and `teatbench help` explain.
+    """
+    linked = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+    more = linked.pop("in_docs")
+    found = sorted({**linked, **more}.items(), key=lambda one: one[0].lower())
+    rows = found if in_docs else linked.items()
+    return tuple(Term(name, one["meaning"], tuple(one.get("also", ()))) for name, one in rows)
 
 
 HEAD = """# Glossary
 
-What reports and these pages mean by a word. A report shows the same text when the
-pointer or the keyboard is on a term.
+What reports, the terminal and these pages mean by a word; `teatbench help WORD` shows it. A report
+shows the same text when the pointer or the keyboard is on a term.
 
 | Term | Meaning |
 |---|---|
@@ -33,7 +35,7 @@ pointer or the keyboard is on a term.
 
 def markdown() -> str:
     """docs/glossary.md."""
-    return HEAD + "".join(f"| {term.name} | {term.meaning} |\n" for term in terms())
+    return HEAD + "".join(f"| {term.name} | {term.meaning} |\n" for term in terms(in_docs=True))
 
 
 if __name__ == "__main__":

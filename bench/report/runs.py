@@ -5,7 +5,7 @@ over them with the frames of each run's worst trial.
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import cast
 
@@ -133,6 +133,14 @@ def run_thumbnails(run: RunRecord) -> Iterator[tuple[str, str]]:
 def write_runs_page(found: Runs) -> Path:
     """Writes the page into the folder of the runs; gives back its path. Raises OSError."""
     return write_runs(found, f"{found.folder.resolve()}: {counted(found)}")
+
+
+def queue_headline(out: Path, reported: Collection[str]) -> str:
+    """How the queue of these runs stands, also where its own file could not be written."""
+    for queue in queues(out, 1):
+        if {*reported} <= {one.run for one in queue.scripts}:
+            return queue.headline
+    return f"{plural(len(reported), 'report')} written; the disk has no room for more"
 
 
 def write_queue_page(out: Path | str = "runs") -> tuple[QueueStatus, Path]:

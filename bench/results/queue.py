@@ -22,8 +22,7 @@ from instruments.clock import wall_time
 
 VERSION = 1
 NAME = "queue-{}"  # its files, beside the runs
-ENDED = "all scripts were run"
-DIED = "the bench died"
+ENDED, DIED = "all scripts were run", "the bench died"
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +64,8 @@ class QueueStatus:
         if self.under_way:
             now = self.scripts[max(self.begun, 1) - 1]
             return f"script {max(self.begun, 1)} of {len(self.scripts)}: {now.script}"
-        done = sum(
-            one.status is not None and one.status.state is State.FINISHED for one in self.scripts
-        )
+        states = [one.status.state for one in self.scripts if one.status]
+        done = states.count(State.FINISHED)
         if self.ended == ENDED:
             return f"ended: {done} of {of} finished"
         return f"ended early, {done} of {of} finished: {self.ended}"
@@ -116,8 +114,12 @@ class QueueNote:
 
     def _write(self) -> None:
         if self.path:
-            with suppress(OSError):
-                write_synced(self.path, json.dumps(self.text, ensure_ascii=False).encode())
+            text = json.dumps(self.text, ensure_ascii=False).encode()
+            try:
+                write_synced(self.path, text)
+            except OSError:  # on a full disk in its place, which takes no room
+                with suppress(OSError), self.path.open("r+b") as there:
+                    there.write(text.ljust(self.path.stat().st_size))
 
 
 def read_queue(path: Path) -> QueueStatus:
@@ -125,10 +127,8 @@ def read_queue(path: Path) -> QueueStatus:
     found = holder_in(path)
     try:
         runs = [*found["runs"], *[""] * (len(found["scripts"]) - len(found["runs"]))]
-        scripts = tuple(
-            QueueEntry(script, run, _status(path.parent / run) if run else None)
-            for script, run in zip(found["scripts"], runs, strict=True)
-        )
+        rows = zip(found["scripts"], runs, strict=True)
+        scripts = tuple(QueueEntry(one, run, _status(path.parent, run)) for one, run in rows)
         ended = found["ended"]
         if not ended and found["host"] == platform.node() and not lives(found["pid"]):
             ended = DIED
@@ -137,9 +137,9 @@ def read_queue(path: Path) -> QueueStatus:
         raise ConfigError.plain(f"{path} is no queue of runs: {error!r}") from error
 
 
-def _status(run: Path) -> RunStatus | None:
+def _status(out: Path, run: str) -> RunStatus | None:
     with suppress(ConfigError, OSError):
-        return read_status(run)
+        return read_status(out / run) if run else None
     return None
 
 

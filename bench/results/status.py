@@ -35,7 +35,7 @@ from instruments.operators.operator import time_left
 VERSION = 1  # of `RunStatus.as_dict`
 LIVE, RUN_JSON = "live.json", "report/run.json"
 SILENT_S = 5.0  # a bench that has said nothing for longer hangs, or its computer is busy
-STARTING = "starting"
+STARTING, OPENING = "starting", "its files are read and its instruments opened"
 LONGEST_ERROR = 60  # in a line of the terminal
 LOOK = {"bath": "the bath is in standby", "stage": "the stage stands", "pump": "the pump stands"}
 INSTRUMENTS_FACT = "instruments at the end"
@@ -296,6 +296,7 @@ def status_of(run: RunRecord, judgements: Sequence[Judgement] = ()) -> RunStatus
         title=str(run.facts.get("title", run.folder.name)),
         state=state,
         step=STARTING if state is State.RUNNING else state.value,
+        doing=OPENING if state is State.RUNNING else "",
         verdicts=dict.fromkeys(run.detectors, state.value),
         done=run.done,
         skipped=len(run.skipped),
@@ -350,8 +351,7 @@ def under_way(folder: Path) -> bool:
 
 def live_status(folder: Path) -> RunStatus | None:
     """Of a run that is under way, as it said last; None where it has said nothing yet."""
-    live = _live(folder)
-    return _as_asked(live.later(), folder) if live else None
+    return _as_asked(live.later(), folder) if (live := _live(folder)) else None
 
 
 def _reported(run: RunRecord) -> dict[str, Any] | None:

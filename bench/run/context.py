@@ -32,7 +32,7 @@ from bench.truth.stage_registration import stands_at
 from bench.truth.touching import TipReader
 from bench.truth.uncertainty import Triple
 from instruments.clock import VirtualClock, sleep_looking, stopwatch_s, wall_time
-from instruments.errors import DeviceError
+from instruments.errors import DeviceError, InstrumentError
 from instruments.operators.operator import KIND_OF, Answer, BoardTouch, Release, Request, Touch
 from instruments.stage.driver import TOLERANCE_MM
 
@@ -75,6 +75,7 @@ class RunContext:
         self.last: dict[str, str] = {}  # an instrument's last value, in words
         self.under_test: Sequence[str] = ()
         self._asked, self._asked_s = "", 0.0
+        self._camera_gone = ""  # in what way, once it is known
         self._touching = self._touched = False
         self._stage_seen_s = 0.0
         self._stage_mm: Triple | None = None
@@ -107,7 +108,7 @@ class RunContext:
         self._asked, self._asked_s = kind, self.clock.now()
         self._touching = isinstance(request, Touch | BoardTouch)
         if not self._touching or not self._touched:
-            self._stage_seen_s, self._stage_mm = self._asked_s, None
+            self._stage_seen_s, self._stage_mm, self._camera_gone = self._asked_s, None, ""
         self._touched = self._touching
         self.events.asked(kind)
         try:
@@ -134,18 +135,38 @@ class RunContext:
         self.check_interrupts()
         if self._touching and self.clock.now() - self._stage_seen_s >= STAGE_S:
             self._look_at_stage()
+            if type(self.clock) is not VirtualClock:
+                self._warn_of_cameras()
         elif self._asked == "set up":
             self.look_at_idle()
         if self.live.due:
             self.show()
 
     def look_at_idle(self) -> None:
-        """Asks stage and arm, which have nothing to do; in virtual time that would change more."""
+        """Asks stage, arm and cameras, which have nothing to do; in virtual time that would change
+        more.
+        """
         due = self.clock.now() - self._stage_seen_s >= STAGE_S
         if due and type(self.clock) is not VirtualClock:
             self._look_at_stage()
             if self.devices.arm.homed:
                 self.devices.arm.glance()
+            self._glance_at_cameras()
+
+    def _glance_at_cameras(self) -> None:
+        """Raises where one says that it is gone: not every kind of camera can, without a frame."""
+        getattr(self.devices.cameras, "glance", lambda: None)()
+
+    def _warn_of_cameras(self) -> None:
+        """Once, while ends are touched: the trial has its frames and goes on."""
+        gone, self._camera_gone = self._camera_gone, ""
+        try:
+            self._glance_at_cameras()
+        except InstrumentError as fault:
+            self._camera_gone = fault.what
+            if not gone:
+                then = "The trial has its frames and goes on; the next one needs the camera."
+                self.events.warn(f"{fault}\n{then}")
 
     def _look_at_stage(self) -> None:
         """Raises as the stage, and DeviceError where it stands elsewhere than at the last look."""
@@ -215,8 +236,10 @@ class RunContext:
             yield "The run ends; an open question needs no answer any more."
         elif self.away:
             yield self.check_away
-        elif any(one.trouble for one in status.instruments):
+        elif any(one.trouble and one.name == "bath" for one in status.instruments):
             yield "Check the bath's power and its cable. Where it stays silent, an interlock trips."
+        elif self._camera_gone:
+            yield "Check the cameras' power and cables, before the next frames."
         elif status.asked:
             yield f"Answer what is asked: {status.asked.kind}."
         elif status.paused:
@@ -239,6 +262,8 @@ class RunContext:
         link, how, last, by_hand = Link.ANSWERS, "", self.last.get(name, ""), ""
         if name == self.away:
             link, how = Link.AWAY, self.away_how
+        if name == "cameras" and self._camera_gone and link is Link.ANSWERS:
+            link, how = Link.SILENT, self._camera_gone
         if name == "bath":
             if reading := self.watch.last:
                 last, heard_s = f"{reading.temp_c:.2f} degC", reading.t_s

@@ -150,11 +150,12 @@ def run_queue(
                     if ended:
                         refuse_no_room(rig, len(script.planned), out)
                     store = _begun(rig, script, out, detectors, how, warm=held.is_warm)
-                except ConfigError as error:
+                except (ConfigError, KeyboardInterrupt) as error:
+                    why = str(error) if isinstance(error, ConfigError) else INTERRUPTED
+                    note.ends(why)
                     if not ended:
                         raise
-                    events.warn(f"{script.name} and what follows are not begun. {error}")
-                    note.ends(str(error))
+                    events.warn(f"{script.name} and what follows are not begun. {why}")
                     break
                 note.runs(store.folder)
                 with locked(run_lock(store.folder), "", events.warn, "run"):
@@ -314,10 +315,10 @@ def _run(
         Requests(store.folder, how.typed, events.warn).forget()
         Live(store.folder).end()
         drop_report(store.folder)
-        note = time_left(expected.settling_s + to_do * expected.each_s(trials))
-        how.begun(
-            f"{plural(to_do, 'trial')}, {note} of the bench's time. Run folder: {store.folder}"
-        )
+        left_s = (expected.settling_s + to_do * expected.each_s(trials)) / (how.speed or 1.0)
+        whose = f"at {how.speed:g} times the speed" if how.speed else "of the bench's time"
+        note = f"{plural(to_do, 'trial')}, {time_left(left_s)} {whose}"
+        how.begun(f"{note}. Run folder: {store.folder}")
         with events.kept_in(store.folder):
             for text in warned:
                 events.warn(f"Bench health: {text}")

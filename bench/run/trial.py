@@ -215,13 +215,15 @@ class Attempts:
 
     @property
     def left_s(self) -> float | None:
-        """By the mean of the trials but for the first, until then by what was expected."""
+        """By the mean of the trials but for the first, until then by what was expected; of a world
+        that passes faster for who watches it, in his own time.
+        """
         each_s = self._taken_s / self._timed if self._timed > 0 else self._each_s
         if each_s is None:
             return None
         under_way_s = self._working_s() - self._started_s if self._started_s is not None else 0.0
         trials_s = each_s * (self._planned - self.done) - min(each_s, under_way_s)
-        return trials_s + self._settling_s()
+        return (trials_s + self._settling_s()) / float(getattr(self._ctx.clock, "speed", 1.0))
 
     def _tried(self, trial: PlannedTrial) -> bool:
         try:

@@ -24,7 +24,7 @@ CAN_GIVE = (*KNOWN, DEPTH)
 class Camera(Protocol):
     """One camera with its settings made. ``prepare`` waits for what it needs; ``begin`` triggers,
     or asks for a fresh frame; ``take`` waits for it. They raise FrameError, or LinkError when the
-    camera is gone.
+    camera is gone. One that knows so without a frame may also have ``glance()``, which raises it.
     """
 
     identity: str
@@ -106,6 +106,11 @@ class CameraSet:
         """Close all cameras and open them again with their settings. Raises as their openers."""
         self.close()
         self._open()
+
+    def glance(self) -> None:
+        """Raises LinkError where a camera knows that it is gone; asks for no frame, waits not."""
+        for camera in (*self._cameras.values(), self._group):
+            getattr(camera, "glance", lambda: None)()
 
     def capture(self) -> FrameSet:
         """Expose all cameras together. Raises FrameError, LinkError, ProtocolError."""

@@ -184,11 +184,15 @@ class EmulatedCameras:
         """Pull a camera's cable, or put it back: no set is whole without it."""
         (self._pulled.add if out else self._pulled.discard)(camera)
 
-    def capture(self) -> FrameSet:
-        """A frame set of the present world. Raises FrameError where a fault keeps a frame back."""
+    def glance(self) -> None:
+        """Raises FrameError where a camera's cable is out."""
         for camera in tuple(self._pulled):
             what = KEPT_BACK[FrameFault.DROPPED]
             raise FrameError(FrameFault.DROPPED, camera, f"{camera} camera, emulated", what)
+
+    def capture(self) -> FrameSet:
+        """A frame set of the present world. Raises FrameError where a fault keeps a frame back."""
+        self.glance()
         spoiling = self.faults.next()
         clock = self._world.clock
         now_s = clock.now()

@@ -308,6 +308,12 @@ class GenicamCamera:
             return f"can't be read: {error}"
         return "" if state == OFF else state
 
+    def glance(self) -> None:
+        """Raises LinkError where the library's heartbeat (GigE Vision) has lost the camera."""
+        if self._camera is None or not _controls(self._camera):
+            hint = "Check its cable and power; did another program take it?"
+            raise LinkError(self._who, "is no longer under this program's control", hint=hint)
+
     def prepare(self) -> None:
         """Have the shutter close where that is asked for, and wait for it. Raises LinkError."""
         if not self._settings.shutter or self._stream is None:

@@ -152,6 +152,12 @@ class OpenCvCamera:
         self._begun_s: float | None = None
         self._open()
 
+    def glance(self) -> None:
+        """Raises LinkError where a live source broke off: its link, or its device's node, went."""
+        if self._live is not None and self._live.broken:
+            hint = "Check the camera's power and its cable."
+            raise LinkError(self._who, "the stream broke off", hint=hint)
+
     def prepare(self) -> None:
         """Nothing is needed."""
 

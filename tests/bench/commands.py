@@ -13,6 +13,7 @@ from typing import NamedTuple, TypeVar
 
 import pytest
 
+from bench.cli.commands import COMMANDS, exit_codes
 from bench.cli.main import main
 from bench.rig.loading import RIGS
 from instruments.clock import RealClock
@@ -56,6 +57,8 @@ class Said:
             found = ended.code
         written = Output(*self._capsys.readouterr())
         assert found == code, written.err
+        if named := [name for name in COMMANDS if text.startswith(name)]:
+            assert str(code) in exit_codes(max(named, key=len)), "its help doesn't name this code"
         assert "Traceback" not in written.err
         return written
 

@@ -15,7 +15,15 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 from reports.figures.course import Slope, bath_curve, found_bars, latency_strip, slope_intervals
-from reports.figures.drawing import COLOURS, MOST_POINTS, envelope, legend, plain, subsample
+from reports.figures.drawing import (
+    COLOURS,
+    MOST_POINTS,
+    detector_look,
+    envelope,
+    legend,
+    plain,
+    subsample,
+)
 from reports.figures.errors import (
     change_scatter,
     error_drift,
@@ -26,6 +34,7 @@ from reports.figures.errors import (
 )
 from reports.figures.plane import ErrorGroup, TeatPlaces, error_map, error_maps, error_regions
 from reports.figures.situations import error_spreads, failure_map, rate_intervals
+from reports.frames import MOST_DETECTORS, Cross, Polyline, Rect, answer_mark, places_of
 from reports.trust import svg_facts
 
 Draw = Callable[[int], str]
@@ -300,3 +309,13 @@ def test_a_plot_says_that_it_doesn_t_draw_all() -> None:
     note = "120 of 20000 found ends drawn, the worst among them, and 120 of 10000 missed"
     assert note in DRAWINGS["maps"](5000)
     assert "120 of 20000 drawn, the worst among them" in DRAWINGS["regions"](5000)
+
+
+def test_a_detector_has_one_mark_and_colour_by_its_name_in_figures_and_over_frames() -> None:
+    alone = places_of(["mine"])["mine"]
+    assert places_of(["thesis", "mine", "fused"]) == {"thesis": 2, "mine": alone, "fused": 1}
+    shapes = {"X": Cross, "s": Rect, "^": Polyline, "D": Polyline}
+    looks = [detector_look(who) for who in range(1, MOST_DETECTORS + 1)]
+    for who, (_, form) in enumerate(looks, 1):
+        assert isinstance(answer_mark(who, 0.0, 0.0, 1.0), shapes[str(form)])
+    assert len({*looks}) == MOST_DETECTORS

@@ -346,6 +346,7 @@ function cut(trial, camera, w, h) {
 function events() {
   const states = run.events.filter((one) => one.kind === "run state").map((one) => one.text); // each is also told as what is done
   const lines = run.events.filter((one) => ["event", "warning"].includes(one.what) && !(one.kind === "state" && states.includes(one.text))).reverse();
+  if (!lines.length) { byId("log").replaceChildren(make("li", {}, under() ? "nothing yet" : "nothing was kept")); return; }
   byId("log").replaceChildren(...lines.map((one) => make("li", { className: one.what === "warning" || BAD.includes(one.kind) ? "bad" : "" }, `${one.wall_time.slice(11, 19)} ${one.kind ? one.kind + ": " : ""}${one.text}`)));
 }
 const resumed = (name) => started(ask(`/runs/${encodeURIComponent(name)}/resume`, {}));

@@ -7,18 +7,22 @@ from __future__ import annotations
 import os
 import re
 import shlex
+import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from argcomplete.shell_integration import shellcode
 
-from bench.cli.commands import COMMANDS, TASKS, following
+from bench.cli.commands import COMMANDS, exit_codes, interrupted, table
 from bench.cli.main import main, parser
 from bench.cli.manual import topics
 from tests.bench.commands import Said
 from tests.conftest import ROOT
+
+TASKS = table("tasks")["tasks"]
 
 
 def test_every_command_belongs_to_one_task(said: Said) -> None:
@@ -30,10 +34,37 @@ def test_every_command_belongs_to_one_task(said: Said) -> None:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_the_example_in_a_commands_help_is_taken(name: str, said: Said) -> None:
-    (example,) = re.findall(r"^example: teatbench (.+)$", said(0, f"{name} --help").out, re.M)
+def test_a_commands_help_has_an_example_its_exit_codes_and_what_ctrl_c_leaves(
+    name: str, said: Said, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = said(0, f"{name} --help").out
+    (example,) = re.findall(r"^example: teatbench (.+)$", shown, re.M)
     assert example.split()[: len(name.split())] == name.split()
-    parser().parse_args(shlex.split(example))
+    codes = re.findall(r"^  (\d) ", shown.partition("exit codes:\n")[2], re.M)
+    assert codes == [*exit_codes(name)]
+    assert {"0", "2", "3"} <= {*codes}
+    monkeypatch.setattr("bench.cli.main.call", lambda _: signal.raise_signal(signal.SIGINT))
+    left = said(3, "{}", shlex.split(example)).err
+    assert left == f"teatbench: interrupted: {interrupted(name)}.\n"
+
+
+def test_each_ending_is_of_a_command_and_in_one_row() -> None:
+    for rows in (table("endings")["codes"], table("endings")["interrupted"]):
+        named = [name for row in rows for name in row["of"]]
+        assert len(named) == len({*named}) == len({*named} & {*COMMANDS})
+
+
+def test_ctrl_c_after_a_run_says_that_it_is_kept(
+    said: Said, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def reporting(*_: object, begun: Callable[[str], None], **_how: object) -> None:
+        begun("Run folder: runs/1")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("bench.run_queue", reporting, raising=False)
+    seen = said(3, "run demo")
+    assert "Run folder" in seen.out
+    assert "the run is kept, and its report may be missing" in seen.err
 
 
 CAPITALS = {"RIG": "emulated", "RUN": "runs/1", "X": "1", "Y": "1"}
@@ -42,7 +73,7 @@ VALUES = {"port": "COM5", "profile": "julabo-presto", "script": "plane-map", "ri
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_the_next_two_commands_can_be_given(name: str) -> None:
-    for text in following()[name]:
+    for text in table("following")[name]:
         filled = re.sub(r"\{(\w+)\}", lambda found: VALUES.get(found[1], "a"), text)
         words = [CAPITALS.get(word, word) for word in shlex.split(filled)]
         given = parser().parse_args(words)
@@ -72,6 +103,9 @@ def test_a_page_of_the_documentation_is_shown_offline(said: Said) -> None:
     assert said(0, "help store check").out == said(0, "help record").out
     assert said(0, "help tell").out == said(0, "help control").out
     assert said(0, "help guard band").out.startswith("guard band: What is taken off a limit")
+    assert said(0, "help Undecided").out.startswith("undecided: ")
+    assert said(0, "help check touches").out.startswith("check point: A divot")
+    assert "these pages speak of it: faults, runs" in said(2, "help pedal").err
     for near, meant in ("recor", "record"), ("store chek", "store check"), ("apx", "apex"):
         assert f'did you mean "{meant}"' in said(2, f"help {near}").err
     assert "went: bash and zsh" in said(2, "help completion").err

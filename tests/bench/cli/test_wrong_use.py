@@ -14,13 +14,15 @@ from unittest.mock import Mock
 
 import pytest
 
-from bench.cli.commands import REMOVED
+from bench.cli.commands import table
 from bench.script.model import TRIALS
 from tests.bench.commands import Said
 from tests.conftest import ROOT
 
 TABLE = tomllib.loads((ROOT / "tests" / "data" / "wrong_use.toml").read_text(encoding="utf-8"))
-WRONG_USE = TABLE["wrong_use"] | {word: f"'{word}' went: {use}" for word, use in REMOVED.items()}
+WRONG_USE = TABLE["wrong_use"] | {
+    word: f"'{word}' went: {use}" for word, use in table("removed").items()
+}
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import json
 import random
 import shutil
 import sqlite3
+import tomllib
 from collections.abc import Callable
 from contextlib import closing, nullcontext
 from pathlib import Path
@@ -25,6 +26,7 @@ from tests.bench.killed_runs import Silent, start
 from tests.bench.operated_runs import files
 from tests.bench.record.test_record import Damage, flipped, sql
 from tests.bench.small_run import KEPT
+from tests.conftest import ROOT
 from tests.undrawn import bare
 
 OF_A_TRIAL = ("frames", "touches", "truth", "found", "scores", "detections")
@@ -52,6 +54,7 @@ def a_folder_for_a_picture(run: Path) -> None:
     (run / FRAME / "right.png").mkdir()
 
 
+OF_ROWS = tomllib.loads((ROOT / "tests/data/damages.toml").read_text(encoding="utf-8"))
 DAMAGES: dict[str, Damage] = {
     **{
         f"all of {table} removed": sql(f"DELETE FROM {table}")
@@ -69,52 +72,11 @@ DAMAGES: dict[str, Damage] = {
         f"{table}.{column} is {value}": sql(
             f"UPDATE {table} SET {column} = {value} WHERE rowid = 1"
         )
-        for table, column, value in (
-            ("scores", "score", "'{'"),
-            ("scores", "score", "'[]'"),
-            ("scores", "wall_score", "'null'"),
-            ("scores", "score", "x'ff00'"),
-            ("detections", "trace", "'{\"ends\": 1'"),
-            ("detections", "trace", "'[1]'"),
-            ("detections", "outcome", "'fine'"),
-            ("detections", "wall_seconds", "'soon'"),
-            ("found", "x_mm", "x_mm + 0.001"),
-            ("found", "x_mm", "'left'"),
-            ("found", "covariance_mm2", "'[[1]]'"),
-            ("truth", "x_mm", "1e999"),
-            ("truth", "budget", "'[]'"),
-            ("truth", "covariance_mm2", "'{'"),
-            ("trials", "stage_mm", "'0'"),
-            ("trials", "id", "NULL"),
-            ("trials", "captured_s", "'noon'"),
-            ("trials", "bath_c", "'warm'"),
-            ("files", "name", "NULL"),
-            ("files", "name", "'..' || char(0)"),
-            ("files", "sha256", "x'00'"),
-            ("facts", "key", "NULL"),
-            ("frames", "path", "'../../elsewhere.png'"),
-            ("events", "wall_time", "'yesterday'"),
-            ("bath", "temp_c", "'cold'"),
-            ("chain", "covers", "'[]'"),
-            ("chain", "covers", "printf('%.*c', 100000, '[')"),
-            ("chain", "wall_covers", "'{\"trials\": 1}'"),
-        )
+        for table, column, value in OF_ROWS["values"]
     },
     **{
         f"fact {key} is {value}": sql(f"UPDATE facts SET value = '{value}' WHERE key = '{key}'")
-        for key, value in (
-            ("detectors", "{"),
-            ("detectors", "1"),
-            ("items", "[]"),
-            ("versions", "null"),
-            ("kind", '"other"'),
-            ("title", "7"),
-            ("pose set", "3"),
-            ("asked", "{}"),
-            ("set_point_c", '"33"'),
-            ("ending", '"interrupted"'),
-            ("identities", "[]"),
-        )
+        for key, value in OF_ROWS["facts"]
     },
     **{f"schema {number}": sql(f"PRAGMA user_version = {number}") for number in (2, 1, 99)},
     **{

@@ -8,6 +8,7 @@ nothing: it explains, or repeats what was seen.
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
@@ -18,6 +19,7 @@ from bench.config import read_calibration
 from bench.rig.loading import RIGS
 from tests.bench.report.null_world import AT_THE_LIMIT_MM, LIMIT_MM, Done, Floats
 from tests.bench.report.page_reader import Said, read
+from tests.conftest import ROOT
 
 False_ = Callable[[re.Match[str], Said, Done], bool]
 N = r"([+-]?[\d.]+(?:e[+-]\d+)?)"  # a number
@@ -91,6 +93,7 @@ def always(*_: object) -> bool:
     return True
 
 
+IN_WORDS = (ROOT / "tests/data/statements.toml").read_text(encoding="utf-8")
 REQUIREMENTS = r"^Requirements, detector null"
 ACCUSED, ACCEPTED = "accuses", "accepts"
 
@@ -211,89 +214,8 @@ KINDS = (
     Kind("a diagnostic of the stage", "yes", None, "^The stage's axes", "significant"),
     Kind("carry", "lost", always, "^Check touches", "carry"),
     Kind("carry", "held", None, "^Check touches", "carry"),
-    # the same once more in words: sentences of the decisions above, which are counted there
-    *(
-        Kind("a decision in words", text)
-        for text in (
-            r"Verdict . [a-z ]+",
-            r".*The largest distance over \d+ poses is .*",
-            r".*\d+ of \d+ poses succeeded .*",
-            r"\d+ in \d+ scenes: .*",
-            r"[✕✓] .* (met|not met).*",
-            r"Requirements, detector null: [a-z ]+",
-            r"The detector has to become better\.",
-            r"Run more poses to decide: .*",
-            r"All requirements are met.*",
-            r"Mend .*",
-            r"Put right .*",
-            r"(Error|Reliability|No false teat|Arm verified): .*",
-            r"One divot read within .*",
-            r"The check (before|after) the trials.*",
-            r"The check point .*",
-            r"In the dated verification, .*",
-            r".*the arm.*not verified.*",
-        )
-    ),
-    *(
-        Kind("as seen", text)
-        for text in (
-            r"beyond the limit(, farthest [\d.]+ mm)?",
-            r"(plane )?scene success(, farthest [\d.]+ mm)?",
-            r"found|found, beyond the limit|plane beyond the limit",
-            r"[\d.]+ mm off, limit 5 mm.*",
-            r"\d+ within 5 mm, \d+ beyond, \d+ not found\.",
-            r"Emulated rig: the scene's exact teat ends .*",
-            r"Mean error.*",
-        )
-    ),
-    *(
-        Kind("explains", text)
-        for text in (
-            r"How sure that is",
-            r"chance of these axes, if as stated",
-            r"[\d.]+ °C \([\d.]+ to [\d.]+ within 5 s\), stable",
-            r"Put the bench right before all else: .*",
-            r"What each detector shows\.",
-            r"Where no number stands, it is from \d+\.",
-            r"Begin with the trials to look at first\.",
-            r"The filter takes words: .*",
-            r"None: every trial of the script was done and counts, and no touch was refused\.",
-            r"Truth: within the guard band of its uncertainty, or it was taken back\.",
-            r"A pose succeeds when all its repeats do[.;].*",
-            r"How often chance alone misleads",
-            r"This page makes \d+ statements that chance makes wrong .*",
-            r"1 - its confidence\):",
-            r"Each holds by itself; of all of them some [\d.]+ may be wrong\.",
-            r"Poses that are added afterwards are a further look .*",
-            r"Touches that were refused and asked for again",
-            r"Set its steps per mm, square its axes, or state .*",
-            r"A teat is found when an answer lies within the gate of its end .*",
-            r"Along one axis alone up to [\d.]+ mm is accepted .*",
-            r"Errors with their 95 % ellipsoids, null: .*",
-            r"A line holds the next pose's error with 95 %; .*",
-            r"What each trend makes of its quantity's whole range, null\.",
-            r"Places are the planned ones, .*",
-            r"Errors of one pose are not independent, .*",
-            r"Where poses are repeated, time and bath are asked within them\.",
-            r"All p-values of the table are adjusted together \(Holm\)\.",
-            r"“No trend shown” doesn't say that there is none: .*",
-            r"As far as these poses show, a trend may still make, .*",
-            r"AP, RP, AD and RD \(ISO 9283\), null: not measured; .*",
-            r"A sound statement is accused in at most [\d.]+ % of runs, all rows together\.",
-            r"Not refuted is no proof: .*",
-            r"A u of half the real one lets 18 % false acceptances through, instead of 5 %\.",
-            r"Readings within [\d.]+ s of each capture\. .*",
-            r"Stability is what varies in these readings .*",
-            r"\d+ touches (\(1 new: .*\) )?within [\d.]+ mm of their mean, .*",
-            r".*arm check (before|after) the trials: .*",
-            r"The rigid fit carries\..*",
-            r"Diagnostics, not corrections; .*",
-            r"registration.*",
-            r"The rig file states u = .*",
-            r".*check touch \d+: the worst end, .*",
-            r"Where affine is much better, held out too, .*",
-        )
-    ),
+    # the same once more in words, what is seen, what explains: counted above
+    *(Kind(kind, text) for kind, texts in tomllib.loads(IN_WORDS).items() for text in texts),
 )
 
 

@@ -17,7 +17,7 @@ from bench.results.verdicts import latency_of
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.model import EmulatedFault
 from bench.run.context import RunContext
-from bench.run.events import EVENT
+from bench.run.events import EVENT, Events
 from bench.run.interruptions import (
     FILE,
     GARBLED,
@@ -30,6 +30,7 @@ from bench.run.interruptions import (
     parse_request,
     was_taken,
 )
+from bench.run.start import RunOptions
 from bench.run.trial import TrialRun
 from bench.script.planned_trials import PlannedTrial
 from bench.truth.touching import ExpectedScene, TouchedTruth
@@ -460,3 +461,57 @@ def test_a_request_to_a_bench_that_has_died_is_not_accepted_and_says_so(tmp_path
     assert clock.now() == pytest.approx(10.0, abs=0.2)
     Requests(tmp_path, lambda: None, lambda _: None).look()
     assert was_taken(tmp_path, clock, 10.0)
+
+
+class Unplugging(Bringer):
+    """Pulls a camera while the bath settles and while ends are touched; ends the run then."""
+
+    def __init__(self) -> None:
+        super().__init__("", EmulatedFault(instrument="cameras", name="dropped"))
+        self.said: list[tuple[str, str]] = []
+
+    def state(self, text: str) -> None:
+        if self.twin and "waiting for the bath" in text and not self.warned:
+            self.twin.cameras.pull("right", True)
+
+    def warn(self, text: str) -> None:
+        super().warn(text)
+        if self.twin and "The run is paused" in text:
+            self.twin.cameras.pull("right", False)
+
+    def look(self, context: RunContext) -> None:
+        if self.twin and context._touching and len(self.warned) == 2:
+            self.twin.cameras.pull("right", True)
+        if len(self.warned) == 3 and not self.said:
+            status = context.status()
+            (cameras,) = (one for one in status.instruments if one.name == "cameras")
+            self.said.append((cameras.link, status.next[-1]))
+            raise KeyboardInterrupt
+
+
+@pytest.mark.slow
+def test_a_camera_that_drops_out_while_the_bench_waits_is_noticed_then(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In real time, ten times as fast: settling pauses, touches go on with a word."""
+    shown, look = Unplugging(), RunContext.look
+
+    def looked(context: RunContext) -> None:
+        look(context)
+        shown.look(context)
+
+    monkeypatch.setattr(RunContext, "look", looked)
+    script = SCRIPT.replace("window_s = 2.0", "window_s = 30.0")
+    files(tmp_path, emulation="prompt_s = 5.0", script=script)
+    with known_to(shown):
+        fast = RunOptions(realtime=True, speed=10.0)
+        folder, _ = start(tmp_path, progress=Events(shown), how=fast)
+    paused, back, gone = shown.warned[:3]
+    assert "right camera, emulated" in paused
+    assert "The cameras are back after" in back
+    assert "The trial has its frames and goes on" in gone
+    assert shown.said == [
+        ("silent", "Check the cameras' power and cables, before the next frames.")
+    ]
+    states = [one["text"] for one in read_run(folder).events if one["kind"] == EVENT]
+    assert states[:5] == ["preparing", "settling", "paused", "settling", "running"]

@@ -25,6 +25,7 @@ from bench.record.writer import Store
 from bench.results.queue import DIED, ENDED, QueueNote, QueueStatus, queues, read_queue
 from bench.results.status import Safe, status_of
 from bench.rig.emulated_rig import EmulatedRig
+from bench.run import start
 from bench.run.engine import STAYS_WARM, Engine
 from bench.safety.bath_monitor import WATCHING
 from instruments.clock import stopwatch_s, wall_time
@@ -167,7 +168,8 @@ def test_a_disk_that_is_full_amid_one_script_ends_it_alone_and_without_room_none
     assert queue.ended == NO_ROOM
     said = capsys.readouterr().out
     assert f"c and what follows are not begun. {NO_ROOM}" in said
-    assert said.endswith("Page: not written: No space left on device\n")
+    last = f"Queue: {queue.headline}\nPage: not written: No space left on device\n"
+    assert said.endswith(last)
     then = f"No space left on device. Make room, then: teatbench report {runs[0].folder}"
     assert f"{runs[0].folder / 'report'}: {then}" in said
 
@@ -179,6 +181,39 @@ def test_an_abort_ends_all(scripts: list[str], monkeypatch: pytest.MonkeyPatch) 
     assert queue.headline == "ended early, 1 of 3 scripts finished: a run was aborted"
     assert queue.scripts[2].text == "not begun"
     assert "bath is safe" in kinds(second, "safe")
+
+
+def test_ctrl_c_between_two_scripts_ends_all(
+    scripts: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    begun, count = start._begun, list[int]()
+
+    def second(*given: Any, **more: Any) -> Store:
+        count.append(1)
+        if len(count) == 2:
+            raise KeyboardInterrupt
+        return begun(*given, **more)
+
+    monkeypatch.setattr(start, "_begun", second)
+    code, queue, (first,) = run(scripts)
+    assert code == 3
+    assert queue.headline == f"ended early, 1 of 3 scripts finished: {start.INTERRUPTED}"
+    assert f"Queue: {queue.headline}" in capsys.readouterr().out
+    assert bath_safe(first) is Safe.IN_USE  # as it left it; the rig was made safe after it
+
+
+def test_a_queue_on_a_full_disk_still_says_how_it_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    note = QueueNote.begin(tmp_path, "emulated", ["a", "b"])
+    monkeypatch.setattr("bench.results.queue.write_synced", full)
+    note.runs(tmp_path / "run-of-a")
+    note.ends(NO_ROOM)
+    (queue,) = queues(tmp_path)
+    assert (queue.scripts[0].run, queue.ended) == ("run-of-a", NO_ROOM)
 
 
 @pytest.mark.parametrize("amid", [False, True], ids=["between two scripts", "amid the second"])

@@ -255,6 +255,7 @@ def test_one_that_lost_control_says_so_and_is_opened_again(
         small = Settings(trigger=trigger, resolution=(256, 128), pixel_format="Mono8")
         camera = GenicamCamera("left", ADDRESS, clock, small, timeout_s=0.5)
         whole(camera)
+        camera.glance()
     with gige_camera():  # as after its power was off: it knows nobody any more
         while "no longer under this program's control" not in (said := outcome(camera)):
             pass
@@ -323,6 +324,8 @@ def test_a_camera_that_refuses_when_it_is_opened_again_is_tried_once_more(
         camera._wait_s = 0.0
         with monkeypatch.context() as another_program:
             another_program.setattr("instruments.camera.genicam._controls", lambda _: False)
+            with pytest.raises(LinkError, match="no longer under this program's control"):
+                camera.glance()
             assert "no longer under this program's control" in outcome(camera)
         with monkeypatch.context() as busy:
             busy.setattr("instruments.camera.genicam.apply", refuse)

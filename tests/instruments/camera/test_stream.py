@@ -19,6 +19,7 @@ from instruments.camera.frame import FrameError, FrameFault, FrameSet
 from instruments.camera.opencv import OpenCvCamera
 from instruments.camera.stream import StreamServer
 from instruments.clock import RealClock, VirtualClock
+from instruments.errors import LinkError
 
 SIZES = {"left": (96, 128), "right": (96, 128), "thermal": (48, 64)}
 
@@ -93,6 +94,27 @@ def test_a_camera_that_falls_silent(clock: RealClock) -> None:
                 shapes.append(camera.take().pixels.shape)
         assert shapes == [(96, 128, 3)]
         camera.close()
+
+
+@pytest.mark.slow
+def test_a_stream_that_breaks_off_is_known_without_a_frame(
+    served: StreamServer, clock: RealClock
+) -> None:
+    with closing(cameras_of(served, clock)) as cameras:
+        cameras.glance()
+        served.pulled.add("right")
+        said = ""
+        while not said:  # until the library has read what was under way
+            clock.sleep(0.05)
+            try:
+                cameras.glance()
+            except LinkError as error:
+                said = str(error)
+        assert said.startswith("right camera at http")
+        assert "the stream broke off" in said
+        served.pulled.clear()
+        cameras.reopen()
+        cameras.glance()
 
 
 @pytest.mark.slow
