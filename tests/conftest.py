@@ -56,9 +56,9 @@ def pytest_configure(config: pytest.Config) -> None:
     """A CI that starts in the background (`&`, `nohup`) ignores signals, and its children too:
     tests that send them need them heard.
     """
-    gc.disable()  # what is imported and collected stays
-    if os.environ.get("PYTEST_XDIST_WORKER"):  # others have the other processors; idle threads spin
-        cv2.setNumThreads(1)
+    if os.environ.get("PYTEST_XDIST_WORKER"):
+        gc.disable()  # what is imported and collected stays
+        cv2.setNumThreads(1)  # others have the other processors, and idle threads spin
     # hypothesis: the same examples in a CI
     fixed = settings().derandomize and config.getoption("hypothesis_seed") is None
     # how fast the machine is says nothing of the code
