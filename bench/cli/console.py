@@ -74,6 +74,7 @@ def console(given: argparse.Namespace) -> None:
         )
         with suppress(KeyboardInterrupt):
             uvicorn.Server(config).run(sockets=[listener])
+        print(f"\n{given.left[0].upper()}{given.left[1:]}.")
 
 
 def _numbered(address: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:

@@ -122,7 +122,7 @@ def _run(given: argparse.Namespace) -> int:
     except InstrumentError as error:
         return complain(in_switches(error, given), CODES.fault)
     except (OperatorAbort, OperatorSkip) as stop:
-        return complain(f"{stop}; {given.left}.", CODES.fault)
+        return complain(f"{stop}; {given.left.partition('. ')[0]}", CODES.fault)
     except sqlite3.Error as error:
         why = f"the run's record can't be written or read: {error}. {HINT}"
         return complain(why, CODES.fault)

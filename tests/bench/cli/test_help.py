@@ -54,6 +54,7 @@ def test_each_ending_is_of_a_command_and_in_one_row() -> None:
         assert len(named) == len({*named}) == len({*named} & {*COMMANDS})
 
 
+@pytest.mark.slow
 def test_ctrl_c_after_a_run_says_that_it_is_kept(
     said: Said, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -96,6 +96,7 @@ def test_half_a_request_is_shed_and_pages_that_are_open_leave_no_traceback(tmp_p
             assert one.ask("/runs").body["pages"] == 20
             process.send_signal(signal.SIGINT)
             process.wait(served.SOON_S)
+        assert "A run under way goes on without it" in process.stdout.read()
         process.stdout.close()
     assert "Traceback" not in (tmp_path / "err.txt").read_text(encoding="utf-8")
 
