@@ -325,9 +325,7 @@ def test_a_driver_of_each_kind_from_an_empty_folder(installed: Installed) -> Non
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_the_plug_in_with_a_failing_detector_from_an_empty_folder(installed: Installed) -> None:
-    """docs/testing.md, its programs and commands in their order, and what it says of a scene; the
-    two files that stand for a lab's own are made first.
-    """
+    """The page's programs and commands in their order; what stands for a lab's own is made first."""
     page, here = ROOT / "docs" / "testing.md", installed.here
     saved = re.findall(
         r"Save this as `(\S+)`:\n\n```python\n(.*?)```", page.read_text("utf-8"), re.S
@@ -340,9 +338,8 @@ for line in sys.stdin:
     declared = f"command = {json.dumps([sys.executable, 'blind.py'])}\n"
     for name, text in (*saved, ("blind.py", blind), ("detector.toml", declared)):
         (here / name).write_text(text, encoding="utf-8")
-    rigs = installed.site / RIGS.relative_to(ROOT)
-    shutil.copy(rigs / "emulated.toml", here / "my-rig.toml")
-    shutil.copy(rigs / "calibration.toml", here)
+    for name, to in (("emulated.toml", "my-rig.toml"), ("calibration.toml", "")):
+        shutil.copy(installed.site / RIGS.relative_to(ROOT) / name, here / to)
     ends, said = {"test_detector.py": 1, "fused": 0, "detector.toml": 0}, ""
     quiet = ("-p", "no:cacheprovider", "-p", "no:xdist", "--hypothesis-seed=1")
     for line in "".join(blocks(page, "sh")).splitlines():
@@ -352,7 +349,6 @@ for line in sys.stdin:
     assert re.search(r"thesis .* in Scene\(.*\n\d+ of \d+ scenes one step away", said)
     keep = re.search(r"Keep it: teatbench (campaign keep \S+ --into \S+)", said)
     assert keep
-    assert not ends
     installed("teatbench", *keep[1].split())
     assert [*here.glob("recordings/kept/frames/*")]
     [pasted] = here.glob("found/*/test_scene.py")

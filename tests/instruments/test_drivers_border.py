@@ -165,8 +165,7 @@ ODD: list[tuple[str, str, Any, str]] = [
     *(("group", "makers_calibration()", MakersCalibration(*given), f"maker's calibration: {said}")
       for given, said in (
           (({"left": LENS, "right": NONE},), "right: 'NoneType'"), ((NONE,), "lenses: "),
-          (({"left": MakersLens(NONE, np.eye(3))},), "left: 'None"), (({"left": LENS}, NONE), "sd: "),
-      )),
+          (({"left": MakersLens(NONE, np.eye(3))},), "left: 'None"), (({"left": LENS}, NONE), "sd: "))),
 ]  # fmt: skip
 
 

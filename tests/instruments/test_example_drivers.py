@@ -347,13 +347,11 @@ stage = stage.with_keys(url=listener.url)
 one = PluggedStage(stage, clock, "XY")
 one.connect()
 print([round(ends.high_mm) for ends in one.limits.values()])
-
 def refused(act):
     try:
         act()
     except InstrumentError as error:
         print(type(error).__name__, error)
-
 refused(lambda: one.move_to(10.0, 20.0))
 one.home()
 one.move_to(10.0, 20.0, feed_mm_min=6000.0)

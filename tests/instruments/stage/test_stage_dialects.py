@@ -44,7 +44,6 @@ def somewhere(stage: Stage) -> tuple[float, float]:
 
 
 def test_each_stage_refuses_what_is_beyond_and_marlin_alone_is_lost_by_a_stop(each: Bench) -> None:
-    """All else that it does, in any order: the rules' test."""
     stage = each.stage
     assert stage.connect().dialect == each.emulator.dialect.name
     x, y = somewhere(stage)
