@@ -233,7 +233,7 @@ class Installed:
             capture_output=True,
             text=True,
             check=False,
-            timeout=240,
+            timeout=1200,
         )
         assert done.returncode == code, done.stdout + done.stderr
         return done.stdout
@@ -320,6 +320,39 @@ def test_a_driver_of_each_kind_from_an_empty_folder(installed: Installed) -> Non
     in_turn += "; sys.exit(any(list(map(main, json.loads(sys.argv[1])))))"
     said = installed(sys.executable, "-c", in_turn, json.dumps(commands))
     assert not re.search("failed|not checked|FAULT", said), said
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_the_plug_in_with_a_failing_detector_from_an_empty_folder(installed: Installed) -> None:
+    """The page's programs and commands in their order; what stands for a lab's own is made first."""
+    page, here = ROOT / "docs" / "testing.md", installed.here
+    saved = re.findall(
+        r"Save this as `(\S+)`:\n\n```python\n(.*?)```", page.read_text("utf-8"), re.S
+    )
+    blind = """import json, sys
+print(json.dumps({"ready": True}), flush=True)
+for line in sys.stdin:
+    print(json.dumps({"frame": json.loads(line)["frame"], "teats": []}), flush=True)
+"""
+    declared = f"command = {json.dumps([sys.executable, 'blind.py'])}\n"
+    for name, text in (*saved, ("blind.py", blind), ("detector.toml", declared)):
+        (here / name).write_text(text, encoding="utf-8")
+    for name, to in (("emulated.toml", "my-rig.toml"), ("calibration.toml", "")):
+        shutil.copy(installed.site / RIGS.relative_to(ROOT) / name, here / to)
+    ends, said = {"test_detector.py": 1, "fused": 0, "detector.toml": 0}, ""
+    quiet = ("-p", "no:cacheprovider", "-p", "no:xdist", "--hypothesis-seed=1")
+    for line in "".join(blocks(page, "sh")).splitlines():
+        program, *words = shlex.split(line)
+        done = "-m", program, *quiet, *words
+        said += installed(sys.executable, *done, code=ends.pop(words[-1]))
+    assert re.search(r"thesis .* in Scene\(.*\n\d+ of \d+ scenes one step away", said)
+    keep = re.search(r"Keep it: teatbench (campaign keep \S+ --into \S+)", said)
+    assert keep
+    installed("teatbench", *keep[1].split())
+    assert [*here.glob("recordings/kept/frames/*")]
+    [pasted] = here.glob("found/*/test_scene.py")
+    assert "thesis" in installed(sys.executable, "-m", "pytest", "-q", str(pasted), code=1)
 
 
 @pytest.mark.slow

@@ -224,9 +224,13 @@ def _together(
 
 
 @contextmanager
-def emulated_world(clock: Clock) -> Iterator[World]:
-    """The world of the shipped emulated rig, for an emulator of another package."""
+def emulated_world(clock: Clock, *, drawn: bool = False) -> Iterator[World]:
+    """The world of the shipped emulated rig, for an emulator of another package. ``drawn``: once
+    before, as the first picture loads what draws, and a driver's limit is real time.
+    """
     with EmulatedRig(load_rig(find_rig(None)), clock, 1) as twin:
+        if drawn:
+            twin.cameras.capture()
         yield twin.world
 
 

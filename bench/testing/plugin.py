@@ -56,9 +56,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def _give_time(items: Sequence[pytest.Item]) -> None:
     """Hypothesis gives up no example for its time, looks for one fault at a time, and draws no
-    hundred scenes more to explain it (what differs does): in modules that import `bench.testing`,
-    under a profile of hypothesis itself. ``@given`` has taken its settings from the profile by
-    then, so that they are changed on the test.
+    hundred scenes more to explain it: in modules that import `bench.testing`, under a profile of
+    its own. ``@given`` has its settings from the profile by then; they are changed on the test.
     """
     settings: Any = getattr(sys.modules.get("hypothesis"), "settings", None)
     profile = settings.get_current_profile_name() if settings else ""

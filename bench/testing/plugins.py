@@ -178,7 +178,7 @@ def check_driver(
         except (LimitError, ValueError) as error:
             raise ConfigError.plain(str(error)) from error
         if emulator:
-            world = stack.enter_context(emulated_world(time))
+            world = stack.enter_context(emulated_world(time, drawn=of == "camera"))
             made = lambda: OnEmulator(of, plugged, time, _emulated(emulator, world, time))  # noqa: E731
             yield from conform(made)
         else:

@@ -73,8 +73,7 @@ class PluggedArm:
     def sign_on(self) -> Identity:
         """Open it and ask who it is; homing has to be confirmed then."""
         self._homed_at = 0
-        texts = self._texts()
-        name = self._border.plugged.name
+        texts, name = self._texts(), self._border.plugged.name
         serial = texts.get("serial_number", "not stated")
         self._identity = Identity(name, "", texts.get("model", ""), serial, "", "", "")
         return self._identity
@@ -153,8 +152,7 @@ class PluggedArm:
         self._border.forget()
 
     def _texts(self) -> Mapping[str, str]:
-        texts = self._border.texts
-        return self._border.call("identity", lambda arm: texts(arm.identity))
+        return self._border.call("identity", lambda arm: self._border.texts(arm.identity))
 
     def _until_still(self, limit_s: float, *, aside: bool = False) -> None:
         end_s = self._clock.now() + limit_s
@@ -180,4 +178,4 @@ class PluggedArm:
             axis = np.asarray(given.axis, dtype=np.float64)
             if axis.shape != (3,) or not 0.0 < np.linalg.norm(axis) < np.inf:
                 raise self._border.broken("its axis is no direction", given)
-        return ArmPoint(tip.astype(np.float64), axis, bool(given.moving))
+        return ArmPoint(tip.astype(np.float64), axis, self._border.flag(given.moving, "moving"))

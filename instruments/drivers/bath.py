@@ -16,6 +16,7 @@ from instruments.errors import DeviceError, InstrumentError, LimitError
 
 SAFE_TRIES = 3
 SAME_K = 0.051  # a set point that is read back: half a step of a tenth, and rounding
+VALUES = {"pump": ("none", "with run"), "comms_loss": ("hold", "stop", "unknown")}
 ALARM = 1  # the code of whatever its alarm says in words
 
 
@@ -23,6 +24,9 @@ def profile_of(plugged: Plugin) -> Profile:
     """What is known of such a bath before it is opened. Raises LimitError: its class is silent."""
     maker = plugged.maker
     try:
+        for key, known in VALUES.items():
+            if (value := getattr(maker, key)) not in known:
+                raise ValueError(f"{key} is {value!r}, not {' or '.join(map(repr, known))}")
         low_c, high_c = maker.range_c
         rows = (
             _row("temperature", unit="degC", scale=maker.step_k),
@@ -192,8 +196,7 @@ class PluggedBath:
         self._border.forget()
 
     def _identify(self) -> None:
-        texts = self._border.texts
-        self._identity = self._border.call("identity", lambda bath: texts(bath.identity))
+        self._identity = self._border.call("identity", lambda it: self._border.texts(it.identity))
 
     def _stands_by(self, *, aside: bool = False) -> None:
         if self._state(aside=aside).running:
@@ -207,8 +210,9 @@ class PluggedBath:
 
     def _checked(self, given: object) -> BathState:
         border = self._border
-        if not isinstance(given, BathState) or not isinstance(given.running, bool):
-            raise border.broken("its reading is no BathState that says whether it runs", given)
+        if not isinstance(given, BathState):
+            raise border.broken("its reading is no BathState", given)
+        running = border.flag(given.running, "running")
         temp_c = border.number(given.temp_c, "temperature")
         low_c, high_c = self.profile.plausible_c
         if not low_c <= temp_c <= high_c:
@@ -219,4 +223,4 @@ class PluggedBath:
         )
         self._alarm = str(given.alarm)
         set_point_c = border.number(given.set_point_c, "set point")
-        return BathState(temp_c, given.running, set_point_c, external_c, power, self._alarm)
+        return BathState(temp_c, running, set_point_c, external_c, power, self._alarm)

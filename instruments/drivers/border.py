@@ -38,18 +38,15 @@ class PluginBoundary(Generic[Made]):
         self.who, self.plugged = who, plugged
         self._clock = clock
         self._made: Made | None = None
-        self._lock = threading.RLock()
+        self.locked = (
+            threading.RLock()
+        )  # while one of several calls must not be parted from the next
         self._owner = threading.local()
         self.opened = 0
 
-    @property
-    def locked(self) -> threading.RLock:
-        """Held while one of several calls must not be parted from the next."""
-        return self._lock
-
     def call(self, what: str, work: Callable[[Made], T], limit_s: float | None = None) -> T:
         """``work`` on the plug-in. Raises InstrumentError alone."""
-        with self._lock:
+        with self.locked:
             made = self.open()
             try:
                 return self._within(what, lambda: work(made), limit_s)
@@ -59,7 +56,7 @@ class PluginBoundary(Generic[Made]):
 
     def open(self) -> Made:
         """The plug-in, opened where it is not. Raises InstrumentError."""
-        with self._lock:
+        with self.locked:
             if self._made is None:
                 make: Callable[[], Made] = lambda: self.plugged.make(self._clock)  # noqa: E731
                 self._made = self._within("open", make, OPEN_S)
@@ -131,13 +128,16 @@ class PluginBoundary(Generic[Made]):
 
     def number(self, value: object, what: str) -> float:
         """A finite number. Raises ProtocolError."""
-        try:
-            found = float(value)  # type: ignore[arg-type]
-        except (TypeError, ValueError, OverflowError):
-            raise self.broken(f"its {what} is no number", value) from None
-        if not abs(found) < float("inf"):
-            raise self.broken(f"its {what} is no number", value)
-        return found
+        with suppress(TypeError, ValueError, OverflowError):
+            if abs(found := float(value)) < float("inf"):  # type: ignore[arg-type]
+                return found
+        raise self.broken(f"its {what} is no number", value)
+
+    def flag(self, value: object, what: str) -> bool:
+        """True or False, NumPy's too, or 1 or 0. Raises ProtocolError."""
+        if value not in (True, False):
+            raise self.broken(f"its {what} is neither True nor False", value)
+        return bool(value)
 
 
 def _said(kind: str, what: object) -> str:

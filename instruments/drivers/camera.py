@@ -40,7 +40,7 @@ class PluggedCamera:
                 "take", lambda camera: checked(self._border, camera.take()), CAPTURE_S
             )
         except DeviceError as error:  # an exception of its own: the next frame may come
-            raise FrameError(FrameFault.DROPPED, self._name, self.who, str(error)) from error
+            raise FrameError(FrameFault.DROPPED, self._name, self.who, error.what) from error
 
     def close(self) -> None:
         self._border.forget()
@@ -66,13 +66,12 @@ class PluggedGroup:
         try:
             return self._border.call("capture", self._captured, CAPTURE_S)
         except DeviceError as error:
-            raise FrameError(FrameFault.DROPPED, self.parts[0], self.who, str(error)) from error
+            raise FrameError(FrameFault.DROPPED, self.parts[0], self.who, error.what) from error
 
     def _captured(self, group: CameraGroup) -> Mapping[str, RawFrame]:
         given = dict(group.capture())
-        for part in self.parts:
-            if part not in given:
-                raise FrameError(FrameFault.DROPPED, part, self.who, "it gave no frame")
+        if lost := [part for part in self.parts if part not in given]:
+            raise FrameError(FrameFault.DROPPED, lost[0], self.who, f"it gave no {lost[0]} frame")
         return {part: checked(self._border, given[part]) for part in self.parts}
 
     def makers_calibration(self) -> MakersCalibration | None:
@@ -110,12 +109,14 @@ def checked(
     border: PluginBoundary[Camera] | PluginBoundary[CameraGroup], frame: object
 ) -> RawFrame:
     """A frame that can be one. Raises ProtocolError."""
-    if not isinstance(frame, RawFrame) or not isinstance(frame.pixels, np.ndarray):
-        raise border.broken("its frame is no RawFrame", type(frame).__name__)
-    pictures = [one for one in (frame.pixels, frame.amplitude) if one is not None]
-    for one in pictures:
-        if one.ndim not in (2, 3) or not 0 < one.size <= MOST_VALUES or one.dtype.kind not in "uif":
-            raise border.broken("its frame is no picture", (one.shape, one.dtype))
+    if not isinstance(frame, RawFrame):
+        raise border.broken("its frame is no RawFrame", frame)
+    for one in [frame.pixels] if frame.amplitude is None else [frame.pixels, frame.amplitude]:
+        if not isinstance(one, np.ndarray):
+            raise border.broken("its frame's pixels are no array of NumPy", one)
+        known = one.dtype in (np.uint8, np.uint16) or (frame.ranging and one.dtype.kind in "uif")
+        if one.ndim not in (2, 3) or not 0 < one.size <= MOST_VALUES or not known:
+            raise border.broken("its frame is no picture of 8 or 16 bits", (one.shape, one.dtype))
     if not isinstance(frame.ranging, Ranging | None) or frame.bits not in range(1, 33):
         raise border.broken("its frame has no such bits or ranging", (frame.bits, frame.ranging))
     border.number(frame.exposed_s, "exposed_s")

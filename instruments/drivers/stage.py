@@ -54,7 +54,9 @@ class PluggedStage(StageCalls):
         border = self._border
         who = border.call("identity", lambda stage: border.texts(stage.identity))
         axes = border.call("axes", lambda stage: str(stage.axes))
-        if axes not in DECLARABLE or not set(self.axes) <= set(axes):
+        if axes not in DECLARABLE:
+            raise border.broken(f"its axes are none of {', '.join(DECLARABLE)}", axes)
+        if not set(self.axes) <= set(axes):
             what = f"it has the axes {axes}, the rig file declares {self.axes}"
             raise LimitError(self.who, what, hint="Correct axes under [stage].")
         feed = border.call("feed", lambda stage: border.number(stage.feed_mm_min, "feed"))
@@ -75,7 +77,7 @@ class PluggedStage(StageCalls):
 
     def _ends(self, limits: Mapping[str, tuple[float, float]]) -> tuple[tuple[float, ...], ...]:
         """Lowest and highest places. Raises ProtocolError."""
-        spans = [tuple(limits.get(axis, (0.0, 0.0))) for axis in self._letters]
+        spans = [tuple(limits.get(a, () if a in self.axes else (0.0, 0.0))) for a in self._letters]
         if not all(len(span) == 2 and -math.inf < span[0] <= span[1] < math.inf for span in spans):
             raise self._border.broken("its limits are no pairs of numbers by axis", limits)
         lows, highs = zip(*((float(low), float(high)) for low, high in spans), strict=True)
@@ -90,8 +92,7 @@ class PluggedStage(StageCalls):
         """Its own report, now. Raises DeviceError for a fault."""
         state = self._state()
         name = "Run" if state.moving else "Idle" if state.homed else "Alarm"
-        places = self._places(state)
-        return Status(name, None, tuple(places.values()), None, None, {})
+        return Status(name, None, tuple(self._places(state).values()), None, None, {})
 
     def position(self) -> NDArray[np.float64]:
         """(3,) mm or (4,) with degrees of A; not-a-number for an axis that it hasn't."""
@@ -180,8 +181,7 @@ class PluggedStage(StageCalls):
         if state.moving or self._move:
             what, hint = "a move is still under way", "Call finish_move(), or stop()."
             raise LimitError(self.who, what, asked=asked, hint=hint)
-        here, feed = self._places(state), feed_mm_min or min(self.settings.rate_mm_min)
-        feed = min(feed, *self.settings.rate_mm_min)
+        here, feed = self._places(state), min(feed_mm_min or math.inf, *self.settings.rate_mm_min)
         way = math.hypot(*(value - here[axis] for axis, value in target.items()))
         allowed_s = SLACK_S + 2 * 60 * way / feed
         self._begin_moving()
@@ -209,10 +209,11 @@ class PluggedStage(StageCalls):
 
     def _checked(self, given: object) -> StageState:
         border = self._border
-        if not isinstance(given, StageState) or not (
-            isinstance(given.moving, bool) and isinstance(given.homed, bool)
-        ):
+        if not isinstance(given, StageState):
             raise border.broken("its state is no StageState", given)
+        if not isinstance(given.place, Mapping):
+            raise border.broken("its place is no mapping by axis", given.place)
+        moving, homed = border.flag(given.moving, "moving"), border.flag(given.homed, "homed")
         place = {axis: given.place.get(axis, None if axis in self.axes else 0.0) for axis in AXES}
         numbers = {axis: border.number(at, f"place of axis {axis}") for axis, at in place.items()}
-        return StageState(numbers, given.moving, given.homed, str(given.fault))
+        return StageState(numbers, moving, homed, str(given.fault))

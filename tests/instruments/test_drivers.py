@@ -9,6 +9,7 @@ import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -52,6 +53,15 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[World, Vir
 def test_the_pages_drivers_conform(name: str) -> None:
     found = check_driver(name, clock=VirtualClock())
     assert [one for one in found if one.outcome != "passed"] == []
+
+
+def test_cameras_have_drawn_before_a_driver_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = list[str]()  # the first picture loads what draws, and a driver waits in real time
+    monkeypatch.setattr("bench.testing.plugins.conform", lambda _: iter(drawn))
+    draw: Any = lambda _: drawn.append("once")  # noqa: E731
+    monkeypatch.setattr("bench.rig.emulated_rig.EmulatedCameras.capture", draw)
+    for name in ("eyes", "tank"):
+        assert [*map(str, check_driver(name, clock=VirtualClock()))] == ["once"]
 
 
 BROKEN = {

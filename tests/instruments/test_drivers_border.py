@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import nullcontext, suppress
+from decimal import Decimal
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ from instruments.drivers.bath import PluggedBath
 from instruments.drivers.camera import PluggedCamera, PluggedGroup
 from instruments.drivers.entry_points import Plugin
 from instruments.drivers.stage import PluggedStage
-from instruments.errors import InstrumentError, ProtocolError
+from instruments.errors import InstrumentError
 
 
 class OwnError(BaseException):
@@ -143,21 +144,39 @@ def driver(kind: str, member: str, given: Any) -> type:
     return type("Driver", (), members)
 
 
-@pytest.mark.parametrize(
-    ("given", "says"),
-    [
-        (MakersCalibration({"left": LENS, "right": None}), "right: 'NoneType'"),  # type: ignore[dict-item]
-        (MakersCalibration({"left": MakersLens(None, np.eye(3))}), "left: 'None"),  # type: ignore[arg-type]
-        (MakersCalibration(None), "lenses: "),  # type: ignore[arg-type]
-        (MakersCalibration({"left": LENS}, None), "sd: "),  # type: ignore[arg-type]
-    ],
-)
-def test_a_makers_calibration_with_holes_is_refused_by_name(given: Any, says: str) -> None:
-    group = PluggedGroup(
-        Plugin("d", "pkg 1", driver("group", "makers_calibration()", given)), VirtualClock()
-    )
-    with pytest.raises(ProtocolError, match=f"its maker's calibration: {says}"):
-        group.makers_calibration()
+YES, AT = np.True_, dict[str, Any](X=np.float32(1.0), Y=2)
+ASKED = {"bath": [0], "stage": [0, 2], "arm": [0, 3], "camera": [2], "group": [0, 1]}  # of CALLS
+ODD: list[tuple[str, str, Any, str]] = [
+    ("bath", "read()", BathState(Decimal("20.1"), YES, 30), ""),  # type: ignore[arg-type]
+    ("bath", "read()", BathState(20.1, TEXT, 30.0), "running is neither True nor False .*str: x"),
+    ("bath", "read()", (20.1, True, 30.0), "no BathState"),
+    ("bath", "pump", "own", "pump is 'own', not 'none' or 'with run'"),
+    ("bath", "comms_loss", "halt", "comms_loss is 'halt', not 'hold' or 'stop' or 'unknown'"),
+    ("stage", "read()", StageState(AT, YES, 0), ""),  # type: ignore[arg-type]
+    ("stage", "read()", StageState(AT, NONE, False), "moving is neither"),
+    ("stage", "read()", StageState(np.zeros(2), False, False), "place is no mapping by axis"),  # type: ignore[arg-type]
+    ("stage", "limits", {"x": (0, 300), "y": (0, 300)}, "limits are no pairs of numbers by axis"),
+    ("stage", "axes", "xy", "axes are none of XY, XYZ, XYA, XYZA"),
+    ("arm", "read()", ArmPoint(np.zeros(3), moving=TEXT), "moving is neither"),
+    ("camera", "take()", GREY, r"no RawFrame \(got ndarray"),
+    ("camera", "take()", RawFrame(TEXT, 0.0), r"no array of NumPy \(got str"),
+    ("camera", "take()", RawFrame(GREY.astype(np.int64), 0.0), "8 or 16 bits .*int64"),  # type: ignore[arg-type]
+    ("group", "capture()", {"left": RawFrame(GREY, 0.0)}, "it gave no right frame"),
+    *(("group", "makers_calibration()", MakersCalibration(*given), f"maker's calibration: {said}")
+      for given, said in (
+          (({"left": LENS, "right": NONE},), "right: 'NoneType'"), ((NONE,), "lenses: "),
+          (({"left": MakersLens(NONE, np.eye(3))},), "left: 'None"), (({"left": LENS}, NONE), "sd: "))),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "member", "given", "said"), ODD)
+def test_an_odd_value_is_taken_or_called_by_its_name(
+    kind: str, member: str, given: Any, said: str
+) -> None:
+    with pytest.raises(InstrumentError, match=said) if said else nullcontext():
+        device = MAKES[kind](Plugin("d", "pkg 1", driver(kind, member, given)), VirtualClock())
+        for number in ASKED[kind]:
+            CALLS[kind](device)[number]()
 
 
 @pytest.mark.parametrize("kind", MAKES)

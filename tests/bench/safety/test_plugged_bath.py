@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from pathlib import Path
 
@@ -74,8 +75,14 @@ BREAKS: dict[str, Callable[[bench.OpenRig], object]] = {
     "Tank.read": lambda rig: rig.wait(700.0),
     **dict.fromkeys(("Slide.stop", "Probe.stop"), lambda rig: rig.safe()),
 }
-# "same": what it gave first, as where the driver's own thread, which asks the device, has died
-GIVES = [*product(BREAKS, (SystemExit("bye"), MemoryError(), None)), ("Tank.read", "same")]
+GIVES = [*product(BREAKS, (SystemExit("bye"), MemoryError(), None))]
+# what is done, and said then, where a driver's own thread, which asks the device, has died
+REPEATED: dict[str, tuple[Callable[[bench.OpenRig], object], str]] = {
+    "Tank.read": (lambda rig: rig.wait(700.0), "lifeless reading"),
+    "Slide.read": (lambda rig: rig.move(x_mm=5.0), r"not at its target, X = 155.*X = 150"),
+    "Probe.read": (lambda rig: rig.touch(), "the end of teat 1 once more"),
+    "Eyes.capture": (lambda rig: [rig.capture(), rig.capture()], "identical to the last frame"),
+}
 EXPECTED = (InstrumentError, bench.InterlockTrip, bench.NotSafeError)
 
 HEATS = """
@@ -150,11 +157,11 @@ def test_no_driver_leaves_the_bath_on(
         asked.append(driver)
         if isinstance(gives, BaseException):
             raise gives
-        return vars(driver).setdefault("first", reads(driver)) if gives == "same" else gives
+        return gives
 
     with importable(tmp_path / "site"):
         drivers = importlib.import_module("lab_drivers")
-        emulator, reads = drivers.TankEmulator, drivers.Tank.read
+        emulator = drivers.TankEmulator
 
         def seen(world: World, clock: Clock) -> object:
             plants.append(world.plant)
@@ -172,6 +179,27 @@ def test_no_driver_leaves_the_bath_on(
             BREAKS[member](rig)
     assert asked
     assert not plants[0].running
+
+
+@pytest.mark.parametrize("member", REPEATED)
+def test_a_driver_that_repeats_what_it_gave_is_noticed(
+    member: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_calibration(tmp_path)
+    (tmp_path / "lab.toml").write_text(ALL_PLUGGED, encoding="utf-8")
+    (name, method), (act, said) = member.split("."), REPEATED[member]
+    with importable(tmp_path / "site"):
+        kind = getattr(importlib.import_module("lab_drivers"), name)
+        gives = cache(getattr(kind, method))
+        with bench.open_rig(tmp_path / "lab.toml", warn=lambda _: None) as rig:
+            rig.home()
+            rig.set_up(bench.member("ideal", 3))
+            rig.heat(33.0, wait=False)
+            rig.move()
+            rig.touch(1)
+            monkeypatch.setattr(kind, method, gives)
+            with pytest.raises(EXPECTED, match=said):
+                act(rig)
 
 
 def test_a_rig_that_is_emulated_in_part_is_marked(lab: Lab, said: Said) -> None:

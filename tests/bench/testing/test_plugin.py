@@ -23,7 +23,6 @@ from bench.rig.loading import load_rig
 from bench.run.lock import lock_path, locked
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.small_recording import write_recording
-from tests.conftest import ROOT
 from tests.undrawn import bare
 
 pytest_plugins = ("pytester",)
@@ -58,28 +57,17 @@ blind = Blind()
 def test_own():
     check(blind, Scene(), limit_mm=5)
 """
+# hypothesis itself stops after 5 minutes by the clock, and explains by a hundred scenes
 SLOW = """
-import time
-from hypothesis import given, strategies as st
+import sys, time
+from hypothesis import Phase, given, strategies as st
 
 @given(st.just(0))
 def test_slow(number):
     time.sleep(0.3)
-"""
-
-
-# the second module draws no scenes
-PATIENT = """
-import sys
-from hypothesis import Phase, given, settings, strategies as st
-{}
-
-@settings(max_examples=1)
-@given(st.just(0))
-def test_it(number):
-    engine = sys.modules["hypothesis.internal.conjecture.engine"]
-    explains = Phase.explain in test_it._hypothesis_internal_use_settings.phases
-    assert (engine.MAX_SHRINKING_SECONDS, explains) == {}
+    seconds = sys.modules["hypothesis.internal.conjecture.engine"].MAX_SHRINKING_SECONDS
+    phases = test_slow._hypothesis_internal_use_settings.phases
+    assert (seconds, Phase.explain in phases) == {}
 """
 
 
@@ -104,21 +92,6 @@ def test_it_imports_nothing_before_it_is_asked(pytester: pytest.Pytester) -> Non
     pytester.makepyfile(program)
     result = pytester.runpytest_subprocess(*PLUGIN, "-p", "no:hypothesispytest")
     result.assert_outcomes(passed=1)
-
-
-def test_a_busy_machine_has_the_time_to_make_a_scene_simpler(pytester: pytest.Pytester) -> None:
-    """Hypothesis stops after 5 minutes by the clock; and its explanation takes a hundred scenes."""
-    from hypothesis.internal.conjecture import engine
-
-    usual = engine.MAX_SHRINKING_SECONDS
-    pytester.makepyfile(
-        test_scenes=PATIENT.format("from bench.testing import check", (3600.0, False)),
-        test_others=PATIENT.format("", (usual, True)),
-    )
-    pytester.makeconftest("import hypothesis\nhypothesis.settings.load_profile('default')")
-    with bare():
-        pytester.runpytest_inprocess(*PLUGIN).assert_outcomes(passed=2)
-    assert usual == engine.MAX_SHRINKING_SECONDS
 
 
 @pytest.mark.slow
@@ -242,42 +215,23 @@ def test_an_unknown_requirement_rig_or_detector_is_wrong_use(pytester: pytest.Py
 
 
 @pytest.mark.slow
-def test_the_page_word_by_word(pytester: pytest.Pytester, rig: str) -> None:
-    """Its first program finds a scene, beside tests of others, in a process whose hypothesis is
-    fresh; its second one runs on an emulated rig, beside a scene found for an object. Small cameras
-    stand in for those of the rig where none is named.
-    """
-    page = (ROOT / "docs" / "testing.md").read_text(encoding="utf-8")
-    programs = re.findall(r"Save this as `(\w+)\.py`:\n\n```python\n(.*?)```", page, re.DOTALL)
-    pytester.makepyfile(**dict(programs))
-    patient = OWN + SLOW.replace("test_slow", "test_patient")
-    pytester.makepyfile(test_own=patient, test_slow=SLOW)
+def test_an_object_is_found_in_a_test_of_its_own_and_deadlines_are_those_of_scenes(
+    pytester: pytest.Pytester, rig: str
+) -> None:
+    """The first session in a process whose hypothesis is fresh."""
+    patient = SLOW.format((3600.0, False)).replace("test_slow", "test_patient")
+    pytester.makepyfile(test_own=OWN + patient, test_slow=SLOW.format((300, True)))
     pytester.makeconftest(
         "import bench.testing, hypothesis\n"
         f"bench.testing.check.__wrapped__.__kwdefaults__['rig'] = {rig!r}\n"
         "hypothesis.settings.load_profile('default')  # that of a CI has no deadline\n"
     )
     pytester.syspathinsert()
-    first = pytester.runpytest_subprocess(
-        *PLUGIN, "test_detector.py", "test_own.py", "test_slow.py"
-    )
-    with bare():
-        words = ("test_rig.py", "--detector", "fused", "--rig", rig, "found/test_own/test_scene.py")
-        second = pytester.runpytest_inprocess(*PLUGIN, *words)
-    first.assert_outcomes(failed=3, passed=1)
+    first = pytester.runpytest_subprocess(*PLUGIN, "test_own.py", "test_slow.py")
+    first.assert_outcomes(failed=2, passed=1)
     text = first.stdout.str()
-    assert "STEPS" not in text
-    assert re.search(r"scene=Scene\(teats=.*\),\n", text)
     assert re.findall(r"FAILED (\w+).*DeadlineExc", text) == ["test_slow"], text
-    first.stdout.fnmatch_lines(
-        [
-            "*simplest scene*",
-            "thesis *in Scene(*",
-            "*of * scenes one step away*fail too*",
-            "*Keep it:*",
-        ]
-    )
-    found = pytester.path / "found" / "test_every_end_within_20_mm"
-    assert {path.name for path in found.iterdir()} == {"scene.toml", "scene.png", "test_scene.py"}
-    second.assert_outcomes(passed=2, failed=1)
-    second.stdout.fnmatch_lines(["*Blind misses 1 of 1 visible ends in Scene()*", "*Report: *"])
+    with bare():
+        second = pytester.runpytest_inprocess(*PLUGIN, "found/test_own/test_scene.py")
+    second.assert_outcomes(failed=1)
+    second.stdout.fnmatch_lines(["*Blind misses 1 of 1 visible ends in Scene()*"])
