@@ -88,11 +88,9 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
     engine: Any = sys.modules.get("hypothesis.internal.conjecture.engine")
     if engine is None or not _draws_scenes(getattr(item, "module", None)):
         return (yield)
-    usual, engine.MAX_SHRINKING_SECONDS = engine.MAX_SHRINKING_SECONDS, SHRINKING_S
-    try:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(engine, "MAX_SHRINKING_SECONDS", SHRINKING_S, raising=False)
         return (yield)
-    finally:
-        engine.MAX_SHRINKING_SECONDS = usual
 
 
 _REQUIRED = pytest.StashKey[Mapping[str, Sequence[str]]]()

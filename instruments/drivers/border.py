@@ -38,9 +38,8 @@ class PluginBoundary(Generic[Made]):
         self.who, self.plugged = who, plugged
         self._clock = clock
         self._made: Made | None = None
-        self.locked = (
-            threading.RLock()
-        )  # while one of several calls must not be parted from the next
+        # while one of several calls must not be parted from the next
+        self.locked = threading.RLock()
         self._owner = threading.local()
         self.opened = 0
 
@@ -135,9 +134,10 @@ class PluginBoundary(Generic[Made]):
 
     def flag(self, value: object, what: str) -> bool:
         """True or False, NumPy's too, or 1 or 0. Raises ProtocolError."""
-        if value not in (True, False):
-            raise self.broken(f"its {what} is neither True nor False", value)
-        return bool(value)
+        with suppress(TypeError, ValueError):  # an array is neither, and says so
+            if value in (True, False):
+                return bool(value)
+        raise self.broken(f"its {what} is neither True nor False", value)
 
 
 def _said(kind: str, what: object) -> str:

@@ -26,6 +26,7 @@ from instruments.clock import VirtualClock
 from instruments.drivers.arm import PluggedArm
 from instruments.drivers.camera import PluggedCamera, PluggedGroup
 from instruments.drivers.entry_points import Kind, Plugin
+from instruments.drivers.stage import PluggedStage
 from instruments.errors import DeviceError, LimitError, LinkError
 from tests.conftest import ROOT
 from tests.instruments.stage.test_stage_witnesses import QUICK
@@ -319,6 +320,71 @@ def test_an_arm_that_touches_by_itself_over_rtde(driver: Drivers) -> None:
     robot.linked = False
     with pytest.raises(LinkError, match="the link is lost"):
         arm.read()
+
+
+class ZaberAxis:
+    """A device and its axis, at once where it goes."""
+
+    device_address, place, flags = 1, 0, {"WR"}
+
+    def __init__(self) -> None:
+        self.device = self.settings = self.warnings = self
+        self.figures = {"limit.min": 0.0, "limit.max": 75_000.0, "maxspeed": 40_960.0}
+        self.get = self.figures.__getitem__
+        self.get_flags, self.get_axis = lambda: self.flags, lambda _: self
+        self.error: Exception | None = None
+
+    def generic_command(self, _: str) -> Any:
+        if self.error:
+            raise self.error
+        return SimpleNamespace(data=str(self.place), status="IDLE")
+
+    def home(self, *, wait_until_idle: bool) -> None:
+        self.place, self.flags = 0, set()
+
+    def move_absolute(self, place: int, *_: object, velocity: int, **more: object) -> None:
+        self.place, self.figures["velocity"] = place, velocity
+
+
+class ZaberError(Exception):
+    """The stand-ins' own."""
+
+    message = "as its library says"
+
+
+def test_a_stage_over_zaber_motion(driver: Drivers) -> None:
+    axes = [ZaberAxis(), ZaberAxis()]
+    chain = SimpleNamespace(get_device=lambda number: axes[number - 1], close=lambda: None)
+    chain.stop_all = lambda wait_until_idle: None
+    opened = SimpleNamespace(open_serial_port=lambda _: chain)
+    names = ("ConnectionClosed", "ConnectionFailed", "RequestTimeout", "SerialPortBusy", "BadData")
+    kinds = {f"{one}Exception": type(one, (ZaberError,), {}) for one in names}
+    errors = SimpleNamespace(MotionLibException=ZaberError, **kinds)
+    modules = {
+        "zaber_motion": {"Units": SimpleNamespace(NATIVE=""), "exceptions": errors},
+        "zaber_motion.ascii": {"Connection": opened},
+    }
+    keys = {"url": "COM5", "devices": "1,2.1", "microsteps": "250,500"}
+    plugged = driver("zaber_stage.py", "ZaberStage", modules, **keys)
+    passes("stage", plugged)
+    stage = PluggedStage(plugged, VirtualClock(), "XY")
+    stage.connect()
+    assert stage.limits["Y"].high_mm == 150.0
+    axes[1].flags = {"WH"}
+    with pytest.raises(LimitError, match="before homing"):
+        stage.move_to(10.0, 20.0)
+    stage.home()
+    stage.move_to(10.0, 20.0, feed_mm_min=600.0)
+    assert [one.place for one in axes] == [2500, 10_000]
+    assert [one.figures["velocity"] for one in axes] == [round(2500 * 1.6384), 8192]
+    axes[0].flags = {"FS"}
+    with pytest.raises(DeviceError, match="flags FS"):
+        stage.position()
+    axes[0].flags, axes[0].error = set(), kinds["RequestTimeoutException"]()
+    with pytest.raises(LinkError, match="as its library says"):
+        stage.position()
+    with pytest.raises(LimitError, match="2 devices and 1 microsteps"):
+        PluggedStage(plugged.with_keys(microsteps="250"), VirtualClock(), "XY").connect()
 
 
 # in a process of its own: the library's threads go on after its connections are closed
