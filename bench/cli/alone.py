@@ -200,6 +200,7 @@ def grab(given: argparse.Namespace) -> None:
         warn = {"warn": lambda text: print(f"teatbench: {text}", file=sys.stderr)}
         for name in bench.record_frames(alone, given.out, given.count, **warn):
             print(f"{given.out / 'frames' / name}", flush=True)
-    if alone.rig.made_calibration is None:
+        uncalibrated = alone.rig.made_calibration is None
+    if uncalibrated:
         why = "there is no calibration: put calibration.toml into the folder before it is scored"
         print(why, file=sys.stderr)
