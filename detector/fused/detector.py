@@ -92,7 +92,7 @@ class FusedDetector:
 
     settings: Parameters = field(default_factory=Parameters)
     name: str = "fused"  # in the registry
-    version: str = "22"  # counted up when an answer on any frame set changes
+    version: str = "23"  # counted up when an answer on any frame set changes
 
     covariance_leaves_out: ClassVar[str] = (
         "what the ends of one frame have in common (each end has its own covariance); where the"
@@ -213,7 +213,8 @@ class _Scene:
         thermal, prior = self.thermal, self.p.prior
         view, size = thermal.view, thermal.px_a_sensor_px
         warmth = warmth_across(fitted.teats, view.field, thermal.lens, view.camera_from_teats, size)
-        evidence = weigh(fitted, end_covariances(fitted, self.p), warmth, self.views, prior)
+        sds = end_covariances(fitted, self.p)
+        evidence = weigh(fitted, sds, warmth, thermal.levels, self.views, prior)
         if known:
             fitted, evidence = known.fitted + fitted, known.evidence + evidence
         return _Judged(fitted, evidence, decide(fitted.teats, evidence, LEARNED, prior))
