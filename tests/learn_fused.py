@@ -9,7 +9,7 @@ odds by which fits of one end are weighted, are those that do best. Standard dev
 in their terms: factors, none negative, are those of the greatest likelihood of the errors that were
 made (an end taken for another's counts for none of them). Both are done twice, as the
 first answers change which fits are tried. The limits by which fits are tried again stay, unless
-``--limits`` tries two others of each, by fifteen runs on all scenes.
+``--limits`` tries two others of each, by a run on all scenes for each.
 
 The gate: each family is judged by weights that were learned without it. A change passes that has as
 many ends found, less four for each false one, as the file says.
@@ -66,6 +66,9 @@ LIMITS: dict[str, tuple[float, float]] = {
     "longest side": (0.9, 1.01),
     "misfit, px": (0.03, 0.1),
     "sd, mm": (0.2, 0.5),
+    "odds beyond doubt": (2.0, 4.0),
+    "thermal end, clear": (0.75, 0.85),
+    "thermal end, counted": (0.8, 0.9),
 }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -33,7 +33,7 @@ def free_scene(k: int) -> Scene:
 
 def _drawn(plain: T, rng: np.random.Generator) -> T:
     """``plain`` with numbers of its range."""
-    numbers = {
+    numbers: dict[str, Any] = {
         name: steps.value(int(rng.integers(steps.least, steps.most + 1)))
         for name, steps in plain.STEPS.items()
         if rng.random() < DIFFERING
