@@ -1,15 +1,15 @@
 """``python -m tests.learn_fused --frames DIR``: learns what `fused` decides and states by, and writes
 detector/fused/learned.json.
 
-Scenes of all families are drawn on the shipped rig, some of each on rigs drawn at random, and those
-that were difficult; DIR keeps their frames. The detector runs on them and shows what it measures of
+Scenes of all families are drawn on the shipped rig, some of each on rigs drawn at random, scenes of
+the free range of `bench.testing` (one family more), and those that were difficult; DIR keeps their frames. The detector runs on them and shows what it measures of
 every fit. The log odds of a fit are linear in that: weights are the maximum a posteriori with a
 ridge, of fits labelled by whether an end is near. The least odds of what is given, and the power of
 odds by which fits of one end are weighted, are those that do best. Standard deviations are linear
 in their terms: factors, none negative, are those of the greatest likelihood of the errors that were
 made (an end taken for another's counts for none of them). Both are done twice, as the
 first answers change which fits are tried. The limits by which fits are tried again stay, unless
-``--limits`` tries two others of each, by fifteen runs on all scenes.
+``--limits`` tries two others of each, by a run on all scenes for each.
 
 The gate: each family is judged by weights that were learned without it. A change passes that has as
 many ends found, less four for each false one, as the file says.
@@ -46,9 +46,11 @@ from detector.outline.prior import Prior, world_from_teats
 from instruments.world.scene import Renderer
 from instruments.world.situations import SITUATIONS, member
 from tests.detector.fused.difficult import DIFFICULT, Rendered, rendered
+from tests.detector.fused.free_scenes import free_scene
 
 Array = NDArray[np.float64]
 SEED, FIRST, MEMBERS, RIGS, ON_A_RIG = 1, 200, 120, 26, 6
+FREE, FREE_SCENES = "free", 480
 EXACT = ParameterCovariance((), np.zeros((0, 0)))
 RIDGE, NOT_SURE_MM, LESS = 5e-3, (2.5, 6.0), 0.3
 AGAIN, WITHIN = 2, 0.2
@@ -64,6 +66,9 @@ LIMITS: dict[str, tuple[float, float]] = {
     "longest side": (0.9, 1.01),
     "misfit, px": (0.03, 0.1),
     "sd, mm": (0.2, 0.5),
+    "odds beyond doubt": (2.0, 4.0),
+    "thermal end, clear": (0.75, 0.85),
+    "thermal end, counted": (0.8, 0.9),
 }
 
 
@@ -100,6 +105,9 @@ def scenes(frames: Path) -> Iterator[tuple[str, Calibration, Any]]:
             name = names[(5 * (k - FIRST) + 4 * n) % len(names)]
             path, renderer = frames / f"rig_{name}-{k}.npz", renderer_of(calibration, usual, SEED)
             yield from _kept(path, name, calibration, partial(_drawn, renderer, name, k))
+    for k in range(FIRST, FIRST + FREE_SCENES):
+        path, draws = frames / f"{FREE}-{k}.npz", partial(_drawn, usual, FREE, k)
+        yield from _kept(path, FREE, rig.calibration, draws)
     for name, noise, k in DIFFICULT:
         path, renderer = frames / f"{name}-{k}-{noise}.npz", rig_renderer(rig, noise)
         yield from _kept(path, name, rig.calibration, partial(rendered, renderer, name, noise, k))
@@ -118,7 +126,8 @@ def _kept(
 
 
 def _drawn(renderer: Renderer, name: str, k: int) -> Rendered:
-    shot = draw(renderer, name, warm(member(name, k)[0]), [SEED, k])
+    state = free_scene(k).state() if name == FREE else warm(member(name, k)[0])
+    shot = draw(renderer, name, state, [SEED, k])
     ends = np.array([row.xyz_mm for row in shot.truth])
     visible = np.array([row.visible for row in shot.truth])
     thermal_k = np.asarray(shot.frames.thermal_ck) / 100.0
@@ -277,7 +286,7 @@ def main() -> None:
     (weights, bias), factors = learned_odds(some), learned_spread(some)
     power = min(POWERS, key=lambda each: judged(some, weights, bias, LEASTS[0], each)["mean mm"])
     apart = list[tuple[str, list[Shown], tuple[Array, float]]]()
-    for name in SITUATIONS:
+    for name in (*SITUATIONS, FREE):
         others = learned_odds([one for one in some if one.family != name], np.r_[weights, bias])
         apart.append((name, [one for one in some if one.family == name], others))
 

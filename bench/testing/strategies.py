@@ -100,10 +100,10 @@ def scenes(
         most_objects, most_perturbations = min(most_objects, 1), 0
     else:
         pose = draw(of_poses if poses is None else poses)
-        found = _nearest(found, pose, lambda near, scene: replace(scene, pose=near))
+        found = nearest(found, pose, lambda near, scene: replace(scene, pose=near))
     found = replace(found, paint=draw(_PAINTS), **draw(_steps(_OF_A_SCENE, published)))
     for one in draw(_several(of_objects if objects is None else objects, most_objects)):
-        found = _nearest(found, one, lambda near, at: replace(at, objects=(*at.objects, near)))
+        found = nearest(found, one, lambda near, at: replace(at, objects=(*at.objects, near)))
     done = of_perturbations if perturbations is None else perturbations
     return replace(found, perturbations=tuple(draw(_several(done, most_perturbations, "name"))))
 
@@ -134,18 +134,18 @@ def _standing(teats: Sequence[Teat]) -> tuple[Teat, ...]:
     if found.faults():
         found = Scene((Teat(),) * len(teats))
         for i, one in enumerate(teats):
-            found = _nearest(found, one, partial(_at, i))
+            found = nearest(found, one, partial(put_teat, i))
     return found.teats
 
 
-def _nearest(found: Scene, part: P, put: Callable[[P, Scene], Scene]) -> Scene:
+def nearest(found: Scene, part: P, put: Callable[[P, Scene], Scene]) -> Scene:
     """With ``part`` put as near to its plain place as it must be; without it if it can't stand."""
     put(part, found)  # refuses what another strategy draws
     tried = (put(part.nearer(share), found) for share in SHARES)
     return next((one for one in tried if not one.faults()), found)
 
 
-def _at(i: int, teat: Teat, scene: Scene) -> Scene:
+def put_teat(i: int, teat: Teat, scene: Scene) -> Scene:
     return replace(scene, teats=(*scene.teats[:i], teat, *scene.teats[i + 1 :]))
 
 

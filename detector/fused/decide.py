@@ -54,9 +54,15 @@ class Fits(NamedTuple):
 
     @property
     def usual(self) -> float:
-        """How warm fits are that show a whole end in both optical pictures, or the warmest."""
-        middle = self.lines[:, 1]
-        known = middle[self.whole & np.isfinite(middle)]
+        """How warm fits are that show a whole end in both optical pictures, one a place; or the
+        warmest.
+        """
+        middle, ends = self.lines[:, 1], apexes(self.teats)
+        places = list[int]()
+        for i in np.flatnonzero(self.whole & np.isfinite(middle)).tolist():
+            if (np.linalg.norm(ends[places] - ends[i], axis=1) > _ONE_PLACE_MM).all():
+                places.append(i)
+        known = middle[places]
         return float(np.median(known)) if len(known) else float(np.nanmax(middle, initial=-np.inf))
 
     @property
@@ -168,6 +174,8 @@ MEASURES: dict[str, Measure] = {
     ),
     "coolest line, to the usual teat, K": Measure(-6, 0, COLD, lambda f: f.lines[:, 0] - f.usual),
     "middle line, to the usual teat, K": Measure(-6, 0, COLD, lambda f: f.lines[:, 1] - f.usual),
+    "as cold as the surroundings, of the range": Measure(-0.1, 0.35, COLD, lambda f: f.of.in_range),
+    "as warm as the warmest, of the range": Measure(0.35, 0.7, COLD, lambda f: f.of.in_range),
     "lines unlike in warmth, K": Measure(0, 3, COLD, lambda f: np.ptp(f.of.warmth, axis=1)),
     "radius outside of the range, mm": Measure(0, 5, SIZE, lambda f: f.off_size),
     "radius off the usual, mm": Measure(0, 5, SIZE, lambda f: f.off_usual),

@@ -43,8 +43,6 @@ from detector.fused.refits import doubts, shapes, unsure, whole_ends
 from detector.fused.sharpness import Sharpness, blur_covariances, sharpness, too_blurred
 from detector.fused.thermal import (
     ROOM_PX,
-    SOME_END,
-    SURE_END,
     Nominations,
     TeatTemplate,
     bars,
@@ -80,8 +78,7 @@ from detector.protocol import Context, Detection, Frames, Stage, Teat
 _SAME_MM, _CHI2_99 = 15.0, 11.345  # two answers on one end; 99 % of three degrees of freedom
 _BESIDE_PX = np.array([-1.0, 0.0, 1.0])  # disparities about an expected end
 _OPTICAL_BLUR_PX, _THERMAL_BLUR_PX = 1.5, 0.8  # as much as a start may be off
-# log odds above what is accepted: beyond doubt; below, of what has a sentence
-_SURE, _MAYBE_END = 3.0, 4.0
+_MAYBE_END, _SOME_END = 4.0, 0.7  # odds below what is given, thermal score, of what has a sentence
 LEARNED = learned()
 _ROOM_ABOVE_MM = 110.0  # how far above a bar's visible part its end may be
 
@@ -92,7 +89,7 @@ class FusedDetector:
 
     settings: Parameters = field(default_factory=Parameters)
     name: str = "fused"  # in the registry
-    version: str = "22"  # counted up when an answer on any frame set changes
+    version: str = "23"  # counted up when an answer on any frame set changes
 
     covariance_leaves_out: ClassVar[str] = (
         "what the ends of one frame have in common (each end has its own covariance); where the"
@@ -213,12 +210,13 @@ class _Scene:
         thermal, prior = self.thermal, self.p.prior
         view, size = thermal.view, thermal.px_a_sensor_px
         warmth = warmth_across(fitted.teats, view.field, thermal.lens, view.camera_from_teats, size)
-        evidence = weigh(fitted, end_covariances(fitted, self.p), warmth, self.views, prior)
+        sds = end_covariances(fitted, self.p)
+        evidence = weigh(fitted, sds, warmth, thermal.levels, self.views, prior)
         if known:
             fitted, evidence = known.fitted + fitted, known.evidence + evidence
         return _Judged(fitted, evidence, decide(fitted.teats, evidence, LEARNED, prior))
 
-    def unexplained(self, teats: Array, least: float = SURE_END) -> Array:
+    def unexplained(self, teats: Array, least: float) -> Array:
         """The ends (k, 2) sensor px of the thermal picture that are of none of teats (m, 8)."""
         thermal, tips = self.thermal, apexes(teats)
         feet_px, tips_px = (
@@ -266,13 +264,13 @@ def _detect(
     given = Fits.made(fitted.teats, evidence.take(decision.accepted), p.prior)
     doubtful = decision.odds > LEARNED.least - _MAYBE_END
     thermal_px = thermal.px(apexes(judged.fitted.teats))
-    warm_px = (scene.unexplained(fitted.teats, SOME_END) + 0.5) * size - 0.5
+    warm_px = (scene.unexplained(fitted.teats, _SOME_END) + 0.5) * size - 0.5
     said = [] if answers else ["nothing warm has the outline of a teat in both optical pictures"]
     said += outside(given)
     said += left_out(
         judged.fitted.teats, decision, doubtful, thermal_px, warm_px, size, calibration
     )
-    hidden = len(scene.unexplained(fitted.teats))
+    hidden = len(scene.unexplained(fitted.teats, LEARNED.limits["thermal end, counted"]))
     return Detection(answers, hidden, "; ".join(said) or None, tuple(trace))
 
 
@@ -319,16 +317,22 @@ def _from_starts(teats: Array, scene: _Scene) -> _Judged:
     """What the first of starts ``teats`` (m, 8) lead to; and the rest, unless that is an udder of
     teats beyond doubt and explains all that is warm.
     """
-    judged, p = None, scene.p
+    judged, p, counted = None, scene.p, LEARNED.limits["thermal end, counted"]
     for some in (teats[: p.first_starts], teats[p.first_starts :]):
         fitted = refine(some, scene.views, p, judged.fitted if judged else None)
         if fitted is None:
             continue
         judged = scene.judged(fitted, judged)
         accepted = judged.decision.accepted
-        beyond = judged.decision.odds[accepted] > LEARNED.least + _SURE
+        beyond = (
+            judged.decision.odds[accepted] > LEARNED.least + LEARNED.limits["odds beyond doubt"]
+        )
         given = judged.fitted.teats[accepted]
-        if len(accepted) == p.prior.udder and beyond.all() and not len(scene.unexplained(given)):
+        if (
+            len(accepted) == p.prior.udder
+            and beyond.all()
+            and not len(scene.unexplained(given, counted))
+        ):
             break
     if judged is None:
         why = "the optical pictures show no outline where the thermal one is warm"
@@ -348,7 +352,8 @@ def _start(
     warm = thermal.view.field
     gradients = strengths(warm, border=ROOM_PX)
     ends = nominate(gradients, p.most_nominations, thermal.sought)
-    upright = bars(warm, gradients, thermal.levels, ends, p.most_bars, thermal.sought)
+    clear = LEARNED.limits["thermal end, clear"]
+    upright = bars(warm, gradients, thermal.levels, ends, p.most_bars, thermal.sought, clear)
     shown = {
         f"{what}_{name.removeprefix('centre_')}": getattr(found, name)
         for what, found in (("end", ends), ("bar", upright))

@@ -17,7 +17,7 @@ from detector.outline.model import END, RADIUS, SIDE_A, SIDE_B, Rows, axes
 from detector.outline.offsets import row_offsets
 from detector.outline.prior import Prior
 
-_CLOSE_PX, _MOST_SD_PX = 0.6, 1.2
+_CLOSE_PX, _MOST_SD_PX, _LEAST_RANGE_K = 0.6, 1.2, 0.5
 WHOLE_END = 0.9
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
 _ACROSS = (-1.7, -0.6, 0.0, 0.6, 1.7)  # of the radius: two lines beside it
@@ -40,6 +40,7 @@ class Evidence(Rows):
     end_misfit_px: Array  # of the rounded end
     warmth: Array
     beside: Array  # (m, 2 lines)
+    in_range: Array  # of the middle line, 0: as the picture's surroundings, 1: as its warmest (m,)
     sd_mm: Array
     # whether both sides were followed up to where the last of an end is seen
     followed: NDArray[np.bool_]
@@ -56,9 +57,16 @@ class Evidence(Rows):
 
 
 def weigh(
-    fitted: Fitted, covariances: Array, warmth: Array, views: tuple[CameraView, ...], prior: Prior
+    fitted: Fitted,
+    covariances: Array,
+    warmth: Array,
+    levels: Array,
+    views: tuple[CameraView, ...],
+    prior: Prior,
 ) -> Evidence:
-    """Evidence from edges about m teats in views, covariances (m, 3, 3), and warmth (m, 5)."""
+    """Evidence from edges about m teats in views, covariances (m, 3, 3), and warmth (m, 5), by what
+    is cold and warm in the picture, ``levels`` (2,).
+    """
     seen, part = fitted.seen, FINE_OUTLINE.part
     m, n = len(fitted.weight), len(part)
     offset, weight, sd = (
@@ -82,6 +90,8 @@ def weigh(
     width = np.nan_to_num(np.abs(wide[:, 0] - wide[:, 1]))
     rows, _ = row_offsets(fitted, prior)
     inside, beside = warmth[:, 1:-1], warmth[:, [0, -1]]
+    low, high = levels
+    in_range = (np.sort(inside, axis=1)[:, 1] - low) / max(high - low, _LEAST_RANGE_K)
     stops, goes_on = np.zeros(m, dtype=bool), np.zeros(m)
     at = np.flatnonzero(other[:, :2].min(axis=1) > _LEAST_BOTH)
     if len(at):
@@ -92,8 +102,8 @@ def weigh(
         stops[at] &= (np.minimum(*bends) > _BENDS).all(axis=1)
         goes_on[at] = np.clip(together - ROUND_MM, 0.0, _BEYOND_MM)
     return Evidence(
-        shares[END], better, other, misfit, end_misfit, inside, beside, largest, fitted.followed,
-        fitted.shaped, thermal, stops, goes_on, width, rows,
+        shares[END], better, other, misfit, end_misfit, inside, beside, in_range, largest,
+        fitted.followed, fitted.shaped, thermal, stops, goes_on, width, rows,
     )  # fmt: skip
 
 

@@ -30,8 +30,7 @@ _WIDER, _MOST_TIPS = 1.31, 250  # from one width that is tried to the next
 ROOM_PX = 48  # of zeros about the gradients, for outlines beyond the picture
 _APART_PX, _NARROWEST_PX = 4.0, 1.6
 # strengths, 0 to 1
-_STEEP, _LEAST_END, _LEAST_BAR, _CLEAR_END = 0.35, 0.25, 0.45, 0.8
-SURE_END, SOME_END = 0.85, 0.7
+_STEEP, _LEAST_END, _LEAST_BAR = 0.35, 0.25, 0.45
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,10 +116,11 @@ def bars(
     ends: Nominations,
     most: int,
     sought: TeatTemplate,
+    clear_end: float,
 ) -> Nominations:
-    """At most ``most`` upright warm bars without a clear end of ``ends``, by a picture, its
-    `strengths` with a border of `ROOM_PX`, and its `levels`; `centre_px` is on the bar. For ends
-    before something as warm, where only sides show.
+    """At most ``most`` upright warm bars without an end of ``ends`` above ``clear_end``, by a
+    picture, its `strengths` with a border of `ROOM_PX`, and its `levels`; `centre_px` is on the
+    bar. For ends before something as warm, where only sides show.
     """
     low, high = between
     flat = abs(sought.down[0]) > abs(sought.down[1])
@@ -131,7 +131,7 @@ def bars(
     at = np.column_stack([columns, rows]).astype(np.float32)
     at[:, 0 if flat else 1] *= 4
     middles = sought.turned(ends.centre_px)
-    clear = [(middles[i], ends.lean[i]) for i in np.flatnonzero(ends.score > _CLEAR_END)]
+    clear = [(middles[i], ends.lean[i]) for i in np.flatnonzero(ends.score > clear_end)]
     for middle, lean in clear:
         at = at[_beside(sought.turned(at.astype(np.float64)).T, 0.0, middle, lean) > _APART_PX]
     if len(at) == 0:

@@ -1,0 +1,41 @@
+"""Scenes of the free range of `bench.testing`, by a number instead of by hypothesis: no two alike."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import Any, TypeVar
+
+import numpy as np
+
+from bench.testing.scene import PAINTS, PLACES_MM, Object, Pose, Scene, Teat
+from bench.testing.strategies import nearest, put_teat
+from instruments.world.objects import KINDS
+
+T = TypeVar("T", Teat, Pose, Object, Scene)
+DIFFERING = 0.6  # the share of numbers that differ from the plain ones
+MOST_OBJECTS = 3
+
+
+def free_scene(k: int) -> Scene:
+    """The k-th: up to four teats, and up to three things beside them or before them."""
+    rng = np.random.default_rng([77, k])
+    found = Scene((Teat(),) * int(rng.integers(1, len(PLACES_MM) + 1)))
+    for i in range(len(found.teats)):
+        found = nearest(found, _drawn(Teat(), rng), partial(put_teat, i))
+    found = nearest(found, _drawn(Pose(), rng), lambda near, scene: replace(scene, pose=near))
+    found = replace(_drawn(found, rng), paint=rng.choice(list(PAINTS)).item())
+    for _ in range(rng.integers(MOST_OBJECTS + 1)):
+        thing = _drawn(Object(rng.choice(list(KINDS)).item()), rng)
+        found = nearest(found, thing, lambda near, at: replace(at, objects=(*at.objects, near)))
+    return found
+
+
+def _drawn(plain: T, rng: np.random.Generator) -> T:
+    """``plain`` with numbers of its range."""
+    numbers: dict[str, Any] = {
+        name: steps.value(int(rng.integers(steps.least, steps.most + 1)))
+        for name, steps in plain.STEPS.items()
+        if rng.random() < DIFFERING
+    }
+    return replace(plain, **numbers)
