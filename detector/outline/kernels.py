@@ -167,7 +167,7 @@ def _slope(
 def outlines(
     teats: Array, cameras: Array, outline: Arrays, slopes_too: bool, which: Ids, found: Arrays
 ) -> None:
-    """`model.outlines` of teats (m, 8) in ``cameras`` (views, 22), numbers of `fit.View`: fills
+    """`model.outlines` of teats (m, 8) in ``cameras`` (views, 22), numbers of `fit.CameraView`: fills
     rows ``which`` (m,) of pixels, normals (., views * n, 2) and Jacobians (., views * n, 8).
     """
     (along, over), (pixels, normals, jacobian) = outline, found
@@ -478,7 +478,7 @@ def across(
     end: bool,
 ) -> Field:
     """Scores (shifts, m) of teats (m, 8), each with its ``swell`` (m,), in `squeezed` gradients
-    with a border of one. ``view``: numbers of `fit.View` (22,) and the first pixel's place;
+    with a border of one. ``view``: numbers of `fit.CameraView` (22,) and the first pixel's place;
     ``shape``: (k, 2) of the end, down and to the right, and of the sides.
     """
     (camera, corner), (arc, below) = view, shape
