@@ -167,8 +167,8 @@ def _slope(
 def outlines(
     teats: Array, cameras: Array, outline: Arrays, slopes_too: bool, which: Ids, found: Arrays
 ) -> None:
-    """`model.outlines` of teats (m, 8) in ``cameras`` (views, 22), numbers of `fit.CameraView`: fills
-    rows ``which`` (m,) of pixels, normals (., views * n, 2) and Jacobians (., views * n, 8).
+    """`model.outlines` of teats (m, 8) in ``cameras`` (views, 22), `fit.CameraView` in numbers:
+    fills rows ``which`` (m,) of pixels, normals (., views * n, 2) and Jacobians (., views * n, 8).
     """
     (along, over), (pixels, normals, jacobian) = outline, found
     n = 2 * len(along) + len(over)
