@@ -5,4 +5,4 @@ it promises to Python programs (docs/api.md). A name is loaded when it is first 
 from bench.version import __version__ as __version__
 from textfiles.lazy import lazily
 
-__getattr__ = lazily(__name__, "bench.arguments")
+__getattr__, __dir__ = lazily(__name__, "bench.arguments")

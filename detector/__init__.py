@@ -4,4 +4,4 @@ only. For detectors of other packages: what they take and give.
 
 from textfiles.lazy import lazily
 
-__getattr__ = lazily(__name__)
+__getattr__, __dir__ = lazily(__name__)

@@ -4,4 +4,4 @@
 
 from textfiles.lazy import lazily
 
-__getattr__ = lazily(__name__)
+__getattr__, __dir__ = lazily(__name__)

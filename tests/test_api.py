@@ -95,6 +95,7 @@ def test_what_a_package_exports_is_what_the_page_promises(module: str) -> None:
     there = importlib.import_module(module)
     if hasattr(there, "__all__"):
         assert {*there.__all__} == on_page()[module]
+        assert {*there.__all__} <= {*dir(there)}  # which a notebook completes
     for name in on_page()[module]:
         assert getattr(there, name).__doc__, f"{module}.{name} says nothing of itself"
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):

@@ -11,9 +11,9 @@ if TYPE_CHECKING:
     from typing import Any
 
 
-def lazily(package: str, guard: str = "") -> "Callable[[str], Any]":
-    """``__getattr__`` of ``package``, for the names in its stub, and ``__all__``. What is loaded is
-    handed out as ``guarded`` of the module ``guard`` gives it back.
+def lazily(package: str, guard: str = "") -> "tuple[Callable[[str], Any], Callable[[], list[str]]]":
+    """``__getattr__`` and ``__dir__`` of ``package``, for the names in its stub, and ``__all__``.
+    What is loaded is handed out as ``guarded`` of the module ``guard`` gives it back.
     """
     known = dict[str, str]()
 
@@ -35,4 +35,4 @@ def lazily(package: str, guard: str = "") -> "Callable[[str], Any]":
         setattr(there, name, found)
         return found
 
-    return get
+    return get, lambda: [*vars(modules[package]), *get("__all__")]

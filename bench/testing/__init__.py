@@ -4,4 +4,4 @@ hypothesis: a name is loaded when it is first used.
 
 from textfiles.lazy import lazily
 
-__getattr__ = lazily(__name__, "bench.arguments")
+__getattr__, __dir__ = lazily(__name__, "bench.arguments")
