@@ -282,7 +282,7 @@ def test_what_the_commands_write_and_refuse(
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(120 + 20 * KILLED)
+@pytest.mark.timeout(420 + 20 * KILLED)  # longer than it waits for an end
 def test_a_dask_cluster_makes_the_same_rows_whoever_of_it_is_killed(
     plan: CampaignPlan, plain: tuple[Path, str], tmp_path: Path
 ) -> None:
