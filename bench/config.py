@@ -124,7 +124,9 @@ SHOWN, TOLD = 120, 2000  # characters of a line of the file, and of a message
 
 @dataclass(frozen=True, slots=True)
 class FileFault:
-    """One fault of a file: ``line`` from 1, the caret's ``column`` and ``width``."""
+    """One fault of a file: ``line`` from 1, the caret's ``column`` and ``width``, 0 where no place
+    in the line is to blame, as of a key that is missing at the top.
+    """
 
     line: int
     column: int
@@ -277,7 +279,8 @@ def located(path: Path, text: str, found: Iterable[tuple[KeyPath, str, bool]]) -
             start = place.value_start
             width = len(lines[place.line - 1][start:].split("  #")[0].rstrip())
         text_of = f"{_dotted(key_path)}: {message}"
-        faults.append(FileFault(place.line, start, max(1, width), text_of))
+        at_top = place is places[()]
+        faults.append(FileFault(place.line, start, 0 if at_top else max(1, width), text_of))
     return ConfigError(path, sorted(faults, key=lambda fault: (fault.line, fault.column)), text)
 
 
@@ -306,7 +309,7 @@ def _rendered(path: Path | None, faults: Sequence[FileFault], lines: Sequence[st
     for fault in faults:
         note = fault.message
         out.append(f"{path}:{fault.line}: {note if len(note) <= TOLD else note[:TOLD] + '...'}")
-        if 0 < fault.line <= len(lines):
+        if fault.width and 0 < fault.line <= len(lines):
             line = lines[fault.line - 1]  # a long one around its column only
             start = max(0, fault.column - SHOWN // 2) if len(line) > SHOWN else 0
             before, after = "..." if start else "", "..." if len(line) > start + SHOWN else ""

@@ -57,6 +57,9 @@ class TruthRow:
     u_mm: float | None = None
 
 
+A_RECORDING = "A recording is a folder with its images in frames/<id>/."
+
+
 class Recording:
     """A recording on disk; images are read on demand. Raises RecordingError."""
 
@@ -65,9 +68,11 @@ class Recording:
         frames = self.path / "frames"
         if not self.path.is_dir():
             near = beside(self.path, DATABASE)
-            raise RecordingError(f"{path}: there is no such folder{near} A recording has frames/.")
+            why = "is a file." if self.path.exists() else f"there is no such folder{near}"
+            raise RecordingError(f"{path}: {why} {A_RECORDING}")
         if not frames.is_dir():
-            raise RecordingError(f"{frames}: missing; a recording has its images in frames/<id>/")
+            why = "is no recording: there is no folder frames in it."
+            raise RecordingError(f"{path} {why} {A_RECORDING}")
         self.frames: tuple[str, ...] = tuple(sorted(p.name for p in frames.iterdir() if p.is_dir()))
         if not self.frames:
             what = "holds no frames; each is a folder with left.png and right.png"

@@ -251,6 +251,15 @@ def test_bytes_that_are_no_utf8_are_named(tmp_path: Path) -> None:
         load_rig(path)
 
 
+def test_what_is_missing_at_the_top_shows_no_line_that_is_right(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text('name = "mine"\ncolour = 1\n', encoding="utf-8")
+    with pytest.raises(ConfigError, match="calibration: is missing") as caught:
+        load_rig(path)
+    text = str(caught.value)
+    assert ("mine" in text, text.count(" | "), "| colour = 1" in text) == (False, 2, True)
+
+
 def test_places_of_arrays_strings_and_tables() -> None:
     text = (
         'a = [\n  [1, 2],\n]\nt = """\n[no]\nx = 1\n"""\n[b.c]\nkey = 1 # ]\n[[d]]\nk = 1\n[[d]]\nk'

@@ -63,7 +63,7 @@ def test_a_port_that_cannot_be_opened_is_named(said: Said) -> None:
 
 
 NAMELESS = {"run": 'no trial script ""', "run --rig": 'no rig ""', "emulate": 'no rig ""'}
-NAMELESS |= {"score": "frames: missing", "detect": "frames: missing", "report": ". is no run"}
+NAMELESS |= {"score": ". is no recording", "detect": ". is no recording", "report": ". is no run"}
 
 
 @pytest.mark.parametrize("command", NAMELESS)

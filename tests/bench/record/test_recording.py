@@ -121,8 +121,11 @@ def test_colour_and_sixteen_bits_are_read_as_grey(folder: Path) -> None:
 def test_a_folder_that_is_none(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="there is no such folder"):
         Recording(tmp_path / "nowhere")
-    with pytest.raises(RecordingError, match=r"frames: missing"):
+    with pytest.raises(RecordingError, match=r"is no recording: there is no folder frames in it"):
         Recording(tmp_path)
+    (tmp_path / "script.toml").touch()
+    with pytest.raises(RecordingError, match=r"script\.toml: is a file"):
+        Recording(tmp_path / "script.toml")
     (tmp_path / "frames").mkdir()
     with pytest.raises(RecordingError, match=r"holds no frames"):
         Recording(tmp_path)
