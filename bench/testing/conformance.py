@@ -242,13 +242,21 @@ class Finding:
 
 
 def conform(make: Callable[[], Subject], checks: tuple[Check, ...] = CHECKS) -> Iterator[Finding]:
-    """Each check on a subject of its own, which is made safe and closed behind it."""
+    """Each check on a subject of its own, which is made safe and closed behind it. One cause is
+    told once; the checks that fail by it again name the first.
+    """
+    told: dict[str, str] = {}
+
+    def failed(name: str, why: str) -> Finding:
+        first = told.setdefault(why, name)
+        return Finding(name, "failed", why if first == name else f"by the same as '{first}'")
+
     for check in checks:
         name = check.__name__.replace("_", " ")
         try:
             subject = make()
         except InstrumentError as error:
-            yield Finding(name, "failed", f"it can't be opened: {error}")
+            yield failed(name, f"it can't be opened: {error}")
             continue
         try:
             subject.open()
@@ -256,7 +264,7 @@ def conform(make: Callable[[], Subject], checks: tuple[Check, ...] = CHECKS) -> 
         except NotCheckedError as reason:
             yield Finding(name, "not checked", str(reason))
         except (AssertionError, InstrumentError) as error:
-            yield Finding(name, "failed", str(error))
+            yield failed(name, str(error))
         else:
             yield Finding(name, "passed")
         finally:
