@@ -14,7 +14,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import bench
-from bench.cli.arguments import CODES, complain, json_of, print_values
+from bench.cli.arguments import CODES, complain, print_json, print_values
 from bench.cli.commands import CAMERAS
 from bench.cli.verdict import on_a_desktop
 from bench.config import ConfigError
@@ -102,7 +102,7 @@ def status(given: argparse.Namespace) -> None:
     with _opened(given) as stage:
         figures = bench.describe_stage(stage)
     if given.json:
-        print(json_of(figures))
+        print_json(figures)
     else:
         print_values(figures)
 
@@ -119,7 +119,7 @@ def show(given: argparse.Namespace) -> int:
     with bench.open_cameras(given.sources) as alone:
         seen = alone.describe()
     if given.json:
-        print(json_of(seen))
+        print_json(seen)
     else:
         for name, values in seen["cameras"].items():
             print(f"{name}: {seen['identity'].get(name, '')}")

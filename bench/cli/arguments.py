@@ -11,11 +11,13 @@ import platform
 import re
 import shlex
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
+from contextvars import ContextVar
 from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TextIO
 
 from bench.version import __version__
 from textfiles.bounds import Bounds
@@ -100,9 +102,32 @@ def command_line() -> str:
 JSON_VERSION = 1  # of what `--json` prints; docs/json.md has the keys
 
 
-def json_of(value: Mapping[str, Any], **how: Any) -> str:
-    """What `--json` prints: an object that says its version first."""
-    return json.dumps({"schema_version": JSON_VERSION, **value}, ensure_ascii=False, **how)
+_JSON_TO = ContextVar[TextIO]("_JSON_TO")
+
+
+@contextmanager
+def stdout_for_json() -> Iterator[None]:
+    """Only `print_json` writes to stdout; what drivers and detectors of others print goes to
+    stderr.
+    """
+    before = _JSON_TO.set(sys.stdout)
+    try:
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        _JSON_TO.reset(before)
+
+
+def stdout() -> TextIO:
+    """That of the command."""
+    return _JSON_TO.get(sys.stdout)
+
+
+def print_json(value: Mapping[str, Any], **how: Any) -> None:
+    """What `--json` gives: an object that says its version first."""
+    versioned = {"schema_version": JSON_VERSION, **value}
+    text = json.dumps(versioned, ensure_ascii=False, **how)
+    print(text, file=stdout(), flush=True)
 
 
 def print_values(values: Mapping[str, object]) -> None:

@@ -25,7 +25,7 @@ from bench.calibrate.arm import (
 )
 from bench.calibrate.arm import verify as verify_arm
 from bench.calibrate.simulated_arm import Step
-from bench.cli.arguments import CODES, complain, json_of
+from bench.cli.arguments import CODES, complain, print_json
 from bench.config import ConfigError
 from bench.results.stated_arm import (
     check_verification,
@@ -82,7 +82,7 @@ def read(given: argparse.Namespace) -> None:
         "counts": reading.evidence,
     }
     if given.json:
-        print(json_of(line))
+        print_json(line)
         return
     print(f"arm {serial_number}")
     spread = f", spread {reading.spread_mm:.2f} mm over {reading.n} packets"

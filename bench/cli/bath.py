@@ -22,7 +22,7 @@ from rich.live import Live
 from rich.text import Text
 
 import bench
-from bench.cli.arguments import CODES, complain, json_of, print_values
+from bench.cli.arguments import CODES, complain, print_json, print_values
 from bench.cli.terminal import Terminal
 from instruments import BathReading, InstrumentError, LimitError, RealClock
 from instruments.bath.access import NOT_READ
@@ -43,7 +43,7 @@ def read(given: argparse.Namespace) -> None:
     with _opened(given) as bath:
         values = bench.describe_bath(bath)
     if given.json:
-        print(json_of(values))
+        print_json(values)
         return
     print_values({key: "not reported" if one is None else one for key, one in values.items()})
 
@@ -54,7 +54,7 @@ def learn(given: argparse.Namespace) -> int:
         tried, doubt = list(bath.try_rows()), bath.doubt
     answered = [one for one in tried if one.answered]
     if given.json:
-        print(json_of({"rows": [asdict(one) for one in tried]}))
+        print_json({"rows": [asdict(one) for one in tried]})
     else:
         width = max(len(one.row) for one in tried)
         for one in tried:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import bench
-from bench.cli.arguments import CODES, complain, json_of
+from bench.cli.arguments import CODES, complain, print_json
 from bench.config import ConfigError
 
 # flag -> key of a plan, in its order
@@ -71,7 +71,7 @@ def query(given: argparse.Namespace) -> None:
     names, rows = bench.query_campaign(given.folder, given.sql)
     if given.json:
         objects = [dict(zip(names, row, strict=True)) for row in rows]
-        print(json_of({"rows": objects}, default=str))
+        print_json({"rows": objects}, default=str)
         return
     texts = [["" if value is None else str(value) for value in row] for row in rows]
     print(plain_table(names, texts))
@@ -139,7 +139,7 @@ def _print_result(given: argparse.Namespace, result: bench.CampaignResult) -> in
             "plan": str(campaign.folder / "plan.toml"),
             "report": str(page),
         }
-        print(json_of(found))
+        print_json(found)
     else:
         heads = ["family", "detector", "scenes", "failures", "rate", "95 % interval, two-sided"]
         rows = [

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bench
-from bench.cli.arguments import CODES, complain, json_of, print_values
+from bench.cli.arguments import CODES, complain, print_json, print_values
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
 from detector import Outcome
@@ -35,7 +35,7 @@ COMPILED = "c++ -O2 -std=c++17 -o {name} {name}.cpp"
 def listed(given: argparse.Namespace) -> None:
     found = bench.detectors()
     if given.json:
-        print(json_of({"detectors": found}))
+        print_json({"detectors": found})
     else:
         print_values(found)
 
@@ -80,7 +80,7 @@ def _python() -> str:
 def detect(given: argparse.Namespace) -> int:
     answered = False
     for line, text in bench.detect_recording(given.recording, given.detector or ["thesis"]):
-        print(json_of(line) if given.json else text, flush=True)
+        print_json(line) if given.json else print(text, flush=True)
         answered = answered or "outcome" not in line
     if not answered:
         why = "'teatbench detectors try' says what is wrong with a detector"

@@ -13,13 +13,22 @@ import sqlite3
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import nullcontext
 from difflib import get_close_matches
 from functools import cache
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from bench.cli import commands
-from bench.cli.arguments import CODES, EXIT_CODES, call, complain, in_switches
+from bench.cli.arguments import (
+    CODES,
+    EXIT_CODES,
+    call,
+    complain,
+    in_switches,
+    stdout,
+    stdout_for_json,
+)
 from bench.safety.signals import installed
 from bench.version import __version__
 from reports.sanitize import sanitizing
@@ -80,7 +89,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if (limit := _address_limit()) < LEAST_BYTES:
                 why = f"{limit >> 20} MB of memory are allowed, {LEAST_BYTES >> 20} are needed"
                 return complain(f"{why}: {LIMIT}", CODES.fault)
-            return _run(given)
+            with stdout_for_json() if vars(given).get("json") else nullcontext():
+                return _run(given)
     except KeyboardInterrupt:
         return complain(f"interrupted: {given.left}.", CODES.fault)
     except Exception as error:
@@ -127,7 +137,7 @@ def _run(given: argparse.Namespace) -> int:
         why = f"the run's record can't be written or read: {error}. {HINT}"
         return complain(why, CODES.fault)
     except BrokenPipeError:  # the reader of our output has gone (`| head`)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stdout().fileno())
         return CODES.met
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 
-from bench.cli.arguments import CODES, in_switches, json_of, print_values
+from bench.cli.arguments import CODES, in_switches, print_json, print_values
 from bench.testing import check_driver, drivers
 
 
@@ -23,5 +23,5 @@ def check(given: argparse.Namespace) -> int:
     if given.json:
         name = given.name.removeprefix("plugin:").partition("?")[0]
         kind = given.kind or next(k for k, n in map(str.split, drivers()) if n == name)
-        print(json_of({"kind": kind, "checks": [asdict(one) for one in found]}))
+        print_json({"kind": kind, "checks": [asdict(one) for one in found]})
     return CODES.not_met if any(one.outcome == "failed" for one in found) else CODES.met

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bench
-from bench.cli.arguments import CODES, complain, json_of, print_values, refuse_existing
+from bench.cli.arguments import CODES, complain, print_json, print_values, refuse_existing
 from bench.cli.terminal import working
 from bench.config import ConfigError, did_you_mean
 from bench.rig.loading import TO_COPY
@@ -126,7 +126,7 @@ def _rig_text(rig: bench.LoadedRig, urls: Mapping[str, str], valid: str) -> str:
 
 def rigs(given: argparse.Namespace) -> None:
     if given.json:
-        print(json_of({"rigs": bench.rigs(), "to_copy": str(TO_COPY)}))
+        print_json({"rigs": bench.rigs(), "to_copy": str(TO_COPY)})
         return
     names = dict.fromkeys(bench.rigs(), "")
     print_values(names | {"for a real rig": f"copy {TO_COPY}, where every key is explained"})

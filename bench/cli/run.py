@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import bench
-from bench.cli.arguments import CODES, json_of
+from bench.cli.arguments import CODES, print_json
 from bench.cli.store import undamaged
 from bench.cli.terminal import Terminal, TerminalProgress, working
 from bench.config import ConfigError
@@ -39,7 +39,7 @@ def run(given: argparse.Namespace) -> int:
             done = [look_ahead(rig, one, given.json, len(scripts) > 1, **how) for one in scripts]
         if given.json:
             found = [seen for _, seen in done]
-            print(json_of({"scripts": found} if found[1:] else found[0], indent=1))
+            print_json({"scripts": found} if found[1:] else found[0], indent=1)
         return max(code for code, _ in done)
     if given.console:
         from bench.cli.console import beside

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bench
-from bench.cli.arguments import CODES, code_of, complain, json_of
+from bench.cli.arguments import CODES, code_of, complain, print_json
 from bench.cli.terminal import working
 from bench.config import ConfigError
 from bench.scoring.rates import plural
@@ -91,7 +91,7 @@ def compare(given: argparse.Namespace) -> int:
             across = given.across_scripts
             judged = bench.judge_together(*asked, across_scripts=across, damage=damage)
         if given.json:
-            print(json_of({"together": [one.as_dict() for one in judged]}, indent=1))
+            print_json({"together": [one.as_dict() for one in judged]}, indent=1)
         else:
             print(*(line for one in judged for line in one.lines()), sep="\n")
     return code_of(bench.verdict_of(judged).value) if given.gate else CODES.met
@@ -102,7 +102,7 @@ def print_comparisons(given: argparse.Namespace, found: Sequence[bench.Compariso
     from bench.report.comparison import as_json
 
     if given.json:
-        print(json_of(as_json(found), indent=1))
+        print_json(as_json(found), indent=1)
     else:
         _show(found)
     if given.out:
@@ -182,7 +182,7 @@ def runs(given: argparse.Namespace) -> None:
             "health": found.warnings,
             "page": page,
         }
-        print(json_of(text, indent=1))
+        print_json(text, indent=1)
         return
     _show_runs(found)
     print(f"Page: {page or why}")

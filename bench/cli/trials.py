@@ -10,7 +10,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 import bench
-from bench.cli.arguments import CODES, json_of, print_values
+from bench.cli.arguments import CODES, print_json, print_values
 from bench.config import ConfigError
 from bench.scoring.rates import plural
 
@@ -23,7 +23,7 @@ WIDEST = 500  # of a table in a file, in characters
 def listed(given: argparse.Namespace) -> None:
     rows = {name: bench.load_script(name).script.about for name in bench.scripts()}
     if given.json:
-        print(json_of({"scripts": rows}))
+        print_json({"scripts": rows})
     else:
         print_values(rows)
 
@@ -41,7 +41,7 @@ def show(given: argparse.Namespace) -> int:
             "estimate": {**asdict(time), "total_s": time.total_s},
             "assumed": {f"{key} [{unit}]": value for key, (value, unit) in found.assumed.items()},
         }
-        print(json_of(shown))
+        print_json(shown)
         return CODES.met
     from bench.cli.terminal import Terminal
 
@@ -109,6 +109,6 @@ def plan(given: argparse.Namespace) -> None:
     rates = {"rates": given.rate} if given.rate else {}
     found = bench.plan_poses(**rates, confidence=confidence, poses=poses, **more)
     if given.json:
-        print(json_of(asdict(found), indent=1))
+        print_json(asdict(found), indent=1)
     else:
         print(*found.lines(), sep="\n")

@@ -6,6 +6,7 @@ import argparse
 import json
 import re
 import shutil
+from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from bench.cli.commands import COMMANDS as COMMAND_LINE
 from bench.record.state import State
 from bench.results.queue import QueueEntry, QueueStatus
 from bench.results.status import InstrumentStatus, Link, RunStatus, Safe
+from bench.testing.conformance import Finding
 from tests.bench.commands import Said
 from tests.bench.small_run import KEPT
 from tests.conftest import ROOT
@@ -48,6 +50,19 @@ def test_a_queue_has_the_keys_of_the_page() -> None:
     shown = QueueStatus("queue-1", "rig", "", (QueueEntry("a", "run", STATUS),), "").as_dict()
     assert set(shown) - {"schema_version"} == keys("key of a queue")
     assert set(shown["scripts"][0]) == set(table("key of a queue")["`scripts`"])
+
+
+def test_what_a_driver_prints_is_not_among_the_json(
+    said: Said, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def talking(*_: object, **__: object) -> Iterator[Finding]:
+        print("from the driver")
+        yield Finding("closes twice", "passed")
+
+    monkeypatch.setattr("bench.cli.plugin.check_driver", talking)
+    written = said(0, "plugin check tank --kind bath --json")
+    assert [one["check"] for one in json.loads(written.out)["checks"]] == ["closes twice"]
+    assert written.err == "from the driver\n"
 
 
 def test_each_word_of_a_status_is_explained() -> None:
