@@ -70,6 +70,7 @@ def test_the_operator_reads_of_each_view_and_of_what_is_missing(bench_room: Path
     assert said[-1].startswith("24 views in ")
 
 
+@pytest.mark.weekly
 def test_the_pictures_that_were_kept_give_the_same_again(bench_room: Path) -> None:
     out = bench_room / "again.toml"
     code = teatbench(

@@ -172,6 +172,7 @@ def got_on(going: Running, shards: Shards, enough: int) -> bool:
     return going.poll() is not None or len(shards.done()) > enough
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="sends signals")
 @pytest.mark.timeout(60 + 20 * CLIENT_KILLS)

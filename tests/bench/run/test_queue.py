@@ -31,6 +31,7 @@ from bench.safety.bath_monitor import WATCHING
 from instruments.clock import stopwatch_s, wall_time
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.operated_runs import ONE
+from tests.examples import few
 
 pytestmark = pytest.mark.slow
 NO_ROOM = "NOT ENOUGH ROOM"
@@ -140,6 +141,7 @@ def test_a_mistake_in_one_script_ends_only_that_one(
     assert not third.facts["asked"]["warm"]  # it opened the rig anew
 
 
+@pytest.mark.weekly
 def test_a_disk_that_is_full_amid_one_script_ends_it_alone_and_without_room_none_follows(
     scripts: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -216,7 +218,9 @@ def test_a_queue_on_a_full_disk_still_says_how_it_ended(
     assert (queue.scripts[0].run, queue.ended) == ("run-of-a", NO_ROOM)
 
 
-@pytest.mark.parametrize("amid", [False, True], ids=["between two scripts", "amid the second"])
+@pytest.mark.parametrize(
+    "amid", few([False, True], 2), ids=["between two scripts", "amid the second"]
+)
 def test_a_trip_ends_all(scripts: list[str], monkeypatch: pytest.MonkeyPatch, amid: bool) -> None:
     take_over = Engine._take_over
 
@@ -258,7 +262,9 @@ def test_a_queue_whose_bench_died_says_so(tmp_path: Path) -> None:
     assert [one.text for one in queue.scripts] == ["not begun", "not begun"]
 
 
-@pytest.mark.parametrize("killed", [False, True], ids=["to the end", "killed amid the queue"])
+@pytest.mark.parametrize(
+    "killed", few([False, True], 2), ids=["to the end", "killed amid the queue"]
+)
 def test_in_real_time_one_guardian_stays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, killed: bool
 ) -> None:
