@@ -117,6 +117,7 @@ def test_the_table_comes_out_where_it_is(bench_room: Path) -> None:
     }
 
 
+@pytest.mark.weekly
 def test_it_still_holds_on_another_day(bench_room: Path, said: Said) -> None:
     files = bench_room / "cameras.toml", bench_room / "small.toml"
     seen = said(0, "calibrate check {} --rig {} --seed 9 --board {}", *files, BOARD).out
@@ -124,6 +125,7 @@ def test_it_still_holds_on_another_day(bench_room: Path, said: Said) -> None:
     assert "It still holds." in seen
 
 
+@pytest.mark.weekly
 def test_all_live_steps_make_one_calibration_that_is_as_good_as_it_says(bench_room: Path) -> None:
     put_in = small_calibration()
     made(bench_room, "world", BOARD)

@@ -196,6 +196,7 @@ def test_a_client_killed_at_random_goes_on_where_it_was(
     assert json.loads(last.out)["scenes"] == 2 * plan.most_scenes
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_family_stops_when_its_interval_is_tight_enough_whatever_came_first(
     tmp_path: Path,

@@ -27,6 +27,7 @@ from tests.bench.operated_runs import files
 from tests.bench.record.test_record import Damage, flipped, sql
 from tests.bench.small_run import KEPT
 from tests.conftest import ROOT
+from tests.examples import few
 from tests.undrawn import bare
 
 OF_A_TRIAL = ("frames", "touches", "truth", "found", "scores", "detections")
@@ -122,9 +123,9 @@ OF_THE_FOLDER: dict[str, Damage] = {  # what a figure shows is as it was, or can
     },
 }
 DAMAGES |= OF_THE_FOLDER
-# every other one in each run, all of them weekly
+# every fourth in each run, all of them weekly
 EACH_RUN = [
-    pytest.param(what, marks=pytest.mark.weekly if place % 2 else ())
+    pytest.param(what, marks=pytest.mark.weekly if place % 4 else ())
     for place, what in enumerate(DAMAGES)
 ]
 
@@ -177,7 +178,7 @@ def test_a_damaged_run_is_refused_or_marked_as_damaged(
     DAMAGES[what](run)
     assert teatbench("store check {}", run) in (1, 2)
     no_traceback(capsys)
-    out, turn = tmp_path / "out", list(DAMAGES).index(what) // 2
+    out, turn = tmp_path / "out", list(DAMAGES).index(what) // 4
     # each refuses by the same check; they take turns
     for name, command in list(reading(run, whole, out).items())[turn % 3 :: 3]:
         assert main(command) == 2, name
@@ -272,7 +273,7 @@ def test_a_report_of_a_record_that_was_cut_off_does_not_make_it_whole(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", few(range(4), 4))
 def test_a_bit_flipped_anywhere_in_the_database_changes_nothing_unseen(
     run: Path, tmp_path: Path, seed: int, capsys: pytest.CaptureFixture[str]
 ) -> None:

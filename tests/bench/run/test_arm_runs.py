@@ -166,6 +166,7 @@ def test_the_runs_folder_keeps_the_files_of_the_arm(elsewhere: Done) -> None:
     assert teatbench("check {}", rig) == 0, "the folder's own rig file can be used again"
 
 
+@pytest.mark.weekly
 def test_an_arm_that_was_moved_is_found_out(script: Path, tmp_path: Path) -> None:
     """Elsewhere on the table, without a frame: every truth is wrong, and the rule says so."""
     rig = shipped_rig(tmp_path, emulation="arm_placed = { T = [3.0, 0.0, 0.0] }\n")
