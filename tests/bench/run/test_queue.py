@@ -176,6 +176,7 @@ def test_a_disk_that_is_full_amid_one_script_ends_it_alone_and_without_room_none
     assert f"{runs[0].folder / 'report'}: {then}" in said
 
 
+@pytest.mark.weekly
 def test_an_abort_ends_all(scripts: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Engine, "_work", fails(KeyboardInterrupt()))
     code, queue, (_, second) = run(scripts)
