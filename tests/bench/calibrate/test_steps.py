@@ -138,7 +138,6 @@ def test_all_steps_make_one_calibration(lab: Path, in_lab: Said) -> None:
     assert "Good enough. Mapped points miss the arm" in page
 
 
-@pytest.mark.weekly
 def test_worse_touches_and_pixels_make_a_less_certain_world(lab: Path, in_lab: Said) -> None:
     write_touched(lab / "points3.csv")
     sds: list[float] = []

@@ -80,7 +80,6 @@ def test_who_skips_the_trial_that_waits_finds_the_next_one_waiting_too(tmp_path:
     assert len(texts(record, "back")) == 1
 
 
-@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_stage_that_drops_out_while_ends_are_touched_is_noticed_and_costs_no_touch(
     tmp_path: Path,
@@ -289,7 +288,6 @@ def test_what_stands_there_waits_until_the_bath_is_stable_again(tmp_path: Path) 
     assert max(latency.seconds) < 60.0 <= late.head["ended_s"] - late.head["started_s"]
 
 
-@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_bath_that_leaves_its_band_while_a_camera_is_late_costs_the_frames_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -141,11 +141,15 @@ def test_a_mistake_in_one_script_ends_only_that_one(
     assert not third.facts["asked"]["warm"]  # it opened the rig anew
 
 
-@pytest.mark.weekly
+@pytest.mark.parametrize(("third", "begin"), few([(NO_ROOM, 2), ("", 3)], 2))
 def test_a_disk_that_is_full_amid_one_script_ends_it_alone_and_without_room_none_follows(
-    scripts: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    scripts: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    third: str,
+    begin: int,
 ) -> None:
-    """The watch of the second script finds it full; there is room again, and then none."""
+    """The watch of the second script finds it full; then there is room again, or none."""
     bath = Store.bath
 
     def full(self: Store, reading: Row) -> None:
@@ -157,16 +161,17 @@ def test_a_disk_that_is_full_amid_one_script_ends_it_alone_and_without_room_none
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(Store, "bath", full)
-    for third, begin in (("", 3), (NO_ROOM, 2)):
-        of = iter(["", "", third])  # of all, of the second, of the third
-        monkeypatch.setattr("bench.run.estimate.no_room", lambda *_, of=of: next(of))
-        code, queue, runs = run(scripts)
-        endings = [one.ending for one in runs]
-        assert (code, endings) == (3, ["finished", "faulted", "finished"][:begin])
-        assert kinds(runs[1], "fault") == ["the record could not be written: the disk is full"]
-        assert bath_safe(runs[-1]) is Safe.READ_BACK
+    of = iter(["", "", third])  # of all, of the second, of the third
+    monkeypatch.setattr("bench.run.estimate.no_room", lambda *_: next(of))
+    if third:
         monkeypatch.setattr("bench.report.page.write_report", no_space)
         monkeypatch.setattr("bench.report.runs.write_runs", no_space)
+    code, queue, runs = run(scripts)
+    assert (code, [one.ending for one in runs]) == (3, ["finished", "faulted", "finished"][:begin])
+    assert kinds(runs[1], "fault") == ["the record could not be written: the disk is full"]
+    assert bath_safe(runs[-1]) is Safe.READ_BACK
+    if not third:
+        return
     assert queue.ended == NO_ROOM
     said = capsys.readouterr().out
     assert f"c and what follows are not begun. {NO_ROOM}" in said
@@ -176,7 +181,6 @@ def test_a_disk_that_is_full_amid_one_script_ends_it_alone_and_without_room_none
     assert f"{runs[0].folder / 'report'}: {then}" in said
 
 
-@pytest.mark.weekly
 def test_an_abort_ends_all(scripts: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Engine, "_work", fails(KeyboardInterrupt()))
     code, queue, (_, second) = run(scripts)

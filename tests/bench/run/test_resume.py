@@ -146,7 +146,6 @@ def resumed_on_every_surface(folder: Path, out: str, progress: Person) -> list[i
     return [line["done"] for line in lines[begun:] if line["what"] == "trial"]
 
 
-@pytest.mark.weekly
 def test_killed_twice_on_its_way_and_once_while_it_catches_up(
     undisturbed: tuple[Path, int],
 ) -> None:
@@ -261,7 +260,6 @@ def test_a_world_that_went_on_is_prepared_anew_and_what_is_redone_is_kept_apart(
     assert texts(after, "resumed") == ["session 2 goes on after 2 trials"]
 
 
-@pytest.mark.weekly
 @pytest.mark.usefixtures("nothing_is_gone_through_again")
 def test_a_carried_truth_goes_on_in_a_world_that_went_on(tmp_path: Path) -> None:
     files(tmp_path, stage=STAGE, script=carry())
