@@ -33,7 +33,6 @@ from tests.bench.calibrate.board_pictures import (
     write_pairs,
 )
 from tests.bench.commands import Said
-from tests.examples import few
 
 pytestmark = pytest.mark.slow
 
@@ -139,26 +138,11 @@ def test_fewer_pictures_never_make_it_better(seen: BoardViews) -> None:
 
 @pytest.mark.parametrize(
     ("columns", "rows", "why"),
-    few(
-        [
-            (
-                8,
-                6,
-                r"holds a chessboard of (7 x 5|5 x 7) inner corners.* board has 8 x 6: squares are",
-            ),
-            (
-                5,
-                4,
-                r"holds a chessboard of (7 x 5|5 x 7) inner corners.* board has 5 x 4\. Write col",
-            ),
-            (
-                9,
-                5,
-                r"holds a chessboard of (7 x 5|5 x 7) inner corners.* board has 9 x 5\. Write col",
-            ),
-        ],
-        2,
-    ),
+    [
+        (8, 6, r"holds a chessboard of (7 x 5|5 x 7) inner corners.* board has 8 x 6: squares are"),
+        (5, 4, r"holds a chessboard of (7 x 5|5 x 7) inner corners.* board has 5 x 4\. Write col"),
+        (9, 5, r"holds a chessboard of (7 x 5|5 x 7) inner corners.* board has 9 x 5\. Write col"),
+    ],
 )
 def test_a_board_counted_otherwise_is_named(drawn: Path, columns: int, rows: int, why: str) -> None:
     board = Board("chessboard", columns, rows, 40.0)
