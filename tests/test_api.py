@@ -297,6 +297,7 @@ print(json.dumps([bench.__file__, score.success, found.verdict, result.rates[0].
     assert imports == {"import bench"}
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_driver_of_each_kind_from_an_empty_folder(installed: Installed) -> None:
     page = ROOT / "docs" / "drivers.md"
@@ -323,6 +324,7 @@ def test_a_driver_of_each_kind_from_an_empty_folder(installed: Installed) -> Non
     assert not re.search("failed|not checked|FAULT", said), said
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_the_plug_in_with_a_failing_detector_from_an_empty_folder(installed: Installed) -> None:

@@ -62,6 +62,8 @@ MAY_JUDGE = {
     "calibrate cameras",
 }  # their exit code may be a verdict
 AT_A_TERMINAL = {"arm home", "arm frame", "arm read", "arm verify"}
+# pages whose commands take the longest run weekly; the program knows their words in each run
+LONG = ("calibration.md", "campaigns.md", "detectors.md")
 # what a page names and its reader has, and what stands in for it here; whatever fits, in this order
 STAND_INS = {
     r"plane-map --dry-run": "short.toml --rig my-rig.toml --dry-run",
@@ -223,7 +225,13 @@ class Hereabouts(Here):
     def close(self) -> None: ...
 
 
-@pytest.mark.parametrize("page", sorted({block.page for block in RUN_HERE if block.commands}))
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=pytest.mark.weekly if page in LONG else ())
+        for page in sorted({block.page for block in RUN_HERE if block.commands})
+    ],
+)
 def test_the_commands_of_a_page_run_in_their_order(
     page: str, desk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -94,6 +94,7 @@ def test_masks_and_key_points_are_those_of_the_pictures(rig: str, tmp_path: Path
     assert flags == {1, 2}
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_cows_history_beats_her_last_visit(rig: str, tmp_path: Path) -> None:
     said = example("herd").main(2, 8, tmp_path / "herd.csv", rig=rig)

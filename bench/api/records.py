@@ -88,11 +88,11 @@ def export_record(
             write = needed("bench.record.mcap", "MCAP").export_mcap
         if write is None:
             raise ConfigError.plain(f"no export {kind!r} (there are: csv, parquet, mcap)")
-        paths = tuple(write(source, to))
-        if there:
+        if there:  # first: what an export that fails has written is marked too
             head = f"{NOT_AS_WRITTEN}: the files beside this one are made of what is left of it."
+            to.mkdir(parents=True, exist_ok=True)
             write_synced(to / DAMAGED, "\n".join((head, *there, "")).encode())
-    return paths
+        return tuple(write(source, to))
 
 
 def pack_run(

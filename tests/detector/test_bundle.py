@@ -96,6 +96,7 @@ def drawn(pair: Calibration, draw: Array) -> Pair:
     )
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_uncertainty_agrees_with_monte_carlo_within_ten_percent() -> None:
     rig, rng = calibrated(1), np.random.default_rng(1)

@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from detector.calibration import Calibration, load_calibration
+from detector.calibration import Calibration
 from detector.external.serve import Pictures
 from detector.protocol import Detection
 from detector.registry import available, create
 from tests.conftest import ROOT
-from tests.detector.conftest import Draw, recorded
+from tests.detector.conftest import Draw
 from tests.detector.thesis_fits import thesis_published
 
 NAMES = list(available([]))
@@ -134,18 +134,6 @@ def test_read_only_pictures_are_enough(name: str, frames: Pictures, rig: Calibra
     for picture in (fixed.left, fixed.right, fixed.thermal):
         np.asarray(picture).setflags(write=False)
     is_an_answer(create(name, []).detect(fixed, rig))
-
-
-@pytest.mark.slow
-def test_the_thesis_answers_every_path_traced_frame_well_or_badly(path_traced: Path) -> None:
-    calibration, detector = load_calibration(path_traced / "calibration.toml"), create("thesis")
-    folders = sorted((path_traced / "frames").iterdir())
-    assert len(folders) == 33
-    whole = [recorded(folder) for folder in folders[::3]]
-    for frames in (replace(whole[0], thermal=None), *whole):
-        found = detector.detect(frames, calibration)
-        is_an_answer(found)
-        assert len(found.teats) <= 4
 
 
 PROGRAM = """

@@ -13,6 +13,7 @@ from playwright.sync_api import Browser, expect
 from reports.render import write_report
 from reports.runs import Result, Run, Runs, write_runs
 from tests.chromium import Seen, violations, weak_texts, window
+from tests.examples import few
 from tests.reports.sample import sample_page
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]  # a browser starts for some seconds
@@ -166,7 +167,7 @@ def folders(report: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
 
 
 @pytest.mark.parametrize(
-    ("which", "width"), [("page", 1440), ("page", 390), ("list", 1440), ("trial", 390)]
+    ("which", "width"), few([("page", 1440), ("page", 390), ("trial", 390), ("list", 1440)], 2)
 )
 def test_axe_is_content(browser: Browser, folders: dict[str, Path], which: str, width: int) -> None:
     """A page in the dark differs by its colours only."""

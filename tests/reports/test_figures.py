@@ -36,6 +36,7 @@ from reports.figures.plane import ErrorGroup, TeatPlaces, error_map, error_maps,
 from reports.figures.situations import error_spreads, failure_map, rate_intervals
 from reports.frames import MOST_DETECTORS, Cross, Polyline, Rect, answer_mark, places_of
 from reports.trust import svg_facts
+from tests.examples import few
 
 Draw = Callable[[int], str]
 SHEET = Path(__file__).resolve().parents[2] / "reports/templates/style.css"
@@ -113,7 +114,7 @@ DRAWINGS: dict[str, Draw] = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [0, 1, 40])
+@pytest.mark.parametrize("size", [0, *few([40, 1], 2)])
 @pytest.mark.parametrize("draw", DRAWINGS.values(), ids=DRAWINGS)
 def test_any_amount_of_data_makes_a_sound_drawing_that_turns_for_the_dark(
     draw: Draw, size: int
@@ -294,7 +295,8 @@ def test_a_curve_keeps_its_ends_and_its_extremes(values: list[float], most: int)
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "which", ["bath", "scatter", "histogram", "map", "regions", "latency", "drift", "teats", "axes"]
+    "which",
+    few(["bath", "scatter", "histogram", "map", "regions", "latency", "drift", "teats", "axes"], 3),
 )
 def test_a_hundred_thousand_points_weigh_no_more_than_a_few(which: str) -> None:
     few, many = (DRAWINGS[which](n) for n in (MOST_POINTS, 100_000))

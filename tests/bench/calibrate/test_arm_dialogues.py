@@ -333,6 +333,7 @@ def test_a_spheres_centre_has_the_covariance_of_its_draws() -> None:
     np.testing.assert_allclose(0.01 * found, np.cov(seen.T), atol=0.0015)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_sound_arm_on_a_ball_bar_is_accused_no_more_often_than_is_claimed() -> None:
     """`arm verify --spheres`: seven directions of a bar, each end by five touches."""

@@ -23,7 +23,7 @@ from detector.calibration import Part, load_calibration
 from detector.geometry import Camera, Motion
 from tests.bench.commands import Said
 from tests.conftest import ROOT
-from tests.examples import examples
+from tests.examples import examples, few
 from tests.mutants import mutants
 
 CASES = ROOT / "tests" / "data" / "cases"
@@ -321,7 +321,7 @@ TEXTS = ("opencv", "ros", "kalibr")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", [*TEXTS, "bouguet", "matlab"])
+@pytest.mark.parametrize("kind", few([*TEXTS, "bouguet", "matlab"], 2))
 def test_mutants_of_each_format_are_read_or_named(kind: str, tmp_path: Path) -> None:
     read, said = read_mutants(kind, examples(15) if kind in TEXTS else 2, tmp_path)
     assert read or said

@@ -36,7 +36,7 @@ from tests.waiting import within
 
 # with 50 by hand: 200 scenes
 WORKERS = (1, 2, 7) if KILLS else (2,)
-CLIENT_KILLS = WORKER_KILLS = int(KILLS or 1)
+WORKER_KILLS = int(KILLS or 1)
 KILLED = int(KILLS or 1)  # of a cluster
 
 
@@ -168,33 +168,7 @@ def test_a_scene_that_kills_and_one_without_an_end_are_set_aside_by_name(
     assert found["rates"][0]["scenes"] == 3
 
 
-def got_on(going: Running, shards: Shards, enough: int) -> bool:
-    return going.poll() is not None or len(shards.done()) > enough
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="sends signals")
-@pytest.mark.timeout(60 + 20 * CLIENT_KILLS)
-def test_a_client_killed_at_random_goes_on_where_it_was(
-    plan: CampaignPlan, plain: tuple[Path, str], tmp_path: Path, said: Said
-) -> None:
-    file = tmp_path / "plan.toml"
-    file.write_text(plan_text(plan, {}), encoding="utf-8")
-    shards = Shards(tmp_path / "out")
-    chance = random.Random(5)
-    for _ in range(CLIENT_KILLS):
-        going = begin(["campaign", "run", file, "--workers", 1, "--out", tmp_path / "out"])
-        before = len(shards.done())
-        enough = min(before + chance.randint(0, 1), plan.chunk_count)
-
-        within(120.0, partial(got_on, going, shards, enough), "a chunk is done")
-        going.kill()
-        going.communicate()
-    last = said(0, "campaign run {} --workers 1 --json --out {}", file, tmp_path / "out")
-    assert json.loads(last.out)["digest"] == plain[1]
-    assert json.loads(last.out)["scenes"] == 2 * plan.most_scenes
-
-
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_family_stops_when_its_interval_is_tight_enough_whatever_came_first(
     tmp_path: Path,

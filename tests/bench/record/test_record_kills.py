@@ -29,7 +29,7 @@ from bench.record.writer import Store
 from instruments.clock import wall_time
 from tests.bench.record.test_record import facts, trial
 
-RUNS = 10 if os.environ.get("TEATBENCH_WEEKLY") else 3
+RUNS = 10 if os.environ.get("TEATBENCH_WEEKLY") else 1
 KILLS_A_RUN = 20 if os.environ.get("TEATBENCH_WEEKLY") else 12
 MOST_TRIALS = 1  # that are done before a process is killed
 AT_MOST_S = 0.05  # from there: a few trials on an idle machine, a part of one on a busy one

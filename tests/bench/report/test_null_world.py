@@ -28,6 +28,7 @@ from tests.bench.report.null_world import (
 )
 from tests.bench.report.page_reader import read
 from tests.bench.report.statements import counted, rates, unknown
+from tests.examples import few
 
 RUNS = 300
 MOST = 0.06  # of runs: 5 % are claimed, and so many leave as much to chance
@@ -43,7 +44,7 @@ def hours() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize("name", few(WORLDS, 2))
 def test_a_page_of_a_null_world_says_nothing_that_is_false_or_new(name: str) -> None:
     page = done(WORLDS[name], Off(), SEED)
     assert unknown(page.page) == []
@@ -68,7 +69,7 @@ def test_a_detector_that_is_off_is_noticed_and_a_new_statement_as_well() -> None
 
 @pytest.mark.slow
 @pytest.mark.parametrize("away_mm", [(0.0, 0.0, 2000.0), (-1500.0, 1500.0, 0.0)])
-@pytest.mark.parametrize("world", ["touched", "carried"])
+@pytest.mark.parametrize("world", few(["touched", "carried"], 2))
 def test_a_truth_that_is_nowhere_near_the_script_is_charged_to_no_detector(
     world: str, away_mm: tuple[float, float, float]
 ) -> None:

@@ -20,6 +20,7 @@ from instruments.camera.emulator import FAULTS, EmulatedCameras
 from instruments.camera.frame import FrameFault, FrameSet
 from instruments.errors import DeviceError, LinkError
 from tests.bench.operated_runs import record_of, texts
+from tests.examples import few
 from tests.instruments.camera.small_world import GalleryWorld
 
 
@@ -39,7 +40,7 @@ class Bench:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("fault", few(FAULTS, 2))
 def test_each_fault_is_cured_by_another_try_and_counted_or_refused(fault: FrameFault) -> None:
     bench = Bench()
     bench.cameras.faults.inject(fault, times=2)

@@ -22,6 +22,7 @@ from detector.calibration import Calibration
 from instruments.camera.emulator import FAULTS, KEPT_BACK, EmulatedCameras
 from instruments.camera.frame import FrameFault, FrameSet
 from instruments.world.situations import situation as drawn_situation
+from tests.examples import few
 from tests.instruments.camera.small_world import GalleryWorld, SmallWorld
 from tests.situations import SITUATIONS, situation
 
@@ -39,7 +40,7 @@ def checks(**changed: Any) -> FrameChecks:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SITUATIONS)
+@pytest.mark.parametrize("name", few(SITUATIONS, 2))
 def test_no_false_alarm_in_any_situation(name: str) -> None:
     cameras, looks = EmulatedCameras(SmallWorld(situation(name))), checks()
     for _ in range(2):  # each frame has fresh noise

@@ -83,6 +83,7 @@ def test_a_written_rig_runs_as_it_is(written_rig: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(touched, there, atol=1.5)
 
 
+@pytest.mark.weekly
 @posix
 def test_a_written_rig_is_calibrated_before_there_is_a_calibration(
     written_rig: Path, tmp_path: Path

@@ -166,26 +166,6 @@ def test_the_runs_folder_keeps_the_files_of_the_arm(elsewhere: Done) -> None:
     assert teatbench("check {}", rig) == 0, "the folder's own rig file can be used again"
 
 
-def test_an_arm_that_was_moved_is_found_out(script: Path, tmp_path: Path) -> None:
-    """Elsewhere on the table, without a frame: every truth is wrong, and the rule says so."""
-    rig = shipped_rig(tmp_path, emulation="arm_placed = { T = [3.0, 0.0, 0.0] }\n")
-    run = done(rig, script, tmp_path / "runs")
-    assert run.verdict is Verdict.NOT_MET
-    assert run.code == 1
-    assert "from its place before the trials" in run.page
-    assert "Put the bench right before all else: arm verified before and after" in run.page
-
-
-def test_a_rig_without_a_check_point_has_not_measured_it(script: Path, tmp_path: Path) -> None:
-    path = shipped_rig(tmp_path)
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
-    kept = "".join(line for line in lines if not line.startswith("check_point_mm"))
-    path.write_text(kept, encoding="utf-8")
-    run = done(path, script, tmp_path / "runs")
-    assert run.verdict is Verdict.NOT_MEASURED
-    assert not any(key.startswith("arm check") for key in run.run.facts)
-
-
 def test_the_frame_of_another_arm_ends_the_run_before_anything_is_heated(
     script: Path, tmp_path: Path
 ) -> None:

@@ -102,6 +102,7 @@ def test_the_recording_scores_the_same(done: Done, tmp_path: Path) -> None:
         assert first == second
 
 
+@pytest.mark.weekly
 def test_another_seed_gives_other_noise(
     done: Done, short_script: Path, rig: Path, tmp_path: Path
 ) -> None:

@@ -45,6 +45,7 @@ from tests.bench.commands import Said
 from tests.bench.fault_catalogue import Bringer, known_to
 from tests.bench.killed_runs import Person, only_run, start
 from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files, record_of, run_of, texts
+from tests.examples import few
 
 TRIALS = ["001-place-1-1", "002-place-2-1", "003-place-3-1"]
 
@@ -117,7 +118,7 @@ class When(Bringer):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("blocked", "noticed"), [(1, 3), (2, 2)])
+@pytest.mark.parametrize(("blocked", "noticed"), few([(2, 2), (1, 3)], 2))
 def test_a_move_that_is_blocked_is_noticed_by_touched_ends(
     blocked: int, noticed: int, tmp_path: Path
 ) -> None:

@@ -31,6 +31,7 @@ from bench.safety.bath_monitor import WATCHING
 from instruments.clock import stopwatch_s, wall_time
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.operated_runs import ONE
+from tests.examples import few
 
 pytestmark = pytest.mark.slow
 NO_ROOM = "NOT ENOUGH ROOM"
@@ -140,10 +141,15 @@ def test_a_mistake_in_one_script_ends_only_that_one(
     assert not third.facts["asked"]["warm"]  # it opened the rig anew
 
 
+@pytest.mark.parametrize(("third", "begin"), few([(NO_ROOM, 2), ("", 3)], 2))
 def test_a_disk_that_is_full_amid_one_script_ends_it_alone_and_without_room_none_follows(
-    scripts: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    scripts: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    third: str,
+    begin: int,
 ) -> None:
-    """The watch of the second script finds it full; there is room again, and then none."""
+    """The watch of the second script finds it full; then there is room again, or none."""
     bath = Store.bath
 
     def full(self: Store, reading: Row) -> None:
@@ -155,16 +161,17 @@ def test_a_disk_that_is_full_amid_one_script_ends_it_alone_and_without_room_none
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(Store, "bath", full)
-    for third, begin in (("", 3), (NO_ROOM, 2)):
-        of = iter(["", "", third])  # of all, of the second, of the third
-        monkeypatch.setattr("bench.run.estimate.no_room", lambda *_, of=of: next(of))
-        code, queue, runs = run(scripts)
-        endings = [one.ending for one in runs]
-        assert (code, endings) == (3, ["finished", "faulted", "finished"][:begin])
-        assert kinds(runs[1], "fault") == ["the record could not be written: the disk is full"]
-        assert bath_safe(runs[-1]) is Safe.READ_BACK
+    of = iter(["", "", third])  # of all, of the second, of the third
+    monkeypatch.setattr("bench.run.estimate.no_room", lambda *_: next(of))
+    if third:
         monkeypatch.setattr("bench.report.page.write_report", no_space)
         monkeypatch.setattr("bench.report.runs.write_runs", no_space)
+    code, queue, runs = run(scripts)
+    assert (code, [one.ending for one in runs]) == (3, ["finished", "faulted", "finished"][:begin])
+    assert kinds(runs[1], "fault") == ["the record could not be written: the disk is full"]
+    assert bath_safe(runs[-1]) is Safe.READ_BACK
+    if not third:
+        return
     assert queue.ended == NO_ROOM
     said = capsys.readouterr().out
     assert f"c and what follows are not begun. {NO_ROOM}" in said
@@ -216,7 +223,9 @@ def test_a_queue_on_a_full_disk_still_says_how_it_ended(
     assert (queue.scripts[0].run, queue.ended) == ("run-of-a", NO_ROOM)
 
 
-@pytest.mark.parametrize("amid", [False, True], ids=["between two scripts", "amid the second"])
+@pytest.mark.parametrize(
+    "amid", few([False, True], 2), ids=["between two scripts", "amid the second"]
+)
 def test_a_trip_ends_all(scripts: list[str], monkeypatch: pytest.MonkeyPatch, amid: bool) -> None:
     take_over = Engine._take_over
 
@@ -258,7 +267,9 @@ def test_a_queue_whose_bench_died_says_so(tmp_path: Path) -> None:
     assert [one.text for one in queue.scripts] == ["not begun", "not begun"]
 
 
-@pytest.mark.parametrize("killed", [False, True], ids=["to the end", "killed amid the queue"])
+@pytest.mark.parametrize(
+    "killed", few([False, True], 2), ids=["to the end", "killed amid the queue"]
+)
 def test_in_real_time_one_guardian_stays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, killed: bool
 ) -> None:

@@ -102,6 +102,7 @@ def test_killed_at_random_moments_and_resumed_equals_undisturbed(
     killed_at_random(folder, steps, 9, TOUCHED_KILLS)
 
 
+@pytest.mark.weekly
 @pytest.mark.timeout(max(120, 60 * CARRIED_KILLS))
 def test_killed_at_random_moments_with_a_carried_truth_equals_undisturbed(tmp_path: Path) -> None:
     files(tmp_path, stage=STAGE, script=carry("check_every = 1\n"))
@@ -387,12 +388,12 @@ def recording_equal_after_resuming(folder: Path, out: str) -> None:
 @pytest.mark.parametrize(
     ("truth", "words", "method", "kind"),
     [
-        ("touched", f"'{SECOND}'", "trial", Recorder),
+        pytest.param("touched", f"'{SECOND}'", "trial", Recorder, marks=pytest.mark.weekly),
         ("touched", f"'{SECOND}'", "add_truth", RecordingWriter),
-        ("touched", f"making {SECOND}", "replace", Path),
+        pytest.param("touched", f"making {SECOND}", "replace", Path, marks=pytest.mark.weekly),
         ("carried", f"'{SECOND}'", "stored", CarriedTruth),
-        ("carried", "'check touch'", "event", Store),
-        ("carried", f"'{THIRD}'", "settled", Recorder),
+        pytest.param("carried", "'check touch'", "event", Store, marks=pytest.mark.weekly),
+        pytest.param("carried", f"'{THIRD}'", "settled", Recorder, marks=pytest.mark.weekly),
     ],
     ids=[
         "finished but not recorded",

@@ -18,6 +18,7 @@ from instruments.bath.reading import BathReading
 from instruments.bath.rows import Row
 from instruments.world.plant import Plant, PlantConstants
 from tests.bench.safety.calm import CALM
+from tests.examples import few
 
 SP = 33.0
 FAMILIES = tuple(profile_names())
@@ -52,7 +53,7 @@ def readings(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", few(FAMILIES, 3))
 def test_a_sound_bath_of_every_family_is_never_accused(family: str) -> None:
     profile = load_profile(family)
     gate, moving, interlocks = (

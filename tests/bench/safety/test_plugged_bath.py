@@ -28,6 +28,7 @@ from tests.bench.commands import Said
 from tests.bench.real_rig import script_of
 from tests.bench.safety.guards import standby_after
 from tests.bench.small_cameras import write_calibration
+from tests.examples import few
 from tests.lab_drivers import importable
 
 pytestmark = pytest.mark.slow
@@ -129,7 +130,7 @@ def lab(tmp_path: Path) -> Iterator[Lab]:
             listener.close()
 
 
-@pytest.mark.parametrize("mode", ["", "stays on", "standby raises"])
+@pytest.mark.parametrize("mode", few(["", "stays on", "standby raises"], 2))
 def test_the_guardian_opens_it_by_itself(mode: str, lab: Lab) -> None:
     ended = subprocess.run(
         [sys.executable, "-c", HEATS, str(lab.rig(mode)), mode],

@@ -36,6 +36,7 @@ from bench.scoring.errors import Floats
 from bench.scoring.rates import Rate, plural, zero_failure_n
 from bench.scoring.scene import SceneScore, score_scene
 from tests.bench.scoring.coverage import DRAWS, MARGIN_MM, coverage
+from tests.examples import few
 
 TRUTH = np.array(
     [[-260.0, 267.0, 136.0], [-110.0, 284.0, 136.0], [-205.0, 200.0, 137.0], [-140.0, 205.0, 136.0]]
@@ -329,7 +330,7 @@ def test_of_many_values_the_bound_is_students() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("n", [8, 60])
+@pytest.mark.parametrize("n", few([8, 60], 2))
 @pytest.mark.parametrize("changes", DRAWS)
 def test_the_interval_covers_as_often_as_it_says(changes: str, n: int) -> None:
     """Of 200 with 95 % each at least 179 hold, and of 200 gates at most 13 are green that should

@@ -116,6 +116,7 @@ def test_an_unbiased_detector_is_accused_no_more_often_than_is_claimed() -> None
     assert max(found.values()) <= 0.05 + 3 * np.sqrt(0.05 * 0.95 / runs), found
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_without_the_truth_it_is_accused() -> None:
     found = accused(examples(120), with_truth=False)

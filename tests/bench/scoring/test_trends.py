@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from bench.scoring.errors import Floats
 from bench.scoring.spread import LEAST_TREND_POSES, Trend, trend, trends
-from tests.examples import examples
+from tests.examples import examples, few
 
 
 def line(x: Floats, y: Floats, strata: npt.NDArray[np.int64]) -> float:
@@ -77,7 +77,7 @@ def test_the_error_is_near_statsmodels_cluster_robust_one() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("same_place", [True, False])
+@pytest.mark.parametrize("same_place", few([True, False], 2))
 def test_chance_is_taken_for_a_trend_in_no_more_than_5_percent(same_place: bool) -> None:
     rng = np.random.default_rng(2)
     group = np.repeat(np.arange(12), 4)

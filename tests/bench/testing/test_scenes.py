@@ -112,24 +112,6 @@ def test_parts_have_strategies_of_their_own(scene: Scene) -> None:
     assert {one.name for one in scene.perturbations} <= {"jpeg"}
 
 
-@pytest.mark.weekly
-def test_a_scene_of_such_parts_shrinks_too() -> None:
-    own = settings(database=None, max_examples=300)
-    parts = scenes(
-        layouts=layouts(2, 2),
-        poses=poses().filter(lambda one: one.turn_deg > 0),
-        objects=objects(*KINDS).filter(lambda one: one.kind == "rod"),
-        perturbations=perturbations("jpeg"),
-    )
-    whole = find(
-        parts, lambda s: bool(s.objects and s.perturbations and s.pose != Pose()), settings=own
-    )
-    assert whole.teats == (Teat(), Teat())
-    assert whole.pose == Pose(turn_deg=5)
-    assert whole.objects == (Object("rod"),)
-    assert whole.perturbations == (Applied("jpeg", 90.0),)
-
-
 def test_what_cannot_be_is_refused_in_words(rig: str) -> None:
     assert Scene(()).faults() == ("a scene has 1 to 4 teats, this one 0",)
     (fault,) = Scene(objects=(Object("rodd"),)).faults()

@@ -232,6 +232,7 @@ def test_a_mistake_of_the_operator_is_noticed_and_put_right(tmp_path: Path) -> N
     assert "Touches that were refused and asked for again" in wrong.page
 
 
+@pytest.mark.weekly
 def test_a_registration_of_the_command_serves_a_script(tmp_path: Path, said: Said) -> None:
     rig = shipped_rig(tmp_path)
     written = said(0, "calibrate stage --rig {} --out {}", rig, tmp_path / "stage.toml").out

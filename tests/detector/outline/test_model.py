@@ -22,6 +22,7 @@ from detector.outline.model import (
     numbers_of,
     outlines,
 )
+from tests.examples import few
 
 TEATS = np.array(
     [
@@ -50,7 +51,7 @@ def surface(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", range(len(TEATS)))
+@pytest.mark.parametrize("number", few(range(len(TEATS)), 3))
 def test_outlines_lie_on_the_hull_of_the_projected_surface(rig: Calibration, number: int) -> None:
     motion = rig.right_from_left.inverse()
     teat = TEATS[number]

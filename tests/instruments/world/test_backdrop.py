@@ -17,6 +17,7 @@ from instruments.world.optics import CameraModel
 from instruments.world.sensor import Image
 from instruments.world.shading import Lighting, irradiance
 from instruments.world.situations import situation
+from tests.examples import few
 from tests.instruments.world.scenes import renderer
 
 MEAN_GREY, MOST_GREY = 0.1, 4.0
@@ -75,7 +76,7 @@ SCENES = [situation("anywhere", 11)]
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("backdrop", "lighting"),
-    [(OFF, Lighting()), *((scene.backdrop, scene.lighting) for scene in SCENES)],
+    few([(OFF, Lighting()), *((scene.backdrop, scene.lighting) for scene in SCENES)], 2),
     ids=["poster off the board", *(scene.name for scene in SCENES)],
 )
 def test_light_depth_and_warmth_are_those_of_the_long_way(

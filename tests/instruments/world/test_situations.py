@@ -16,6 +16,7 @@ from instruments.world.setups import Situation, faults, hidden_ways
 from instruments.world.situations import SITUATIONS, situation
 from instruments.world.solids import Solids
 from instruments.world.state import SceneState
+from tests.examples import few
 from tests.instruments.world.scenes import renderer
 
 NAMES = tuple(SITUATIONS)
@@ -48,7 +49,7 @@ def test_there_are_the_eleven_and_those_of_a_cowshed() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", few(NAMES, 3))
 def test_members_are_values_of_name_and_seed_that_can_be_set_up_drawn_and_seen(name: str) -> None:
     found = members(name)
     assert [(one.name, one.seed) for one in found] == [(name, seed) for seed in SEEDS]
