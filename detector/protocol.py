@@ -34,20 +34,11 @@ class Frames(Protocol):
     def thermal_k(self) -> Image | None: ...
 
 
-class DepthFrames(Frames, Protocol):
-    """Frames of a rig with a depth camera. depth_mm: (rows, columns) mm along its optical axis, NaN
-    where nothing was measured, or None. amplitude: (rows, columns) strength of the signal in the
-    camera's unit, or None.
-    """
-
-    @property
-    def depth_mm(self) -> Image | None: ...
-    @property
-    def amplitude(self) -> Image | None: ...
-
-
 def depth_of(frames: Frames) -> tuple[Image | None, Image | None]:
-    """``depth_mm`` and ``amplitude`` as of `DepthFrames`, None of frames that know no depth."""
+    """``depth_mm``: (rows, columns) mm along the optical axis of a depth camera, NaN where nothing
+    was measured. ``amplitude``: (rows, columns) strength of its signal in the camera's unit. None
+    of frames without them.
+    """
     return getattr(frames, "depth_mm", None), getattr(frames, "amplitude", None)
 
 

@@ -48,11 +48,10 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class TextTable:
-    """``heads`` as they stand, rows that have something in them, and what is between cells."""
+    """``heads`` as they stand, and rows that have something in them."""
 
     heads: tuple[str, ...]
     rows: tuple[Row, ...]
-    separator: str
 
 
 def read_table(
@@ -78,7 +77,7 @@ def read_table(
     between = SEPARATORS.get(mark, repr(mark))
     found = tuple(_row(line, cells, heads, between) for line, cells in rows[1:])
     _refuse_mixed(found, needed if numbers is None else numbers)
-    return TextTable(tuple(heads), found, mark)
+    return TextTable(tuple(heads), found)
 
 
 def _cells(lines: Sequence[str], mark: str, skipped: int) -> list[tuple[int, list[str]]]:

@@ -110,7 +110,6 @@ def compare_folders(
     *,
     margin_mm: float | None = None,
     confidence: float = 0.95,
-    seed: int = 0,
     damage: tuple[str, ...] = (),
 ) -> tuple[Comparison, ...]:
     """Compare each later run with the first, or the detectors of one run with its first; ``damage``
@@ -119,7 +118,7 @@ def compare_folders(
     runs = [read_run(folder, damage) for folder in folders]
     found = []
     for old, new in sides(runs, detectors):
-        one = compare_sides(old, new, margin_mm=margin_mm, confidence=confidence, seed=seed)
+        one = compare_sides(old, new, margin_mm=margin_mm, confidence=confidence)
         found.append(_written(one) if not damage and len(runs) > 1 else one)
     return tuple(found)
 

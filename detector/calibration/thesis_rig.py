@@ -1,5 +1,6 @@
-"""The thesis's published figures of its rig. Its printed world matrix isn't rigid (singular values
-1.000, 0.990, 0.920); how the shipped calibrations follow is in tests/detector/thesis_fits.py.
+"""The thesis's published figures of its rig. How the shipped calibrations follow, and its printed
+world matrix, which isn't rigid (singular values 1.000, 0.990, 0.920), are in
+tests/detector/thesis_fits.py.
 """
 
 from __future__ import annotations
@@ -17,14 +18,5 @@ STEREO_OM_RAD, STEREO_T_MM = (-0.0011, -0.0008, 0.0085), (-100.317, 0.242, -0.40
 # section 3.2.2
 HOMOGRAPHY_LEFT = ((0.615, 0.007, 672.822), (-0.004, 0.616, 363.601), (0.0, 0.0, 1.0))
 HOMOGRAPHY_RIGHT = ((0.618, 0.002, 536.133), (-0.002, 0.619, 401.948), (0.0, 0.0, 1.0))
-WORLD_MATRIX = ((0.99, 0.0, 0.02), (-0.02, -0.01, 0.92), (0.0, -1.0, -0.01))  # section 3.3.2
-WORLD_T_MM = (-161.80, -760.40, 64.52)
-# table 5.2
-TEAT_ENDS_MM = (
-    (-109.8, 285.7, 135.5),
-    (-161.3, 191.7, 137.8),
-    (-224.2, 197.4, 137.4),
-    (-260.5, 269.9, 137.4),
-)
 THERMAL_IMAGE_SIZE, THERMAL_SENSOR_SIZE = (640, 480), (160, 120)  # sections 3.1.1, 4.1.1
 THERMAL = ThermalCamera(THERMAL_IMAGE_SIZE, THERMAL_SENSOR_SIZE, True, "hot_is_black", None)

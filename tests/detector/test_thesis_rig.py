@@ -31,9 +31,9 @@ def test_constants_are_the_published_ones(shared: Path) -> None:
     assert list(printed.STEREO_T_MM) == p["stereo"]["T"]
     assert np.array_equal(printed.HOMOGRAPHY_LEFT, p["homography"]["left"])
     assert np.array_equal(printed.HOMOGRAPHY_RIGHT, p["homography"]["right"])
-    world = np.column_stack([printed.WORLD_MATRIX, printed.WORLD_T_MM])
+    world = np.column_stack([made.WORLD_MATRIX, made.WORLD_T_MM])
     assert np.array_equal(world, p["world"]["transformation"][:3])
-    assert np.array_equal(printed.TEAT_ENDS_MM, p["table_5_2"]["teat_ends_mm"])
+    assert np.array_equal(made.TEAT_ENDS_MM, p["table_5_2"]["teat_ends_mm"])
 
 
 def test_the_shipped_file_is_what_the_fits_give(rig: Calibration) -> None:
@@ -53,8 +53,8 @@ def test_the_shipped_file_is_what_the_fits_give(rig: Calibration) -> None:
 
 def test_the_world_is_rigid_and_shows_the_teats_as_printed(rig: Calibration) -> None:
     assert np.linalg.det(rig.world_from_right.R) == pytest.approx(1.0, abs=1e-12)
-    teats = np.array(printed.TEAT_ENDS_MM)
-    A, t = np.array(printed.WORLD_MATRIX), np.array(printed.WORLD_T_MM)
+    teats = np.array(made.TEAT_ENDS_MM)
+    A, t = np.array(made.WORLD_MATRIX), np.array(made.WORLD_T_MM)
     in_right = (np.linalg.inv(A) @ (teats - t).T).T
     left_px, right_px = rig.project(teats)
     assert np.linalg.norm(right_px - rig.right.project(in_right), axis=1).max() < 0.7
@@ -94,17 +94,17 @@ def test_homographies_are_right_on_their_plane_and_wrong_off_it(rig: Calibration
 
 
 def test_the_plane_of_the_homographies_is_that_of_the_teats(rig: Calibration) -> None:
-    depths = rig.world_from_right.inverse().apply(printed.TEAT_ENDS_MM)[:, 2]
+    depths = rig.world_from_right.inverse().apply(made.TEAT_ENDS_MM)[:, 2]
     assert rig.homographies.plane_depth_mm == pytest.approx(depths.mean(), abs=1e-3)
     # f B / Z^2 over the teats' depths; the derived 7.6 to 9.3 hold in the printed world, which is 8
     # % short along this axis
-    assert rig.depth_per_disparity_px_mm(printed.TEAT_ENDS_MM).min() > 7.6 / 0.92 - 0.2
-    assert rig.depth_per_disparity_px_mm(printed.TEAT_ENDS_MM).max() < 9.3 / 0.92
+    assert rig.depth_per_disparity_px_mm(made.TEAT_ENDS_MM).min() > 7.6 / 0.92 - 0.2
+    assert rig.depth_per_disparity_px_mm(made.TEAT_ENDS_MM).max() < 9.3 / 0.92
 
 
 def test_an_independent_fit_agrees_to_a_few_pixels(rig: Calibration, shared: Path) -> None:
     other = load_calibration(shared / "data" / "path_traced" / "calibration.toml")
-    ours, theirs = (np.array(c.project(printed.TEAT_ENDS_MM)) for c in (rig, other))
+    ours, theirs = (np.array(c.project(made.TEAT_ENDS_MM)) for c in (rig, other))
     assert np.abs(ours - theirs).max() < 1.5
     for side in ("left", "right"):
         assert np.abs(mapped(rig, side) - mapped(other, side)).max() < 3.0

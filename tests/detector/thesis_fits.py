@@ -27,6 +27,15 @@ from detector.geometry import (
     rotation_from_vector,
 )
 
+WORLD_MATRIX = ((0.99, 0.0, 0.02), (-0.02, -0.01, 0.92), (0.0, -1.0, -0.01))  # section 3.3.2
+WORLD_T_MM = (-161.80, -760.40, 64.52)
+# table 5.2
+TEAT_ENDS_MM = (
+    (-109.8, 285.7, 135.5),
+    (-161.3, 191.7, 137.8),
+    (-224.2, 197.4, 137.4),
+    (-260.5, 269.9, 137.4),
+)
 PRINTED_UNCERTAINTY = {  # tables 3.1 and 3.2: fc, cc, k1, k2
     "left": ((2.7, 2.8), (1.2, 1.3), 0.003, 0.008),
     "right": ((2.4, 2.4), (1.0, 1.2), 0.004, 0.012),
@@ -64,8 +73,8 @@ def right_from_left() -> Motion:
 
 def printed_teats_in_right_mm() -> Array:
     """Table 5.2 (4, 3) carried into the right camera's frame by the printed, non-rigid matrix."""
-    turned = np.array(printed.TEAT_ENDS_MM) - np.array(printed.WORLD_T_MM)
-    return np.asarray(np.linalg.solve(np.array(printed.WORLD_MATRIX), turned.T).T)
+    turned = np.array(TEAT_ENDS_MM) - np.array(WORLD_T_MM)
+    return np.asarray(np.linalg.solve(np.array(WORLD_MATRIX), turned.T).T)
 
 
 def stereo_pixels(in_right_mm: Array) -> Array:
@@ -76,7 +85,7 @@ def stereo_pixels(in_right_mm: Array) -> Array:
 
 def fit_world() -> Motion:
     """`world_from_right` whose teat ends lie closest to the printed matrix's, in px."""
-    teats, wanted = np.array(printed.TEAT_ENDS_MM), stereo_pixels(printed_teats_in_right_mm())
+    teats, wanted = np.array(TEAT_ENDS_MM), stereo_pixels(printed_teats_in_right_mm())
     start = rigid_fit(printed_teats_in_right_mm(), teats)
 
     def residual(p: Array) -> Array:
@@ -119,7 +128,7 @@ def thesis_rig() -> Calibration:
     """The emulated rig's calibration; its homographies hold at table 5.2's mean depth."""
     world_from_right, fit, stereo = fit_world(), fit_thermal(), right_from_left()
     thermal_from_left = fit.thermal_from_right @ stereo
-    depth_mm = float(world_from_right.inverse().apply(printed.TEAT_ENDS_MM)[:, 2].mean())
+    depth_mm = float(world_from_right.inverse().apply(TEAT_ENDS_MM)[:, 2].mean())
     maps = derive_homographies(
         fit.lens, printed.LEFT, printed.RIGHT, thermal_from_left, stereo, depth_mm
     )

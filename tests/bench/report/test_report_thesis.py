@@ -29,15 +29,11 @@ from bench.report.thesis import (
 from bench.rig.loading import find_rig, load_rig
 from bench.scoring.errors import summarise
 from bench.script.model import TRIALS, load_script
-from detector.calibration.thesis_rig import (
-    HOMOGRAPHY_LEFT,
-    HOMOGRAPHY_RIGHT,
-    TEAT_ENDS_MM,
-    WORLD_MATRIX,
-)
+from detector.calibration.thesis_rig import HOMOGRAPHY_LEFT, HOMOGRAPHY_RIGHT
 from reports.page import Cell, Part, Table
 from tests.bench.results.test_error_rows import record, trial
 from tests.conftest import SHARED
+from tests.detector.thesis_fits import TEAT_ENDS_MM, WORLD_MATRIX
 
 MIDDLE = np.array([-185.0, 235.0, 136.0])
 
