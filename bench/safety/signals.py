@@ -21,6 +21,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any
 
 from instruments.clock import UNBROKEN, RealClock, stopwatch_s
 
@@ -89,20 +90,12 @@ class Exits:
         self.at_close: Callable[[], object] | None = None
         self._raised_s: float | None = None
         self._held = 0
+        self._hook = sys.unraisablehook
         self._terminals = [number for number in (0, 1, 2) if _is_terminal(number)]
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         if _must_go_on(frame):
-            # The signal comes once more, in a moment
-            def later() -> None:
-                RealClock().sleep(MOMENT_S)
-                if sys.platform == "win32":
-                    _thread.interrupt_main(number)
-                else:
-                    # also out of a call that waits
-                    signal.pthread_kill(threading.main_thread().ident or 0, number)
-
-            threading.Thread(target=later, name="signal", daemon=True).start()
+            _send_again(number)
             return
         name = signal.Signals(number).name
         self.asked.append(name)
@@ -116,6 +109,14 @@ class Exits:
             return
         self._raised_s = now
         raise _interrupted(name)
+
+    def take_lost(self, lost: Any) -> None:
+        """Python drops what is raised in ``__del__`` or a weak reference's callback: once more."""
+        if isinstance(lost.exc_value, Interrupted):
+            self._raised_s = None
+            _send_again(signal.Signals[self.asked.pop()])
+        else:
+            self._hook(lost)
 
     def hold(self) -> None:
         """From now on requests are noted and not raised. Each call needs its ``let_go``."""
@@ -146,6 +147,19 @@ class Exits:
         return True
 
 
+def _send_again(number: int) -> None:
+    """The signal comes once more, in a moment; also out of a call that waits."""
+
+    def send() -> None:
+        RealClock().sleep(MOMENT_S)
+        if sys.platform == "win32":
+            _thread.interrupt_main(number)
+        else:
+            signal.pthread_kill(threading.main_thread().ident or 0, number)
+
+    threading.Thread(target=send, name="signal", daemon=True).start()
+
+
 def _interrupted(name: str) -> Interrupted:
     return Interrupted(f"the run was interrupted ({ASKED_BY.get(name, name)})")
 
@@ -161,6 +175,7 @@ def installed(register: Register | None = None) -> Iterator[Exits]:
         return
     received = [number for number in _numbers() if signal.getsignal(number) is not signal.SIG_IGN]
     before = {number: signal.signal(number, exits) for number in received}
+    hook, sys.unraisablehook = sys.unraisablehook, exits.take_lost
     register, handler = register or windows_register(), exits.console_event
     try:
         if register:
@@ -171,6 +186,7 @@ def installed(register: Register | None = None) -> Iterator[Exits]:
             if register:
                 register(handler, False)
     finally:
+        sys.unraisablehook = hook
         for number, old in before.items():
             signal.signal(number, old)
 

@@ -89,6 +89,24 @@ def test_the_first_request_is_raised_and_the_second_is_noted() -> None:
         assert exits.asked == ["SIGINT", "SIGINT", "SIGTERM"]
 
 
+class Dropped:
+    """Asked to end while Python calls back, where it drops what is raised."""
+
+    def __del__(self) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        len(())  # where the handler runs at the latest
+
+
+@posix
+def test_a_request_that_python_drops_in_a_callback_comes_again() -> None:
+    with installed() as exits:
+        kept = [Dropped()]
+        with pytest.raises(Interrupted, match=r"Ctrl-C"):
+            kept.clear()
+            signal.pause()
+        assert exits.asked == ["SIGINT"]
+
+
 @posix
 def test_nothing_is_raised_while_undisturbed_and_again_after() -> None:
     with installed() as exits:
