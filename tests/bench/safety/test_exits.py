@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -97,13 +97,17 @@ class Dropped:
         len(())  # where the handler runs at the latest
 
 
+def wait_after(work: Callable[[], None]) -> None:
+    work()
+    signal.pause()
+
+
 @posix
 def test_a_request_that_python_drops_in_a_callback_comes_again() -> None:
     with installed() as exits:
         kept = [Dropped()]
         with pytest.raises(Interrupted, match=r"Ctrl-C"):
-            kept.clear()
-            signal.pause()
+            wait_after(kept.clear)
         assert exits.asked == ["SIGINT"]
 
 
