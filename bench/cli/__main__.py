@@ -1,17 +1,13 @@
-"""``python -m bench.cli`` and ``teatbench``: Ctrl-C has its sentence also while the command loads,
-and costs no exit code where it has ended.
-"""
+"""``python -m bench.cli`` and ``teatbench``: Ctrl-C has its sentence also while it all loads."""
 
 import os
 import signal
 import sys
 
-FAULT = 3  # of CODES, which takes a tenth of a second to load
-
 
 def main() -> int:
     """Run the command of this process; gives back its exit code."""
-    code, words = FAULT, b"teatbench: interrupted: nothing was begun.\n"
+    code, words = 3, b"teatbench: interrupted: nothing was begun.\n"  # of CODES, which loads slowly
 
     def end(*_: object) -> None:
         os.write(2, words)
@@ -21,6 +17,7 @@ def main() -> int:
         signal.signal(signal.SIGINT, end)
     from bench.cli.main import main as run
 
+    words = b"teatbench: interrupted.\n"
     try:
         code, words = run(), b""
     except SystemExit as ended:  # argparse's
