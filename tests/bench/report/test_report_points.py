@@ -375,6 +375,9 @@ def test_a_browser_shows_all_of_it_without_a_network(browser: Browser, folder: P
         expect(page).to_have_url(re.compile(f"{re.escape(anchor)}$"))
         expect(page.locator(anchor)).to_contain_text("missed")
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        results = page.locator("[data-searchable] td.tone-bad")
+        ends = "found => found.map((one) => one.getBoundingClientRect().right)"
+        assert 0.0 < max(results.evaluate_all(ends)) <= 390.0
         assert violations(page, contrast=False) == []
         assert weak_texts(page) == []
         page.emulate_media(color_scheme="dark")
