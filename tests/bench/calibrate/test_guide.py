@@ -141,7 +141,7 @@ def test_a_camera_that_comes_back_costs_no_view(tmp_path: Path) -> None:
     room, fault = Room(), LinkError("left camera", "can't be opened")
     room.lost = [fault, fault]
     assert room.gather(tmp_path, ViewsRequest(("left",), (), most=1)) == 1
-    assert [one.number for one in room.asked] == [1, 1, 1]
+    assert len(room.asked) == 3
     assert room.note[0] == f"view 1: {fault} The view is asked for again."
     room.lost = [fault] * 3
     with pytest.raises(LinkError):

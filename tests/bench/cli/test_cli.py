@@ -177,14 +177,11 @@ def test_a_closed_pipe_is_no_fault(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
+INTERRUPTED = "teatbench: interrupted: nothing was begun.\n"
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
-@pytest.mark.parametrize(
-    ("when", "code", "text"),
-    [
-        ("import", 3, "teatbench: interrupted: nothing was begun.\n"),
-        ("exit", 2, ""),
-    ],
-)
+@pytest.mark.parametrize(("when", "code", "text"), [("import", 3, INTERRUPTED), ("exit", 2, "")])
 def test_ctrl_c_while_a_command_loads_or_after_it_ended(when: str, code: int, text: str) -> None:
     program = """
 import atexit, os, signal, sys
