@@ -174,7 +174,7 @@ def _timed(found: Reported, rig: LoadedRig, script: LoadedScript) -> Reported:
     expected = estimate.needs(rig, script, estimate.read_durations(record.folder.parent, rig)).time
     warm = record.facts[ASKED].get("warm")
     if warm and "settling_s" not in spent:  # the bath was stable since the run before
-        expected = replace(expected, settling_s=0.0)
+        expected = replace(expected, preparing_s=0.0, settling_s=0.0)
     if not warm:
         with suppress(OSError):  # an estimate isn't worth a fault
             figures = estimate.figures(record, rig, script, spent)

@@ -42,6 +42,7 @@ from detector.calibration.corners import (
 )
 from detector.calibration.diagnosis import PairView
 from instruments.camera.frame import Grey
+from instruments.errors import InstrumentError
 from instruments.operators.operator import BoardPose, Operator, OperatorEnough
 from instruments.world.boards import Pattern
 from textfiles.bounds import COUNT
@@ -309,6 +310,7 @@ def _spread(views: Mapping[str, Path], most: int | None) -> dict[str, Path]:
 
 
 MOST_VIEWS = 60
+TRIES = 3  # of one view, where a camera does not answer: its cable is put back meanwhile
 SHOWN = 3  # of what is missing, in one instruction
 GUIDE = "guide.png"
 HEIGHT_PX = 480  # of each camera's part of the guide's picture
@@ -337,8 +339,8 @@ def gather(
 ) -> int:
     """Keep views as CAMERA/NN.png; returns how many. Raises OperatorAbort, ConfigError."""
     guide = Guide(board, wanted.guided)
-    pattern = pattern_of(board)
-    for number in range(1, wanted.most + 1):
+    pattern, number, lost = pattern_of(board), 1, 0
+    while number <= wanted.most:
         missing = guide.missing
         if wanted.guided and not missing:
             report("Nothing is missing any more.")
@@ -347,10 +349,15 @@ def gather(
         asked = BoardPose(pattern, text, number, wanted.cameras, wanted.heated)
         try:
             operator.ask(asked)
+            seen, lost = look(), 0
         except OperatorEnough as enough:
             report(f"Enough: {enough}. Still missing: {'; '.join(missing) or 'nothing'}.")
             return number - 1
-        seen = look()
+        except InstrumentError as error:
+            if (lost := lost + 1) == TRIES:
+                raise
+            report(f"view {number}: {error} The view is asked for again.")
+            continue
         for camera in wanted.cameras:
             if camera not in seen:
                 raise ConfigError.plain(
@@ -364,6 +371,7 @@ def gather(
         )
         report(f"view {number}: " + "; ".join(f"{camera} {text}" for camera, text in said.items()))
         write_picture(folder / GUIDE, guide.picture())
+        number += 1
     report(
         f"{wanted.most} views are enough. Still missing: {'; '.join(guide.missing) or 'nothing'}."
     )

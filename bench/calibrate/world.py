@@ -28,7 +28,7 @@ from detector.calibration.rigid import WorldFit, fit_world
 from detector.calibration.values import covariance_of_points
 from detector.geometry import Array
 from instruments.camera.frame import Grey
-from instruments.errors import DeviceError, TouchAgainError
+from instruments.errors import DeviceError, InstrumentError, TouchAgainError
 from instruments.microscribe.driver import Reading
 from instruments.operators.operator import BoardPose, BoardTouch, Operator, Release
 from textfiles import tables
@@ -228,10 +228,10 @@ def _fixed(asking: TouchSession, board: Board, position: int, folder: Path) -> t
             " hands and arm out of the pictures."
         )
         asking.operator.ask(BoardPose(pattern_of(board), text, position, fixed=True))
-        pictures = asking.look()
         try:
+            pictures = asking.look()
             pixels = _looked(pictures, board)
-        except ViewRefusedError as why:
+        except (ViewRefusedError, InstrumentError) as why:
             asking.report(f"position {position}: refused: {why}")
             again = f"Not found ({why}) "
             continue

@@ -176,7 +176,7 @@ def _banner(run: RunRecord, status: RunStatus, rules: Rules, *, several: bool) -
         kind=facts["kind"],
         verdict=cast(Verdict, status.word),
         tested=(
-            f"{facts['title']}: {', '.join(run.detectors)} "
+            f"{', '.join(run.detectors)} "
             f"on {plural(len(run.counted), 'frame set')} of {plural(poses, 'pose')}"
             f"{left_out}.{emulated}"
         ),
@@ -192,7 +192,6 @@ def _banner(run: RunRecord, status: RunStatus, rules: Rules, *, several: bool) -
 ABOUT = {
     "page-accuracy": "errors, rates, poses, time",
     "page-truth": "what is measured, how well",
-    "page-bath": "stability, safe states",
     "page-thesis": "its figures beside ours",
     "page-provenance": "item, versions, files, command",
 }
@@ -271,13 +270,14 @@ def _confidence(run: RunRecord, rules: Rules, poses: int, words: set[str]) -> st
     if not any(trial.truth for trial in run.counted):
         return f"{poses} poses have no truth: they show nothing of how well a detector finds teats."
     best = (1.0 - confidence) ** (1.0 / poses)
-    message = f"{plural(poses, 'pose')} {'was' if poses == 1 else 'were'} tried: "
+    many = plural(poses, "pose")
     if words == {"not met"}:  # what another detector shows depends on how many there are
-        message += "what failed in them shows what is not met, however few they are."
+        tried = f"{many} {'was' if poses == 1 else 'were'} tried"
+        message = f"{tried}: what failed in them shows what is not met, however few they are."
     else:
-        message += f"without a failure so many show a success rate of at least {100 * best:.1f} %,"
-        message += f" with {sure}."
-    if poses < needed:
+        message = f"{many} without a failure would show a success rate of at least"
+        message += f" {100 * best:.1f} %, with {sure}."
+    if poses < needed and len(words) < 2:  # each of several says how many it misses
         message += f" To show {100 * rate:g} % takes {needed} poses without a failure."
     if (known_mm := tables.truth_known_mm(run)) is not None:
         message += f" The truth is known to {known_mm:.2f} mm in 95 %."

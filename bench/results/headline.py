@@ -102,19 +102,23 @@ def _each(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[str, str]:
     for one in judgements:
         verdict, _, action = _one(run, (one,))
         same = {verdict} | ({Verdict.NOT_MEASURED} if verdict is Verdict.INCONCLUSIVE else set())
-        which = "; ".join(map(missing_text, (d for d in one.decisions if d.verdict in same)))
+        short = [d for d in one.decisions if d.verdict in same]
+        full = next((d for d in short if d.missing is not None), None)
+        which = "; ".join(missing_text(d, brief=d is not full) for d in short)
         why += _silence(run, one.detector)
-        why.append(
-            f"{one.detector}: {verdict}: {'all requirements' if verdict is Verdict.MET else which}."
-        )
+        if verdict is not Verdict.MET:
+            why.append(f"{one.detector}: {verdict}: {which}.")
         then.setdefault(action, []).append(one.detector)
+    why = why or ["Each detector meets all requirements."]
     return "\n".join(why), "\n".join(f"{', '.join(who)}: {what}" for what, who in then.items())
 
 
-def missing_text(decision: Decision) -> str:
-    """``p95 (33 more poses without a failure would show it)``."""
+def missing_text(decision: Decision, *, brief: bool = False) -> str:
+    """``p95 (33 more poses without a failure would show it)``; ``brief``: ``p95 (33 more)``."""
     if decision.missing is None:
         return decision.name
+    if brief:
+        return f"{decision.name} ({decision.missing} more)"
     more = plural(decision.missing, "more pose")
     return f"{decision.name} ({more} without a failure would show it)"
 
@@ -196,11 +200,7 @@ def _next_action(verdict: Verdict, which: Sequence[Decision], of_bench: frozense
     names = ", ".join(dict.fromkeys(one.name for one in own))
     if verdict is Verdict.NOT_MET:
         first = f"Put the bench right before all else: {bench}; what it measured may be wrong."
-        then = (
-            "The detector has to become better. Begin with the trials to look at first."
-            if names
-            else "Then run the script again."
-        )
+        then = "The detector has to become better." if names else "Then run the script again."
     else:
         first = f"Complete what is missing of: {bench}."
         most = max((one.missing for one in own if one.missing is not None), default=None)

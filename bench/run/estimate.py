@@ -83,6 +83,7 @@ def spent_of(
 
 
 ASSUMED = {
+    "start": 20.0,  # s: instruments are opened and asked, the bath begins to heat
     "heating": 0.5,  # K/min: a bath of 20 L, with 1 kW, and its losses
     "acceleration": 200.0,  # mm/s^2: what stages of this kind are set to
     "homing": 60.0,  # s
@@ -90,7 +91,9 @@ ASSUMED = {
     "placing": 30.0,  # s: a person moves the plate
     "touch": 8.0,  # s: a person finds the apex and holds still
     "capture": 1.0,  # s: a frame set
+    "detecting": 2.0,  # s a trial: with its record and a sign of life of the bath's sensor
 }
+READING_S = 0.07  # of an emulated arm, whose hand needs no time to find the apex
 UNITS = {"heating": "K/min", "acceleration": "mm/s^2"}
 
 
@@ -98,19 +101,21 @@ UNITS = {"heating": "K/min", "acceleration": "mm/s^2"}
 class TimeEstimate:
     """Seconds by what they are spent on."""
 
+    preparing_s: float
     settling_s: float
     moves_s: float
     set_ups_s: float
     captures_s: float
     touches_s: float
+    detecting_s: float
 
     @property
     def total_s(self) -> float:
         return float(sum(asdict(self).values()))
 
     def each_s(self, trials: int) -> float:
-        """One of so many trials, without the settling before the first."""
-        return (self.total_s - self.settling_s) / trials
+        """One of so many trials, without what is before the first."""
+        return (self.total_s - self.preparing_s - self.settling_s) / trials
 
 
 def estimate(
@@ -126,12 +131,20 @@ def estimate(
         feed, accel = stage.feed_mm_per_min, figures["acceleration"]
         moves_s += sum(move_s(math.dist(a, b), feed, accel) for a, b in pairwise(places))
     return TimeEstimate(
+        # with the arm's homing
+        preparing_s=figures["start"] + (1 + _arm_checks(rig)) * figures["touch"],
         settling_s=gate.window_s + 60.0 * rise_k / figures["heating"],
         moves_s=moves_s,
         set_ups_s=sum(_set_ups_s(r.stage.axes if r.stage else "", planned, figures)),
         captures_s=len(planned) * (r.cameras.settle_s + figures["capture"]),
         touches_s=sum(_touches(rig, script)) * figures["touch"],
+        detecting_s=len(planned) * figures["detecting"],
     )
+
+
+def _arm_checks(rig: LoadedRig) -> int:
+    """Touches of the check point: before the trials, and one after, where nothing has moved."""
+    return rig.rig.arm.check_touches + 1 if rig.rig.arm.check_point_mm else 0
 
 
 def gate_of(script: LoadedScript) -> StabilityGate:
@@ -211,23 +224,21 @@ def needs(
 ) -> Forecast:
     """From what was ``measured`` on the rig, else from what is assumed (emulated parts: none)."""
     measured, emulated = measured or {}, rig.rig.simulated
-    figures = {**ASSUMED, **measured}
+    figures = {**ASSUMED}
     if emulated:
         figures |= {"homing": 0.0, "capture": 0.0}
     if not rig.rig.by_person:
-        figures |= dict.fromkeys(
-            ("set-up", "placing", "touch"), rig.rig.emulation.prompt_s if emulated else 0.0
-        )
+        prompt_s = rig.rig.emulation.prompt_s if emulated else 0.0
+        figures |= {"set-up": prompt_s, "placing": prompt_s, "touch": prompt_s + READING_S}
+    figures |= measured
     time = estimate(rig, script, figures)
     if emulated or "heating" not in measured:
         time = replace(time, settling_s=settling_of(rig, script))
     arm, touches = rig.rig.arm, _touches(rig, script)
-    # one more afterwards, where nothing has moved
-    checks = arm.check_touches + 1 if arm.check_point_mm else 0
     readings = script.script.truth.readings or arm.touches
     of_ends = f"teat ends ({readings} {'touch' if readings == 1 else 'touches'} each)"
     ends = sum(touches) // readings
-    asked = {"homing": 1, "arm check": checks, "set-ups": len(touches), of_ends: ends}
+    asked = {"homing": 1, "arm check": _arm_checks(rig), "set-ups": len(touches), of_ends: ends}
     return Forecast(time, disk_mb(rig, len(script.planned)), asked)
 
 
@@ -264,6 +275,7 @@ def took(run: RunRecord) -> dict[str, float]:
         spent, first = spent_of(events), spent_of(events, first_settling=True)
         touches = sum(event.get("kind") in ("touch", "check point") for event in events)
         each = {"settling_s": first[SETTLING], "set_ups_s": spent[SET_UPS]}
+        each |= {"preparing_s": spent[PREPARING], "moves_s": spent[MOVES]}
         found |= {name: seconds for name, seconds in each.items() if seconds}
         if touches:
             found["touch_s"] = spent[TOUCHES] / touches
@@ -282,7 +294,13 @@ def figures(
         measured["heating"] = 60.0 * rise_k / heating_s
     if "touch_s" in spent:
         measured["touch"] = spent["touch_s"]
-    assumed_s = estimate(rig, script).set_ups_s
+    assumed = estimate(rig, script)
+    if "preparing_s" in spent:
+        measured["start"] = spent["preparing_s"]
+    if "moves_s" in spent:  # and what isn't told from them
+        others_s = spent["moves_s"] - assumed.moves_s + (ASSUMED["homing"] if rig.rig.stage else 0)
+        measured["detecting"] = max(0.0, others_s) / len(script.planned)
+    assumed_s = assumed.set_ups_s
     if "set_ups_s" in spent and assumed_s > 0.0:
         # both in the proportion that is assumed of them
         share = spent["set_ups_s"] / assumed_s

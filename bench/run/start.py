@@ -309,13 +309,14 @@ def _run(
         current().check_interrupts()
         expected = needs(rig, script, read_durations(store.folder.parent, rig)).time
         if held.warm_bath == script.script.bath:
-            expected = replace(expected, settling_s=0.0)
+            expected = replace(expected, preparing_s=0.0, settling_s=0.0)
         trials = len(script.planned)
         to_do = trials - len(left.done) if left else trials
         Requests(store.folder, how.typed, events.warn).forget()
         Live(store.folder).end()
         drop_report(store.folder)
-        left_s = (expected.settling_s + to_do * expected.each_s(trials)) / (how.speed or 1.0)
+        first_s = expected.preparing_s + expected.settling_s
+        left_s = (first_s + to_do * expected.each_s(trials)) / (how.speed or 1.0)
         whose = f"at {how.speed:g} times the speed" if how.speed else "of the bench's time"
         note = f"{plural(to_do, 'trial')}, {time_left(left_s)} {whose}"
         how.begun(f"{note}. Run folder: {store.folder}")

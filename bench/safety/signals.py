@@ -2,12 +2,8 @@
 (SIGHUP), a closed console window.
 
 The first request is raised in the main thread as `Interrupted`, so that every `finally` runs and
-the bench passes through safe; what comes while it is on its way there is only noted. The handler of
-the signals is itself the state, so nothing is global but what the system keeps.
-
-Windows reports a closed console window on a thread of its own, and ends the program when that
-returns. What is done about it is plain logic, and tested everywhere; only `windows_register` needs
-Windows. Elsewhere a terminal that closes sends SIGHUP.
+the bench passes through safe; what comes while it is on its way there is only noted. Windows
+reports a closed console window on a thread of its own, and ends the program when that returns.
 """
 
 from __future__ import annotations
@@ -21,8 +17,9 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any
 
-from instruments.clock import UNBROKEN, RealClock, stopwatch_s
+from instruments.clock import UNBROKEN, stopwatch_s
 
 # wincon.h
 CTRL_C_EVENT, CTRL_BREAK_EVENT, CTRL_CLOSE_EVENT = 0, 1, 2
@@ -69,8 +66,7 @@ ASKED_BY = {
     "SIGHUP": "SIGHUP: the terminal or its connection has gone",
     "SIGBREAK": "Ctrl-Break",
 }
-# a second Ctrl-C within this is the same request; a later one is that of a person who sees nothing
-# happen
+# a second Ctrl-C within this is the same request, a later one of who sees nothing happen
 ON_THE_WAY_S = 5.0
 AMID_A_LOCK = ("__enter__", "__exit__", "_release_save", "_acquire_restore", "notify", "notify_all")
 MOMENT_S = 0.001
@@ -93,16 +89,7 @@ class Exits:
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         if _must_go_on(frame):
-            # The signal comes once more, in a moment
-            def later() -> None:
-                RealClock().sleep(MOMENT_S)
-                if sys.platform == "win32":
-                    _thread.interrupt_main(number)
-                else:
-                    # also out of a call that waits
-                    signal.pthread_kill(threading.main_thread().ident or 0, number)
-
-            threading.Thread(target=later, name="signal", daemon=True).start()
+            _send_again(number)
             return
         name = signal.Signals(number).name
         self.asked.append(name)
@@ -116,6 +103,13 @@ class Exits:
             return
         self._raised_s = now
         raise _interrupted(name)
+
+    def take_dropped(self, dropped: Any) -> bool:
+        """Python drops what is raised in ``__del__`` or a weak reference's callback: once more."""
+        if taken := isinstance(dropped.exc_value, Interrupted):
+            self._raised_s = None
+            _send_again(signal.Signals[self.asked.pop()])
+        return taken
 
     def hold(self) -> None:
         """From now on requests are noted and not raised. Each call needs its ``let_go``."""
@@ -146,21 +140,32 @@ class Exits:
         return True
 
 
+def _send_again(number: int) -> None:
+    """The signal comes once more, in a moment; also out of a call that waits."""
+    if sys.platform == "win32":
+        later = threading.Timer(MOMENT_S, _thread.interrupt_main, (number,))
+    else:
+        main = threading.main_thread().ident or 0
+        later = threading.Timer(MOMENT_S, signal.pthread_kill, (main, number))
+    later.daemon = True
+    later.start()
+
+
 def _interrupted(name: str) -> Interrupted:
     return Interrupted(f"the run was interrupted ({ASKED_BY.get(name, name)})")
 
 
 @contextmanager
 def installed(register: Register | None = None) -> Iterator[Exits]:
-    """Handle all requests to end while this lasts; what was ignored at the start (`nohup`, `&`)
-    stays ignored. ``register``: Windows's, of a closed console window.
-    """
+    """Handle all requests to end while this lasts; what was ignored before (`nohup`) stays so."""
     exits = Exits()
     if threading.current_thread() is not threading.main_thread():
         yield exits
         return
     received = [number for number in _numbers() if signal.getsignal(number) is not signal.SIG_IGN]
     before = {number: signal.signal(number, exits) for number in received}
+    hook = sys.unraisablehook
+    sys.unraisablehook = lambda dropped: exits.take_dropped(dropped) or hook(dropped)
     register, handler = register or windows_register(), exits.console_event
     try:
         if register:
@@ -171,6 +176,7 @@ def installed(register: Register | None = None) -> Iterator[Exits]:
             if register:
                 register(handler, False)
     finally:
+        sys.unraisablehook = hook
         for number, old in before.items():
             signal.signal(number, old)
 

@@ -94,7 +94,7 @@ def outcome_bars(situations: Sequence[str], counts: Mapping[str, Sequence[Counts
         axes.barh(y, one, left=left[:-1], height=height, color=colours)
         if several:
             marks(axes, -0.03 * most, y, role, 4, form, clip_on=False)
-        text = " · ".join(map(str, one))
+        text = " · ".join(map(str, one)) if any(one[1:]) else str(one[0])
         axes.text(left[-1] + 0.02 * most, y, text, va="center", fontsize=7.5)
     axes.set(xlim=(-0.06 * most, 1.3 * most), xlabel="teats, and answers where there is none")
     row_names(axes, situations, _LONGEST)

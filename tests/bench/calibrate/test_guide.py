@@ -23,6 +23,7 @@ from bench.calibrate.views import (
 from bench.config import ConfigError
 from detector.calibration.boards import Board
 from detector.geometry import Camera, Motion
+from instruments.errors import InstrumentError, LinkError
 from instruments.operators.operator import (
     DONE,
     Answer,
@@ -64,6 +65,7 @@ class Room:
     def __init__(self, *, empty: tuple[int, ...] = (), enough_at: int | None = None) -> None:
         self.asked: list[BoardPose] = []
         self.note: list[str] = []
+        self.lost: list[InstrumentError] = []
         self._empty, self._enough_at, self._shown = empty, enough_at, 0
 
     def ask(self, asked: Request, check: Callable[[], None] = no_check) -> Answer:
@@ -74,6 +76,8 @@ class Room:
         return DONE
 
     def look(self) -> Mapping[str, NDArray[np.uint8]]:
+        if self.lost:
+            raise self.lost.pop()
         if self.asked[-1].number in self._empty:
             return {"left": NOTHING}
         self._shown += 1
@@ -131,6 +135,17 @@ def test_who_shows_nothing_is_not_asked_for_ever(tmp_path: Path) -> None:
     room = Room(empty=(1, 2, 3))
     assert room.gather(tmp_path, ViewsRequest(("left",), ("left",), most=3)) == 3
     assert "12 more views" in room.note[-1]
+
+
+def test_a_camera_that_comes_back_costs_no_view(tmp_path: Path) -> None:
+    room, fault = Room(), LinkError("left camera", "can't be opened")
+    room.lost = [fault, fault]
+    assert room.gather(tmp_path, ViewsRequest(("left",), (), most=1)) == 1
+    assert len(room.asked) == 3
+    assert room.note[0] == f"view 1: {fault} The view is asked for again."
+    room.lost = [fault] * 3
+    with pytest.raises(LinkError):
+        room.gather(tmp_path, LEFT_ALONE)
 
 
 @pytest.mark.slow

@@ -177,6 +177,35 @@ def test_a_closed_pipe_is_no_fault(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
+INTERRUPTED = "teatbench: interrupted: nothing was begun.\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
+@pytest.mark.parametrize(("when", "code", "text"), [("import", 3, INTERRUPTED), ("exit", 2, "")])
+def test_ctrl_c_while_a_command_loads_or_after_it_ended(when: str, code: int, text: str) -> None:
+    program = """
+import atexit, os, signal, sys
+from bench.cli.__main__ import main
+interrupt = lambda: os.kill(os.getpid(), signal.SIGINT)
+class Loading:
+    def find_spec(self, name, *_):
+        if name == "bench.cli.commands":
+            interrupt()
+if sys.argv[1] == "import":
+    sys.meta_path.insert(0, Loading())
+else:
+    atexit.register(interrupt)
+sys.argv[1:] = ["help", "no-such-page"]
+sys.exit(main())
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", program, when], capture_output=True, text=True, cwd=ROOT, check=False
+    )
+    assert ended.returncode == code, ended.stderr
+    assert ended.stderr.endswith(text)
+    assert "Traceback" not in ended.stderr
+
+
 def test_rigs_lists_what_can_be_run_and_says_what_to_copy(said: Said) -> None:
     *runs, copy = said(0, "rigs").out.splitlines()
     assert runs == ["emulated", "emulated-browser", "emulated-depth"]

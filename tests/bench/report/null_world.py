@@ -57,6 +57,7 @@ from instruments.world.world import World as EmulatedWorld
 from reports.render import Press, environment
 from tests.bench import operated_runs
 from tests.bench.killed_runs import Silent
+from tests.conftest import ROOT
 from tests.undrawn import bare
 
 Floats = NDArray[np.float64]
@@ -69,48 +70,7 @@ AT_THE_LIMIT_MM = LIMIT_MM / np.sqrt(7.814727903251179)
 MADE = datetime(2026, 11, 1, 8, 0, tzinfo=UTC)
 SERIAL = "40937"
 
-SCRIPT = """title = "Null world"
-detectors = ["thesis"]
-visible_within_mm = 5.0
-time_limit_s = 2.0
-
-[bath]
-set_point_c = 33.0
-window_s = 2.0
-slope_k_per_min = 10.0
-teat_slope_k_per_min = 10.0
-
-{truth}
-
-[[requirements]]
-kind = "error"
-name = "error"
-limit_mm = 5.0
-
-[[requirements]]
-kind = "success"
-name = "reliability"
-rate = 0.95
-
-[[requirements]]
-kind = "false_teats"
-name = "no false teat"
-
-[[requirements]]
-kind = "arm_verified"
-name = "arm verified"
-{arm_rule}
-max_age_days = 100000
-
-[[trials]]
-name = "p"
-situation = "plane"
-layout = "single"
-set_up = "One teat."
-poses = [
-{poses}
-]
-"""
+SCRIPT = (ROOT / "tests/data/null_world.toml.txt").read_text(encoding="utf-8")
 STAGE = 'url = "emulator:"\naxes = "XYZ"'
 MEMORY = Path("/dev/shm")  # where there is one, nothing is waited for that a disk has to write
 CARRY = """[truth]

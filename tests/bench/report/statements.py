@@ -188,7 +188,7 @@ KINDS = (
     # what is known of the truth
     Kind(
         "the truth is known to",
-        rf"\d+ poses? (?:was|were) tried: .* The truth is known to (?:± )?{N} mm(?: in 95 %)?\.",
+        rf"\d+ poses? (?:(?:was|were) tried:|without a failure) .* The truth is known to (?:± )?{N} mm(?: in 95 %)?\.",
         lambda m, s, d: _first_truth(d) > float(m[1]),
     ),
     Kind(

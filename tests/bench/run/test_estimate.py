@@ -73,6 +73,8 @@ def test_a_run_teaches_how_long_the_next_takes(heated: Heated) -> None:
     assert measured["touch"] == pytest.approx(30.0, abs=2.0), (
         "a prompt takes the emulated operator so long"
     )
+    assert measured["start"] > 0.0
+    assert measured["detecting"] > 0.0
     assert read_durations(folder, rig) == pytest.approx(measured)
 
 
@@ -138,13 +140,15 @@ def test_needs_by_hand() -> None:
     first, by_then = (needs(by_hand, script, measured).time for measured in (None, {"touch": 16.0}))
     usual = estimate(rig, script)
     assert (first.set_ups_s, first.touches_s) == (usual.set_ups_s, usual.touches_s)
-    assert by_then == replace(first, touches_s=2.0 * first.touches_s)
+    assert (usual.preparing_s, usual.detecting_s) == (20.0 + (1 + 5 + 1) * 8.0, 18 * 2.0)
+    twice_s = first.preparing_s + (1 + 5 + 1) * 8.0  # homing, and the checks of the arm
+    assert by_then == replace(first, touches_s=2.0 * first.touches_s, preparing_s=twice_s)
     assert needs(rig, script).prompts == 1 + 5 + 1 + 18 * (1 + 4) == 97, "one request a teat end"
     plane = load_script(find_script("plane-map"))
     assert needs(rig, plane).prompts < len(plane.planned), "carried: most trials ask nobody"
     assert needs(by_hand, plane).time.touches_s == pytest.approx(7 * 3 * 8.0), (
         "the first, before every 26th further one, and the last"
     )
-    took_20_min = "It took 20 min of the bench's time; 72 min had been expected."
+    took_20_min = "It took 20 min of the bench's time; 74 min had been expected."
     assert estimate_text(usual, {"total_s": 1200.0}) == took_20_min
     assert set(ASSUMED) >= {"heating", "touch", "set-up", "placing"}

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -87,6 +87,28 @@ def test_the_first_request_is_raised_and_the_second_is_noted() -> None:
         os.kill(os.getpid(), signal.SIGINT)
         os.kill(os.getpid(), signal.SIGTERM)
         assert exits.asked == ["SIGINT", "SIGINT", "SIGTERM"]
+
+
+class Dropped:
+    """Asked to end while Python calls back, where it drops what is raised."""
+
+    def __del__(self) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        len(())  # where the handler runs at the latest
+
+
+def wait_after(work: Callable[[], None]) -> None:
+    work()
+    signal.pause()
+
+
+@posix
+def test_a_request_that_python_drops_in_a_callback_comes_again() -> None:
+    with installed() as exits:
+        kept = [Dropped()]
+        with pytest.raises(Interrupted, match=r"Ctrl-C"):
+            wait_after(kept.clear)
+        assert exits.asked == ["SIGINT"]
 
 
 @posix

@@ -15,39 +15,12 @@ from instruments.bath.profile import load_register_profile
 from instruments.bath.requests import markers
 from instruments.bath.rows import WORDS, Kind, Order, decode, encode
 from instruments.device_file import DeviceFileError
+from tests.conftest import ROOT
 from tests.instruments.bath.devices import REGISTER_FAMILIES
 
 ORDERS: list[Order] = ["ABCD", "CDAB", "BADC", "DCBA"]
 
-SMALL = """
-family = "SMALL"
-source = "made up for this test"
-transports = ["tcp"]
-comms_loss = "unknown"
-comms_loss_evidence = "INFERRED"
-[[rows]]
-name = "temperature"
-table = "input"
-address = 10
-type = "f32"
-evidence = "CERTAIN"
-[[rows]]
-name = "set_point"
-table = "holding"
-address = 2
-type = "f32"
-access = "rw"
-range = [5.0, 36.0]
-evidence = "CERTAIN"
-[[rows]]
-name = "run"
-table = "holding"
-address = 0
-type = "u16"
-access = "rw"
-values = { standby = 0, started = 1 }
-evidence = "CERTAIN"
-"""
+SMALL = (ROOT / "tests/data/small_bath.toml").read_text(encoding="utf-8")
 
 
 def written(folder: Path, text: str) -> Path:
