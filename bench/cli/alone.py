@@ -100,11 +100,7 @@ def of_stage(given: argparse.Namespace) -> None:
 
 def status(given: argparse.Namespace) -> None:
     with _opened(given) as stage:
-        figures = bench.describe_stage(stage)
-    if given.json:
-        print_json(figures)
-    else:
-        print_values(figures)
+        print_values(bench.describe_stage(stage), as_json=given.json)
 
 
 def attached(given: argparse.Namespace) -> None:

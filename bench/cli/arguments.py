@@ -130,8 +130,11 @@ def print_json(value: Mapping[str, Any], **how: Any) -> None:
     print(text, file=stdout(), flush=True)
 
 
-def print_values(values: Mapping[str, object]) -> None:
-    """A line each: its name, and what there is to say of it."""
+def print_values(values: Mapping[str, object], *, as_json: object = False) -> None:
+    """A line each: its name, and what there is to say of it; or `print_json`."""
+    if as_json:
+        print_json(values)
+        return
     for name, value in values.items():
         print(name if value == "" else f"{name}: {value}")
 

@@ -34,10 +34,7 @@ COMPILED = "c++ -O2 -std=c++17 -o {name} {name}.cpp"
 
 def listed(given: argparse.Namespace) -> None:
     found = bench.detectors()
-    if given.json:
-        print_json({"detectors": found})
-    else:
-        print_values(found)
+    print_values({"detectors": found} if given.json else found, as_json=given.json)
 
 
 def new(given: argparse.Namespace) -> None:

@@ -19,16 +19,9 @@ from functools import cache
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from bench.cli import arguments as shared
 from bench.cli import commands
-from bench.cli.arguments import (
-    CODES,
-    EXIT_CODES,
-    call,
-    complain,
-    in_switches,
-    stdout,
-    stdout_for_json,
-)
+from bench.cli.arguments import CODES, EXIT_CODES, call, complain, in_switches
 from bench.safety.signals import installed
 from bench.version import __version__
 from reports.sanitize import sanitizing
@@ -89,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if (limit := _address_limit()) < LEAST_BYTES:
                 why = f"{limit >> 20} MB of memory are allowed, {LEAST_BYTES >> 20} are needed"
                 return complain(f"{why}: {LIMIT}", CODES.fault)
-            with stdout_for_json() if vars(given).get("json") else nullcontext():
+            with shared.stdout_for_json() if vars(given).get("json") else nullcontext():
                 return _run(given)
     except KeyboardInterrupt:
         return complain(f"interrupted: {given.left}.", CODES.fault)
@@ -104,8 +97,15 @@ def _set_up_libraries(*, alone: bool) -> None:
     for name, value in LIBRARIES.items():
         os.environ.setdefault(name, value)
     if alone:
-        # Python's search for cycles among all objects at its end takes a third of a second
-        atexit.register(gc.freeze)
+        atexit.register(_freeze)
+
+
+def _freeze() -> None:
+    """Python's search for cycles among all objects at its end takes a third of a second; where
+    DuckDB is loaded it is done, or DuckDB lists what it takes for leaks.
+    """
+    if "_duckdb" not in sys.modules:
+        gc.freeze()
 
 
 def _address_limit() -> int:
@@ -137,7 +137,7 @@ def _run(given: argparse.Namespace) -> int:
         why = f"the run's record can't be written or read: {error}. {HINT}"
         return complain(why, CODES.fault)
     except BrokenPipeError:  # the reader of our output has gone (`| head`)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stdout().fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), shared.stdout().fileno())
         return CODES.met
 
 

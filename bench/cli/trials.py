@@ -22,10 +22,7 @@ WIDEST = 500  # of a table in a file, in characters
 
 def listed(given: argparse.Namespace) -> None:
     rows = {name: bench.load_script(name).script.about for name in bench.scripts()}
-    if given.json:
-        print_json({"scripts": rows})
-    else:
-        print_values(rows)
+    print_values({"scripts": rows} if given.json else rows, as_json=given.json)
 
 
 def show(given: argparse.Namespace) -> int:

@@ -31,6 +31,7 @@ from instruments.world.situations import situation
 from tests.bench.campaign.small_campaign import KILLS, Here, module, small_plan
 from tests.bench.commands import Said
 from tests.bench.forked import Running, begin
+from tests.conftest import ROOT
 from tests.ports import free_ports
 from tests.waiting import within
 
@@ -214,6 +215,10 @@ def test_what_the_commands_write_and_refuse(
 
     table = said(0, "campaign query {} {}", folder, ["SELECT count(*) AS n FROM teats"]).out
     assert table.split()[0] == "n"
+    alone = [sys.executable, "-m", "bench.cli", "campaign", "query"]
+    asked = [*alone, str(folder), "SELECT 1 AS one"]
+    ended = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert (ended.stdout.split(), ended.stderr) == (["one", "1"], "")
     rows = said(0, "campaign query {} {} --json", folder, ["SELECT * FROM scenes LIMIT 1"]).out
     assert set(json.loads(rows)["rows"][0]) >= {"family", "member", "detector", "failure", "max_mm"}
     assert "SELEC" in said(2, "campaign query {} SELEC", folder).err
