@@ -9,12 +9,14 @@ from __future__ import annotations
 import json
 import os
 import platform
+from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 RUN_LOCK = "bench.lock.json"
 TRIP = "trip"  # the kind of the event
+CREATED_WITHIN_S = 5.0  # what a system's clock that is set moves when a process began
 NO_ENDING = "interrupted"  # in the record: of a run that goes on, too
 
 
@@ -48,9 +50,7 @@ def run_lock(folder: Path) -> Path:
 def holder_of(folder: Path) -> dict[str, Any]:
     """Which bench runs in ``folder``; empty for none, or one of this machine that has died."""
     holder = holder_in(run_lock(folder))
-    if holder.get("host") == platform.node() and not lives(holder.get("pid")):
-        return {}
-    return holder
+    return holder if lives(holder) else {}
 
 
 def holder_in(path: Path) -> dict[str, Any]:
@@ -64,18 +64,30 @@ def holder_in(path: Path) -> dict[str, Any]:
     return holder if isinstance(holder, dict) else {}
 
 
-def lives(pid: Any) -> bool:
-    """Whether a process of this machine has this number."""
+def this_process() -> dict[str, Any]:
+    """What tells it from all others, of this machine and of those before this one's last start."""
+    import psutil
+
+    pid = os.getpid()
+    return {"host": platform.node(), "pid": pid, "created": psutil.Process(pid).create_time()}
+
+
+def lives(holder: Mapping[str, Any]) -> bool:
+    """Whether the process that `this_process` gave this of goes on: neither one that has ended and
+    waits for its parent, nor another that got its number. On another machine: as far as is known.
+    """
+    import psutil
+
+    pid, created = holder.get("pid"), holder.get("created")
+    if holder.get("host", platform.node()) != platform.node():
+        return True
     if not isinstance(pid, int):
         return False
-    if os.name == "nt":  # os.kill would end it
-        import psutil
-
-        return bool(psutil.pid_exists(pid))
     try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
+        process = psutil.Process(pid)
+        same = created is None or abs(process.create_time() - created) < CREATED_WITHIN_S
+        return bool(same and process.status() != psutil.STATUS_ZOMBIE)
+    except (psutil.NoSuchProcess, ValueError, OverflowError):
         return False
-    except OSError:  # another user's
+    except psutil.Error:  # another user's
         return True
-    return True

@@ -5,8 +5,6 @@ the status of each run. Nothing else is kept of a queue.
 from __future__ import annotations
 
 import json
-import os
-import platform
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -15,7 +13,7 @@ from typing import Any
 
 from bench.config import ConfigError
 from bench.files import write_synced
-from bench.record.state import State, holder_in, lives
+from bench.record.state import State, holder_in, lives, this_process
 from bench.results.status import RunStatus, read_status
 from bench.scoring.rates import plural
 from instruments.clock import wall_time
@@ -98,7 +96,7 @@ class QueueNote:
         path = out / f"{name}.json" if len(scripts) > 1 else None
         text: dict[str, Any] = {"version": VERSION, "rig": rig, "scripts": [*scripts], "runs": []}
         text |= {"started": now.isoformat(timespec="seconds"), "ended": ""}
-        note = cls(path, text | {"host": platform.node(), "pid": os.getpid()})
+        note = cls(path, text | this_process())
         note._write()
         return note
 
@@ -130,7 +128,7 @@ def read_queue(path: Path) -> QueueStatus:
         rows = zip(found["scripts"], runs, strict=True)
         scripts = tuple(QueueEntry(one, run, _status(path.parent, run)) for one, run in rows)
         ended = found["ended"]
-        if not ended and found["host"] == platform.node() and not lives(found["pid"]):
+        if not ended and not lives(found):
             ended = DIED
         return QueueStatus(path.stem, found["rig"], found["started"], scripts, ended)
     except (LookupError, TypeError, ValueError) as error:

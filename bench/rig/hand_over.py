@@ -22,6 +22,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
+from bench.record.state import lives
 from instruments.bath.connection import LineError, parse_line
 from instruments.errors import LimitError
 
@@ -142,7 +143,7 @@ class BathLock:
         holder = self._read()
         if not holder or MODULE not in _command(int(holder["pid"])):
             raise self._kept("a process that doesn't say who it is holds it")
-        if not holder.get("acting") and _lives(int(holder["bench"])):
+        if not holder.get("acting") and lives({"pid": holder["bench"]}):
             raise self._kept(f"{_named(holder)} guards it for a bench that lives")
         pid = int(holder["pid"])
         import psutil
@@ -186,11 +187,3 @@ def _command(pid: int) -> str:
     with suppress(psutil.Error):
         return " ".join(psutil.Process(pid).cmdline())
     return ""
-
-
-def _lives(pid: int) -> bool:
-    import psutil
-
-    with suppress(psutil.NoSuchProcess):
-        return bool(psutil.Process(pid).status() != psutil.STATUS_ZOMBIE)
-    return False

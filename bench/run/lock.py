@@ -9,7 +9,6 @@ emulated rig has no lock. Two rig files for one rig have two.
 from __future__ import annotations
 
 import json
-import os
 import platform
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -19,7 +18,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from bench.config import ConfigError
-from bench.record.state import holder_in
+from bench.record.state import holder_in, this_process
 from bench.rig.loading import LoadedRig
 from instruments.clock import wall_time
 from instruments.errors import LimitError
@@ -81,7 +80,7 @@ def locked(
                 raise _in_use(path, holder, who)
             report(f"the lock of a bench that died ({_named(holder)}) was taken over")
         since = wall_time().isoformat(timespec="seconds")
-        me = {"host": platform.node(), "pid": os.getpid(), "since": since, "run": what}
+        me = this_process() | {"since": since, "run": what}
         path.write_text(json.dumps(me), encoding="utf-8")
         stack.callback(_clear, path)
         yield
