@@ -8,6 +8,7 @@ they raise AssertionError, and NotCheckedError where the subject can't be put in
 
 from __future__ import annotations
 
+import re
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -242,32 +243,27 @@ class Finding:
 
 
 def conform(make: Callable[[], Subject], checks: tuple[Check, ...] = CHECKS) -> Iterator[Finding]:
-    """Each check on a subject of its own, which is made safe and closed behind it. One cause is
-    told once; the checks that fail by it again name the first.
+    """Each check on a subject of its own, which is made safe and closed behind it. A cause is said
+    once: a check that the fault of an earlier one ended names that one.
     """
-    told: dict[str, str] = {}
-
-    def failed(name: str, why: str) -> Finding:
-        first = told.setdefault(why, name)
-        return Finding(name, "failed", why if first == name else f"by the same as '{first}'")
-
+    said: dict[str, str] = {}  # the fault, whatever its port, and the check that it failed
     for check in checks:
         name = check.__name__.replace("_", " ")
+        subject = None
         try:
             subject = make()
-        except InstrumentError as error:
-            yield failed(name, f"it can't be opened: {error}")
-            continue
-        try:
             subject.open()
             check(subject)
         except NotCheckedError as reason:
             yield Finding(name, "not checked", str(reason))
         except (AssertionError, InstrumentError) as error:
-            yield failed(name, str(error))
+            fault = getattr(error, "what", name), getattr(error, "asked", None)
+            first = said.setdefault(re.sub(r"\d+", "", f"{type(error)} {fault}"), name)
+            why = f"{error}" if subject else f"it can't be opened: {error}"
+            yield Finding(name, "failed", why if first == name else f"cause as of: {first}")
         else:
             yield Finding(name, "passed")
         finally:
-            for leave in (subject.safe, subject.close, subject.end):
+            for leave in ("safe", "close", "end") if subject else ():
                 with suppress(InstrumentError, AttributeError):  # not opened, or lost
-                    leave()
+                    getattr(subject, leave)()
