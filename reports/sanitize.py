@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 import re
+import sys
 from collections.abc import Iterable, Sequence
 from typing import TextIO, cast
 
@@ -54,15 +56,33 @@ def _is_number(text: str) -> bool:
 
 
 class SanitizedStream:
-    """``stream`` with all text sanitized; write control sequences to ``stream`` itself."""
+    """``stream`` with all text sanitized; write control sequences to ``stream`` itself. Where its
+    reader has gone (`| head`) that is a BrokenPipeError, or with ``goes_on`` no error.
+    """
 
     def __init__(self, stream: TextIO) -> None:
-        self.stream = stream
+        self.stream, self.goes_on = stream, False
 
     def write(self, text: str) -> int:
         """Write ``text`` without what it may not hold."""
-        self.stream.write(text if text in _OWN else sanitized(text))
+        try:
+            self.stream.write(text if text in _OWN else sanitized(text))
+        except BrokenPipeError:
+            self.lose_reader()
         return len(text)
+
+    def flush(self) -> None:
+        """As of the stream."""
+        try:
+            self.stream.flush()
+        except BrokenPipeError:
+            self.lose_reader()
+
+    def lose_reader(self) -> None:
+        """Amid a BrokenPipeError: what is still written goes nowhere, or the error is raised."""
+        os.dup2(os.open(os.devnull, os.O_WRONLY), self.stream.fileno())
+        if not self.goes_on:
+            raise BrokenPipeError
 
     def writelines(self, lines: Iterable[str]) -> None:
         """As `write`, each."""
@@ -80,6 +100,13 @@ def sanitizing(stream: TextIO) -> TextIO:
         if stream is None or isinstance(stream, SanitizedStream)
         else cast(TextIO, SanitizedStream(stream))
     )
+
+
+def keep_writing(stdout: bool) -> None:
+    """Who reads stderr, and with ``stdout`` that too, may go without an error."""
+    for stream, goes_on in ((sys.stdout, stdout), (sys.stderr, True)):
+        if isinstance(stream, SanitizedStream):
+            stream.goes_on = goes_on
 
 
 def unfiltered(stream: TextIO) -> TextIO:

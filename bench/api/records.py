@@ -92,7 +92,11 @@ def export_record(
             head = f"{NOT_AS_WRITTEN}: the files beside this one are made of what is left of it."
             to.mkdir(parents=True, exist_ok=True)
             write_synced(to / DAMAGED, "\n".join((head, *there, "")).encode())
-        return tuple(write(source, to))
+        try:
+            return tuple(write(source, to))
+        finally:
+            if there and [*to.iterdir()] == [to / DAMAGED]:  # beside nothing
+                (to / DAMAGED).unlink()
 
 
 def pack_run(

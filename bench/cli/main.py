@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from difflib import get_close_matches
 from functools import cache
+from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -24,7 +25,7 @@ from bench.cli import commands
 from bench.cli.arguments import CODES, EXIT_CODES, call, complain, in_switches
 from bench.safety.signals import installed
 from bench.version import __version__
-from reports.sanitize import sanitizing
+from reports.sanitize import keep_writing, sanitizing
 from textfiles.text import did_you_mean
 
 if TYPE_CHECKING:
@@ -56,6 +57,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; gives back its exit code."""
     _set_up_libraries(alone=arguments is None)
     given = argparse.Namespace(left="nothing was begun")
+    if sys.stdout is None:  # closed, as by a scheduler (`>&-`)
+        sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115
     streams = sys.stdout, sys.stderr
     for stream in streams:
         if hasattr(stream, "reconfigure"):
@@ -82,6 +85,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if (limit := _address_limit()) < LEAST_BYTES:
                 why = f"{limit >> 20} MB of memory are allowed, {LEAST_BYTES >> 20} are needed"
                 return complain(f"{why}: {LIMIT}", CODES.fault)
+            # a verdict is that of all that was asked for, whoever reads on
+            keep_writing("1" in commands.exit_codes(given.called))
             with shared.stdout_for_json() if vars(given).get("json") else nullcontext():
                 return _run(given)
     except KeyboardInterrupt:
@@ -125,7 +130,7 @@ def _run(given: argparse.Namespace) -> int:
     try:
         code = call(given)
         _say_next(given, code)
-        sys.stdout.flush()
+        shared.stdout().flush()
         return code
     except (ConfigError, RecordingError, CaptureError) as error:
         return complain(in_switches(error, given), CODES.wrong_use)
@@ -137,7 +142,6 @@ def _run(given: argparse.Namespace) -> int:
         why = f"the run's record can't be written or read: {error}. {HINT}"
         return complain(why, CODES.fault)
     except BrokenPipeError:  # the reader of our output has gone (`| head`)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), shared.stdout().fileno())
         return CODES.met
 
 

@@ -29,7 +29,7 @@ from rich.text import Text
 
 from bench.run.events import FAILURES
 from bench.scoring.rates import plural
-from reports.sanitize import sanitized, unfiltered
+from reports.sanitize import SanitizedStream, sanitized, unfiltered
 
 
 class _Count(MofNCompleteColumn):
@@ -206,6 +206,12 @@ class Terminal(Console):
 
     def __init__(self, file: TextIO | None = None) -> None:
         super().__init__(file=unfiltered(file or sys.stdout), markup=False, emoji=False)
+
+    def on_broken_pipe(self) -> None:
+        """As any writing to standard output; rich would end with code 1, that of a failure."""
+        if not isinstance(sys.stdout, SanitizedStream):
+            raise BrokenPipeError
+        sys.stdout.lose_reader()
 
     def render(
         self, renderable: RenderableType, options: ConsoleOptions | None = None

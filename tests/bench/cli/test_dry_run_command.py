@@ -51,7 +51,7 @@ def test_a_clean_script_exits_with_0(short_script: Path, tmp_path: Path, said: S
         " checked"
     )
     assert first == "6 trials at 6 poses: nothing wrong. Nothing was moved."
-    assert time.startswith("about 12 min of the bench's time: settling 12 min, ")
+    assert time.startswith("about 13 min of the bench's time: preparing 20 s, settling 12 min, ")
     asked = "37 prompts: 1 homing, 6 arm check, 6 set-ups, 24 teat ends (3 touches each)"
     assert room.endswith(f" MB and the report, {asked}")
     assert not (tmp_path / "runs").exists()

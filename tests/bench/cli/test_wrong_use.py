@@ -5,7 +5,10 @@ for an instrument that does not answer, no traceback, and nothing left behind.
 from __future__ import annotations
 
 import io
+import os
 import re
+import shutil
+import subprocess
 import sys
 import threading
 import tomllib
@@ -17,6 +20,7 @@ import pytest
 from bench.cli.commands import table
 from bench.script.model import TRIALS
 from tests.bench.commands import Said
+from tests.bench.small_run import KEPT
 from tests.conftest import ROOT
 
 TABLE = tomllib.loads((ROOT / "tests" / "data" / "wrong_use.toml").read_text(encoding="utf-8"))
@@ -60,6 +64,23 @@ def test_wrong_use_gets_a_sentence_and_leaves_nothing_behind(
 @pytest.mark.skipif(sys.platform != "linux", reason="needs a device that is no serial port")
 def test_a_port_that_cannot_be_opened_is_named(said: Said) -> None:
     assert "the port can't be opened" in said(3, "arm read --port /dev/null --homed").err
+
+
+READ = ("trials show plane-map", "store check {run}", "report {run} --no-pdf", "runs {runs}")
+
+
+@pytest.mark.parametrize("command", READ)
+def test_whoever_reads_on_the_exit_code_is_the_command_s(command: str, tmp_path: Path) -> None:
+    shutil.copytree(KEPT, run := tmp_path / "runs" / "kept")
+    words = [*command.format(run=run, runs=run.parent).split()]
+    code = "import sys; sys.stdout{}; from bench.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    for gone in (" = None", ".reconfigure(line_buffering=True)"):
+        read, write = os.pipe()
+        os.close(read)
+        alone = [sys.executable, "-c", code.format(gone), *words]
+        with os.fdopen(write) as nobody:
+            ended = subprocess.run(alone, cwd=ROOT, stdout=nobody, stderr=subprocess.PIPE)
+        assert (ended.returncode, ended.stderr) == (0, b"")
 
 
 NAMELESS = {"run": 'no trial script ""', "run --rig": 'no rig ""', "emulate": 'no rig ""'}
