@@ -115,7 +115,7 @@ def _reasons(decisions: Sequence[Decision]) -> Iterator[str]:
     """What of its own requirements a detector meets, and what not, with the figures."""
     met = [one for one in decisions if one.verdict is Verdict.MET]
     if len(met) == len(decisions):
-        yield f"meets all {len(decisions)} requirements"
+        yield f"meets all {len(decisions)} requirements" if met[1:] else "meets its requirement"
         return
     yield f"meets {len(met)} of {len(decisions)} requirements"
     for words, verdicts in (

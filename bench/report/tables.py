@@ -231,10 +231,11 @@ def _row(run: RunRecord, situation: str | None, detector: str) -> tuple[str, ...
 def _notes(run: RunRecord) -> Iterator[str]:
     for detector in run.detectors:
         times = latency_of(run, detector)
-        cold = listed([1e3 * seconds for seconds in times.cold_s], ".0f") or NOT_MEASURED
+        cold = listed([1e3 * seconds for seconds in times.cold_s], ".0f")
+        cold = f"{cold} ms" if cold else NOT_MEASURED
         up_s = times.start_up_s
         start = "" if up_s is None else f", start-up {1e3 * up_s:.0f} ms at most"
-        yield f"{detector}: first call {cold} ms{start}. {times.starved}".strip()
+        yield f"{detector}: first call {cold}{start}. {times.starved}".strip()
     yield f"Errors are of found teats only. {LATENCY_RULE}"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -124,14 +125,22 @@ def missing_text(decision: Decision, *, brief: bool = False) -> str:
 
 
 def _silence(run: RunRecord, detector: str) -> Iterator[str]:
-    """How often it gave no answer, with the last reason and the last line that it wrote."""
+    """How often it gave no answer, why mostly, and the last line that it wrote then."""
     rows = [row for _, row in calls_of(run, detector)]
     silent = [row for row in rows if row["outcome"] != Outcome.ANSWERED.value]
     if not silent:
         return
-    reasons = [row["reason"] for row in silent if row["outcome"] != Outcome.OFF.value]
-    why = next((f": {reason}" for reason in reversed(reasons) if reason), "")
-    written = "\n".join(row["wall_stderr"] or "" for row in silent).splitlines()
+    kinds: dict[str, list[Mapping[str, Any]]] = {}  # by the reason, whatever its numbers
+    for row in silent:
+        if row["reason"] and row["outcome"] != Outcome.OFF.value:
+            kinds.setdefault(re.sub(r"[\d.]+", "", row["reason"].partition(". ")[0]), []).append(
+                row
+            )
+    most = max(kinds.values(), key=len, default=[])
+    why = f": {most[-1]['reason']}" if most else ""
+    if len(kinds) > 1:
+        why = f", for {len(kinds)} reasons, most often ({plural(len(most), 'time')}){why}"
+    written = "\n".join(row["wall_stderr"] or "" for row in most or silent).splitlines()
     words = next((line.strip() for line in reversed(written) if line.strip()), "")
     last = f' Its last words: "{words[:LONGEST_WORDS]}".' if words else ""
     yield f"{detector} did not answer on {len(silent)} of {len(rows)} frame sets{why}.{last}"

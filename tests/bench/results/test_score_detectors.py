@@ -6,12 +6,14 @@ from __future__ import annotations
 
 import csv
 import html
+import io
 import json
 import shutil
 import signal
 import struct
 import sys
 import zlib
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -72,13 +74,11 @@ def scored(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Scored:
         ' "program.py"]\ntime_limit_s = 60\n'
     )
     (folder / "mine.toml").write_text(text, encoding="utf-8")
-    said: list[str] = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("builtins.print", lambda *parts, **_: said.append(" ".join(map(str, parts))))
+    with redirect_stdout(io.StringIO()) as said:
         detectors = ("--detector", folder / "mine.toml", "--detector", "thesis")
         code = teatbench(f"{SCORE} {{}}", recording, folder / "runs", detectors)
     (run,) = (folder / "runs").iterdir()
-    return Scored(code, read_run(run), "\n".join(said))
+    return Scored(code, read_run(run), said.getvalue())
 
 
 def test_every_frame_has_its_answer_and_its_outcome(scored: Scored) -> None:
@@ -194,6 +194,17 @@ def test_a_detector_that_crashes_is_no_bad_detector(
     assert {decision.verdict for decision in judgement.decisions} == {Verdict.NOT_MEASURED}
     page = html.unescape((run / "report" / "index.html").read_text(encoding="utf-8"))
     assert page.index("did not answer on 5 of 5 frame sets") < page.index('id="results"')
+
+
+def test_of_several_reasons_the_one_that_came_most_is_told(
+    recording: Path, tmp_path: Path, said: Said
+) -> None:
+    odd = "if number == 1:\n        print('junk', flush=True)\n    if number > 2:"
+    (tmp_path / "mine.py").write_text(PROGRAM.replace("if number == 3:", odd), encoding="utf-8")
+    command = f"exec:{sys.executable} {tmp_path / 'mine.py'}"
+    out = said(1, f"{SCORE} --detector {{}}", recording, tmp_path / "runs", command).out
+    why = "for 2 reasons, most often (3 times): the detector failed: it ended with exit code 9."
+    assert f"did not answer on 4 of 5 frame sets, {why}" in " ".join(out.split())
 
 
 def test_nothing_is_met_by_silence(recording: Path, tmp_path: Path, said: Said) -> None:
