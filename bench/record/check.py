@@ -181,7 +181,7 @@ def _frames(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
             why = "it came later, or its row was removed"
             yield _damage(f"{path.as_posix()} is in no row of the record: {why}")
         else:
-            why = "the bench died or gave the trial up while it was written"
+            why = "it was added, or the bench died or gave the trial up while it was written"
             yield _note(f"{path.as_posix()} belongs to no finished trial: {why}")
 
 

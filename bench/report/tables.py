@@ -199,7 +199,7 @@ def score_table(run: RunRecord) -> str:
     """The table in Markdown, with what it says below it; without truth, a sentence."""
     if not any(trial.scores for trial in run.trials):
         doubted = DOUBTS_FACT in run.facts
-        why = "The calibration can't be" if doubted else "There is no truth"
+        why = "The calibration can't be that of these pictures" if doubted else "There is no truth"
         return f"{why}, so nothing was scored."
     names: list[str | None] = [*situations(run)]
     names += [None] * (len(names) > 1)

@@ -1,6 +1,7 @@
-"""Whether a recording's calibration can be: its pair sees depth, its pictures are of its size, and
-what its truth calls visible has a place in them. Where not, nothing is scored: every detector would
-be charged with what no detector can find. The truth of a run's trial is asked the same.
+"""Whether a recording's calibration can be: its pair sees depth, its pictures are of its size and
+not exchanged, and what its truth calls visible has a place in them. Where not, nothing is scored:
+every detector would be charged with what no detector can find. The truth of a run's trial is asked
+the same.
 """
 
 from __future__ import annotations
@@ -10,7 +11,9 @@ from collections.abc import Iterable, Iterator, Mapping
 import numpy as np
 
 from bench.record.recording import FILES, Recording, TruthRow
+from bench.results.cameras_agree import spread
 from bench.results.working_volume import FARTHEST_MM, outside_picture
+from bench.rig.frame_capture import StereoOrder
 from bench.scoring.rates import plural
 from detector.calibration import Calibration
 from detector.calibration.gate import pair_faults
@@ -19,8 +22,8 @@ from detector.geometry import Array
 DOUBTS_FACT = "calibration can't be"
 LOOKED_FACT = "calibration held against"  # of a recording: what it was looked for in
 AGAIN = (
-    "Put calibration.toml right ('teatbench help calibration'): units in mm, left and right, the"
-    " pictures' size, the world's axes of truth.csv. Then score the recording again."
+    "Put calibration.toml or the pictures right ('teatbench help calibration'): units in mm, left"
+    " and right, the pictures' size, the world's axes of truth.csv. Then score the recording again."
 )
 NEAR = 0.05  # of the picture's size, by which an end that counts as visible may lie outside
 LEAST_DISPARITY_PX = 2.0  # of less, one pixel is worth half of the distance
@@ -30,6 +33,7 @@ def doubts_of(recording: Recording, calibration: Calibration) -> tuple[str, ...]
     """Sentences' parts that say why the calibration can't be of this recording; () where it may."""
     pair = (f"calibration.toml, [stereo] T: {w}" for w in pair_faults(calibration.right_from_left))
     found = [*pair, *_sizes(recording, calibration)]
+    found = found or [*_exchanged(recording, calibration)]
     rows = [(frame, row) for frame, those in recording.truth.items() for row in those]
     return tuple(found or out_of_sight(rows, calibration))
 
@@ -59,6 +63,18 @@ def _sizes(recording: Recording, calibration: Calibration) -> Iterator[str]:
     for name, frames in other.items():
         more = f" (and {len(frames) - 1} more)" if len(frames) > 1 else ""
         yield f"{frames[0]}{more}, the calibration is for {'{} x {}'.format(*wanted[name])}"
+
+
+def _exchanged(recording: Recording, calibration: Calibration) -> Iterator[str]:
+    """Of at most `MOST_POSES` frames, evenly spread, the first whose pictures are exchanged."""
+    order, found = StereoOrder(calibration), dict[str, str]()
+    for frame in sorted(looked := spread(recording.frames)):
+        frames = recording.load(frame)
+        if said := order.swapped(frames.left, frames.right):
+            found[frame] = said
+    for frame, said in [*found.items()][:1]:
+        of = f" ({len(found)} of {len(looked)} frames looked at)"
+        yield f"frames/{frame}/left.png is {said}{of}"
 
 
 def out_of_sight(truth: Iterable[tuple[str, TruthRow]], calibration: Calibration) -> Iterator[str]:

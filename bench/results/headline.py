@@ -85,7 +85,8 @@ def judged(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[str, str]:
     """
     if doubts := run.facts.get(DOUBTS_FACT):
         why = "; ".join(doubts)
-        return f"The calibration can't be, so nothing is charged to any detector: {why}.", AGAIN
+        wrong = "The calibration can't be that of these pictures"
+        return f"{wrong}, so nothing is charged to any detector: {why}.", AGAIN
     if len(judgements) > 1:
         return _each(run, judgements)
     verdict, why, then = _one(run, judgements)

@@ -329,11 +329,12 @@ class RelayEmulator(Server):
         profile: RelayProfile,
         clock: Clock,
         *,
+        unit_id: int | None = None,
         framing: Framing | None = None,
     ) -> None:
         behaviour = Behaviour(alike=profile.alike, reset_s=math.inf)
         contacts = Contacts(plant, profile)
-        super().__init__(plant, profile, clock, behaviour, contacts, None, framing)
+        super().__init__(plant, profile, clock, behaviour, contacts, unit_id, framing)
 
     def cut_power(self, on: bool) -> None:
         if on:

@@ -228,7 +228,10 @@ def test_a_baseline_in_metres_is_not_the_detectors_fault(
         4, "score {} --detector fused --detector thesis --out {}", metres, tmp_path / "runs"
     )
     words = " ".join(found.out.split())
-    assert "Verdict: inconclusive The calibration can't be, so nothing is charged to any" in words
+    assert (
+        "inconclusive The calibration can't be that of these pictures, so nothing is charged to any"
+        in words
+    )
     assert "a baseline of 0.1003 mm looks like metres: 100.3 mm are meant" in words
     assert "has to become better" not in words
     (run,) = (tmp_path / "runs").iterdir()
@@ -239,6 +242,18 @@ def test_a_baseline_in_metres_is_not_the_detectors_fault(
     assert said(4, "report {} --no-pdf", run).out
     # commands that measure with it refuse it
     assert "looks like metres" in said(2, "detect {} --detector fused", metres).err
+
+
+def test_exchanged_pictures_are_not_the_detectors_fault(tmp_path: Path, said: Said) -> None:
+    folder = Path(shutil.copytree(ROOT / "tests" / "data" / "path_traced", tmp_path / "rec"))
+    assert doubts_of(Recording(folder), load_calibration(folder / "calibration.toml")) == ()
+    for frame in (one := sorted((folder / "frames").iterdir()))[-1:]:
+        (frame / "left.png").rename(frame / "kept.png")
+        (frame / "right.png").rename(frame / "left.png")
+        (frame / "kept.png").rename(frame / "right.png")
+    found = said(4, "score {} --detector thesis --out {}", folder, tmp_path / "runs").out
+    why = f"frames/{one[-1].name}/left.png is exchanged with the right one: the calibration fits"
+    assert why in " ".join(found.split())
 
 
 @pytest.mark.slow
