@@ -163,10 +163,11 @@ def test_frame_verification_and_reading_at_the_terminal(
     assert found.length_mm is not None
     assert found.length_mm < 0.2
     assert "--accuracy-mm 0.05 is not refuted" in shown.getvalue()
-    shown = sit(at_bench, file)
+    monkeypatch.setattr(sys, "stderr", sit(at_bench, file))  # where questions are with --json
+    monkeypatch.setattr(sys, "stdout", shown := io.StringIO())
     command = "arm read --json --homed --port {} --frame frame.toml"
     assert teatbench(command, url) == 0
-    line = json.loads(shown.getvalue().splitlines()[-1])
+    line = json.loads(shown.getvalue())
     np.testing.assert_allclose(line["world_mm"], (-90.0, -30.0, 30.0), atol=0.4)
     assert (line["axis"] is None) == (kind == "points")
 
