@@ -7,10 +7,11 @@ the same.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 
 import numpy as np
 
-from bench.record.recording import FILES, Recording, TruthRow
+from bench.record.recording import FILES, Recording, RecordingError, TruthRow
 from bench.results.cameras_agree import spread
 from bench.results.working_volume import FARTHEST_MM, outside_picture
 from bench.rig.frame_capture import StereoOrder
@@ -69,9 +70,10 @@ def _exchanged(recording: Recording, calibration: Calibration) -> Iterator[str]:
     """Of at most `MOST_POSES` frames, evenly spread, the first whose pictures are exchanged."""
     order, found = StereoOrder(calibration), dict[str, str]()
     for frame in sorted(looked := spread(recording.frames)):
-        frames = recording.load(frame)
-        if said := order.swapped(frames.left, frames.right):
-            found[frame] = said
+        with suppress(RecordingError):  # raised again where the frame is asked for
+            frames = recording.load(frame)
+            if said := order.swapped(frames.left, frames.right):
+                found[frame] = said
     for frame, said in [*found.items()][:1]:
         of = f" ({len(found)} of {len(looked)} frames looked at)"
         yield f"frames/{frame}/left.png is {said}{of}"

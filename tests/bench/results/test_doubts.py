@@ -244,6 +244,7 @@ def test_a_baseline_in_metres_is_not_the_detectors_fault(
     assert "looks like metres" in said(2, "detect {} --detector fused", metres).err
 
 
+@pytest.mark.slow
 def test_exchanged_pictures_are_not_the_detectors_fault(tmp_path: Path, said: Said) -> None:
     folder = Path(shutil.copytree(ROOT / "tests" / "data" / "path_traced", tmp_path / "rec"))
     assert doubts_of(Recording(folder), load_calibration(folder / "calibration.toml")) == ()
