@@ -165,7 +165,12 @@ def installed(register: Register | None = None) -> Iterator[Exits]:
     received = [number for number in _numbers() if signal.getsignal(number) is not signal.SIG_IGN]
     before = {number: signal.signal(number, exits) for number in received}
     hook = sys.unraisablehook
-    sys.unraisablehook = lambda dropped: exits.take_dropped(dropped) or hook(dropped)
+
+    def as_python_drops(dropped: Any) -> None:
+        if not exits.take_dropped(dropped):
+            hook(dropped)
+
+    sys.unraisablehook = as_python_drops
     register, handler = register or windows_register(), exits.console_event
     try:
         if register:
@@ -204,11 +209,14 @@ def undisturbed() -> Iterator[None]:
 
 
 def _must_go_on(frame: FrameType | None) -> bool:
-    """Whether Python is taking or giving back a lock, or an emulator is at work on this thread."""
+    """Whether Python is taking or giving back a lock or tells of what it dropped, or an emulator is
+    at work on this thread.
+    """
     while frame is not None:
         code = frame.f_code
         locking = code.co_filename == threading.__file__ and code.co_name in AMID_A_LOCK
-        if locking or code in UNBROKEN:
+        dropping = code.co_filename == __file__ and code.co_name == "as_python_drops"
+        if locking or dropping or code in UNBROKEN:
             return True
         frame = frame.f_back
     return False
