@@ -118,19 +118,13 @@ def stdout_for_json() -> Iterator[None]:
         _JSON_TO.reset(before)
 
 
-def stdout() -> TextIO:
-    """That of the command."""
-    return _JSON_TO.get(sys.stdout)
-
-
 def print_json(value: Mapping[str, Any], **how: Any) -> None:
     """What `--json` gives: an object that says its version first."""
-    versioned = {"schema_version": JSON_VERSION, **value}
-    text = json.dumps(versioned, ensure_ascii=False, **how)
-    print(text, file=stdout(), flush=True)
+    text = json.dumps({"schema_version": JSON_VERSION, **value}, ensure_ascii=False, **how)
+    print(text, file=_JSON_TO.get(sys.stdout), flush=True)
 
 
-def print_values(values: Mapping[str, object], *, as_json: object = False) -> None:
+def print_values(values: Mapping[str, object], *, as_json: bool = False) -> None:
     """A line each: its name, and what there is to say of it; or `print_json`."""
     if as_json:
         print_json(values)

@@ -20,9 +20,8 @@ from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from bench.cli import arguments as shared
 from bench.cli import commands
-from bench.cli.arguments import CODES, EXIT_CODES, call, complain, in_switches
+from bench.cli.arguments import CODES, EXIT_CODES, call, complain, in_switches, stdout_for_json
 from bench.safety.signals import installed
 from bench.version import __version__
 from reports.sanitize import keep_writing, sanitizing
@@ -57,8 +56,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; gives back its exit code."""
     _set_up_libraries(alone=arguments is None)
     given = argparse.Namespace(left="nothing was begun")
-    if sys.stdout is None:  # closed, as by a scheduler (`>&-`)
-        sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115
+    if None in (sys.stdin, sys.stdout, sys.stderr):  # closed, as by a scheduler (`>&-`)
+        _take_low_descriptors()
     streams = sys.stdout, sys.stderr
     for stream in streams:
         if hasattr(stream, "reconfigure"):
@@ -87,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 return complain(f"{why}: {LIMIT}", CODES.fault)
             # a verdict is that of all that was asked for, whoever reads on
             keep_writing("1" in commands.exit_codes(given.called))
-            with shared.stdout_for_json() if vars(given).get("json") else nullcontext():
+            with stdout_for_json() if vars(given).get("json") else nullcontext():
                 return _run(given)
     except KeyboardInterrupt:
         return complain(f"interrupted: {given.left}.", CODES.fault)
@@ -103,6 +102,15 @@ def _set_up_libraries(*, alone: bool) -> None:
         os.environ.setdefault(name, value)
     if alone:
         atexit.register(_freeze)
+
+
+def _take_low_descriptors() -> None:
+    """Else a file of a run gets a closed stream's number, and what a library writes to that."""
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:  # stderr's
+        continue
+    os.close(number)
+    nowhere = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - to the end
+    sys.stdout, sys.stderr = sys.stdout or nowhere, sys.stderr or nowhere
 
 
 def _freeze() -> None:
@@ -130,7 +138,7 @@ def _run(given: argparse.Namespace) -> int:
     try:
         code = call(given)
         _say_next(given, code)
-        shared.stdout().flush()
+        sys.stdout.flush()
         return code
     except (ConfigError, RecordingError, CaptureError) as error:
         return complain(in_switches(error, given), CODES.wrong_use)

@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-from instruments.clock import UNBROKEN, stopwatch_s
+from instruments.clock import UNBROKEN, stopwatch_s, unbroken
 
 # wincon.h
 CTRL_C_EVENT, CTRL_BREAK_EVENT, CTRL_CLOSE_EVENT = 0, 1, 2
@@ -166,11 +166,12 @@ def installed(register: Register | None = None) -> Iterator[Exits]:
     before = {number: signal.signal(number, exits) for number in received}
     hook = sys.unraisablehook
 
-    def as_python_drops(dropped: Any) -> None:
+    @unbroken
+    def show_dropped(dropped: Any) -> None:
         if not exits.take_dropped(dropped):
             hook(dropped)
 
-    sys.unraisablehook = as_python_drops
+    sys.unraisablehook = show_dropped
     register, handler = register or windows_register(), exits.console_event
     try:
         if register:
@@ -209,14 +210,11 @@ def undisturbed() -> Iterator[None]:
 
 
 def _must_go_on(frame: FrameType | None) -> bool:
-    """Whether Python is taking or giving back a lock or tells of what it dropped, or an emulator is
-    at work on this thread.
-    """
+    """Whether Python is taking or giving back a lock, or what is unbroken is at work here."""
     while frame is not None:
         code = frame.f_code
         locking = code.co_filename == threading.__file__ and code.co_name in AMID_A_LOCK
-        dropping = code.co_filename == __file__ and code.co_name == "as_python_drops"
-        if locking or dropping or code in UNBROKEN:
+        if locking or code in UNBROKEN:
             return True
         frame = frame.f_back
     return False

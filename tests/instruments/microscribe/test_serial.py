@@ -95,12 +95,11 @@ def test_a_touch_over_a_real_port(bench: Bench) -> None:
         driver.poll()
     assert time.monotonic() - start >= 100 * 15 * 10 / 115200, "no faster than the wire"
 
+    start = time.monotonic()  # before the first can come: at load many are there at the first look
     with driver.stream() as samples:
-        next(samples)
-        start = time.monotonic()
         assert len(list(itertools.islice(samples, 200))) == 200
         took_s = time.monotonic() - start
-    assert took_s >= 150 * 16 * 10 / 115200, "what had come before the first look is there at once"
+    assert took_s >= 200 * 16 * 10 / 115200, "no faster than the wire"
     assert driver.poll().counts != UNIT.home
     assert driver.damaged == 0
 
