@@ -91,7 +91,7 @@ def scoreboard(judgements: Sequence[Judgement]) -> Scoreboard:
         called = "The bench's own" if len(sound) == len(of_bench) else "The bench's other ones"
         rows.append((called, "", (met, *(None,) * (len(judgements) - 1))))
     names = tuple(judgement.detector for judgement in judgements)
-    caption = f"What each detector shows; from {usual} unless noted."
+    caption = f"What each detector shows; from {usual} values unless noted."
     return Scoreboard(caption, names, tuple(rows))
 
 
