@@ -131,6 +131,7 @@ def test_failing_scenes_are_counted(rig: str, capsys: pytest.CaptureFixture[str]
     assert capsys.readouterr().out.count("Scene(") == distinct
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_learned_detector_finds_ends_that_it_was_not_trained_on() -> None:
     learned = example("learned_detector").Learned()

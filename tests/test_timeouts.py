@@ -42,6 +42,7 @@ def test_a_timeout_costs_one_test(tmp_path: Path) -> None:
     assert "time.sleep(600)" in printed
 
 
+@pytest.mark.weekly
 def test_a_test_that_no_exception_ends_is_named_and_ends_the_run(tmp_path: Path) -> None:
     printed = run_tests(
         tmp_path,

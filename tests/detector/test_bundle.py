@@ -251,6 +251,7 @@ def test_opencvs_pictures_as_a_pair(shared_data: Path) -> None:
     assert spacing_mm.mean() == pytest.approx(25.01, abs=0.005)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_window_that_is_chosen_does_no_worse_than_the_best_fixed_one(shared_data: Path) -> None:
     for camera in ("left", "right"):

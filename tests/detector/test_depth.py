@@ -71,6 +71,7 @@ def matched(found: Detection, ends_mm: Array) -> tuple[Array, Array]:
     return np.array(errors).reshape(-1, 3), np.array(squares)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_ends_of_drawn_scenes_and_the_covariances_that_are_stated() -> None:
     pairs = [seen(family, 300) for family in FAMILIES]

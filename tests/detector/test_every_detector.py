@@ -23,6 +23,7 @@ from detector.registry import available, create
 from tests.conftest import ROOT
 from tests.detector.conftest import Draw
 from tests.detector.thesis_fits import thesis_published
+from tests.examples import few
 
 NAMES = list(available([]))
 
@@ -158,7 +159,7 @@ print(int(status.partition("VmHWM:")[2].split()[0]) // 1024)
     reason="only Linux tells a program's own peak, without that of whoever started it",
 )
 # variants of the thesis hold what it does; the frames that are drawn here have no depth
-@pytest.mark.parametrize("name", ["thesis", "fused"])
+@pytest.mark.parametrize("name", few(["thesis", "fused"], 2))
 def test_it_needs_little_memory(
     name: str, frames: Pictures, rig_file: Path, tmp_path: Path
 ) -> None:

@@ -61,6 +61,7 @@ def later(seeds: range) -> Iterator[Seen]:
         yield from cow(seed)[4:]
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_own_visits_and_hours_tell_more_than_the_last_visit_and_regions_hold() -> None:
     errors, last, inside = [], [], []

@@ -436,6 +436,7 @@ DeviceError .* warning flags FS.*
 LimitError .* 2 devices and 1 microsteps .*"""
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_zaber_example_passes_on_our_emulator() -> None:
     pytest.importorskip("zaber_motion", reason="the maker's library is not installed")

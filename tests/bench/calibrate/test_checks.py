@@ -72,6 +72,7 @@ def test_a_calibration_without_a_world_is_refused() -> None:
         check_points(replace(WHOLE, world_from_right=None), touched(1), **NOISE)
 
 
+@pytest.mark.weekly
 def test_by_command_with_its_page(lab: Path, in_lab: Said) -> None:
     points = write_touched(lab / "again.csv")
     in_lab(0, "calibrate world again.csv --cameras cameras.toml --out wc.toml")

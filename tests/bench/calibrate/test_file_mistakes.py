@@ -33,6 +33,7 @@ from tests.bench.calibrate.board_pictures import (
     write_pairs,
 )
 from tests.bench.commands import Said
+from tests.examples import few
 
 pytestmark = pytest.mark.slow
 
@@ -138,11 +139,26 @@ def test_fewer_pictures_never_make_it_better(seen: BoardViews) -> None:
 
 @pytest.mark.parametrize(
     ("columns", "rows", "why"),
-    [
-        (8, 6, r"holds a chessboard of (7 x 5|5 x 7) inner corners.* board has 8 x 6: squares are"),
-        (5, 4, r"holds a chessboard of (7 x 5|5 x 7) inner corners.* board has 5 x 4\. Write col"),
-        (9, 5, r"holds a chessboard of (7 x 5|5 x 7) inner corners.* board has 9 x 5\. Write col"),
-    ],
+    few(
+        [
+            (
+                8,
+                6,
+                r"holds a chessboard of (7 x 5|5 x 7) inner corners.* board has 8 x 6: squares are",
+            ),
+            (
+                5,
+                4,
+                r"holds a chessboard of (7 x 5|5 x 7) inner corners.* board has 5 x 4\. Write col",
+            ),
+            (
+                9,
+                5,
+                r"holds a chessboard of (7 x 5|5 x 7) inner corners.* board has 9 x 5\. Write col",
+            ),
+        ],
+        3,
+    ),
 )
 def test_a_board_counted_otherwise_is_named(drawn: Path, columns: int, rows: int, why: str) -> None:
     board = Board("chessboard", columns, rows, 40.0)
@@ -216,6 +232,7 @@ def test_a_check_that_looked_at_too_little_is_no_objection_of_none(
         assert ("Not decided." in page) == (code == 4)
 
 
+@pytest.mark.weekly
 def test_by_command_the_verdict_and_its_limit_are_said_and_set_the_code(
     drawn: Path, tmp_path: Path, said: Said
 ) -> None:

@@ -87,6 +87,7 @@ class Room:
         return gather(self.look, self, SMALL, wanted, folder, self.note.append)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_it_asks_for_less_and_less_and_ends_when_nothing_is_missing(tmp_path: Path) -> None:
     room = Room(empty=(3,))

@@ -97,6 +97,7 @@ def test_its_page_says_what_it_is_good_for(lab: Path) -> None:
     assert text.index('id="worth"') < text.index("<details>") < text.index('id="provenance"')
 
 
+@pytest.mark.weekly
 def test_a_second_day_shows_that_it_still_holds_or_not(lab: Path, in_lab: Said) -> None:
     write_pairs(lab / "day2", 5, seed=2)
     check = "calibrate check cameras.toml {} --board board.toml --page again"
@@ -138,6 +139,7 @@ def test_all_steps_make_one_calibration(lab: Path, in_lab: Said) -> None:
     assert "Good enough. Mapped points miss the arm" in page
 
 
+@pytest.mark.weekly
 def test_worse_touches_and_pixels_make_a_less_certain_world(lab: Path, in_lab: Said) -> None:
     write_touched(lab / "points3.csv")
     sds: list[float] = []

@@ -260,6 +260,7 @@ def test_what_the_commands_write_and_refuse(
     assert "there is no chunk 999" in said(2, "campaign chunk {} 999", folder / "plan.toml").err
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 @pytest.mark.timeout(420 + 20 * KILLED)  # longer than it waits for an end
 def test_a_dask_cluster_makes_the_same_rows_whoever_of_it_is_killed(

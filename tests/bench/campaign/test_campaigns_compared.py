@@ -90,6 +90,7 @@ def test_the_gate_and_the_figures(old: Path, tmp_path: Path, said: Said) -> None
     assert "the mean distance to the teat end grew by 0.35 mm" in grown
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_campaign_that_grew_is_looked_at_again_and_pays(tmp_path: Path, said: Said) -> None:
     """Two unfinished campaigns compared, then with more scenes done; the same data is one look."""

@@ -132,6 +132,7 @@ def test_sensors_follow_the_rig_file(tmp_path: Path) -> None:
         read_config(rig, Rig)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_boards_are_found_in_their_pictures(tmp_path: Path, said: Said) -> None:
     """OpenCV's finder sees the whole shipped chessboard in both pictures."""

@@ -72,6 +72,7 @@ def playing(*arguments: str) -> Iterator[tuple[Running, dict[str, str]]]:
             child.kill()  # where the test has failed before its end
 
 
+@pytest.mark.weekly
 def test_a_capture_changes_nothing_of_what_a_run_does(
     run_capture: tuple[Capture, Path], a_run: list[str], tmp_path: Path
 ) -> None:

@@ -162,6 +162,7 @@ def click_done(page: Page, folder: Path, key: str = "") -> None:
     expect(page.locator("#answer-done")).to_be_enabled(timeout=SOON_MS)
 
 
+@pytest.mark.weekly
 def test_practice_by_clicks_and_a_phone_that_is_paired(tmp_path: Path) -> None:
     with (
         served.operated_run(tmp_path) as (_, folder),
@@ -194,6 +195,7 @@ def test_practice_by_clicks_and_a_phone_that_is_paired(tmp_path: Path) -> None:
         expect(another.locator("#problem")).to_contain_text("no token", timeout=SOON_MS)
 
 
+@pytest.mark.weekly
 def test_a_queue_is_followed_from_one_run_to_the_next(tmp_path: Path) -> None:
     """Its card says what runs, on both pages; the page of a run that ended goes on to the next."""
     runs = tmp_path / "runs"

@@ -236,6 +236,7 @@ def test_what_an_export_that_fails_wrote_is_marked(run: Path, tmp_path: Path, sa
     assert len({path.suffix for path in (tmp_path / "out").iterdir()} & {".txt", ".parquet"}) == 2
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_stopped_run_goes_on_despite_damage_and_stays_damaged(tmp_path: Path, said: Said) -> None:
     class Stopping(Silent):

@@ -114,6 +114,7 @@ for line in sys.stdin:
 """
 
 
+@pytest.mark.weekly
 def test_shuffled_names_of_files_change_nothing(
     recording: Path, tmp_path: Path, plain: Answers
 ) -> None:

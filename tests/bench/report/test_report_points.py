@@ -277,6 +277,7 @@ def test_a_baseline(copy: Path) -> None:
     assert "No scene's outcome changed" in said
 
 
+@pytest.mark.weekly
 @pytest.mark.usefixtures("undrawn")
 def test_a_pdf_needs_a_browser_that_prints(
     copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

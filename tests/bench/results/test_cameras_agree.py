@@ -37,7 +37,6 @@ from bench.truth.joint import joint_truth
 from detector.geometry import Array
 from tests.bench.commands import Said, teatbench
 from tests.bench.report.null_world import WORLDS, Off, done, table_frame
-from tests.examples import few
 from tests.plain_text import plain_text
 
 RULE = CamerasRequirement(kind="cameras_agree", name="cameras agree")
@@ -149,7 +148,8 @@ def excluded(check: CamerasCheck) -> set[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("world", few(["carried", "touched"], 2))
+@pytest.mark.weekly
+@pytest.mark.parametrize("world", ["carried", "touched"])
 def test_what_the_truths_share_accuses_no_sound_rig_and_hides_no_knock(
     world: str, tmp_path: Path
 ) -> None:

@@ -40,7 +40,7 @@ class Bench:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", few(FAULTS, 2))
+@pytest.mark.parametrize("fault", few(FAULTS, 4))
 def test_each_fault_is_cured_by_another_try_and_counted_or_refused(fault: FrameFault) -> None:
     bench = Bench()
     bench.cameras.faults.inject(fault, times=2)

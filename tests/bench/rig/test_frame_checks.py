@@ -40,7 +40,7 @@ def checks(**changed: Any) -> FrameChecks:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", few(SITUATIONS, 2))
+@pytest.mark.parametrize("name", few(SITUATIONS, 4))
 def test_no_false_alarm_in_any_situation(name: str) -> None:
     cameras, looks = EmulatedCameras(SmallWorld(situation(name))), checks()
     for _ in range(2):  # each frame has fresh noise

@@ -60,6 +60,7 @@ def heated(tmp_path_factory: pytest.TempPathFactory) -> Heated:
     return Heated(load_rig(rig_file), load_script(folder / "script.toml"), folder, said.getvalue())
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_run_teaches_how_long_the_next_takes(heated: Heated) -> None:
     rig, script, run, folder = heated.rig, heated.script, heated.run, heated.folder / "runs"

@@ -68,6 +68,7 @@ def given(words: str, folder: Path, emulation: str) -> RunRecord:
     return record_of(folder, person, stage=STAGE, check_point=CHECK_POINT, emulation=emulation)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_who_skips_the_trial_that_waits_finds_the_next_one_waiting_too(tmp_path: Path) -> None:
     """The stage comes back without its place: no trial may move it before it has homed."""
@@ -80,6 +81,7 @@ def test_who_skips_the_trial_that_waits_finds_the_next_one_waiting_too(tmp_path:
     assert len(texts(record, "back")) == 1
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_stage_that_drops_out_while_ends_are_touched_is_noticed_and_costs_no_touch(
     tmp_path: Path,

@@ -181,6 +181,7 @@ def test_a_disk_that_is_full_amid_one_script_ends_it_alone_and_without_room_none
     assert f"{runs[0].folder / 'report'}: {then}" in said
 
 
+@pytest.mark.weekly
 def test_an_abort_ends_all(scripts: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Engine, "_work", fails(KeyboardInterrupt()))
     code, queue, (_, second) = run(scripts)
@@ -190,6 +191,7 @@ def test_an_abort_ends_all(scripts: list[str], monkeypatch: pytest.MonkeyPatch) 
     assert "bath is safe" in kinds(second, "safe")
 
 
+@pytest.mark.weekly
 def test_ctrl_c_between_two_scripts_ends_all(
     scripts: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

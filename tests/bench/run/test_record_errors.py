@@ -30,6 +30,7 @@ from instruments.operators.operator import Arrangement
 from tests.bench.commands import Said
 from tests.bench.killed_runs import Silent, only_run, resume, start
 from tests.bench.operated_runs import files, texts
+from tests.examples import few
 
 FULL = [
     OSError(errno.ENOSPC, "No space left on device"),
@@ -64,7 +65,7 @@ class FullDisk:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("error", "for_good"),
-    [(FULL[0], False), (FULL[1], False), (FULL[1], True)],
+    few([(FULL[0], False), (FULL[1], False), (FULL[1], True)], 3),
     ids=["frames, once", "bath's row, once", "database, for good"],
 )
 def test_a_full_disk_ends_safely_and_the_run_goes_on_where_there_is_room_again(
@@ -197,7 +198,7 @@ def test_a_folder_that_may_not_be_written_is_reported_before_anything_is_opened(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("by_s", [-3600.0, 86400.0])
+@pytest.mark.parametrize("by_s", few([-3600.0, 86400.0], 2))
 def test_a_clock_that_is_set_amid_a_run_is_noted_and_changes_nothing_else(
     by_s: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -146,6 +146,7 @@ def resumed_on_every_surface(folder: Path, out: str, progress: Person) -> list[i
     return [line["done"] for line in lines[begun:] if line["what"] == "trial"]
 
 
+@pytest.mark.weekly
 def test_killed_twice_on_its_way_and_once_while_it_catches_up(
     undisturbed: tuple[Path, int],
 ) -> None:
@@ -260,6 +261,7 @@ def test_a_world_that_went_on_is_prepared_anew_and_what_is_redone_is_kept_apart(
     assert texts(after, "resumed") == ["session 2 goes on after 2 trials"]
 
 
+@pytest.mark.weekly
 @pytest.mark.usefixtures("nothing_is_gone_through_again")
 def test_a_carried_truth_goes_on_in_a_world_that_went_on(tmp_path: Path) -> None:
     files(tmp_path, stage=STAGE, script=carry())
@@ -274,6 +276,7 @@ def test_a_carried_truth_goes_on_in_a_world_that_went_on(tmp_path: Path) -> None
     assert after.checks[-1]["after_trial"] == THIRD
 
 
+@pytest.mark.weekly
 def test_killed_just_after_a_check_of_the_carried_truth_that_fails(tmp_path: Path) -> None:
     """The check is in the record, the trial that it came before is not: gone through again, it is
     not written a second time.
@@ -389,7 +392,9 @@ def recording_equal_after_resuming(folder: Path, out: str) -> None:
     ("truth", "words", "method", "kind"),
     [
         pytest.param("touched", f"'{SECOND}'", "trial", Recorder, marks=pytest.mark.weekly),
-        ("touched", f"'{SECOND}'", "add_truth", RecordingWriter),
+        pytest.param(
+            "touched", f"'{SECOND}'", "add_truth", RecordingWriter, marks=pytest.mark.weekly
+        ),
         pytest.param("touched", f"making {SECOND}", "replace", Path, marks=pytest.mark.weekly),
         ("carried", f"'{SECOND}'", "stored", CarriedTruth),
         pytest.param("carried", "'check touch'", "event", Store, marks=pytest.mark.weekly),
@@ -413,12 +418,14 @@ def test_killed_where_run_and_recording_are_apart(
     recording_equal_after_resuming(folder, out)
 
 
+@pytest.mark.weekly
 def test_a_recording_that_is_gone_is_made_anew_from_the_runs_folder(touched: Path) -> None:
     assert killed_while(f"'{SECOND}'", "trial", Recorder, lambda: record(touched, "gone"))
     shutil.rmtree(recording(touched, "gone"))
     recording_equal_after_resuming(touched, "gone")
 
 
+@pytest.mark.weekly
 def test_frames_of_another_run_are_left_alone_and_the_run_goes_on_without(touched: Path) -> None:
     assert killed_while(f"'{SECOND}'", "trial", Recorder, lambda: record(touched, "another"))
     path, progress = recording(touched, "another"), Silent()

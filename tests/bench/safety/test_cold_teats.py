@@ -68,7 +68,7 @@ def nothing_met(script: str, case: tuple[str, str, float, float], folder: Path) 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "case", few([(case,) for case in CASES[1::2]], 2), ids=lambda case: f"{case[0]}, {case[1]}"
+    "case", few([(case,) for case in CASES[1::2]], 4), ids=lambda case: f"{case[0]}, {case[1]}"
 )
 def test_no_trial_is_captured(case: tuple[str, str, float, float], tmp_path: Path) -> None:
     nothing_met("six-situations", case, tmp_path)
