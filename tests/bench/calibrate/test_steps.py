@@ -48,6 +48,7 @@ def test_cameras_come_out_as_they_were_put_in(lab: Path) -> None:
     assert len(there(part.record).inputs) == 25, "24 pictures and the board"
 
 
+@pytest.mark.weekly
 def test_a_board_by_its_figures_and_a_folder_that_is_not_there(
     lab: Path, tmp_path: Path, in_lab: Said
 ) -> None:

@@ -111,6 +111,7 @@ def test_no_damage_is_used_in_silence(
         assert query(folder, SQL) == wanted
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_an_edited_row_a_cut_shard_and_an_empty_one_are_done_again(
     sound: Path, tmp_path: Path

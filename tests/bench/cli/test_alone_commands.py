@@ -260,6 +260,7 @@ def test_a_gige_vision_camera(
     assert frames.left.shape == frames.right.shape == (512, 512)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_one_camera_makes_no_frame_set(streams: list[str], tmp_path: Path, said: Said) -> None:
     why = said(2, "camera grab {} --out {}", streams[0], tmp_path / "grabbed").err

@@ -22,6 +22,7 @@ from tests.bench.commands import Said, lab_rig
 DRY = "run {} --dry-run --out {}"
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_command_says_what_and_exits_with_2(tmp_path: Path, said: Said) -> None:
     text = find_script("repeatability").read_text(encoding="utf-8")
@@ -110,6 +111,7 @@ def test_what_a_run_is_refused_for_is_reported_by_its_dry_run(tmp_path: Path, sa
     assert "needs a stage" in said(2, "run plane-map --dry-run --rig {}", rig).err
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_what_a_person_has_to_confirm_is_said_by_check_and_dry_run_as_by_a_run(
     tmp_path: Path, said: Said, monkeypatch: pytest.MonkeyPatch

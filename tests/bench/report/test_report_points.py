@@ -294,6 +294,7 @@ def test_a_pdf_needs_a_browser_that_prints(
     assert main(["report", str(copy), "--pdf"]) == 2
 
 
+@pytest.mark.weekly
 @pytest.mark.browser
 @pytest.mark.usefixtures("undrawn")
 def test_a_pdf_is_printed_where_a_browser_is(

@@ -106,6 +106,7 @@ def test_ellipsoids_are_drawn_teat_by_teat_and_say_on_how_many_poses(two_teats: 
     assert rows[4][4] == "not measured"
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_too_many_teats_are_one_cloud(tmp_path: Path) -> None:
     ends = ENDS[0] + 40.0 * np.arange(7)[:, None]

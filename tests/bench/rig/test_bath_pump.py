@@ -56,6 +56,7 @@ def test_a_relay_that_fails_ends_the_heat(fault: str, tmp_path: Path) -> None:
     assert any("heater is in standby" in done for done in trip["done"])
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_contact_that_falls_off_and_comes_back_is_heat_without_a_pump(tmp_path: Path) -> None:
     """After a short power cut the relay answers again, and says that it is off."""

@@ -61,6 +61,7 @@ def test_a_run_of_which_all_was_skipped_has_no_verdict(tmp_path: Path) -> None:
     assert "All 3 trials were left out, so nothing was scored" in page_of(record)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_trial_may_be_done_again_from_its_set_up(tmp_path: Path) -> None:
     answers = WILLING + "touch (trial 2 of 3, teat 3): repeat\nset up (trial 2 of 3): repeat\n"
@@ -124,6 +125,7 @@ def touched_ends(record: RunRecord) -> np.ndarray:
     return np.array(rows)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_placement_errors_come_out_in_the_truth_and_not_as_errors_of_it(tmp_path: Path) -> None:
     emulation = "placement_error_mm = 2.0\nplacement_error_deg = 1.0\nhand_error_mm = 0.05"
