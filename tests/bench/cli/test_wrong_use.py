@@ -23,6 +23,7 @@ from bench.script.model import TRIALS
 from tests.bench.commands import Said
 from tests.bench.small_run import KEPT
 from tests.conftest import ROOT
+from tests.examples import few
 
 TABLE = tomllib.loads((ROOT / "tests" / "data" / "wrong_use.toml").read_text(encoding="utf-8"))
 WRONG_USE = TABLE["wrong_use"] | {
@@ -71,7 +72,7 @@ READ = ("trials show plane-map", "store check {run}", "report {run} --no-pdf", "
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="closes descriptors by a shell of POSIX")
-@pytest.mark.parametrize("command", READ)
+@pytest.mark.parametrize("command", few(READ, 2))
 def test_whoever_reads_on_the_exit_code_is_the_command_s(command: str, tmp_path: Path) -> None:
     shutil.copytree(KEPT, run := tmp_path / "runs" / "kept")
     words = [*command.format(run=run, runs=run.parent).split()]

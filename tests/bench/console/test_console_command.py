@@ -101,6 +101,7 @@ def test_half_a_request_is_shed_and_pages_that_are_open_leave_no_traceback(tmp_p
     assert "Traceback" not in (tmp_path / "err.txt").read_text(encoding="utf-8")
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_run_of_a_rig_in_virtual_time_takes_its_real_time_beside_a_console(
     tmp_path: Path,

@@ -44,7 +44,7 @@ def hours() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", few(WORLDS, 2))
+@pytest.mark.parametrize("name", few(WORLDS, 3))
 def test_a_page_of_a_null_world_says_nothing_that_is_false_or_new(name: str) -> None:
     page = done(WORLDS[name], Off(), SEED)
     assert unknown(page.page) == []

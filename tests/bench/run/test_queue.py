@@ -128,6 +128,7 @@ def fails(error: BaseException) -> Callable[[Engine], None]:
     return instead
 
 
+@pytest.mark.weekly
 def test_a_mistake_in_one_script_ends_only_that_one(
     scripts: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

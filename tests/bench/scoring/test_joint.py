@@ -109,6 +109,7 @@ def accused(runs: int, *, with_truth: bool) -> dict[str, float]:
     return {kind: count / runs for kind, count in counts.items()}
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_an_unbiased_detector_is_accused_no_more_often_than_is_claimed() -> None:
     runs = examples(120)

@@ -91,6 +91,7 @@ def test_chance_is_taken_for_a_trend_in_no_more_than_5_percent(same_place: bool)
     assert hits / 800 < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 800)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_the_chance_of_many_questions_is_that_of_one() -> None:
     """Adjusted together, each is judged far out, where groups - 1 degrees of freedom are too many:

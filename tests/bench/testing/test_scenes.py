@@ -89,6 +89,7 @@ def test_a_scene_shrinks_to_the_plainest_that_has_what_is_wanted(name: str) -> N
     assert found.differences() == 1
 
 
+@pytest.mark.weekly
 def test_teats_shrink_to_the_plainest_that_lean() -> None:
     found = find(
         layouts(), lambda teats: abs(teats[0].lean_deg) > 3, settings=settings(database=None)
