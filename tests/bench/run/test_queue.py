@@ -202,9 +202,10 @@ def test_ctrl_c_between_two_scripts_ends_all(
         return begun(*given, **more)
 
     monkeypatch.setattr(start, "_begun", second)
-    code, queue, (first,) = run(scripts)
+    code, queue, (first,) = run(scripts, "--summary", summary := f"{scripts[0]}.md")
     assert code == 3
     assert queue.headline == f"ended early, 1 of 3 scripts finished: {start.INTERRUPTED}"
+    assert Path(summary).read_text(encoding="utf-8").endswith(f"\nQueue: {queue.headline}\n")
     assert f"Queue: {queue.headline}" in capsys.readouterr().out
     assert bath_safe(first) is Safe.IN_USE  # as it left it; the rig was made safe after it
 
