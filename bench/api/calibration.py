@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from bench.api.rigs import OpenRig, open_rig
@@ -17,15 +18,18 @@ from bench.calibrate.views import ViewsRequest, free_folder, gather
 from bench.calibrate.world import POINTS_FILE, TouchSession, gather_points
 from bench.config import ConfigError
 from bench.rig.alone import TakePictures, pictures, with_retries
+from bench.scoring.rates import plural
 from bench.script.calibration_age import refuse_other_cameras
 from detector.calibration import Part
 from detector.calibration.boards import Board
 from instruments.camera.frame import Grey
 from instruments.captures.capture import CaptureFile
-from instruments.operators.operator import Finish
+from instruments.errors import LinkError
+from instruments.operators.operator import Finish, Homing
 
 Say = Callable[[str], None]
 STEREO = ViewsRequest()
+ARM_TRIES = 3  # to find an arm that was lost
 
 
 @contextmanager
@@ -71,7 +75,7 @@ def take_views(
         kept = gather(look, opened.operator, board, wanted, folder, say)
         opened.operator.ask(Finish())
         identity = dict(opened.cameras.identity)
-    say(f"{kept} views in {folder}")
+    say(f"{plural(kept, 'view')} in {folder}")
     return folder, {name: str(who) for name, who in identity.items() if name in wanted.cameras}
 
 
@@ -93,12 +97,28 @@ def touch_points(
         try:
             opened.home()
             radius_mm = opened.loaded.rig.arm.tip_radius_mm
-            asking = TouchSession(look, opened.operator, opened.tip, radius_mm, say)
+            find_arm = partial(_find_arm, opened, say)
+            asking = TouchSession(look, opened.operator, opened.tip, radius_mm, say, find_arm)
             gather_points(asking, board, folder)
             opened.operator.ask(Finish())
         finally:
             opened.arm.safe()
     return folder / POINTS_FILE
+
+
+def _find_arm(opened: OpenRig, say: Say) -> None:
+    """Home an arm that was lost. Raises LinkError where it stays away, DeviceError for another."""
+    for tries_left in reversed(range(ARM_TRIES)):
+        opened.operator.ask(Homing(opened.arm.homing_again))
+        try:
+            opened.arm.recover()
+            opened.arm.home()
+        except LinkError as error:
+            if not tries_left:
+                raise
+            say(f"{error}")
+        else:
+            return
 
 
 def makers_calibration(rig: AnyRig, *, by: str = "") -> Part:

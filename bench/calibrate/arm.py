@@ -123,6 +123,7 @@ def open_arm(
             arm.sign_on()
             watch = partial(pedal_watch, arm, clock) if arm.pedals else None
             console = Console(sys.stdin, sys.stdout, clock, watch=watch)
+            console.in_run = False
             arm.asked_of(console)
             yield ArmSession(arm, clock, console, trying)
 

@@ -39,6 +39,7 @@ from detector.calibration.cameras import (
     Coverage,
     Halves,
     TooFewViewsError,
+    away_text,
     calibrate_camera,
     coverage,
     join_cameras,
@@ -130,7 +131,7 @@ class CamerasResult:
         near, far = self.shown_mm
         if near / DISTANCE_RATIO <= working_mm <= far * DISTANCE_RATIO:
             return ()
-        away = f"all views are {near:.0f} to {far:.0f} mm away"
+        away = away_text(near, far)
         return (f"show the board {working_mm / 1000:.2g} m away, where teats stand: {away}",)
 
     def good_to_mm(self, depths_mm: Array) -> Array:

@@ -10,6 +10,7 @@ from math import hypot
 from bench.config import ConfigError, check_within
 from bench.rig.loading import AnyRig, any_rig
 from bench.rig.opening import open_instruments
+from bench.scoring.rates import plural
 from bench.script.phantom import find_layout, load_layout
 from bench.truth.registration import Registration, RegistrationError
 from bench.truth.stage_registration import around, register
@@ -51,11 +52,11 @@ def calibrate_stage(
         raise ConfigError.plain(f"`layout` {layout}: {error}") from error
     phantom = load_layout(path).phantom(seed)
     if teat > (many := len(phantom.teats)):
-        raise ConfigError.plain(f"`teat` {teat}: the layout {layout} has {many} teats")
+        raise ConfigError.plain(f"`teat` {teat}: the layout {layout} has {plural(many, 'teat')}")
     poses = [PlatePose(x, y) for x, y in at_mm] or around([PlatePose()], SPAN_MM)
     if len(poses) < 3:
         raise ConfigError.plain(
-            f"`at_mm`: {len(poses)} positions; a registration needs three or more, not on a line"
+            f"`at_mm`: {plural(len(poses), 'position')}; three or more are needed, not on a line"
         )
     with open_instruments(rig, seed=seed, capture=capture, warn=say) as devices:
         stage = devices.stage

@@ -28,7 +28,13 @@ from detector.calibration.rigid import WorldFit, fit_world
 from detector.calibration.values import covariance_of_points
 from detector.geometry import Array
 from instruments.camera.frame import Grey
-from instruments.errors import DeviceError, InstrumentError, TouchAgainError
+from instruments.errors import (
+    DeviceError,
+    InstrumentError,
+    LinkError,
+    ProtocolError,
+    TouchAgainError,
+)
 from instruments.microscribe.driver import Reading
 from instruments.operators.operator import BoardPose, BoardTouch, Operator, Release
 from textfiles import tables
@@ -183,13 +189,16 @@ COLOUR = (0, 200, 255)
 
 @dataclass(frozen=True, slots=True)
 class TouchSession:
-    """Cameras, operator and arm; ``tip_radius_mm`` of a ball tip, 0 for a point."""
+    """Cameras, operator and arm; ``tip_radius_mm`` of a ball tip, 0 for a point; ``find_arm`` has
+    an arm that was lost homed again, or raises what keeps it away.
+    """
 
     look: Callable[[], Mapping[str, Grey]]
     operator: Operator
     tip: TipReader
     tip_radius_mm: float
     report: Callable[[str], None]
+    find_arm: Callable[[], None]
 
 
 def gather_points(asking: TouchSession, board: Board, folder: Path) -> TouchedPoints:
@@ -280,6 +289,11 @@ def _touched(asking: TouchSession, board: Board, at: int, before: list[Reading])
             reading = asking.tip.read()
         except TouchAgainError as moves:
             again = f"{moves} Touch it once more."
+            continue
+        except (LinkError, ProtocolError) as error:
+            asking.report(f"point {at + 1}: {error}")
+            asking.find_arm()
+            again = "The touches before this one are kept."
             continue
         printed, wrong = board.points_mm[list(corners)], ""
         for earlier, known in enumerate(before):

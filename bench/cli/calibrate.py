@@ -23,14 +23,14 @@ from bench.cli.commands import CAMERAS
 from bench.cli.terminal import working
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
+from bench.scoring.rates import plural
 from detector.calibration.gate import pair_faults
 
 if TYPE_CHECKING:
     from detector import Calibration, Part, Record
     from reports.page import Page
 
-CHECK_VIEWS = 5
-SHOWN = 3  # pictures that are left out
+CHECK_VIEWS, SHOWN = 5, 3  # views of a check; pictures that are left out
 say = partial(print, flush=True)  # for the person at the rig
 FOLDERS = "folders of pictures (FRAMES)"
 
@@ -163,7 +163,7 @@ def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Any], 
     again, findings = bench.check_pair(part, views)
     scale, sd = again.scale
     print(
-        f"{len(again.views)} views: lengths {scale:.5f} ± {sd:.5f} of the print, rows"
+        f"{plural(len(again.views), 'view')}: lengths {scale:.5f} ± {sd:.5f} of the print, rows"
         f" {again.epipolar_rms_px:.2f} px rms"
     )
     _finish(given, None, partial(check_page, again, findings), inputs=paths)
@@ -179,7 +179,7 @@ def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Any],
     again, findings = bench.check_points(part, bench.read_points(given.points), **_noise(given))
     rms = float(np.sqrt(np.mean(np.sum(again.missed_mm**2, axis=1))))
     print(
-        f"{len(again.missed_mm)} points: missed by {rms:.2f} mm rms,"
+        f"{plural(len(again.missed_mm), 'point')}: missed by {rms:.2f} mm rms,"
         f" {np.sqrt(np.mean(again.expected_mm**2)):.2f} mm is to be expected"
     )
     _finish(given, None, partial(check_points_page, again, findings), inputs=(given.points,))
@@ -329,8 +329,8 @@ def export(given: argparse.Namespace) -> None:
     if given.format == "ros":
         bench.write_ros(part, given.out, given.camera)
     else:
-        write = {"opencv": bench.write_opencv, "bouguet": bench.write_bouguet}
-        write[given.format](part, given.out)
+        write = bench.write_opencv if given.format == "opencv" else bench.write_bouguet
+        write(part, given.out)
     print(f"written: {given.out}")
 
 

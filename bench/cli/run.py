@@ -99,7 +99,8 @@ def _run(
             print(found.took)
     page = reports[-1].page if reports else None
     if len(scripts) > 1:
-        print(f"Queue: {queue_headline(given.out, [one.folder.name for one in reports])}")
+        print(said := f"Queue: {queue_headline(given.out, [one.folder.name for one in reports])}")
+        _summarize(given, said)
         try:
             _, page = bench.write_queue_page(given.out)
             print(f"Page: {page}")
@@ -111,11 +112,11 @@ def _run(
     return max(codes, key=WORST.index)
 
 
-def _summarize(given: argparse.Namespace, found: bench.Reported | None = None) -> None:
+def _summarize(given: argparse.Namespace, found: bench.Reported | str = "") -> None:
     if given.summary:
         from bench.report import summary
 
-        summary.append(given.summary, summary.of_run(found) if found else "")
+        summary.append(given.summary, found if isinstance(found, str) else summary.of_run(found))
 
 
 @contextmanager
@@ -139,8 +140,7 @@ def resume(given: argparse.Namespace) -> int:
 
     console = Terminal()
     with undamaged([given.run], given) as damage:
-        record = bench.read_run(given.run)
-        if record.ending == "finished" and not _is_reported(given.run):
+        if bench.read_run(given.run).ending == "finished" and not _is_reported(given.run):
             print(f"{given.run}: every trial is done, the bench died before it wrote the report")
             return show_verdict(console, bench.write_report(given.run, damage=damage))
         rig = bench.rig_of_run(given.run)

@@ -20,7 +20,7 @@ from bench.scoring.errors import ErrorSummary, Floats, normal_k, quantile_bound,
 from bench.scoring.guard_band import axis_acceptance_limit_mm, refusal_limit_mm
 from bench.scoring.joint import JointCovariance, mean_square, radial_95_mm
 from bench.scoring.precision import NORMAL_RP, STUDY_SDS, distance_accuracy, drift_mm, pose_accuracy
-from bench.scoring.rates import zero_failure_n
+from bench.scoring.rates import plural, zero_failure_n
 from bench.scoring.scene import Pool
 from detector.calibration import Calibration
 from instruments.world.situations import spoken
@@ -144,8 +144,8 @@ def _tolerance(pool: Pool, detector: str) -> Part:
     worst, n = np.array(list(of_poses.values()), dtype=np.float64), len(of_poses)
     if n < 2:
         return Paragraph(
-            f"Tolerance limits, {detector}: {NOT_MEASURED}; teats were found in {n} poses, and 2"
-            " are the least."
+            f"Tolerance limits, {detector}: {NOT_MEASURED}; teats were found in"
+            f" {plural(n, 'pose')}, and 2 are the least."
         )
     lines = []
     for share in SHARES:

@@ -13,6 +13,7 @@ from bench.report.wording import NOT_MEASURED, key_values, number, spanned, tabl
 from bench.results.headline import guardian_text
 from bench.results.teat_temperature import Figures, Surface, surface
 from bench.safety.interlocks import RULES
+from bench.scoring.rates import plural
 from bench.script.model import Rules, Script
 from reports.figures.course import bath_curve, bath_sparkline
 from reports.page import Figure, Fold, Paragraph, Part, Table
@@ -29,7 +30,7 @@ def sparkline(run: RunRecord, rules: Rules) -> Iterator[Part]:
     svg = bath_sparkline(run.bath[:, 0], run.bath[:, 1], set_point, _band_k(rules))
     stable = sum(trial.head["bath_state"] == "stable" for trial in captured)
     caption = f"The bath; stable at {stable} of {len(captured)} captures"
-    yield Figure(svg, caption, f"{len(run.bath)} readings about {set_point:g} °C")
+    yield Figure(svg, caption, f"{plural(len(run.bath), 'reading')} about {set_point:g} °C")
 
 
 def _captured(run: RunRecord) -> list[TrialRecord]:
@@ -55,7 +56,12 @@ def bath_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
             spans.append((spans.pop()[0] if joined else t_s, t_s))
     svg = bath_curve(times_s, temps_c, set_point, _band_k(rules), captures, spans)
     caption = "Bath temperature over the run's time; captures are marked"
-    yield Figure(svg, caption, f"{len(run.bath)} readings, {len(captures)} captures", wide=True)
+    yield Figure(
+        svg,
+        caption,
+        f"{plural(len(run.bath), 'reading')}, {plural(len(captures), 'capture')}",
+        wide=True,
+    )
     temps = [t.head["bath_c"] for t in run.trials if t.head["bath_c"] is not None]
     room = run.facts.get("bath figures", {}).get("room_c")
     entries = {

@@ -17,6 +17,7 @@ from bench.report.chapters import Chapters, page_of
 from bench.report.wording import NOT_MEASURED, Heading, hints, key_values, listed, spanned, table
 from bench.results.cameras_agree import NEXT_UNSEEN, CamerasCheck
 from bench.scoring.decisions import Decision, Verdict
+from bench.scoring.rates import plural
 from detector.calibration import Record
 from detector.calibration.bundle import LENS, POSE
 from detector.calibration.cameras import SIDES, CameraFit, Coverage
@@ -363,10 +364,10 @@ def check_page(
             _figure_only("Board flat to", f"{again.flatness_rms_mm:.3f} mm"),
             _figure_only("Rows off by", f"{again.epipolar_rms_px:.2f} px"),
         ),
-        tested=f"An existing calibration on {len(again.views)} views of a board.",
+        tested=f"An existing calibration on {plural(len(again.views), 'view')} of a board.",
         confidence=(
-            f"{len(again.views)} views of a board today. A fault is named only where it is"
-            " significant and large enough to matter."
+            f"{plural(len(again.views), 'view')} of a board today. A fault is named only where it"
+            " is significant and large enough to matter."
         ),
         cure="Calibrate anew (teatbench calibrate cameras), after looking at what is named below.",
         undecided=len(again.views) < LEAST_LOOKED_AT,

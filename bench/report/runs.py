@@ -157,7 +157,8 @@ def write_queue_page(out: Path | str = "runs") -> tuple[QueueStatus, Path]:
             others.append((name, _unread(error)))
     found = Runs(folder, tuple(runs), tuple(others))
     title = f"Queue of {plural(len(queue.scripts), 'script')}"
-    summary = f"{queue.rig}, begun {queue.started[:16].replace('T', ' ')}; {queue.headline}."
+    now = queue.headline.removesuffix(".")
+    summary = f"{queue.rig}, begun {queue.started[:16].replace('T', ' ')}; {now}."
     name = f"{queue.name}.html"
     return queue, write_runs(found, summary, name=name, title=title, rest="Not run")
 

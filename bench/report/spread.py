@@ -29,6 +29,7 @@ from bench.results.verdicts import scored_trials
 from bench.scoring.comparison import holm
 from bench.scoring.errors import Floats
 from bench.scoring.joint import radial_95_mm
+from bench.scoring.rates import plural
 from bench.scoring.spread import (
     LEAST_POSES,
     LEAST_SPAN_U,
@@ -262,7 +263,7 @@ def _drawn(
     views = [names for names, _, _ in VIEWS]
     svg = error_regions(groups, views, limit_mm, name=f"regions-{id_of(detector)}")
     counts = "; ".join(
-        f"{name}: {len(means)} poses{'' if len(means) >= LEAST_POSES else ', too few'}"
+        f"{name}: {plural(len(means), 'pose')}{'' if len(means) >= LEAST_POSES else ', too few'}"
         for name, means, *_ in clouds
     )
     text = (
@@ -283,8 +284,8 @@ def _ellipsoids(
     test = whole.test
     if test.n < LEAST_POSES:
         yield Paragraph(
-            f"Ellipsoids, {detector}: {NOT_MEASURED}; teats were found in {test.n} poses, and"
-            f" {LEAST_POSES} are the least."
+            f"Ellipsoids, {detector}: {NOT_MEASURED}; teats were found in"
+            f" {plural(test.n, 'pose')}, and {LEAST_POSES} are the least."
         )
         return
     yield Paragraph(_mean_error(rows, whole, detector))
@@ -315,14 +316,16 @@ def _mean_error(rows: ErrorRows, whole: Bias, detector: str) -> str:
     shared, p_value = whole.common_mm2, whole.test.p_value
     chance = "" if p_value is None else f"; {'a' if p_value < BIAS_LEVEL else 'no'} bias is shown"
     if rows.truth is None or shared is None or not shared.any():
-        return f"Mean error over {whole.test.n} poses, {detector}: {mean_mm:.2f} mm{chance}."
+        return (
+            f"Mean error over {plural(whole.test.n, 'pose')}, {detector}: {mean_mm:.2f} mm{chance}."
+        )
     parts = rows.truth.by_source(rows.of_mean)
     largest = sorted(parts, key=lambda source: -parts[source])
     named = ", ".join(f"{source} {parts[source]:.2f} mm" for source in largest)
     return (
-        f"Mean error of detector and truth together over {whole.test.n} poses, {detector}:"
-        f" {mean_mm:.2f} mm, of which the truth may be {radial_95_mm(shared):.2f} mm (95 %; u along"
-        f" an axis of what all its ends share: {named}){chance}."
+        f"Mean error of detector and truth together over {plural(whole.test.n, 'pose')},"
+        f" {detector}: {mean_mm:.2f} mm, of which the truth may be {radial_95_mm(shared):.2f} mm"
+        f" (95 %; u along an axis of what all its ends share: {named}){chance}."
     )
 
 

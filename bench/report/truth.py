@@ -26,6 +26,7 @@ from bench.results.doubts import LOOKED_FACT
 from bench.results.stated_arm import STATED_FACT, VERIFICATION_FACT, arm_checks, too_small
 from bench.results.verdicts import age_of
 from bench.rig.arm_files import LocationTest, Verification, from_dict
+from bench.scoring.rates import plural
 from bench.scoring.stated_u import LEVEL, level_of_each
 from bench.script.model import CamerasRequirement, Rules
 from bench.truth.arm_check import (
@@ -340,6 +341,6 @@ def _truth_error(rows: Sequence[Mapping[str, Any]]) -> str:
     far = np.linalg.norm(off_mm, axis=1)
     return (
         f"Emulated rig: the scene's exact teat ends are kept aside. The truth is {far.mean():.2f}"
-        f" mm from them on the mean, {far.max():.2f} mm at most ({len(rows)} ends){held}. Scores"
-        " are against the measured truth, as in a laboratory."
+        f" mm from them on the mean, {far.max():.2f} mm at most ({plural(len(rows), 'end')}){held}."
+        " Scores are against the measured truth, as in a laboratory."
     )

@@ -235,7 +235,7 @@ def unchecked_text(
         return ""
     measured = sum(one.disparity_px is not None for ends in seen.values() for one in ends.values())
     ends = sum(row.visible for frame in seen for row in truth.get(frame, ()))
-    looked = f"{measured} of {ends} visible ends measured in {len(seen)} poses"
+    looked = f"{measured} of {ends} visible ends measured in {plural(len(seen), 'pose')}"
     return f"{NOT_CHECKED} ({looked})"
 
 

@@ -207,7 +207,8 @@ def _next_action(verdict: Verdict, which: Sequence[Decision], of_bench: frozense
         return "Keep the run's folder as evidence."
     bench = ", ".join(dict.fromkeys(one.name for one in which if one.name in of_bench))
     own = [one for one in which if one.name not in of_bench]
-    names = ", ".join(dict.fromkeys(one.name for one in own))
+    empty = [one.name for one in own if one.verdict is Verdict.NOT_MEASURED]
+    names = ", ".join(dict.fromkeys(one.name for one in own if one.name not in empty))
     if verdict is Verdict.NOT_MET:
         first = f"Put the bench right before all else: {bench}; what it measured may be wrong."
         then = "The detector has to become better." if names else "Then run the script again."
@@ -216,4 +217,6 @@ def _next_action(verdict: Verdict, which: Sequence[Decision], of_bench: frozense
         most = max((one.missing for one in own if one.missing is not None), default=None)
         many = "Run more poses" if most is None else f"Run {plural(most, 'more pose')}"
         then = f"{many} to decide: {names}." if names else ""
-    return f"{first} {then}".strip() if bench else then
+        look = "Look at the trials: poses such as these measure nothing of"
+        then += f" {look}: {', '.join(dict.fromkeys(empty))}." if empty else ""
+    return f"{first} {then.strip()}".strip() if bench else then.strip()

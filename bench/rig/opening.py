@@ -151,6 +151,8 @@ def open_instruments(
         with ExitStack() as stack:
             time = clock or clock_in(stack)
             answerer = _answerer(rig, time, screen, folder) if "operator" in names else None
+            if answerer:
+                answerer.in_run = folder is not None
             seeded = rig.rig.seed if seed is None else seed
             world = twin
             if emulated and world is None:

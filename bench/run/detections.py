@@ -11,6 +11,7 @@ import numpy as np
 from bench.config import ConfigError, read_calibration
 from bench.record.recording import Recording, RecordingError
 from bench.results.answers import Answer, Examiner, close_detectors, one_line
+from bench.scoring.rates import plural
 from bench.script.detectors import make_detectors, refusals
 from detector.protocol import Detection, Detector, Outcome
 from instruments.camera.frame import FrameSet
@@ -70,7 +71,8 @@ def _json_line(frame: str, answer: Answer) -> dict[str, Any]:
 def _sentence(frame: str, answer: Answer) -> str:
     detection = answer.detection
     places = "; ".join(", ".join(f"{v:.1f}" for v in teat.world_mm) for teat in detection.teats)
-    head = f"{frame} {answer.detector}: {len(detection.teats)} teats, {detection.hidden} hidden"
+    head = f"{frame} {answer.detector}: {plural(len(detection.teats), 'teat')}"
+    head += f", {detection.hidden} hidden"
     head += f"{f': {places} mm' if places else ''} ({answer.seconds:.3f} s)"
     head += f" - {detection.reason}" if detection.reason else ""
     return "\n    ".join([head, *_last_words(answer)])

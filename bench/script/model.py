@@ -265,6 +265,8 @@ class Rules(Section):
         # of a run that was done, also where its detectors aren't at hand any more
         if not (info.context or {}).get("stored"):
             check_named(names)
+            if twice := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
+                raise ValueError(f"{twice[0]!r} is there twice; name each detector once")
         return names
 
     _requirements_differ = field_validator("requirements")(_names_differ)

@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from bench.config import Section, did_you_mean
+from bench.scoring.rates import plural
 from bench.script.phantom import Layout, find_layout, load_layout, ordered
 from instruments.operators.operator import Arrangement
 from instruments.world.objects import SceneObject, make_object
@@ -405,7 +406,8 @@ def chosen(trial: Trial) -> str:
             for k, (a, b) in drawn.items()
             if (a, b) != (0.0, 0.0)
         )
-        how = f"{draw.count} poses drawn evenly within {within or 'the reference place alone'}"
+        how = f"{plural(draw.count, 'pose')} drawn evenly within"
+        how += f" {within or 'the reference place alone'}"
     else:
         count = len(trial.poses or (1,))
         how = f"{count} pose{'s' if count > 1 else ''} as written"

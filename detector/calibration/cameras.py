@@ -315,6 +315,13 @@ _ROW_NAMES = ("top", "middle", "bottom")
 _COLUMN_NAMES = ("far left", "left", "right", "far right")
 
 
+def away_text(near_mm: float, far_mm: float) -> str:
+    """``all views are 900 to 1100 mm away``"""
+    return (
+        f"all views are {' to '.join(dict.fromkeys((f'{near_mm:.0f}', f'{far_mm:.0f}')))} mm away"
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Coverage:
     """``corners`` (ROWS, COLUMNS) by cell; ``tilted`` views by `SIDES`; nearest and farthest mm."""
@@ -341,12 +348,9 @@ class Coverage:
         for side, count in zip(SIDES, self.tilted, strict=True):
             if count < LEAST_TILTED:
                 found.append(f"tilt the board by 20 to 40 degrees, {side}")
-        near, far = self.distances_mm or (0.0, 0.0)
-        if self.distances_mm and far < DISTANCE_RATIO * near:
-            away = f"all views are {near:.0f} to {far:.0f} mm away"
-            found.append(f"hold the board nearer and farther: {away}")
-        more = ENOUGH_VIEWS - self.views
-        if more > 0:
+        if (span := self.distances_mm) and span[1] < DISTANCE_RATIO * span[0]:
+            found.append(f"hold the board nearer and farther: {away_text(*span)}")
+        if (more := ENOUGH_VIEWS - self.views) > 0:
             found.append(f"{more} more view{'s' if more > 1 else ''}")
         return tuple(found)
 

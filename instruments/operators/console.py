@@ -168,7 +168,7 @@ class Console(PromptedOperator):
             # Enter pressed twice must not answer the next question, but no abort is lost
             while self._terminal and (line := self._keyboard.line()):
                 if line.strip().lower() in op.ABORT:
-                    raise op.OperatorAbort("the operator aborted the run")
+                    raise prompt.aborted
             first = "" if prompt.press else "\n"
             self._write(self._wrapped(f"{first}{prompt.head}{prompt.text}\n"))
             if self._mailbox:

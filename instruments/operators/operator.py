@@ -213,7 +213,6 @@ REPEAT = ("r", "repeat")
 ENOUGH = ("e", "enough")
 EXPLAIN = "?"
 KEYS = (*GO, *ABORT, *SKIP, *REPEAT, *ENOUGH, EXPLAIN)  # none is a reason for the record
-ABORT_KEY = "? = explain, a = abort the run"
 
 
 @cache
@@ -233,7 +232,8 @@ class NotUnderstoodError(ValueError):
 @dataclass(frozen=True, slots=True)
 class Prompt:
     """``hidden_to``: hidden teat ends may be named, 1 to that; ``enough``: may be answered;
-    ``press``: one more touch of the prompt before, said in short; ``left``: of the run, when asked.
+    ``press``: one more touch of the prompt before, said in short; ``left``: of the run, when asked;
+    ``in_run``: else a command asks that has no trials, such as a calibration.
     """
 
     kind: Kind
@@ -244,6 +244,7 @@ class Prompt:
     enough: bool = False
     press: bool = False
     left: str = ""
+    in_run: bool = True
 
     @property
     def head(self) -> str:
@@ -254,21 +255,27 @@ class Prompt:
     @property
     def in_trial(self) -> bool:
         """Whether it may be answered by skipping or repeating the trial."""
-        return self.kind in IN_TRIALS
+        return self.in_run and self.kind in IN_TRIALS
+
+    @property
+    def aborted(self) -> OperatorAbort:
+        """What an abort raises."""
+        return OperatorAbort(f"the operator aborted{' the run' * self.in_run}")
 
     def keys(self, *, pedal: bool = False) -> str:
         """The possible answers, always with abort. ``pedal``: a pedal is watched."""
+        abort = f"? = explain, a = abort{' the run' * self.in_run}"
         if self.kind == "coordinates":
-            return f"x y z, then Enter ({ABORT_KEY}): "
+            return f"x y z, then Enter ({abort}): "
         go = "Enter or a pedal to go on" if pedal and self.pedal else "Enter to go on"
         if self.press:
-            return f"{go} (s, r, ? or a as before): "
+            return f"{go} ({'s, r, ' * self.in_trial}? or a as before): "
         if self.hidden_to:
             ends = f"first the numbers of hidden teat ends (1 to {self.hidden_to})"
             go = f"Enter when it stands; {ends}"
         trial = "s REASON = skip the trial, r = repeat it, " * self.in_trial
         enough = "e = enough, go on with what there is, " * self.enough
-        return f"{go}\n({trial}{enough}{ABORT_KEY}): "
+        return f"{go}\n({trial}{enough}{abort}): "
 
     @property
     def allowed(self) -> str:
@@ -289,9 +296,12 @@ class Prompt:
             "Repeat: its pictures and touches are dropped.\n"
         )
         enough = "Enough: it is calibrated from what was shown so far.\n"
+        abort = "the bath goes to standby, the stage stops. What was finished is kept"
+        if not self.in_run:
+            abort = "the command ends. Pictures that were taken are kept, nothing else is written"
         return (
             f"{explained()[self.kind]}\n{trial * self.in_trial}{enough * self.enough}"
-            "Abort: the bath goes to standby, the stage stops. What was finished is kept.\n"
+            f"Abort: {abort}.\n"
             "There is no hurry; nothing is lost by taking long."
         )
 
@@ -316,7 +326,7 @@ def understood(answer: str, prompt: Prompt) -> frozenset[int]:
     first, *more = words or (GO if not answer.strip() else ("",))
     reason = " ".join(answer.split()[1:])
     if first in ABORT and not more:
-        raise OperatorAbort("the operator aborted the run")
+        raise prompt.aborted
     if prompt.in_trial and first in REPEAT:
         raise OperatorRepeat(reason)
     if prompt.enough and first in ENOUGH and not more:

@@ -30,9 +30,12 @@ LEANS = (
 
 
 class PromptedOperator(ABC):
-    """``hands`` do what each "go on" agreed to; ``before_touch`` is called before each touch."""
+    """``hands`` do what each "go on" agreed to; ``before_touch`` is called before each touch.
+    ``in_run``: the prompts are those of a run, else of a calibration or of the arm's check.
+    """
 
     hands: op.Operator | None = None
+    in_run = True
     before_touch: Callable[[], None] = staticmethod(op.no_check)
     _trial: op.NextTrial | None = None
     _stands: tuple[op.Arrangement, frozenset[int]] | None = None
@@ -83,7 +86,7 @@ class PromptedOperator(ABC):
     def _asked(self, request: op.Awaited, check: Callable[[], None]) -> str:
         if isinstance(request, op.CheckPoint | op.Touch | op.BoardTouch) and request.again:
             self.say(request.again)
-        prompt = self.prompt(request)
+        prompt = replace(self.prompt(request), in_run=self.in_run)
         if prompt.pedal:
             self.before_touch()
         try:
@@ -227,8 +230,9 @@ class ScriptedAnswers(PromptedOperator):
         try:
             op.understood(answer, prompt)
         except op.NotUnderstoodError as error:
+            teats = f"There are {prompt.hidden_to} teats here"
             what, hint = (
-                f"{error.wrong} There are {prompt.hidden_to} teats here",
+                f"{error.wrong} {teats}" if prompt.hidden_to else str(error).rstrip("."),
                 f"Correct {self._source}.",
             )
             asked = f"{prompt.kind}: {prompt.head}{prompt.text}"
@@ -238,9 +242,10 @@ class ScriptedAnswers(PromptedOperator):
     def finish(self) -> None:
         # how often the check point is touched is the run's to say
         if left := [one for one in self._answers[self._given :] if one.to != "check point"]:
-            what = (
-                f"the run has ended and {len(left)} answers of {self._source} were never asked for"
-            )
+            ended = "the run has ended" if self.in_run else "nothing more is asked"
+            answers = "1 answer" if len(left) == 1 else f"{len(left)} answers"
+            were = "was" if len(left) == 1 else "were"
+            what = f"{ended} and {answers} of {self._source} {were} never asked for"
             hint = "Take them out, or correct the prompts that they are for."
             raise ProtocolError("operator", f"{what}; the first is {left[0]}", hint=hint)
 

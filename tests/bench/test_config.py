@@ -148,6 +148,7 @@ def test_shipped_scripts_load() -> None:
         ('layout = "overlapping"', 'layout = "overlaping"', "did you mean"),
         ('{ kind = "cold_teat" }', '{ kind = "cold_teet" }', "object 1"),
         ('detectors = ["thesis"]', 'detectors = ["thesys"]', 'did you mean "thesis"'),
+        ('detectors = ["thesis"]', 'detectors = ["thesis", "thesis"]', "'thesis' is there twice"),
         ('kind = "success"', 'kind = "sucess"', """.kind: 'sucess' is not allowed; did you mean"""),
         ('kind = "success"', "# none", "requirements[2].kind: is missing"),
         ("mean_k = 0.10", "mean_k = 0.10\nrepeats = 3", "to the top of the file or [[trials]] ("),

@@ -89,8 +89,7 @@ def test_an_abort_writes_nothing(
     out = tmp_path / "arm.toml"
     Person(monkeypatch, *answers)
     assert teatbench(f"arm {command} {OWN}", out) == 3
-    said = capsys.readouterr().err
-    assert said == "teatbench: the operator aborted the run; nothing was written\n"
+    assert capsys.readouterr().err == "teatbench: the operator aborted; nothing was written\n"
     assert not out.exists()
 
 

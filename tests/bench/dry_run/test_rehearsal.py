@@ -128,7 +128,7 @@ def test_answers_that_are_left_over_are_found_and_one_that_skips_is_reported(
     answers.write_text(never, encoding="utf-8")
     left = rehearse(rig, script, ())
     assert found(left) == [("after the trials", "fault")]
-    assert "1 answers of answers.toml were never asked for" in left.findings[0].text
+    assert "1 answer of answers.toml was never asked for" in left.findings[0].text
 
 
 @pytest.mark.slow

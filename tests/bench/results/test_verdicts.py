@@ -15,6 +15,7 @@ import pytest
 from bench.config import read_config
 from bench.record.reader import RunRecord, TrialRecord
 from bench.report.page import _confidence, _latency_parts
+from bench.results.headline import judged
 from bench.results.stated_arm import STATED_FACT
 from bench.results.status import status_of
 from bench.results.verdicts import judge, latency_of, run_verdict
@@ -109,8 +110,8 @@ def test_a_truth_that_states_no_uncertainty_accepts_no_error(tmp_path: Path) -> 
 
 def test_no_trial_measures_nothing(tmp_path: Path) -> None:
     run = record(tmp_path, [])
-    assert {d.verdict for d in decided(run).values()} == {NOTHING}
-    assert {d.measured for d in decided(run).values()} == {None}
+    assert {(d.verdict, d.measured) for d in decided(run).values()} == {(NOTHING, None)}
+    assert judged(run, judge(run, RULES))[1].startswith("Look at the trials: poses such as these")
     assert run_verdict(judge(run, RULES)) is OPEN
 
 

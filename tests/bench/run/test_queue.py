@@ -95,11 +95,8 @@ def test_the_rig_stays_open_and_warm_and_is_safe_at_the_end(
     assert queue.headline == "ended: 3 of 3 scripts finished"
     assert kinds(first, "safe") == kinds(second, "safe") == [STAYS_WARM]
     assert "bath is safe" in kinds(third, "safe")
-    assert [bath_safe(one) for one in (first, second, third)] == [
-        Safe.IN_USE,
-        Safe.IN_USE,
-        Safe.READ_BACK,
-    ]
+    safe = [bath_safe(one) for one in (first, second, third)]
+    assert safe == [Safe.IN_USE, Safe.IN_USE, Safe.READ_BACK]
     assert "settling" in kinds(first, "run state")
     assert "settling" not in kinds(second, "run state")  # the bath was stable, and stayed so
     assert "settling" in kinds(third, "run state")  # at another set point
@@ -205,9 +202,10 @@ def test_ctrl_c_between_two_scripts_ends_all(
         return begun(*given, **more)
 
     monkeypatch.setattr(start, "_begun", second)
-    code, queue, (first,) = run(scripts)
+    code, queue, (first,) = run(scripts, "--summary", summary := f"{scripts[0]}.md")
     assert code == 3
     assert queue.headline == f"ended early, 1 of 3 scripts finished: {start.INTERRUPTED}"
+    assert Path(summary).read_text(encoding="utf-8").endswith(f"\nQueue: {queue.headline}\n")
     assert f"Queue: {queue.headline}" in capsys.readouterr().out
     assert bath_safe(first) is Safe.IN_USE  # as it left it; the rig was made safe after it
 
@@ -247,6 +245,8 @@ def test_a_trip_ends_all(scripts: list[str], monkeypatch: pytest.MonkeyPatch, am
     code, queue, runs = run(scripts)
     assert code == 3
     assert queue.ended.startswith("tripped by interlock ")
+    page = Path(scripts[0]).parent / "runs" / f"{queue.name}.html"
+    assert ".." not in page.read_text(encoding="utf-8").partition("</header>")[0]
     assert [status_of(one).state for one in runs] == ["finished", "tripped"]
     assert [len(twin_of), twin_of[0].world.plant.running] == [1, False]
     assert bath_safe(runs[1]) is Safe.READ_BACK

@@ -65,10 +65,8 @@ def test_one_prompt_asks_for_all_touches_of_a_teat_end() -> None:
     for number, left in ((2, 8), (3, 7)):
         assert f"[press {number} of 3, {left} of 12 left{press}" in said
     assert said.count("s REASON") == 3, "the set-up, the teat, and the touch that was refused"
-    assert (
-        "It moved.\n\n[trial 3 of 18, teat 2 of 4, 8 of 12 touches left] Once more: touch the end of"
-        in said
-    )
+    once = "[trial 3 of 18, teat 2 of 4, 8 of 12 touches left] Once more: touch the end of"
+    assert f"It moved.\n\n{once}" in said
 
 
 def test_it_says_how_far_the_run_is() -> None:
@@ -94,10 +92,8 @@ def test_it_says_how_far_the_run_is() -> None:
 
 def test_teats_are_reported_by_their_names_where_they_have_some() -> None:
     who, out = asked("\n\n")
-    named = tuple(
-        replace(teat, name=name)
-        for teat, name in zip(ASKED.phantom.teats, ("LF", "RF", "LR", "RR"), strict=True)
-    )
+    called = zip(ASKED.phantom.teats, ("LF", "RF", "LR", "RR"), strict=True)
+    named = tuple(replace(teat, name=name) for teat, name in called)
     who.ask(replace(ASKED, phantom=replace(ASKED.phantom, teats=named)))
     who.ask(op.Touch(3, 4))
     assert "Touch the end of teat 3, left rear (LR), with" in out.getvalue()
@@ -153,6 +149,11 @@ def test_every_prompt_can_abort_and_says_how(prompt: str, answer: str) -> None:
     with pytest.raises(op.OperatorAbort, match=why):
         who.ask(PROMPTS[prompt])
     assert "a = abort the run" in out.getvalue()
+    who, out = asked(f"?\nr\ns\n{answer}")
+    who.in_run = False
+    with pytest.raises(op.OperatorAbort, match="aborted$" if answer else why):
+        who.ask(PROMPTS[prompt])
+    assert not re.search(r"the run|the trial|Skip:|the bath|s REASON", out.getvalue())
 
 
 @pytest.mark.parametrize("prompt", PROMPTS)
