@@ -105,7 +105,7 @@ def thermal(given: argparse.Namespace) -> None:
     _finish(given, result.part, page, inputs=paths, cameras=identity, pair=pair)
     of_views = [*result.joint.view_rms_px("thermal").values()]
     rms = float(np.sqrt(np.mean(np.square(of_views))))
-    print(f"thermal camera: {rms:.3f} px rms over {len(of_views)} views")
+    print(f"thermal camera: {rms:.3f} px rms over {plural(len(of_views), 'view')}")
 
 
 def world(given: argparse.Namespace) -> int:

@@ -79,7 +79,7 @@ def bath_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
             each.append(_stability_table(run, set_point, rules.bath.window_s, *shown))
         states = [str(trial.head["bath_state"]) for trial in captured]
         states_text = ", ".join(f"{states.count(one)} {one}" for one in dict.fromkeys(states))
-        yield Paragraph(f"The bath at the {len(captured)} captures: {states_text}.")
+        yield Paragraph(f"The bath at {plural(len(captured), 'capture')}: {states_text}.")
         yield Fold("Each capture: temperatures, stability and uncertainty", tuple(each))
     yield from _care_parts(run)
 

@@ -227,8 +227,8 @@ def thermal_page(result: ThermalResult, record: Record, command: str) -> Page:
         missing=missing,
         first="residuals",
         tested=(
-            f"Thermal camera from {len(result.joint.view_rms_px('thermal'))} views of a heated"
-            f" board ({views.board.kind})."
+            f"Thermal camera from {plural(len(result.joint.view_rms_px('thermal')), 'view')} of a"
+            f" heated board ({views.board.kind})."
         ),
         sentence=(
             f"No limit is set for it. Points miss by {fit.rms_px:.2f} px on average over both"
@@ -306,7 +306,7 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
         _figure_only("Points miss the arm's by", f"{comparison.rigid.fre_mm:.3f} mm"),
         _figure_only("A point left out is missed by", left_out),
     )
-    alt = f"{len(fit.touched_mm)} points, {comparison.rigid.fre_mm:.3f} mm rms"
+    alt = f"{plural(len(fit.touched_mm), 'point')}, {comparison.rigid.fre_mm:.3f} mm rms"
     caption = "Where the arm touched, less where the cameras see it, along the world's axes"
     rigid_mm = comparison.rigid.residuals_mm
     shown = _touched(rigid_mm, ENOUGH_MM, "good enough", "residuals", caption, alt)
@@ -323,7 +323,7 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
         findings=result.findings,
         first="residuals",
         verdict=verdict,
-        tested=f"World from {len(fit.touched_mm)} points that the arm touched.",
+        tested=f"World from {plural(len(fit.touched_mm), 'point')} that the arm touched.",
         sentence=(
             f"{said} Mapped points miss the arm's by {comparison.rigid.fre_mm:.3f} mm rms, a point"
             f" left out by {held_out['rigid'] or NOT_MEASURED} mm rms."
@@ -383,7 +383,7 @@ def check_points_page(
     points = table("points_again", [(n, *row) for n, row in enumerate(rows, 1)])
     expected = _rms(again.expected_mm)
     caption = "Where the cameras see it, less where the arm touched, along the world's axes"
-    alt = f"{len(rows)} points, {rms:.2f} mm rms"
+    alt = f"{plural(len(rows), 'point')}, {rms:.2f} mm rms"
     shown = _touched(again.missed_mm, expected, "expected", "missed", caption, alt)
     return _check(
         {
@@ -395,7 +395,7 @@ def check_points_page(
         command,
         scores=(_figure_only("Points missed by", f"{rms:.2f} mm", f"{expected:.2f} mm expected"),),
         first="points",
-        tested=f"An existing calibration on {len(again.missed_mm)} points that the arm touched.",
+        tested=f"An existing calibration on {plural(len(rows), 'point')} that the arm touched.",
         confidence=(
             f"Points are missed by {rms:.2f} mm rms; on the mean by"
             f" {listed(again.missed_mm.mean(axis=0), '+.2f')} mm."
@@ -509,7 +509,7 @@ def _residuals(fits: Mapping[str, CameraFit], views: BoardViews) -> Iterator[Par
         (x, y), (dx, dy), size = at.T, miss.T, views.image_size[camera]
         svg = residual_field(x, y, dx, dy, size, name=f"residuals-{camera}")
         rms, mean = np.sqrt(np.mean(np.sum(miss**2, axis=1))), listed(miss.mean(axis=0), "+.3f")
-        alt = f"{len(miss)} points, rms {rms:.3f} px, mean {mean} px"
+        alt = f"{plural(len(miss), 'point')}, rms {rms:.3f} px, mean {mean} px"
         yield Figure(svg, f"Corners of the {camera} camera: seen less predicted", alt)
 
 

@@ -343,7 +343,7 @@ def _figures(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator
                 name=f"scatter-{id_of(detector)}",
             ),
             f"Depth error against lateral error, {detector}",
-            f"{len(errors_mm)} points",
+            plural(len(errors_mm), "point"),
         )
     yield from sparkline(run, rules)
 

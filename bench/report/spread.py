@@ -134,7 +134,7 @@ def trend_parts(rows: ErrorRows, detector: str) -> Iterator[Part]:
     poses = len(set(rows.of_found(rows.poses)))
     if poses < LEAST_TREND_POSES:
         yield Paragraph(
-            f"Trends, {detector}: {NOT_MEASURED}; teats were found in {poses} poses, and"
+            f"Trends, {detector}: {NOT_MEASURED}; teats were found in {plural(poses, 'pose')}, and"
             f" {LEAST_TREND_POSES} are the least."
         )
         return
@@ -219,7 +219,7 @@ def spread_parts(
                 name=f"drift-{id_of(detector)}",
             ),
             f"Drift: distance over the time of the run, {detector}; each point opens its trial",
-            f"{int(timed.sum())} points",
+            plural(int(timed.sum()), "point"),
         )
     teats = teat_errors(rows)
     yield _drawn(teats, limit_mm, anchors, camera_from_world, detector)

@@ -26,7 +26,7 @@ from bench.results.verdicts import (
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.errors import Floats
 from bench.scoring.joint import radial_95_mm
-from bench.scoring.rates import Rate, percent, pose_successes
+from bench.scoring.rates import Rate, percent, plural, pose_successes
 from bench.script.model import Rules
 from detector.calibration import Calibration
 from detector.protocol import Outcome
@@ -91,7 +91,7 @@ def scoreboard(judgements: Sequence[Judgement]) -> Scoreboard:
         called = "The bench's own" if len(sound) == len(of_bench) else "The bench's other ones"
         rows.append((called, "", (met, *(None,) * (len(judgements) - 1))))
     names = tuple(judgement.detector for judgement in judgements)
-    caption = f"What each detector shows; from {usual} values unless noted."
+    caption = f"What each detector shows; from {plural(usual, 'value')} unless noted."
     return Scoreboard(caption, names, tuple(rows))
 
 

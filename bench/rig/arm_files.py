@@ -33,6 +33,7 @@ from pydantic import AwareDatetime, Field, PlainSerializer, PlainValidator, Type
 
 from bench.config import ConfigError, KeyPath, Section, located, read_config, read_text
 from bench.files import write_synced
+from bench.scoring.rates import plural
 from bench.toml import toml_text
 from detector.geometry import Motion
 
@@ -331,7 +332,7 @@ def gaps_of(test: LocationTest, least: int) -> list[str]:
             f" {LEAST_SWING_DEG:g} are needed"
         )
     if test.n < least:
-        gaps.append(f"{test.where}: {test.n} touches only; {least} are needed")
+        gaps.append(f"{test.where}: {plural(test.n, 'touch')} only; {least} are needed")
     return gaps
 
 

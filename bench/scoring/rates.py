@@ -95,8 +95,8 @@ def full_stop(text: str) -> str:
 
 
 def plural(n: int, thing: str) -> str:
-    """``1 pose``, ``59 poses``."""
-    return f"{n} {thing}" if n == 1 else f"{n} {thing}s"
+    """``1 pose``, ``59 poses``, ``3 touches``."""
+    return f"{n} {thing}" if n == 1 else f"{n} {thing}{'es' if thing.endswith('ch') else 's'}"
 
 
 def zero_failure_n(rate: float, confidence: float = 0.95) -> int:

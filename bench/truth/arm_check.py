@@ -14,6 +14,7 @@ import numpy as np
 from bench.rig.arm_files import LocationTest, axes_of, swing_text
 from bench.rig.model import Arm
 from bench.scoring.errors import Floats
+from bench.scoring.rates import plural
 from bench.truth.touching import SPARE, TipReader
 from instruments.clock import Clock
 from instruments.errors import TouchAgainError
@@ -89,7 +90,7 @@ def shift_mm(fact: Mapping[str, Any]) -> float:
 
 def check_text(fact: Mapping[str, Any], when: str) -> str:
     test, new = location_of(fact, when), new_touches(fact)
-    touches = f"{test.n} touches"
+    touches = plural(test.n, "touch")
     if new < test.n:
         touches += f" ({new} new: nothing has moved since the others)"
     return (

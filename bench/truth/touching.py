@@ -29,6 +29,7 @@ from bench.rig.arm_files import TableFrame
 from bench.rig.model import Arm
 from bench.scoring.errors import Floats
 from bench.scoring.matching import LEAST_SPACING_MM
+from bench.scoring.rates import plural
 from bench.truth.uncertainty import (
     ARM,
     REGISTRATION,
@@ -285,7 +286,7 @@ def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) 
         ("definition", arm.definition_mm, apex),
         (TIP_RADIUS, tip_radius_u_mm(arm) or None, ball),
         ("resolution", arm.rounding_mm, arm.rounding_source),
-        ("scatter", scatter, f"standard deviation of the mean of {n} touches"),
+        ("scatter", scatter, f"standard deviation of the mean of {plural(n, 'touch')}"),
     ]
     budget = tuple(Component(name, u, source) for name, u, source in lines if u is not None)
     return TrueEnd.at(tips.mean(axis=0), TruthUncertainty(budget))

@@ -168,6 +168,7 @@ def check_impossible(kind: str, draw: st.DataObject) -> None:
 
 
 @pytest.mark.weekly
+@pytest.mark.timeout(3600)  # the pictures are looked at in each
 @settings(max_examples=2000, phases=DRAWN)
 @given(st.sampled_from(sorted(IMPOSSIBLE)), st.data())
 def test_a_calibration_that_cannot_be_is_charged_to_no_detector(
@@ -207,6 +208,7 @@ def test_no_sound_calibration_is_doubted(draw: st.DataObject) -> None:
 
 
 @pytest.mark.weekly
+@pytest.mark.timeout(3600)  # the pictures are looked at in each
 @settings(max_examples=2000, phases=DRAWN)
 @given(st.data())
 def test_none_of_two_thousand_sound_ones_is_doubted(draw: st.DataObject) -> None:
