@@ -5,6 +5,7 @@ has teatbench loads it, so that nothing is imported before it is asked for.
 
 from __future__ import annotations
 
+import glob
 import sys
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -39,6 +40,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", f'{MARK}("NAME"): decided by trials that the test records')
+    # where several tests failed there are as many modules of one name
+    config.addinivalue_line("norecursedirs", glob.escape(str(config.option.found_scenes.resolve())))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -188,6 +191,8 @@ def record_trial(request: pytest.FixtureRequest) -> Callable[..., bench.SceneSco
     """``record_trial(shot, name="")``: a trial of the session's run, with ``--detector``'s answer;
     gives back its score.
     """
+    if hasattr(request.config, "workerinput"):
+        pytest.fail("Recorded trials make one run: run their tests without -n.", pytrace=False)
     trials, done = _trials(request.config), [0]
 
     def record(shot: bench.Shot, name: str = "") -> bench.SceneScore:
