@@ -193,17 +193,19 @@ def record_trial(request: pytest.FixtureRequest) -> Callable[..., bench.SceneSco
     """
     if hasattr(request.config, "workerinput"):
         pytest.fail("Recorded trials make one run: run their tests without -n.", pytrace=False)
+    from bench.arguments import guarded
+    from bench.testing.found import folder_name
+
     trials, done = _trials(request.config), [0]
 
     def record(shot: bench.Shot, name: str = "") -> bench.SceneScore:
         done[0] += 1
-        from bench.testing.found import folder_name
 
         number = f"-{done[0]}" if done[0] > 1 and not name else ""
         called = folder_name(name or f"{request.node.name}{number}")
         return trials.add(called, shot)
 
-    return record
+    return guarded(record, __name__)  # type: ignore[no-any-return]
 
 
 @pytest.hookimpl(wrapper=True)
@@ -223,7 +225,7 @@ def pytest_runtest_makereport(
             text += f"\nPicture: {folder / 'scene.png'}"
             text += f"\nKeep it: teatbench campaign keep {folder} --into recordings/kept"
         except OSError as fault:
-            text += f"\nNot written: {fault}"
+            text += f"\nNot written: {fault}. Name another folder with --found-scenes."
         report.sections.append(("simplest scene", text))
     return report
 

@@ -174,6 +174,8 @@ def test_named(record_trial):
     assert not score.success
     with pytest.raises(bench.ConfigError, match="needs the truth"):
         record_trial(bench.api.shots.Shot(None, None))
+    with pytest.raises(bench.ConfigError, match="^shot is 'x', not a Shot"):
+        record_trial("x")
 """
     result = run(pytester, program, "--rig", rig, "--detector", "thesis", "--junit-xml", "j.xml")
     result.assert_outcomes(passed=2)
