@@ -202,8 +202,7 @@ def record_trial(request: pytest.FixtureRequest) -> Callable[..., bench.SceneSco
         done[0] += 1
 
         number = f"-{done[0]}" if done[0] > 1 and not name else ""
-        called = folder_name(name or f"{request.node.name}{number}")
-        return trials.add(called, shot)
+        return trials.add(folder_name(name or f"{request.node.name}{number}"), shot)
 
     return guarded(record, __name__)  # type: ignore[no-any-return]
 
@@ -214,11 +213,10 @@ def pytest_runtest_makereport(
 ) -> Generator[None, Any, Any]:
     """Write the scene that a test failed on, and say where."""
     report = yield
-    checking = sys.modules.get("bench.testing.checking")
-    if checking and call.excinfo and isinstance(call.excinfo.value, checking.SceneFailedError):
+    own = sys.modules.get("bench.testing.checking")
+    if own and call.excinfo and isinstance(error := call.excinfo.value, own.SceneFailedError):
         from bench.testing.found import folder_name, write_found
 
-        error = call.excinfo.value
         text = f"{error}\n{error.neighbourhood()}\n\n{error.lines()}"
         try:
             folder = write_found(error, item.config.option.found_scenes / folder_name(item.name))
