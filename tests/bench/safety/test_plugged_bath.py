@@ -17,6 +17,7 @@ from functools import cache
 from itertools import count, product
 from operator import attrgetter
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -92,14 +93,9 @@ class Lab:
         return path
 
 
-class World:
-    def __init__(self) -> None:
-        self.plant = Plant(1, start_c=33.0)
-
-
 @pytest.fixture
 def lab(tmp_path: Path) -> Iterator[Lab]:
-    world, lock = World(), threading.RLock()
+    world, lock = SimpleNamespace(plant=Plant(1, start_c=33.0)), threading.RLock()
     write_calibration(tmp_path)
     with importable(tmp_path / "site"), closing(RealClock()) as clock:
         emulator = load("bath", PluginUrl("kettle"), emulator=True).make(world, clock)
