@@ -43,6 +43,8 @@ from bench.api.runs import run_script as run_script
 from bench.api.runs import score_recording as score_recording
 from bench.api.runs import scripts as scripts
 from bench.api.runs import write_report as write_report
+from bench.api.serving import ServedRig as ServedRig
+from bench.api.serving import serve_rig as serve_rig
 from bench.api.shots import Shot as Shot
 from bench.api.shots import detect as detect
 from bench.api.shots import detectors as detectors
@@ -121,7 +123,11 @@ from bench.rig.alone import open_bath as open_bath
 from bench.rig.alone import open_cameras as open_cameras
 from bench.rig.alone import open_stage as open_stage
 from bench.rig.alone import with_retries as with_retries
+from bench.rig.finding import FoundInstrument as FoundInstrument
+from bench.rig.finding import find_instruments as find_instruments
 from bench.rig.leaving import NotSafeError as NotSafeError
+from bench.rig.live_page import LivePage as LivePage
+from bench.rig.live_page import live_page as live_page
 from bench.rig.loading import LoadedRig as LoadedRig
 from bench.rig.loading import find_board as find_board
 from bench.rig.opening import BringUpError as BringUpError
@@ -141,6 +147,8 @@ from bench.truth.registration import write_registration as write_registration
 from bench.truth.touching import NoTruthError as NoTruthError
 from bench.version import __version__ as __version__
 from instruments.camera.quality import edge_blur_px as edge_blur_px
+from instruments.captures.replay import Replay as Replay
+from instruments.captures.replay import replay_wire as replay_wire
 from instruments.operators.operator import OperatorAbort as OperatorAbort
 from instruments.operators.operator import OperatorEnough as OperatorEnough
 from instruments.operators.operator import OperatorRepeat as OperatorRepeat

@@ -60,6 +60,10 @@ class DeviceError(InstrumentError):
     """The device understood and said no, or reports a fault of its own (alarm, error code)."""
 
 
+class DriverError(DeviceError):
+    """A driver raised an exception of its own, which doesn't say what its device did."""
+
+
 class LimitError(InstrumentError):
     """We refused before sending: outside a limit, not homed, not allowed in this state."""
 

@@ -7,6 +7,7 @@ import importlib
 import json
 import re
 import shlex
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -63,6 +64,8 @@ def test_every_example_is_short() -> None:
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools'
 def test_masks_and_key_points_are_those_of_the_pictures(rig: str, tmp_path: Path) -> None:
     """Read by pycocotools. The apex is on the outline, and teats are unlike what is about them."""
+    alone = subprocess.run([sys.executable, EXAMPLES / "coco.py"], capture_output=True, check=False)
+    assert b"python docs/examples/coco.py ideal 0 20 train" in alone.stderr
     coco = example("coco").main("missing_or_hidden", 1, 2, tmp_path / "seen", rig)
     assert len(bench.Recording(tmp_path / "seen").frames) == 2
     labels = COCO(str(coco))

@@ -18,7 +18,6 @@ from bench.cli.arguments import CODES, complain, print_json, print_values
 from bench.cli.commands import CAMERAS
 from bench.cli.verdict import on_a_desktop
 from bench.config import ConfigError
-from bench.rig.live_page import live_page
 from instruments import Clock, FrameError, LimitError, Stage
 
 AXES = {"X": "x_mm", "Y": "y_mm", "Z": "z_mm", "A": "a_deg"}
@@ -151,7 +150,7 @@ def focus(given: argparse.Namespace) -> None:
         page, clock = None, alone.clock
         if given.page:
             first = _next_look(alone, clock, clock.now() + seconds, given.every)
-            page = stack.enter_context(live_page(first, given.every))
+            page = stack.enter_context(bench.live_page(first, given.every))
             clock = page.clock  # whoever looks does so in real time, on an emulated rig too
             print(f"page {page.url}", flush=True)
             if on_a_desktop():

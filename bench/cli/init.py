@@ -5,19 +5,18 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Collection, Mapping
-from contextlib import closing
 from datetime import date
 
 import bench
 from bench.cli.arguments import CODES, refuse_existing
 from bench.config import ConfigError, parse_config, read_text
 from bench.files import write_synced
-from bench.rig.finding import FoundInstrument, ports, probe, rig_text
+from bench.rig.finding import FoundInstrument, rig_text
 from bench.rig.loading import PLACES, TO_COPY
 from bench.rig.model import Rig, camera_url
 from instruments.bath.profile import load_profile
 from instruments.camera.radiometric import PROFILES
-from instruments.clock import RealClock, wall_time
+from instruments.clock import wall_time
 
 # standard uncertainty by model, mm, as the maker states it
 MODELS = {"3DX": 0.23, "3DL": 0.64, "3D": 0.38}
@@ -64,16 +63,17 @@ def init(given: argparse.Namespace) -> int:
 
 def _found(urls: list[str] | None) -> list[FoundInstrument]:
     """What answers, printed line by line."""
-    at = dict.fromkeys(urls, "") if urls else dict(ports())
-    if not at:
+    found, asked = [], list[str]()
+
+    def report(text: str) -> None:
+        asked.append(text)
+        print(text, flush=True)
+
+    for one in bench.find_instruments(urls or (), report):
+        print(f"{one.url}: {one.kind}, {one.who}", flush=True)
+        found.append(one)
+    if not asked:
         print("no serial port on this machine; --port names an address on the network")
-    found = []
-    with closing(RealClock()) as clock:
-        for url, adapter in at.items():
-            print(f"{url}: {adapter or 'asked for'}", flush=True)
-            one = probe(url, clock, lambda text: print(f"  {text}", flush=True))
-            print(f"{url}: {one.kind}, {one.who}" if one else f"{url}: nothing that is known")
-            found += [one] if one else []
     return found
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from typing import TextIO
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType
@@ -127,6 +127,24 @@ def print_wrapped(console: Console, text: str, style: str = "") -> None:
         console.print(f"  {command[1]}", markup=False, highlight=False, soft_wrap=True)
 
 
+class _Printed(SanitizedStream):
+    """Standard output while a run is shown: a line that a driver or detector prints says whose it
+    is. Questions go to the stream itself, as from under rich's bar.
+    """
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        super().__init__(unfiltered(sys.stdout))
+        self.goes_on = getattr(sys.stdout, "goes_on", False)
+        self.rich_proxied_file, self._say, self._line = sys.stdout, say, ""
+
+    def write(self, text: str) -> int:
+        whose = sys._getframe(1).f_globals.get("__name__", "a plug-in")
+        *lines, self._line = (self._line + text).split("\n")
+        for line in lines:
+            self._say(line if whose.startswith("bench.") else f"{whose} prints: {line}")
+        return len(text)
+
+
 class TerminalProgress:
     """A context with a bar on ``console``, or a line a trial without a terminal. Each stretch
     between two questions has a new display: rich's would clear what was written since.
@@ -139,7 +157,7 @@ class TerminalProgress:
         self._doing = ""  # trial, what is done, bath, time left, last error
         self._live: Live | None = None
         self._asking = False  # the cursor stands behind a question
-        self._echo = ExitStack()
+        self._echo, self._printed = ExitStack(), ExitStack()
 
     def state(self, text: str) -> None:
         self._doing = text
@@ -156,7 +174,7 @@ class TerminalProgress:
     def say(self, text: str) -> None:
         """A line that stays above the bar; a failure to show it is ignored."""
         with suppress(*FAILURES):
-            print_wrapped(self._console, text)
+            print_wrapped(self._console, f"\n{text}" if self._asking else text)
 
     def warn(self, text: str) -> None:
         print_wrapped(self._console, f"\n{text}" if self._asking else text, "bold red")
@@ -176,6 +194,7 @@ class TerminalProgress:
             self._start()
 
     def __enter__(self) -> TerminalProgress:
+        self._printed.enter_context(redirect_stdout(_Printed(self.say)))
         with suppress(*FAILURES):
             self._start()
         return self
@@ -183,11 +202,13 @@ class TerminalProgress:
     def __exit__(self, *_: object) -> None:
         with suppress(*FAILURES):
             self._stop(leave=any(task.total is not None for task in self._bar.tasks))
+        self._printed.close()
 
     def _start(self) -> None:
         if self._console.is_terminal:
             self._echo.enter_context(no_echo())
-            self._live = Live(console=self._console, get_renderable=self._shown)
+            shown, console = self._shown, self._console
+            self._live = Live(console=console, get_renderable=shown, redirect_stdout=False)
             self._live.start()
 
     def _stop(self, *, leave: bool) -> None:

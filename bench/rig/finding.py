@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass
 
@@ -29,7 +29,7 @@ from bench.rig.model import Bath as BathTable
 from bench.rig.opening import open_instruments, rig_of
 from bench.rig.urls import bath_url, serial_url
 from instruments.bath.profile import load_profile, profile_names
-from instruments.clock import Clock
+from instruments.clock import Clock, RealClock
 from instruments.errors import InstrumentError, ProtocolError
 from instruments.link import Link
 from instruments.stage import marlin, zaber
@@ -56,6 +56,21 @@ def ports() -> Iterator[tuple[str, str]]:
     """Each serial port of this machine, and what its adapter is called."""
     for port in sorted(list_ports.comports()):
         yield port.device, port.description if port.description != "n/a" else "no name"
+
+
+def find_instruments(
+    urls: Collection[str] = (), report: Callable[[str], None] = lambda _: None
+) -> Iterator[FoundInstrument]:
+    """What answers at ``urls``, or at all serial ports of this machine, one by one, without moving
+    or heating anything; ``report`` gets what is asked of whom.
+    """
+    with closing(RealClock()) as clock:
+        for url, adapter in dict.fromkeys(urls, "").items() or ports():
+            report(f"{url}: {adapter or 'asked for'}")
+            if one := probe(url, clock, lambda text: report(f"  {text}")):
+                yield one
+            else:
+                report(f"{url}: nothing that is known")
 
 
 def probe(url: str, clock: Clock, report: Callable[[str], None]) -> FoundInstrument | None:

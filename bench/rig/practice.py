@@ -16,6 +16,8 @@ from pathlib import Path
 
 from bench.files import replace_whole
 from bench.rig.emulated_rig import EmulatedRig
+from bench.rig.loading import LoadedRig
+from bench.toml import toml_text
 from instruments.camera.cameras import KNOWN
 from instruments.clock import Clock, wall_time
 from instruments.stage.emulator.board import StageFault
@@ -23,7 +25,7 @@ from instruments.stage.emulator.board import StageFault
 REQUESTS = "practice.jsonl"
 SHOWN = "practice.json"  # in the run's folder, while the emulators are up
 CAMERA = "{} camera"
-LOOK_S = 0.2  # of real time
+LOOK_S, JAM_S = 0.2, 0.5  # of real time
 STEP_K = 2.0
 COOLEST_C, WARMEST_C = 0.0, 40.0
 OUT, JAMMED = "OUT", "JAMMED"
@@ -99,6 +101,11 @@ class Practice:
             with self.twin.world.lock:
                 (stage.inject if self._jammed else stage.cure)(StageFault.STALL)
 
+    def keep_jammed(self, clock: Clock) -> None:
+        """As `jam_again`, from now on."""
+        self.jam_again()
+        clock.call_at(clock.now() + JAM_S, lambda: self.keep_jammed(clock))
+
 
 def page_of(practice: Practice) -> str:
     """The page of buttons, as the rig stands now."""
@@ -160,3 +167,29 @@ def _left(folder: Path) -> list[str]:
         return (folder / REQUESTS).read_text(encoding="utf-8").splitlines()
     except OSError:
         return []
+
+
+def served_text(rig: LoadedRig, urls: Mapping[str, str], note: str) -> str:
+    """The file of ``rig`` with its emulators at ``urls``, for any folder; ``note`` heads it."""
+    table = rig.rig.model_dump(exclude={"emulation"}, exclude_unset=True, by_alias=True)
+    table["name"] += " (of 'teatbench emulate')"
+    for name in ("operator", "arm", "bath", "stage"):
+        if name in table:
+            table[name]["url"] = urls[name]
+    if rig.rig.stage and rig.rig.stage.dialect == "zaber":
+        motors = rig.rig.stage.motors
+        table["stage"]["zaber_axes"] = [f"{device} {axis}" for device, axis, _ in motors]
+        table["stage"]["microsteps"] = [scale for _, _, scale in motors]
+    if "pump" in urls:
+        table["bath"]["pump_url"] = urls["pump"]
+    cameras = {name: {"url": urls[name]} for name in ("left", "right", "thermal")}
+    skew = {"max_skew_s": 1.0}  # a stream says when a frame arrived, not when it was exposed
+    kept = {key: value for key, value in table["cameras"].items() if key != "url"}
+    table["cameras"] = kept | skew | cameras
+    files = [(table, "calibration"), (table["arm"], "frame"), (table["arm"], "verification")]
+    files += [(table["bath"], "profile"), (table["bath"], "pump_profile")]
+    for holder, key in files:
+        name = holder.get(key, "")
+        if name and ("profile" not in key or name.endswith(".toml")):
+            holder[key] = (rig.path.parent / name).resolve().as_posix()
+    return toml_text(table, note)

@@ -20,7 +20,7 @@ from bench.run.context import RunContext
 from bench.run.events import BACK, RunState
 from instruments.camera.cameras import CameraSet
 from instruments.clock import Clock, RealClock, VirtualClock
-from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
+from instruments.errors import DeviceError, DriverError, InstrumentError, LinkError, ProtocolError
 from instruments.microscribe.errors import AnotherArmError, UnusableArmError
 from instruments.operators.operator import (
     KEYS,
@@ -66,7 +66,7 @@ def diagnosis(fault: InstrumentError) -> tuple[str, str]:
     first = (who.replace(":", " ").split() or [""])[0]
     instrument = "cameras" if "camera" in who else "bath" if first == "pump" else first
     kinds: dict[type[InstrumentError], str] = {AnotherArmError: "", UnusableArmError: ""}
-    kinds |= {LinkError: GONE, ProtocolError: GARBLED, DeviceError: REFUSES}
+    kinds |= {LinkError: GONE, ProtocolError: GARBLED, DriverError: GARBLED, DeviceError: REFUSES}
     kind = next((kind for error, kind in kinds.items() if isinstance(fault, error)), "")
     return instrument if instrument in INSTRUMENTS else "", kind
 

@@ -146,7 +146,8 @@ def still_hot(now: BathReading, limits: SafetyLimits) -> str | None:
 
 
 def still_alarmed(now: BathReading, _: SafetyLimits) -> str | None:
-    return f"the controller still reports alarm {now.alarm}" if now.alarm else None
+    alarm = now.alarm_text or f"alarm {now.alarm}"
+    return f"the controller still reports {alarm}" if now.alarm else None
 
 
 def still_heating(now: BathReading, _: SafetyLimits, above_percent: float = 0.0) -> str | None:
@@ -262,8 +263,8 @@ RULES = (
         "controller alarm",
         "the controller's alarm code is not 0",
         lambda look: (
-            f"the controller reports {look.profile.alarm_text(look.now.alarm)}"
-            if look.now.alarm
+            f"the controller reports {look.now.alarm_text or look.profile.alarm_text(code)}"
+            if (code := look.now.alarm)
             else None
         ),
         "alarm code 0",

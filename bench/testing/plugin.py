@@ -5,6 +5,7 @@ has teatbench loads it, so that nothing is imported before it is asked for.
 
 from __future__ import annotations
 
+import glob
 import sys
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -39,6 +40,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", f'{MARK}("NAME"): decided by trials that the test records')
+    # where several tests failed there are as many modules of one name
+    config.addinivalue_line("norecursedirs", glob.escape(str(config.option.found_scenes.resolve())))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -188,17 +191,20 @@ def record_trial(request: pytest.FixtureRequest) -> Callable[..., bench.SceneSco
     """``record_trial(shot, name="")``: a trial of the session's run, with ``--detector``'s answer;
     gives back its score.
     """
+    if hasattr(request.config, "workerinput"):
+        pytest.fail("Recorded trials make one run: run their tests without -n.", pytrace=False)
+    from bench.arguments import guarded
+    from bench.testing.found import folder_name
+
     trials, done = _trials(request.config), [0]
 
     def record(shot: bench.Shot, name: str = "") -> bench.SceneScore:
         done[0] += 1
-        from bench.testing.found import folder_name
 
         number = f"-{done[0]}" if done[0] > 1 and not name else ""
-        called = folder_name(name or f"{request.node.name}{number}")
-        return trials.add(called, shot)
+        return trials.add(folder_name(name or f"{request.node.name}{number}"), shot)
 
-    return record
+    return guarded(record, __name__)  # type: ignore[no-any-return]
 
 
 @pytest.hookimpl(wrapper=True)
@@ -207,18 +213,17 @@ def pytest_runtest_makereport(
 ) -> Generator[None, Any, Any]:
     """Write the scene that a test failed on, and say where."""
     report = yield
-    checking = sys.modules.get("bench.testing.checking")
-    if checking and call.excinfo and isinstance(call.excinfo.value, checking.SceneFailedError):
+    own = sys.modules.get("bench.testing.checking")
+    if own and call.excinfo and isinstance(error := call.excinfo.value, own.SceneFailedError):
         from bench.testing.found import folder_name, write_found
 
-        error = call.excinfo.value
         text = f"{error}\n{error.neighbourhood()}\n\n{error.lines()}"
         try:
             folder = write_found(error, item.config.option.found_scenes / folder_name(item.name))
             text += f"\nPicture: {folder / 'scene.png'}"
             text += f"\nKeep it: teatbench campaign keep {folder} --into recordings/kept"
         except OSError as fault:
-            text += f"\nNot written: {fault}"
+            text += f"\nNot written: {fault}. Name another folder with --found-scenes."
         report.sections.append(("simplest scene", text))
     return report
 

@@ -112,5 +112,7 @@ def point(px: Any, seen: bool, shape: tuple[int, ...]) -> list[float]:
 
 
 if __name__ == "__main__":
-    family, first, count, folder = sys.argv[1:5]
+    if len(sys.argv) != 5:
+        sys.exit(__doc__)
+    family, first, count, folder = sys.argv[1:]
     print(main(family, int(first), int(count), Path(folder)))

@@ -143,4 +143,6 @@ def main(cows: int, visits: int, out: Path, seed: int = 1, rig: str = "emulated"
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 4:
+        sys.exit(__doc__)
     print(main(int(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3])))

@@ -119,4 +119,6 @@ def main(families: Sequence[str], count: int, out: Path, steps: int, rig: str = 
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 3:
+        sys.exit(__doc__)
     main(sys.argv[1].split(","), int(sys.argv[2]), Path(__file__).parent, 2500)

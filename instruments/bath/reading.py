@@ -25,7 +25,7 @@ class BathReading:
     the temperature as it came. ``alarm``, ``warning``: codes, 0 for none. ``remote``: whether it
     takes our commands; ``running``: whether it heats; ``restarted``: whether it says that it was
     without power and lost its set point; ``not_met``: what its set point needs of other rows, and
-    what they show.
+    what they show; ``alarm_text``: a plug-in's own words of its alarm.
     """
 
     t_s: float
@@ -41,6 +41,7 @@ class BathReading:
     set_point_c: float | None = None
     restarted: bool | None = None
     not_met: str = ""
+    alarm_text: str = ""
 
 
 class Assembler:

@@ -27,8 +27,8 @@ SLICE_S = 0.5
 
 def cause_of(error: BaseException) -> str:
     """Why a step of going to safe failed; a mistake of the bench with its place in the code."""
-    if isinstance(error, InstrumentError):
-        return str(error)
+    if isinstance(error, InstrumentError | KeyboardInterrupt):
+        return str(error) or "interrupted by Ctrl-C, or by a KeyboardInterrupt of its driver"
     at = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {error} ({Path(at.filename).name}:{at.lineno})"
 

@@ -6,7 +6,7 @@ perhaps inverted, or counts to centi-kelvin, or to tenths of a millimetre.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Literal
@@ -143,6 +143,27 @@ class RawFrame:
     ranging: Ranging | None = None
     amplitude: Pixels | None = None
     passed_over: int = 0
+
+
+MOST_VALUES = 200_000_000  # of a picture: no sensor has as many
+
+
+def no_picture(frame: RawFrame) -> Iterator[tuple[str, object]]:
+    """What is wrong with a frame that no camera can give, and what was seen."""
+    bits, ranging = frame.bits, frame.ranging
+    if not isinstance(ranging, Ranging | None) or bits not in range(1, 33):
+        yield "has no such bits or ranging", (bits, ranging)
+        return
+    given: list[Any] = [frame.pixels, *([] if frame.amplitude is None else [frame.amplitude])]
+    for one in given:
+        if not isinstance(one, np.ndarray):
+            yield "has pixels that are no array of NumPy", one
+            return
+        known = one.dtype in (np.uint8, np.uint16) or (ranging and one.dtype.kind in "uif")
+        if one.ndim not in (2, 3) or not 0 < one.size <= MOST_VALUES or not known:
+            yield "is no picture of 8 or 16 bits", (one.shape, one.dtype)
+        elif not ranging and one.max() >= 2**bits:
+            yield f"has values beyond its {bits} bits", one.max()
 
 
 Channel = Literal["luma", "red", "green", "blue"]

@@ -11,14 +11,23 @@ from __future__ import annotations
 import struct
 import threading
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice, repeat
+from pathlib import Path
 
-from instruments.captures.capture import Capture, Conversation, Exchange
-from instruments.clock import Clock, VirtualClock
+from instruments.captures.capture import (
+    Capture,
+    CaptureError,
+    Conversation,
+    Exchange,
+    read_capture,
+)
+from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import hex_bytes
 from instruments.listener import Connection, Listener
+from textfiles.text import did_you_mean
 
 HEADER = struct.Struct(">HHH")  # transaction, protocol (0 is Modbus), bytes that follow
 ID_BYTES = 2
@@ -202,7 +211,7 @@ class Replay:
         again: bool = False,
         host: str = "127.0.0.1",
     ) -> None:
-        lock = threading.RLock()
+        lock, self.capture = threading.RLock(), capture
         self._listeners: list[Listener] = []
         self.mismatches: list[Mismatch] = []
         self.ends: dict[str, ReplayedLink] = {}
@@ -240,6 +249,37 @@ class Replay:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+@contextmanager
+def replay_wire(
+    file: Path | str,
+    links: Collection[str] = (),
+    *,
+    host: str = "127.0.0.1",
+    fast: bool = False,
+    again: bool = True,
+) -> Iterator[Replay]:
+    """Play the instruments' part of a capture in real time, of all ``links`` for none: ``fast``
+    without its pauses, ``again`` from its start. Raises CaptureError.
+    """
+    capture = read_capture(Path(file))
+    there, wrong = ", ".join(capture.links), [one for one in links if one not in capture.links]
+    if not capture.links:
+        why = "no link was opened in it, so there is nothing to play"
+        raise CaptureError(capture.path, [(0, why)])
+    if wrong:
+        near = did_you_mean(wrong[0], capture.links) or "."
+        what = f'no link "{wrong[0]}"{near} It has: {there}.'
+        raise CaptureError(capture.path, [(0, what)])
+    with closing(RealClock()) as clock:
+        try:
+            replay = Replay(capture, clock, links=links or None, fast=fast, again=again, host=host)
+        except OSError as error:
+            what = f"can't listen on {host}: {error}"
+            raise CaptureError(capture.path, [(0, what)]) from error
+        with replay:
+            yield replay
 
 
 class ReplayedLink:

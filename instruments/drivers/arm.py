@@ -36,7 +36,7 @@ class PluggedArm:
         said = getattr(plugged.maker, "homing", "")
         if not isinstance(self.touches, bool) or not isinstance(said, str):
             what = "its class has to say touches, True or False, and homing, a text"
-            raise LimitError(self.who, what, hint=f"{plugged}.")
+            raise LimitError(self.who, what, hint=f"Correct {plugged}.")
         self.homing = self.homing_again = said or "Reference the measuring arm as its maker says."
         self.moves = False
         self._clock = clock

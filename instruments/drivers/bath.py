@@ -49,7 +49,7 @@ def profile_of(plugged: Plugin) -> Profile:
         )
     except Exception as error:  # another's class
         what = f"its class has to say range_c, step_k, pump and comms_loss: {error}"
-        raise LimitError("bath", what, hint=f"{plugged}.") from error
+        raise LimitError("bath", what, hint=f"Correct {plugged}.") from error
 
 
 def _row(name: str, **more: Any) -> Quantity:
@@ -73,7 +73,6 @@ class PluggedBath:
         self._clock = clock
         self._border: PluginBoundary[BathDriver] = PluginBoundary(plugged, self.who, clock)
         self._identity: dict[str, str] = {}
-        self._alarm = ""
         self._times_made_safe = 0
         if identify:
             with self._border.opening():
@@ -105,6 +104,7 @@ class PluggedBath:
             remote=None,
             running=state.running,
             set_point_c=state.set_point_c,
+            alarm_text=state.alarm,
         )
         self.on_reading(reading)
         return reading
@@ -150,8 +150,8 @@ class PluggedBath:
     def start(self, set_point_c: float) -> None:
         """Heat to ``set_point_c``. Raises DeviceError for an alarm, or where it doesn't."""
         self.check_start(set_point_c)
-        if self.read().alarm:
-            raise DeviceError(self.who, f"not started: {self._alarm}", hint="Clear its alarm.")
+        if alarm := self.read().alarm_text:
+            raise DeviceError(self.who, f"not started: {alarm}", hint="Clear its alarm.")
         self._start(set_point_c)
 
     def _start(self, set_point_c: float) -> None:
@@ -166,8 +166,8 @@ class PluggedBath:
             state = self._state()
         if not state.running or abs(state.set_point_c - set_point_c) > SAME_K:
             seen = f"{'running' if state.running else 'standby'}, {state.set_point_c:g} degC"
-            what = "it does not do what it was told"
-            raise DeviceError(self.who, what, asked=f"start at {set_point_c:g} degC", seen=seen)
+            what, asked = "it does not do what it was told", f"start at {set_point_c:g} degC"
+            raise DeviceError(self.who, what, asked=asked, seen=seen, hint=self._border.look)
 
     def standby(self) -> None:
         """Heater off, and read back. Raises DeviceError where it goes on heating."""
@@ -221,6 +221,6 @@ class PluggedBath:
             None if value is None else border.number(value, name)
             for name, value in (("external_c", given.external_c), ("power", given.power_percent))
         )
-        self._alarm = str(given.alarm)
         set_point_c = border.number(given.set_point_c, "set point")
-        return BathState(temp_c, running, set_point_c, external_c, power, self._alarm)
+        alarm = " ".join(str(given.alarm or "").split())
+        return BathState(temp_c, running, set_point_c, external_c, power, alarm)

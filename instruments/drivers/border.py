@@ -6,26 +6,17 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 from instruments.clock import Clock, VirtualClock
 from instruments.drivers.entry_points import Plugin
-from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
+from instruments.errors import DriverError, InstrumentError, LinkError, ProtocolError
 
 CALL_S, OPEN_S, CLOSE_S = 10.0, 10.0, 2.0
 T = TypeVar("T")
 Made = TypeVar("Made")
-
-
-@dataclass(slots=True, eq=False)
-class _Job(Generic[T]):
-    """One call on a thread of its own, and what came of it."""
-
-    work: Callable[[], T]
-    found: T | None = None
-    error: BaseException | None = None
 
 
 class PluginBoundary(Generic[Made]):
@@ -36,12 +27,12 @@ class PluginBoundary(Generic[Made]):
 
     def __init__(self, plugged: Plugin, who: str, clock: Clock) -> None:
         self.who, self.plugged = who, plugged
-        self._clock = clock
+        self.clock = clock
         self._made: Made | None = None
-        # while one of several calls must not be parted from the next
-        self.locked = threading.RLock()
+        self.locked = threading.RLock()  # so that several calls aren't parted
         self._owner = threading.local()
         self.opened = 0
+        self.look = f"Look at the device, then at its driver: {plugged}."
 
     def call(self, what: str, work: Callable[[Made], T], limit_s: float | None = None) -> T:
         """``work`` on the plug-in. Raises InstrumentError alone."""
@@ -57,7 +48,7 @@ class PluginBoundary(Generic[Made]):
         """The plug-in, opened where it is not. Raises InstrumentError."""
         with self.locked:
             if self._made is None:
-                make: Callable[[], Made] = lambda: self.plugged.make(self._clock)  # noqa: E731
+                make: Callable[[], Made] = lambda: self.plugged.make(self.clock)  # noqa: E731
                 self._made = self._within("open", make, OPEN_S)
                 self.opened += 1
             return self._made
@@ -86,38 +77,36 @@ class PluginBoundary(Generic[Made]):
     def _within(self, what: str, work: Callable[[], T], limit_s: float | None) -> T:
         limit_s = CALL_S if limit_s is None else limit_s
         try:
-            if isinstance(self._clock, VirtualClock) or getattr(self._owner, "is_us", False):
+            if isinstance(self.clock, VirtualClock) or getattr(self._owner, "is_us", False):
                 return work()
-            job: _Job[T] = _Job(work)
-            thread = threading.Thread(target=self._run, args=(job,), daemon=True)
+            job: Future[T] = Future()
+            thread = threading.Thread(target=self._run, args=(job, work), daemon=True)
             thread.name = f"{self.who}: {what}"
             thread.start()
             thread.join(limit_s)
             if thread.is_alive():
-                hint = f"{self.plugged} hangs. Look at the device, its power and its cable."
+                hint = f"Look at the device, its power and its cable: {self.plugged} hangs."
                 raise LinkError(self.who, "no answer", asked=what, seconds=limit_s, hint=hint)
-            if job.error is not None:
-                raise job.error
-            return job.found  # type: ignore[return-value]
+            if isinstance(job.exception(), KeyboardInterrupt):  # ours comes to the main thread
+                raise DriverError(self.who, "KeyboardInterrupt", asked=what, hint=self.look)
+            return job.result()
         except (InstrumentError, KeyboardInterrupt):
             raise
         except BaseException as error:  # another's code: not every library's errors are Exceptions
-            # TimeoutError and ConnectionError are OSErrors
-            kind = LinkError if isinstance(error, OSError) else DeviceError
-            said = _said(type(error).__name__, error)
-            raise kind(self.who, said, asked=what, hint=f"{self.plugged}.") from error
+            kind = LinkError if isinstance(error, OSError) else DriverError  # as TimeoutError is
+            raise kind(self.who, _said(error), asked=what, hint=self.look) from error
 
-    def _run(self, job: _Job[Any]) -> None:
+    def _run(self, job: Future[T], work: Callable[[], T]) -> None:
         self._owner.is_us = True
         try:
-            job.found = job.work()
+            job.set_result(work())
         except BaseException as error:
-            job.error = error
+            job.set_exception(error)
 
     def broken(self, what: str, seen: object) -> ProtocolError:
         """What to raise where it gives what no device can show."""
-        shown = _said(type(seen).__name__, seen)[:200]
-        return ProtocolError(self.who, what, seen=shown, hint=f"{self.plugged}.")
+        hint = f"Correct {self.plugged}."
+        return ProtocolError(self.who, what, seen=_said(seen)[:200], hint=hint)
 
     def texts(self, given: object) -> dict[str, str]:
         """Its identity as text. Raises ProtocolError."""
@@ -140,9 +129,8 @@ class PluginBoundary(Generic[Made]):
         raise self.broken(f"its {what} is neither True nor False", value)
 
 
-def _said(kind: str, what: object) -> str:
+def _said(what: object) -> str:
     """Its kind and words; its kind alone where its own words fail."""
-    try:
-        return f"{kind}: {what}"
-    except Exception:
-        return kind
+    with suppress(Exception):
+        return f"{type(what).__name__}: {what}"
+    return type(what).__name__

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from instruments.camera.cameras import CAN_GIVE, Camera, CameraGroup, MakersCalibration, MakersLens
-from instruments.camera.frame import FrameError, FrameFault, Ranging, RawFrame
+from instruments.camera.frame import FrameError, FrameFault, RawFrame, no_picture
 from instruments.clock import Clock
 from instruments.drivers.border import PluginBoundary
 from instruments.drivers.entry_points import Plugin
 from instruments.errors import DeviceError, LimitError
 
 CAPTURE_S = 30.0  # a long exposure, and a slow link
-MOST_VALUES = 200_000_000  # of a picture: no sensor has as many
+OFF_S = 2.0  # of its clock, at the most
 
 
 class PluggedCamera:
@@ -25,22 +26,24 @@ class PluggedCamera:
         self._border: PluginBoundary[Camera] = PluginBoundary(plugged, self.who, clock)
         with self._border.opening():
             who = self._border.call("identity", lambda camera: str(camera.identity))
-        self.identity = f"{who} ({plugged})"
+        self.identity, self._asked_s = f"{who} ({plugged})", clock.now()
 
     def prepare(self) -> None:
         self._border.call("prepare", lambda camera: camera.prepare())
 
     def begin(self) -> None:
+        self._asked_s = self._border.clock.now()
         self._border.call("begin", lambda camera: camera.begin())
 
     def take(self) -> RawFrame:
         """The frame. Raises FrameError for none, LinkError where it is gone."""
         try:
-            return self._border.call(
-                "take", lambda camera: checked(self._border, camera.take()), CAPTURE_S
-            )
+            return self._border.call("take", self._taken, CAPTURE_S)
         except DeviceError as error:  # an exception of its own: the next frame may come
-            raise FrameError(FrameFault.DROPPED, self._name, self.who, error.what) from error
+            raise _dropped(self._name, error) from error
+
+    def _taken(self, camera: Camera) -> RawFrame:
+        return checked(self._border, self._name, camera.take(), self._asked_s)
 
     def close(self) -> None:
         self._border.forget()
@@ -56,7 +59,7 @@ class PluggedGroup:
             given = self._border.call("parts", lambda group: tuple(map(str, group.parts)))
             if not given or not set(given) <= set(CAN_GIVE):
                 what = f"its parts are {given}; a group gives some of {', '.join(CAN_GIVE)}"
-                raise LimitError(self.who, what, hint=f"{plugged}.")
+                raise LimitError(self.who, what, hint=f"Correct {plugged}.")
             who = self._border.call("identity", lambda group: str(group.identity))
         self.parts: tuple[str, ...] = given
         self.identity = f"{who} ({plugged})"
@@ -66,21 +69,22 @@ class PluggedGroup:
         try:
             return self._border.call("capture", self._captured, CAPTURE_S)
         except DeviceError as error:
-            raise FrameError(FrameFault.DROPPED, self.parts[0], self.who, error.what) from error
+            raise _dropped(self.parts[0], error) from error
 
     def _captured(self, group: CameraGroup) -> Mapping[str, RawFrame]:
-        given = dict(group.capture())
+        asked_s = self._border.clock.now()
+        if not isinstance(given := group.capture(), Mapping):
+            raise self._border.broken("its capture is no mapping of parts to frames", given)
         if lost := [part for part in self.parts if part not in given]:
             raise FrameError(FrameFault.DROPPED, lost[0], self.who, f"it gave no {lost[0]} frame")
-        return {part: checked(self._border, given[part]) for part in self.parts}
+        return {part: checked(self._border, part, given[part], asked_s) for part in self.parts}
 
     def makers_calibration(self) -> MakersCalibration | None:
         """What its maker states; None without such a method. Raises ProtocolError, LinkError."""
         return self._border.call("makers_calibration", self._stated)
 
     def _stated(self, group: CameraGroup) -> MakersCalibration | None:
-        ask = getattr(group, "makers_calibration", None)
-        given = ask() if ask else None
+        given = getattr(group, "makers_calibration", lambda: None)()
         if given is not None and not isinstance(given, MakersCalibration):
             raise self._border.broken("its maker's calibration is no MakersCalibration", given)
         if given is None:
@@ -105,19 +109,23 @@ class PluggedGroup:
         self._border.forget()
 
 
-def checked(
-    border: PluginBoundary[Camera] | PluginBoundary[CameraGroup], frame: object
-) -> RawFrame:
-    """A frame that can be one. Raises ProtocolError."""
+def _dropped(name: str, error: DeviceError) -> FrameError:
+    """No frame of the camera ``name``: the next one may come."""
+    hint = (error.hint or "").removesuffix(".") or None
+    return FrameError(FrameFault.DROPPED, name, error.who, error.what, hint=hint)
+
+
+def checked(border: PluginBoundary[Any], name: str, frame: object, asked_s: float) -> RawFrame:
+    """A frame that can be one of the camera ``name``. Raises ProtocolError; FrameError for one that
+    was exposed before it was asked for, or is yet to be.
+    """
     if not isinstance(frame, RawFrame):
-        raise border.broken("its frame is no RawFrame", frame)
-    for one in [frame.pixels] if frame.amplitude is None else [frame.pixels, frame.amplitude]:
-        if not isinstance(one, np.ndarray):
-            raise border.broken("its frame's pixels are no array of NumPy", one)
-        known = one.dtype in (np.uint8, np.uint16) or (frame.ranging and one.dtype.kind in "uif")
-        if one.ndim not in (2, 3) or not 0 < one.size <= MOST_VALUES or not known:
-            raise border.broken("its frame is no picture of 8 or 16 bits", (one.shape, one.dtype))
-    if not isinstance(frame.ranging, Ranging | None) or frame.bits not in range(1, 33):
-        raise border.broken("its frame has no such bits or ranging", (frame.bits, frame.ranging))
-    border.number(frame.exposed_s, "exposed_s")
+        raise border.broken(f"its {name} frame is no RawFrame", frame)
+    for what, seen in no_picture(frame):
+        raise border.broken(f"its {name} frame {what}", seen)
+    exposed_s, now_s = border.number(frame.exposed_s, "exposed_s"), border.clock.now()
+    if not asked_s - OFF_S < exposed_s < now_s + OFF_S:
+        what = f"exposed at {exposed_s:.3f} s of the bench's clock, asked for at {asked_s:.3f} s"
+        hint = f"Correct {border.plugged}"
+        raise FrameError(FrameFault.LATE, name, border.who, what, hint=hint)
     return frame

@@ -70,7 +70,8 @@ class Plugin:
                 shape = signature(self.maker)
                 shape.bind(*given, **self.keys)
             except TypeError as error:
-                hint = f"{self} takes: {', '.join(list(shape.parameters)[len(given) :])}."
+                takes = ", ".join(list(shape.parameters)[len(given) :]) or "none"
+                hint = f"Correct the url's keys; {self} takes: {takes}."
                 raise LimitError(self.name, f"{error}", asked=self.url, hint=hint) from error
         return self.maker(*given, **self.keys)
 
@@ -100,9 +101,11 @@ def load(kind: Kind, url: PluginUrl, *, emulator: bool = False) -> Plugin:
         raise
     except BaseException as error:  # another's code
         said = " ".join(f"{type(error).__name__}: {error}".split())
-        raise LimitError(kind, f"{_source(plug)} can't be loaded: {said}") from error
+        hint = "Install what it needs, or correct it."
+        raise LimitError(kind, f"{_source(plug)} can't be loaded: {said}", hint=hint) from error
     if not callable(maker):
-        raise LimitError(kind, f"{_source(plug)} gives a {type(maker).__name__}, no class")
+        what = f"{_source(plug)} gives a {type(maker).__name__}, no class"
+        raise LimitError(kind, what, hint="Correct its entry point.")
     return Plugin(url.name, _source(plug), maker, url.keys)
 
 

@@ -125,7 +125,8 @@ class PluggedStage(StageCalls):
         for axis, wanted in move.target.items():
             if not abs(here[axis] - wanted) <= TOLERANCE_MM:
                 what = f"the stage is not at its target, {axis} = {wanted:.3f}"
-                raise DeviceError(self.who, what, seen=f"{axis} = {here[axis]:.3f}")
+                seen, hint = f"{axis} = {here[axis]:.3f}", self._border.look
+                raise DeviceError(self.who, what, seen=seen, hint=hint)
 
     def brake(self) -> None:
         """Stop without waiting, from any thread."""
@@ -216,4 +217,4 @@ class PluggedStage(StageCalls):
         moving, homed = border.flag(given.moving, "moving"), border.flag(given.homed, "homed")
         place = {axis: given.place.get(axis, None if axis in self.axes else 0.0) for axis in AXES}
         numbers = {axis: border.number(at, f"place of axis {axis}") for axis, at in place.items()}
-        return StageState(numbers, moving, homed, str(given.fault))
+        return StageState(numbers, moving, homed, str(given.fault or ""))

@@ -136,7 +136,7 @@ def test_stages_of_every_firmware_are_found_by_questions_alone(
 ) -> None:
     clock = Clock()
     stage = StageEmulator(clock, dialect=dialect)
-    monkeypatch.setattr("bench.cli.init.RealClock", lambda: clock)
+    monkeypatch.setattr("bench.rig.finding.RealClock", lambda: clock)
     typed(monkeypatch, "lab", "XY", *answers, "", "", "")
     before = tuple(stage.position_mm())
     listener = Listener(stage, clock, lock=threading.RLock(), name="stage")

@@ -5,11 +5,12 @@ place when they can't be.
 from __future__ import annotations
 
 import os
-import signal
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
+import bench
 from bench.cli.main import main
 from bench.config import ConfigError
 from bench.rig.emulated_rig import EmulatedRig
@@ -21,7 +22,6 @@ from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.unit import SHIPPED
 from instruments.stage.driver import Stage
-from tests.bench.forked import begin
 from tests.bench.operated_runs import shipped_rig
 
 
@@ -148,22 +148,14 @@ def test_an_arm_file_with_faults_is_shown_in_its_places(tmp_path: Path) -> None:
     not hasattr(os, "openpty"), reason="needs pseudo-terminals: Linux and macOS have them"
 )
 def test_serial_instruments_on_pseudo_terminals(tmp_path: Path) -> None:
-    process = begin(["emulate", shipped_rig(tmp_path), "--pty", "--paced"])
-    assert process.stdout is not None
-    urls = dict(process.stdout.readline().split() for _ in range(3))
-    assert urls["arm"].startswith("/dev/")
-    assert urls["bath"].startswith("tcp://127.0.0.1:")
-    clock = RealClock()
-    arm = MicroScribe(Link(urls["arm"], clock, who="arm"), clock)
-    assert arm.sign_on().serial_number == "40937"
-    arm.close()
-    stage = Stage(Link(urls["stage"], clock, who="stage"), clock)
-    stage.connect()
-    stage.close()
-    process.send_signal(signal.SIGINT)
-    assert process.wait(60) == 0
-    process.stdout.close()
-    clock.close()
+    served, clock = bench.serve_rig(shipped_rig(tmp_path), pty=True, paced=True), RealClock()
+    with served as rig, closing(clock):
+        assert rig.urls["arm"].startswith("/dev/")
+        assert rig.urls["bath"].startswith("tcp://127.0.0.1:")
+        with closing(MicroScribe(Link(rig.urls["arm"], clock, who="arm"), clock)) as arm:
+            assert arm.sign_on().serial_number == "40937"
+        with closing(Stage(Link(rig.urls["stage"], clock, who="stage"), clock)) as stage:
+            stage.connect()
 
 
 @pytest.mark.slow

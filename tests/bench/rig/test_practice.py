@@ -5,17 +5,16 @@ and its ports; a run at ten times real time.
 from __future__ import annotations
 
 import json
-import signal
 import socket
-import sys
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
+import bench
 from bench.cli.main import main
 from bench.rig import practice
 from bench.rig.devices import Devices
@@ -26,7 +25,6 @@ from instruments.camera.frame import FrameError
 from instruments.clock import PacedClock, VirtualClock, stopwatch_s
 from instruments.errors import InstrumentError
 from tests.bench.campaign.small_campaign import write_small_rig
-from tests.bench.forked import begin
 from tests.ports import free_ports
 
 ALL = ("arm", "bath", "stage", "cameras")
@@ -115,27 +113,17 @@ def post(url: str, words: str, **headers: str) -> str:
         return str(answer.read().decode("utf-8"))
 
 
-@contextmanager
-def emulating(*arguments: str) -> Iterator[str]:
-    """`emulate` in another process; gives the address of its page."""
-    with begin(["emulate", *arguments]) as child:
-        try:
-            assert child.stdout is not None
-            yield next(line.split()[1] for line in child.stdout if line.startswith("page "))
-        finally:
-            child.send_signal(signal.SIGINT)
-            child.communicate(timeout=60)
-
-
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
 def test_a_written_rig_stays_good_and_its_cables_are_on_a_page(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     small, written = write_small_rig(tmp_path), tmp_path / "written.toml"
     base = free_ports(len(PORTS))
-    for more in (["--write-rig", str(written)], []):
-        with emulating(str(small), "--port-base", str(base), *more) as page:
+    for turn in range(2):
+        with bench.serve_rig(small, port_base=base) as served:
+            page = served.page_url
+            if not turn:
+                written.write_text(served.rig_file(), encoding="utf-8")
             assert page == f"http://127.0.0.1:{base + PORTS.index('cameras')}/"
             assert "OUT" in post(page, "pull bath")
             assert main(["check", str(written)]) == 3

@@ -6,20 +6,24 @@ emulated in part: what it shows is marked.
 from __future__ import annotations
 
 import importlib
+import re
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import closing, suppress
-from dataclasses import dataclass
+from contextlib import closing
+from dataclasses import dataclass, replace
 from functools import cache
-from itertools import product
+from itertools import count, product
+from operator import attrgetter
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 import bench
-from instruments.clock import Clock, RealClock
+from instruments.clock import RealClock
 from instruments.drivers.entry_points import PluginUrl, load
 from instruments.errors import InstrumentError
 from instruments.listener import Listener
@@ -36,20 +40,11 @@ pytestmark = pytest.mark.slow
 RIG = """
 name = "lab"
 calibration = "calibration.toml"
-[operator]
-url = "emulator:"
-[arm]
-url = "emulator:"
-packets = 2
-touches = 1
-[bath]
-url = "plugin:kettle?url={url}&mode={mode}"
-cut_out_tested = "2024-03-01"
-[cameras]
-url = "emulator:"
-settle_s = 0.1
-[limits]
-away_s = 5.0
+operator.url = "emulator:"
+arm = {{ url = "emulator:", packets = 2, touches = 1 }}
+bath = {{ url = "plugin:kettle?url={url}&mode={mode}", cut_out_tested = "2024-03-01" }}
+cameras = {{ url = "emulator:", settle_s = 0.1 }}
+limits.away_s = 5.0
 """
 
 ALL_PLUGGED = """
@@ -63,20 +58,6 @@ stage = { url = "emulator:slide", reference_mm = [150.0, 150.0] }
 """
 
 
-def touches(rig: bench.OpenRig) -> None:
-    rig.move()
-    rig.touch(1)
-
-
-BREAKS: dict[str, Callable[[bench.OpenRig], object]] = {
-    "Eyes.capture": lambda rig: rig.capture(),
-    "Slide.move": lambda rig: rig.move(x_mm=5.0),
-    "Slide.read": lambda rig: rig.move(x_mm=5.0),
-    "Probe.read": touches,
-    "Tank.read": lambda rig: rig.wait(700.0),
-    **dict.fromkeys(("Slide.stop", "Probe.stop"), lambda rig: rig.safe()),
-}
-GIVES = [*product(BREAKS, (SystemExit("bye"), MemoryError(), None))]
 # what is done, and said then, where a driver's own thread, which asks the device, has died
 REPEATED: dict[str, tuple[Callable[[bench.OpenRig], object], str]] = {
     "Tank.read": (lambda rig: rig.wait(700.0), "lifeless reading"),
@@ -112,14 +93,9 @@ class Lab:
         return path
 
 
-class World:
-    def __init__(self) -> None:
-        self.plant = Plant(1, start_c=33.0)
-
-
 @pytest.fixture
 def lab(tmp_path: Path) -> Iterator[Lab]:
-    world, lock = World(), threading.RLock()
+    world, lock = SimpleNamespace(plant=Plant(1, start_c=33.0)), threading.RLock()
     write_calibration(tmp_path)
     with importable(tmp_path / "site"), closing(RealClock()) as clock:
         emulator = load("bath", PluginUrl("kettle"), emulator=True).make(world, clock)
@@ -146,42 +122,6 @@ def test_the_guardian_opens_it_by_itself(mode: str, lab: Lab) -> None:
         assert "NotSafeError" in ended.stderr
 
 
-@pytest.mark.parametrize(("member", "gives"), GIVES)
-def test_no_driver_leaves_the_bath_on(
-    member: str, gives: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_calibration(tmp_path)
-    (tmp_path / "lab.toml").write_text(ALL_PLUGGED, encoding="utf-8")
-    plants, asked = list[Plant](), list[object]()
-
-    def broken(driver: object, *_: object) -> object:
-        asked.append(driver)
-        if isinstance(gives, BaseException):
-            raise gives
-        return gives
-
-    with importable(tmp_path / "site"):
-        drivers = importlib.import_module("lab_drivers")
-        emulator = drivers.TankEmulator
-
-        def seen(world: World, clock: Clock) -> object:
-            plants.append(world.plant)
-            return emulator(world, clock)
-
-        monkeypatch.setattr(drivers, "TankEmulator", seen)
-        monkeypatch.setattr(drivers.Probe, "touches", member == "Probe.stop")  # only a robot stops
-        with suppress(*EXPECTED), bench.open_rig(tmp_path / "lab.toml", warn=lambda _: None) as rig:
-            rig.home()
-            rig.set_up(bench.member("ideal", 3))
-            rig.heat(33.0, wait=False)
-            rig.wait(2.0)
-            assert plants[0].running
-            monkeypatch.setattr(f"lab_drivers.{member}", broken)
-            BREAKS[member](rig)
-    assert asked
-    assert not plants[0].running
-
-
 @pytest.mark.parametrize("member", REPEATED)
 def test_a_driver_that_repeats_what_it_gave_is_noticed(
     member: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -201,6 +141,83 @@ def test_a_driver_that_repeats_what_it_gave_is_noticed(
             monkeypatch.setattr(kind, method, gives)
             with pytest.raises(EXPECTED, match=said):
                 act(rig)
+
+
+def fails(error: BaseException) -> Callable[[Any], None]:
+    def raises(_: object) -> None:
+        raise error
+
+    return raises
+
+
+def changed(frames: dict[str, Any], **how: Any) -> dict[str, Any]:
+    return {part: replace(frame, **how) for part, frame in frames.items()}
+
+
+STEPS = [("Slide.stop", 1), *((f"{name}.read", 3) for name in ("Slide", "Probe", "Tank"))]
+STEPS += [("Slide.move", 1), ("Eyes.capture", 1)]
+OWN = SystemExit("bye"), MemoryError()
+# what a driver does with what it gives, from this call on; the exit code, and what is said
+LOOK = r"Look at the device, then at its driver: the plug-in {} of lab-drivers 1\.0"
+RUNS: list[tuple[str, int, Callable[[Any], Any], int, str]] = [
+    ("Tank.read", 9, lambda it: replace(it, alarm="no water:\nfill"), 3, "reports no water: fill"),
+    (
+        "Tank.read",
+        2,
+        lambda it: replace(it, set_point_c=1.0),
+        3,
+        "was told .*" + LOOK.format("tank"),
+    ),
+    ("Tank.standby", 1, fails(KeyboardInterrupt()), 3, "ITS MAINS: interrupted by Ctrl-C, or"),
+    ("Tank.read", 1, lambda it: replace(it, alarm=None), 4, "2 of 2 trials"),
+    (
+        "Probe.read",
+        2,
+        fails(KeyError("no")),
+        3,
+        f"({LOOK.format('probe')}.*The arm is back.*){{3}}",
+    ),
+    ("Eyes.capture", 2, fails(KeyError("no")), 3, LOOK.format("eyes")),
+    ("Eyes.capture", 2, lambda _: None, 3, "no mapping of parts .*Correct the plug-in eyes"),
+    ("Eyes.capture", 2, lambda it: it | {"up": it["left"]}, 4, "2 of 2 trials"),
+    (
+        "Eyes.capture",
+        2,
+        lambda it: changed(it, bits=5),
+        3,
+        "its left frame has values beyond its 5",
+    ),
+    ("Eyes.capture", 2, lambda it: changed(it, exposed_s=1.0), 3, r"exposed at 1\.000 s of the"),
+    ("Probe.read", 2, lambda it: print("hello") or it, 4, f"{__name__} prints: hello"),
+    *(
+        (f"{name}.read", 2, lambda _: None, 3, "is no .*None")
+        for name in ("Slide", "Probe", "Tank")
+    ),
+    *((name, first, fails(error), 3, "") for (name, first), error in product(STEPS, OWN)),
+]
+
+
+@pytest.mark.parametrize(("member", "first", "does", "code", "says"), few(RUNS, 2))
+def test_what_a_driver_does_in_a_run_is_said(
+    member: str, first: int, does: Any, code: int, says: str, tmp_path: Path, said: Said
+) -> None:
+    write_calibration(tmp_path)
+    (tmp_path / "lab.toml").write_text(ALL_PLUGGED, encoding="utf-8")
+    (tmp_path / "two.toml").write_text(script_of(repeats=2), encoding="utf-8")
+    with importable(tmp_path / "site"), pytest.MonkeyPatch.context() as patch:
+        calls, inner = count(1), importlib.import_module("lab_drivers")
+        true, tanks = attrgetter(member)(inner), list[Any]()
+
+        def broken(driver: object, *given: object) -> object:
+            gives = true(driver, *given)
+            return does(gives) if next(calls) >= first else gives
+
+        patch.setattr(inner.TankEmulator, "id", lambda tank: tanks.__iadd__([tank]) and "Tank 1")
+        patch.setattr(f"lab_drivers.{member}", broken)
+        files = (tmp_path / one for one in ("two.toml", "lab.toml", "runs"))
+        there = said(code, "run {} --rig {} --out {}", *files)
+    assert re.search(says, " ".join((there.out + there.err).split()))
+    assert [one.world.plant.running for one in tanks] == [False] * len(tanks) != []
 
 
 def test_a_rig_that_is_emulated_in_part_is_marked(lab: Lab, said: Said) -> None:

@@ -28,13 +28,8 @@ from tests.undrawn import bare
 pytest_plugins = ("pytester",)
 # where the project was installed since the plug-in came, pytest has it already
 THERE = bool(entry_points(group="pytest11", name="teatbench"))
-PLUGIN = (
-    "-p",
-    "no:cacheprovider",
-    "-p",
-    "no:xdist",
-    *(() if THERE else ("-p", "bench.testing.plugin")),
-)
+OURS = () if THERE else ("-p", "bench.testing.plugin")
+PLUGIN = ("-p", "no:cacheprovider", "-p", "no:xdist", *OURS)
 SCENE = """
 import bench
 from bench.testing import Scene, Teat, check
@@ -179,6 +174,8 @@ def test_named(record_trial):
     assert not score.success
     with pytest.raises(bench.ConfigError, match="needs the truth"):
         record_trial(bench.api.shots.Shot(None, None))
+    with pytest.raises(bench.ConfigError, match="^shot is 'x', not a Shot"):
+        record_trial("x")
 """
     result = run(pytester, program, "--rig", rig, "--detector", "thesis", "--junit-xml", "j.xml")
     result.assert_outcomes(passed=2)
@@ -194,6 +191,8 @@ def test_named(record_trial):
     assert "error below 5 mm" in text
     assert "reliability" not in text
     assert 'name="requirement" value="no false teat"' in Path("j.xml").read_text(encoding="utf-8")
+    pytester.makeconftest("def pytest_configure(config): config.workerinput = {}")
+    run(pytester, program, "--rig", rig).stdout.fnmatch_lines("Recorded trials make one run: *")
 
 
 @pytest.mark.slow
@@ -233,5 +232,6 @@ def test_an_object_is_found_in_a_test_of_its_own_and_deadlines_are_those_of_scen
     assert re.findall(r"FAILED (\w+).*DeadlineExc", text) == ["test_slow"], text
     with bare():
         second = pytester.runpytest_inprocess(*PLUGIN, "found/test_own/test_scene.py")
+        pytester.runpytest_inprocess(*PLUGIN, "--co").stdout.no_fnmatch_line("*test_scene.py*")
     second.assert_outcomes(failed=1)
     second.stdout.fnmatch_lines(["*Blind misses 1 of 1 visible ends in Scene()*"])
