@@ -149,7 +149,7 @@ def shown_of(family: str, calibration: Calibration, data: Any) -> Shown | None:
     own = rest = np.zeros((0, 3, 3))
     if given is not None and len(given.data["rows"]):
         found = world.apply(given.data["ends"])
-        fits = Fits.made(given.data["teats"], evidence.take(given.data["rows"]), prior)
+        fits = Fits(given.data["teats"], evidence.take(given.data["rows"]), prior)
         pairs = match(found, ends, visible, gate_mm(ends)).pairs
         which = [i for i, _ in pairs]
         errors = np.array([found[i] - ends[j] for i, j in pairs]).reshape(-1, 3)

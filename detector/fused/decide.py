@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -32,70 +33,79 @@ ONE_MORE = "it is one more than an udder has teats, and the worst"
 _ONE_PLACE_MM = 15.0
 
 
-class Fits(NamedTuple):
-    """Fitted teats (m, 8), what the pictures show of them, and what is derived from that: warmth
-    (m, 3) of three lines from the coolest on, of what is beside, thermal offsets without NaN.
-    """
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """Fitted teats (m, 8), what the pictures show of them, and what is derived from that."""
 
     teats: Array
     of: Evidence
-    lines: Array
-    beside: Array
-    thermal: Array
     prior: Prior
 
-    @classmethod
-    def made(cls, teats: Array, of: Evidence, prior: Prior) -> Fits:
-        """Of evidence."""
-        known = of.beside[np.isfinite(of.beside)]
-        beside = np.nan_to_num(of.beside, nan=float(known.min(initial=np.inf)))
-        lines = np.sort(of.warmth, axis=1)
-        return cls(teats, of, lines, beside, np.nan_to_num(of.thermal_px), prior)
+    @cached_property
+    def lines(self) -> Array:
+        """Warmth (m, 3) of three lines, from the coolest on."""
+        return np.sort(self.of.warmth, axis=1)
 
-    @property
+    @cached_property
+    def beside(self) -> Array:
+        """Warmth (m, 2) beside them; what isn't known is as the coolest."""
+        beside = self.of.beside
+        known = beside[np.isfinite(beside)]
+        return np.nan_to_num(beside, nan=float(known.min(initial=np.inf)))
+
+    @cached_property
+    def thermal(self) -> Array:
+        """Offsets (m, 3) of the thermal outline, 0 where there is none."""
+        return np.nan_to_num(self.of.thermal_px)
+
+    @cached_property
+    def away_mm(self) -> Array:
+        """How far (m, m) ends are from each other."""
+        ends = apexes(self.teats)
+        return np.asarray(np.linalg.norm(ends[:, None] - ends, axis=2))
+
+    @cached_property
     def usual(self) -> float:
         """How warm fits are that show a whole end in both optical pictures, one a place; or the
         warmest.
         """
-        middle, ends = self.lines[:, 1], apexes(self.teats)
-        places = list[int]()
+        middle, places = self.lines[:, 1], list[int]()
         for i in np.flatnonzero(self.whole & np.isfinite(middle)).tolist():
-            if (np.linalg.norm(ends[places] - ends[i], axis=1) > _ONE_PLACE_MM).all():
+            if (self.away_mm[i, places] > _ONE_PLACE_MM).all():
                 places.append(i)
         known = middle[places]
         return float(np.median(known)) if len(known) else float(np.nanmax(middle, initial=-np.inf))
 
-    @property
+    @cached_property
     def whole(self) -> NDArray[np.bool_]:
         """Which show a whole end in both optical pictures."""
         return np.asarray(self.of.end[:, :2].min(axis=1) > WHOLE_END)
 
-    @property
+    @cached_property
     def apart_mm(self) -> Array:
         """How far (m,) the nearest whole end in another place is; 0 without one."""
-        ends = apexes(self.teats)
-        away = np.linalg.norm(ends[:, None] - ends[self.whole], axis=2)
+        away = self.away_mm[:, self.whole]
         nearest = np.where(away > _ONE_PLACE_MM, away, np.inf).min(axis=1, initial=np.inf)
         return np.where(np.isfinite(nearest), nearest, 0.0)
 
-    @property
+    @cached_property
     def lean(self) -> Array:
         """Slope (m,)."""
         return np.asarray(np.hypot(self.teats[:, LEAN_X], self.teats[:, LEAN_Z]))
 
-    @property
+    @cached_property
     def off_size(self) -> Array:
         """How far the radius (m,) is outside of a teat's range, mm."""
         low, high = self.prior.radii_mm
         radius = self.teats[:, RADIUS]
         return np.asarray(np.maximum(np.maximum(low - radius, radius - high), 0.0))
 
-    @property
+    @cached_property
     def off_usual(self) -> Array:
         """How far the radius (m,) is from a teat's mean, mm."""
         return np.asarray(np.abs(self.teats[:, RADIUS] - self.prior.radius_mm))
 
-    @property
+    @cached_property
     def too_steep(self) -> Array:
         """How far the slope (m,) is beyond that of a teat."""
         return np.asarray(np.maximum(self.lean - np.tan(np.radians(self.prior.most_lean_deg)), 0.0))
@@ -196,7 +206,7 @@ _RANGES = np.array([(measure.least, measure.most) for measure in MEASURES.values
 
 def measures(teats: Array, evidence: Evidence, prior: Prior) -> Array:
     """What `MEASURES` weighs of teats (m, 8), (m, k)."""
-    fits = Fits.made(teats, evidence, prior)
+    fits = Fits(teats, evidence, prior)
     every = np.stack([measure.of(fits) for measure in MEASURES.values()], axis=1, dtype=np.float64)
     every[np.isnan(every)] = -9.0
     return np.clip(every, *_RANGES, out=every)

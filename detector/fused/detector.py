@@ -261,7 +261,7 @@ def _detect(
         raise pictures.UnusableError(wrong)
     answers = _answers(judged, cameras, edges, scene, trace) if decision.accepted else ()
     # what of the given lies outside of what teats are, and what isn't given
-    given = Fits.made(fitted.teats, evidence.take(decision.accepted), p.prior)
+    given = Fits(fitted.teats, evidence.take(decision.accepted), p.prior)
     doubtful = decision.odds > LEARNED.least - _MAYBE_END
     thermal_px = thermal.px(apexes(judged.fitted.teats))
     warm_px = (scene.unexplained(fitted.teats, _SOME_END) + 0.5) * size - 0.5
@@ -402,7 +402,7 @@ def _answers(
     priors = held(fitted, p)
     shown = {"rows": np.array(rows), "teats": teats, "ends": found, "own": own, "held": priors}
     trace.append(Stage("answers", shown | {"rest": turned.R.T @ rest @ turned.R}))
-    fits = Fits.made(teats, evidence, p.prior)
+    fits = Fits(teats, evidence, p.prior)
     own = turned.R @ stated(own, fits, priors, LEARNED, calibration) @ turned.R.T
     covariances = world_covariances(own + rest, ends, calibration)
     pixels = *calibration.project(world), scene.thermal.px(found)

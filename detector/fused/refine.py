@@ -26,9 +26,9 @@ from detector.outline.fine import (
     ROUGH_SCALE,
     Fitted,
     fine,
-    look_again,
+    stepped,
 )
-from detector.outline.fit import CameraView, OutlineEdges, look, step, weights
+from detector.outline.fit import CameraView, OutlineEdges, look, weights
 from detector.outline.model import (
     COUNT,
     CX,
@@ -76,9 +76,8 @@ def _rough(teats: Array, views: tuple[CameraView, ...], p: Parameters, known_mm:
     seen = look(teats, views, ROUGH_OUTLINE, fine=False)
     for least, same in ((0.6 * _LEAST_SHARE, 0.4), (_LEAST_SHARE, 1.0)):
         for _ in range(_ROUGH_STEPS):
-            moved = step(teats, seen, weights(seen, ROUGH_SCALE), prior)
-            seen = look_again(seen, moved, moved - teats, views, fine=False)
-            teats = moved
+            weight = weights(seen, ROUGH_SCALE)
+            teats = stepped(teats, seen, weight, prior, views, fine=False)
         kept = _distinct(teats, seen, least, same * _SAME_MM, p.most_fits, known_mm)
         if len(kept) == 0:
             return teats[:0]

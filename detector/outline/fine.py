@@ -4,7 +4,7 @@ only to sides that both pictures show.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,33 +49,38 @@ def fine(
     steps: int = FINE_STEPS,
     first: int = 0,
 ) -> Fitted:
-    """Teats (m, 8) after ``steps`` fine steps, ``first`` of them done; ``seen``: if known; what is
-    ``hidden`` (m, k): if anything.
+    """Teats (m, 8) after ``steps`` fine steps, ``first`` of them done; ``seen``: if known, which
+    follows them; what is ``hidden`` (m, k): if anything.
     """
     if hidden is None:
         hidden = np.zeros((len(teats), len(views) * len(FINE_OUTLINE.part)), dtype=bool)
     seen = look(teats, views, FINE_OUTLINE, fine=True) if seen is None else seen
     for number in range(first, first + steps):
-        moved = step(teats, seen, _trusted(seen, hidden, number), prior)
-        seen = look_again(seen, moved, moved - teats, views, fine=True)
-        teats = moved
+        teats = stepped(teats, seen, _trusted(seen, hidden, number), prior, views, fine=True)
     weight = _trusted(seen, hidden, first + steps)
     no = np.zeros(len(teats), dtype=bool)
     return Fitted(teats, seen, weight, hidden, no, no)
 
 
-def look_again(
-    seen: OutlineEdges, teats: Array, change: Array, views: tuple[CameraView, ...], *, fine: bool
-) -> OutlineEdges:
-    """Edges after a ``change`` (m, 8): optical ones anew where outlines moved, thermal kept."""
-    outline = FINE_OUTLINE if fine else ROUGH_OUTLINE
-    k = 2 * len(outline.part)
-    moves = (seen.jacobian @ change[..., None])[..., 0]
-    seen = replace(seen, offset_px=seen.offset_px - moves)
-    moving = np.flatnonzero(~(np.abs(moves[:, :k]) < _STILL_PX).all(axis=1))
-    if len(moving) == 0:
-        return seen
-    return look(teats, views[:2], outline, fine=fine, known=seen, which=moving)
+def stepped(
+    teats: Array,
+    seen: OutlineEdges,
+    weight: Array,
+    prior: Prior,
+    views: tuple[CameraView, ...],
+    *,
+    fine: bool,
+) -> Array:
+    """Teats (m, 8) after one step; what is ``seen`` of them follows: optical edges are found anew
+    where outlines moved.
+    """
+    moved, outline = step(teats, seen, weight, prior), FINE_OUTLINE if fine else ROUGH_OUTLINE
+    moves = (seen.jacobian @ (moved - teats)[..., None])[..., 0]
+    np.subtract(seen.offset_px, moves, out=seen.offset_px)
+    still = (np.abs(moves[:, : 2 * len(outline.part)]) < _STILL_PX).all(axis=1)
+    if not still.all():
+        look(moved, views[:2], outline, fine=fine, known=seen, which=np.flatnonzero(~still))
+    return moved
 
 
 def _trusted(seen: OutlineEdges, hidden: NDArray[np.bool_], number: int) -> Array:

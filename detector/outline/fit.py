@@ -91,15 +91,12 @@ def look(
     which: NDArray[np.intp] | None = None,
 ) -> OutlineEdges:
     """Edges about teats (m, 8); their Jacobian is zero unless asked for. With ``known`` edges about
-    teats nearby: anew of teats ``which`` in ``views``, which are the first of the known ones'; the
-    rest and the Jacobian are those known.
+    teats nearby: anew of teats ``which`` in ``views``, which are the first of the known ones', into
+    the known ones' arrays; the Jacobian stays.
     """
     m, n = len(teats), len(outline.part)
     which = np.arange(m) if which is None else which
-    if known:  # but for floor and Jacobian in arrays of its own
-        shared = {"floor_px", "jacobian"}
-        own = {name: getattr(known, name).copy() for name in {*known.__slots__} - shared}
-    seen = dataclasses.replace(known, **own) if known else OutlineEdges.empty(m, n, views)
+    seen = OutlineEdges.empty(m, n, views) if known is None else known
     cameras = np.stack([view.numbers for view in views])
     teats = np.ascontiguousarray(teats[which])
     package.kernels.outlines(

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,6 @@ from numpy.typing import NDArray
 from detector.calibration import Calibration
 from detector.geometry import Array
 from detector.outline import pictures
-from detector.outline.edges import Field
 from detector.outline.fine import FINE_OUTLINE, ROUGH_OUTLINE, Fitted, fine
 from detector.outline.fit import look, step, upright, weights
 from detector.outline.model import COUNT, END, apexes
@@ -124,8 +124,8 @@ class _EndFits:
 
 
 def _seen(
-    left: Field,
-    right: Field,
+    left: NDArray[Any],
+    right: NDArray[Any],
     stated: Calibration,
     known: Array,
     shift: tuple[float, float, float],

@@ -27,11 +27,11 @@ class UnusableError(ValueError):
     """A picture that can't be used; the message is one sentence."""
 
 
-def optical(picture: NDArray[Any], size: tuple[int, int], camera: str) -> Field:
+def optical(picture: NDArray[Any], size: tuple[int, int], camera: str) -> NDArray[Any]:
     """The grey picture (rows, columns), of the calibration's size. Raises UnusableError."""
     grey = _grey(picture, camera)
     _check_size(grey, size, camera)
-    return np.asarray(grey, dtype=np.float32)
+    return grey
 
 
 def thermal(frames: Frames, camera: ThermalCamera) -> Field:
@@ -61,7 +61,7 @@ def thermal(frames: Frames, camera: ThermalCamera) -> Field:
 
 
 def region(
-    picture: Field, points_px: NDArray[np.float64], margin_px: int
+    picture: NDArray[Any], points_px: NDArray[np.float64], margin_px: int
 ) -> tuple[Field, NDArray[np.float64]]:
     """Linear intensities about points (n, 2), first pixel (2,). Raises UnusableError if empty."""
     rows, columns = picture.shape
@@ -72,7 +72,8 @@ def region(
     high = np.minimum(np.ceil(seen.max(axis=0)).astype(int) + margin_px, [columns, rows])
     if (high - low < 16).any():
         raise UnusableError("nothing warm lies in the optical pictures")
-    return picture[low[1] : high[1], low[0] : high[0]], low.astype(np.float64)
+    near = picture[low[1] : high[1], low[0] : high[0]]
+    return np.ascontiguousarray(near, dtype=np.float32), low.astype(np.float64)
 
 
 def noise_of(field: Field) -> float:
