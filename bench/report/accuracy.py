@@ -217,7 +217,7 @@ def precision_parts(run: RunRecord, detector: str) -> Iterator[Part]:
         most = max(map(len, found.values()), default=0)
         yield Paragraph(
             f"AP, RP, AD and RD (ISO 9283), {detector}: {NOT_MEASURED}; of one teat at one pose"
-            f" it was found {plural(most, 'time')} at most, and {CYCLES_FROM} are the least (the"
+            f" there are {plural(most, 'find')} at most, and {CYCLES_FROM} are the least (the"
             " standard asks for 30)."
         )
         return
