@@ -70,7 +70,7 @@ def test_a_new_user_gets_through_a_run(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_trip_ends_a_prompt_without_enter_and_reminders_come_before(tmp_path: Path) -> None:
-    fault = '[[emulation.faults]]\ninstrument = "bath"\nname = "low level"\nat_s = 6.0'
+    fault = '[[emulation.faults]]\ninstrument = "bath"\nname = "low level"\nat_s = 20.0'
     with started(tmp_path, operator_more="remind_s = 0.5", emulation=fault) as terminal:
         terminal.expect(ABORT_KEY)
         for _ in range(2):
