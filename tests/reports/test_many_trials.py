@@ -193,6 +193,7 @@ def test_points_and_keys_open_a_trial_s_file(seen: Seen) -> None:
     page.wait_for_url("**/trials/trial-002.html")
 
 
+@pytest.mark.weekly
 @pytest.mark.browser
 def test_without_a_script_the_list_still_leads_to_the_trials(
     browser: Browser, page: tuple[Page, Path]

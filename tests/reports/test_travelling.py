@@ -145,6 +145,7 @@ def test_a_program_that_prints_nothing_is_reported(tmp_path: Path) -> None:
         print_pdf(page, target, str(tmp_path / "no-such-browser"))
 
 
+@pytest.mark.weekly
 def test_the_environment_may_name_the_browser_or_none(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -230,6 +230,7 @@ def matlab(**changes: Any) -> dict[str, Any]:
     return {"s": stereo | {"CameraParameters1": camera, "CameraParameters2": camera}}
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_matlabs_structure_counts_pixels_from_one_and_transposes(tmp_path: Path) -> None:
     path = tmp_path / "stereo.mat"

@@ -118,6 +118,7 @@ def test_of_too_few_poses_the_gate_says_how_many_it_takes(
     )
 
 
+@pytest.mark.weekly
 def test_two_detectors_of_one_run_and_the_page(recording: Path, tmp_path: Path, said: Said) -> None:
     run = score(recording, tmp_path / "runs", "fused", "thesis")
     found = json.loads(said(1, "compare {} --gate --json --out {}", run, tmp_path / "page").out)

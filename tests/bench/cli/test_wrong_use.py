@@ -72,7 +72,7 @@ READ = ("trials show plane-map", "store check {run}", "report {run} --no-pdf", "
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="closes descriptors by a shell of POSIX")
-@pytest.mark.parametrize("command", few(READ, 2))
+@pytest.mark.parametrize("command", few(READ, 4))
 def test_whoever_reads_on_the_exit_code_is_the_command_s(command: str, tmp_path: Path) -> None:
     shutil.copytree(KEPT, run := tmp_path / "runs" / "kept")
     words = [*command.format(run=run, runs=run.parent).split()]

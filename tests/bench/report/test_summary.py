@@ -26,6 +26,7 @@ def tables(text: str) -> list[list[list[str]]]:
     return [rows for rows in found if rows]
 
 
+@pytest.mark.weekly
 def test_a_run_and_a_comparison_stand_in_one_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

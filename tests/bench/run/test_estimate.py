@@ -79,6 +79,7 @@ def test_a_run_teaches_how_long_the_next_takes(heated: Heated) -> None:
     assert read_durations(folder, rig) == pytest.approx(measured)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_an_emulated_run_takes_as_long_as_estimated_and_says_what_is_left_all_the_while(
     heated: Heated,

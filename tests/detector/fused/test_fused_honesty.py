@@ -162,6 +162,7 @@ def test_what_is_hidden_or_disturbed_of_a_teat_widens_its_covariance(
     assert max(normalised(one)) < scipy.stats.chi2.ppf(1 - 1e-4, 3)
 
 
+@pytest.mark.weekly
 def test_the_place_between_pixels_shifts_no_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """Upright sides have one place between pixels all along: a shift by it is one of depth."""
 

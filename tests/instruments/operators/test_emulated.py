@@ -37,6 +37,7 @@ def turn_and_shift(of: World) -> tuple[float, float, float]:
     return float(x), float(y), float(turn.as_rotvec()[2])
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_placement_errors_have_the_spread_that_was_asked_for(
     monkeypatch: pytest.MonkeyPatch,
