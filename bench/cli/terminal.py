@@ -11,6 +11,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
+from functools import partial
 from typing import TextIO
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType
@@ -145,6 +146,16 @@ class _Printed(SanitizedStream):
         return len(text)
 
 
+class _Display(Live):
+    """What is written above it is not parted by a refresh: rich moves by the rows that it drew
+    last, which may be others by then.
+    """
+
+    def above(self, write: Callable[[], None]) -> None:
+        with self._lock:
+            write()
+
+
 class TerminalProgress:
     """A context with a bar on ``console``, or a line a trial without a terminal. Each stretch
     between two questions has a new display: rich's would clear what was written since.
@@ -155,7 +166,7 @@ class TerminalProgress:
         self._bar = Progress(*_columns(), console=console)
         self._task = self._bar.add_task("trials", total=None)
         self._doing = ""  # trial, what is done, bath, time left, last error
-        self._live: Live | None = None
+        self._live: _Display | None = None
         self._asking = False  # the cursor stands behind a question
         self._echo, self._printed = ExitStack(), ExitStack()
 
@@ -174,10 +185,15 @@ class TerminalProgress:
     def say(self, text: str) -> None:
         """A line that stays above the bar; a failure to show it is ignored."""
         with suppress(*FAILURES):
-            print_wrapped(self._console, f"\n{text}" if self._asking else text)
+            self._write(text)
 
     def warn(self, text: str) -> None:
-        print_wrapped(self._console, f"\n{text}" if self._asking else text, "bold red")
+        self._write(text, "bold red")
+
+    def _write(self, text: str, style: str = "") -> None:
+        shown = f"\n{text}" if self._asking else text
+        write, live = partial(print_wrapped, self._console, shown, style), self._live
+        live.above(write) if live else write()
 
     @contextmanager
     def aside(self) -> Iterator[None]:
@@ -208,7 +224,7 @@ class TerminalProgress:
         if self._console.is_terminal:
             self._echo.enter_context(no_echo())
             shown, console = self._shown, self._console
-            self._live = Live(console=console, get_renderable=shown, redirect_stdout=False)
+            self._live = _Display(console=console, get_renderable=shown, redirect_stdout=False)
             self._live.start()
 
     def _stop(self, *, leave: bool) -> None:

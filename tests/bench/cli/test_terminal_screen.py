@@ -6,15 +6,17 @@ streams are terminals, and never in what the command writes.
 from __future__ import annotations
 
 import io
+import itertools
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 from rich.console import Console
 
-from bench.cli.terminal import print_wrapped
+from bench.cli.terminal import Terminal, TerminalProgress, print_wrapped
 from bench.results.headline import AFTER_END, AFTER_FAULT
-from tests.bench.calibrate.arm_terminal import at_terminal
+from tests.bench.calibrate.arm_terminal import Rendered, at_terminal
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said
 from tests.bench.operated_runs import SCRIPT, files, run_of
@@ -98,6 +100,47 @@ def test_a_terminal_has_a_bar_that_counts_and_a_pipe_has_none(
     assert "rendering the scenes" in shown
     assert "1/1" in shown
     assert "reading the runs" in said(0, "runs {}", tmp_path).err
+
+
+class AtTerminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.slow
+def test_lines_that_are_said_while_the_bar_grows_leave_no_second_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The bar is drawn anew on another thread, in as many rows as what is done takes."""
+    monkeypatch.setenv("COLUMNS", "37")
+    monkeypatch.setenv("TERM", "xterm")
+    written, ended, often_s = AtTerminal(), threading.Event(), sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)
+    with TerminalProgress(Terminal(written)) as progress:
+
+        def grows() -> None:
+            for rows in itertools.cycle((1, 3, 2)):  # one, three and four rows
+                if ended.is_set():
+                    return
+                progress.state("waiting for the bath to settle, still " * rows)
+                assert progress._live is not None
+                progress._live.refresh()
+
+        growing = threading.Thread(target=grows)
+        growing.start()
+        try:
+            for number in range(40):
+                progress.say(f"line {number}")
+        finally:
+            ended.set()
+            growing.join()
+            sys.setswitchinterval(often_s)
+    screen = Rendered(37)
+    screen.feed(written.getvalue().replace("\n", "\r\n").encode())
+    assert [row.strip() for row in screen.rows if row.startswith("line ")] == [
+        f"line {number}" for number in range(40)
+    ]
+    assert not [row for row in screen.rows if row.startswith("trials ")]
 
 
 @pytest.mark.slow
