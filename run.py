@@ -25,7 +25,7 @@ LOCKS = ROOT / "locks"  # made by the command at the top of each, after that of 
 NEEDED = (3, 11)
 PYTEST_OPTIONS = (
     # a test in real time mostly waits; each process takes 20 s of a processor to start, and 0.9 GB
-    *("-n", str(max(os.cpu_count() or 1, min(2 * (os.cpu_count() or 1) + 1, 10)))),
+    *("-n", str(max(os.cpu_count() or 1, min(3 * (os.cpu_count() or 1), 10)))),
     *("--dist", "loadfile", "--no-loadscope-reorder"),  # slow files first: tests/conftest.py
     *("--max-worker-restart", "0"),  # a test that killed its worker would kill the next one
 )

@@ -63,7 +63,7 @@ MAY_JUDGE = {
 }  # their exit code may be a verdict
 AT_A_TERMINAL = {"arm home", "arm frame", "arm read", "arm verify"}
 # pages whose commands take the longest run weekly; the program knows their words in each run
-LONG = ("calibration.md", "campaigns.md", "detectors.md", "index.md")
+LONG = ("calibration.md", "campaigns.md", "detectors.md", "index.md", "record.md")
 # what a page names and its reader has, and what stands in for it here; whatever fits, in this order
 STAND_INS = {
     r"plane-map --dry-run": "short.toml --rig my-rig.toml --dry-run",

@@ -58,6 +58,7 @@ OPENCV_MODEL = "k1 k2 p1 p2 k3"
 POINTS = np.array([[-190.0, 235.0, 135.0], [-110.0, 284.0, 134.0], [-300.0, 180.0, 90.0]])
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_rigs_are_found_within_the_stated_covariance() -> None:
     distances = []

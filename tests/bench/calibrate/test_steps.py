@@ -159,6 +159,7 @@ def named(lab: Path) -> Path:
     return lab / "named.toml"
 
 
+@pytest.mark.weekly
 def test_whose_cameras_they_are_is_on_record(
     lab: Path, named: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

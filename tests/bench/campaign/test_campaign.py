@@ -79,6 +79,7 @@ class Killing:
         return len(self._hit)
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="sends signals")
 @pytest.mark.parametrize("workers", WORKERS)

@@ -21,6 +21,7 @@ from instruments.operators.operator import Homing
 from instruments.operators.remote import RemoteOperator
 from instruments.stage.connection import Dialogue
 from tests.bench.hostile_peers import CELLS, hostile, rig_text, sound_bath
+from tests.examples import few
 
 if sys.platform == "win32":
     pytest.skip("forks benches", allow_module_level=True)
@@ -53,7 +54,8 @@ COMMANDS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("command", "kind"), [(command, kind) for command, kinds in COMMANDS.items() for kind in kinds]
+    ("command", "kind"),
+    few([(command, kind) for command, kinds in COMMANDS.items() for kind in kinds], 2),
 )
 def test_a_command_ends_in_time_and_says_why(
     command: str, kind: str, capsys: pytest.CaptureFixture[str]

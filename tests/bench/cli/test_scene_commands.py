@@ -82,6 +82,7 @@ def test_a_recording_is_perturbed_in_scene_pictures_and_calibration(
     assert not (tmp_path / "none").exists()
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_a_sheet_has_a_row_for_each_member(tmp_path: Path, said: Said) -> None:
     out = tmp_path / "sheet.png"

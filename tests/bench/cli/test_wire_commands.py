@@ -84,6 +84,7 @@ def test_a_capture_changes_nothing_of_what_a_run_does(
     assert one.digest == other.digest, "the chain without real time"
 
 
+@pytest.mark.weekly
 def test_a_run_is_captured_whole(run_capture: tuple[Capture, Path]) -> None:
     capture, _ = run_capture
     assert list(capture.links) == ["arm", "bath", "stage"]

@@ -271,6 +271,7 @@ def test_what_a_fault_is_and_whose() -> None:
 NARROW = SCRIPT.replace("window_s = 2.0", "window_s = 60.0\nleave_k = 0.03\nmean_k = 0.03")
 
 
+@pytest.mark.weekly
 @pytest.mark.slow
 def test_what_stands_there_waits_until_the_bath_is_stable_again(tmp_path: Path) -> None:
     dead = fault("bath", "dead heater", 855.0, 105.0).replace("prompt_s = 5.0", "prompt_s = 120.0")
