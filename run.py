@@ -29,6 +29,8 @@ PYTEST_OPTIONS = (
     *("--dist", "loadfile", "--no-loadscope-reorder"),  # slow files first: tests/conftest.py
     *("--max-worker-restart", "0"),  # a test that killed its worker would kill the next one
 )
+# most modules are never imported: Python compiles the others itself, at their first import
+QUIETLY = ("--disable-pip-version-check", "--no-compile", "--quiet")
 # met, not met, inconclusive: a verdict on the detector, not a fault of the bench
 DID_ITS_WORK = (0, 1, 4)
 
@@ -93,6 +95,9 @@ def install(extra: str) -> int:
     fault = make_venv()
     if fault:
         return fault
+    # Python's own pip takes three times as long; where no newer one can be had, it does the work
+    newer = ("--require-hashes", "--requirement", str(LOCKS / "pip.txt"))
+    works(["-m", "pip", "install", *QUIETLY, "--retries", "0", *newer])
     # what is editable has no hash: the packages come first, then the project with what is there
     packages = ["--require-hashes", "--requirement", str(LOCKS / f"{extra or 'run'}.txt")]
     for what in packages, ["--no-deps", "--no-build-isolation", "--editable", str(ROOT)]:
@@ -104,10 +109,8 @@ def install(extra: str) -> int:
 
 def pip_install(what: Sequence[str]) -> int:
     """Install in .venv; 0 when that is done."""
-    # most modules are never imported: Python compiles the others itself, at their first import
-    quiet = ("--disable-pip-version-check", "--no-compile", "--quiet")
     done = subprocess.run(
-        [str(python()), "-m", "pip", "install", *quiet, *what],
+        [str(python()), "-m", "pip", "install", *QUIETLY, *what],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,

@@ -151,10 +151,22 @@ def test_other_dependencies_are_installed_anew(
     (tmp_path / changed).write_text("# other\n", encoding="utf-8")
     run_py.main(["install"])
     said = log.read_text(encoding="utf-8")
-    first, then = (line for line in said.splitlines() if "pip install" in line)
+    newer, first, then = (line for line in said.splitlines() if "pip install" in line)
+    assert newer.endswith(f"--require-hashes --requirement {tmp_path / 'locks' / 'pip.txt'}")
     assert first.endswith(f"--require-hashes --requirement {tmp_path / 'locks' / 'test.txt'}")
     assert then.endswith(f"--no-deps --no-build-isolation --editable {tmp_path}")
     assert "-m pytest" not in said
+
+
+@pytest.mark.skipif(os.name == "nt", reason="stands a shell script in for Python")
+def test_where_no_newer_pip_can_be_had_the_old_one_installs(
+    run_py: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "calls"
+    fake_python(run_py, f'echo "$*" >> "{log}"; case "$*" in *pip.txt*) echo lost; exit 1;; esac')
+    assert run_py.main(["install"]) == 0
+    assert "test.txt" in log.read_text(encoding="utf-8")
+    assert not capsys.readouterr().err
 
 
 def pinned(text: str) -> dict[tuple[str, str], int]:
