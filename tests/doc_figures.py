@@ -4,6 +4,7 @@ renders them.
 python -m tests.doc_figures                         write the pages' tables from the CSV files
 python -m tests.doc_figures families SET RUN        write the rows of SET in families.csv from a run of `teatbench score`
 python -m tests.doc_figures campaign DIR            write campaign.csv from a campaign's folder
+python -m tests.doc_figures perturbed FOLDER        run the campaigns of perturbed.csv there, and write it
 python -m tests.doc_figures coverage RUNS           simulate coverage.csv again; 4000 take ten minutes
 """
 
@@ -15,7 +16,9 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
+from bench import run_campaign
 from bench.campaign.numbers import family_rates
+from bench.campaign.perturbations import KINDS
 from bench.campaign.plan import CampaignPlan, read_plan
 from bench.campaign.run import PLAN
 from bench.campaign.shards import Shards
@@ -42,6 +45,30 @@ SELECT avg(mm), quantile_cont(mm, 0.95), max(mm), 100 * avg((nees > 11.345)::INT
 SUMS = (
     *("scenes", "failures", "visible", "found", "false_teats", "sure_wrong", "stated", "inside"),
 )
+PERTURBED = {  # members that earlier versions were looked at with, too
+    "families": ELEVEN,
+    "scenes": 10,
+    "first": 3000,
+    "seed": 101,
+    "detectors": ("fused",),
+    "calibration": str(ROOT / "bench" / "rigs" / "calibration.toml"),  # which states nothing
+}
+PERTURBATIONS: tuple[tuple[str, float] | None, ...] = (
+    None,
+    *(("vergence", 0.1), ("out-of-step", 3), ("column", 0.5), ("row", 1), ("focal", 0.2)),
+    *(("thermal-pose", 0.3), ("blur-across", 9), ("blur-down", 9), ("defocus", 2), ("defocus", 3)),
+    *(("exposure", 2.5), ("gamma", 0.45), ("jpeg", 40)),
+)
+OF_ALL = """
+SELECT count(*), sum(visible), sum(found), sum(false_teats), sum(sure_wrong),
+  count(*) FILTER (found + false_teats = 0 AND reason <> '') FROM scenes
+"""
+OF_ENDS = """
+SELECT avg(mm), max(mm), avg(nees), 100 * avg((nees > 11.345)::INT) FROM (
+  SELECT sqrt(x_mm * x_mm + y_mm * y_mm + z_mm * z_mm) AS mm, nees FROM teats
+  WHERE status = 'found'
+)
+"""
 
 
 def read(name: str) -> list[dict[str, str]]:
@@ -104,6 +131,29 @@ def _sets(plan: CampaignPlan) -> list[tuple[str, tuple[str, ...]]]:
     ]
 
 
+def perturbed_rows(folder: Path) -> Iterator[dict[str, str]]:
+    """One campaign each, in folders of their own in ``folder``."""
+    for done in PERTURBATIONS:
+        name, amount = done or ("none", 0.0)
+        plan = {**PERTURBED, "perturbations": [{"name": name, "amount": amount}] if done else []}
+        campaign = run_campaign(plan, folder / f"{name}-{amount:g}").campaign
+        with campaign.shards.connect() as db:
+            [of_all], [errors] = (db.execute(sql).fetchall() for sql in (OF_ALL, OF_ENDS))
+        scenes, visible, found, false, sure, reasons = map(str, of_all)
+        cells = ("" if value is None else f"{value:.2f}" for value in errors)
+        yield {
+            "detector": " ".join(campaign.made_by["detectors"].split()[:2]),
+            "perturbation": f"{name} {amount:g} {KINDS[name].unit}".strip() if done else name,
+            "scenes": scenes,
+            "visible": visible,
+            "found": found,
+            "false": false,
+            "sure_wrong": sure,
+            "reasons": reasons,
+            **dict(zip(("mean_mm", "max_mm", "nees", "beyond_percent"), cells, strict=True)),
+        }
+
+
 def campaign_caption() -> str:
     """What the campaign's table is of."""
     all_of = read("campaign.csv")[-1]
@@ -135,6 +185,20 @@ def _campaign() -> Iterator[Sequence[str]]:
         )
 
 
+def _perturbed() -> Iterator[Sequence[str]]:
+    for row in read("perturbed.csv"):
+        yield (
+            row["perturbation"],
+            row["found"],
+            row["false"],
+            f"{row['reasons']} of {row['scenes']}",
+            ", ".join(filter(None, (row["mean_mm"], row["max_mm"]))),
+            row["nees"],
+            f"{float(row['beyond_percent']):.1f} %" if row["beyond_percent"] else "",
+            row["sure_wrong"],
+        )
+
+
 def _coverage() -> Iterator[Sequence[str]]:
     """A row a kind of change, a cell a number of poses: covers, median width (mm), green."""
     rows: dict[str, list[str]] = {}
@@ -155,6 +219,14 @@ TABLES: tuple[tuple[str, str, Callable[[], Iterator[Sequence[str]]]], ...] = (
             " | mean, p95, max (mm) | squared error | in their 95 % region | beyond their 99 % region |"
         ),
         _campaign,
+    ),
+    (
+        MEASURED,
+        (
+            "| perturbation | found | false | a reason | mean, max (mm) | squared error"
+            " | beyond their 99 % region | sure and wrong |"
+        ),
+        _perturbed,
     ),
     (MEASURED, "| changes | mean (mm) | 8 poses | 20 poses | 60 poses | 150 poses |", _coverage),
 )
@@ -182,6 +254,8 @@ def main(arguments: Sequence[str]) -> None:
         )
     elif arguments[:1] == ["campaign"]:
         write("campaign.csv", list(campaign_rows(Path(arguments[1]))))
+    elif arguments[:1] == ["perturbed"]:
+        write("perturbed.csv", list(perturbed_rows(Path(arguments[1]))))
     elif arguments[:1] == ["coverage"]:
         runs = int(arguments[1])
         write(

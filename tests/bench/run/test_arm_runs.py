@@ -32,6 +32,7 @@ from tests.bench.operated_runs import shipped_rig, texts
 
 pytestmark = pytest.mark.slow
 
+WARM = "bath_start_c = 33.0\n"  # heating twelve litres would be half of each run
 PLACED = Motion.from_vectors((0.015, -0.01, 0.4), (-40.0, -60.0, 9.0))
 REQUIREMENT = "arm verified before and after"
 
@@ -93,7 +94,7 @@ def arm_files(folder: Path) -> None:
 @pytest.fixture(scope="module")
 def in_place(script: Path, tmp_path_factory: pytest.TempPathFactory) -> Done:
     folder = tmp_path_factory.mktemp("in-place")
-    return done(shipped_rig(folder, whole=True), script, folder / "runs")
+    return done(shipped_rig(folder, "", WARM, whole=True), script, folder / "runs")
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +103,7 @@ def elsewhere(script: Path, tmp_path_factory: pytest.TempPathFactory) -> Done:
     arm_files(folder)
     keys = 'frame = "arm-frame.toml"\nverification = "arm-verification.toml"\n'
     placed = f"arm_placed = {{ om = {PLACED.om.tolist()}, T = {PLACED.T.tolist()} }}\n"
-    return done(shipped_rig(folder, keys, placed, whole=True), script, folder / "runs")
+    return done(shipped_rig(folder, keys, WARM + placed, whole=True), script, folder / "runs")
 
 
 def test_an_arm_elsewhere_scores_like_one_in_its_place(in_place: Done, elsewhere: Done) -> None:

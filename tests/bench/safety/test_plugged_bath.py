@@ -54,6 +54,7 @@ operator.url = "emulator:"
 arm.url = "emulator:probe"
 bath.url = "emulator:tank"
 cameras.url = "emulator:eyes"
+limits.away_s = 5.0
 stage = { url = "emulator:slide", reference_mm = [150.0, 150.0] }
 """
 
