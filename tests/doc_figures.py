@@ -61,7 +61,7 @@ PERTURBATIONS: tuple[tuple[str, float] | None, ...] = (
 )
 OF_ALL = """
 SELECT count(*), sum(visible), sum(found), sum(false_teats), sum(sure_wrong),
-  count(*) FILTER (found + false_teats = 0 AND reason <> '') FROM scenes
+  count(*) FILTER (found + false_teats = 0) FROM scenes
 """
 OF_ENDS = """
 SELECT avg(mm), max(mm), avg(nees), 100 * avg((nees > 11.345)::INT) FROM (
@@ -139,7 +139,7 @@ def perturbed_rows(folder: Path) -> Iterator[dict[str, str]]:
         campaign = run_campaign(plan, folder / f"{name}-{amount:g}").campaign
         with campaign.shards.connect() as db:
             [of_all], [errors] = (db.execute(sql).fetchall() for sql in (OF_ALL, OF_ENDS))
-        scenes, visible, found, false, sure, reasons = map(str, of_all)
+        scenes, visible, found, false, sure, empty = map(str, of_all)
         cells = ("" if value is None else f"{value:.2f}" for value in errors)
         yield {
             "detector": " ".join(campaign.made_by["detectors"].split()[:2]),
@@ -149,7 +149,7 @@ def perturbed_rows(folder: Path) -> Iterator[dict[str, str]]:
             "found": found,
             "false": false,
             "sure_wrong": sure,
-            "reasons": reasons,
+            "without_an_end": empty,
             **dict(zip(("mean_mm", "max_mm", "nees", "beyond_percent"), cells, strict=True)),
         }
 
@@ -191,7 +191,7 @@ def _perturbed() -> Iterator[Sequence[str]]:
             row["perturbation"],
             row["found"],
             row["false"],
-            f"{row['reasons']} of {row['scenes']}",
+            f"{row['without_an_end']} of {row['scenes']}",
             ", ".join(filter(None, (row["mean_mm"], row["max_mm"]))),
             row["nees"],
             f"{float(row['beyond_percent']):.1f} %" if row["beyond_percent"] else "",
@@ -223,7 +223,7 @@ TABLES: tuple[tuple[str, str, Callable[[], Iterator[Sequence[str]]]], ...] = (
     (
         MEASURED,
         (
-            "| perturbation | found | false | a reason | mean, max (mm) | squared error"
+            "| perturbation | found | false | frames without an end | mean, max (mm) | squared error"
             " | beyond their 99 % region | sure and wrong |"
         ),
         _perturbed,
