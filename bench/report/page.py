@@ -25,7 +25,6 @@ from bench.report.comparison import detectors_parts
 from bench.report.growing import REPORT, TrialParts
 from bench.report.spread import pose_parts, spread_parts
 from bench.report.statements import note_on_statements
-from bench.report.thesis import published_counts, thesis_parts
 from bench.report.trials import (
     first_looks,
     first_trials,
@@ -192,7 +191,6 @@ def _banner(run: RunRecord, status: RunStatus, rules: Rules, *, several: bool) -
 ABOUT = {
     "page-accuracy": "errors, rates, poses, time",
     "page-truth": "what is measured, how well",
-    "page-thesis": "its figures beside ours",
     "page-provenance": "item, versions, files, command",
 }
 
@@ -235,10 +233,6 @@ def _behind(
         "page-bath": (
             "Bath and interlocks",
             {"environment": ("Bath and environment", bath_parts(run, rules))},
-        ),
-        "page-thesis": (
-            "Thesis",
-            {"published": ("Beside the thesis", thesis_parts(run, rules, calibration))},
         ),
         "page-provenance": (
             "Provenance",
@@ -287,9 +281,9 @@ def _confidence(run: RunRecord, rules: Rules, poses: int, words: set[str]) -> st
 
 
 def _result_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
-    published = published_counts(rules)
+    published = tables.published(rules)
     names = tables.situations(run)
-    theirs = [published.get(name, (None,))[0] for name in names]
+    theirs = [published[name].found if name in published else None for name in names]
     called = [*map(spoken, names)]
     for detector, who in places_of(run.detectors).items():
         counts = [scored(run, detector, name).counts for name in names]
