@@ -52,7 +52,7 @@ from bench.results.verdicts import (
 )
 from bench.rig.frame_capture import FRAMES_FACT
 from bench.scoring.guard_band import acceptance_limit_mm
-from bench.scoring.rates import plural, zero_failure_n
+from bench.scoring.rates import zero_failure_n
 from bench.script.calibration_age import CALIBRATION_FACT
 from bench.script.model import ErrorRequirement, Rules, SuccessRequirement, TimeRequirement
 from detector.calibration import Calibration
@@ -76,6 +76,7 @@ from reports.page import (
     Verdict,
 )
 from reports.render import in_page, write_report
+from textfiles.text import plural
 
 PDF = "report.pdf"
 
@@ -262,12 +263,14 @@ def _confidence(run: RunRecord, rules: Rules, poses: int, words: set[str]) -> st
         without = f"{needed} without a failure would show {100 * rate:g} % with {sure}."
         return f"No pose was tried; {without}"
     if not any(trial.truth for trial in run.counted):
-        return f"{poses} poses have no truth: they show nothing of how well a detector finds teats."
+        they = "it shows" if poses == 1 else "they show"
+        none = f"{plural(poses, 'pose', 'has')} no truth"
+        return f"{none}: {they} nothing of how well a detector finds teats."
     best = (1.0 - confidence) ** (1.0 / poses)
     many = plural(poses, "pose")
     if words == {"not met"}:  # what another detector shows depends on how many there are
-        tried = f"{many} {'was' if poses == 1 else 'were'} tried"
-        message = f"{tried}: what failed in them shows what is not met, however few they are."
+        tried = plural(poses, "pose", "was")
+        message = f"{tried} tried: what failed in them shows what is not met, however few they are."
     else:
         message = f"{many} without a failure would show a success rate of at least"
         message += f" {100 * best:.1f} %, with {sure}."

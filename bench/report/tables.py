@@ -26,13 +26,14 @@ from bench.results.verdicts import (
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.errors import Floats
 from bench.scoring.joint import radial_95_mm
-from bench.scoring.rates import Rate, percent, plural, pose_successes
+from bench.scoring.rates import Rate, percent, pose_successes
 from bench.script.model import TRIALS, Rules, load_script
 from bench.script.planned_trials import PublishedRate
 from detector.calibration import Calibration
 from detector.protocol import Outcome
 from instruments.world.situations import spoken
 from reports.page import Cell, Notes, Part, Requirement, Requirements, Score, Scoreboard, Table
+from textfiles.text import plural
 
 CONFIDENCE = 0.95
 RECALL, PRECISION = "recall, teats", "precision, answers"

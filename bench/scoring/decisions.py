@@ -26,11 +26,11 @@ from bench.scoring.rates import (
     guarded_n,
     percent,
     percent_apart,
-    plural,
     pose_successes,
     shown_rate,
     zero_failure_n,
 )
+from textfiles.text import plural
 
 
 class Verdict(StrEnum):
