@@ -19,6 +19,7 @@ import pytest
 
 from bench.record.reader import RunRecord
 from bench.report.tables import published
+from bench.report.trials import project_all
 from bench.rig.loading import find_rig, load_rig
 from bench.scoring.errors import summarise
 from bench.script.model import TRIALS, load_script
@@ -213,11 +214,8 @@ def test_what_lies_on_the_rounded_end_counts_and_what_lies_beside_it_does_not(
     calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pictures = example("thesis_pictures", monkeypatch)
-    left, right = calibration.project(ENDS)
-    lens, pose = calibration.thermal.lens, calibration.thermal_from_right
-    assert lens
-    assert pose
-    thermal = lens.project(pose.apply(calibration.world_from_right.inverse().apply(ENDS)))
+    seen = project_all(calibration, ENDS)
+    left, right, thermal = (np.array(seen[camera]) for camera in ("left", "right", "thermal"))
     # above the end, at the middle of the rounded end, beside the teat; a radius is 13 px
     off = np.array([[0.0, -6.0], [0.0, 12.0], [17.0, 0.0]])
     refined = np.array([[0.0, -18.0], [3.0, 4.0], [0.0, 5.0]])
