@@ -23,7 +23,7 @@ from pydantic_core import ErrorDetails
 from detector.calibration import Calibration, CalibrationError, load_calibration
 from textfiles.bounds import Bounds
 from textfiles.documents import DocumentError, read_toml
-from textfiles.text import TextError, text_of
+from textfiles.text import TextError, plural, text_of
 from textfiles.text import did_you_mean as did_you_mean
 from textfiles.text import short as short
 
@@ -305,7 +305,7 @@ def is_there(path: Path) -> bool:
 def _rendered(path: Path | None, faults: Sequence[FileFault], lines: Sequence[str]) -> list[str]:
     if path is None:
         return [fault.message for fault in faults]
-    out = [f"{path}: {len(faults)} fault{'s' if len(faults) > 1 else ''}"]
+    out = [f"{path}: {plural(len(faults), 'fault')}"]
     for fault in faults:
         note = fault.message
         out.append(f"{path}:{fault.line}: {note if len(note) <= TOLD else note[:TOLD] + '...'}")

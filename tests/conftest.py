@@ -47,7 +47,7 @@ ROOMS = ("cli", "console", "record", "rig", "run", "safety", "script", "truth")
 KEEPING = ("tests.", "instruments.world.", "bench.campaign.")
 BARE = (
     *(f"tests.bench.{room}." for room in ROOMS),
-    *("tests.bench.report.test_report_thesis", "tests.test_docs", "tests.detector.test_depth"),
+    *("tests.test_thesis_example", "tests.test_docs", "tests.detector.test_depth"),
     *("tests.test_doc_figures", "tests.test_study_examples"),
 )
 

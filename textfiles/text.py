@@ -54,6 +54,19 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f'; did you mean "{near[0]}"?' if near else ""
 
 
+def plural(n: int, thing: str, verb: str = "") -> str:
+    """``1 pose``, ``59 poses``, ``3 touches``; with a verb ``1 pose was``, ``59 poses were``."""
+    if n != 1:
+        thing += "es" if thing.endswith("ch") else "s"
+        verb = {"has": "have", "is": "are", "was": "were"}.get(verb, verb)
+    return f"{n} {thing} {verb}".rstrip()
+
+
+def full_stop(text: str) -> str:
+    """``text`` as a sentence's end."""
+    return text if text.endswith((".", "?", "!")) else f"{text}."
+
+
 def short(text: str) -> str:
     """``text`` as far as it has room in a message."""
     return text if len(text) <= 60 else text[:57] + "..."

@@ -18,7 +18,6 @@ from bench.calibrate.views import ViewsRequest, free_folder, gather
 from bench.calibrate.world import POINTS_FILE, TouchSession, gather_points
 from bench.config import ConfigError
 from bench.rig.alone import TakePictures, pictures, with_retries
-from bench.scoring.rates import plural
 from bench.script.calibration_age import refuse_other_cameras
 from detector.calibration import Part
 from detector.calibration.boards import Board
@@ -26,6 +25,7 @@ from instruments.camera.frame import Grey
 from instruments.captures.capture import CaptureFile
 from instruments.errors import LinkError
 from instruments.operators.operator import Finish, Homing
+from textfiles.text import plural
 
 Say = Callable[[str], None]
 STEREO = ViewsRequest()

@@ -54,7 +54,7 @@ class OpenRig:
         self._left, self._lent = False, dict[str, GuardedProxy]()
         self._stands: Arrangement | None = None
         self._visible: tuple[bool, ...] = ()
-        # where homing leaves the plate nobody says
+        # homing leaves the plate at a place that is not known
         self._pose = None if devices.stage else PlatePose()
         self._watch: BathMonitor | None = None
         self._taker: FrameTaker | None = None
@@ -252,7 +252,7 @@ class OpenRig:
             what = "nothing was set up that could be touched"
             raise LimitError("arm", what, hint="Call set_up().")
         if self._pose is None:
-            what = "nobody knows where the plate stands: it was not moved since the stage was homed"
+            what = "the place of the plate is not known: it was not moved since the stage was homed"
             raise LimitError("stage", what, hint="Call move(), to the reference place or another.")
         stands = self._stands
         if teat is not None and not 1 <= teat <= len(stands.phantom.teats):
@@ -274,7 +274,7 @@ class OpenRig:
     def truth(self) -> tuple[TruthRow, ...]:
         """The exact teat ends, of an emulated rig alone. Raises LimitError of a real one."""
         if self.devices.exact_ends is None or self._stands is None:
-            what = "nobody knows the exact ends of a real phantom, or of none"
+            what = "there are no exact ends of a real phantom, or of none"
             raise LimitError("rig", what, hint="Call set_up() and touch().")
         name, places = self._stands.situation, self.devices.exact_ends().tolist()
         return tuple(
@@ -291,7 +291,7 @@ class OpenRig:
         does. ``keep_arm``: its session goes on, so that it stays homed. What was made safe: nothing
         where neither is open. Raises DeviceError.
         """
-        self.end_watch()  # else a heater that is off is a stranger's doing
+        self.end_watch()  # else the watch takes the heater that is off for an interference
         said: list[str] = []
         wanted = [one for one in ("bath", "stage", "arm") if getattr(self.devices, one)]
         wanted += ["pump"] * ("bath" in wanted)
@@ -320,7 +320,7 @@ class OpenRig:
 
 def rig_notes(rig: AnyRig) -> Iterator[str]:
     """What of a rig a person has to see to before a run: a calibration that is not made, shipped
-    detectors that can't be used with it, a bath's cut-out or unit that nobody has confirmed. Opens
+    detectors that can't be used with it, a bath's cut-out or unit that is not confirmed. Opens
     nothing; `check_rig` does. Raises ConfigError.
     """
     loaded = load_rig(rig)

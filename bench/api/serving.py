@@ -56,8 +56,8 @@ def serve_rig(
             served = partial(StreamServer, twin.cameras, clock, host=host, port=at("cameras"))
             streams = served(page=partial(page_of, practice), act=practice.do)
             stack.enter_context(closing(streams))
-            heard = partial(Listener, OperatorPort(twin.operator), clock, lock=threading.RLock())
-            hands = heard(name="operator", host=host, port=at("operator"))
+            listener = partial(Listener, OperatorPort(twin.operator), clock, lock=threading.RLock())
+            hands = listener(name="operator", host=host, port=at("operator"))
             stack.enter_context(closing(hands))
         except OSError as error:
             what = f"can't listen on {'pseudo-terminals' if pty else host}: {error}"

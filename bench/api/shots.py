@@ -111,7 +111,7 @@ def labels(shot: Shot, *, rig: AnyRig = "emulated") -> tuple[Labels, Labels, Lab
     scene.
     """
     if shot.state is None:
-        why = "shot was not drawn, so that nobody knows what its pixels show"
+        why = "shot was not drawn, so what its pixels show is not known"
         raise ConfigError.plain(why)
     found = load_rig(rig)
     return _labeller(found.path, found.text).of(shot.state)

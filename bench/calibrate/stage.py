@@ -10,7 +10,6 @@ from math import hypot
 from bench.config import ConfigError, check_within
 from bench.rig.loading import AnyRig, any_rig
 from bench.rig.opening import open_instruments
-from bench.scoring.rates import plural
 from bench.script.phantom import find_layout, load_layout
 from bench.truth.registration import Registration, RegistrationError
 from bench.truth.stage_registration import around, register
@@ -20,6 +19,7 @@ from instruments.clock import wall_time
 from instruments.operators.operator import Arrangement, Homing
 from instruments.world.phantom import PlatePose
 from textfiles.bounds import COUNT, FROM_0
+from textfiles.text import plural
 
 SPAN_MM = 200.0  # of the positions where none are named
 

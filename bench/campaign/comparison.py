@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +22,8 @@ from bench.campaign.shards import Shards
 from bench.config import ConfigError, check_within, several
 from bench.record.looks import GATE, InterimLook, claim_of
 from bench.record.reader import RunRecord
-from bench.results.comparison import Comparison, Side, sides
+from bench.results.comparison import Comparison, Side, sides, unwritten
 from bench.scoring.comparison import ScenePair, compare
-from bench.scoring.decisions import Verdict
 from bench.scoring.matching import GATE_CEILING_MM, Match
 from bench.scoring.scene import SceneScore
 from textfiles.bounds import SHARE
@@ -113,11 +111,8 @@ def _written(one: Comparison) -> Comparison:
             if one.look:
                 Ledger(side.run.folder).add_look(one.look.claim, one.look.data)
     except OSError as error:
-        gate = one.compared.gate
-        if gate.verdict is Verdict.MET:
-            why = f"the look can't be written beside the campaign ({error}): it would be free"
-            gate = replace(gate, verdict=Verdict.INCONCLUSIVE, reasons=(why,))
-        return replace(one, compared=replace(one.compared, gate=gate))
+        why = f"the look can't be written beside the campaign ({error}): it would be free"
+        return unwritten(one, why)
     return one
 
 

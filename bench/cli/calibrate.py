@@ -23,8 +23,8 @@ from bench.cli.commands import CAMERAS
 from bench.cli.terminal import working
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
-from bench.scoring.rates import plural
 from detector.calibration.gate import pair_faults
+from textfiles.text import plural
 
 if TYPE_CHECKING:
     from detector import Calibration, Part, Record

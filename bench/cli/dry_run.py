@@ -11,7 +11,7 @@ from typing import Any
 import bench
 from bench.cli.arguments import CODES
 from bench.cli.terminal import working
-from bench.scoring.rates import plural
+from textfiles.text import plural
 
 SHOWN = 40  # findings; a plane map on a wrong stage has hundreds
 

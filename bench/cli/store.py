@@ -16,7 +16,7 @@ import bench
 from bench.cli.arguments import CODES, code_of, complain, print_json
 from bench.cli.terminal import working
 from bench.config import ConfigError
-from bench.scoring.rates import plural
+from textfiles.text import plural
 
 if TYPE_CHECKING:
     from reports.runs import Runs

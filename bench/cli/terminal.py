@@ -29,8 +29,8 @@ from rich.segment import Segment
 from rich.text import Text
 
 from bench.run.events import FAILURES
-from bench.scoring.rates import plural
 from reports.sanitize import SanitizedStream, sanitized, unfiltered
+from textfiles.text import plural
 
 
 class _Count(MofNCompleteColumn):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import bench
 from bench.cli.arguments import CODES, print_json, print_values
 from bench.config import ConfigError
-from bench.scoring.rates import plural
+from textfiles.text import plural
 
 if TYPE_CHECKING:
     from rich.table import Table

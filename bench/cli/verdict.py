@@ -20,8 +20,8 @@ from bench.cli.arguments import CODES, code_of
 from bench.cli.terminal import Terminal, print_wrapped
 from bench.report.wording import limit, measured
 from bench.run.events import FAILURES
-from bench.scoring.rates import plural
 from reports.page import SIGNS, UNFINISHED
+from textfiles.text import plural
 
 COLOURS: dict[str, str] = {  # the others are yellow
     **dict.fromkeys(UNFINISHED, "red"),

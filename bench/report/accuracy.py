@@ -20,11 +20,12 @@ from bench.scoring.errors import ErrorSummary, Floats, normal_k, quantile_bound,
 from bench.scoring.guard_band import axis_acceptance_limit_mm, refusal_limit_mm
 from bench.scoring.joint import JointCovariance, mean_square, radial_95_mm
 from bench.scoring.precision import NORMAL_RP, STUDY_SDS, distance_accuracy, drift_mm, pose_accuracy
-from bench.scoring.rates import plural, zero_failure_n
+from bench.scoring.rates import zero_failure_n
 from bench.scoring.scene import Pool
 from detector.calibration import Calibration
 from instruments.world.situations import spoken
 from reports.page import Cell, Paragraph, Part, Table
+from textfiles.text import plural
 
 SHARES = (0.95, 0.99)  # of poses, that a tolerance limit covers
 CONFIDENCE = 0.95

@@ -13,10 +13,10 @@ from bench.report.wording import NOT_MEASURED, key_values, number, spanned, tabl
 from bench.results.headline import guardian_text
 from bench.results.teat_temperature import Figures, Surface, surface
 from bench.safety.interlocks import RULES
-from bench.scoring.rates import plural
 from bench.script.model import Rules, Script
 from reports.figures.course import bath_curve, bath_sparkline
 from reports.page import Figure, Fold, Paragraph, Part, Table
+from textfiles.text import plural
 
 MOST_ROWS = 40  # of a table that has a row a capture
 AROUND_S = 5.0  # readings so near to a capture are those of the capture

@@ -17,7 +17,6 @@ from bench.report.chapters import Chapters, page_of
 from bench.report.wording import NOT_MEASURED, Heading, hints, key_values, listed, spanned, table
 from bench.results.cameras_agree import NEXT_UNSEEN, CamerasCheck
 from bench.scoring.decisions import Decision, Verdict
-from bench.scoring.rates import plural
 from detector.calibration import Record
 from detector.calibration.bundle import LENS, POSE
 from detector.calibration.cameras import SIDES, CameraFit, Coverage
@@ -40,6 +39,7 @@ from reports.page import (
     Table,
 )
 from reports.page import Verdict as PageVerdict
+from textfiles.text import plural
 
 UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "om": "rad", "T": "mm"}
 MARGIN_MM = 100.0  # of the working volume beyond what was touched

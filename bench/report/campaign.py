@@ -28,7 +28,7 @@ from bench.report.scenes import draw_again, scene_parts
 from bench.report.trials import look_at
 from bench.report.wording import NOT_MEASURED, key_values, p_text, table
 from bench.scoring.comparison import ALPHA
-from bench.scoring.rates import percent, plural
+from bench.scoring.rates import percent
 from instruments.world.situations import SITUATIONS, member, spoken
 from reports.figures.situations import error_spreads, failure_map, rate_intervals
 from reports.page import (
@@ -45,6 +45,7 @@ from reports.page import (
     TrialPart,
 )
 from reports.render import write_report
+from textfiles.text import plural
 
 REPORT = "report"
 LOOKED_AT = 3  # drawn, and a typical one

@@ -36,7 +36,6 @@ from bench.scoring.comparison import (
 )
 from bench.scoring.decisions import Verdict, overall
 from bench.scoring.errors import Floats, numbered
-from bench.scoring.rates import plural
 from bench.scoring.scene import SceneScore
 from instruments.world.situations import spoken
 from reports.figures.errors import change_by_situation, change_scatter
@@ -58,6 +57,7 @@ from reports.page import (
 )
 from reports.page import Verdict as PageVerdict
 from reports.render import write_report
+from textfiles.text import plural
 
 JSON_VERSION = 1
 DIFFER = {

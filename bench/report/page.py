@@ -25,7 +25,6 @@ from bench.report.comparison import detectors_parts
 from bench.report.growing import REPORT, TrialParts
 from bench.report.spread import pose_parts, spread_parts
 from bench.report.statements import note_on_statements
-from bench.report.thesis import published_counts, thesis_parts
 from bench.report.trials import (
     first_looks,
     first_trials,
@@ -53,7 +52,7 @@ from bench.results.verdicts import (
 )
 from bench.rig.frame_capture import FRAMES_FACT
 from bench.scoring.guard_band import acceptance_limit_mm
-from bench.scoring.rates import plural, zero_failure_n
+from bench.scoring.rates import zero_failure_n
 from bench.script.calibration_age import CALIBRATION_FACT
 from bench.script.model import ErrorRequirement, Rules, SuccessRequirement, TimeRequirement
 from detector.calibration import Calibration
@@ -77,6 +76,7 @@ from reports.page import (
     Verdict,
 )
 from reports.render import in_page, write_report
+from textfiles.text import plural
 
 PDF = "report.pdf"
 
@@ -192,7 +192,6 @@ def _banner(run: RunRecord, status: RunStatus, rules: Rules, *, several: bool) -
 ABOUT = {
     "page-accuracy": "errors, rates, poses, time",
     "page-truth": "what is measured, how well",
-    "page-thesis": "its figures beside ours",
     "page-provenance": "item, versions, files, command",
 }
 
@@ -236,10 +235,6 @@ def _behind(
             "Bath and interlocks",
             {"environment": ("Bath and environment", bath_parts(run, rules))},
         ),
-        "page-thesis": (
-            "Thesis",
-            {"published": ("Beside the thesis", thesis_parts(run, rules, calibration))},
-        ),
         "page-provenance": (
             "Provenance",
             {"provenance": ("Who, with what, when", provenance_parts(run, status))},
@@ -268,12 +263,14 @@ def _confidence(run: RunRecord, rules: Rules, poses: int, words: set[str]) -> st
         without = f"{needed} without a failure would show {100 * rate:g} % with {sure}."
         return f"No pose was tried; {without}"
     if not any(trial.truth for trial in run.counted):
-        return f"{poses} poses have no truth: they show nothing of how well a detector finds teats."
+        they = "it shows" if poses == 1 else "they show"
+        none = f"{plural(poses, 'pose', 'has')} no truth"
+        return f"{none}: {they} nothing of how well a detector finds teats."
     best = (1.0 - confidence) ** (1.0 / poses)
     many = plural(poses, "pose")
     if words == {"not met"}:  # what another detector shows depends on how many there are
-        tried = f"{many} {'was' if poses == 1 else 'were'} tried"
-        message = f"{tried}: what failed in them shows what is not met, however few they are."
+        tried = plural(poses, "pose", "was")
+        message = f"{tried} tried: what failed in them shows what is not met, however few they are."
     else:
         message = f"{many} without a failure would show a success rate of at least"
         message += f" {100 * best:.1f} %, with {sure}."
@@ -287,9 +284,9 @@ def _confidence(run: RunRecord, rules: Rules, poses: int, words: set[str]) -> st
 
 
 def _result_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
-    published = published_counts(rules)
+    published = tables.published(rules)
     names = tables.situations(run)
-    theirs = [published.get(name, (None,))[0] for name in names]
+    theirs = [published[name].found if name in published else None for name in names]
     called = [*map(spoken, names)]
     for detector, who in places_of(run.detectors).items():
         counts = [scored(run, detector, name).counts for name in names]

@@ -23,10 +23,10 @@ from bench.results.queue import QueueStatus, queues
 from bench.results.status import RunStatus, status_of
 from bench.results.verdicts import judge, scored, stored_rules
 from bench.scoring.control_chart import BASE
-from bench.scoring.rates import plural
 from reports.figures.course import control_chart
 from reports.page import Figure, Verdict
 from reports.runs import PAGE, Result, Run, Runs, write_runs
+from textfiles.text import plural
 
 THUMBNAIL_PX = (200, 150)
 QUALITY = 70

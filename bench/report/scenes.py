@@ -21,12 +21,12 @@ from bench.report.trials import trial_part
 from bench.results.answers import close_detectors, examine, score_answers
 from bench.run.rows import detection_tables
 from bench.scoring.comparison import why_failed
-from bench.scoring.rates import plural
 from bench.truth.touching import truth_row
 from detector.calibration import Calibration
 from instruments.world.situations import SITUATIONS, member
 from reports.page import Banner, Page, TrialPart
 from reports.render import write_report
+from textfiles.text import plural
 
 SCENES = "scenes"  # in a campaign's folder: the frames of each scene that was drawn again
 OF_A_RUN = ("repeat", "bath at capture", "teats' surface")  # which a scene has not

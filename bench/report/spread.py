@@ -29,7 +29,6 @@ from bench.results.verdicts import scored_trials
 from bench.scoring.comparison import holm
 from bench.scoring.errors import Floats
 from bench.scoring.joint import radial_95_mm
-from bench.scoring.rates import plural
 from bench.scoring.spread import (
     LEAST_POSES,
     LEAST_SPAN_U,
@@ -52,6 +51,7 @@ from reports.figures.plane import (
 )
 from reports.frames import places_of
 from reports.page import Cell, Figure, Fold, Notes, Paragraph, Part
+from textfiles.text import plural
 
 POSE_SET = "pose set"
 MAP_FROM = 9  # places: fewer make no map

@@ -6,7 +6,6 @@ import re
 from collections.abc import Sequence
 
 from bench.report.wording import NOT_MEASURED
-from bench.scoring.rates import plural
 from bench.script.model import (
     ErrorRequirement,
     FalseRequirement,
@@ -15,6 +14,7 @@ from bench.script.model import (
     TimeRequirement,
 )
 from reports.page import Cell, Notes, Part, Table, unfolded
+from textfiles.text import plural
 
 CHANCE = 0.05  # of an interval, or a p-value, to mislead
 
@@ -28,7 +28,7 @@ def note_on_statements(parts: Sequence[Part], rules: Rules, detectors: int) -> N
         or (isinstance(rule, TimeRequirement) and rule.rate is not None)
     ] * detectors
     intervals, p_values = _cells(parts, ".*interval.*"), _cells(parts, "p|p-value.*")
-    decided = f"{len(chances)} decision{'' if len(chances) == 1 else 's'} and bounds, one-sided"
+    decided = f"{plural(len(chances), 'decision')} and bounds, one-sided"
     sums = f"{decided}, {plural(intervals, 'interval')}, two-sided, {plural(p_values, 'p-value')}"
     wrong = sum(chances) + CHANCE * (intervals + p_values)
     made = (

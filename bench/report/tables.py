@@ -26,12 +26,14 @@ from bench.results.verdicts import (
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.errors import Floats
 from bench.scoring.joint import radial_95_mm
-from bench.scoring.rates import Rate, percent, plural, pose_successes
-from bench.script.model import Rules
+from bench.scoring.rates import Rate, percent, pose_successes
+from bench.script.model import TRIALS, Rules, load_script
+from bench.script.planned_trials import PublishedRate
 from detector.calibration import Calibration
 from detector.protocol import Outcome
 from instruments.world.situations import spoken
 from reports.page import Cell, Notes, Part, Requirement, Requirements, Score, Scoreboard, Table
+from textfiles.text import plural
 
 CONFIDENCE = 0.95
 RECALL, PRECISION = "recall, teats", "precision, answers"
@@ -100,10 +102,15 @@ def situations(run: RunRecord) -> list[str]:
     return list(dict.fromkeys(str(trial.head["situation"]) for trial in run.trials))
 
 
+def published(rules: Rules) -> Mapping[str, PublishedRate]:
+    """What the thesis found by situation, as the shipped script has it; the own script's first."""
+    return load_script(TRIALS / "six-situations.toml").script.published | rules.published
+
+
 def found_by_situation(
-    run: RunRecord, detector: str, published: Mapping[str, tuple[int, int]]
+    run: RunRecord, detector: str, published: Mapping[str, PublishedRate]
 ) -> Table:
-    """Found of visible in each situation, beside the thesis's (found, present)."""
+    """Found of visible in each situation, beside the thesis's."""
     rows = []
     for situation in situations(run):
         pool = scored(run, detector, situation)
@@ -111,7 +118,7 @@ def found_by_situation(
         false = Cell(str(counts.false), tone="bad" if counts.false else "plain")
         found = f"{counts.matched} of {counts.visible}"
         scenes = f"{pool.frames.successes} of {pool.frames.trials}"
-        thesis = f"{theirs[0]} of {theirs[1]}" if theirs else "no figure"
+        thesis = f"{theirs.found} of {theirs.present}" if theirs else "no figure"
         row = (len(pool.scores), found, counts.missed, false, counts.hidden, scenes, thesis)
         rows.append((spoken(situation), *row))
     return table("found_by_situation", rows, detector=detector)

@@ -26,7 +26,6 @@ from bench.results.doubts import LOOKED_FACT
 from bench.results.stated_arm import STATED_FACT, VERIFICATION_FACT, arm_checks, too_small
 from bench.results.verdicts import age_of
 from bench.rig.arm_files import LocationTest, Verification, from_dict
-from bench.scoring.rates import plural
 from bench.scoring.stated_u import LEVEL, level_of_each
 from bench.script.model import CamerasRequirement, Rules
 from bench.truth.arm_check import (
@@ -38,13 +37,14 @@ from bench.truth.arm_check import (
     new_touches,
     shift_mm,
 )
-from bench.truth.carrying import counted, resumed
+from bench.truth.carrying import resumed
 from bench.truth.joint import FRAME_FACT
 from bench.truth.registration import Registration, registration_from_facts
 from bench.truth.uncertainty import CHI2_95, TruthMethod
 from detector.calibration import Calibration
 from instruments.world.phantom import TEAT_END
 from reports.page import Cell, Notes, Paragraph, Part, Table
+from textfiles.text import plural
 
 
 def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:
@@ -248,8 +248,8 @@ def deviation_parts(run: RunRecord) -> Iterator[Part]:
     state = resumed(run)
     if since := [*state.unconfirmed, *state.since]:
         yield Paragraph(
-            f"{counted(len(since))} confirmed by no check touch after them, and count all the same:"
-            f" {', '.join(since)}.",
+            f"{plural(len(since), 'trial', 'is')} confirmed by no check touch after them, and count"
+            f" all the same: {', '.join(since)}.",
             tone="warn",
         )
     refused = tuple(

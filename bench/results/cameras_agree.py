@@ -30,7 +30,6 @@ from bench.record.schema import DATABASE
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.errors import Floats
 from bench.scoring.joint import JointCovariance
-from bench.scoring.rates import plural
 from bench.script.model import CamerasRequirement
 from bench.truth.joint import End, joint_truth
 from detector.calibration import Calibration
@@ -39,6 +38,7 @@ from detector.outline.known_ends import NO_THERMAL_MM, REACH_PX, EndOffsets, off
 from detector.outline.offsets import THERMAL_REACH_PX
 from detector.outline.pictures import UnusableError
 from instruments.camera.frame import FrameSet
+from textfiles.text import plural
 
 UNCHECKED_FACT = "cameras not checked"  # of a recording: why, and what was looked at
 NOT_CHECKED = "not checked: whether the cameras show the known ends where they are"

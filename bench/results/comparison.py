@@ -128,11 +128,16 @@ def _written(one: Comparison) -> Comparison:
     try:
         write_looks((one.old.run, one.new.run), [one.look] if one.look else [])
     except ConfigError as error:
-        gate = one.compared.gate
-        if gate.verdict is Verdict.MET:
-            gate = replace(gate, verdict=Verdict.INCONCLUSIVE, reasons=(str(error),))
-        return replace(one, compared=replace(one.compared, gate=gate))
+        return unwritten(one, str(error))
     return one
+
+
+def unwritten(one: Comparison, why: str) -> Comparison:
+    """A comparison whose look could not be written down: it shows nothing to be no worse."""
+    gate = one.compared.gate
+    if gate.verdict is Verdict.MET:
+        gate = replace(gate, verdict=Verdict.INCONCLUSIVE, reasons=(why,))
+    return replace(one, compared=replace(one.compared, gate=gate))
 
 
 def compare_sides(

@@ -15,10 +15,10 @@ from bench.record.recording import FILES, Recording, RecordingError, TruthRow
 from bench.results.cameras_agree import spread
 from bench.results.working_volume import FARTHEST_MM, outside_picture
 from bench.rig.frame_capture import StereoOrder
-from bench.scoring.rates import plural
 from detector.calibration import Calibration
 from detector.calibration.gate import pair_faults
 from detector.geometry import Array
+from textfiles.text import plural
 
 DOUBTS_FACT = "calibration can't be"
 LOOKED_FACT = "calibration held against"  # of a recording: what it was looked for in

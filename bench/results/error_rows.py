@@ -156,14 +156,14 @@ class Bias:
 
 
 @lru_cache(maxsize=4)  # of two runs' two detectors: several tables and figures are made of each
-def error_rows(run: RunRecord, detector: str, situation: str | None = None) -> ErrorRows:
-    """The rows of one detector, of trials that count; of one situation where named."""
+def error_rows(run: RunRecord, detector: str) -> ErrorRows:
+    """The rows of one detector, of trials that count."""
     planned = planned_ends(run)
     rows: list[tuple[float | None, ...]] = []
     names: list[tuple[str, str, str]] = []
     errors: list[Floats] = []
     ends: list[End] = []
-    for trial in scored_trials(run, detector, situation):
+    for trial in scored_trials(run, detector):
         score = trial.scores[detector]
         at = {teat: row for row, (_, teat) in enumerate(score.match.pairs)}
         for index, truth in enumerate(trial.truth):

@@ -16,8 +16,8 @@ from bench.results.verdicts import Judgement, calls_of, run_verdict
 from bench.rig.by_hand import BY_HAND
 from bench.safety.latch import latch_beside
 from bench.scoring.decisions import Decision, Verdict
-from bench.scoring.rates import full_stop, plural
 from detector.protocol import Outcome
+from textfiles.text import full_stop, plural
 
 LONGEST_WORDS = 200
 AFTER_FAULT = (

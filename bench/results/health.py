@@ -27,10 +27,10 @@ from bench.results.cameras_agree import cameras_of
 from bench.results.stated_arm import STATED_FACT, check_touches
 from bench.results.verdicts import scored
 from bench.scoring.control_chart import FAR, ControlLimits, Trend, broken, limits_of, trend
-from bench.scoring.rates import plural
 from bench.script.calibration_age import CALIBRATION_FACT
 from bench.truth.arm_check import BEFORE, CHECK_FACT, location_of, shift_mm
 from instruments.camera.quality import edge_blur_px, level_dn
+from textfiles.text import plural
 
 KEPT = ".health.json"  # in the folder of runs
 VERSION = 1  # of what is measured

@@ -15,8 +15,8 @@ from bench.config import ConfigError
 from bench.files import write_synced
 from bench.record.state import State, holder_in, lives, this_process
 from bench.results.status import RunStatus, read_status
-from bench.scoring.rates import plural
 from instruments.clock import wall_time
+from textfiles.text import plural
 
 VERSION = 1
 NAME = "queue-{}"  # its files, beside the runs

@@ -27,10 +27,10 @@ from bench.results.verdicts import Judgement, judge, run_verdict, stored_rules
 from bench.rig.by_hand import BY_HAND, silent
 from bench.rig.devices import Evidence
 from bench.safety.bath_monitor import NO_GUARDIAN
-from bench.scoring.rates import plural
 from instruments.clock import wall_time as now
 from instruments.operators.mailbox import FOLDER, read_prompt
 from instruments.operators.operator import time_left
+from textfiles.text import plural
 
 VERSION = 1  # of `RunStatus.as_dict`
 LIVE, RUN_JSON = "live.json", "report/run.json"

@@ -33,9 +33,9 @@ from pydantic import AwareDatetime, Field, PlainSerializer, PlainValidator, Type
 
 from bench.config import ConfigError, KeyPath, Section, located, read_config, read_text
 from bench.files import write_synced
-from bench.scoring.rates import plural
 from bench.toml import toml_text
 from detector.geometry import Motion
+from textfiles.text import plural
 
 Floats = Annotated[
     NDArray[np.float64],

@@ -22,6 +22,7 @@ from instruments.camera.frame import FrameError, FrameFault, FrameSet, Grey
 from instruments.camera.quality import edge_blur_px, level_dn, missing_rows, saturated_share, spread
 from instruments.drivers.protocols import Cameras
 from instruments.errors import DeviceError
+from textfiles.text import plural
 
 NEAREST_MM, FARTHEST_MM = 300.0, 8000.0
 REDUCED = 4  # rows and columns are compared at a fourth of the resolution
@@ -317,7 +318,7 @@ class FrameTaker:
             return None, [FrameProblem(error.fault, error.camera, str(error))]
         for camera, count in frames.passed_over.items():
             self.counts[f"{camera}: {FrameFault.LOST_PACKETS}"] += count
-            were = "1 damaged frame was" if count == 1 else f"{count} damaged frames were"
+            were = plural(count, "damaged frame", "was")
             said = f"{were} passed over; the next whole one was taken"
             self._report(EVENT, f"{camera} camera: {FrameFault.LOST_PACKETS}: {said}.")
         return frames, self._checks.notice(frames)

@@ -59,6 +59,7 @@ from instruments.stage.driver import Stage as OwnStage
 from instruments.stage.zaber import Motor
 from instruments.world.world import World
 from reports.sanitize import sanitized
+from textfiles.text import plural
 
 ALL = ("arm", "bath", "stage", "operator", "cameras")
 INTERVAL_S = 0.005
@@ -71,7 +72,7 @@ class BringUpError(InstrumentError):
 
     def __init__(self, faults: dict[str, InstrumentError]) -> None:
         self.faults = faults
-        lines = [f"{len(faults)} instrument{'s' if len(faults) > 1 else ''} did not come up"]
+        lines = [f"{plural(len(faults), 'instrument')} did not come up"]
         super().__init__("rig", "\n  ".join([*lines, *(str(fault) for fault in faults.values())]))
 
 

@@ -11,10 +11,10 @@ import numpy as np
 from bench.config import ConfigError, read_calibration
 from bench.record.recording import Recording, RecordingError
 from bench.results.answers import Answer, Examiner, close_detectors, one_line
-from bench.scoring.rates import plural
 from bench.script.detectors import make_detectors, refusals
 from detector.protocol import Detection, Detector, Outcome
 from instruments.camera.frame import FrameSet
+from textfiles.text import plural
 
 SHOWN_LINES = 5
 

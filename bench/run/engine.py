@@ -31,7 +31,6 @@ from bench.run.rows import write_arm_facts
 from bench.run.trial import Attempts, TrialRun, choose_truth
 from bench.safety.interlocks import InterlockTrip
 from bench.safety.signals import current, undisturbed
-from bench.scoring.rates import plural
 from bench.script.planned_trials import PlannedTrial
 from bench.truth.arm_check import AFTER, BEFORE, CHECK_FACT, check_arm, check_text
 from detector.protocol import Detector
@@ -46,6 +45,7 @@ from instruments.operators.operator import (
     OperatorRepeat,
     OperatorSkip,
 )
+from textfiles.text import plural
 
 RECORD_FAULTS = (sqlite3.Error, OSError)
 BETWEEN_S = 120.0  # between two scripts of a queue, before the guardian takes the bench for hung
@@ -293,7 +293,7 @@ class Engine:
 
     @property
     def _left_s(self) -> float | None:
-        """How long the trials take; None while nobody knows whether they go on."""
+        """How long the trials take; None while it is open whether they go on."""
         watch = self._ctx.watch
         ending = self._ctx.safing or self._ctx.away or watch.tripped or watch.silence
         return None if ending else self._attempts.left_s

@@ -297,7 +297,7 @@ def figures(
     assumed = estimate(rig, script)
     if "preparing_s" in spent:
         measured["start"] = spent["preparing_s"]
-    if "moves_s" in spent:  # and what isn't told from them
+    if "moves_s" in spent:  # and what can't be separated from them
         others_s = spent["moves_s"] - assumed.moves_s + (ASSUMED["homing"] if rig.rig.stage else 0)
         measured["detecting"] = max(0.0, others_s) / len(script.planned)
     assumed_s = assumed.set_ups_s

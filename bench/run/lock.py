@@ -1,5 +1,5 @@
 """Keeps two benches off one rig or run: a file lock that a running bench holds, and its name beside
-it; and the room on the disk that a run keeps for its last words.
+it; and the room on the disk that a run keeps for its last entries.
 
 What counts is the system's lock (`filelock`), which goes with the process, however it died. The
 text is for people, and for a folder shared with another machine, which the lock may not reach. An
@@ -60,7 +60,7 @@ def lock_path(rig: LoadedRig) -> Path | None:
 def locked(
     path: Path | None, what: str, report: Callable[[str], None], who: str = "rig"
 ) -> Iterator[None]:
-    """Hold the lock at ``path`` (None: there is none) for ``what`` ("": not told); ``report``
+    """Hold the lock at ``path`` (None: there is none) for ``what`` ("": not given); ``report``
     gets a line where a dead bench's lock was taken over. Raises RigInUseError, ConfigError.
     """
     if path is None:

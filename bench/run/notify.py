@@ -17,7 +17,7 @@ from bench.run.events import NOT_SAFE, PROMPTED, TRIPPED
 from instruments.clock import stopwatch_s
 
 EVERY_S = 60.0  # of real time, between two of a kind
-LAST_S = 20.0  # for the last words, once all is safe
+LAST_S = 20.0  # for the last messages, once all is safe
 OPTION, HIDDEN = "--notify", "…"
 Message = Callable[[], "tuple[str, str] | None"]  # title and text, as things are when it is sent
 
@@ -79,7 +79,7 @@ class Notifier:
             for number, server in enumerate(self._servers if found else ()):
                 if not self._is_sent(server, *(found or ("", ""))) and number not in self._failed:
                     self._failed.add(number)
-                    self._warn(f"no word can be sent to {server[0].url(privacy=True)}")
+                    self._warn(f"no message can be sent to {server[0].url(privacy=True)}")
 
     def _next(self) -> Message | None:
         """The next message that may be sent, waited for; None at the end."""

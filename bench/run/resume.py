@@ -2,7 +2,7 @@
 folder, as its next session.
 
 Under virtual time the simulated world died with the bench. It is brought back by going through the
-finished trials once more, without detection and without a word to the record: then it stands where
+finished trials once more, without detection and without writing to the record: then it stands where
 it stood, to the last bit, and what follows equals the run that nothing disturbed. Touches are
 compared with those on record; where they differ, the record says so.
 """

@@ -59,7 +59,6 @@ from bench.run.trial import write_trial
 from bench.safety.interlocks import InterlockTrip
 from bench.safety.latch import refuse_latched, refuse_unknown_unit, refuse_untested_cut_out
 from bench.safety.signals import current, undisturbed
-from bench.scoring.rates import plural
 from bench.script.calibration_age import (
     CALIBRATION_FACT,
     calibration_fact,
@@ -84,6 +83,7 @@ from instruments.clock import VirtualClock, wall_time
 from instruments.errors import InstrumentError
 from instruments.operators.console import Console
 from instruments.operators.operator import time_left
+from textfiles.text import plural
 
 EMULATED_FACT = "emulated"  # of a run: which of its instruments are, where others are real
 BETWEEN_S = 1.0  # of the bench's time, between two sessions of a run

@@ -25,13 +25,13 @@ from bench.safety.interlocks import GUARDIAN, Interlocks, InterlockTrip, rule_na
 from bench.safety.latch import latch_path, set_latch
 from bench.safety.liveness import Liveness
 from bench.safety.stability import StabilityGate, State
-from bench.scoring.rates import full_stop
 from instruments.bath.reading import BathReading
 from instruments.bath.sequence import heater_off, pump_on, pump_text
 from instruments.clock import Clock, wall_time
 from instruments.drivers.protocols import Stage
 from instruments.errors import InstrumentError, LinkError
 from instruments.stage.protocol import Status
+from textfiles.text import full_stop
 
 PERIOD_S = 1.0
 LATE_S = 3.0  # without a reading: shown as silent

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 from bench.rig.model import SafetyLimits
 from bench.safety.liveness import Liveness
-from bench.scoring.rates import full_stop
 from instruments.bath.profile import Profile
 from instruments.bath.reading import BathReading
+from textfiles.text import full_stop
 
 RATE_SPAN_S = 30.0  # a rate from two readings a second apart would be all noise
 FROZEN_S, FROZEN_OUTPUT_PERCENT = 120.0, 20.0

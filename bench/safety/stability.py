@@ -17,7 +17,7 @@ from math import inf, isfinite
 
 import numpy as np
 
-from bench.scoring.rates import plural
+from textfiles.text import plural
 
 TIME_SLACK_S = 1e-6  # readings at 0.1 s steps add up to 599.9999999 s
 

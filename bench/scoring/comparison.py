@@ -34,9 +34,10 @@ from scipy.special import bdtr, ndtr
 from bench.scoring.decisions import Verdict
 from bench.scoring.errors import Floats, as_values, numbered
 from bench.scoring.matching import Counts, added
-from bench.scoring.rates import Rate, crossing, exact_percent, fewest, percent, plural
+from bench.scoring.rates import Rate, crossing, exact_percent, fewest, percent
 from bench.scoring.scene import SceneScore
 from bench.scoring.sequential import least_mean, least_rate, shows_mean
+from textfiles.text import plural
 
 FLIPS = 9999  # of signs, at random
 BATCH = 2_000_000  # numbers drawn at once

@@ -26,11 +26,11 @@ from bench.scoring.rates import (
     guarded_n,
     percent,
     percent_apart,
-    plural,
     pose_successes,
     shown_rate,
     zero_failure_n,
 )
+from textfiles.text import plural
 
 
 class Verdict(StrEnum):
@@ -298,7 +298,8 @@ def decide_error(
         beyond = int((worst > level).sum())
         if not (looks.again and beyond):
             rate_shown = shown_rate(beyond, counted, sure, leak(level, limit_mm, u_mm))
-            reason += _shown_anyway(n, beyond, level, percent_apart(rate_shown, rate))
+            within = f"{n - beyond} of {plural(n, 'pose')} within {level:.2f} mm"
+            reason += f"; {within} show {percent_apart(rate_shown, rate)}"
     band = refuse - limit_mm if accept is None or verdict is Verdict.NOT_MET else limit_mm - accept
     without = f" Only found teats count here; {missed} {'was' if missed == 1 else 'were'} missed."
     return replace(
@@ -312,11 +313,6 @@ def decide_error(
         f" {reason}.{without if missed else ''}",
         missing=missing,
     )
-
-
-def _shown_anyway(n: int, beyond: int, level_mm: float, shown: str) -> str:
-    """What so many poses show, whatever was asked for."""
-    return f"; {n - beyond} of {plural(n, 'pose')} within {level_mm:.2f} mm show {shown}"
 
 
 def _guard_band(limit_mm: float, u_mm: float | None, accepted: str, refuse_mm: float) -> str:

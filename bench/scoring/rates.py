@@ -10,7 +10,7 @@ from functools import cache
 from math import ceil, log, log1p, sqrt
 
 import numpy as np
-import scipy  # whose parts load when first used: most commands need `plural` alone
+import scipy  # whose parts load when first used: most commands need `percent` alone
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,16 +87,6 @@ def percent_apart(fraction: float, *limits: float) -> str:
 def exact_percent(fraction: float) -> str:
     """A rate or confidence as it was given: 99.9 %."""
     return f"{100 * fraction:.6g} %"
-
-
-def full_stop(text: str) -> str:
-    """``text`` as a sentence's end."""
-    return text if text.endswith((".", "?", "!")) else f"{text}."
-
-
-def plural(n: int, thing: str) -> str:
-    """``1 pose``, ``59 poses``, ``3 touches``."""
-    return f"{n} {thing}" if n == 1 else f"{n} {thing}{'es' if thing.endswith('ch') else 's'}"
 
 
 def zero_failure_n(rate: float, confidence: float = 0.95) -> int:

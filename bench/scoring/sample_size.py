@@ -21,12 +21,12 @@ from bench.scoring.rates import (
     guarded_n,
     percent,
     percent_apart,
-    plural,
     shown_falsely,
     trials_needed,
     zero_failure_n,
 )
 from textfiles.bounds import FROM_0
+from textfiles.text import plural
 
 RATES = (0.95, 0.99, 0.999)
 RARE = 1e-100  # a share so small is none: scipy's distributions overflow there

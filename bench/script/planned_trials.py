@@ -16,13 +16,13 @@ import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from bench.config import Section, did_you_mean
-from bench.scoring.rates import plural
 from bench.script.phantom import Layout, find_layout, load_layout, ordered
 from instruments.operators.operator import Arrangement
 from instruments.world.objects import SceneObject, make_object
 from instruments.world.phantom import Phantom, PlatePose
 from instruments.world.setups import Situation
 from instruments.world.situations import SITUATIONS, situation
+from textfiles.text import plural
 
 MOST_POSES = 100_000
 RUN_FILES = ("rig.toml", "script.toml", "calibration.toml")  # a run's folder has these already
@@ -409,8 +409,7 @@ def chosen(trial: Trial) -> str:
         how = f"{plural(draw.count, 'pose')} drawn evenly within"
         how += f" {within or 'the reference place alone'}"
     else:
-        count = len(trial.poses or (1,))
-        how = f"{count} pose{'s' if count > 1 else ''} as written"
+        how = f"{plural(len(trial.poses or (1,)), 'pose')} as written"
     more = [f"layout {trial.layout}{', another udder for each pose' if trial.redraw else ''}"]
     if trial.family:
         many = f"members from {trial.member} on, one for each pose"

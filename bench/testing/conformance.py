@@ -183,11 +183,11 @@ def lost_link_is_an_error_and_comes_back(subject: Subject) -> None:
     subject.mend()
     subject.recover()
     _need(subject.read() == seen, "it reads something else than before the link was lost")
-    _need(subject.identify() == who, "it is somebody else than before the link was lost")
+    _need(subject.identify() == who, "it identifies itself otherwise than before the link was lost")
 
 
 def safe_twice_is_safe_and_usable(subject: Subject) -> None:
-    """What it works at ends, by the device's own word, and it can be used again."""
+    """What it works at ends, as the device reports, and it can be used again."""
     subject.identify()
     subject.work()
     for time in ("once", "twice"):
@@ -203,7 +203,7 @@ def closes_twice_and_opens_again(subject: Subject) -> None:
     subject.close()
     subject.close()
     subject.open()
-    _need(subject.identify() == who, "it is somebody else after it was opened again")
+    _need(subject.identify() == who, "it identifies itself otherwise after it was opened again")
 
 
 def abort_leaves_it_able_to_be_safe(subject: Subject) -> None:
@@ -218,7 +218,7 @@ def abort_leaves_it_able_to_be_safe(subject: Subject) -> None:
     subject.safe()
     _need(subject.is_safe(), "it is not safe after an abort")
     subject.recover()
-    _need(subject.identify() == who, "it is somebody else after an abort")
+    _need(subject.identify() == who, "it identifies itself otherwise after an abort")
     _need(subject.read() == seen, "it reads something else than before an abort")
 
 

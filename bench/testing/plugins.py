@@ -95,7 +95,7 @@ class PluginSubject(Subject):
             self.driver.safe()
 
     def is_safe(self) -> bool:
-        """By its own word; its emulator knows better."""
+        """As the driver reports it; an emulator is asked itself."""
         if self.kind == "bath":
             return bool(self.driver.read().running is False)
         if self.kind == "stage":

@@ -14,11 +14,11 @@ import numpy as np
 from bench.rig.arm_files import LocationTest, axes_of, swing_text
 from bench.rig.model import Arm
 from bench.scoring.errors import Floats
-from bench.scoring.rates import plural
 from bench.truth.touching import SPARE, TipReader
 from instruments.clock import Clock
 from instruments.errors import TouchAgainError
 from instruments.operators.operator import CheckPoint, Release, Request
+from textfiles.text import plural
 
 BEFORE, AFTER = "before", "after"
 CHECK_FACT = "arm check {}"  # before, after

@@ -37,6 +37,7 @@ from bench.truth.uncertainty import (
 )
 from instruments.operators.operator import OperatorSkip
 from instruments.world.phantom import Phantom, PlatePose
+from textfiles.text import plural
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,8 +219,8 @@ class CarriedTruth(TouchedTruth):
         except OperatorSkip as skip:  # a wish about this check, not about the trial to come
             self.report(
                 "check touch",
-                f"check touch {number} was skipped: {skip.reason}. {counted(len(state.since))}"
-                " unconfirmed so far",
+                f"check touch {number} was skipped: {skip.reason}."
+                f" {plural(len(state.since), 'trial', 'is')} unconfirmed so far",
             )
             return
         except NoTruthError as none:
@@ -255,7 +256,7 @@ class CarriedTruth(TouchedTruth):
         since = tuple(state.since)
         self.store.checked(rows, (), "")
         self.settled(since, True)
-        self.report("check touch", f"{found}: {counted(len(since))} confirmed")
+        self.report("check touch", f"{found}: {plural(len(since), 'trial', 'is')} confirmed")
         state.checks = number
         state.since.clear()
 
@@ -304,8 +305,3 @@ def resumed(run: RunRecord) -> CarryState:
     ]
     checks = max((int(row["number"]) for row in run.checks), default=0)
     return CarryState(reference_from_dict(stored) if stored else None, since, checks, unconfirmed)
-
-
-def counted(trials: int) -> str:
-    """``1 trial is``, ``2 trials are``."""
-    return "1 trial is" if trials == 1 else f"{trials} trials are"

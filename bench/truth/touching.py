@@ -29,7 +29,6 @@ from bench.rig.arm_files import TableFrame
 from bench.rig.model import Arm
 from bench.scoring.errors import Floats
 from bench.scoring.matching import LEAST_SPACING_MM
-from bench.scoring.rates import plural
 from bench.truth.uncertainty import (
     ARM,
     REGISTRATION,
@@ -47,6 +46,7 @@ from instruments.microscribe.configuration import Identity
 from instruments.microscribe.driver import Reading
 from instruments.operators.operator import Release, Request, Touch
 from instruments.world.phantom import called
+from textfiles.text import plural
 
 SPARE = 4  # touches of one end beyond those that are asked for, before it is given up
 FAR = 5.0

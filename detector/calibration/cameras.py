@@ -19,6 +19,7 @@ from detector.calibration import bundle
 from detector.calibration.bundle import LENS, POSE, BundleError, FreeParameters, Rig, Sighting
 from detector.calibration.values import Pair
 from detector.geometry import Array, Camera, Motion
+from textfiles.text import plural
 
 Floats = NDArray[np.floating]
 # two leave a family of lenses; three are the least that a planar board needs in practice (Zhang
@@ -119,8 +120,7 @@ def flat_pose(board_mm: Floats, pixels_px: Floats, lens: Camera) -> Motion:
 
 def _refuse_too_few(name: str, views: Sequence[BoardView]) -> None:
     if len(views) < LEAST_VIEWS:
-        views_are = f"{len(views)} usable view{'' if len(views) == 1 else 's'}"
-        what = f"{name} has {views_are} of the board"
+        what = f"{name} has {plural(len(views), 'usable view')} of the board"
         raise TooFewViewsError(f"{what}, at least {LEAST_VIEWS} are needed, 15 to 30 are good")
 
 
@@ -351,7 +351,7 @@ class Coverage:
         if (span := self.distances_mm) and span[1] < DISTANCE_RATIO * span[0]:
             found.append(f"hold the board nearer and farther: {away_text(*span)}")
         if (more := ENOUGH_VIEWS - self.views) > 0:
-            found.append(f"{more} more view{'s' if more > 1 else ''}")
+            found.append(plural(more, "more view"))
         return tuple(found)
 
 

@@ -31,7 +31,7 @@ from detector.calibration.values import (
 )
 from detector.geometry import Camera, Motion
 from textfiles.documents import read_toml
-from textfiles.text import TextError, text_of
+from textfiles.text import TextError, plural, text_of
 
 MEANING = {
     "stereo": "X_right = R(om) X_left + T",
@@ -120,8 +120,8 @@ class CalibrationError(ValueError):
     def __init__(self, path: Path, faults: Sequence[KeyFault]) -> None:
         self.path = path
         self.faults = tuple(faults)
-        count = f"{len(faults)} fault{'' if len(faults) == 1 else 's'}"
-        super().__init__("\n  ".join([f"calibration {path}: {count}", *map(str, faults)]))
+        head = f"calibration {path}: {plural(len(faults), 'fault')}"
+        super().__init__("\n  ".join([head, *map(str, faults)]))
 
 
 class _InvalidValueError(Exception):

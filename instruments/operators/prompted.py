@@ -16,6 +16,7 @@ from instruments.errors import ProtocolError
 from instruments.operators import operator as op
 from instruments.world.phantom import called
 from instruments.world.situations import spoken
+from textfiles.text import plural
 
 # in an answer that names hidden ends; how many there are is known only when it is given
 MOST_TEATS = 99
@@ -243,7 +244,7 @@ class ScriptedAnswers(PromptedOperator):
         # how often the check point is touched is the run's to say
         if left := [one for one in self._answers[self._given :] if one.to != "check point"]:
             ended = "the run has ended" if self.in_run else "nothing more is asked"
-            answers = "1 answer" if len(left) == 1 else f"{len(left)} answers"
+            answers = plural(len(left), "answer")
             were = "was" if len(left) == 1 else "were"
             what = f"{ended} and {answers} of {self._source} {were} never asked for"
             hint = "Take them out, or correct the prompts that they are for."

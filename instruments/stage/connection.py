@@ -193,16 +193,14 @@ class Dialogue:
             welcome.dialect, welcome.version, info.get("VER", "").strip(":"), info.get("OPT", "")
         )
         if welcome.dialect == "FluidNC":
-            return identity, read_fluidnc(self._configuration(axes), who=self.who, axes=axes)
+            letters = "xyza" if "A" in axes else "xyz"
+            keys = [MUST_HOME] + [f"/axes/{axis}/{key}" for axis in letters for key in FLUIDNC_KEYS]
+            answers = [said for key in keys for said in self.command(f"${key}")]
+            found = {said.kind: said.text for said in answers if isinstance(said, Message)}
+            return identity, read_fluidnc(found, who=self.who, axes=axes)
         pushed = self.command("$$")
         values = {said.number: said.value for said in pushed if isinstance(said, Setting)}
         return identity, read_settings(values, who=self.who, axes=axes)
-
-    def _configuration(self, axes: str) -> dict[str, str]:
-        letters = "xyza" if "A" in axes else "xyz"
-        keys = [MUST_HOME] + [f"/axes/{axis}/{key}" for axis in letters for key in FLUIDNC_KEYS]
-        pushed = [said for key in keys for said in self.command(f"${key}")]
-        return {said.kind: said.text for said in pushed if isinstance(said, Message)}
 
     # What the driver wants done, in this firmware's lines
 
@@ -310,12 +308,8 @@ class Dialogue:
 
     def _forget(self) -> None:
         """Whatever was outstanding, kept or half received."""
-        self._decoder, self.alarm, self.outstanding, self._offset = (
-            Decoder(self._parse),
-            None,
-            None,
-            None,
-        )
+        self._decoder, self._offset = Decoder(self._parse), None
+        self.alarm = self.outstanding = None
         self._inbox.clear()
 
     def _check(self, text: str) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from instruments.world.optics import Floats
-from instruments.world.solids import Point
+from instruments.world.solids import Point, dot
 
 KELVIN_AT_0_C = 273.15
 BAND_EXPONENT = 4.8
@@ -69,7 +69,7 @@ def irradiance(lighting: Lighting, points_mm: Rows, normals: Rows) -> Rows:
     light = lighting.ambient * (0.65 + 0.35 * normals[2]) + np.zeros_like(points_mm[0])
     for lamp in lighting.lamps:
         direction, square = _towards(lamp, points_mm)
-        light += lamp.power * 1e6 * np.maximum(_dot(direction, normals), 0.0) / square
+        light += lamp.power * 1e6 * np.maximum(dot(direction, normals), 0.0) / square
     return np.asarray(light * lighting.brightness)
 
 
@@ -86,25 +86,21 @@ def seen_light(
     ``albedo``, ``gloss`` and ``exponent``, each (n,), are those of `Paint`.
     """
     view = eye_mm - points_mm
-    view /= np.sqrt(_dot(view, view))
+    view /= np.sqrt(dot(view, view))
     light = albedo * lighting.ambient * (0.65 + 0.35 * normals[2])
     for lamp in lighting.lamps:
         direction, square = _towards(lamp, points_mm)
         half = direction + view
-        shine = np.maximum(_dot(half, normals), 0.0) / np.sqrt(_dot(half, half))
-        lambert = albedo * np.maximum(_dot(direction, normals), 0.0)
+        shine = np.maximum(dot(half, normals), 0.0) / np.sqrt(dot(half, half))
+        lambert = albedo * np.maximum(dot(direction, normals), 0.0)
         light += lamp.power * 1e6 / square * (lambert + gloss * shine**exponent)
     return np.asarray(light * lighting.brightness)
-
-
-def _dot(u: Rows, v: Rows) -> Rows:
-    return np.asarray(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
 
 
 def _towards(lamp: Lamp, points_mm: Rows) -> tuple[Rows, Rows]:
     """Unit directions (3, n) to the lamp, and squared distances (n,)."""
     way = np.asarray(lamp.at_mm, dtype=points_mm.dtype)[:, None] - points_mm
-    square = _dot(way, way)
+    square = dot(way, way)
     way /= np.sqrt(square)
     return way, square
 

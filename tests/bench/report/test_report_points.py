@@ -20,23 +20,23 @@ from bench.cli.main import main
 from bench.config import read_calibration
 from bench.record.reader import read_run
 from bench.report.page import build_page
-from bench.report.thesis import thesis_parts
+from bench.report.tables import truth_known_mm
 from bench.report.trials import trial_part
 from bench.results.status import status_of
-from bench.results.verdicts import judge, stored_rules
+from bench.results.verdicts import judge, latency_of, scored, stored_rules
 from instruments.camera.settings import AUTOMATIC, UNSEEN_SIZE
 from reports.render import render
-from tests.bench.report.test_report_thesis import rows_of
 from tests.bench.small_run import KEPT
 from tests.chromium import chromium, launched, violations, weak_texts, window
 from tests.reports.markup import Document, read
+from tests.test_thesis_example import example, markdown_rows
 from tests.undrawn import undrawn
 
 pytestmark = pytest.mark.slow
 
 HOSTILE = "<img src=x onerror=alert(1)></td></table><script>alert(2)</script>\"'&"
 DECIDED = (0, 1, 4)
-PAGES = "page-trials page-accuracy page-truth page-bath page-thesis page-provenance glossary"
+PAGES = "page-trials page-accuracy page-truth page-bath page-provenance glossary"
 
 
 @pytest.fixture(scope="module")
@@ -216,56 +216,60 @@ def test_hostile_notes_come_out_as_text_and_faults_are_reported(
     assert "right: opencv:1" not in said
 
 
-def test_the_six_situations_have_all_the_thesis_figures(folder: Path) -> None:
-    """Beside those of the thesis's detector; the other's stand apart."""
-    run, rules = read_run(folder), stored_rules(folder)
-    run = dataclasses.replace(run, facts={**run.facts, "detectors": ["thesis"]})
-    calibration = read_calibration(folder / "calibration.toml")
-    chapter = [*thesis_parts(run, rules, calibration)]
-    rows = rows_of(chapter)
-    start = "teats found, "
-    found = {name.removeprefix(start): row for name, row in rows.items() if name.startswith(start)}
-    assert {name: row[1] for name, row in found.items()} == {
-        "non-vertical teats": "4 of 4",
-        "overlapping teats": "3 of 4",
-        "spurious teat": "4 of 4",
-        "hot body at the base": "4 of 4",
-        "hot body at the ends": "0 of 4",
-        "cooler bodies": "3 of 4",
-        "all 6": "18 of 24",
-    }
+def test_the_six_situations_have_all_the_thesis_figures(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the example `thesis.py`: first the thesis's detector, then the other, then the rig."""
+    program = example("thesis", monkeypatch)
+    program.main(folder)
+    parts = capsys.readouterr().out.split("\n## ")[1:]
+    titles = ["The thesis and thesis", "The thesis and fused", "The thesis and the rig"]
+    assert [part.splitlines()[0] for part in parts] == [*titles, "Without a counterpart here"]
+    figures, judged, refined = parts[0].split("\n\n")[1::2]
+    rows = markdown_rows(figures)
+    found = {name[13:]: row for name, row in rows.items() if name.startswith("teats found, ")}
+    counts = "4 of 4, 3 of 4, 4 of 4, 4 of 4, 0 of 4, 3 of 4, 18 of 24"
+    assert ", ".join(row[1] for row in found.values()) == counts
     assert found["hot body at the ends"][3].startswith("0 of 4, ")
-    mean = "test 1: mean of the signed components: the thesis's “average error” of test 1"
+    mean = "test 1: mean of the signed components: its “average error”"
     assert rows[mean][:3] == ("5.1.1 and 5.1.3", "0.5 mm", "+0.54 mm (n = 4)")
     assert rows["test 1: mean distance to the teat end"][1:3] == ("", "2.09 mm (n = 4)")
+    run = read_run(folder)
     upright = [t for t in run.trials if t.head["situation"] not in ("non_vertical", "overlapping")]
     errors = np.concatenate([t.scores["thesis"].errors_mm for t in upright])
-    far, counted = rows["test 1: largest distance to the teat end"][3].split(" mm ")
-    assert float(far) == pytest.approx(np.linalg.norm(errors, axis=1).max(), abs=0.005)
-    assert counted == f"(n = {len(errors)})"
-    assert rows["camera to table: determinant and singular values"][1:4] == (
+    far = f"{np.linalg.norm(errors, axis=1).max():.2f} mm (n = {len(errors)})"
+    assert rows["test 1: largest distance to the teat end"][3] == far
+    pool, times = scored(run, "thesis"), latency_of(run, "thesis")
+    assert rows["reliability"][3].startswith(f"{pool.success.successes} of {pool.success.trials} ")
+    assert rows["largest error"][3] == f"{pool.summary().radial.max_mm:.2f} mm"
+    assert rows["time of a detection"][3].startswith(f"p95 {times.percentile_s(95):.3f} s, ")
+    cells = markdown_rows(judged)
+    assert cells["all 6"][:2] == ("18 of 24", f"{pool.counts.matched} of {pool.counts.visible}")
+    in_thermal = int(cells["all 6"][2].split(" of ")[0])
+    assert in_thermal > int(cells["all 6"][1].split(" of ")[0])  # in mm
+    assert sum(int(row[2].split(" of ")[0]) for row in cells.values()) == 2 * in_thermal
+    assert cells["hot body at the ends"][2] == "0 of 4"
+    assert {*markdown_rows(refined), "all 6"} == set(cells)
+    rig = markdown_rows(parts[2])
+    assert rig["camera to table: determinant; singular values"][1:4] == (
         "0.911; 1.000, 0.990, 0.920",
         "",
         "1.000; 1.000, 1.000, 1.000",
     )
-    assert rows["distance of the teats from the cameras"][1:3] == ("1750 mm", "1034 to 1137 mm")
+    assert rig["distance of the teats from the cameras"][1:3] == ("1750 mm", "1034 to 1137 mm")
     # as the fact sheet has it
-    assert "the printed ones: 5.8 px on the mean" in rows["homography from thermal to optical"][3]
-    assert rows_of(chapter, "Printed figures without a counterpart")
-    judged = rows_of(chapter, "Ends found by thesis as the thesis judged them")
-    assert judged["all 6"][0] == "18 of 24"
-    in_thermal = int(judged["all 6"][2].split(" of ")[0])
-    assert in_thermal > int(judged["all 6"][1].split(" of ")[0])  # in mm
-    assert sum(int(row[2].split(" of ")[0]) for row in judged.values()) == 2 * in_thermal
-    assert judged["hot body at the ends"][2] == "0 of 4"
-    refined = rows_of(chapter, "Refined against unrefined ends of thesis")
-    assert {*refined, "all 6"} == set(judged)
+    assert "the printed ones: 5.8 px on the mean" in rig["homography from thermal to optical"][3]
+    known_mm = truth_known_mm(run)
+    assert rig["accuracy of the arm"][3] == f"truth known to {known_mm:.2f} mm in 95 %"
+    assert rig["bath"][3].endswith(" °C at the captures")
+    assert rig["what one pixel is worth"][3].endswith(" mm of depth (Z² / f B)")
     # other cameras are not held against the printed homographies
+    calibration = read_calibration(folder / "calibration.toml")
     other = dataclasses.replace(
         calibration, left=dataclasses.replace(calibration.left, fc=(1300.0, 1300.0))
     )
-    chapter = [*thesis_parts(run, rules, other)]
-    assert "printed" not in rows_of(chapter)["homography from thermal to optical"][3]
+    mapped, *_ = program.rig(run, other, program.FIGURES)
+    assert "printed" not in mapped[4]
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -116,7 +116,7 @@ def test_one_of_a_kind_at_a_time_and_a_dead_address_is_said_once() -> None:
         assert came.get(timeout=SOON_S)["message"] == "last"
         assert came.empty()
     (said,) = warned
-    assert "no word can be sent to json://" in said
+    assert "no message can be sent to json://" in said
     assert "secret" not in said
 
 
@@ -153,7 +153,7 @@ def test_a_run_says_how_it_ended_whatever_an_address_does(
         (ended,) = came.queue
     assert ended["title"] == "Short: ended"
     assert ended["message"].startswith("inconclusive: 2 of 2 trials\nthesis: inconclusive\n")
-    assert "no word can be sent to" in "".join(capsys.readouterr())
+    assert "no message can be sent to" in "".join(capsys.readouterr())
     (folder,) = out.glob("*/run.sqlite")
     assert read_run(folder.parent).ending == "finished"
     assert url not in (folder.parent / "rig.toml").read_text(encoding="utf-8")

@@ -20,6 +20,7 @@ from bench.scoring.rates import (
     trials_needed,
     zero_failure_n,
 )
+from textfiles.text import plural
 
 RATES = st.integers(1, 400).flatmap(lambda n: st.builds(Rate, st.integers(0, n), st.just(n)))
 
@@ -90,6 +91,10 @@ def test_a_pose_succeeds_when_all_its_repeats_do() -> None:
 )
 def test_100_percent_is_said_only_where_true(fraction: float, text: str) -> None:
     assert percent(fraction) == text
+
+
+def test_one_of_a_thing_is_said_as_one() -> None:
+    assert [plural(n, "touch", "has") for n in (1, 2)] == ["1 touch has", "2 touches have"]
 
 
 def test_impossible_counts_and_claims_are_refused() -> None:
