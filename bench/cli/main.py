@@ -97,10 +97,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _set_up_libraries(*, alone: bool) -> None:
-    """Before they are loaded; ``alone``: in a process of the command's own."""
+    """Before they are loaded; ``alone``: in a process of the command's own, whose searches for
+    cycles come after more objects, as those of figures are many.
+    """
     for name, value in LIBRARIES.items():
         os.environ.setdefault(name, value)
     if alone:
+        gc.set_threshold(20_000, 20, 20)
         atexit.register(_freeze)
 
 

@@ -130,8 +130,8 @@ def seen_share(
     """Visible share of each rounded end's near side, (n,); 0 where the apex is hidden or outside.
     The ``stage`` begins with the teats; a teat doesn't hide its own end.
     """
-    ends, (rings, outward, middles) = phantom.ends_mm, _rounded_ends(phantom)
-    points, of = rings.reshape(-1, 3), np.repeat(np.arange(len(ends)), rings.shape[1])
+    rings, outward, middles = _rounded_ends(phantom)
+    points, of = rings.reshape(-1, 3), np.repeat(np.arange(len(rings)), rings.shape[1])
     seen, sights = stage.solids.in_camera(camera), camera.camera_from_world(points)
     # no solid but the teat itself stands between; most are far from every line of sight
     which, at = np.nonzero(seen.near_lines(sights) & (stage.owner[:, None] != of))
@@ -148,7 +148,7 @@ def seen_share(
         place = np.column_stack([point @ np.asarray(board.across), point @ np.asarray(board.along)])
         on_it = np.all((place >= 0.0) & (place <= board.pattern.size_mm), axis=1)
         free &= ~((part > 0.0) & (part < 1.0) & on_it)
-    pixels, size = camera.project(ends), np.array([camera.width_px, camera.height_px])
+    pixels, size = camera.project(rings[:, 0]), np.array([camera.width_px, camera.height_px])
     inside = np.all((pixels >= -0.5) & (pixels <= size - 0.5), axis=1)
     apex, ring = np.split(free.reshape(rings.shape[:2]), [1], axis=1)
     near_side = (outward @ (camera.centre_mm - middles)[:, :, None])[:, :, 0] > 0.0

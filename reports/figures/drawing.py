@@ -138,6 +138,9 @@ def draw(plot: Plot) -> str:
         # Place the axes now; `savefig` would draw the whole figure an additional time for it
         for axes in figure.axes:
             axes.apply_aspect()
+            for axis in (axes.xaxis, axes.yaxis):
+                if not axis.get_label_text():  # else its place is looked for among the ticks
+                    axis.set_label_coords(0.5, 0.5)
         engine = figure.get_layout_engine()
         if figure.axes and engine is not None:
             engine.execute(figure)

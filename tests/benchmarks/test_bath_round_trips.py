@@ -145,12 +145,8 @@ async def theirs(bath: Served, count: int, pause_s: float) -> tuple[list[float],
 
 def turns(bath: Served, count: int, rounds: int, pause_s: float) -> dict[str, float]:
     """Medians in seconds, each the median of the rounds'."""
-    medians: dict[str, list[float]] = {
-        "question": [],
-        "poll": [],
-        "pymodbus question": [],
-        "pymodbus poll": [],
-    }
+    names = ("question", "poll", "pymodbus question", "pymodbus poll")
+    medians: dict[str, list[float]] = {name: [] for name in names}
     for _ in range(rounds):
         for whose, took in (
             ("", ours(bath, count, pause_s)),
@@ -190,22 +186,13 @@ def test_at_9600_baud_a_question_takes_the_wires_time(
     with served("pty", family, BAUD) as bath:
         took_s = benchmark.pedantic(turns, args=(bath, 12, 2, 0.005), rounds=1)
     character_s = BITS / BAUD
-    size, sizes = (
-        answered(bath.function, bath.asked.words),
-        [answered(block.function, block.count) for block in bath.polled],
-    )
-    question_s, poll_s = (
-        size * character_s,
-        sum(size + GAP_CHARACTERS for size in sizes) * character_s,
-    )
+    sizes = [answered(block.function, block.count) for block in bath.polled]
+    question_s = answered(bath.function, bath.asked.words) * character_s
+    poll_s = sum(size + GAP_CHARACTERS for size in sizes) * character_s
     text(benchmark, f"pty at {BAUD} {family}", took_s, len(sizes) * GAP_CHARACTERS * character_s)
     for name, wire_s in (("question", question_s), ("poll", poll_s)):
-        figure(
-            benchmark,
-            f"pty at {BAUD} {family}, {name} over its wire time",
-            took_s[name] / wire_s,
-            f"at most {AT_MOST_OF_WIRE}",
-        )
+        what = f"pty at {BAUD} {family}, {name} over its wire time"
+        figure(benchmark, what, took_s[name] / wire_s, f"at most {AT_MOST_OF_WIRE}")
 
 
 def answered(function: int, count: int) -> int:
@@ -220,16 +207,8 @@ def text(
     poll owes to the line.
     """
     benchmark.extra_info |= {name: float(f"{seconds:.4g}") for name, seconds in took_s.items()}
-    figure(
-        benchmark,
-        f"{link}, question over pymodbus's",
-        took_s["question"] / took_s["pymodbus question"],
-        f"at most {AT_MOST}",
-    )
+    question = took_s["question"] / took_s["pymodbus question"]
+    figure(benchmark, f"{link}, question over pymodbus's", question, f"at most {AT_MOST}")
     whose = "pymodbus's and the silence that it leaves out" if silence_s else "pymodbus's"
-    figure(
-        benchmark,
-        f"{link}, poll over {whose}",
-        took_s["poll"] / (took_s["pymodbus poll"] + silence_s),
-        f"at most {AT_MOST}",
-    )
+    poll = took_s["poll"] / (took_s["pymodbus poll"] + silence_s)
+    figure(benchmark, f"{link}, poll over {whose}", poll, f"at most {AT_MOST}")
