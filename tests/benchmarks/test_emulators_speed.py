@@ -1,7 +1,8 @@
 """Round trips with an emulator beside those with a peer, each in a process of its own: no end waits
 for another's turn in the interpreter. They take turns; the best of five each.
 
-A bare echo of the package sinstruments has 0.55 of the round trips of the echo here.
+The arm's aim is 1.2 of an echo of the package sinstruments. That had 0.55 of the round trips of the
+echo here when both were measured by hand, beside other work.
 """
 
 from __future__ import annotations
