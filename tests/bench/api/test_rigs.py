@@ -18,7 +18,7 @@ def test_an_end_needs_a_place_and_a_number_and_safe_ends_the_watch() -> None:
     with bench.open_rig("emulated") as rig:
         rig.home()
         rig.set_up(bench.member("ideal", 3))
-        with pytest.raises(LimitError, match=r"where the plate stands.*Call move\(\)"):
+        with pytest.raises(LimitError, match=r"the place of the plate.*Call move\(\)"):
             rig.touch(1)
         rig.heat(33.0, wait=False)
         rig.wait(10.0)
