@@ -39,6 +39,7 @@ def guarded(thing: Any, package: str) -> Any:
 
     @wraps(thing)
     def call(*args: Any, **more: Any) -> Any:
+        __tracebackhide__ = True  # pytest then shows where it was called
         given = shape.bind_partial(*args, **more)
         for name, value in given.arguments.items():
             if isinstance(value, Iterator):  # is looked at, and used then
@@ -123,8 +124,10 @@ def fits(value: Any, hint: Any) -> bool:
         return len(of) == len(value) and all(map(fits, value, of))
     if made in NUMBERS:
         return NUMBERS[made].has(value)
-    if getattr(made, "_is_protocol", False):
-        return all(callable(getattr(value, name, None)) for name in _methods(made))
+    if getattr(made, "_is_protocol", False):  # which a class has not, but what it makes
+        return not isinstance(value, type) and all(
+            callable(getattr(value, name, None)) for name in _methods(made)
+        )
     return made is Any or not isinstance(made, type) or isinstance(value, made)
 
 

@@ -29,6 +29,7 @@ from bench.arguments import _hints, fits
 from bench.record.schema import make_tables
 from bench.rig.loading import RIGS
 from detector.outline import kernels
+from detector.registry import PluginDetector
 from tests.bench.small_cameras import write_calibration
 from tests.conftest import ROOT
 from tests.undrawn import NO_FIGURE
@@ -184,7 +185,7 @@ WRONG: list[tuple[str, dict[str, Any]]] = [
     ("write_calibration", {"found": PART, "out": "D"}), ("open_stage", {"url": "socket://h:1", "axes": "XQ"}),
     ("open_stage", {"url": "socket://h:1", "dialect": "gbrl"}), ("run_campaign", {"out": "o", "plan": {"familes": 1}}),
     ("run_campaign", {"plan": {}, "out": "o", "workers": -1}), ("read_foreign", {"files": ["F"], "kind": "matlap"}),
-    ("plan_poses", {"failures": -1}), ("plan_poses", {"shift_mm": 1.0}), ("plan_poses", {"u_mm": 1.0}), ("read_rows", {"folder": "D", "kind": int}), ("pack_run", {"run": "D", "out": "o", "licence": "mine"}),
+    ("open_detector", {"detector": PluginDetector}), ("plan_poses", {"failures": -1}), ("plan_poses", {"shift_mm": 1.0}), ("plan_poses", {"u_mm": 1.0}), ("read_rows", {"folder": "D", "kind": int}), ("pack_run", {"run": "D", "out": "o", "licence": "mine"}),
 ]  # fmt: skip
 
 

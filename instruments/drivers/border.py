@@ -132,5 +132,5 @@ class PluginBoundary(Generic[Made]):
 def _said(what: object) -> str:
     """Its kind and words; its kind alone where its own words fail."""
     with suppress(Exception):
-        return f"{type(what).__name__}: {what}"
+        return f"{type(what).__name__}: {what}".removesuffix(": ")
     return type(what).__name__

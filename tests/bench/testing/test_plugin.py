@@ -206,11 +206,35 @@ def test_an_unknown_requirement_rig_or_detector_is_wrong_use(pytester: pytest.Py
     result = run(pytester, program)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines("*did you mean*no false teat*")
-    plain = "def test_it({}):\n    pass\n"
+    for wrong in ("", "(5)", '(name="no false teat")'):
+        marked = f"import pytest\n@pytest.mark.requirement{wrong}\ndef test_it(): pass\n"
+        result = run(pytester, marked)
+        assert result.ret == pytest.ExitCode.USAGE_ERROR
+        result.stderr.fnmatch_lines('*::test_it: @pytest.mark.requirement("NAME") takes names of*')
+    plain = "def test_it({0}):\n    pass\ndef test_again({0}):\n    pass\n"
     for fixture, words in (("rig", ("--rig", "nowhere")), ("detector", ("--detector", "fusd"))):
         result = run(pytester, plain.format(fixture), *words)
-        assert result.ret != 0
-        result.stdout.fnmatch_lines(f"*no {fixture}*")
+        assert result.ret == pytest.ExitCode.USAGE_ERROR
+        result.stdout.fnmatch_lines(f"!*no {fixture}*")  # once, and no traceback
+        result.stdout.no_fnmatch_line("*Error*")
+
+
+@pytest.mark.slow
+def test_a_rig_that_cannot_be_opened_is_said_with_its_cause(pytester: pytest.Pytester) -> None:
+    """Whether the session ends by it or, in a worker of xdist, each test; nothing stays locked."""
+    path = Path(write_small_rig(pytester.path))
+    text = path.read_text(encoding="utf-8")
+    old = '[cameras]\nurl = "emulator:"'
+    assert old in text
+    path.write_text(text.replace(old, '[cameras]\nurl = "recording:gone"'), encoding="utf-8")
+    program = "def test_it(rig):\n    pass\ndef test_again(rig):\n    pass\n"
+    result = run(pytester, program, "--rig", str(path))
+    assert result.ret == 3
+    result.stdout.fnmatch_lines("!*the rig can't be opened: */gone: there is no such folder*")
+    pytester.makeconftest("def pytest_configure(config): config.workerinput = {}")
+    result = run(pytester, program, "--rig", str(path))
+    result.assert_outcomes(errors=2)
+    result.stdout.no_fnmatch_line("*another bench has it*")
 
 
 @pytest.mark.slow
