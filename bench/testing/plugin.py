@@ -216,11 +216,13 @@ def record_trial(request: pytest.FixtureRequest) -> Callable[..., bench.SceneSco
     from bench.arguments import guarded
     from bench.testing.found import folder_name
 
-    trials, done = _trials(request.config), [0]
+    try:
+        trials, done = _trials(request.config), [0]
+    except pytest.UsageError as error:
+        _refuse(request.config, error, 4)
 
     def record(shot: bench.Shot, name: str = "") -> bench.SceneScore:
         done[0] += 1
-
         number = f"-{done[0]}" if done[0] > 1 and not name else ""
         return trials.add(folder_name(name or f"{request.node.name}{number}"), shot)
 

@@ -6,6 +6,7 @@ import json
 import re
 from importlib.metadata import entry_points
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -21,6 +22,7 @@ import bench.testing.found
 import bench.testing.trials
 from bench.rig.loading import load_rig
 from bench.run.lock import lock_path, locked
+from bench.testing.trials import TrialsOfTests
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.small_recording import write_recording
 from tests.undrawn import bare
@@ -212,11 +214,22 @@ def test_an_unknown_requirement_rig_or_detector_is_wrong_use(pytester: pytest.Py
         assert result.ret == pytest.ExitCode.USAGE_ERROR
         result.stderr.fnmatch_lines('*::test_it: @pytest.mark.requirement("NAME") takes names of*')
     plain = "def test_it({0}):\n    pass\ndef test_again({0}):\n    pass\n"
-    for fixture, words in (("rig", ("--rig", "nowhere")), ("detector", ("--detector", "fusd"))):
-        result = run(pytester, plain.format(fixture), *words)
+    for fixture, option, value, says in (
+        ("rig", "--rig", "nowhere", "no rig"),
+        ("detector", "--detector", "fusd", "no detector"),
+        ("record_trial", "--trial-rules", "gone.toml", "gone.toml can't be read"),
+    ):
+        result = run(pytester, plain.format(fixture), option, value)
         assert result.ret == pytest.ExitCode.USAGE_ERROR
-        result.stdout.fnmatch_lines(f"!*no {fixture}*")  # once, and no traceback
+        result.stdout.fnmatch_lines(f"!*{says}*")  # once, and no traceback
         result.stdout.no_fnmatch_line("*Error*")
+
+
+def test_trials_that_cannot_be_kept_are_said_by_the_option(tmp_path: Path, rig: str) -> None:
+    (tmp_path / "a-file").touch()
+    trials = TrialsOfTests(rig, "thesis", tmp_path / "a-file", None, {})
+    with pytest.raises(bench.ConfigError, match="Name another folder as --trial-runs"):
+        trials.add("one", SimpleNamespace(truth=[None]))  # type: ignore[arg-type]
 
 
 @pytest.mark.slow
