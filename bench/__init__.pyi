@@ -1,17 +1,23 @@
 # The names of this package, once: type checkers read them here, and so does textfiles/lazy.py.
+from bench.api.arms import ArmReading as ArmReading
+from bench.api.arms import ArmView as ArmView
+from bench.api.arms import VerifiedArm as VerifiedArm
+from bench.api.arms import open_arm as open_arm
+from bench.api.arms import read_arm as read_arm
+from bench.api.arms import touch_frame as touch_frame
+from bench.api.arms import verify_arm as verify_arm
+from bench.api.arms import watch_arm as watch_arm
+from bench.api.arms import write_arm_file as write_arm_file
 from bench.api.calibration import makers_calibration as makers_calibration
 from bench.api.calibration import open_cameras_of as open_cameras_of
 from bench.api.calibration import take_views as take_views
 from bench.api.calibration import touch_points as touch_points
 from bench.api.campaigns import CampaignResult as CampaignResult
 from bench.api.campaigns import run_campaign as run_campaign
-from bench.api.instruments import ArmView as ArmView
 from bench.api.instruments import BathView as BathView
 from bench.api.instruments import acknowledge as acknowledge
 from bench.api.instruments import describe_bath as describe_bath
-from bench.api.instruments import open_arm as open_arm
 from bench.api.instruments import record_frames as record_frames
-from bench.api.instruments import watch_arm as watch_arm
 from bench.api.instruments import watch_bath as watch_bath
 from bench.api.planning import ScriptPlan as ScriptPlan
 from bench.api.planning import check_script as check_script
@@ -56,6 +62,7 @@ from bench.api.shots import member as member
 from bench.api.shots import open_detector as open_detector
 from bench.api.shots import rigs as rigs
 from bench.api.shots import score as score
+from bench.calibrate.arm import VerificationPlan as VerificationPlan
 from bench.calibrate.board_print import board_pdf as board_pdf
 from bench.calibrate.board_scenes import record_boards as record_boards
 from bench.calibrate.cameras import CamerasResult as CamerasResult
@@ -123,6 +130,7 @@ from bench.rig.alone import open_bath as open_bath
 from bench.rig.alone import open_cameras as open_cameras
 from bench.rig.alone import open_stage as open_stage
 from bench.rig.alone import with_retries as with_retries
+from bench.rig.arm_files import TableFrame as TableFrame
 from bench.rig.finding import FoundInstrument as FoundInstrument
 from bench.rig.finding import find_instruments as find_instruments
 from bench.rig.leaving import NotSafeError as NotSafeError

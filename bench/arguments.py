@@ -9,7 +9,7 @@ import inspect
 import sys
 import types
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache, partial, wraps
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
@@ -39,6 +39,7 @@ def guarded(thing: Any, package: str) -> Any:
 
     @wraps(thing)
     def call(*args: Any, **more: Any) -> Any:
+        __tracebackhide__ = True  # pytest then shows where it was called
         given = shape.bind_partial(*args, **more)
         for name, value in given.arguments.items():
             if isinstance(value, Iterator):  # is looked at, and used then
@@ -101,10 +102,14 @@ def lent(of: Kind, who: str) -> Iterator[Kind]:
 
 
 def _hints(function: Any) -> dict[str, Any]:
-    """The annotations of its parameters: what it gives back may be known to type checkers alone."""
-    known = {name: one for name, one in function.__annotations__.items() if name != "return"}
-    own = types.SimpleNamespace(__annotations__=known)
-    return get_type_hints(own, vars(sys.modules[function.__module__]))
+    """Annotations of its parameters; what is for type checkers alone is left out."""
+    found = dict[str, Any]()
+    for name, one in function.__annotations__.items():
+        if name != "return":
+            with suppress(Exception):  # of another's detector, too
+                own = types.SimpleNamespace(__annotations__={name: one})
+                found |= get_type_hints(own, vars(sys.modules[function.__module__]))
+    return found
 
 
 def fits(value: Any, hint: Any) -> bool:
@@ -123,8 +128,10 @@ def fits(value: Any, hint: Any) -> bool:
         return len(of) == len(value) and all(map(fits, value, of))
     if made in NUMBERS:
         return NUMBERS[made].has(value)
-    if getattr(made, "_is_protocol", False):
-        return all(callable(getattr(value, name, None)) for name in _methods(made))
+    if getattr(made, "_is_protocol", False):  # which a class has not, but what it makes
+        return not isinstance(value, type) and all(
+            callable(getattr(value, name, None)) for name in _methods(made)
+        )
     return made is Any or not isinstance(made, type) or isinstance(value, made)
 
 

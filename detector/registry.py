@@ -147,7 +147,7 @@ def _plugged(plug: EntryPoint) -> PluginDetector:
         raise
     except BaseException as error:
         try:
-            said = _line(f"{type(error).__name__}: {error}")
+            said = _line(f"{type(error).__name__}: {error}").removesuffix(":")
         except Exception:  # its own words fail
             said = type(error).__name__
         raise BrokenDetectorError(f"{who} can't be loaded: {said}") from error

@@ -25,10 +25,12 @@ import pytest
 
 import bench
 import instruments
-from bench.arguments import _hints, fits
+from bench.arguments import _hints, fits, lent
 from bench.record.schema import make_tables
 from bench.rig.loading import RIGS
 from detector.outline import kernels
+from detector.protocol import Detection
+from detector.registry import PluginDetector
 from tests.bench.small_cameras import write_calibration
 from tests.conftest import ROOT
 from tests.undrawn import NO_FIGURE
@@ -184,7 +186,7 @@ WRONG: list[tuple[str, dict[str, Any]]] = [
     ("write_calibration", {"found": PART, "out": "D"}), ("open_stage", {"url": "socket://h:1", "axes": "XQ"}),
     ("open_stage", {"url": "socket://h:1", "dialect": "gbrl"}), ("run_campaign", {"out": "o", "plan": {"familes": 1}}),
     ("run_campaign", {"plan": {}, "out": "o", "workers": -1}), ("read_foreign", {"files": ["F"], "kind": "matlap"}),
-    ("plan_poses", {"failures": -1}), ("plan_poses", {"shift_mm": 1.0}), ("plan_poses", {"u_mm": 1.0}), ("read_rows", {"folder": "D", "kind": int}), ("pack_run", {"run": "D", "out": "o", "licence": "mine"}),
+    ("open_detector", {"detector": PluginDetector}), ("plan_poses", {"failures": -1}), ("plan_poses", {"shift_mm": 1.0}), ("plan_poses", {"u_mm": 1.0}), ("read_rows", {"folder": "D", "kind": int}), ("pack_run", {"run": "D", "out": "o", "licence": "mine"}),
 ]  # fmt: skip
 
 
@@ -199,6 +201,30 @@ def test_wrong_arguments_are_refused_by_name_and_nothing_is_made(
     with pytest.raises(bench.ConfigError, match=rf"^`?({word})\b|\b({word})\b"):
         list(getattr(found := getattr(bench, verb)(**given), "gen", found))
     assert [*tmp_path.rglob("*")] == [tmp_path / "D"]
+
+
+class Annotated:
+    """A detector whose annotations are for type checkers alone, as those of a package are."""
+
+    name, version, parameters = "annotated", "1", dict[str, Any]()
+
+    def detect(self, frames: Any, calibration: Any) -> Detection:
+        return Detection(())
+
+
+vars(Annotated)["detect"].__annotations__.update(frames="Frames", calibration="np.nothing")
+
+
+@pytest.mark.parametrize("of_package", [True, False])
+def test_a_detectors_annotations_need_not_be_known(of_package: bool) -> None:
+    own: Any = Annotated()
+    if of_package:
+        own = PluginDetector("annotated", "1", {}, own, {})
+    with lent(own, "detector") as detector:  # as `open_detector` gives one by its name
+        assert detector.detect(cast(Any, None), cast(Any, None)).teats == ()
+    for name in FUNCTIONS:  # which are held against theirs
+        function = vars(FUNCTIONS[name])["__wrapped__"]
+        assert {*function.__annotations__} - {"return"} == {*_hints(function)}
 
 
 @pytest.mark.parametrize("name", ROWS)

@@ -5,24 +5,17 @@ rig's are opened by `open_rig`, which also watches what heats.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Mapping
-from contextlib import closing, contextmanager, nullcontext
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bench.api.shots import AnyRig, load_rig
-from bench.arguments import lent
-from bench.calibrate.arm import open_arm as open_session
 from bench.config import ConfigError, check_within, read_text, writing
 from bench.record.recording import RecordingWriter
 from bench.rig.alone import OpenCameras, open_bath
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.leaving import to_stderr
-from bench.rig.model import Arm as ArmTable
-from bench.rig.model import Baud
 from bench.safety import latch
 from bench.safety.bath_monitor import RATE_S, seconds_to_stable
 from bench.safety.liveness import Liveness
@@ -32,65 +25,8 @@ from instruments.bath.interface import Bath
 from instruments.bath.reading import BathReading
 from instruments.captures.capture import CaptureFile
 from instruments.clock import Clock, RealClock
-from instruments.drivers.protocols import Arm
-from instruments.errors import InstrumentError, LimitError
-from instruments.microscribe.driver import MicroScribe, Sample
-from instruments.microscribe.pedals import Pedal
+from instruments.errors import InstrumentError
 from textfiles.bounds import ABOVE_0, COUNT
-
-ARM = ArmTable.model_fields
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ArmView:
-    """What `watch_arm` sees: the tip (3,) in the arm's frame, which pedals are down, packets a
-    second, and how many were damaged so far. ``t_s`` is by the arm's clock.
-    """
-
-    t_s: float
-    tip_mm: NDArray[np.float64]
-    pedals: Mapping[str, bool]
-    packets_per_s: float
-    damaged: int
-
-
-@contextmanager
-def open_arm(
-    url: str,
-    *,
-    baud: Baud = ARM["baud"].default,
-    answer_s: float = ARM["answer_s"].default,
-    homed: bool = False,
-    capture: CaptureFile | None = None,
-) -> Iterator[Arm]:
-    """The arm at ``url``, as in a rig file's [arm], signed on, in real time. ``homed``: its stylus
-    was on its peg when it was switched on, or it was homed since; before, there is no position.
-    Raises ConfigError, InstrumentError.
-    """
-    check_within(ABOVE_0, answer_s=answer_s)
-    with open_session(url, baud, answer_s, capture) as session:
-        if homed:
-            session.arm.confirm_homed()
-        with lent(session.arm, "arm") as arm:
-            yield arm
-
-
-def watch_arm(arm: Arm, every_s: float = 0.2) -> Generator[ArmView, None, None]:
-    """Views of a homed arm as it streams, one each ``every_s``, until you leave. Raises
-    InstrumentError; LimitError for one that is no MicroScribe.
-    """
-    if not isinstance(arm, MicroScribe):
-        raise LimitError(arm.who, "only a MicroScribe can be watched", asked="watch")
-    with arm.stream() as stream:
-        samples: list[Sample] = []
-        for sample in stream:
-            samples.append(sample)
-            if (span_s := sample.t_s - samples[0].t_s) < every_s:
-                continue
-            down = {one.name.lower(): bool(sample.buttons & one.value) for one in reversed(Pedal)}
-            tip_mm, rate = arm.position(samples).tip_mm, (len(samples) - 1) / span_s
-            yield ArmView(sample.t_s, tip_mm, down, rate, arm.damaged)
-            samples = []
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,5 @@
-"""One arm alone, for the commands: connected by its URL, signed on, homing confirmed by the person
-who stands beside it; and the dialogues of `arm frame` and `arm verify`. A touch that can't be used
+"""One arm alone: connected by its URL, signed on, homing confirmed by the person who stands beside
+it; and the dialogues of `arm frame` and `arm verify`. A touch that can't be used
 (the arm moved, two points are too near) is asked for again; nothing is lost but that touch.
 
 `emulator:` means an emulated arm of this process that goes where the dialogue asks. Time is real: a
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.calibrate.simulated_arm import Step, TryingArm
-from bench.config import ConfigError
+from bench.config import ConfigError, check_within
 from bench.rig.arm_files import (
     APART_MM,
     TOUCHES,
@@ -45,7 +45,8 @@ from instruments.drivers.protocols import Arm
 from instruments.errors import TouchAgainError
 from instruments.microscribe.driver import Reading
 from instruments.operators.console import Console
-from instruments.operators.operator import Task
+from instruments.operators.operator import Operator, Task
+from textfiles.bounds import ABOVE_0, COUNT, Bounds
 
 Floats = NDArray[np.float64]
 
@@ -53,6 +54,9 @@ HOMED = (
     "Was the stylus on its peg when the arm was last switched on, or the arm homed since"
     " ('teatbench arm home')?"
 )
+DISTANCES = Bounds("1, 2 or 3", least=1, below=4, whole=True)
+SEVERAL = Bounds("a whole number of 2 or more", least=2, whole=True)
+SD = Bounds("a number of 0 or more", least=0.0)
 LEANS = ("upright", "leaning left", "leaning right", "leaning towards you", "leaning away from you")
 DIVOTS = {
     "near": "near the arm, some 200 mm from its base",
@@ -76,26 +80,21 @@ class ArmSession:
 
     arm: Arm
     clock: Clock
-    console: Console
+    operator: Operator
     trying: TryingArm | None
 
-    def confirm_homing(self, *, homed: bool) -> None:
-        """Confirm homing, where it isn't known by asking. Raises OperatorAbort."""
-        if not homed:
-            self.console.ask(Task(HOMED if self.arm.pedals else self.arm.homing))
-        self.arm.confirm_homed()
-
     def ask(self, text: str) -> None:
-        self.console.ask(Task(text))
+        self.operator.ask(Task(text))
 
     def touch(self, step: Step) -> None:
         """Something to be touched; the emulated hand goes there first."""
         if self.trying:
             self.trying.go(step)
-        self.console.ask(Task(step.text, pedal=True))
+        self.operator.ask(Task(step.text, pedal=True))
 
     def say(self, text: str) -> None:
-        self.console.say(text)
+        if isinstance(self.operator, Console):
+            self.operator.say(text)
 
 
 @contextmanager
@@ -104,9 +103,22 @@ def open_arm(
     baud: Baud,
     answer_s: float,
     capture: CaptureFile | None,
+    *,
+    homed: bool,
+    ask: bool = True,
     length_mm: float | None = None,
+    operator: Operator | None = None,
 ) -> Iterator[ArmSession]:
-    """The arm at ``port``, signed on; ``length_mm``: an emulated arm's bar. Raises ConfigError."""
+    """The arm at ``port``, signed on; ``homed``, or the ``operator`` is asked (None: whoever is at
+    the terminal); ``length_mm``: an emulated arm's bar. Raises ConfigError.
+    """
+    check_within(ABOVE_0, answer_s=answer_s)
+    if ask and not (homed or operator or (sys.stdin and sys.stdin.isatty())):
+        raise ConfigError.plain(
+            "no positions before homing is confirmed, and there is no terminal to confirm it at."
+            " Give `homed` where the stylus was on its peg when the arm was last switched on, or"
+            " the arm was homed since: otherwise positions are wrong, with no sign of it."
+        )
     try:
         arm_url(port)
     except ValueError as error:
@@ -121,11 +133,16 @@ def open_arm(
         with open_instruments(rig, ("arm",), clock, capture=capture) as devices:
             arm = devices.arm
             arm.sign_on()
-            watch = partial(pedal_watch, arm, clock) if arm.pedals else None
-            console = Console(sys.stdin, sys.stdout, clock, watch=watch)
-            console.in_run = False
-            arm.asked_of(console)
-            yield ArmSession(arm, clock, console, trying)
+            if operator is None:
+                watch = partial(pedal_watch, arm, clock) if arm.pedals else None
+                operator = console = Console(sys.stdin, sys.stdout, clock, watch=watch)
+                console.in_run = False
+            arm.asked_of(operator)
+            if ask and not homed:
+                operator.ask(Task(HOMED if arm.pedals else arm.homing))
+            if ask or homed:
+                arm.confirm_homed()
+            yield ArmSession(arm, clock, operator, trying)
 
 
 def today() -> datetime:
@@ -158,6 +175,13 @@ class VerificationPlan:
     length_u_mm: float = 0.0
     gauge: str = ""
     spheres: bool = False
+
+    def __post_init__(self) -> None:
+        check_within(DISTANCES, distances=self.distances)
+        check_within(SEVERAL, touches=self.touches)
+        check_within(COUNT, directions=self.directions)
+        check_within(ABOVE_0, length_mm=self.length_mm)
+        check_within(SD, length_u_mm=self.length_u_mm)
 
 
 # places on a sphere, outwards, and what they are called: five, as ISO 10360 touches a sphere

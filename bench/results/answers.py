@@ -277,7 +277,7 @@ def examine(
     # anyone's code: it may fail in any way, and not every library's errors are Exceptions
     except BaseException as error:
         try:
-            why = f"{type(error).__name__}: {error}"
+            why = f"{type(error).__name__}: {error}".removesuffix(": ")
         except Exception:  # its own words fail
             why = type(error).__name__
         outcome, detection = Outcome.FAILED, _nothing(why)

@@ -330,7 +330,7 @@ def check_rig(
                     note += who.items()
                     if hasattr(device, "safe_state"):  # cameras have none
                         note.append(("safe state", device.safe_state))
-                    yield name, False, [f"{key}: {value}" for key, value in note]
+                    yield name, False, [f"{key}: {value}" for key, value in note if value != ""]
             except InstrumentError as error:
                 yield name, True, [str(error)]
 
@@ -348,7 +348,9 @@ def _arm(arm: Any) -> Iterator[tuple[str, str]]:
 
 def _bath(bath: Any) -> Iterator[tuple[str, str]]:
     reading = bath.read()
-    yield "temperature", f"{reading.temp_c:.2f} degC, output {reading.power_percent} %"
+    power = reading.power_percent
+    output = "not reported" if power is None else f"{power:g} %"
+    yield "temperature", f"{reading.temp_c:.2f} degC, output {output}"
     if bath.pump == "own":
         yield "pump", bath.profile.row(PUMP).label(bath.get(PUMP))
     elif bath.pump == "none":

@@ -33,6 +33,8 @@ def plugged(url: str, kind: Kind) -> bool:
         return False
     group = (EMULATORS if found.emulated else GROUPS)[kind]
     if found.name not in (there := available(group)):
+        if found.emulated and found.name in available(GROUPS[kind]):
+            raise ValueError(f"the plug-in {found.name!r} has no emulator (entry point of {group})")
         near, known = did_you_mean(found.name, there), ", ".join(there) or "none"
         raise ValueError(
             f"no plug-in {found.name!r} is installed{near} (entry points of {group}: {known})"

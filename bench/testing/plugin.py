@@ -11,7 +11,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import FunctionType, ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import pytest
 
@@ -49,6 +49,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     required: dict[str, list[str]] = {}
     for item in items:
         for mark in item.iter_markers(MARK):
+            if mark.kwargs or not mark.args or any(not isinstance(one, str) for one in mark.args):
+                takes = f'@pytest.mark.{MARK}("NAME") takes names of requirements'
+                raise pytest.UsageError(f"{item.nodeid}: {takes}")
             for name in mark.args:
                 required.setdefault(name, []).append(item.name)
                 item.user_properties.append((MARK, name))
@@ -114,27 +117,44 @@ def _trials(config: pytest.Config) -> TrialsOfTests:
     return config.stash[_TRIALS]
 
 
+def _refuse(config: pytest.Config, why: object, code: int) -> NoReturn:
+    """Ends the session with a sentence, or the test in a worker of xdist, which would crash."""
+    if hasattr(config, "workerinput"):
+        pytest.fail(str(why), pytrace=False)
+    pytest.exit(str(why), code)
+
+
 @pytest.fixture(scope="session")
 def _opened(request: pytest.FixtureRequest) -> Iterator[Callable[[], bench.OpenRig]]:
     """Opens the rig: a real one once a session, and alone."""
     from bench.run.lock import lock_path, locked
+    from instruments import InstrumentError
 
+    config = request.config
     try:
-        loaded = bench.load_rig(request.config.option.rig)
+        loaded = bench.load_rig(config.option.rig)
     except bench.ConfigError as error:
-        raise pytest.UsageError(str(error)) from error
+        _refuse(config, error, 4)
     with ExitStack() as stack:
         kept: list[bench.OpenRig] = []
 
         def opened() -> bench.OpenRig:
-            if not kept:
-                try:
-                    stack.enter_context(locked(lock_path(loaded), "pytest", lambda _: None))
-                except bench.RigInUseError as error:
-                    pytest.exit(f"{error}: tests of a real rig run one at a time (no -n)", 3)
-                kept.append(stack.enter_context(bench.open_rig(loaded)))
-                kept[0].home()
-            return kept[0]
+            if kept:
+                return kept[0]
+            try:
+                with (
+                    ExitStack() as fresh
+                ):  # of what can't be opened nothing stays, its lock neither
+                    fresh.enter_context(locked(lock_path(loaded), "pytest", lambda _: None))
+                    rig = fresh.enter_context(bench.open_rig(loaded))
+                    rig.home()
+                    stack.push(fresh.pop_all())
+            except bench.RigInUseError as error:
+                _refuse(config, f"{error} Tests of a real rig run one at a time (no -n).", 3)
+            except (InstrumentError, bench.ConfigError, bench.RecordingError) as error:
+                _refuse(config, f"the rig can't be opened: {error}", 3)
+            kept.append(rig)
+            return rig
 
         def anew() -> bench.OpenRig:
             stack.close()
@@ -182,7 +202,7 @@ def detector(request: pytest.FixtureRequest) -> Iterator[Detector]:
         try:
             one = stack.enter_context(bench.open_detector(request.config.option.detector))
         except bench.ConfigError as error:
-            raise pytest.UsageError(str(error)) from error
+            _refuse(request.config, error, 4)
         yield one
 
 
@@ -196,11 +216,13 @@ def record_trial(request: pytest.FixtureRequest) -> Callable[..., bench.SceneSco
     from bench.arguments import guarded
     from bench.testing.found import folder_name
 
-    trials, done = _trials(request.config), [0]
+    try:
+        trials, done = _trials(request.config), [0]
+    except pytest.UsageError as error:
+        _refuse(request.config, error, 4)
 
     def record(shot: bench.Shot, name: str = "") -> bench.SceneScore:
         done[0] += 1
-
         number = f"-{done[0]}" if done[0] > 1 and not name else ""
         return trials.add(folder_name(name or f"{request.node.name}{number}"), shot)
 

@@ -80,9 +80,12 @@ class TrialsOfTests:
             "rig": self._rig.rig.name,
         }
         path = self._rig.calibration_path
-        made = ScoredFrames(self._out, "tests", self._rules, text, path, facts, [self._detector])
-        self._run = made
-        return self._open.enter_context(made)
+        given = self._out, "tests", self._rules, text, path, facts, [self._detector]
+        try:
+            self._run = self._open.enter_context(ScoredFrames(*given))
+        except ConfigError as error:
+            raise ConfigError.plain(str(error).replace("`out`", "--trial-runs")) from error
+        return self._run
 
     def _decided(self) -> str:
         """The rules with what is required alone."""

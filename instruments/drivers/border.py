@@ -1,5 +1,5 @@
 """Calls of another package's code: whatever it raises, and what never comes back, becomes an
-InstrumentError. In virtual time nothing can hang by itself, so it is called directly.
+InstrumentError. In virtual time it is called directly, and is late by the clock alone.
 """
 
 from __future__ import annotations
@@ -77,16 +77,20 @@ class PluginBoundary(Generic[Made]):
     def _within(self, what: str, work: Callable[[], T], limit_s: float | None) -> T:
         limit_s = CALL_S if limit_s is None else limit_s
         try:
-            if isinstance(self.clock, VirtualClock) or getattr(self._owner, "is_us", False):
+            if getattr(self._owner, "is_us", False):
                 return work()
+            if isinstance(self.clock, VirtualClock):
+                late_s, given = self.clock.now() + limit_s, work()
+                if self.clock.now() > late_s:
+                    raise self._late(what, limit_s)
+                return given
             job: Future[T] = Future()
             thread = threading.Thread(target=self._run, args=(job, work), daemon=True)
             thread.name = f"{self.who}: {what}"
             thread.start()
             thread.join(limit_s)
             if thread.is_alive():
-                hint = f"Look at the device, its power and its cable: {self.plugged} hangs."
-                raise LinkError(self.who, "no answer", asked=what, seconds=limit_s, hint=hint)
+                raise self._late(what, limit_s)
             if isinstance(job.exception(), KeyboardInterrupt):  # ours comes to the main thread
                 raise DriverError(self.who, "KeyboardInterrupt", asked=what, hint=self.look)
             return job.result()
@@ -95,6 +99,10 @@ class PluginBoundary(Generic[Made]):
         except BaseException as error:  # another's code: not every library's errors are Exceptions
             kind = LinkError if isinstance(error, OSError) else DriverError  # as TimeoutError is
             raise kind(self.who, _said(error), asked=what, hint=self.look) from error
+
+    def _late(self, what: str, limit_s: float) -> LinkError:
+        hint = f"Look at the device, its power and its cable: {self.plugged} hangs."
+        return LinkError(self.who, "no answer", asked=what, seconds=limit_s, hint=hint)
 
     def _run(self, job: Future[T], work: Callable[[], T]) -> None:
         self._owner.is_us = True
@@ -132,5 +140,5 @@ class PluginBoundary(Generic[Made]):
 def _said(what: object) -> str:
     """Its kind and words; its kind alone where its own words fail."""
     with suppress(Exception):
-        return f"{type(what).__name__}: {what}"
+        return f"{type(what).__name__}: {what}".removesuffix(": ")
     return type(what).__name__

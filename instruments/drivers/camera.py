@@ -76,7 +76,8 @@ class PluggedGroup:
         if not isinstance(given := group.capture(), Mapping):
             raise self._border.broken("its capture is no mapping of parts to frames", given)
         if lost := [part for part in self.parts if part not in given]:
-            raise FrameError(FrameFault.DROPPED, lost[0], self.who, f"it gave no {lost[0]} frame")
+            what, hint = f"it gave no {lost[0]} frame", self._border.look.removesuffix(".")
+            raise FrameError(FrameFault.DROPPED, lost[0], self.who, what, hint=hint)
         return {part: checked(self._border, part, given[part], asked_s) for part in self.parts}
 
     def makers_calibration(self) -> MakersCalibration | None:

@@ -36,14 +36,22 @@ class PluginUrl:
 
 
 def plugin_url(url: str) -> PluginUrl | None:
-    """``url`` where it names a plug-in, else None. Raises ValueError without a name."""
+    """``url`` where it names a plug-in, else None. Raises ValueError without a name, for a key that
+    is given twice, and for what is no text.
+    """
     place = next((one for one in (PLUGIN, EMULATOR) if url.startswith(one)), None)
     if place is None or url == EMULATOR or url.startswith("emulator://"):
         return None
     name, _, query = url.removeprefix(place).partition("?")
     if not name:
         raise ValueError('which plug-in? write "plugin:NAME" or "plugin:NAME?key=value"')
-    return PluginUrl(name, dict(parse_qsl(query, keep_blank_values=True)), place == EMULATOR)
+    pairs = parse_qsl(query, keep_blank_values=True)
+    for key, value in pairs:
+        if sum(key == one for one, _ in pairs) > 1:
+            raise ValueError(f"the key {key} is given twice")
+        if not value.isprintable() or "\ufffd" in value:
+            raise ValueError(f"the value of {key} is no text in UTF-8: {value!r}")
+    return PluginUrl(name, dict(pairs), place == EMULATOR)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,25 +90,34 @@ class Plugin:
 
 def available(group: str) -> dict[str, str]:
     """Name -> the package that it is of; nothing is loaded."""
-    return {plug.name: _source(plug) for plug in entry_points(group=group)}
+    found: dict[str, list[str]] = {}
+    for plug in entry_points(group=group):
+        found.setdefault(plug.name, []).append(_source(plug))
+    return {name: " and ".join(of) for name, of in found.items()}
 
 
 def load(kind: Kind, url: PluginUrl, *, emulator: bool = False) -> Plugin:
     """The driver, or the emulator, that ``url`` names; not opened. Raises LimitError."""
     group = (EMULATORS if emulator else GROUPS)[kind]
-    plugs = {plug.name: plug for plug in entry_points(group=group)}
-    if url.name not in plugs:
-        near = get_close_matches(url.name, plugs, n=1)
-        hint = f"Did you mean {near[0]!r}?" if near else f"Installed: {', '.join(plugs) or 'none'}."
+    plugs = entry_points(group=group)
+    if not (named := [plug for plug in plugs if plug.name == url.name]):
+        near = get_close_matches(url.name, plugs.names, n=1)
+        there = ", ".join(sorted(plugs.names)) or "none"
+        hint = f"Did you mean {near[0]!r}?" if near else f"Installed: {there}."
         what = f"no {'emulator' if emulator else 'driver'} {url.name!r} is installed ({group})"
         raise LimitError(kind, what, hint=hint)
-    plug = plugs[url.name]
+    plug, *others = named
+    if others:
+        both = " and ".join(_source(one) for one in named)
+        raise LimitError(kind, f"{url.name!r} is of {both}", hint="Uninstall one of them.")
     try:
+        if not plug.pattern.match(plug.value):
+            raise ValueError("no module:name")
         maker = plug.load()
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # another's code
-        said = " ".join(f"{type(error).__name__}: {error}".split())
+        said = " ".join(f"{type(error).__name__}: {error}".split()).rstrip(":")
         hint = "Install what it needs, or correct it."
         raise LimitError(kind, f"{_source(plug)} can't be loaded: {said}", hint=hint) from error
     if not callable(maker):

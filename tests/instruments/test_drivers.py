@@ -17,8 +17,9 @@ import pytest
 import bench
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import find_rig, load_rig
+from bench.rig.urls import bath_url
 from bench.testing.conformance import conform
-from bench.testing.plugins import OnEmulator, check_driver
+from bench.testing.plugins import OnEmulator, check_driver, drivers
 from detector.calibration import load_part
 from instruments.clock import RealClock, VirtualClock
 from instruments.drivers import border
@@ -29,7 +30,7 @@ from instruments.listener import Listener
 from instruments.world.world import World
 from tests.bench.commands import Said
 from tests.bench.small_cameras import write_calibration
-from tests.lab_drivers import importable
+from tests.lab_drivers import _install, importable
 
 pytestmark = pytest.mark.slow
 KINDS: dict[str, Kind] = {"tank": "bath", "slide": "stage", "probe": "arm", "eyes": "camera"}
@@ -161,13 +162,46 @@ def test_a_bath_that_hangs_is_made_safe_beside_the_call(
         ("plugin:", "which plug-in"),
         ("plugin:tnak", "did you mean"),
         ("emulator:nothing?a=b", "no plug-in 'nothing'"),
+        ("plugin:tank?url=a&mode=b&url=c", "the key url is given twice"),
+        ("plugin:tank?url=%00", r"the value of url is no text in UTF-8: '\\x00'"),
+        ("plugin:tank?url=%C3%28", "no text in UTF-8"),
     ],
 )
 def test_a_wrong_url_says_what_there_is(url: str, says: str, tmp_path: Path) -> None:
-    from bench.rig.urls import bath_url
-
     with pytest.raises(ValueError, match=says):
         bath_url(url)
+
+
+POINTS = """
+[teatbench.baths]
+tank = other:Tank
+alone = other:Tank
+mute = other:Mute
+odd = other:a:b
+"""
+MUTE = "import lab_drivers, sys\nTank = lab_drivers.Tank\ndef __getattr__(_): sys.exit()\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("tank", r"'tank' is of (lab-drivers 1.0|other 1.0) \S+ and .* Uninstall one of them"),
+        ("mute", r"other 1.0 \(other:Mute\) can't be loaded: SystemExit\. Install"),
+        ("odd", r"other 1.0 \(other:a:b\) can't be loaded: ValueError: no module:name"),
+    ],
+)
+def test_an_entry_point_that_gives_no_driver_is_said(name: str, says: str, tmp_path: Path) -> None:
+    _install(tmp_path, "other", "other", MUTE, POINTS)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(tmp_path))
+        with pytest.raises(LimitError, match=says):
+            load("bath", PluginUrl(name))
+        if name == "tank":
+            both = {"lab-drivers 1.0 (lab_drivers:Tank)", "other 1.0 (other:Tank)"}
+            listed = drivers()["bath tank"].removesuffix(", with an emulator")
+            assert {*listed.split(" and ")} == both
+        with pytest.raises(ValueError, match="the plug-in 'alone' has no emulator"):
+            bath_url("emulator:alone")
 
 
 def test_keys_are_text_and_come_back() -> None:
@@ -187,6 +221,17 @@ def test_an_unknown_driver_is_wrong_use_and_those_that_are_there_are_listed(
     assert "none is installed" in said(2, "plugin check nothing").err
     listed = said(0, "plugin").out
     assert "bath tank: lab-drivers 1.0 (lab_drivers:Tank), with an emulator" in listed
+
+
+def test_what_a_device_does_not_say_is_no_none(tmp_path: Path) -> None:
+    write_calibration(tmp_path)
+    words = {"bath": "emulator:tank", "arm": "emulator:probe", "cameras": "emulator:eyes"}
+    tables = "".join(f'{name}.url = "{url}"\n' for name, url in words.items())
+    head = 'name = "lab"\ncalibration = "calibration.toml"\noperator.url = "emulator:"\n'
+    (tmp_path / "lab.toml").write_text(head + tables, encoding="utf-8")
+    found = {name: lines for name, _, lines in bench.check_rig(tmp_path / "lab.toml")}
+    assert "temperature: 20.00 degC, output not reported" in found["bath"]
+    assert not [one for lines in found.values() for one in lines if one.endswith(("None", ": "))]
 
 
 def test_a_makers_calibration_becomes_the_cameras_part(

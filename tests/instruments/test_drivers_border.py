@@ -119,6 +119,8 @@ CALLS: dict[str, Callable[[Any], list[Callable[[], object]]]] = {
 }
 
 
+# what is asked again and again
+LATE = "read()", "take()", "capture()"
 # by a device whose readings never change
 DONE = {"bath": 4, "stage": 10, "arm": 8, "camera": 4, "group": 3}
 
@@ -161,7 +163,7 @@ ODD: list[tuple[str, str, Any, str]] = [
     ("camera", "take()", GREY, r"no RawFrame \(got ndarray"),
     ("camera", "take()", RawFrame(TEXT, 0.0), r"no array of NumPy \(got str"),
     ("camera", "take()", RawFrame(GREY.astype(np.int64), 0.0), "8 or 16 bits .*int64"),  # type: ignore[arg-type]
-    ("group", "capture()", {"left": RawFrame(GREY, 0.0)}, "it gave no right frame"),
+    ("group", "capture()", {"left": RawFrame(GREY, 0.0)}, "no right frame.*Look at .* d of pkg 1"),
     *(("group", "makers_calibration()", MakersCalibration(*given), f"maker's calibration: {said}")
       for given, said in (
           (({"left": LENS, "right": NONE},), "right: 'NoneType'"), ((NONE,), "lenses: "),
@@ -201,6 +203,24 @@ def test_nothing_but_an_error_of_an_instrument_comes_out(kind: str) -> None:
         maker = gives(given)
         vars(maker).update({n: v for n, v in RIGHT[kind].items() if not n.endswith("()")})
         assert tried(maker) <= 1, "such an object is no driver"
+
+
+@pytest.mark.parametrize("kind", MAKES)
+def test_a_call_that_is_late_by_a_virtual_clock_is_a_lost_link(kind: str) -> None:
+    """As in real time, so that a rehearsal shows it."""
+    clock, made = VirtualClock(), driver(kind, "", None)
+    member = next(name.removesuffix("()") for name in LATE if name in RIGHT[kind])
+    made_in_time = getattr(made, member)
+
+    def late(*given: Any) -> Any:
+        clock.sleep(61.0)
+        return made_in_time(*given)
+
+    device = MAKES[kind](Plugin("d", "pkg 1", made), clock)
+    calls = CALLS[kind](device)
+    setattr(made, member, late)
+    with pytest.raises(InstrumentError, match=r"no answer .*the plug-in d of pkg 1 hangs"):
+        _ = [call() for call in calls]
 
 
 @pytest.mark.parametrize("kind", MAKES)

@@ -20,9 +20,11 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 import bench
+from instruments import ArmPoint, StageState
 from instruments.clock import RealClock
 from instruments.drivers.entry_points import PluginUrl, load
 from instruments.errors import InstrumentError
@@ -59,6 +61,32 @@ stage = { url = "emulator:slide", reference_mm = [150.0, 150.0] }
 """
 
 
+def touches(rig: bench.OpenRig) -> None:
+    rig.set_up(bench.member("ideal", 3))
+    rig.move()
+    rig.touch(1)
+
+
+# without a script: what breaks its promise, what it gives or raises in place of its answer, what is
+# done then, what is said, and whether the heater is off
+MOVES = ArmPoint(np.zeros(3), moving=True)
+PLACE = StageState({"X": 1.0, "Y": 1.0}, moving=True, homed=True)
+BYE, OWN_ERROR, MAKES_SAFE = SystemExit("bye"), KeyError("no"), bench.OpenRig.safe
+ENDS: Callable[[bench.OpenRig], object] = lambda _: None  # noqa: E731
+WAITS: Callable[[bench.OpenRig], object] = lambda rig: rig.wait(700.0)  # noqa: E731
+ONE_BY_ONE: list[tuple[str, object, Callable[[bench.OpenRig], object], str, bool]] = [
+    ("Probe.stop", BYE, MAKES_SAFE, "robot could not be made safe.*SystemExit: bye", True),
+    ("Slide.read", PLACE, MAKES_SAFE, "stage could not .*does not stop", True),
+    ("Probe.read", MOVES, MAKES_SAFE, "robot could not .*it does not stand", True),
+    ("Slide.stop", MemoryError(), MAKES_SAFE, "stage could not .*MemoryError", True),
+    ("Tank.standby", None, ENDS, "bath could not .*goes on heating after standby", False),
+    ("Tank.standby", BYE, ENDS, "bath could not .*SystemExit: bye", False),
+    ("Tank.read", OWN_ERROR, WAITS, "no usable reading.*the plug-in tank of lab", True),
+    ("Tank.standby", None, MAKES_SAFE, "bath could not .*goes on heating", False),
+    ("Tank.close", BYE, ENDS, "^$", True),
+    *((f"{name}.close", BYE, ENDS, "^$", True) for name in ("Slide", "Probe", "Eyes")),
+    ("Probe.read", OWN_ERROR, touches, "KeyError: 'no'.*probe", True),
+]
 # what is done, and said then, where a driver's own thread, which asks the device, has died
 REPEATED: dict[str, tuple[Callable[[bench.OpenRig], object], str]] = {
     "Tank.read": (lambda rig: rig.wait(700.0), "lifeless reading"),
@@ -72,9 +100,11 @@ HEATS = """
 import os, sys
 os.environ["BROKEN_IN"] = str(os.getpid())
 import bench
+from instruments.drivers import border
 with bench.open_rig(sys.argv[1], ("bath",)) as rig:
     rig.bath.start(30.0)
     print("heats", flush=True)
+    border.CALL_S = 0.5  # a call that hangs is given up sooner
     if not sys.argv[2]:
         os.kill(os.getpid(), 9)
 """
@@ -107,7 +137,7 @@ def lab(tmp_path: Path) -> Iterator[Lab]:
             listener.close()
 
 
-@pytest.mark.parametrize("mode", few(["", "stays on", "standby raises"], 2))
+@pytest.mark.parametrize("mode", few(["", "stays on", "standby hangs", "standby raises"], 2))
 def test_the_guardian_opens_it_by_itself(mode: str, lab: Lab) -> None:
     ended = subprocess.run(
         [sys.executable, "-c", HEATS, str(lab.rig(mode)), mode],
@@ -121,6 +151,46 @@ def test_the_guardian_opens_it_by_itself(mode: str, lab: Lab) -> None:
     if mode:  # the process itself has said so
         assert "SWITCH OFF THE BATH AT ITS MAINS" in ended.stderr
         assert "NotSafeError" in ended.stderr
+
+
+@pytest.mark.parametrize(("member", "gives", "does", "says", "off"), few(ONE_BY_ONE, 2))
+def test_a_promise_broken_outside_of_a_run(
+    member: str,
+    gives: object,
+    does: Callable[[bench.OpenRig], object],
+    says: str,
+    off: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    write_calibration(tmp_path)
+    (tmp_path / "lab.toml").write_text(ALL_PLUGGED, encoding="utf-8")
+    warned, raised, tanks, asked = list[str](), "", list[Any](), list[object]()
+
+    def broken(driver: object, *_: object) -> object:
+        asked.append(driver)
+        if isinstance(gives, BaseException):
+            raise gives
+        return gives
+
+    with importable(tmp_path / "site"):
+        inner = importlib.import_module("lab_drivers")
+        monkeypatch.setattr(
+            inner.TankEmulator, "id", lambda tank: tanks.__iadd__([tank]) and "Tank 1"
+        )
+        monkeypatch.setattr(inner.Probe, "touches", does is MAKES_SAFE)  # a robot stops
+        try:
+            with bench.open_rig(tmp_path / "lab.toml", warn=warned.append) as rig:
+                rig.home()
+                rig.heat(33.0, wait=False)
+                assert tanks[0].world.plant.running
+                monkeypatch.setattr(f"lab_drivers.{member}", broken)
+                does(rig)
+        except EXPECTED as error:
+            raised = str(error)
+    assert asked
+    assert re.search(says, " ".join(f"{raised} {' '.join(warned)}".split()))
+    assert tanks[0].world.plant.running is not off
 
 
 @pytest.mark.parametrize("member", REPEATED)

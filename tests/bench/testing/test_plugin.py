@@ -6,6 +6,7 @@ import json
 import re
 from importlib.metadata import entry_points
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -21,6 +22,7 @@ import bench.testing.found
 import bench.testing.trials
 from bench.rig.loading import load_rig
 from bench.run.lock import lock_path, locked
+from bench.testing.trials import TrialsOfTests
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.small_recording import write_recording
 from tests.undrawn import bare
@@ -206,11 +208,46 @@ def test_an_unknown_requirement_rig_or_detector_is_wrong_use(pytester: pytest.Py
     result = run(pytester, program)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines("*did you mean*no false teat*")
-    plain = "def test_it({}):\n    pass\n"
-    for fixture, words in (("rig", ("--rig", "nowhere")), ("detector", ("--detector", "fusd"))):
-        result = run(pytester, plain.format(fixture), *words)
-        assert result.ret != 0
-        result.stdout.fnmatch_lines(f"*no {fixture}*")
+    for wrong in ("", "(5)", '(name="no false teat")'):
+        marked = f"import pytest\n@pytest.mark.requirement{wrong}\ndef test_it(): pass\n"
+        result = run(pytester, marked)
+        assert result.ret == pytest.ExitCode.USAGE_ERROR
+        result.stderr.fnmatch_lines('*::test_it: @pytest.mark.requirement("NAME") takes names of*')
+    plain = "def test_it({0}):\n    pass\ndef test_again({0}):\n    pass\n"
+    for fixture, option, value, says in (
+        ("rig", "--rig", "nowhere", "no rig"),
+        ("detector", "--detector", "fusd", "no detector"),
+        ("record_trial", "--trial-rules", "gone.toml", "gone.toml can't be read"),
+    ):
+        result = run(pytester, plain.format(fixture), option, value)
+        assert result.ret == pytest.ExitCode.USAGE_ERROR
+        result.stdout.fnmatch_lines(f"!*{says}*")  # once, and no traceback
+        result.stdout.no_fnmatch_line("*Error*")
+
+
+def test_trials_that_cannot_be_kept_are_said_by_the_option(tmp_path: Path, rig: str) -> None:
+    (tmp_path / "a-file").touch()
+    trials = TrialsOfTests(rig, "thesis", tmp_path / "a-file", None, {})
+    with pytest.raises(bench.ConfigError, match="Name another folder as --trial-runs"):
+        trials.add("one", SimpleNamespace(truth=[None]))  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_a_rig_that_cannot_be_opened_is_said_with_its_cause(pytester: pytest.Pytester) -> None:
+    """Whether the session ends by it or, in a worker of xdist, each test; nothing stays locked."""
+    path = Path(write_small_rig(pytester.path))
+    text = path.read_text(encoding="utf-8")
+    old = '[cameras]\nurl = "emulator:"'
+    assert old in text
+    path.write_text(text.replace(old, '[cameras]\nurl = "recording:gone"'), encoding="utf-8")
+    program = "def test_it(rig):\n    pass\ndef test_again(rig):\n    pass\n"
+    result = run(pytester, program, "--rig", str(path))
+    assert result.ret == 3
+    result.stdout.fnmatch_lines("!*the rig can't be opened: */gone: there is no such folder*")
+    pytester.makeconftest("def pytest_configure(config): config.workerinput = {}")
+    result = run(pytester, program, "--rig", str(path))
+    result.assert_outcomes(errors=2)
+    result.stdout.no_fnmatch_line("*another bench has it*")
 
 
 @pytest.mark.slow
