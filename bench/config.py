@@ -206,11 +206,7 @@ def parse_config(path: Path, text: str, model: type[Model], *, stored: bool = Fa
         return model.model_validate_json(whole, strict=not stored, context=context)
     except ValidationError as error:
         found = [
-            (
-                _key_of(detail, table),
-                _message(detail, model),
-                detail["type"] == "extra_forbidden",
-            )
+            (_key_of(detail, table), _message(detail, model), detail["type"] == "extra_forbidden")
             for detail in error.errors()
             # not that a list is too short whose wrong items, left out, have faults of their own
             if not (
@@ -290,7 +286,7 @@ def writing(place: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise ConfigError.plain(f"{place}: can't be written: {error}") from error
+        raise ConfigError.plain(f"{place}: can't be written: {error.strerror or error}") from error
 
 
 def is_there(path: Path) -> bool:

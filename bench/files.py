@@ -36,9 +36,7 @@ def png_bytes(image: Picture) -> bytes:
     """``image`` as a PNG. Raises ValueError when it can't be one."""
     done, data = cv2.imencode(".png", image, STORED if image.dtype == np.uint16 else PNG)
     if not done:
-        raise ValueError(
-            f"OpenCV can't write an image of shape {image.shape} and type {image.dtype} as PNG"
-        )
+        raise ValueError(f"OpenCV can't write {image.dtype} of shape {image.shape} as PNG")
     return bytes(data)
 
 
@@ -71,11 +69,16 @@ def replace_whole(path: Path, data: bytes, *, synced: bool = False) -> None:
     if path.is_dir():  # before anything is left beside it
         raise IsADirectoryError(f"{path} is a folder")
     part = path.with_name(path.name + ".part")
-    with part.open("wb") as file:
-        file.write(data)
-        if synced:
-            file.flush()
-            _sync(file.fileno())
+    try:
+        with part.open("wb") as file:
+            file.write(data)
+            if synced:
+                file.flush()
+                _sync(file.fileno())
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        error.filename = error.filename or str(path)  # a full disk names none
+        raise
     part.replace(path)
 
 
@@ -133,5 +136,11 @@ def is_unreadable(error: OSError) -> bool:
 
 def unwritten(error: Exception) -> str:
     """Why a record, SQLite's too, could not be written: in a sentence without its stop."""
-    full = getattr(error, "errno", None) == errno.ENOSPC or "disk is full" in str(error)
-    return f"{UNWRITTEN}: {FULL if full else getattr(error, 'strerror', None) or error}"
+    return f"{UNWRITTEN}: {FULL if is_full(error) else getattr(error, 'strerror', None) or error}"
+
+
+def is_full(error: BaseException | None) -> bool:
+    """Whether it comes of a full disk, or a quota."""
+    no_room = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
+    full = getattr(error, "errno", None) in no_room or "disk is full" in str(error)
+    return full or (error is not None and is_full(error.__cause__))

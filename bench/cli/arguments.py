@@ -58,8 +58,18 @@ def a_run(text: str) -> Path:
 
 def complain(text: str, code: int) -> int:
     """Say on standard error what is wrong; gives back ``code``."""
-    print(f"teatbench: {text}", file=sys.stderr)
+    _write(f"teatbench: {text}", sys.stderr)
     return code
+
+
+def _write(text: str, out: TextIO) -> None:
+    """A line; at a terminal wrapped between words."""
+    if not out.isatty():
+        print(text, file=out)
+        return
+    from bench.cli.terminal import Terminal
+
+    Terminal(out).print(text, markup=False, highlight=False)
 
 
 def in_switches(text: object, given: argparse.Namespace) -> str:
@@ -130,7 +140,7 @@ def print_values(values: Mapping[str, object], *, as_json: bool = False) -> None
         print_json(values)
         return
     for name, value in values.items():
-        print(name if value == "" else f"{name}: {value}")
+        _write(name if value == "" else f"{name}: {value}", sys.stdout)
 
 
 def call(given: argparse.Namespace) -> int:

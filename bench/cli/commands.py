@@ -309,13 +309,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "runs": (
         "list all runs with each detector's verdicts, and write a page over them",
         "runs runs",
-        option(
-            "folder DIR",
-            "the folder that holds the runs (default: runs)",
-            Path,
-            Path("runs"),
-            nargs="?",
-        ),
+        option("folder DIR", "the folder of runs (default: runs)", Path, Path("runs"), nargs="?"),
         flag("--json", "print JSON instead of a table"),
     ),
     "score": (
@@ -344,12 +338,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "plan": (
         "how many poses a claim needs, and what so many poses can show",
         "plan --rate 0.95 --script plane-map",
-        option(
-            "--rate R",
-            "success rate to be shown, 0 to 1 (default: 0.95, 0.99 and 0.999)",
-            SHARE,
-            many=True,
-        ),
+        option("--rate R", "rate to be shown (default: 0.95, 0.99 and 0.999)", SHARE, many=True),
         option("--confidence P", "confidence of the claim", SHARE, 0.95),
         option("--failures N", "plan for up to so many failures", whole(0, 1_000_000), 3),
         option("--trials N", "number of poses: what do they show?", whole(0, 1_000_000)),
@@ -358,11 +347,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option("--sd-mm MM", "standard deviation of two detectors' difference over poses", LENGTH),
         option("--shift-mm MM", "difference of two detectors: how many poses show it?", LENGTH),
         option("--power P", "chance to show a difference that is there", SHARE, 0.8),
-        option(
-            "--limit-mm MM",
-            "limit of the error; with --u-mm: how near to it may errors lie?",
-            LENGTH,
-        ),
+        option("--limit-mm MM", "limit of the error; --u-mm: how near may errors lie?", LENGTH),
         option(
             "--u-mm MM", "the truth's standard uncertainty along an axis, as a report says", LENGTH
         ),

@@ -23,7 +23,7 @@ from bench.files import write_synced
 from detector import Outcome
 
 if TYPE_CHECKING:
-    from detector import Calibration, Detector, Teat
+    from detector import Detector, Teat
 
 # whose first member that the detector was not trained on is shown where no recording is named
 SITUATION = "ideal"
@@ -49,7 +49,9 @@ def new(given: argparse.Namespace) -> None:
     files = program, file = given.out / f"{name}{end}", given.out / f"{name}.toml"
     if there := [path for path in files if path.exists()]:
         raise ConfigError.plain(f"{there[0]} is there already. Give another --name.")
-    commands = {"python": [_python(), program.name], "javascript": ["node", program.name]}
+    names = ("python", "py") if os.name == "nt" else ("python3", "python")  # hold elsewhere
+    python = next((one for one in names if shutil.which(one)), sys.executable)
+    commands = {"python": [python, program.name], "javascript": ["node", program.name]}
     command, about = commands.get(given.language, [f"./{name}"]), f"a skeleton: {given.language}"
     limits = dict.fromkeys(("start_limit_s", "time_limit_s"), 30.0)
     table = {"about": f"{name}, {about}", "command": command, **limits}
@@ -66,12 +68,6 @@ def new(given: argparse.Namespace) -> None:
     elif given.language == "javascript" and not shutil.which("node"):
         print("node was not found: install Node.js")
     print(f"try it:  teatbench detectors try {word}")
-
-
-def _python() -> str:
-    """A Python by a name that holds elsewhere."""
-    names = ("python", "py") if os.name == "nt" else ("python3", "python")
-    return next((name for name in names if shutil.which(name)), sys.executable)
 
 
 def detect(given: argparse.Namespace) -> int:
@@ -97,7 +93,12 @@ def try_out(given: argparse.Namespace) -> int:
         bench.open_detector(given.word, calibration) as detector,
         working("asking the detector about a frame"),
     ):
-        frame, shot = _frame(recording, calibration) if recording else _drawn(_unseen(detector))
+        if recording:
+            truth = recording.truth.get(frame := recording.frames[0], ())
+            shot = bench.Shot(recording.load(frame), calibration, truth)
+        else:
+            frame = f"{SITUATION}-{(member := _unseen(detector)):04d}"
+            shot = bench.draw(SITUATION, member)
         answers = [bench.detect(detector, shot)]
         if not _fault(answers[0]):
             answers.append(bench.detect(detector, shot))
@@ -141,16 +142,6 @@ def _unseen(detector: Detector) -> int:
     for first, last in sorted(getattr(detector, "trained_on", {}).get(SITUATION, ())):
         member = last + 1 if first <= member <= last else member
     return member
-
-
-def _frame(recording: bench.Recording, calibration: Calibration) -> tuple[str, bench.Shot]:
-    """The first of a recording, by its name."""
-    frame = recording.frames[0]
-    return frame, bench.Shot(recording.load(frame), calibration, recording.truth.get(frame, ()))
-
-
-def _drawn(member: int) -> tuple[str, bench.Shot]:
-    return f"{SITUATION}-{member:04d}", bench.draw(SITUATION, member)
 
 
 def _fault(answer: bench.Answer) -> str:

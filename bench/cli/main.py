@@ -144,7 +144,10 @@ def _run(given: argparse.Namespace) -> int:
         sys.stdout.flush()
         return code
     except (ConfigError, RecordingError, CaptureError) as error:
-        return complain(in_switches(error, given), CODES.wrong_use)
+        from bench.files import is_full
+
+        code = CODES.fault if is_full(error) else CODES.wrong_use
+        return complain(in_switches(error, given), code)
     except InstrumentError as error:
         return complain(in_switches(error, given), CODES.fault)
     except (OperatorAbort, OperatorSkip) as stop:
@@ -197,7 +200,7 @@ def _unforeseen(error: Exception) -> int:
     if _is_of_memory(error):
         return complain(f"out of memory: {LIMIT}, or ask for less at once ({error})", CODES.fault)
     if isinstance(error, OSError):
-        from bench.files import is_unreadable
+        from bench.files import is_full, is_unreadable
 
         windows_says = getattr(error, "winerror", 0) == FILENAME_EXCED_RANGE
         if error.errno == errno.ENAMETOOLONG or windows_says:
@@ -205,7 +208,8 @@ def _unforeseen(error: Exception) -> int:
         if is_unreadable(error):
             return complain(f"{error.filename} can't be read: {error.strerror}", CODES.wrong_use)
         text = ": ".join(str(part) for part in (error.filename, error.strerror) if part)
-        return complain(f"{text}. {HINT}" if error.errno else str(error), CODES.fault)
+        hint = "Make room." if is_full(error) else HINT
+        return complain(f"{text}. {hint}" if error.errno else str(error), CODES.fault)
     traceback.print_exception(error)
     return complain("internal error; please report the traceback above", CODES.fault)
 

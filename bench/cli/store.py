@@ -21,7 +21,6 @@ from textfiles.text import plural
 if TYPE_CHECKING:
     from reports.runs import Runs
 
-NARROW = 76
 TAKEN_S = 10.0  # that a capture or a detection may take, before a request is read
 WIDE = 110  # columns that a comparison's axes need; page and JSON have them always
 
@@ -119,10 +118,9 @@ def print_comparisons(given: argparse.Namespace, found: Sequence[bench.Compariso
 
 def _show(found: Sequence[bench.Comparison]) -> None:
     from rich import box
-    from rich.console import JustifyMethod
     from rich.table import Table
 
-    from bench.cli.terminal import Terminal
+    from bench.cli.terminal import Terminal, print_table, print_wrapped
     from bench.report import comparison as report
 
     console = Terminal()
@@ -138,19 +136,15 @@ def _show(found: Sequence[bench.Comparison]) -> None:
             columns = [one for one in page.columns if wide or not one.title.startswith("|")]
             for at, column in enumerate(columns):
                 name = f"{column.title}, {column.unit}" if column.unit else column.title
-                texts = [one if isinstance(one := row[at], str) else one.text for row in page.rows]
-                words = " ".join((name, *texts)).split()  # none is broken where there is room
-                longest = max(map(len, words)) if console.width >= NARROW else None
-                justify: JustifyMethod = "right" if at else "left"
-                table.add_column(name, justify=justify, overflow="fold", min_width=longest)
+                table.add_column(name, justify="right" if at else "left")
             for row in page.rows:
                 cells = row[: len(columns)]
                 table.add_row(*(cell if isinstance(cell, str) else cell.text for cell in cells))
-            console.print(table)
+            print_table(console, table)
         for line in (*report.notes(comparison), report.verdict_text(comparison)):
-            console.print(report.worded(comparison, line))
+            print_wrapped(console, report.worded(comparison, line))
         for reason in report.worded(comparison, report.gate_reasons(comparison)):
-            console.print(f"  {reason}")
+            print_wrapped(console, f"  {reason}")
 
 
 def control(given: argparse.Namespace) -> None:
@@ -191,14 +185,14 @@ def runs(given: argparse.Namespace) -> None:
 def _show_runs(found: Runs) -> None:
     from rich.table import Table
 
-    from bench.cli.terminal import Terminal
+    from bench.cli.terminal import Terminal, print_table, print_wrapped
     from bench.report.runs import counted
     from bench.report.wording import NOT_MEASURED, number
 
     console = Terminal()
     table = Table()
     for column in ("run", "detector", "verdict", "found", "false", "largest error"):
-        table.add_column(column, overflow="fold", justify="right" if column[0] in "fl" else "left")
+        table.add_column(column, justify="right" if column[0] in "fl" else "left")
     for run in found.runs:
         for at, one in enumerate(run.results):
             share = f"{one.found} of {one.visible}" if one.visible else NOT_MEASURED
@@ -208,10 +202,10 @@ def _show_runs(found: Runs) -> None:
         table.add_section()
     console.print(f"{found.folder}: {counted(found)}", highlight=False, soft_wrap=True)
     if found.runs:
-        console.print(table)
+        print_table(console, table)
     for (detector, script), of in found.histories().items():
         steps = " → ".join(one.brief for _, one in of)
-        console.print(f"{detector}, {script}: {steps}", highlight=False)
+        print_wrapped(console, f"{detector}, {script}: {steps}")
     for run in found.runs:
         if run.note:
             console.print(f"{run.folder.name}: {run.note}", highlight=False, soft_wrap=True)

@@ -12,10 +12,12 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from functools import partial
-from typing import TextIO
+from typing import TextIO, cast
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.live import Live
+from rich.measure import measure_renderables
+from rich.padding import Padding
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -26,6 +28,7 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 from rich.segment import Segment
+from rich.table import Table
 from rich.text import Text
 
 from bench.run.events import FAILURES
@@ -114,7 +117,7 @@ def no_echo() -> Iterator[None]:
             termios.tcsetattr(at, termios.TCSANOW, before)
 
 
-COMMAND = re.compile(r":? '?(?=teatbench )(?!.* '?teatbench )([^\n]+?)'?\.?$")
+COMMAND = re.compile(r":? '?(?=teatbench )(?!.* '?teatbench )(?!.*' )([^\n]+?)'?\.?$")
 
 
 def print_wrapped(console: Console, text: str, style: str = "") -> None:
@@ -126,6 +129,29 @@ def print_wrapped(console: Console, text: str, style: str = "") -> None:
     console.print(before, style=style, markup=False, highlight=False, soft_wrap=piped)
     if command:
         console.print(f"  {command[1]}", markup=False, highlight=False, soft_wrap=True)
+
+
+def print_table(console: Console, table: Table) -> None:
+    """``table`` with each word whole; where a terminal has no room for that, each row as a text. A
+    file or a pipe has no edge.
+    """
+    wide = console.options.update(width=10_000)
+    needs = table.__rich_measure__(console, wide)
+    if not console.is_terminal:
+        console.width = max(console.width, needs.maximum)
+    if needs.minimum <= console.width:
+        for column in table.columns:
+            cells = (column.header, *column.cells)
+            column.min_width = measure_renderables(console, wide, cells).minimum
+        console.print(table)
+        return
+    first, *others = table.columns
+    console.print(*filter(None, [table.title]), end="\n" * bool(table.title))
+    for name, *row in zip(first.cells, *(column.cells for column in others), strict=True):
+        values = zip(others, cast("list[str | Text]", row), strict=True)
+        said = (Text.assemble(f"{of.header}: ", value) for of, value in values)
+        console.print(*filter(None, [name]), Padding(Text("; ").join(said), (0, 0, 0, 2)))
+    console.print(*filter(None, [table.caption]), end="\n" * bool(table.caption))
 
 
 class _Printed(SanitizedStream):

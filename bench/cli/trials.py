@@ -17,8 +17,6 @@ from textfiles.text import plural
 if TYPE_CHECKING:
     from rich.table import Table
 
-WIDEST = 500  # of a table in a file, in characters
-
 
 def listed(given: argparse.Namespace) -> None:
     rows = {name: bench.load_script(name).script.about for name in bench.scripts()}
@@ -40,13 +38,10 @@ def show(given: argparse.Namespace) -> int:
         }
         print_json(shown)
         return CODES.met
-    from bench.cli.terminal import Terminal
+    from bench.cli.terminal import Terminal, print_table
 
-    console, table = Terminal(), _pose_table(script, rows)
-    if not console.is_terminal:  # a file or a pipe has no edge
-        wide = console.options.update(max_width=WIDEST)
-        console.width = max(console.width, console.measure(table, options=wide).maximum)
-    console.print(table)
+    console = Terminal()
+    print_table(console, _pose_table(script, rows))
     for sentence in found.chosen:
         console.print(sentence, highlight=False)
     spent = ", ".join(
@@ -86,7 +81,7 @@ def _pose_table(script: bench.LoadedScript, rows: Sequence[Mapping[str, float]])
     )
     heads = [head for head in cells if head not in zero]
     for head in heads:
-        table.add_column(head, justify="right" if len(head) <= 3 else "left", overflow="fold")
+        table.add_column(head, justify="right" if len(head) <= 3 else "left")
     for values in zip(*(cells[head] for head in heads), strict=True):
         table.add_row(*values)
     return table

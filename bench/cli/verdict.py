@@ -17,7 +17,7 @@ from rich.text import Text
 
 from bench import Decision, Judgement, Reported, RunRecord, Verdict
 from bench.cli.arguments import CODES, code_of
-from bench.cli.terminal import Terminal, print_wrapped
+from bench.cli.terminal import Terminal, print_table, print_wrapped
 from bench.report.wording import limit, measured
 from bench.run.events import FAILURES
 from reports.page import SIGNS, UNFINISHED
@@ -41,7 +41,7 @@ def show_verdict(console: Terminal, found: Reported) -> int:
         if decided:
             console.print(_bench(record, judgements[0]))
         if judgements and (table := _scoreboard(console, record, judgements)).rows:
-            console.print(table)
+            print_table(console, table)
         if decided and len(judgements) > 1:
             for judgement in judgements:
                 own = [one for one in judgement.decisions if one.name not in judgement.of_bench]
@@ -56,10 +56,10 @@ def show_verdict(console: Terminal, found: Reported) -> int:
             word = (status.word, f"bold {COLOURS.get(status.word, 'yellow')}")
             if status.under_way and not status.damage:
                 console.print(Text.assemble(word, f": {status.trials}"))
-                console.print(status.line, markup=False)
+                print_wrapped(console, status.line)
             else:
                 console.print(Text.assemble("Verdict: ", word))
-                console.print(status.why, markup=False)
+                print_wrapped(console, status.why)
             for line in status.unsafe:
                 console.print(f"NOT SAFE: {line}", style="bold red", markup=False)
             then = " ".join(status.next[len(status.unsafe) :])
@@ -96,13 +96,13 @@ def _scoreboard(console: Terminal, record: RunRecord, judgements: Sequence[Judge
     for row in zip(*(judgement.decisions for judgement in judgements), strict=True):
         if row[0].name in judgements[0].of_bench and row[0].verdict is Verdict.MET:
             continue  # said before the table
-        table.add_row(row[0].name, limit(row[0]), *(_cell(console, one) for one in row))
+        values = (measured(replace(one, uncertainty=None)) for one in row)  # bounds: the report
+        cells = (
+            Text.assemble(_sign(console, one.verdict), " ", value)
+            for one, value in zip(row, values, strict=True)
+        )
+        table.add_row(row[0].name, limit(row[0]), *cells)
     return table
-
-
-def _cell(console: Terminal, decision: Decision) -> Text:
-    value = measured(replace(decision, uncertainty=None))  # its bound is in the report
-    return Text.assemble(_sign(console, decision.verdict), " ", value)
 
 
 def _sign(console: Terminal, verdict: Verdict) -> tuple[str, str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -13,7 +12,7 @@ from typing import cast
 import numpy as np
 
 from bench.config import read_calibration
-from bench.files import sha256_of
+from bench.files import is_full, sha256_of
 from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord, read_run
 from bench.record.schema import RULES, SCRIPT
@@ -106,7 +105,7 @@ def write_run_report(
         write_exports(run, status, listed, folder / REPORT)
         return Reported(folder, path, run, judgements, status)
     except OSError as error:
-        if error.errno != errno.ENOSPC:
+        if not is_full(error):
             raise
         why = f"{error.strerror}. Make room, then: teatbench report {folder}"
         raise OSError(error.errno, why, str(folder / REPORT)) from error
@@ -498,7 +497,7 @@ def fault_parts(run: RunRecord) -> Iterator[Part]:
             yield Notes(title, tuple(said))
     for fact, title in FAULTS.items():
         if counts := sorted((run.facts.get(fact) or {}).items()):
-            yield Notes(title, tuple(f"{name}: {count} times" for name, count in counts))
+            yield Notes(title, tuple(f"{name}: {plural(count, 'time')}" for name, count in counts))
     looked = Counter[str]()
     for fact in (fact for fact in run.facts if fact.startswith(FRAMES_FACT)):  # one a session
         looked.update(run.facts[fact])

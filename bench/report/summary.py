@@ -32,13 +32,14 @@ def of_run(found: Reported) -> str:
     """Verdict, requirements by detector, why, and what to do next."""
     record, judgements, status = found.record, found.judgements, found.status
     lines = [f"### {MARKS.get(status.word, '')} {_plain(f'{status.title}: {status.headline}')}", ""]
+    lines += [f"- **{_plain(line)}**" for line in status.unsafe]
+    lines += [""] if status.unsafe else []
     if judgements:
         rows = [
             [row[0].name, limit(row[0]), *(f"{MARKS[one.verdict]} {measured(one)}" for one in row)]
             for row in zip(*(one.decisions for one in judgements), strict=True)
         ]
         lines += _table(["requirement", "limit", *(one.detector for one in judgements)], rows)
-    lines += [f"- **{_plain(line)}**" for line in status.unsafe]
     said = [status.why, *status.next[len(status.unsafe) :], f"Run: {record.folder.name}"]
     return "\n\n".join(["\n".join(lines), *(_plain(line) for line in said if line)]) + "\n"
 

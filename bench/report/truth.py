@@ -260,7 +260,9 @@ def deviation_parts(run: RunRecord) -> Iterator[Part]:
     )
     if refused:
         yield Notes("Touches that were refused and asked for again", refused)
-    if not (left_out or why or since or refused):
+    if undone := run.facts.get("planned", run.done) - run.done - len(run.skipped):
+        yield Paragraph(f"{counted(undone)} not done, and in no count.", tone="warn")
+    elif not (left_out or why or since or refused):
         yield Paragraph(
             "None: every trial of the script was done and counts, and no touch was refused."
         )

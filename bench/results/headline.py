@@ -55,8 +55,8 @@ def stopped_why(run: RunRecord, state: State, trials: str) -> str:
 
 
 def _last_reason(run: RunRecord) -> str:
-    message = [event["text"] for event in run.events if event["kind"] in ("fault", "aborted")]
-    return message[-1] if message else ""
+    texts = (one["text"] for one in reversed(run.events) if one["kind"] in ("fault", "aborted"))
+    return str(next(texts, ""))
 
 
 def stopped_next(run: RunRecord, state: State) -> str:
@@ -157,14 +157,15 @@ def _one(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[Verdict, str,
         nothing = "The recording has no truth, so nothing was scored."
         return Verdict.NOT_MEASURED, nothing, "Add truth.csv to the recording, then score it again."
     verdict = run_verdict(judgements)
-    same = {verdict}
-    if verdict is Verdict.INCONCLUSIVE:
-        same.add(Verdict.NOT_MEASURED)
+    same = {verdict} | ({Verdict.NOT_MEASURED} if verdict is Verdict.INCONCLUSIVE else set())
     worst = [(j.detector, d) for j in judgements for d in j.decisions if d.verdict in same]
     why = "\n".join(
         f"{f'{name}: ' if len(judgements) > 1 else ''}{d.name[0].upper()}{d.name[1:]}: {d.sentence}"
         for name, d in worst
     )
+    truth = [row for trial in run.trials for row in trial.truth]
+    if verdict is not Verdict.NOT_MET and not any(row["visible"] for row in truth):
+        return verdict, why, "No teat end can be seen in any trial: score some in which one can."
     return verdict, why, _next_action(verdict, [d for _, d in worst], judgements[0].of_bench)
 
 

@@ -15,6 +15,7 @@ from datetime import datetime
 from enum import StrEnum
 from functools import cache
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 from pydantic import TypeAdapter
@@ -232,8 +233,8 @@ class RunStatus:
         safing = self.step == GOING_TO_SAFE
         doing = ("" if safing else self.waiting) or self.doing or self.step
         parts = self.parts
-        error = parts.pop("last error", "")
-        parts |= {"error": f"last error: {error[:LONGEST_ERROR]}"} if error else {}
+        if error := parts.pop("last error", ""):
+            parts["error"] = f"last error: {shorten(error, LONGEST_ERROR, placeholder=' …')}"
         return "; ".join(part for part in (self.pose, doing, *parts.values()) if part)
 
     def later(self) -> RunStatus:

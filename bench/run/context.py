@@ -165,7 +165,7 @@ class RunContext:
         except InstrumentError as fault:
             self._camera_gone = fault.what
             if not gone:
-                then = "The trial has its frames and goes on; the next one needs the camera."
+                then = "The trial has its frames and goes on; a next one needs the camera."
                 self.events.warn(f"{fault}\n{then}")
 
     def _look_at_stage(self) -> None:
@@ -277,8 +277,8 @@ class RunContext:
         if found and (safe is Safe.AT_REST or not found.is_safe):
             safe = Safe(found.evidence.value)
         age_s = None if heard_s is None else max(0.0, now_s - heard_s)
-        if acts == "arm" and found and not found.is_safe:
-            safe = Safe.AT_REST  # nothing in it heats or moves
+        if acts == "arm" and found:
+            safe = Safe.AT_REST  # nothing in it heats or moves, and a silent one read nothing back
         return InstrumentStatus(name, link, safe, last=last, age_s=age_s, how=how, by_hand=by_hand)
 
     def _tip_mm(self) -> NDArray[np.float64] | None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -323,6 +324,9 @@ def _run(
         with events.kept_in(store.folder):
             for text in warned:
                 events.warn(f"Bench health: {text}")
+            if store.keeps_pictures:  # a minute's compiling, once: a bench that heats would hang
+                events.state("loading what looks for the ends in pictures")
+                import_module("detector.outline.kernels")
             try:
                 engine = held.engine_of(
                     script, store, under_test, recorder=recorder, left=left, expected=expected

@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import io
 import itertools
+import re
 import sys
 import threading
 from pathlib import Path
 
 import pytest
 from rich.console import Console
+from rich.table import Table
 
-from bench.cli.terminal import Terminal, TerminalProgress, print_wrapped
+from bench.cli.terminal import Terminal, TerminalProgress, print_table, print_wrapped
 from bench.results.headline import AFTER_END, AFTER_FAULT
 from tests.bench.calibrate.arm_terminal import Rendered, at_terminal
 from tests.bench.campaign.small_campaign import write_small_rig
@@ -64,11 +66,12 @@ def test_each_question_and_why_a_touch_was_refused_stay_on_the_screen(
 
 @pytest.mark.slow
 def test_beside_a_refusal_there_is_no_bar(tmp_path: Path) -> None:
-    with at_terminal(["score", str(tmp_path / "nosuch")]) as terminal:
+    with at_terminal(["score", "nosuch"], 40, tmp_path) as terminal:
         assert terminal.code() == 2
     rows = [row.rstrip() for row in terminal.screen.rows if row.strip()]
     assert rows
     assert rows[0].startswith("teatbench: ")
+    assert {"recording", "folder", "images"} <= set(" ".join(rows).split()), "no word is broken"
     assert not any("━" in row or row.startswith("trials") for row in rows)
 
 
@@ -166,3 +169,19 @@ def test_a_command_to_paste_stays_on_one_line(text: str) -> None:
     assert command == f"  teatbench resume {FOLDER}"
     assert wrapped[-1].endswith(":")
     assert all(len(line) <= 80 for line in wrapped)
+    amid = "It is finished: nothing is left to do. 'teatbench report' writes its report anew"
+    plain = io.StringIO()
+    print_wrapped(Console(file=plain, width=80, force_terminal=True, color_system=None), amid)
+    assert " ".join(plain.getvalue().split()) == amid
+
+
+@pytest.mark.parametrize("columns", [40, 80, 120])
+def test_no_word_of_a_table_is_broken(columns: int) -> None:
+    names = ("20261120-101500-six-situations", "inconclusive", "not measured", "largest error")
+    table = Table(*names[:3], names[3], title="runs")
+    table.add_row(*names)
+    written = io.StringIO()
+    print_table(Console(file=written, width=columns, force_terminal=True, color_system=None), table)
+    said = written.getvalue()
+    assert {word for name in names for word in name.split()} <= {*re.split(r"[\s:;]+", said)}
+    assert all(len(line) <= columns for line in said.splitlines())

@@ -130,6 +130,20 @@ def test_a_limit_of_memory_ends_with_a_sentence(
     assert "out of memory: give the machine" in said(3, "runs").err
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows limits no file's size")
+def test_a_full_disk_is_a_fault_and_leaves_no_half_of_a_file(said: Said, tmp_path: Path) -> None:
+    import resource
+
+    file, before = tmp_path / "scene.png", resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))  # as a quota
+    try:
+        text = said(3, "scene sheet --situation ideal --out {}", file).err
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert text.endswith(f"{file}: can't be written: File too large\n")
+    assert not [*tmp_path.iterdir()]
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows limits no process's addresses")
 def test_under_a_limit_in_which_no_library_loads_nothing_is_begun(
     said: Said, monkeypatch: pytest.MonkeyPatch

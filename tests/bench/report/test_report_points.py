@@ -9,6 +9,7 @@ import hashlib
 import re
 import shutil
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -28,6 +29,7 @@ from instruments.camera.settings import AUTOMATIC, UNSEEN_SIZE
 from reports.render import render
 from tests.bench.small_run import KEPT
 from tests.chromium import chromium, launched, violations, weak_texts, window
+from tests.conftest import ROOT
 from tests.reports.markup import Document, read
 from tests.test_thesis_example import example, markdown_rows
 from tests.undrawn import undrawn
@@ -72,66 +74,13 @@ def copy(tmp_path: Path) -> Path:
     return Path(shutil.copytree(KEPT, tmp_path / KEPT.name))
 
 
-# by chapter; the numbers are those of the points
-POINTS = {
-    # 1 verdict, reason, next action
-    "verdict": "Not met | thesis: not met: error below 5 mm | What to do next | How sure that is",
-    # 2 item and bench; 11 raw data and command
-    "provenance": (
-        "Item under test: thesis | Item under test: fused | configuration SHA-256 | version, machine"
-        " | bench's commit | seed | run.sqlite | trials.csv | record's digest | teatbench"
-        " | The command that repeats it"
-    ),
-    # 3 measurand; 4 reference and the bench's own repeatability; 5 calibration
-    "reference": (
-        "Measurand: | apex | Uncertainty budget of the touched truth"
-        " | The arm before and after the trials | World frame"
-        " | Gage R&R of the ground truth: not measured | repeat the poses"
-        " | The calibration has no record of who made it"
-    ),
-    # 3 the requirement's source; 7 decision rule
-    "requirements": (
-        "thesis, section 1.4.3 | accepted up to 4. | 5 % false acceptance | exact (Clopper-Pearson)"
-    ),
-    # 6 environment
-    "environment": "room, of the rig file | 20.00 °C | teats' surface | set point",
-    # 8 counts, and every rate by situation
-    "results": (
-        "found of visible | 95 % interval | scene success, poses | Rates by situation"
-        " | hidden count right | no time-out | recall, teats | (3\u00a0to\u00a0100\u00a0%)"
-    ),
-    # 9 errors along the axes of world and camera, distances, limits of each axis and of the
-    # population, ellipsoids of each teat, trends
-    "accuracy": (
-        "bias | sd | rms | mean |e| | world z | camera x (across) | camera z (depth) | by teat"
-        " | median | p95 | p99 | max | mm a scene | The truth's noise alone would show | GOSPA"
-        " | Along one axis alone | Tolerance limits | 59 poses are the least"
-        " | Errors with their 95 % ellipsoids, fused | next pose's mean error, 95 % | teat 4"
-        " | Hotelling | tilt of the teat | bath temperature | time (h) | could be up to"
-        " | doesn't say that there is none | Limit of what can be reached"
-    ),
-    # 6 pose set; 9 map and repeats
-    "poses": (
-        "How the poses were chosen | seed of the script | Error over the plane, fused | 24 places"
-        " | Each teat has a panel of its own"
-        " | AP, RP, AD and RD (ISO 9283), fused: not measured"
-        " | Repeatability and reproducibility (ISO 5725), fused"
-    ),
-    # 9 detectors against each other
-    "detectors": "fused against thesis | exact McNemar | Success of poses | |z|",
-    # 10 latency
-    "latency": (
-        "median | p95 | max | above 1 s | above 2 s | first call (cold) | start-up | no answer"
-    ),
-    # 11 deviations
-    "deviations": "None: every trial of the script was done",
-}
+POINTS = tomllib.loads((ROOT / "tests/data/report_points.toml").read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize("chapter", POINTS)
 def test_the_report_has_every_point(document: Document, chapter: str) -> None:
     said = document.by_id(chapter).text.lower()
-    assert [words for words in POINTS[chapter].split(" | ") if words.lower() not in said] == []
+    assert [words for words in POINTS[chapter] if words.lower() not in said] == []
 
 
 def test_checksums_and_linked_raw_data_are_those_of_the_files(

@@ -219,7 +219,7 @@ def test_the_line_has_trial_state_bath_time_left_and_the_last_error() -> None:
         "preparing",
         "place-2; capturing; bath 33.02 degC, stable; about 12 min left",
     ]
-    assert shown[2] == f"{shown[1]}; last error: {('left: late. ' * 20)[:60]}"
+    assert shown[2] == f"{shown[1]}; last error: {'left: late. ' * 4}left: …"
     progress.event(BACK, "the cameras are back after 2.0 s")
     progress.state("capturing")
     assert shown[3] == shown[1]

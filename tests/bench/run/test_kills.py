@@ -231,6 +231,7 @@ def test_all_surfaces_say_the_same_and_what_the_wire_says(
     assert any(watch.dead_s <= watch.now_s for _ in watch.samples)
     status = read_status(run)
     of_bath, of_stage = (one for one in status.instruments if one.name in HEATS_OR_MOVES)
+    assert all(one.safe is Safe.AT_REST for one in status.instruments if one.name == "arm")
     if way == "returning" and at != "safing":  # where it is too late
         assert status.state == "finished", status.why
         assert not status.unsafe
@@ -285,9 +286,12 @@ def compare_the_surfaces(run: Path, status: RunStatus, watch: Watch) -> None:
     sent = text_of(ENDED, status)
     assert sent
     in_ci = re.sub(r"\\(.)", r"\1", summary.of_run(written))
+    assert ("every trial of the script was done" in page) <= (status.done == status.planned)
+    assert not re.search(r"\b1 times", page)
     for where in (sent[1], in_ci):
         assert status.headline in where
         assert " ".join(status.why.split()) in " ".join(where.split())
+    assert all(in_ci.index(line) < in_ci.find("requirement") % 10**6 for line in status.unsafe)
     warned = "\n".join(watch.warned)
     for line in status.unsafe:
         words = " ".join(line.split())

@@ -24,10 +24,12 @@ from bench.run.trial import Attempts
 from bench.script.model import LoadedScript, find_script, load_script
 from bench.script.planned_trials import PlannedTrial
 from instruments.clock import VirtualClock
+from instruments.errors import LinkError
 from instruments.operators.operator import DONE, Answer, NextTrial, Request
 from instruments.stage.driver import Stage
 from instruments.world.phantom import PIVOT_MM
-from tests.bench.killed_runs import Silent
+from tests.bench.killed_runs import Silent, start
+from tests.bench.operated_runs import files
 from tests.bench.small_cameras import write_calibration
 
 PLANNED = load_script(find_script(None)).planned[:5]
@@ -206,3 +208,20 @@ def test_a_pose_is_reached_from_the_sides_that_are_asked_for(
     to = [(-140.0, -142.5), (-153.0, -137.5)]  # the reference place is (-150, -137.5)
     expected = [place for x, y in to for place in ((x + 4.0, y), (x, y), (x, y - 4.0), (x, y))]
     assert went == expected
+
+
+def test_a_new_installation_compiles_before_anything_is_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Later it would take longer than a bench may hang that heats."""
+    done = list[str]()
+
+    def opened(*_: object, **__: object) -> None:
+        done.append("opened")
+        raise LinkError("arm", "no answer")
+
+    monkeypatch.setattr("bench.run.start.import_module", done.append)
+    monkeypatch.setattr("bench.run.start.open_instruments", opened)
+    files(tmp_path)
+    assert start(tmp_path)[1] is RunState.FAULTED
+    assert done == ["detector.outline.kernels", "opened"]
