@@ -261,7 +261,7 @@ def deviation_parts(run: RunRecord) -> Iterator[Part]:
     if refused:
         yield Notes("Touches that were refused and asked for again", refused)
     if undone := run.facts.get("planned", run.done) - run.done - len(run.skipped):
-        yield Paragraph(f"{counted(undone)} not done, and in no count.", tone="warn")
+        yield Paragraph(f"{plural(undone, 'trial', 'is')} not done, and in no count.", tone="warn")
     elif not (left_out or why or since or refused):
         yield Paragraph(
             "None: every trial of the script was done and counts, and no touch was refused."
