@@ -46,6 +46,21 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     _give_time(items)
+    try:
+        _require(config, items)
+    except pytest.UsageError as error:
+        if not hasattr(config, "workerinput"):
+            raise
+        config.stash[_WRONG] = str(error)  # a worker of xdist would crash
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    if item.get_closest_marker(MARK) and (why := item.config.stash.get(_WRONG, "")):
+        pytest.fail(why, pytrace=False)
+
+
+def _require(config: pytest.Config, items: Sequence[pytest.Item]) -> None:
+    """Keep which tests decide which requirement. Raises UsageError for what is none."""
     required: dict[str, list[str]] = {}
     for item in items:
         for mark in item.iter_markers(MARK):
@@ -100,7 +115,7 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
 
 
 _REQUIRED = pytest.StashKey[Mapping[str, Sequence[str]]]()
-_TRIALS = pytest.StashKey["TrialsOfTests"]()
+_TRIALS, _WRONG = pytest.StashKey["TrialsOfTests"](), pytest.StashKey[str]()
 
 
 def _trials(config: pytest.Config) -> TrialsOfTests:
@@ -120,7 +135,7 @@ def _trials(config: pytest.Config) -> TrialsOfTests:
 def _refuse(config: pytest.Config, why: object, code: int) -> NoReturn:
     """Ends the session with a sentence, or the test in a worker of xdist, which would crash."""
     if hasattr(config, "workerinput"):
-        pytest.fail(str(why), pytrace=False)
+        raise pytest.fail.Exception(str(why), pytrace=False) from None
     pytest.exit(str(why), code)
 
 

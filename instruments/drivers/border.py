@@ -97,8 +97,10 @@ class PluginBoundary(Generic[Made]):
         except (InstrumentError, KeyboardInterrupt):
             raise
         except BaseException as error:  # another's code: not every library's errors are Exceptions
-            kind = LinkError if isinstance(error, OSError) else DriverError  # as TimeoutError is
-            raise kind(self.who, _said(error), asked=what, hint=self.look) from error
+            kind, hint = LinkError if isinstance(error, OSError) else DriverError, self.look
+            if what == "open" and isinstance(error, ValueError):  # a key is no number
+                hint = f"Correct the keys of {self.plugged.url}; they are of {self.plugged}."
+            raise kind(self.who, _said(error), asked=what, hint=hint) from error
 
     def _late(self, what: str, limit_s: float) -> LinkError:
         hint = f"Look at the device, its power and its cable: {self.plugged} hangs."

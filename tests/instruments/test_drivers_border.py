@@ -181,6 +181,12 @@ def test_an_odd_value_is_taken_or_called_by_its_name(
             CALLS[kind](device)[number]()
 
 
+def test_a_key_that_is_no_number_is_said_as_a_key() -> None:
+    plugged = Plugin("d", "pkg 1", lambda _, port: int(port), {"port": "abc"})
+    with pytest.raises(InstrumentError, match=r"'abc'.*Correct the keys of plugin:d\?port=abc"):
+        PluggedGroup(plugged, VirtualClock())
+
+
 @pytest.mark.parametrize("kind", MAKES)
 def test_nothing_but_an_error_of_an_instrument_comes_out(kind: str) -> None:
     clock = VirtualClock()

@@ -212,7 +212,8 @@ def test_an_unknown_requirement_rig_or_detector_is_wrong_use(pytester: pytest.Py
         marked = f"import pytest\n@pytest.mark.requirement{wrong}\ndef test_it(): pass\n"
         result = run(pytester, marked)
         assert result.ret == pytest.ExitCode.USAGE_ERROR
-        result.stderr.fnmatch_lines('*::test_it: @pytest.mark.requirement("NAME") takes names of*')
+        takes = '*::test_it: @pytest.mark.requirement("NAME") takes names of*'
+        result.stderr.fnmatch_lines(takes)
     plain = "def test_it({0}):\n    pass\ndef test_again({0}):\n    pass\n"
     for fixture, option, value, says in (
         ("rig", "--rig", "nowhere", "no rig"),
@@ -223,6 +224,10 @@ def test_an_unknown_requirement_rig_or_detector_is_wrong_use(pytester: pytest.Py
         assert result.ret == pytest.ExitCode.USAGE_ERROR
         result.stdout.fnmatch_lines(f"!*{says}*")  # once, and no traceback
         result.stdout.no_fnmatch_line("*Error*")
+    pytester.makeconftest("def pytest_configure(config): config.workerinput = {}")
+    result = run(pytester, marked)
+    result.assert_outcomes(errors=1)
+    result.stdout.fnmatch_lines(takes)
 
 
 def test_trials_that_cannot_be_kept_are_said_by_the_option(tmp_path: Path, rig: str) -> None:
