@@ -569,6 +569,7 @@ async function started(asked) {
   try { const found = await asked; if (location.hash === `#/${encodeURIComponent(found.run)}`) routed(); else hintUsed(found.run); } catch (error) { problem(error.message); }
 }
 function routed() {
+  if (/^#[^/]/.test(location.hash)) { location.reload(); return; }  // the address with its token, opened again
   stop.abort();
   const name = decodeURIComponent(location.hash.slice(2));
   if (name && name !== "now") { run = { name, events: [], curve: [[], []], prompt: null }; main.replaceChildren(make("p", {}, "Looking at the run.")); follow(name); } else { run = null; home(); }

@@ -208,6 +208,7 @@ def test_a_queue_is_followed_from_one_run_to_the_next(tmp_path: Path) -> None:
         page, card = seen.page, seen.page.locator("#queue")
         page.context.set_offline(False)
         page.goto(one.address)
+        page.goto(one.address)  # once more in the same tab
         expect(card).to_contain_text("Script 1 of 3: one", timeout=SOON_MS)
         with locked(run_lock(first), "a run", print, "run"):
             note.runs(first)
