@@ -117,7 +117,7 @@ def no_echo() -> Iterator[None]:
             termios.tcsetattr(at, termios.TCSANOW, before)
 
 
-COMMAND = re.compile(r":? '?(?=teatbench )(?!.* '?teatbench )(?!.*' )([^\n]+?)'?\.?$")
+COMMAND = re.compile(r":? '?(?=teatbench )(?!.* '?teatbench )((?:[^\n']| '[^\n']*')+?)'?\.?$")
 
 
 def print_wrapped(console: Console, text: str, style: str = "") -> None:

@@ -164,7 +164,7 @@ def _one(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[Verdict, str,
         for name, d in worst
     )
     truth = [row for trial in run.trials for row in trial.truth]
-    if verdict is not Verdict.NOT_MET and not any(row["visible"] for row in truth):
+    if truth and verdict is not Verdict.NOT_MET and not any(row["visible"] for row in truth):
         return verdict, why, "No teat end can be seen in any trial: score some in which one can."
     return verdict, why, _next_action(verdict, [d for _, d in worst], judgements[0].of_bench)
 

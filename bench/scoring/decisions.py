@@ -238,7 +238,7 @@ def decide_condition(name: str, rule: str, *, held: int, of: int) -> Decision:
         limit=float(of),
         margin=float(-failures),
         verdict=Verdict.NOT_MET if failures else Verdict.MET,
-        sentence=f"Held {held} of {of} times.",
+        sentence=f"Held {held} of {plural(of, 'time')}.",
     )
 
 

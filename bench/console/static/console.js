@@ -464,11 +464,23 @@ async function home() {
     if (now && hint === "now") { hintUsed(now.name); return; }
     starter(known);
     queues(null, "list");
-    byId("list").append(...(runs.length ? runs.map(listed) : [make("p", {}, "No runs yet.")]));
+    showRuns(runs);
   } catch (error) {
     showStatus("no connection to the console", true);
     problem(error.message);
   }
+}
+// the list as it is now, looked at again while it is shown
+let relist = 0;
+function showRuns(runs, before = "") {
+  const now = JSON.stringify(runs.map(({ name, status }) => [name, status.headline, status.unsafe, status.verdicts]));
+  const list = byId("list");
+  if (!list) return;
+  if (now !== before) list.replaceChildren(list.firstElementChild, ...(runs.length ? runs.map(listed) : [make("p", {}, "No runs yet.")]));
+  clearTimeout(relist);
+  relist = setTimeout(async () => {
+    try { const found = await ask("/runs"); if (!run) { showStatus("connected"); showRuns(found.runs, now); } } catch (error) { if (!run) { showStatus("no connection to the console", true); showRuns(runs, now); } }
+  }, QUEUE_MS);
 }
 function hintUsed(name) { location.hash = `#/${encodeURIComponent(name)}`; }
 function listed(one) {
@@ -569,6 +581,7 @@ async function started(asked) {
   try { const found = await asked; if (location.hash === `#/${encodeURIComponent(found.run)}`) routed(); else hintUsed(found.run); } catch (error) { problem(error.message); }
 }
 function routed() {
+  if (/^#[^/]/.test(location.hash)) { location.reload(); return; }  // the address with its token, opened again
   stop.abort();
   const name = decodeURIComponent(location.hash.slice(2));
   if (name && name !== "now") { run = { name, events: [], curve: [[], []], prompt: null }; main.replaceChildren(make("p", {}, "Looking at the run.")); follow(name); } else { run = null; home(); }

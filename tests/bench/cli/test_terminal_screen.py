@@ -169,7 +169,7 @@ def test_a_command_to_paste_stays_on_one_line(text: str) -> None:
     assert command == f"  teatbench resume {FOLDER}"
     assert wrapped[-1].endswith(":")
     assert all(len(line) <= 80 for line in wrapped)
-    amid = "It is finished: nothing is left to do. 'teatbench report' writes its report anew"
+    amid = "Position lost: 'teatbench stage recover', then 'teatbench stage home'; heater is off"
     plain = io.StringIO()
     print_wrapped(Console(file=plain, width=80, force_terminal=True, color_system=None), amid)
     assert " ".join(plain.getvalue().split()) == amid

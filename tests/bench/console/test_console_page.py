@@ -260,12 +260,14 @@ def test_each_state_of_a_run_has_its_lines(tmp_path: Path) -> None:
         page = seen.page
         page.context.set_offline(False)
         page.goto(one.address)
+        page.goto(one.address)  # once more in the same tab
 
         def says(*lines: str) -> None:
             for name, line in zip(("#doing", "#step", "#gate"), lines, strict=True):
                 expect(page.locator(name)).to_contain_text(line, timeout=SOON_MS)
 
         with locked(run_lock(running), "a run", print, "run"):
+            expect(page.locator("#list")).to_contain_text("running: ", timeout=SOON_MS)
             for state, why in ENDED.items():
                 page.evaluate("(run) => { location.hash = `#/${run}`; }", state)
                 says(state.capitalize(), why, LAST)

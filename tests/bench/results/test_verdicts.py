@@ -113,6 +113,10 @@ def test_no_trial_measures_nothing(tmp_path: Path) -> None:
     assert {(d.verdict, d.measured) for d in decided(run).values()} == {(NOTHING, None)}
     assert judged(run, judge(run, RULES))[1].startswith("Look at the trials: poses such as these")
     assert run_verdict(judge(run, RULES)) is OPEN
+    seen = trial(1, "p", 1, ENDS, ENDS[:0])
+    hidden = replace(seen, truth=tuple({**row, "visible": 0} for row in seen.truth))
+    found = judged(all_hidden := record(tmp_path, [hidden]), judge(all_hidden, RULES))
+    assert found[1].startswith("No teat end can be seen in any trial")
 
 
 def test_one_trial_decides_what_one_can(tmp_path: Path) -> None:

@@ -72,11 +72,6 @@ class Board(OnLink):
         self.links[-1].write(data)
         return self.hear(seconds)
 
-    def hear_until_broken(self) -> None:
-        """Ask every second for a minute."""
-        for _ in range(60):
-            self.say(b"?", 1.0)
-
     def unlock(self) -> None:
         assert self.say(b"$X\n") == UNLOCKED
 
