@@ -130,10 +130,8 @@ def test_a_limit_of_memory_ends_with_a_sentence(
     assert "out of memory: give the machine" in said(3, "runs").err
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows limits no file's size")
 def test_a_full_disk_is_a_fault_and_leaves_no_half_of_a_file(said: Said, tmp_path: Path) -> None:
-    import resource
-
+    resource = pytest.importorskip("resource", reason="Windows limits no file's size")
     file, before = tmp_path / "scene.png", resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))  # as a quota
     try:

@@ -261,6 +261,7 @@ def test_each_state_of_a_run_has_its_lines(tmp_path: Path) -> None:
         page.context.set_offline(False)
         page.goto(one.address)
         page.goto(one.address)  # once more in the same tab
+        expect(page.locator("#list")).to_contain_text("interrupted", timeout=SOON_MS)
 
         def says(*lines: str) -> None:
             for name, line in zip(("#doing", "#step", "#gate"), lines, strict=True):
