@@ -260,7 +260,8 @@ def deviation_parts(run: RunRecord) -> Iterator[Part]:
     )
     if refused:
         yield Notes("Touches that were refused and asked for again", refused)
-    if undone := run.facts.get("planned", run.done) - run.done - len(run.skipped):
+    undone = run.facts.get("planned", 0) - run.done - len(run.skipped)
+    if undone > 0:
         yield Paragraph(f"{plural(undone, 'trial', 'is')} not done, and in no count.", tone="warn")
     elif not (left_out or why or since or refused):
         yield Paragraph(

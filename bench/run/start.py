@@ -325,7 +325,6 @@ def _run(
             for text in warned:
                 events.warn(f"Bench health: {text}")
             if store.keeps_pictures:  # a minute's compiling, once: a bench that heats would hang
-                events.state("loading what looks for the ends in pictures")
                 import_module("detector.outline.kernels")
             try:
                 engine = held.engine_of(
