@@ -90,7 +90,9 @@ def home(given: argparse.Namespace) -> None:
     with bench.open_arm(given.port, **_link(given)) as arm, closing(RealClock()) as clock:
         _refuse_other(arm)
         if not given.on_peg:
-            Console(sys.stdin, sys.stdout, clock).ask(Task(PEG))
+            console = Console(sys.stdin, sys.stdout, clock)
+            console.in_run = False
+            console.ask(Task(PEG))
         arm.home()
         found = arm.read()
     print(

@@ -164,6 +164,8 @@ def test_home_asks_for_the_peg_first(monkeypatch: Patch) -> None:
     person = Person(monkeypatch, "Put the arm's stylus on its peg and let go of it.")
     assert teatbench("arm home --port emulator:") == 0
     assert "Homed. The tip stands at 54.20, -51.84, 212.20 mm" in person.text
+    assert "abort" in person.text
+    assert "the run" not in person.text
 
 
 def test_read_gives_one_json_object(said: Said) -> None:
