@@ -284,10 +284,12 @@ def bath(hot: HotBath) -> Iterator[Bath]:
         yield opened
 
 
-def test_the_handler_is_there_while_the_bench_is_and_not_longer() -> None:
+def test_the_handler_is_there_while_the_bench_is_and_needs_no_bath() -> None:
     system = System()
-    with installed(system.register):
+    with installed(system.register) as exits:
         assert len(system.handlers) == 1
+        assert system.send(CTRL_CLOSE_EVENT)[0]
+        assert exits.asked == ["console closed"]
     assert system.handlers == []
 
 
@@ -335,13 +337,6 @@ def test_a_bath_that_does_not_answer_takes_no_longer_than_windows_grants(
     for thread in threading.enumerate():
         if thread.name == "console closed":
             thread.join(60.0)
-
-
-def test_before_the_bench_has_a_bath_there_is_nothing_to_do() -> None:
-    system = System()
-    with installed(system.register) as exits:
-        assert system.send(CTRL_CLOSE_EVENT)[0]
-        assert exits.asked == ["console closed"]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="says what other systems do")

@@ -35,17 +35,12 @@ def guardian_of(hot: HotBath) -> GuardianClient:
 
 
 @pytest.mark.slow
-def test_done_lets_the_guardian_go_and_leaves_the_bath_alone(hot: HotBath) -> None:
-    with guardian_of(hot) as line:
-        assert line.lost is None
-        line.done()
-    assert hot.plant.running
-    assert list(hot.folder.iterdir()) == []
-
-
-@pytest.mark.slow
-def test_what_another_guardian_wrote_is_not_taken_for_this_one_s(hot: HotBath) -> None:
-    (hot.folder / "guardian.json").write_text('{"standby": true}', encoding="utf-8")
+def test_done_lets_it_go_and_what_another_guardian_wrote_is_not_taken_for_its_own(
+    hot: HotBath,
+) -> None:
+    """The bath is left alone, and nothing is written."""
+    other = hot.folder / "guardian.json"
+    other.write_text('{"standby": true}', encoding="utf-8")
     with guardian_of(hot) as line:
         start_s = time.monotonic()
         while time.monotonic() - start_s < 2.0 * BEAT_S:
@@ -53,6 +48,8 @@ def test_what_another_guardian_wrote_is_not_taken_for_this_one_s(hot: HotBath) -
             time.sleep(0.05)
         line.done()
     assert hot.plant.running
+    assert list(hot.folder.iterdir()) == [other]
+    assert other.read_text(encoding="utf-8") == '{"standby": true}'
 
 
 @pytest.mark.slow
@@ -85,17 +82,31 @@ def test_a_guardian_that_is_frozen_is_missed_and_one_that_lives_is_not(hot: HotB
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the process's state from /proc")
-def test_the_guardian_has_the_priority_and_the_memory_that_the_system_grants(hot: HotBath) -> None:
+def test_the_guardian_is_small_has_what_the_system_grants_and_gets_no_signal_of_the_bench(
+    hot: HotBath,
+) -> None:
     with guardian_of(hot) as line:
-        status = Path(f"/proc/{line.pid}/status").read_text(encoding="utf-8")
+        of = Path(f"/proc/{line.pid}")
+        status = (of / "status").read_text(encoding="utf-8")
         resident, locked = (
             next(int(row.split()[1]) for row in status.split("\n") if row.startswith(name))
             for name in ("VmRSS", "VmLck")
         )
+        assert resident < 60_000, "kB"
         nice = os.getpriority(os.PRIO_PROCESS, line.pid)
         assert nice == granted("import os; os.setpriority(os.PRIO_PROCESS, 0, -20)", -20, 0)
         lock = "import bench.rig.guardian, ctypes, sys; sys.exit(ctypes.CDLL(None).mlockall(5))"
         assert (locked >= resident) is granted(lock, True, False)
+        for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            os.kill(line.pid, name)
+        assert os.getsid(line.pid) != os.getsid(0)
+        held = [str(path.readlink()) for path in (of / "fd").iterdir()]
+        assert len(held) == 4, f"pipes to the bench, its log, the bath's lock: {held}"
+        assert sum(name.endswith(".owner") for name in held) == 1
+        assert sum(name.startswith("pipe:") for name in held) == 2
+        assert sum(name.endswith("guardian.log") for name in held) == 1
+        time.sleep(0.5)
+        assert line.lost is None
     assert {name: hot.record()[name] for name in ("nice", "memory_locked")} == {
         "nice": nice,
         "memory_locked": locked >= resident,
@@ -130,28 +141,6 @@ def test_a_mistake_in_one_try_does_not_end_the_guardian(
         assert guardian([*given, "--record", str(hot.folder / "guardian.json")]) == 0
     assert not hot.plant.running
     assert (hot.record()["standby"], hot.record()["tries"]) == (True, 2)
-
-
-@pytest.mark.slow
-def test_the_guardian_is_small_and_gets_no_signal_that_is_meant_for_the_bench(hot: HotBath) -> None:
-    with guardian_of(hot) as line:
-        if sys.platform == "linux":
-            status = Path(f"/proc/{line.pid}/status").read_text(encoding="utf-8")
-            (resident,) = [
-                int(row.split()[1]) for row in status.split("\n") if row.startswith("VmRSS")
-            ]
-            assert resident < 60_000, "kB"
-            for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-                os.kill(line.pid, name)
-            assert os.getsid(line.pid) != os.getsid(0)
-            held = [str(path.readlink()) for path in Path(f"/proc/{line.pid}/fd").iterdir()]
-            assert len(held) == 4, f"pipes to the bench, its log, the bath's lock: {held}"
-            assert sum(name.endswith(".owner") for name in held) == 1
-            assert sum(name.startswith("pipe:") for name in held) == 2
-            assert sum(name.endswith("guardian.log") for name in held) == 1
-        time.sleep(0.5)
-        assert line.lost is None
-        line.done()
 
 
 @pytest.mark.slow

@@ -39,6 +39,7 @@ from tests.bench.safety.calm import CALM
 from tests.conftest import ROOT
 
 COLD = replace(CALM, power_percent=0.0)
+PRESTO = load_profile("julabo-presto")
 FROM_S, TO_S = 200.0, 900.0  # the trouble comes and goes
 
 
@@ -136,8 +137,7 @@ def test_a_row_trips_latches_and_resets(name: str, lab: LoadedRig) -> None:
 def walked(walk: Walk) -> list[tuple[float, Exception]]:
     """What tripped and when, of a bath whose trouble comes and goes; a trip outlasts it."""
     clock, acts = VirtualClock(), list[tuple[float, Exception]]()
-    profile = load_profile("julabo-presto")
-    interlocks = Interlocks(SafetyLimits(), profile)
+    interlocks = Interlocks(SafetyLimits(), PRESTO)
 
     def act(trip: Exception) -> bool:
         acts.append((clock.now(), trip))
@@ -161,7 +161,7 @@ def walked(walk: Walk) -> list[tuple[float, Exception]]:
 
     gate = StabilityGate(33.0)
     watch = BathMonitor(
-        read, clock, gate, interlocks, lambda _: None, act, also=also, moving=Liveness(profile)
+        read, clock, gate, interlocks, lambda _: None, act, also=also, moving=Liveness(PRESTO)
     )
     watch.start()
     watch.heating()
@@ -203,14 +203,13 @@ def test_only_a_coarse_temperature_may_stand_while_the_output_moves(
 def test_a_temperature_is_coarse_above_steps_of_a_twentieth_of_a_kelvin(
     step_k: float, alive: bool
 ) -> None:
-    profile = load_profile("julabo-presto")
     rows = tuple(
         row.model_copy(update={"type": "i16", "scale": step_k})
         if row.name == "temperature"
         else row
-        for row in profile.rows
+        for row in PRESTO.rows
     )
-    moving = Liveness(profile.model_copy(update={"rows": rows}))
+    moving = Liveness(PRESTO.model_copy(update={"rows": rows}))
     signs = [moving(replace(CALM, power_percent=power)) for power in (2.0, 3.0, 2.0, 3.0)]
     assert (signs[0] != signs[3]) is alive
 
@@ -253,6 +252,11 @@ def changing(from_c: float, k_per_s: float) -> Callable[[int], BathReading]:
     return lambda t: replace(CALM, temp_c=from_c + k_per_s * t)
 
 
+@pytest.fixture(scope="module")
+def limited(tmp_path_factory: pytest.TempPathFactory) -> LoadedRig:
+    return with_limits(tmp_path_factory.mktemp("limited"))
+
+
 @pytest.mark.parametrize(
     ("at", "expected"),
     [
@@ -275,9 +279,9 @@ def changing(from_c: float, k_per_s: float) -> Callable[[int], BathReading]:
     ],
 )
 def test_each_limit_of_a_rig_file_holds_on_both_sides(
-    at: Callable[[int], BathReading], expected: tuple[str, int] | None, tmp_path: Path
+    at: Callable[[int], BathReading], expected: tuple[str, int] | None, limited: LoadedRig
 ) -> None:
-    assert first_trip(with_limits(tmp_path), at) == expected
+    assert first_trip(limited, at) == expected
 
 
 def test_the_highest_plausible_temperature_holds_on_both_sides(tmp_path: Path) -> None:
@@ -287,9 +291,8 @@ def test_the_highest_plausible_temperature_holds_on_both_sides(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("answered", [False, True])
-def test_the_silence_of_a_rig_file_holds_on_both_sides(answered: bool, tmp_path: Path) -> None:
-    rig, gone = with_limits(tmp_path), LinkError("bath", "no answer")
-    interlocks = Interlocks(rig.rig.limits, rig.profile)
+def test_the_silence_of_a_rig_file_holds_on_both_sides(answered: bool, limited: LoadedRig) -> None:
+    gone, interlocks = LinkError("bath", "no answer"), Interlocks(limited.rig.limits, PRESTO)
     assert interlocks.silent(9.0 - TINY, gone, answered=answered) is None
     trip = interlocks.silent(9.0, gone, answered=answered)
     assert trip is not None
@@ -326,19 +329,19 @@ HOT, DISAGREE, BROKEN = "over-temperature", "sensor disagreement", "implausible 
     ],
 )
 def test_what_a_rig_file_allows_to_reset(
-    rule: str, reading: BathReading, resets: bool, tmp_path: Path
+    rule: str, reading: BathReading, resets: bool, limited: LoadedRig
 ) -> None:
-    rig = with_limits(tmp_path)
-    path = latch_path(rig)
+    path = latch_path(limited)
     assert path is not None
+    path.unlink(missing_ok=True)
     set_latch(path, InterlockTrip(rule, "", ""), "runs/one")
     latch = read_latch(path)
     assert latch is not None
     if resets:
-        acknowledge(rig, latch, reading)
+        acknowledge(limited, latch, reading)
     else:
         with pytest.raises(LatchedError, match="not yet"):
-            acknowledge(rig, latch, reading)
+            acknowledge(limited, latch, reading)
     assert path.exists() is not resets
 
 
@@ -371,30 +374,19 @@ def test_which_limits_a_rig_file_may_have(
         with_limits(tmp_path, **changed)
 
 
-@pytest.mark.parametrize(
-    ("set_point_c", "allowed"), [(22.0, True), (21.999999, False), (33.0, True), (33.000001, False)]
-)
 def test_a_script_may_ask_for_what_the_rig_file_allows(
-    set_point_c: float,
-    allowed: bool,
-    short_script: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    short_script: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    text = re.sub(
-        r"^set_point_c = .*$",
-        f"set_point_c = {set_point_c}",
-        short_script.read_text(encoding="utf-8"),
-        flags=re.MULTILINE,
-    )
-    script, rig = tmp_path / "script.toml", with_limits(tmp_path)
-    script.write_text(text, encoding="utf-8")
-    if allowed:
-        load_script(script, rig.rig.limits.set_point_c)
-    else:
-        out = str(tmp_path / "runs")
-        assert main(["run", str(script), "--rig", str(rig.path), "--out", out]) == 2
-        assert "outside what the rig allows (22 to 33 degC)" in capsys.readouterr().err
+    text, rig = short_script.read_text(encoding="utf-8"), with_limits(tmp_path)
+    script, out = tmp_path / "script.toml", str(tmp_path / "runs")
+    for set_point_c, allowed in {22.0: 1, 21.999999: 0, 33.0: 1, 33.000001: 0}.items():
+        line = f"set_point_c = {set_point_c}"
+        script.write_text(re.sub("(?m)^set_point_c = .*$", line, text), encoding="utf-8")
+        if allowed:
+            load_script(script, rig.rig.limits.set_point_c)
+        else:
+            assert main(["run", str(script), "--rig", str(rig.path), "--out", out]) == 2
+            assert "outside what the rig allows (22 to 33 degC)" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"rule": "of another bench"}'])
