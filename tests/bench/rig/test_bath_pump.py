@@ -1,19 +1,22 @@
-"""Whole emulated runs of a bath whose controller turns no pump: with a relay's pump, with one that
-fails, and with none.
+"""A bath whose controller turns no pump: with a relay's that fails in a run, and with none. One that
+works is in `test_interlocks_in_runs`.
 """
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from bench.cli.main import main
 from bench.config import ConfigError
-from bench.record.reader import RunRecord, read_run
+from bench.record.reader import read_run
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import load_rig
+from bench.rig.opening import open_instruments
+from instruments.bath.sequence import pump_text
 from instruments.clock import VirtualClock
 from tests.bench.real_rig import script_of
 from tests.bench.rig.test_bath_profiles import rig_of
@@ -27,30 +30,21 @@ at_s = {at_s}
 """
 
 
-def run(rig: Path, folder: Path, code: set[int], *, window_s: float = 60.0) -> RunRecord:
+def tripped(rig: Path, folder: Path) -> dict[str, Any]:
+    """The trip of a run on this rig."""
     script = folder / "script.toml"
-    script.write_text(script_of(window_s), encoding="utf-8")
-    assert main(["run", str(script), "--rig", str(rig), "--out", str(folder / "runs")]) in code
+    script.write_text(script_of(3000.0), encoding="utf-8")
+    assert main(["run", str(script), "--rig", str(rig), "--out", str(folder / "runs")]) == 3
     (made,) = (folder / "runs").iterdir()
-    return read_run(made)
-
-
-@pytest.mark.slow
-def test_a_run_whose_pump_is_a_relays(tmp_path: Path) -> None:
-    record = run(rig_of(tmp_path, "eurotherm-3200", relay=True), tmp_path, {0, 1, 4})
-    assert record.ending == "finished"
-    assert record.facts["pump"].startswith("switched by itself: 10 s before the heater")
-    said = " ".join(str(event["text"]) for event in record.events)
-    assert "the pump ran on for 60 s and is off" in said
-    assert float(record.bath[:, 1].max()) == pytest.approx(33.0, abs=0.3)
+    trip: dict[str, Any] = read_run(made).facts["trip"]
+    return trip
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", few(["silence", "power cut"], 2))
 def test_a_relay_that_fails_ends_the_heat(fault: str, tmp_path: Path) -> None:
     rig = rig_of(tmp_path, "eurotherm-3200", FAULT.format(name=fault, at_s=200.0), relay=True)
-    record = run(rig, tmp_path, {3}, window_s=3000.0)
-    trip = record.facts["trip"]
+    trip = tripped(rig, tmp_path)
     assert trip["rule"] == "communications lost"
     assert 200.0 <= trip["t_s"] <= 220.0
     assert any("heater is in standby" in done for done in trip["done"])
@@ -62,8 +56,7 @@ def test_a_contact_that_falls_off_and_comes_back_is_heat_without_a_pump(tmp_path
     """After a short power cut the relay answers again, and says that it is off."""
     wish = FAULT.format(name="power cut", at_s=200.2) + "for_s = 0.5\n"
     rig = rig_of(tmp_path, "eurotherm-3200", wish, relay=True)
-    record = run(rig, tmp_path, {3}, window_s=3000.0)
-    trip = record.facts["trip"]
+    trip = tripped(rig, tmp_path)
     assert trip["rule"] == "heat without pump or level"
     assert "while the pump stands" in trip["why"]
     assert 200.0 <= trip["t_s"] <= 203.0
@@ -71,11 +64,13 @@ def test_a_contact_that_falls_off_and_comes_back_is_heat_without_a_pump(tmp_path
 
 @pytest.mark.slow
 def test_a_pump_that_is_not_fitted_is_reported_and_not_pretended(tmp_path: Path) -> None:
-    path = rig_of(tmp_path, "eurotherm-3200")
-    record = run(path, tmp_path, {0, 1, 3, 4})
-    text = "not fitted to the controller: nothing here proves that the water goes round"
-    assert record.facts["pump"] == text
-    with EmulatedRig(load_rig(path), VirtualClock(), seed=1) as twin:
+    rig, clock = load_rig(rig_of(tmp_path, "eurotherm-3200")), VirtualClock()
+    with (
+        EmulatedRig(rig, clock, seed=1) as twin,
+        open_instruments(rig, ("bath",), clock, twin=twin) as devices,
+    ):
+        text = "not fitted to the controller: nothing here proves that the water goes round"
+        assert pump_text(devices.bath) == text
         assert twin.pump is None
         assert "pump" not in twin.urls
         plant = twin.world.plant

@@ -1,5 +1,5 @@
 """The rig file's cameras: each key reaches its camera, what a calibration declares is met, each fault
-is shown in its place; and over real wires streams, a radiometric camera and one that loses packets.
+is shown in its place; and over a real wire one that loses packets. Streams are in test_new_rig.
 """
 
 from __future__ import annotations
@@ -18,18 +18,15 @@ from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import LoadedRig, load_rig
 from bench.rig.model import Cameras as CamerasTable
 from bench.rig.model import Checks, OneCamera, camera_url
-from bench.rig.opening import conversion_of, open_instruments
+from bench.rig.opening import conversion_of
 from instruments.camera.cameras import CameraSet
-from instruments.camera.emulator import EmulatedCameras
 from instruments.camera.frame import Conversion, Radiometry, Ranging
 from instruments.camera.genicam import GenicamCamera
 from instruments.camera.settings import Settings
-from instruments.camera.stream import StreamServer
 from instruments.clock import RealClock
 from tests.bench.commands import teatbench
 from tests.conftest import ROOT
-from tests.instruments.camera.peers import ADDRESS, gige_camera, need_aravis
-from tests.instruments.camera.small_world import GalleryWorld, gallery
+from tests.instruments.camera.peers import ADDRESS, gige_camera
 
 HEAD = """
 name = "cameras"
@@ -135,6 +132,7 @@ def test_another_calibration_asks_for_another_picture(tmp_path: Path) -> None:
     assert asked == Conversion(mirrored=True, inverted=True)
 
 
+THERMAL_GIGE = '\n[cameras.thermal]\nurl = "genicam:FLIR"\n'
 ALL, THERMAL = '[cameras]\nurl = "{}"\n', '\n[cameras.thermal]\nurl = "opencv:2"\n'
 NO_GAIN = "radiometric = { kelvin_per_count = 0 }\n"
 LEFT, RIGHT = TABLES.split("[cameras.right]")
@@ -164,7 +162,18 @@ LEFT, RIGHT = TABLES.split("[cameras.right]")
             f"{RIGHT}\n[cameras.checks]\nblack = 3\n",
             'cameras.checks.black: unknown key; did you mean "black_dn"?',
         ),
-        (RIGHT, RIGHT + THERMAL + NO_GAIN, "kelvin_per_count: input should be greater than 0"),
+        *(
+            (RIGHT, RIGHT + more, message)
+            for more, message in {
+                THERMAL + NO_GAIN: "kelvin_per_count: input should be greater than 0",
+                THERMAL + 'radiometric = { profile = "leptom" }\n': 'did you mean "lepton"?',
+                THERMAL + "radiometric = {}\n": "either profile or kelvin_per_count",
+                THERMAL
+                + 'shutter = "NUCAction"\n': 'shutter is for cameras of the kind "genicam:"',
+                THERMAL_GIGE + "shutter = true\n": "needs a radiometric profile that knows the com",
+                '\n[cameras.depth]\nurl = "opencv:3"\n': 'a depth camera is of the kind "genicam:"',
+            }.items()
+        ),
     ],
 )
 def test_each_fault_is_shown_in_its_place(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -187,49 +196,6 @@ def test_addresses_of_one_camera(url: str) -> None:
 )
 def test_all_cameras_by_one_url(tmp_path: Path, url: str) -> None:
     assert rig_of(tmp_path, f'[cameras]\nurl = "{url}"\n').rig.cameras.note == url
-
-
-RIG = """
-[cameras]
-max_skew_s = 60
-retries = 20
-
-[cameras.left]
-url = "opencv:{left}"
-resolution = [1360, 1024]
-
-[cameras.right]
-url = "opencv:{right}"
-exposure = 100.0
-try = ["exposure"]
-
-[cameras.thermal]
-url = "genicam:Fake_1"
-pixel_format = "Mono16"
-resolution = [160, 120]
-trigger = "software"
-radiometric = {{ kelvin_per_count = 0.002, kelvin_at_zero = 250.0 }}
-"""
-
-
-@pytest.mark.slow
-def test_streams_and_a_radiometric_camera_of_one_rig_file(tmp_path: Path, clock: RealClock) -> None:
-    need_aravis()
-    gallery()  # drawing takes many seconds on a busy machine, and a stream opens with its first frame
-    with closing(StreamServer(EmulatedCameras(GalleryWorld(clock=clock)), clock)) as server:
-        rig = rig_of(tmp_path, RIG.format(**server.urls))
-        events: list[str] = []
-        with open_instruments(rig, ("cameras",), clock) as devices:
-            cameras = devices.cameras
-            assert "exposure asked 100, is " in cameras.identity["right"]
-            noted = clock.sleep, lambda _, text: events.append(text)
-            frames = FrameTaker(cameras, rig.rig.cameras, rig.calibration, *noted).take()
-    assert frames.left.shape == frames.right.shape == (1024, 1360)
-    assert frames.thermal is None, "temperatures are all that it gives"
-    assert frames.thermal_k is not None
-    assert frames.thermal_k.shape == (120, 160)
-    coldest, warmest = float(np.min(frames.thermal_k)), float(np.max(frames.thermal_k))
-    assert 250.0 <= coldest < warmest <= 250.0 + 0.002 * 65535
 
 
 @pytest.mark.slow
@@ -313,9 +279,6 @@ def test_a_depth_camera_says_its_counts_itself_or_the_rig_file_does(tmp_path: Pa
     assert table('url = "files:deep"').conversion().ranging == Ranging(0.1)
 
 
-THERMAL_GIGE = '\n[cameras.thermal]\nurl = "genicam:FLIR"\n'
-
-
 def test_a_radiometric_profile_sets_the_camera_and_keys_of_the_rig_go_first(tmp_path: Path) -> None:
     keys = 'radiometric = { profile = "flir-a" }\nshutter = true\nshutter_s = 0.5\n'
     asked = rig_of(tmp_path, TABLES + THERMAL_GIGE + keys).rig.cameras.tables["thermal"].settings
@@ -327,19 +290,3 @@ def test_a_radiometric_profile_sets_the_camera_and_keys_of_the_rig_go_first(tmp_
     asked = rig_of(tmp_path, TABLES + THERMAL_GIGE + keys).rig.cameras.tables["thermal"].settings
     assert (asked.pixel_format, asked.features["IRFormat"]) == ("Mono14", "Radiometric")
     assert asked.shutter == "Close"
-
-
-@pytest.mark.parametrize(
-    ("thermal", "message"),
-    [
-        (THERMAL + 'radiometric = { profile = "leptom" }\n', 'did you mean "lepton"?'),
-        (THERMAL + "radiometric = {}\n", "either profile or kelvin_per_count"),
-        (THERMAL + 'shutter = "NUCAction"\n', 'shutter is for cameras of the kind "genicam:"'),
-        (THERMAL_GIGE + "shutter = true\n", "needs a radiometric profile that knows the command"),
-        ('\n[cameras.depth]\nurl = "opencv:3"\n', 'a depth camera is of the kind "genicam:"'),
-    ],
-)
-def test_faults_of_thermal_keys(tmp_path: Path, thermal: str, message: str) -> None:
-    with pytest.raises(ConfigError) as caught:
-        rig_of(tmp_path, TABLES + thermal)
-    assert message in str(caught.value)

@@ -17,7 +17,6 @@ from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import load_rig
 from bench.rig.model import emulated_faults
 from instruments.clock import RealClock, VirtualClock
-from instruments.errors import LinkError
 from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.unit import SHIPPED
@@ -35,24 +34,6 @@ ARM, CAMERAS = 'instrument = "arm", name', 'instrument = "cameras", name'
 
 def arm_of(twin: EmulatedRig) -> MicroScribe:
     return MicroScribe(Link(twin.urls["arm"], twin.world.clock, who="arm"), twin.world.clock)
-
-
-@pytest.mark.slow
-def test_the_power_of_the_arm_goes_at_its_time_and_comes_back(tmp_path: Path) -> None:
-    fault = '{ instrument = "arm", name = "power loss", at_s = 10.0, for_s = 5.0 }'
-    rig = load_rig(with_emulation(tmp_path, f"faults = [{fault}]"))
-    with EmulatedRig(rig, VirtualClock(), seed=1) as twin:
-        clock, arm = twin.world.clock, arm_of(twin)
-        arm.sign_on()
-        clock.sleep(9.9 - clock.now())
-        arm.poll()
-        clock.sleep(0.2)
-        with pytest.raises(LinkError, match="silent"):
-            arm.poll()
-        clock.sleep(15.1 - clock.now())
-        arm.sign_on()
-        assert not arm.homed
-        arm.close()
 
 
 @pytest.mark.slow

@@ -19,7 +19,6 @@ from bench.rig.model import Stage as StageTable
 from bench.rig.opening import open_instruments
 from instruments.clock import VirtualClock
 from instruments.drivers.protocols import Stage
-from instruments.errors import DeviceError, LinkError
 from instruments.world.phantom import PlatePose
 from tests.bench.test_config import rig_with as emulated_rig
 
@@ -45,6 +44,10 @@ def homed(rig: LoadedRig) -> Iterator[tuple[EmulatedRig, Stage]]:
         yield twin, devices.stage
 
 
+NOT_EMULATED = (
+    *('dialect = "marlin"', "scale_errors = [0.5, 0, 0, 0]", "backlash_mm = [-1, 0, 0]"),
+    *("squareness = 1", "yaw_rad = nan"),
+)
 TURNING = """dialect = "zaber"
 axes = "XYA"
 microsteps = [20000.0, 20000.0, 500.0]
@@ -78,17 +81,21 @@ def test_the_plate_stands_as_any_firmware_says(
 
 
 @pytest.mark.parametrize(
-    ("stage", "why"),
+    ("stage", "emulation", "why"),
     [
-        ('dialect = "smoothie"', "dialect"),
-        ('dialect = "marlin"\naxes = "XYA"', "a Marlin stage is driven in X, Y and Z"),
-        ('dialect = "marlin"\nmicrosteps = [1.0, 1.0]', "go with dialect"),
-        ('dialect = "zaber"\nzaber_axes = ["1"]', "zaber_axes"),
+        ('dialect = "smoothie"', "", "dialect"),
+        ('dialect = "marlin"\naxes = "XYA"', "", "a Marlin stage is driven in X, Y and Z"),
+        ('dialect = "marlin"\nmicrosteps = [1.0, 1.0]', "", "go with dialect"),
+        ('dialect = "zaber"\nzaber_axes = ["1"]', "", "zaber_axes"),
+        ('axes = "XYA"', "", r'stage\.axes: the firmware "grbl" has no axis A: set dialect = "grb'),
+        *(("", f"[emulation.stage]\n{line}", r"emulation\.stage\.") for line in NOT_EMULATED),
     ],
 )
-def test_a_stage_that_can_not_be_is_refused(tmp_path: Path, stage: str, why: str) -> None:
+def test_a_stage_that_can_not_be_is_refused(
+    tmp_path: Path, stage: str, emulation: str, why: str
+) -> None:
     with pytest.raises(ConfigError, match=why):
-        rig_with(tmp_path, stage)
+        rig_with(tmp_path, stage, emulation)
 
 
 def test_a_real_zaber_stage_needs_its_motors() -> None:
@@ -156,45 +163,3 @@ def test_the_world_moves_as_fast_as_the_stage(tmp_path: Path) -> None:
         assert max(velocity[0] for velocity in seen) == pytest.approx(10.0, rel=0.01)
         assert all(velocity[1:] == (0.0, 0.0) for velocity in seen)
         assert world.scene().velocity_mm_s == (0.0, 0.0, 0.0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "amount", "error", "sentence"),
-    [("limit hit", 1.0, DeviceError, "alarm 1"), ("late ok", None, LinkError, "no answer")],
-)
-def test_faults_of_a_rig_file_reach_the_driver(
-    tmp_path: Path, name: str, amount: float | None, error: type[Exception], sentence: str
-) -> None:
-    said = "" if amount is None else f", amount = {amount}"
-    faults = (
-        f'[emulation]\nfaults = [{{ instrument = "stage", name = "{name}", at_s = 60.0{said} }}]'
-    )
-    with homed(rig_with(tmp_path, "", faults)) as (twin, stage):
-        stage.move_to(-150.0, -100.0)
-        twin.world.clock.sleep(60.0)
-        with pytest.raises(error, match=sentence):
-            stage.move_to(-10.0, -270.0)
-
-
-def test_a_rotation_with_the_classic_firmware_is_refused_in_its_place(tmp_path: Path) -> None:
-    with pytest.raises(
-        ConfigError,
-        match=r'stage\.axes: the firmware "grbl" has no axis A: set dialect = "grblHAL"',
-    ):
-        rig_with(tmp_path, 'axes = "XYA"')
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        'dialect = "marlin"',
-        "scale_errors = [0.5, 0, 0, 0]",
-        "backlash_mm = [-1, 0, 0]",
-        "squareness = 1",
-        "yaw_rad = nan",
-    ],
-)
-def test_a_stage_that_cannot_be_emulated_is_refused(tmp_path: Path, line: str) -> None:
-    with pytest.raises(ConfigError, match=r"emulation\.stage\."):
-        rig_with(tmp_path, "", f"[emulation.stage]\n{line}")

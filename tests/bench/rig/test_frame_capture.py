@@ -19,7 +19,7 @@ from bench.rig.model import FocusTable
 from instruments.camera.emulator import FAULTS, EmulatedCameras
 from instruments.camera.frame import FrameFault, FrameSet
 from instruments.errors import DeviceError, LinkError
-from tests.bench.operated_runs import record_of, texts
+from tests.bench.operated_runs import ONE, record_of, texts
 from tests.examples import few
 from tests.instruments.camera.small_world import GalleryWorld
 
@@ -136,12 +136,12 @@ def test_a_run_goes_on_through_faults_that_pass_and_keeps_count_of_them(tmp_path
     { instrument = "cameras", name = "flat-field event", times = 2 },
     { instrument = "cameras", name = "swapped", times = 1 },
     ]"""
-    run = record_of(tmp_path, emulation=faults, whole=True)
-    assert (run.ending, len(run.trials)) == ("finished", 3)
+    run = record_of(tmp_path, emulation=faults, script=ONE, whole=True)
+    assert (run.ending, len(run.trials)) == ("finished", 1)
     assert run.facts["camera faults"] == {"thermal: flat-field event": 2, "left: swapped": 1}
     assert len(texts(run, "camera")) == 2
     looked = run.facts[FRAMES_FACT]
-    assert looked["black"] >= 6 * len(run.trials)
+    assert looked["black"] >= 6
     assert min(looked[name] for name in ("swapped", "flat-field event", "late")) > 0
     assert looked["out of focus"] == 0, "its rig has no reference"
 

@@ -92,22 +92,20 @@ def test_no_false_alarm_in_what_a_path_tracer_rendered(shared_data: Path) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("fault", "camera"),
-    [
-        (fault, camera)
-        for fault in SHOWN
-        for camera in ("right", "thermal")
-        if fault not in (FrameFault.SWAPPED, FrameFault.FLAT_FIELD)
-    ],
-)
-def test_each_fault_of_another_camera(fault: FrameFault, camera: str) -> None:
-    blurred = (fault, camera) == (FrameFault.OUT_OF_FOCUS, "thermal")
-    looks = checks(focus_px=FocusTable(thermal=2.0)) if blurred else checks()
+@pytest.mark.parametrize("camera", ["right", "thermal"])
+def test_each_fault_of_another_camera(camera: str) -> None:
+    """One after the other, each for one set; between two the set is good again."""
+    sharp = checks(focus_px=FocusTable(thermal=2.0)) if camera == "thermal" else checks()
     cameras = EmulatedCameras(GalleryWorld())
-    assert looks.notice(cameras.capture()) == []
-    cameras.faults.inject(fault, camera=camera, amount=12.0 if blurred else None)
-    assert {(one.fault, one.camera) for one in looks.notice(cameras.capture())} >= {(fault, camera)}
+    for fault in SHOWN:
+        if fault in (FrameFault.SWAPPED, FrameFault.FLAT_FIELD):
+            continue
+        blurred = (fault, camera) == (FrameFault.OUT_OF_FOCUS, "thermal")
+        looks = sharp if blurred else checks()
+        assert looks.notice(cameras.capture()) == []
+        cameras.faults.inject(fault, camera=camera, amount=12.0 if blurred else None, times=1)
+        noticed = {(one.fault, one.camera) for one in looks.notice(cameras.capture())}
+        assert noticed >= {(fault, camera)}
 
 
 def grey(height: int, width: int, seed: int = 1) -> NDArray[np.uint8]:
