@@ -6,7 +6,6 @@ import json
 import math
 import shutil
 from collections.abc import Iterator
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,17 +17,14 @@ import pytest
 from bench.cli.alone import _next_look, focus_line, step
 from bench.record.recording import Recording
 from bench.rig.loading import find_rig, load_rig
-from instruments.camera.emulator import EmulatedCameras
 from instruments.camera.frame import FrameError, FrameFault
-from instruments.camera.stream import StreamServer
-from instruments.clock import RealClock, VirtualClock
+from instruments.clock import VirtualClock
 from instruments.stage.emulator.board import StageEmulator, StageFault
 from instruments.stage.emulator.store import GRBL_HAL, MARLIN
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said, served, teatbench
 from tests.bench.rig.test_emulated_faults import with_emulation
 from tests.instruments.camera.peers import ADDRESS, gige_camera
-from tests.instruments.camera.small_world import GalleryWorld, gallery
 
 FAST = (
     {24: 6000, 25: 60000, 26: 1}
@@ -118,20 +114,6 @@ def test_ways_to_go() -> None:
     for wrong in ("", "X", "5", "X5X6", "X5 Y6", "B5", "X5;", "X1e3"):
         with pytest.raises(ValueError, match="is no way to go"):
             step(wrong)
-
-
-Capture = pytest.CaptureFixture[str]
-
-
-@pytest.fixture
-def streams() -> Iterator[list[str]]:
-    """Left, right and thermal as streams of this process."""
-    gallery()  # a stream opens with its first frame, which else has to be drawn first
-    with (
-        closing(RealClock()) as clock,
-        closing(StreamServer(EmulatedCameras(GalleryWorld(clock=clock)), clock)) as server,
-    ):
-        yield [f"opencv:{url}" for url in server.urls.values()]
 
 
 def test_list_of_a_rig(said: Said) -> None:
@@ -256,13 +238,8 @@ def test_a_gige_vision_camera(
             why = capsys.readouterr().err
             assert (code, "after the first of its set, limit 0.05 s" in why) == (3, True), why
         assert "put calibration.toml into the folder" in capsys.readouterr().err
+        alone = said(2, "camera grab {} --out {}", f"genicam:{ADDRESS}", tmp_path / "one").err
+        assert "one camera alone makes no frame set" in alone
+    assert not (tmp_path / "one").exists()
     frames = Recording(tmp_path / "grabbed").load("0000")
     assert frames.left.shape == frames.right.shape == (512, 512)
-
-
-@pytest.mark.weekly
-@pytest.mark.slow
-def test_one_camera_makes_no_frame_set(streams: list[str], tmp_path: Path, said: Said) -> None:
-    why = said(2, "camera grab {} --out {}", streams[0], tmp_path / "grabbed").err
-    assert "one camera alone makes no frame set" in why
-    assert not (tmp_path / "grabbed").exists()

@@ -2,29 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 from pathlib import Path
-from urllib.request import urlopen
 
 import cv2
 import numpy as np
 import pytest
 
 from bench.rig.loading import RIGS
-from instruments.bath.driver import Bath
-from instruments.bath.profile import load_profile
-from instruments.clock import RealClock
-from instruments.link import Link
-from instruments.microscribe.driver import MicroScribe
-from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import NO_CAMERA, Said, lab_rig, teatbench
-from tests.bench.forked import begin
 from tests.conftest import ROOT
 
 SOME = 4
@@ -134,47 +124,6 @@ def test_detect_and_score_take_frames_that_another_program_rendered(
     scores = [trial["scores"]["thesis"] for trial in table["trials"]]
     assert sum(len(one["pairs"]) + len(one["missed"]) for one in scores) == visible == len(kept)
     assert "RECORDED FRAMES" in (folder / "report" / "index.html").read_text(encoding="utf-8")
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
-def test_emulate_serves_drivers_of_another_process(tmp_path: Path, said: Said) -> None:
-    with begin(["emulate", write_small_rig(tmp_path)]) as child, contextlib.ExitStack() as ending:
-        ending.callback(child.kill)
-        assert child.stdout is not None
-        urls = dict(child.stdout.readline().split() for _ in range(6))
-        assert list(urls) == ["arm", "bath", "stage", "left", "right", "thermal"]
-        # its first picture takes long where the machine is busy: longer than a camera may
-        with urlopen(urls["left"].removeprefix("opencv:"), timeout=120) as stream:
-            assert stream.read(2)
-        note = json.loads(said(0, "camera show {} --json", urls["left"]).out)["cameras"]["single"]
-        assert note["size_px"] == "340 x 256"
-        assert note["brightest_dn"] > 100
-        clock = RealClock()
-        arm = MicroScribe(Link(urls["arm"], clock, who="arm"), clock)
-        assert arm.sign_on().serial_number == "40937"
-        arm.close()
-        bath = Bath(urls["bath"], load_profile("julabo-presto"), clock)
-        assert 19.0 < bath.read().temp_c < 21.0
-        bath.close()
-        child.send_signal(signal.SIGINT)
-        output, _ = child.communicate(timeout=60)
-        assert child.returncode == 0, output
-
-
-@pytest.mark.slow
-def test_a_closed_pipe_is_no_fault(tmp_path: Path) -> None:
-    command = f'"{sys.executable}" -m bench.cli rigs | true'
-    done = subprocess.run(
-        command,
-        shell=True,
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert "Traceback" not in done.stderr
 
 
 INTERRUPTED = "teatbench: interrupted: nothing was begun.\n"

@@ -14,7 +14,6 @@ from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import load_rig
 from bench.rig.model import EmulatedStage
 from bench.run import estimate
-from bench.script.model import find_script
 from instruments.clock import RealClock
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said, lab_rig
@@ -22,39 +21,20 @@ from tests.bench.commands import Said, lab_rig
 DRY = "run {} --dry-run --out {}"
 
 
-@pytest.mark.weekly
 @pytest.mark.slow
-def test_the_command_says_what_and_exits_with_2(tmp_path: Path, said: Said) -> None:
-    text = find_script("repeatability").read_text(encoding="utf-8")
-    text = text.replace("x_mm = 104.0, y_mm = 96.0", "x_mm = 160.0, y_mm = 96.0")
-    text = text.replace("cycles = 30", "cycles = 1")
-    path = tmp_path / "wide.toml"
-    path.write_text(text, encoding="utf-8")
-    given = path, tmp_path / "runs", write_small_rig(tmp_path)
-    seen = said(2, f"{DRY} --rig {{}}", *given).out
-    for note in (
-        "p-2: limits: x +160 mm, y +96 mm needs the stage's X axis at 10, which goes from -300 to 0",
-        "5 trials at 5 poses: 1 problem. Nothing was moved.",
-        "gone through on emulators, in virtual time: 4 of 5 trials; frames of 4 were rendered",
-        # what would end the run at once doesn't keep the others from being looked at
-        "not gone through: 1 trial",
-    ):
-        assert note in seen
-    assert not (tmp_path / "runs").exists()
-
-
-@pytest.mark.slow
-def test_a_clean_script_exits_with_0(short_script: Path, tmp_path: Path, said: Said) -> None:
-    given = short_script, tmp_path / "runs", write_small_rig(tmp_path)
-    gone_through, first, time, room = said(0, f"{DRY} --rig {{}}", *given).out.splitlines()
+def test_a_clean_script_exits_with_0(two_trials: Path, tmp_path: Path, said: Said) -> None:
+    given = two_trials, tmp_path / "runs", write_small_rig(tmp_path)
+    seen = said(0, f"{DRY} --rig {{}}", *given)
+    gone_through, first, time, room = seen.out.splitlines()
     assert gone_through.startswith(
-        "gone through on emulators, in virtual time: 6 of 6 trials; frames of 6 were rendered and"
+        "gone through on emulators, in virtual time: 2 of 2 trials; frames of 2 were rendered and"
         " checked"
     )
-    assert first == "6 trials at 6 poses: nothing wrong. Nothing was moved."
-    assert time.startswith("about 13 min of the bench's time: preparing 20 s, settling 12 min, ")
-    asked = "37 prompts: 1 homing, 6 arm check, 6 set-ups, 24 teat ends (3 touches each)"
+    assert first == "2 trials at 2 poses: nothing wrong. Nothing was moved."
+    assert time.startswith("about 12 min of the bench's time: preparing 20 s, settling 12 min, ")
+    asked = "17 prompts: 1 homing, 6 arm check, 2 set-ups, 8 teat ends (3 touches each)"
     assert room.endswith(f" MB and the report, {asked}")
+    assert seen.err == "", "a bar is for a terminal: test_terminal_screen"
     assert not (tmp_path / "runs").exists()
 
 
@@ -68,16 +48,6 @@ def trials():
 """
 NO_STAGE = "/dev/tty-there-is-none"
 ELSEWHERE = {"/dev/ttyACM0": NO_STAGE, 'cut_out_tested = ""': 'cut_out_tested = "2026-11-20"'}
-
-
-@pytest.mark.slow
-def test_json_is_of_a_dry_run(tmp_path: Path, said: Said) -> None:
-    assert "--json is for --dry-run" in said(2, "run --json --out {}", tmp_path / "runs").err
-    script, runs = one(tmp_path)
-    command = "run {} {} --dry-run --json --rig {} --out {}"
-    both = json.loads(said(0, command, script, script, write_small_rig(tmp_path), runs).out)
-    assert both["schema_version"] == 1
-    assert [seen["trials"] for seen in both["scripts"]] == [1, 1]
 
 
 def one(folder: Path, pose: str = "") -> tuple[Path, Path]:
@@ -109,6 +79,12 @@ def test_what_a_run_is_refused_for_is_reported_by_its_dry_run(tmp_path: Path, sa
         text[: text.index("[stage]")] + text[text.index("[cameras]") :], encoding="utf-8"
     )
     assert "needs a stage" in said(2, "run plane-map --dry-run --rig {}", rig).err
+    rig = lab_rig(tmp_path, ELSEWHERE)  # and is not asked while a run has it: most boards reset
+    (tmp_path / "lab.tripped.json").unlink()
+    held = {"host": "another machine", "pid": 1, "since": "2026-11-01T12:00:00", "run": "runs/o"}
+    (tmp_path / "lab.lock.json").write_text(json.dumps(held), encoding="utf-8")
+    seen = said(2, f"{DRY} --rig {{}}", *one(tmp_path, FAR), rig).out
+    assert "not checked: the stage's travel: another bench has the rig" in seen
 
 
 @pytest.mark.weekly
@@ -146,25 +122,25 @@ def test_a_run_without_room_is_refused_before_it_starts_in_the_words_of_its_dry_
     assert not out.parent.exists()
 
 
-@pytest.mark.slow
-def test_a_stage_is_not_asked_while_a_run_has_its_rig(tmp_path: Path, said: Said) -> None:
-    """Opening its port resets most boards."""
-    rig = lab_rig(tmp_path, ELSEWHERE)
-    held = {"host": "another machine", "pid": 1, "since": "2026-11-01T12:00:00", "run": "runs/o"}
-    (tmp_path / "lab.lock.json").write_text(json.dumps(held), encoding="utf-8")
-    seen = said(0, f"{DRY} --rig {{}}", *one(tmp_path), rig).out
-    assert "not checked: the stage's travel: another bench has the rig" in seen
-
-
 FAR = ', "pose": {"x_mm": 170.0}'
 
 
 @pytest.mark.slow
 def test_a_script_of_which_no_trial_is_within_the_travel(tmp_path: Path, said: Said) -> None:
     script, runs = one(tmp_path, FAR)
-    seen = said(2, f"{DRY} --rig {{}}", [script, script], runs, write_small_rig(tmp_path)).out
+    given = runs, write_small_rig(tmp_path)
+    seen = said(2, f"{DRY} --rig {{}}", [script, script], *given).out
     assert seen.count(f"{script.stem}: One\n") == 2
+    why = "limits: x +170 mm, y +0 mm needs the stage's X axis at 20, which goes from -300 to 0"
+    for note in (f"one: {why}", "1 trial at 1 pose: 1 problem. Nothing was moved."):
+        assert seen.count(note) == 2, seen
     assert "not checked: the script as a whole: no trial is within the stage's travel" in seen
+    assert "--json is for --dry-run" in said(2, "run --json --out {}", runs).err
+    both = json.loads(said(2, f"{DRY} --rig {{}} --json", [script, script], *given).out)
+    assert both["schema_version"] == 1
+    assert [seen["trials"] for seen in both["scripts"]] == [1, 1]
+    keys = "script trials poses gone_through frame_sets_rendered findings recovered not_checked"
+    assert list(both["scripts"][0]) == [*keys.split(), "needs"]
 
 
 @pytest.mark.slow

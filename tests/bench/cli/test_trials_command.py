@@ -12,7 +12,7 @@ from bench.run.estimate import ASSUMED, estimate, move_s
 from bench.scoring.decisions import decide_error
 from bench.scoring.sample_size import plan_poses
 from bench.script.model import TRIALS, find_script, load_script
-from tests.bench.commands import Said, teatbench
+from tests.bench.commands import Said
 
 
 @pytest.mark.slow
@@ -20,7 +20,6 @@ def test_each_script_that_ships_is_listed_with_what_it_is_about(said: Said) -> N
     lines = said(0, "trials").out.splitlines()
     assert [line.split(": ")[0] for line in lines] == shipped(TRIALS)
     assert all(len(line.split(": ")[1]) > 20 for line in lines)
-    assert list(json.loads(said(0, "trials --json").out)["scripts"]) == shipped(TRIALS)
 
 
 def test_show_lists_every_trial_and_the_time(said: Said) -> None:
@@ -57,16 +56,6 @@ def test_show_as_json(said: Said) -> None:
     parts = {key: value for key, value in text["estimate"].items() if key != "total_s"}
     assert text["estimate"]["total_s"] == pytest.approx(sum(parts.values()))
     assert text["assumed"]["touch [s]"] == ASSUMED["touch"]
-
-
-def test_show_has_a_help_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        teatbench("trials show --help")
-    assert ended.value.code == 0
-    seen = capsys.readouterr().out
-    assert seen.startswith("usage: teatbench trials show [-h]")
-    assert "list the poses of a script, and estimate its time" in seen
-    assert "--rig RIG" in seen
 
 
 def test_moves_by_hand() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import re
 import sys
 import webbrowser
 from collections import Counter
@@ -13,7 +11,6 @@ import pytest
 
 from bench.cli.verdict import open_report
 from bench.script.model import find_script, load_script
-from tests.bench.commands import Said
 
 
 @pytest.mark.weekly
@@ -24,24 +21,6 @@ def test_the_demo_shows_ten_members_of_each_situation() -> None:
     assert set(Counter(trial.situation for trial in script.planned).values()) == {10}
     assert len({trial.name for trial in script.planned}) == 60
     assert {trial.scene.seed for trial in script.planned if trial.scene} == set(range(16000, 16010))
-
-
-@pytest.mark.slow
-def test_the_bench_comes_first_and_no_detector_spoils_another(
-    said: Said, short_script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    quarters = itertools.count(0.0, 0.25)  # whatever the machine takes
-    monkeypatch.setattr("bench.results.answers.stopwatch_s", lambda: next(quarters))
-    head, *trials = short_script.read_text(encoding="utf-8").split("[[trials]]")
-    script = tmp_path / "two.toml"
-    script.write_text("[[trials]]".join([head, *trials[4:]]), encoding="utf-8")
-    out = said(1, "run {} --detector fused --detector thesis --out {}", script, tmp_path).out
-    words = ["The bench works: ", "requirement", "fused meets ", "thesis meets ", "Report: file://"]
-    places = [out.find(word) for word in words]
-    assert -1 not in places
-    assert places == sorted(places)
-    assert "Verdict: " not in out
-    assert re.search(r"reliability +\W +95\.0 % \W \S+ 100\.0 % +\W \S+ 0\.0 %", out)
 
 
 @pytest.mark.parametrize(

@@ -15,14 +15,11 @@ import pytest
 
 import bench
 from bench.cli.main import parser
-from bench.record.reader import read_run
-from instruments.captures.capture import Capture, read_capture
+from instruments.captures.capture import read_capture
 from instruments.clock import RealClock
 from instruments.link import Link
-from tests.bench.campaign.small_campaign import write_small_rig
-from tests.bench.commands import NO_CAMERA, Said, lab_rig, teatbench, words
+from tests.bench.commands import NO_CAMERA, Said, lab_rig, teatbench
 from tests.bench.forked import Running, begin
-from tests.bench.run.test_end_to_end import run_command
 
 pytestmark = pytest.mark.slow
 
@@ -36,20 +33,6 @@ TALK = """{"t_s": 0, "link": "arm", "event": "opened", "url": "COM5"}
 {"t_s": 0.2, "link": "arm", "event": "closed"}
 """
 posix = pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
-
-
-@pytest.fixture(scope="module")
-def a_run(tmp_path_factory: pytest.TempPathFactory, two_trials: Path) -> list[str]:
-    """The command of a run with small pictures."""
-    return words("run {} --rig {}", two_trials, write_small_rig(tmp_path_factory.mktemp("rig")))
-
-
-@pytest.fixture(scope="module")
-def run_capture(tmp_path_factory: pytest.TempPathFactory, a_run: list[str]) -> tuple[Capture, Path]:
-    """The capture of a run, and the run's folder."""
-    path = tmp_path_factory.mktemp("capture") / "run.jsonl"
-    _, folder = run_command([*a_run, "--capture", str(path)], tmp_path_factory.mktemp("runs"))
-    return read_capture(path), folder
 
 
 @pytest.fixture(scope="module")
@@ -71,29 +54,6 @@ def playing(*arguments: str) -> Iterator[tuple[Running, dict[str, str]]]:
             yield child, dict(next(lines).split() for _ in range(links))
         finally:
             child.kill()  # where the test has failed before its end
-
-
-@pytest.mark.weekly
-def test_a_capture_changes_nothing_of_what_a_run_does(
-    run_capture: tuple[Capture, Path], a_run: list[str], tmp_path: Path
-) -> None:
-    _, plain = run_command(a_run, tmp_path)
-    one, other = (read_run(folder).head for folder in (run_capture[1], plain))
-    assert one is not None
-    assert other is not None
-    assert one.digest == other.digest, "the chain without real time"
-
-
-@pytest.mark.weekly
-def test_a_run_is_captured_whole(run_capture: tuple[Capture, Path]) -> None:
-    capture, _ = run_capture
-    assert list(capture.links) == ["arm", "bath", "stage"]
-    assert not capture.cut
-    for conversations in capture.links.values():
-        (conversation,) = conversations
-        assert conversation.closed_s is not None
-        assert conversation.broke == ""
-        assert len(conversation.exchanges) > 50
 
 
 def test_a_whole_check_is_replayed_to_a_check(

@@ -68,7 +68,7 @@ def test_a_port_that_cannot_be_opened_is_named(said: Said) -> None:
     assert "the port can't be opened" in said(3, "arm read --port /dev/null --homed").err
 
 
-READ = ("trials show plane-map", "store check {run}", "report {run} --no-pdf", "runs {runs}")
+READ = ("help record", "store check {run}", "report {run} --no-pdf", "runs {runs}")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="closes descriptors by a shell of POSIX")

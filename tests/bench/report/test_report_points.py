@@ -4,13 +4,18 @@ baseline and extras; in a real browser, from disk without a network.
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import hashlib
+import io
+import itertools
+import json
 import re
 import shutil
 import sys
 import tomllib
 from collections.abc import Iterator
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -19,17 +24,26 @@ from playwright.sync_api import Browser, expect
 
 from bench.cli.main import main
 from bench.config import read_calibration
-from bench.record.reader import read_run
+from bench.record.check import check_record
+from bench.record.reader import RunRecord, points_mm, read_run
 from bench.report.page import build_page
 from bench.report.tables import truth_known_mm
 from bench.report.trials import trial_part
 from bench.results.status import status_of
 from bench.results.verdicts import judge, latency_of, scored, stored_rules
+from bench.rig.loading import find_rig, load_rig
+from bench.run.estimate import ASSUMED, estimate, figures, needs, read_durations, took
+from bench.run.start import score_recording
+from bench.safety.stability import State
+from bench.script.model import load_script
 from instruments.camera.settings import AUTOMATIC, UNSEEN_SIZE
 from reports.render import render
+from tests.bench.calibrate.touched import there
+from tests.bench.commands import teatbench
+from tests.bench.killed_runs import Silent
 from tests.bench.small_run import KEPT
 from tests.chromium import chromium, launched, violations, weak_texts, window
-from tests.conftest import ROOT
+from tests.conftest import ROOT, first_trials
 from tests.reports.markup import Document, read
 from tests.test_thesis_example import example, markdown_rows
 from tests.undrawn import undrawn
@@ -38,16 +52,36 @@ pytestmark = pytest.mark.slow
 
 HOSTILE = "<img src=x onerror=alert(1)></td></table><script>alert(2)</script>\"'&"
 DECIDED = (0, 1, 4)
+DETECTORS = ["--detector", "thesis", "--detector", "fused"]
 PAGES = "page-trials page-accuracy page-truth page-bath page-provenance glossary"
 
 
+@dataclasses.dataclass(frozen=True)
+class Done:
+    """The main job: six situations, two detectors, recorded; and what was shown."""
+
+    code: int
+    run: RunRecord
+    recording: Path
+    said: str
+
+
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory, short_script: Path) -> Path:
-    out = tmp_path_factory.mktemp("points")
-    detectors = ["--detector", "thesis", "--detector", "fused"]
-    assert main(["run", str(short_script), "--out", str(out), *detectors]) in DECIDED
+def done(tmp_path_factory: pytest.TempPathFactory, short_script: Path) -> Done:
+    out, recording = (tmp_path_factory.mktemp(name) / name for name in ("points", "recording"))
+    command, quarters = "run {} --out {} --record {} --events {} {}", itertools.count(0.0, 0.25)
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as said:
+        # whatever the machine takes
+        patch.setattr("bench.results.answers.stopwatch_s", lambda: next(quarters))
+        events = recording.with_name("events.jsonl")
+        code = teatbench(command, short_script, out, recording, events, DETECTORS)
     (run,) = out.iterdir()
-    return run
+    return Done(code, read_run(run), recording, said.getvalue())
+
+
+@pytest.fixture(scope="module")
+def folder(done: Done) -> Path:
+    return done.run.folder
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +106,107 @@ def browser(folder: Path) -> Iterator[Browser]:
 def copy(tmp_path: Path) -> Path:
     """A small run, for tests that write another report."""
     return Path(shutil.copytree(KEPT, tmp_path / KEPT.name))
+
+
+def test_the_main_job_is_done_and_the_exit_code_is_the_verdict(done: Done) -> None:
+    """The bench comes first at the terminal, and no detector spoils another."""
+    table = json.loads((done.run.folder / "report" / "run.json").read_text(encoding="utf-8"))
+    assert done.code == {"met": 0, "not met": 1, "inconclusive": 4}[table["verdict"]]
+    assert done.run.ending == "finished"
+    names = "non_vertical overlapping spurious_teat hot_body_at_base hot_body_at_ends cooler_bodies"
+    assert [trial.head["situation"] for trial in done.run.trials] == names.split()
+    words = ["The bench works: ", "requirement", "thesis meets ", "fused meets ", "Report: file://"]
+    places = [done.said.find(word) for word in words]
+    assert -1 not in places
+    assert places == sorted(places)
+    assert "Verdict: " not in done.said
+    found = (scored(done.run, name).success for name in ("thesis", "fused"))
+    first, second = (f"{100.0 * one.successes / one.trials:.1f} %" for one in found)
+    row = rf"reliability +\W +95\.0 % \W \S+ +{first} +\W \S+ +{second}"
+    assert first < second
+    assert re.search(row, done.said)
+    with (done.run.folder / "report" / "trials.csv").open(encoding="utf-8", newline="") as file:
+        lines = [line for line in csv.DictReader(file) if line["detector"] == "thesis"]
+    assert [line["trial"] for line in lines] == [trial.id for trial in done.run.trials]
+    for line, trial in zip(lines, done.run.trials, strict=True):
+        assert int(line["found"]) == trial.scores["thesis"].counts.matched
+        assert int(line["found"]) + int(line["missed"]) == int(line["visible"])
+    head = done.run.head
+    assert head is not None
+    page = (done.run.folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert head.wall_digest in page
+    assert teatbench("store check {} --digest {}", done.run.folder, head.wall_digest) == 0
+
+
+def test_every_capture_is_in_a_stable_bath_and_the_truth_as_good_as_the_arm(done: Done) -> None:
+    assert {trial.head["bath_state"] for trial in done.run.trials} == {State.STABLE.value}
+    assert all(abs(trial.head["bath_c"] - 33.0) <= 0.15 for trial in done.run.trials)
+    assert done.run.bath[0, 1] == pytest.approx(20.0, abs=0.1)
+    steps = np.diff(done.run.bath[:, 0])
+    assert steps.max() <= 1.5, "watched once a second, also while the arm reads and the stage moves"
+    rows = [row for trial in done.run.trials for row in trial.truth]
+    distances = np.linalg.norm(points_mm(rows) - [json.loads(r["exact_mm"]) for r in rows], axis=1)
+    assert len(rows) == 24
+    assert 0.02 < distances.mean() < 0.6
+    assert all(0.23 < row["u_mm"] < 0.5 for row in rows)
+
+
+def test_the_recording_scores_the_same(done: Done, tmp_path: Path) -> None:
+    again = read_run(score_recording(done.recording, tmp_path, Silent(), ["thesis"]))
+    for one, other in zip(done.run.trials, again.trials, strict=True):
+        first, second = (t.scores["thesis"].as_dict() for t in (one, other))
+        for wall in ("seconds", "in_time", "success"):
+            del first[wall], second[wall]
+        assert first == second
+
+
+def test_a_run_takes_as_long_as_estimated_says_what_is_left_and_teaches_the_next(
+    done: Done, short_script: Path
+) -> None:
+    """Of what is emulated nothing is assumed: the bath is simulated, as by a dry run."""
+    rig, script, spent = load_rig(find_rig(None)), load_script(short_script), took(done.run)
+    expected = needs(rig, script).time
+    minutes = round(expected.total_s / 60)
+    assert expected.total_s == pytest.approx(spent["total_s"], rel=0.05)
+    assert expected.settling_s == pytest.approx(spent["settling_s"], rel=0.05)
+    assert done.said.startswith(f"6 trials, about {minutes} min left of the bench's time. Run fol")
+    it_took = f"It took {spent['total_s'] / 60:.0f} min of the bench's time; {minutes} min had been"
+    assert it_took in done.said
+    lines = done.recording.with_name("events.jsonl").read_bytes().splitlines()
+    said = [line for line in map(json.loads, lines) if line["what"] == "doing"]
+    doing = [line for line in said if line["t_s"] is not None]
+    after = [line for line in doing if "left" not in line]
+    assert after == doing[-len(after) :], "from the first second on"
+    ends = ["going to safe", "all instruments are safe", "writing the report"]
+    assert [line["text"] for line in after] == ends
+    for line in doing[: -len(after)]:
+        left_min = int(re.sub("less than a", "about 0", line["left"]).split()[1])
+        due_min = (spent["total_s"] - line["t_s"]) / 60
+        assert left_min == pytest.approx(due_min, abs=0.1 * minutes), line
+    waits = [re.findall("waiting for the bath: (.*)", line["text"]) for line in doing]
+    waiting = [text for texts in waits for text in texts]
+    assert waiting[1].endswith("degC, needs 33 ± 0.15")
+    assert any(
+        re.fullmatch(r"stable for \d+ of \d+ s; .*K.*, needs .*", text) for text in waiting
+    ), waiting
+    measured, out = figures(done.run, rig, script, spent), done.run.folder.parent
+    assert min(measured["start"], measured["detecting"]) > 0.0
+    assert read_durations(out, rig) == pytest.approx(measured)
+    first, second = (
+        estimate(rig, script, {**ASSUMED, **known}).total_s for known in ({}, measured)
+    )
+    assert abs(second - spent["total_s"]) < 0.5 * abs(first - spent["total_s"])
+
+
+@pytest.mark.weekly
+def test_another_seed_gives_other_noise(done: Done, short_script: Path, tmp_path: Path) -> None:
+    teatbench("run {} --seed 2 --out {}", first_trials(short_script, 1), tmp_path)
+    (folder,) = tmp_path.iterdir()
+    other = read_run(folder)
+    assert repr(done.run.bath[: len(other.bath)]) != repr(other.bath)
+    assert repr(done.run.trials[0].touches) != repr(other.trials[0].touches)
+    one, two = ((run.folder / run.trials[0].frames[0]["path"]) for run in (done.run, other))
+    assert one.read_bytes() != two.read_bytes()
 
 
 POINTS = tomllib.loads((ROOT / "tests/data/report_points.toml").read_text(encoding="utf-8"))
@@ -223,8 +358,17 @@ def test_the_six_situations_have_all_the_thesis_figures(
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_baseline(copy: Path) -> None:
-    assert main(["report", str(copy), "--baseline", str(copy)]) in DECIDED
-    page = read((copy / "report" / "index.html").read_text(encoding="utf-8"))
+    """It is a look, and the page has the digest of the record that has this look."""
+    old = shutil.copytree(copy, copy.with_name("old"))
+    before = there(check_record(copy).head)
+    assert main(["report", str(copy), "--no-pdf", "--baseline", str(old)]) in DECIDED
+    after, text = (
+        there(check_record(copy).head),
+        (copy / "report" / "index.html").read_text("utf-8"),
+    )
+    assert after.number > before.number
+    assert after.wall_digest in text
+    page = read(text)
     said = page.by_id("baseline").text
     assert "Largest error of each scene, now against the baseline" in said
     assert "No scene's outcome changed" in said

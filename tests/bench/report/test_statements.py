@@ -12,10 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import bench.report
+from bench.report.chapters import sections
 from bench.report.statements import note_on_statements
 from bench.report.wording import MORE, NOT_MEASURED, number, shown, spanned
 from bench.script.model import Rules
-from reports.page import Column, Fold, Section, Table
+from reports.page import Column, Fold, Paragraph, Section, Table
 
 REPORT = Path(bench.report.__path__[0])
 RULES = Rules.model_validate(
@@ -69,3 +70,9 @@ def test_each_table_is_described_once_and_drawn() -> None:
             if head != MORE:
                 assert len({"text", "number"} & set(head)) == 1
                 shown(2 if head.get("form") == "+d" else 2.0, head.get("form", ""))
+
+
+def test_a_chapter_without_a_part_is_left_out() -> None:
+    chapters = {"figures": ("Figures", iter(())), "time": ("Time", [Paragraph("2 s")])}
+    (only,) = sections(chapters, {"time": "of detections"}, folded=True)
+    assert (only.id, only.title, only.folded, only.about) == ("time", "Time", True, "of detections")

@@ -42,7 +42,7 @@ def script(short_script: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
     """The first trial of the six situations."""
     first = "[[trials]]".join(short_script.read_text(encoding="utf-8").split("[[trials]]")[:2])
     path = tmp_path_factory.mktemp("script") / "one.toml"
-    path.write_text(first, encoding="utf-8")
+    path.write_text(first.replace("thesis", "fused"), encoding="utf-8")
     return path
 
 
@@ -94,7 +94,7 @@ def arm_files(folder: Path) -> None:
 @pytest.fixture(scope="module")
 def in_place(script: Path, tmp_path_factory: pytest.TempPathFactory) -> Done:
     folder = tmp_path_factory.mktemp("in-place")
-    return done(shipped_rig(folder, "", WARM, whole=True), script, folder / "runs")
+    return done(shipped_rig(folder, "", WARM), script, folder / "runs")
 
 
 @pytest.fixture(scope="module")
@@ -103,12 +103,12 @@ def elsewhere(script: Path, tmp_path_factory: pytest.TempPathFactory) -> Done:
     arm_files(folder)
     keys = 'frame = "arm-frame.toml"\nverification = "arm-verification.toml"\n'
     placed = f"arm_placed = {{ om = {PLACED.om.tolist()}, T = {PLACED.T.tolist()} }}\n"
-    return done(shipped_rig(folder, keys, WARM + placed, whole=True), script, folder / "runs")
+    return done(shipped_rig(folder, keys, WARM + placed), script, folder / "runs")
 
 
 def test_an_arm_elsewhere_scores_like_one_in_its_place(in_place: Done, elsewhere: Done) -> None:
     assert in_place.run.ending == elsewhere.run.ending == "finished"
-    one, other = (d.run.trials[0].scores["thesis"] for d in (in_place, elsewhere))
+    one, other = (d.run.trials[0].scores["fused"] for d in (in_place, elsewhere))
     assert one.counts == other.counts
     assert np.allclose(one.radial_mm, other.radial_mm, atol=1.5), (
         "the truth differs by the arm's noise and the frame's"

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import json
-import re
 import shutil
-from contextlib import redirect_stdout
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from bench.cli.main import main
-from bench.record.reader import RunRecord
-from bench.rig.loading import LoadedRig, find_rig, load_rig
+from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import Operator
 from bench.run.estimate import (
     ASSUMED,
@@ -22,95 +17,11 @@ from bench.run.estimate import (
     LOOKS_BACK,
     estimate,
     estimate_text,
-    figures,
     needs,
     read_durations,
-    took,
     write_durations,
 )
-from bench.script.model import LoadedScript, find_script, load_script
-from tests.bench.operated_runs import SCRIPT, files, run_of
-
-
-@dataclass(frozen=True)
-class Heated:
-    rig: LoadedRig
-    script: LoadedScript
-    folder: Path
-    said: str
-
-    @property
-    def run(self) -> RunRecord:
-        return run_of(self.folder)
-
-
-@pytest.fixture(scope="module")
-def heated(tmp_path_factory: pytest.TempPathFactory) -> Heated:
-    """A run of some minutes: it heats by 5 K, and each prompt takes half a minute."""
-    folder, said = tmp_path_factory.mktemp("heated"), io.StringIO()
-    script = SCRIPT.replace("window_s = 2.0", "window_s = 600.0")
-    arguments = files(folder, emulation="prompt_s = 30.0", script=script)
-    rig_file = folder / "rig.toml"
-    text = rig_file.read_text(encoding="utf-8").replace(
-        "bath_start_c = 33.0", "bath_start_c = 28.0"
-    )
-    rig_file.write_text(text, encoding="utf-8")
-    with redirect_stdout(said):
-        assert main([*arguments, "--events", str(folder / "events.jsonl")]) in (0, 1, 4)
-    return Heated(load_rig(rig_file), load_script(folder / "script.toml"), folder, said.getvalue())
-
-
-@pytest.mark.weekly
-@pytest.mark.slow
-def test_a_run_teaches_how_long_the_next_takes(heated: Heated) -> None:
-    rig, script, run, folder = heated.rig, heated.script, heated.run, heated.folder / "runs"
-    spent = took(run)
-    first, second = (
-        estimate(rig, script, {**ASSUMED, **known}).total_s
-        for known in ({}, read_durations(folder, rig))
-    )
-    assert abs(second - spent["total_s"]) < 0.5 * abs(first - spent["total_s"])
-    measured = figures(run, rig, script, spent)
-    assert measured["touch"] == pytest.approx(30.0, abs=2.0), (
-        "a prompt takes the emulated operator so long"
-    )
-    assert measured["start"] > 0.0
-    assert measured["detecting"] > 0.0
-    assert read_durations(folder, rig) == pytest.approx(measured)
-
-
-@pytest.mark.weekly
-@pytest.mark.slow
-def test_an_emulated_run_takes_as_long_as_estimated_and_says_what_is_left_all_the_while(
-    heated: Heated,
-) -> None:
-    """Of what is emulated nothing is assumed: hands take what the rig file says, and the bath is
-    simulated, as by a dry run.
-    """
-    run, expected = heated.run, needs(heated.rig, heated.script).time
-    spent, minutes = took(run), round(expected.total_s / 60)
-    assert expected.total_s == pytest.approx(spent["total_s"], rel=0.05)
-    assert expected.settling_s == pytest.approx(spent["settling_s"], rel=0.05)
-    said, took_min = heated.said, f"{spent['total_s'] / 60:.0f}"
-    left = f"3 trials, about {minutes} min left of the bench's time."
-    assert said.startswith(f"{left} Run folder: {run.folder}\n")
-    assert f"It took {took_min} min of the bench's time; {minutes} min had been expected." in said
-    lines = list(map(json.loads, (heated.folder / "events.jsonl").read_bytes().splitlines()))
-    doing = [line for line in lines if line["what"] == "doing" and line["t_s"] is not None]
-    after = [line for line in doing if "left" not in line]
-    assert after == doing[-len(after) :], "from the first second on"
-    ends = ["going to safe", "all instruments are safe", "writing the report"]
-    assert [line["text"] for line in after] == ends
-    doing = doing[: -len(after)]
-    for line in doing:
-        left_min = int(re.sub("less than a", "about 0", line["left"]).split()[1])
-        due_min = (spent["total_s"] - line["t_s"]) / 60
-        assert left_min == pytest.approx(due_min, abs=0.1 * minutes), line
-    bath = "waiting for the bath: "
-    waiting = [line["text"].removeprefix(bath) for line in doing if line["text"].startswith(bath)]
-    assert waiting[1].endswith("degC, needs 33 ± 0.15")
-    assert any(text.startswith("stable for 4 of 10 min") for text in waiting)
-    assert any(re.fullmatch(r"stable for \d of 10 min; .*K.*, needs .*", text) for text in waiting)
+from bench.script.model import find_script, load_script
 
 
 def test_the_newest_runs_count_most_and_rigs_are_kept_apart(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ whole; and what a person requests of a run under way, by a file or typed.
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 from pathlib import Path
 
@@ -45,6 +46,7 @@ from tests.bench.commands import Said
 from tests.bench.fault_catalogue import Bringer, known_to
 from tests.bench.killed_runs import Person, only_run, start
 from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files, record_of, run_of, texts
+from tests.bench.small_run import KEPT
 from tests.examples import few
 
 TRIALS = ["001-place-1-1", "002-place-2-1", "003-place-3-1"]
@@ -405,8 +407,8 @@ def test_words_that_mean_nothing_are_reported_and_change_nothing(
     assert note[1].startswith("skip needs a reason")
     with pytest.raises(ConfigError, match="repeat needs a reason"):
         leave_request(tmp_path, "repeat")
-    ended = record_of(tmp_path).folder
-    assert "has ended (finished)" in said(2, "tell {} pause", ended).err
+    kept = shutil.copytree(KEPT, tmp_path / "kept")
+    assert "has ended (finished)" in said(2, "tell {} pause", kept).err
 
 
 TERMINAL = pytest.mark.skipif(

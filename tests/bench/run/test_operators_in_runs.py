@@ -18,7 +18,7 @@ from bench.run.start import RunOptions
 from bench.script.phantom import shipped_phantom
 from instruments.world.phantom import PlatePose
 from tests.bench.killed_runs import start
-from tests.bench.operated_runs import CHECK_POINT, ONE, STAGE, files, record_of, run, texts
+from tests.bench.operated_runs import CHECK_POINT, ONE, files, record_of, run, texts
 from tests.plain_text import plain_text
 
 WILLING = (
@@ -59,15 +59,6 @@ def test_a_run_of_which_all_was_skipped_has_no_verdict(tmp_path: Path) -> None:
     code, record = answered(tmp_path, answers)
     assert (code, len(record.skipped)) == (4, 3)
     assert "All 3 trials were left out, so nothing was scored" in page_of(record)
-
-
-@pytest.mark.weekly
-@pytest.mark.slow
-def test_a_trial_may_be_done_again_from_its_set_up(tmp_path: Path) -> None:
-    answers = WILLING + "touch (trial 2 of 3, teat 3): repeat\nset up (trial 2 of 3): repeat\n"
-    record = record_of(tmp_path, operator=SCRIPTED, answers=answers, stage=STAGE)
-    assert (record.ending, len(record.trials)) == ("finished", 3), texts(record, "fault")
-    assert len(texts(record, "repeated")) == 2
 
 
 @pytest.mark.slow

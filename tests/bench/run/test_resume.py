@@ -35,6 +35,7 @@ from bench.run.recordings import RECORDED, Recorder
 from bench.run.resume import what_is_left
 from bench.run.start import RunOptions
 from bench.truth.carrying import REFERENCE_FACT, CarriedTruth
+from instruments.captures.capture import CaptureFile, read_capture
 from instruments.errors import LinkError
 from tests.bench.commands import Said
 from tests.bench.forked import begin
@@ -56,6 +57,7 @@ pytestmark = pytest.mark.slow
 if sys.platform == "win32":
     pytest.skip("forks benches, and kills them", allow_module_level=True)
 
+HEADER = ("teatbench", "command", "machine")
 KILLS = os.environ.get("TEATBENCH_KILLS")
 TOUCHED_KILLS, CARRIED_KILLS = int(KILLS or 2), int(KILLS or 1)
 FIRST, SECOND, THIRD = TRIALS = ["001-place-1-1", "002-place-2-1", "003-place-3-1"]
@@ -112,11 +114,17 @@ def test_killed_at_random_moments_with_a_carried_truth_equals_undisturbed(tmp_pa
     killed_at_random(tmp_path, steps, 14, CARRIED_KILLS)
 
 
-def test_two_runs_with_one_seed_are_the_same_but_for_real_time(
-    undisturbed: tuple[Path, int],
+def test_two_runs_with_one_seed_are_the_same_but_for_real_time_and_a_capture_changes_nothing(
+    undisturbed: tuple[Path, int], tmp_path: Path
 ) -> None:
     folder, _ = undisturbed
-    start(folder, "twin")
+    with CaptureFile(tmp_path / "twin.jsonl", dict.fromkeys(HEADER, "")) as capture:
+        start(folder, "twin", how=RunOptions(capture=capture))
+    links = read_capture(capture.path).links
+    assert list(links) == ["arm", "bath", "stage"]
+    for (conversation,) in links.values():
+        assert (conversation.closed_s is None, conversation.broke) == (False, "")
+        assert len(conversation.exchanges) > 50
     one, other = (read_run(only_run(folder, out)) for out in ("whole", "twin"))
     assert results(one.folder) == results(other.folder)
     first, second = ([(e["t_s"], e["kind"], e["text"]) for e in run.events] for run in (one, other))
@@ -455,7 +463,6 @@ def test_a_recording_that_cannot_be_written_is_reported_once_and_ends_no_run(
     assert len(Recording(recording(tmp_path, "runs")).frames) == 1
 
 
-def test_where_it_is_recorded_is_in_the_record(touched: Path) -> None:
-    assert read_run(only_run(touched, "whole")).facts[RECORDED] == str(
-        recording(touched, "whole").resolve()
-    )
+def test_where_it_is_recorded_is_in_the_record(carried: Path) -> None:
+    place = str(recording(carried, "whole").resolve())
+    assert read_run(only_run(carried, "whole")).facts[RECORDED] == place
