@@ -110,25 +110,6 @@ def exact_ends(record: RunRecord) -> np.ndarray:
     )
 
 
-def touched_ends(record: RunRecord) -> np.ndarray:
-    """Where they were touched, in the same shape."""
-    rows = [[[row[f"{a}_mm"] for a in "xyz"] for row in trial.truth] for trial in record.trials]
-    return np.array(rows)
-
-
-@pytest.mark.weekly
-@pytest.mark.slow
-def test_placement_errors_come_out_in_the_truth_and_not_as_errors_of_it(tmp_path: Path) -> None:
-    emulation = "placement_error_mm = 2.0\nplacement_error_deg = 1.0\nhand_error_mm = 0.05"
-    record = record_of(tmp_path, emulation=emulation)
-    assert record.ending == "finished", texts(record, "fault")
-    found = exact_ends(record)
-    off = np.linalg.norm(found - WANTED, axis=2).max(axis=1)
-    assert ((off > 0.1) & (off < 20.0)).all()
-    assert np.linalg.norm(touched_ends(record) - found, axis=2).max() < 2.0
-    assert len(set(np.round((found - WANTED)[:, 0, 0], 6))) == 3
-
-
 @pytest.mark.slow
 def test_without_a_stage_a_script_of_answers_is_asked_for_every_pose(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
