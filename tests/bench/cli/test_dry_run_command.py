@@ -7,9 +7,11 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from bench.cli.dry_run import _gone_through
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import load_rig
 from bench.rig.model import EmulatedStage
@@ -35,6 +37,10 @@ def test_a_clean_script_exits_with_0(two_trials: Path, tmp_path: Path, said: Sai
     asked = "17 prompts: 1 homing, 6 arm check, 2 set-ups, 8 teat ends (3 touches each)"
     assert room.endswith(f" MB and the report, {asked}")
     assert seen.err == "", "a bar is for a terminal: test_terminal_screen"
+    some: Any = SimpleNamespace(trials=5, rendered=4, recovered={"a fault": 2})
+    *_, met, left = _gone_through(some, 4)
+    assert met == "met and got over: a fault (2 times)"
+    assert left == "not gone through: 1 trial, for what is said above"
     assert not (tmp_path / "runs").exists()
 
 
@@ -83,7 +89,7 @@ def test_what_a_run_is_refused_for_is_reported_by_its_dry_run(tmp_path: Path, sa
     (tmp_path / "lab.tripped.json").unlink()
     held = {"host": "another machine", "pid": 1, "since": "2026-11-01T12:00:00", "run": "runs/o"}
     (tmp_path / "lab.lock.json").write_text(json.dumps(held), encoding="utf-8")
-    seen = said(2, f"{DRY} --rig {{}}", *one(tmp_path, FAR), rig).out
+    seen = said(0, f"{DRY} --rig {{}}", *one(tmp_path), rig).out
     assert "not checked: the stage's travel: another bench has the rig" in seen
 
 

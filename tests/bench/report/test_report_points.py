@@ -1,5 +1,6 @@
-"""The eleven points of a report (metrology.md, last section), in that of a real run; hostile notes;
-baseline and extras; in a real browser, from disk without a network.
+"""The main job on the emulated rig: what a user gets, and the eleven points of its report
+(metrology.md, last section); hostile notes; baseline and extras; in a real browser, from disk
+without a network.
 """
 
 from __future__ import annotations

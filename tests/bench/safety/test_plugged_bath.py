@@ -243,7 +243,7 @@ RUNS: list[tuple[str, int, Callable[[Any], Any], int, str]] = [
 ]  # fmt: skip
 # what cameras give, and what is said of it; what else they have is left alone
 GIVEN: list[tuple[object, str]] = [
-    (None, "no mapping of parts .*Correct d of pkg 1"),
+    (None, "no mapping of parts .*Correct the plug-in d of pkg 1"),
     (changed() | {"up": None}, ""),
     (changed(bits=5), "its left frame has values beyond its 5"),
     (changed(exposed_s=90.0), r"exposed at 90\.000 s of the"),
