@@ -112,25 +112,6 @@ def test_opening_the_port_again_resets_the_board_where_the_carriage_stands(board
     assert -60 < board.emulator.position_mm()[0] < -40
 
 
-def test_a_power_dip_in_motion_shows_as_a_welcome(free: Board) -> None:
-    free.emulator.inject(StageFault.RESTART, 0.5)
-    assert free.say(b"G1X-50F3000\n", 2.0) == b"ok\r\n" + WELCOME + LOCK
-
-
-def test_faulty_answers(free: Board) -> None:
-    free.emulator.inject(StageFault.LOST_OK)
-    assert free.say(b"G21\n", 5.0) == b""
-    free.emulator.inject(StageFault.LATE_OK, 3.0)
-    assert free.say(b"G21\n", 2.9) == b""
-    assert free.hear(0.2) == b"ok\r\n"
-    free.emulator.inject(StageFault.GARBAGE)
-    assert free.say(b"G21\n").endswith(b"\r\nok\r\n")
-    free.emulator.inject(StageFault.SILENT)
-    assert free.say(b"?\nG21\n\x18", 5.0) == b""
-    free.emulator.cure(StageFault.SILENT)
-    assert free.state() == b"Idle"
-
-
 def test_lost_steps_wait_for_a_motion_that_is_not_homing_and_stay_until_the_next(
     board: Board,
 ) -> None:
