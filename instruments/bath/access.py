@@ -11,7 +11,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from typing import ClassVar, Generic, TypeVar, cast
 
 from instruments.bath.profile import WATCHDOG, Device, Profile
@@ -52,8 +52,8 @@ class RowAnswer:
 class Access(ABC, Generic[R]):
     """The rows of one device over ``wire``, which is not opened yet; for one thread. ``known``:
     whether it was identified; ``unit_confirmed``: a person has seen that its numbers are degC;
-    ``absent``: rows that this model does not offer, and why; ``remote``: what its panel calls
-    control by us; ``SHOWN``: rows that say what it is.
+    ``absent``: rows that this model does not offer, and why; ``detected``: what its format shows of
+    it; ``remote``: what its panel calls control by us; ``SHOWN``: rows that say what it is.
     """
 
     remote: ClassVar[str]
@@ -72,16 +72,12 @@ class Access(ABC, Generic[R]):
         self.known = self.unit_confirmed = False
         self.doubt = ""  # why what answers may be no controller at all
         self.absent: dict[str, str] = {}
+        self.detected: dict[str, str] = {}
         self._set_at = -math.inf
 
     @abstractmethod
     def detect_format(self) -> None:
         """Learn how the controller speaks. Raises ProtocolError, DeviceError."""
-
-    @property
-    @abstractmethod
-    def detected(self) -> Mapping[str, str]:
-        """What that showed of the controller."""
 
     @abstractmethod
     def first_poll(self) -> BathReading:
@@ -174,7 +170,7 @@ class Access(ABC, Generic[R]):
             t_s, rows, values, temperature, alarm=alarm, diagnoses=diagnoses
         )
 
-    @cached_property
+    @property
     def assembler(self) -> Assembler:
         """Makes readings of the profile's rows."""
         return Assembler(self.family, self.who)

@@ -154,6 +154,7 @@ class Server(Emulator):
     """
 
     framing: Framing
+    panel: Values
 
     def __init__(
         self,
@@ -192,10 +193,6 @@ class Server(Emulator):
                 self._serve(connection, frame)
         except protocol.UnframedError:
             connection.hang_up()
-
-    def plain(self, request: RawRequest) -> bytes:  # noqa: ARG002 - for families that have these functions
-        """The PDU that answers functions 7 and 8. Raises Refused."""
-        raise ModbusException(protocol.ILLEGAL_FUNCTION)
 
     def _serve(self, connection: Connection, frame: Frame) -> None:
         to_all = self.framing == "rtu" and frame.unit == protocol.BROADCAST
@@ -241,7 +238,16 @@ class Server(Emulator):
                 self._cells.write(write)
                 return protocol.answer_read(read, self._read(read))
             case RawRequest() as request:
-                return self.plain(request)
+                return self._plain(request)
+
+    def _plain(self, request: RawRequest) -> bytes:
+        """The status byte, or the loopback's echo, for families that have these functions."""
+        if request.function == protocol.LOOPBACK:
+            if len(request.body) != 4 or request.body[:2] != b"\0\0":
+                raise ModbusException(protocol.ILLEGAL_VALUE)
+            return bytes((request.function,)) + request.body
+        status = self.panel.wiring.find("status")
+        return bytes((request.function, self.panel.words(status)[0] & 0xFF if status else 0))
 
     def _read(self, request: Read) -> list[int]:
         values = self._cells.read(request)
@@ -253,8 +259,8 @@ class Server(Emulator):
 
 class BathEmulator(Server):
     """Serves ``plant`` as a controller of ``profile``'s family, laid out as the family's witness
-    has it; where the family has no pump, a relay switches the plant's. ``as_shipped``: in the
-    factory's unit. The fault "controller reset" ends by itself.
+    has it; where the family has no pump, a relay switches the plant's. The fault "controller reset"
+    ends by itself.
     """
 
     known_faults: ClassVar[tuple[str, ...]] = FAULTS
@@ -270,24 +276,12 @@ class BathEmulator(Server):
         *,
         unit_id: int | None = None,
         framing: Framing | None = None,
-        as_shipped: bool = False,
     ) -> None:
-        behaviour = behaviour_of(profile)
-        device = device_of(profile)
+        behaviour, device = behaviour_of(profile), device_of(profile)
         panel = Controller(plant, device, behaviour, unit_id or profile.unit_id)
-        panel.fahrenheit = as_shipped and behaviour.fahrenheit_as_shipped
         super().__init__(plant, device, clock, behaviour, panel, unit_id, framing)
         self.profile = profile
         plant.fit(circulator=profile.capabilities.pump == "with run")
-
-    def plain(self, request: RawRequest) -> bytes:
-        """The status byte, or the loopback's echo."""
-        if request.function == protocol.LOOPBACK:
-            if len(request.body) != 4 or request.body[:2] != b"\0\0":
-                raise ModbusException(protocol.ILLEGAL_VALUE)
-            return bytes((request.function,)) + request.body
-        status = self.panel.profile.find("status")
-        return bytes((request.function, self.panel.words(status)[0] & 0xFF if status else 0))
 
 
 class Contacts(Values):

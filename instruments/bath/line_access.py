@@ -179,10 +179,6 @@ class LineAccess(Access[LineRow]):
         self.look_for(self.looked_for)
         return self.poll_now()
 
-    @property
-    def detected(self) -> Mapping[str, str]:
-        return {}
-
     def _is_model(self, model: Model) -> bool:
         if not model.unanswered:
             return model.fits(self._mark)
@@ -196,7 +192,6 @@ class LineAccess(Access[LineRow]):
 
     def _take_model(self, model: Model | None) -> None:
         self.profile = self._family.of_model(model)
-        self.__dict__.pop("assembler", None)  # of another profile
         here = {row.name for row in self.profile.rows}
         why = f"the profile knows no model that says {self._mark!r}"
         why = f"the profile says so of {self._mark!r}" if model else why

@@ -253,7 +253,7 @@ class Lauda(Dialect):
             return super().answer(command)
         if not seconds.isdecimal():
             return self.WRONG
-        if int(seconds) > 99:
+        if float(seconds) > 99.0:
             return self.OUTSIDE
         self.watchdog_s = float(seconds)
         return self.DONE

@@ -505,11 +505,6 @@ def load_profile(name_or_path: str | Path) -> Profile:
     return _load(name_or_path, SHIPPED, "shipped profiles", kind)
 
 
-def load_register_profile(name_or_path: str | Path) -> RegisterProfile:
-    """As `load_profile`, of a family that speaks Modbus."""
-    return _load(name_or_path, SHIPPED, "shipped profiles", lambda _: RegisterProfile)
-
-
 def load_relay(name_or_path: str | Path) -> RelayProfile:
     """As `load_profile`, for the relay of a pump."""
     return _load(name_or_path, RELAYS, "shipped profiles of relays", lambda _: RelayProfile)

@@ -50,7 +50,6 @@ class Assembler:
     def __init__(self, profile: Profile, who: str) -> None:
         self._profile = profile
         self._who = who
-        self._bits = sum({alarm.code for alarm in profile.alarms})
 
     def reading(
         self,
@@ -96,7 +95,7 @@ class Assembler:
             return 0
         code = int(value)
         if row.alarm == "bits":
-            return code & self._bits
+            return code & sum({alarm.code for alarm in self._profile.alarms})
         return 0 if code in row.quiet or (row.alarm == "negative" and code > 0) else code
 
     def is_plausible(self, temp_c: float) -> bool:

@@ -81,10 +81,7 @@ class RegisterAccess(Access[Row]):
                 hint = "Is this really the profile's family?"
                 raise ProtocolError(self.who, what, asked=source.row, seen=str(code), hint=hint)
             self.order = order
-
-    @property
-    def detected(self) -> Mapping[str, str]:
-        return {"order": self.order}
+        self.detected = {"order": self.order}
 
     def first_poll(self) -> BathReading:
         """With the gaps between rows read over, which a controller may refuse."""

@@ -59,7 +59,6 @@ class Behaviour:
     sensor_break: Literal["nan", "last"] | int = "nan"
     reset_s: float = 2.0
     after_reset: Literal["standby", "as it was"] = "as it was"
-    fahrenheit_as_shipped: bool = False
     writable: Set[str] | None = frozenset()
     bits: Mapping[str, int] = field(default_factory=dict)
     starts: Mapping[str, float] = field(default_factory=dict)
@@ -105,11 +104,10 @@ EUROTHERM = Behaviour(
     bits={"alarm 1": 0x0001, "manual": 0x0010, "sensor": 0x0020, "loop": 0x0040},
     starts={**LIMITS, "decimals": 1.0, "version": 0x0461, "model": 0x2416},
 )
-WATLOW = Behaviour(  # 1.3: degF until it is set; 3 and 4 alike
+WATLOW = Behaviour(  # 1.3: 3 and 4 alike
     functions=WORDS,
     alike=True,
     sensor_break="last",
-    fahrenheit_as_shipped=True,
     writable={"unit", "alarm1_low", "alarm1_high", "set_point_low", "set_point_high"}
     | {"manual_power", "limit_high"},
     starts={**LIMITS, "limit_high": 60.0, "limit_state": 61.0},

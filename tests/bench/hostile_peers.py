@@ -23,12 +23,12 @@ from tempfile import TemporaryDirectory
 
 from instruments.bath import protocol
 from instruments.bath.emulator import BathEmulator
-from instruments.bath.profile import load_register_profile
 from instruments.world.plant import Plant
 from tests.bench.commands import served
 from tests.bench.forked import begin
 from tests.bench.operated_runs import ONE
 from tests.bench.real_rig import record_one
+from tests.instruments.bath.devices import load_register_profile
 
 # a process that has loaded the bench, but nothing else, takes 110 MB
 WITHIN_S, MOST_MORE_MB = 65.0, 90.0

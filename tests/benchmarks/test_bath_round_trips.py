@@ -28,7 +28,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator
-from instruments.bath.profile import RegisterProfile, load_register_profile
+from instruments.bath.profile import RegisterProfile
 from instruments.bath.requests import Block, blocks
 from instruments.bath.rows import Row
 from instruments.clock import RealClock
@@ -36,6 +36,7 @@ from instruments.listener import Listener
 from instruments.pty_listener import PtyListener
 from instruments.world.plant import Plant
 from tests.benchmarks.figures import figure
+from tests.instruments.bath.devices import load_register_profile
 
 AT_MOST, AT_MOST_OF_WIRE = 1.15, 1.1
 BAUD, BITS = 9600, 10

@@ -49,8 +49,8 @@ listen(ArmEmulator(Hand(), clock))
 """
 BATH = """
 from instruments.bath.emulator import BathEmulator
-from instruments.bath.profile import load_register_profile
 from instruments.world.plant import Plant
+from tests.instruments.bath.devices import load_register_profile
 listen(BathEmulator(Plant(1), load_register_profile("julabo-presto"), clock, framing="tcp"))
 """
 ECHO = """

@@ -14,7 +14,6 @@ import pytest
 from bench.testing.conformance import CHECKS, Check, Subject, Wired, abort_in, conform
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator
-from instruments.bath.profile import load_register_profile
 from instruments.camera.cameras import CameraSet
 from instruments.camera.emulator import EmulatedCameras
 from instruments.camera.frame import FrameError, FrameFault, FrameSet
@@ -29,6 +28,7 @@ from instruments.stage.emulator.board import StageEmulator
 from instruments.stage.emulator.store import CLASSIC, MARLIN, ZABER, Dialect
 from instruments.stage.zaber import Motor
 from instruments.world.plant import Plant
+from tests.instruments.bath.devices import load_register_profile
 from tests.instruments.camera.small_world import GalleryWorld
 from tests.instruments.microscribe.rigs import Hand
 

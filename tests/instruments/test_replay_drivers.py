@@ -15,7 +15,6 @@ import pytest
 
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator
-from instruments.bath.profile import load_register_profile
 from instruments.captures.capture import Capture, CaptureFile, read_capture
 from instruments.captures.replay import Replay
 from instruments.clock import Clock, RealClock, VirtualClock
@@ -29,6 +28,7 @@ from instruments.microscribe.kinematics import Floats
 from instruments.stage.driver import Stage
 from instruments.stage.emulator.board import StageEmulator
 from instruments.world.plant import Plant
+from tests.instruments.bath.devices import load_register_profile
 
 FACTS = {"teatbench": "0", "command": "c", "machine": "m"}
 Found = list[object]

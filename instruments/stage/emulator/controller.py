@@ -18,6 +18,7 @@ from instruments.stage.emulator.store import Store
 Work = Generator[float, None, str | None]
 SEARCH = 1.5  # times the axis's travel, before a switch counts as missing
 LOCATE = 5.0  # times the pull-off
+LINE_BYTES = 95  # what follows in a line is dropped, as Marlin does
 
 
 class Controller(ABC):
@@ -75,7 +76,7 @@ class Controller(ABC):
         """Bytes from the host, cut anywhere."""
         *lines, self._half = (self._half + data).split(b"\n")
         for line in lines:
-            text = line.decode("ascii", "replace").strip()
+            text = line[:LINE_BYTES].decode("ascii", "replace").strip()
             self.seen(text)
             self._lines.append(text)
         self.pump()

@@ -17,42 +17,6 @@ LEAST_MM_S2 = 0.01  # for a setting of 0, which no board can do anything with
 ROUNDED = 1e-12  # of a length: its parts differ from it in their last bits
 
 
-class Run:
-    """A way of ``length_mm`` > 0 from ``entry_mm_s`` to rest, at ``speed_mm_s`` between."""
-
-    def __init__(
-        self,
-        start_s: float,
-        length_mm: float,
-        speed_mm_s: float,
-        accel_mm_s2: float,
-        entry_mm_s: float = 0.0,
-    ) -> None:
-        self.start_s, self.length_mm = start_s, length_mm
-        accel, entry = accel_mm_s2, entry_mm_s
-        top = min(speed_mm_s, math.sqrt(accel * length_mm + entry**2 / 2))
-        first = accel if top >= entry else -accel
-        cruise_mm = length_mm - (top**2 - entry**2) / (2 * first) - top**2 / (2 * accel)
-        # seconds, first speed and acceleration of each phase
-        self._phases = (
-            ((top - entry) / first, entry, first),
-            (max(0.0, cruise_mm) / top, top, 0.0),
-            (top / accel, top, -accel),
-        )
-        self.end_s = start_s + sum([seconds for seconds, _, _ in self._phases])
-
-    def at(self, now_s: float) -> tuple[float, float]:
-        """How far along, mm, and how fast, mm/s."""
-        left_s, place = now_s - self.start_s, 0.0
-        for seconds, speed, accel in self._phases:
-            t = min(max(left_s, 0.0), seconds)
-            place += speed * t + accel * t * t / 2
-            if left_s < seconds:
-                return place, speed + accel * t
-            left_s -= seconds
-        return self.length_mm, 0.0
-
-
 @dataclass(frozen=True, slots=True)
 class AxisRates:
     """What each axis can do: mm/s and mm/s²."""
@@ -91,25 +55,50 @@ class LinearMove:
         return tuple([start + (end - start) * share for start, end in pairs])
 
 
-@dataclass(frozen=True, slots=True)
 class MoveSegment:
-    """A move, or what is run of it from ``from_mm`` on, and when it is where."""
+    """What is run of a move: ``way_mm`` > 0 from ``from_mm`` on, from ``entry_mm_s`` to rest, at
+    ``speed_mm_s`` between.
+    """
 
-    move: LinearMove
-    from_mm: float
-    run: Run
+    def __init__(
+        self,
+        move: LinearMove,
+        from_mm: float,
+        way_mm: float,
+        start_s: float,
+        speed_mm_s: float,
+        entry_mm_s: float = 0.0,
+    ) -> None:
+        self.move, self._from_mm, self._way_mm, self._start_s = move, from_mm, way_mm, start_s
+        accel, entry = move.accel_mm_s2, entry_mm_s
+        top = min(speed_mm_s, math.sqrt(accel * way_mm + entry**2 / 2))
+        first = accel if top >= entry else -accel
+        cruise_mm = way_mm - (top**2 - entry**2) / (2 * first) - top**2 / (2 * accel)
+        # seconds, first speed and acceleration of each phase
+        self._phases = (
+            ((top - entry) / first, entry, first),
+            (max(0.0, cruise_mm) / top, top, 0.0),
+            (top / accel, top, -accel),
+        )
+        self.end_s = start_s + sum([seconds for seconds, _, _ in self._phases])
 
-    @property
-    def end_s(self) -> float:
-        return self.run.end_s
+    def at(self, now_s: float) -> tuple[float, float]:
+        """How far along its move, mm, and how fast, mm/s."""
+        left_s, way = now_s - self._start_s, 0.0
+        for seconds, speed, accel in self._phases:
+            t = min(max(left_s, 0.0), seconds)
+            way += speed * t + accel * t * t / 2
+            if left_s < seconds:
+                return self._from_mm + way, speed + accel * t
+            left_s -= seconds
+        return self._from_mm + self._way_mm, 0.0
 
     @property
     def end_mm(self) -> Vector:
         """The move's own target where it goes so far, whatever parts of it were run before."""
-        along_mm = self.from_mm + self.run.length_mm
-        if along_mm >= self.move.length_mm * (1.0 - ROUNDED):
-            return self.move.target_mm
-        return self.move.place(along_mm)
+        along_mm = self._from_mm + self._way_mm
+        whole = along_mm >= self.move.length_mm * (1.0 - ROUNDED)
+        return self.move.target_mm if whole else self.move.place(along_mm)
 
 
 class Motion:
@@ -124,7 +113,7 @@ class Motion:
     def position(self, now_s: float) -> Vector:
         for leg in self._legs:
             if now_s < leg.end_s:
-                return leg.move.place(leg.from_mm + leg.run.at(now_s)[0])
+                return leg.move.place(leg.at(now_s)[0])
         return self._legs[-1].end_mm if self._legs else self._rest
 
     def turns(self, since_s: float, now_s: float) -> list[Vector]:
@@ -134,7 +123,7 @@ class Motion:
 
     def speed(self, now_s: float) -> float:
         """Along the path, mm/s."""
-        return next((leg.run.at(now_s)[1] for leg in self._legs if now_s < leg.end_s), 0.0)
+        return next((leg.at(now_s)[1] for leg in self._legs if now_s < leg.end_s), 0.0)
 
     def moving(self, now_s: float) -> bool:
         return bool(self._legs) and self._legs[-1].end_s > now_s + SOON_S
@@ -148,7 +137,7 @@ class Motion:
         if self._held:
             return self._held
         legs = [leg for leg in self._legs if leg.end_s > now_s + SOON_S]
-        return tuple([(leg.move, leg.from_mm + leg.run.at(now_s)[0]) for leg in legs])
+        return tuple([(leg.move, leg.at(now_s)[0]) for leg in legs])
 
     @property
     def target(self) -> Vector:
@@ -177,8 +166,7 @@ class Motion:
             move, along = left[0]
             brake_mm = min(speed**2 / (2 * move.accel_mm_s2), move.length_mm - along)
             if brake_mm > 0:
-                run = Run(now_s, brake_mm, speed, move.accel_mm_s2, speed)
-                self._legs = (MoveSegment(move, along, run),)
+                self._legs = (MoveSegment(move, along, brake_mm, now_s, speed, speed),)
                 self._held = ((move, along + brake_mm), *left[1:])
 
     def resume(self, now_s: float) -> None:
@@ -211,7 +199,7 @@ class Motion:
         legs: list[MoveSegment] = []
         for move, along in left:
             if (way := move.length_mm - along) > 0:
-                run = Run(now_s, way, move.speed_mm_s(*self.percent), move.accel_mm_s2, speed)
-                legs.append(MoveSegment(move, along, run))
-                now_s, speed = run.end_s, 0.0
+                top = move.speed_mm_s(*self.percent)
+                legs.append(MoveSegment(move, along, way, now_s, top, speed))
+                now_s, speed = legs[-1].end_s, 0.0
         self._legs = tuple(legs)

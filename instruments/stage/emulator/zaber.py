@@ -51,7 +51,7 @@ class ZaberController(Controller):
 
     def work(self, text: str) -> Work:
         """A command is answered at once; homing goes on behind the answers."""
-        if text and (found := _COMMAND.fullmatch(text)):
+        if text.isascii() and (found := _COMMAND.fullmatch(text)):
             device, axis, number, words, check = found.groups()
             head = text[1:].partition(":")[0]
             if check in (None, f"{-sum(head.encode('ascii')) & 0xFF:02X}"):

@@ -19,12 +19,13 @@ import bench
 from bench.cli.bath import HEIGHT, WIDTH, BathPlot, output_strip, plot, show_views
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.line_emulator import LineEmulator
-from instruments.bath.profile import SHIPPED, LineProfile, load_profile, load_register_profile
+from instruments.bath.profile import SHIPPED, LineProfile, load_profile
 from instruments.bath.reading import BathReading
 from instruments.clock import VirtualClock
 from instruments.errors import LinkError
 from instruments.world.plant import Plant
 from tests.bench.commands import Said, served, teatbench
+from tests.instruments.bath.devices import load_register_profile
 
 
 @dataclass

@@ -17,11 +17,11 @@ from typing import Any
 import psutil
 
 from instruments.bath.emulator import BathEmulator
-from instruments.bath.profile import load_register_profile
 from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.world.plant import Plant
 from tests.conftest import ROOT
+from tests.instruments.bath.devices import load_register_profile
 from tests.waiting import within
 
 PATIENCE_S = 60.0

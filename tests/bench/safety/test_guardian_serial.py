@@ -22,7 +22,7 @@ from bench.record.reader import read_run
 from bench.results.headline import guardian_text
 from bench.rig.guardian import DONE
 from instruments.bath.emulator import BathEmulator, RelayEmulator
-from instruments.bath.profile import load_register_profile, load_relay
+from instruments.bath.profile import load_relay
 from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.world.plant import Plant
@@ -42,6 +42,7 @@ if sys.platform == "win32":
     pytest.skip("needs pseudo-terminals and POSIX signals", allow_module_level=True)
 
 from tests.bench.marked_bench import MARK, MarkedBench, marked_bench
+from tests.instruments.bath.devices import load_register_profile
 
 pytestmark = pytest.mark.slow
 

@@ -7,16 +7,12 @@ from __future__ import annotations
 import struct
 import threading
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator, Framing, Server
-from instruments.bath.profile import (
-    RegisterProfile,
-    load_profile,
-    load_register_profile,
-    profile_names,
-)
+from instruments.bath.profile import RegisterProfile, load_profile, profile_names
 from instruments.bath.protocol import framed
 from instruments.clock import Clock, VirtualClock
 from instruments.listener import Connection, Listener
@@ -30,6 +26,13 @@ REGISTER_FAMILIES = [
 ]
 NO_PUMP = [*EUROTHERMS, *WATLOWS, OMEGA]
 MOST_LOOKS = 10_000  # at one moment of virtual time
+
+
+def load_register_profile(name_or_path: str | Path) -> RegisterProfile:
+    """As `load_profile`, of a family that speaks Modbus."""
+    profile = load_profile(name_or_path)
+    assert isinstance(profile, RegisterProfile)
+    return profile
 
 
 def calm_plant() -> Plant:
@@ -79,15 +82,10 @@ class Wire:
 class Asked:
     """A controller on an RTU line. ``ask`` gives the PDU answered, in hex; "" for silence."""
 
-    def __init__(self, profile: str, *, as_shipped: bool = False, framing: Framing = "rtu") -> None:
-        self.clock, self.plant, family = (
-            VirtualClock(),
-            calm_plant(),
-            load_register_profile(profile),
-        )
-        self.emulator = BathEmulator(
-            self.plant, family, self.clock, unit_id=1, framing=framing, as_shipped=as_shipped
-        )
+    def __init__(self, profile: str, *, framing: Framing = "rtu") -> None:
+        self.clock, self.plant = VirtualClock(), calm_plant()
+        family = load_register_profile(profile)
+        self.emulator = BathEmulator(self.plant, family, self.clock, unit_id=1, framing=framing)
         self.wire = Wire(self.emulator, self.clock)
 
     def ask(self, pdu: str, *, unit: int = 1) -> str:

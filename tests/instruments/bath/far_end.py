@@ -14,10 +14,10 @@ from threading import RLock
 
 from instruments.bath.connection import parse_line
 from instruments.bath.driver import Bath
-from instruments.bath.profile import load_register_profile
 from instruments.bath.transactions import Transactions
 from instruments.clock import Clock, VirtualClock
 from instruments.listener import Connection, Listener
+from tests.instruments.bath.devices import load_register_profile
 
 LATEST_S = 9.9  # after its question, an answer that has not come never comes
 Spoil = Callable[[bytes], bytes]

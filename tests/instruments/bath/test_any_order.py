@@ -22,7 +22,7 @@ from hypothesis.stateful import (
 
 from instruments.bath.driver import Bath, PumpAt
 from instruments.bath.emulator import FAULTS, POWER_CUT, RELAY_FAULTS, RelayEmulator
-from instruments.bath.profile import load_register_profile, load_relay
+from instruments.bath.profile import load_relay
 from instruments.bath.reading import BathReading
 from instruments.errors import InstrumentError
 from instruments.listener import Listener
@@ -33,6 +33,7 @@ from tests.instruments.bath.devices import (
     Stand,
     Watched,
     calm_plant,
+    load_register_profile,
     url_of,
 )
 

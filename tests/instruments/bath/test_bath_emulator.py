@@ -7,13 +7,12 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pymodbus.framer import FramerRTU
 
 from instruments.bath.emulator import FAULTS
 from instruments.bath.protocol import Frame, RtuReader, crc, framed
-from tests.examples import examples
 from tests.instruments.bath.devices import Asked, Wire
 
 # ---- Modbus TCP
@@ -97,13 +96,6 @@ def test_registers_written_together_are_all_or_nothing(tcp: Asked) -> None:
     assert (tcp.plant.running, tcp.plant.set_point_c) == (True, 33.0)
 
 
-def test_in_manual_mode_writes_are_confirmed_and_do_nothing(tcp: Asked) -> None:
-    tcp.emulator.fault("manual mode")
-    assert tcp.ask_tcp("0001 0000 0006 01 06 0000 0001") == "00 01 00 00 00 06 01 06 00 00 00 01"
-    assert not tcp.plant.running
-    assert tcp.ask_tcp("0002 0000 0006 01 04 0005 0001") == "00 02 00 00 00 05 01 04 02 00 00"
-
-
 def test_pump_stage_and_heating_limit_reach_the_plant(tcp: Asked) -> None:
     tcp.ask_tcp("0001 0000 0006 01 06 0034 0002 0002 0000 0006 01 06 0029 0028")
     assert tcp.plant.flow_l_per_min == pytest.approx(3.0)
@@ -171,17 +163,6 @@ SAID = bytes.fromhex(
 def test_bytes_may_be_cut_anywhere(cuts: list[int]) -> None:
     edges = [0, *sorted(cuts), len(STREAM)]
     assert answers_to(*(STREAM[a:b] for a, b in itertools.pairwise(edges))) == SAID
-
-
-@pytest.mark.slow
-@settings(max_examples=examples(60))
-@given(pdu=st.binary(min_size=1, max_size=253))
-def test_any_request_gets_one_whole_answer(pdu: bytes) -> None:
-    answer = answers_to(Frame(1, b"", 7).answer(pdu))
-    assert int.from_bytes(answer[4:6], "big") == len(answer) - 6
-    assert answer[:4] == bytes.fromhex("0007 0000")
-    assert answer[6] == 1
-    assert answer[7] & 0x7F == pdu[0] & 0x7F
 
 
 # ---- Modbus RTU

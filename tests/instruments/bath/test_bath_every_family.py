@@ -12,13 +12,18 @@ from pathlib import Path
 import pytest
 
 from instruments.bath.driver import Bath
-from instruments.bath.profile import SHIPPED, RegisterProfile, load_register_profile
+from instruments.bath.profile import SHIPPED, RegisterProfile
 from instruments.bath.rows import Row
 from instruments.clock import VirtualClock
 from instruments.device_file import DeviceFileError
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.listener import Listener
-from tests.instruments.bath.devices import REGISTER_FAMILIES, Watched, calm_plant
+from tests.instruments.bath.devices import (
+    REGISTER_FAMILIES,
+    Watched,
+    calm_plant,
+    load_register_profile,
+)
 from tests.instruments.bath.far_end import bath_on, shown_by
 from tests.instruments.bath.test_bath_profile import BROWSED, EUROTHERM_MEMORY
 

@@ -124,7 +124,8 @@ def test_eurotherm_ramp_output_limit_and_rate(profile: str) -> None:
 
 
 def test_watlow_speaks_fahrenheit_until_it_is_set() -> None:
-    controller = Asked(WATLOWS[0], as_shipped=True)
+    controller = Asked(WATLOWS[0])
+    controller.emulator.fault("fahrenheit")
     assert controller.float(360, low_first=True) == pytest.approx(68.0)
     assert controller.word(2490) == 30
     controller.ask("06 09BA 000F")
@@ -134,7 +135,8 @@ def test_watlow_speaks_fahrenheit_until_it_is_set() -> None:
 
 def test_watlows_display_has_a_unit_of_its_own() -> None:
     """Map 2: 2308 is the display's, and Modbus is degF as shipped (Communications p. 13)."""
-    controller = Asked(WATLOWS[1], as_shipped=True)
+    controller = Asked(WATLOWS[1])
+    controller.emulator.fault("fahrenheit")
     assert controller.word(2308) == 15
     assert controller.float(360, low_first=True) == pytest.approx(68.0)
     controller.ask("06 0904 001E")

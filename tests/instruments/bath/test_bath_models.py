@@ -13,11 +13,16 @@ import pytest
 from instruments.bath.driver import Bath
 from instruments.bath.line_dialects import Julabo
 from instruments.bath.line_emulator import LineEmulator
-from instruments.bath.profile import LineProfile, load_profile, load_register_profile, profile_names
+from instruments.bath.profile import LineProfile, load_profile, profile_names
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, LimitError, ProtocolError
 from instruments.listener import Listener
-from tests.instruments.bath.devices import REGISTER_FAMILIES, Stand, calm_plant
+from tests.instruments.bath.devices import (
+    REGISTER_FAMILIES,
+    Stand,
+    calm_plant,
+    load_register_profile,
+)
 from tests.instruments.bath.far_end import bath_on, shown_by
 from tests.instruments.bath.test_bath_profile import (
     BROWSED,

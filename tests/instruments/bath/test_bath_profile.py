@@ -11,12 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from instruments.bath.profile import load_register_profile
 from instruments.bath.requests import markers
 from instruments.bath.rows import WORDS, Kind, Order, decode, encode
 from instruments.device_file import DeviceFileError
 from tests.conftest import ROOT
-from tests.instruments.bath.devices import REGISTER_FAMILIES
+from tests.instruments.bath.devices import REGISTER_FAMILIES, load_register_profile
 
 ORDERS: list[Order] = ["ABCD", "CDAB", "BADC", "DCBA"]
 

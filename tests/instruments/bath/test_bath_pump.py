@@ -13,13 +13,13 @@ import pytest
 
 from instruments.bath.driver import Bath, PumpAt
 from instruments.bath.emulator import POWER_CUT, BathEmulator, Framing, RelayEmulator
-from instruments.bath.profile import RelayProfile, load_register_profile, load_relay, relay_names
+from instruments.bath.profile import RelayProfile, load_relay, relay_names
 from instruments.clock import VirtualClock
 from instruments.device_file import DeviceFileError
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError
 from instruments.listener import Listener
 from instruments.world.plant import Plant
-from tests.instruments.bath.devices import NO_PUMP, Stand, Wire, url_of
+from tests.instruments.bath.devices import NO_PUMP, Stand, Wire, load_register_profile, url_of
 from tests.instruments.bath.far_end import FarEnd, rtu, served
 from tests.instruments.bath.test_bath_profile_rig import RELAY
 
@@ -55,14 +55,6 @@ def test_bytes_as_they_are_printed_for_such_boards() -> None:
         assert board.ask(bytes.fromhex(question)) == bytes.fromhex(answer)
         assert (board.plant.pump == "on") == turns
         assert board.plant.pump_on == turns
-
-
-def test_the_same_over_tcp() -> None:
-    board = Asked("tcp")
-    switch = bytes.fromhex("0001 0000 0006 01 05 0000 FF00")
-    assert board.ask(switch) == switch
-    answer = board.ask(bytes.fromhex("0002 0000 0006 01 01 0000 0001"))
-    assert answer == bytes.fromhex("0002 0000 0004 01 01 01 01")
 
 
 @pytest.mark.parametrize(

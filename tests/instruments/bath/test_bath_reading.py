@@ -6,28 +6,24 @@ from collections.abc import Sequence
 
 import pytest
 
-from instruments.bath.profile import load_register_profile
 from instruments.bath.reading import BathReading
 from instruments.bath.register_access import RegisterAccess
 from instruments.bath.requests import blocks
-from instruments.bath.rows import Order
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, ProtocolError
+from tests.instruments.bath.devices import load_register_profile
 
 # started, controller in charge, set point 33.125, its own sensor controls; degC, first order
 RUN = "0001 0000 4204 8000 0000 0000 0000 0000 0000 0000 0000 | 0000 0000 0000 0000 | "
-RUN_APART = "0001 | 4204 8000 | 0000 | 0000 | 0000 | "
 HEAD = "0004 0000 0002 0000 0000 "  # Modbus in charge, no alarm, warning 2, a gap
 
 
-def read(registers: str, *, order: Order = "ABCD", gaps: bool = True) -> BathReading:
+def read(registers: str) -> BathReading:
     """The reading at 7 s; blocks are cut apart by ``|``."""
     profile = load_register_profile("julabo-presto")
     access = RegisterAccess("tcp://127.0.0.1:1", profile, VirtualClock(), who="bath")
-    access.order = order
-    run = RUN if gaps else RUN_APART
     raw: dict[str, Sequence[int]] = {}
-    for block, words in zip(blocks(profile, gaps=gaps), (run + registers).split("|"), strict=True):
+    for block, words in zip(blocks(profile, gaps=True), (RUN + registers).split("|"), strict=True):
         raw |= block.split_rows([int(word, 16) for word in words.split()])
     return access.reading(7.0, raw)
 
@@ -46,11 +42,6 @@ def test_a_reading() -> None:
         running=True,
         set_point_c=33.125,
     )
-
-
-def test_three_blocks_say_the_same_as_one() -> None:
-    apart = read("0004 0000 0002 | 4204 0000  41F0 0000  FFCE 4204 8000", gaps=False)
-    assert apart == read(HEAD + "4204 0000  41F0 0000  FFCE  4204 8000")
 
 
 def test_sensors_that_are_not_there_are_none() -> None:

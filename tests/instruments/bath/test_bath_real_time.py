@@ -14,13 +14,12 @@ import pytest
 
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator
-from instruments.bath.profile import load_register_profile
 from instruments.clock import RealClock, VirtualClock
 from instruments.errors import LinkError
 from instruments.listener import Listener
 from instruments.pty_listener import PtyListener
 from instruments.world.plant import Plant
-from tests.instruments.bath.devices import Stand, Watched
+from tests.instruments.bath.devices import Stand, Watched, load_register_profile
 from tests.instruments.bath.far_end import FarEnd, rtu, served
 from tests.instruments.listening_in import Heard
 

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 
 from instruments.bath.connection import Line, LineError, parse_line
 from instruments.bath.driver import Bath
-from instruments.bath.profile import load_register_profile
 from instruments.bath.session import BrokenError
 from instruments.bath.transactions import FORGET_S, Transactions
 from instruments.clock import Clock, RealClock
@@ -24,7 +23,7 @@ from instruments.errors import InstrumentError, LinkError, ProtocolError
 from instruments.listener import Listener
 from instruments.port_settings import PortSettings
 from tests.examples import examples
-from tests.instruments.bath.devices import Stand
+from tests.instruments.bath.devices import Stand, load_register_profile
 from tests.instruments.bath.far_end import MARKERS, FarEnd, crc, linked, right, rtu, served, virtual
 
 # ---- P1, P5: late answers

@@ -10,10 +10,9 @@ from contextlib import suppress
 import pytest
 
 from instruments.bath.driver import Bath
-from instruments.bath.profile import load_register_profile
 from instruments.bath.session import BrokenError
 from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
-from tests.instruments.bath.devices import Stand
+from tests.instruments.bath.devices import Stand, load_register_profile
 from tests.instruments.bath.far_end import Spoil, virtual
 
 # ---- trouble under way

@@ -22,12 +22,12 @@ import pytest
 
 from instruments.bath.driver import Bath
 from instruments.bath.line_emulator import LineEmulator
-from instruments.bath.profile import LineProfile, Profile, load_profile, load_register_profile
+from instruments.bath.profile import LineProfile, Profile, load_profile
 from instruments.clock import RealClock
 from instruments.errors import DeviceError
 from instruments.listener import Connection, Listener
 from instruments.world.plant import Plant
-from tests.instruments.bath.devices import calm_plant
+from tests.instruments.bath.devices import calm_plant, load_register_profile
 from tests.instruments.bath.peers import Device, absent, real_time
 
 pytestmark = pytest.mark.slow

@@ -391,7 +391,8 @@ DIALOGUES = {  # command > answer
         START > OK | IN_MODE_02 > 0 | STAT > 0000000 | OUT_SP_00_x > ERR_5 | OUT_SP_00_900 > ERR_6
         STRAT > ERR_3 | STOP > OK
         IN_SP_08 > 000.00 | OUT_SP_08_30 > OK | IN_SP_08 > 030.00 | OUT_SP_08_100 > ERR_6
-        OUT_SP_08_x > ERR_5 | OUT_SP_08_0 > OK""",
+        OUT_SP_08_x > ERR_5 | OUT_SP_08_0 > OK"""
+    f"| OUT_SP_08_{'9' * 5000} > ERR_6",
     # 30.5 degC; 300 degC; a little more, which is not taken
     "huber-pb": """{M000BEA > {S000BEA | {M00**** > {S000BEA | {M007530 > {S007530 | {M007531 > {S007530
         {M140001 > {S140001 | {M16**** > {S160001 | {M05**** > {S050000 | {M66**** > {S667FFF

@@ -27,13 +27,13 @@ import pytest
 
 from instruments.bath.connection import parse_line
 from instruments.bath.emulator import BathEmulator, RelayEmulator
-from instruments.bath.profile import load_register_profile, load_relay, relay_names
+from instruments.bath.profile import load_relay, relay_names
 from instruments.bath.transactions import Transactions
 from instruments.clock import RealClock
 from instruments.errors import InstrumentError
 from instruments.listener import Listener
 from instruments.world.plant import Plant
-from tests.instruments.bath.devices import REGISTER_FAMILIES
+from tests.instruments.bath.devices import REGISTER_FAMILIES, load_register_profile
 from tests.instruments.bath.peers import (
     Bridge,
     Device,

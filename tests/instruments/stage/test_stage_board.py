@@ -181,16 +181,6 @@ def test_boards_that_are_not_built_are_refused(more: dict[str, Any], why: str) -
         StageEmulator(VirtualClock(), **more)
 
 
-def test_the_welcome_comes_after_every_reset(board: Board) -> None:
-    for _ in range(3):
-        assert board.say(b"\x18").count(WELCOME) == 1
-    board.answered_at(b"$H\n")
-    assert board.say(b"\x18") == WELCOME
-    assert b"|WCO:0.000,0.000,0.000" in board.say(b"?"), (
-        "the first report after a reset has the offset"
-    )
-
-
 def test_a_soft_limit_behind_a_move_stops_that_move_without_losing_steps(board: Board) -> None:
     board.answered_at(b"$H\n")
     assert board.say(b"G53G1X-200F3000\n", 1.0) == b"ok\r\n"

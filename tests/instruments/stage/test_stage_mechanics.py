@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from instruments.stage.emulator.board import StageFault
 from instruments.stage.emulator.carriage import AxisDrive, Mounting
 from instruments.stage.emulator.gcode import GCode, Move
-from instruments.stage.emulator.motion import AxisRates, Motion, Run, Vector
+from instruments.stage.emulator.motion import AxisRates, LinearMove, Motion, MoveSegment, Vector
 from tests.instruments.stage.board import LOCK, WELCOME, Board
 
 RATES = AxisRates((50.0, 50.0, 50.0), (200.0, 200.0, 200.0))
@@ -28,7 +28,8 @@ def test_a_run_covers_its_length_and_ends_at_rest(
     length: float, entry: float, speed: float, accel: float
 ) -> None:
     entry *= math.sqrt(2 * accel * length)  # from which it can still stop
-    run = Run(0.0, length, speed, accel, entry)
+    move = LinearMove((0.0,), (length,), length, None, speed, accel)
+    run = MoveSegment(move, 0.0, length, 0.0, speed, entry)
     assert run.at(0.0) == pytest.approx((0.0, entry))
     almost = run.at(run.end_s - 1e-6)
     assert almost == pytest.approx((length, 0.0), abs=1e-6 * (accel + entry + 1))
@@ -109,25 +110,6 @@ def test_opening_the_port_again_resets_the_board_where_the_carriage_stands(board
     assert board.plug_in() == WELCOME + LOCK
     assert b"MPos:0.000,0.000,0.000|" in board.say(b"?")
     assert -60 < board.emulator.position_mm()[0] < -40
-
-
-def test_a_power_dip_in_motion_shows_as_a_welcome(free: Board) -> None:
-    free.emulator.inject(StageFault.RESTART, 0.5)
-    assert free.say(b"G1X-50F3000\n", 2.0) == b"ok\r\n" + WELCOME + LOCK
-
-
-def test_faulty_answers(free: Board) -> None:
-    free.emulator.inject(StageFault.LOST_OK)
-    assert free.say(b"G21\n", 5.0) == b""
-    free.emulator.inject(StageFault.LATE_OK, 3.0)
-    assert free.say(b"G21\n", 2.9) == b""
-    assert free.hear(0.2) == b"ok\r\n"
-    free.emulator.inject(StageFault.GARBAGE)
-    assert free.say(b"G21\n").endswith(b"\r\nok\r\n")
-    free.emulator.inject(StageFault.SILENT)
-    assert free.say(b"?\nG21\n\x18", 5.0) == b""
-    free.emulator.cure(StageFault.SILENT)
-    assert free.state() == b"Idle"
 
 
 def test_lost_steps_wait_for_a_motion_that_is_not_homing_and_stay_until_the_next(

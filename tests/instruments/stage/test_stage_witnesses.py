@@ -18,7 +18,7 @@ import pytest
 from grbl_link.messages import AlarmMessage, SettingsMessage, StatusMessage, WelcomeMessage
 from grbl_link.parser import parse_line
 from grbl_link.protocol import SimpleProtocol
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from marlin_host._constants import FATAL_MARKERS
 from marlin_host.protocol import MarlinResponseKind, parse_response
@@ -441,6 +441,8 @@ PIECES = [
         max_size=25,
     )
 )
+@example(said=[(b"/1 get p\xc3\n", 0.0), (b"M113 S" + b"9" * 400 + b"\n", 0.0)])
+@example(said=[(b"/1 1 set maxspeed " + b"9" * 400 + b"\n/1 1 move abs 9\n", 1.0)])
 @settings(max_examples=examples(15), deadline=None)
 def test_nothing_on_the_wire_ends_an_emulator(
     dialect: Dialect, said: list[tuple[bytes, float]]
