@@ -24,10 +24,11 @@ import numpy as np
 import pytest
 
 import bench
+from bench.rig.guardian_client import GuardianClient, GuardianTarget, Heartbeat
 from instruments import ArmPoint, StageState
 from instruments.clock import RealClock
 from instruments.drivers.entry_points import PluginUrl, load
-from instruments.errors import InstrumentError
+from instruments.errors import InstrumentError, LinkError
 from instruments.listener import Listener
 from instruments.world.plant import Plant
 from tests.bench.commands import Said
@@ -35,7 +36,7 @@ from tests.bench.real_rig import script_of
 from tests.bench.safety.guards import standby_after
 from tests.bench.small_cameras import write_calibration
 from tests.examples import few
-from tests.lab_drivers import importable
+from tests.lab_drivers import _install, importable
 
 pytestmark = pytest.mark.slow
 
@@ -151,6 +152,30 @@ def test_the_guardian_opens_it_by_itself(mode: str, lab: Lab) -> None:
     if mode:  # the process itself has said so
         assert "SWITCH OFF THE BATH AT ITS MAINS" in ended.stderr
         assert "NotSafeError" in ended.stderr
+
+
+# what a driver's module does with what the guardian talks to the bench by
+LOADS = "print('a banner')", "os.write(1, b'of C')", "sys.stdout = None", "os.close(0)"
+
+
+@pytest.mark.parametrize("does", few(LOADS, 2))
+def test_a_guardian_stays_with_the_bench_whatever_a_driver_does_as_it_is_loaded(
+    does: str, lab: Lab
+) -> None:
+    code = f"import os, sys\n{does}\nfrom kettle import Kettle\n"
+    _install(lab.folder / "site", "loud", "loud", code, "[teatbench.baths]\nloud = loud:Kettle\n")
+    lab.plant.run(33.0)
+    with GuardianClient(GuardianTarget(f"plugin:loud?url={lab.url}"), lab.folder, Heartbeat()) as it:
+        assert it.lost is None
+    standby_after(lab.plant)  # left without a word, it has put the bath into standby
+
+
+def test_a_guardian_that_a_driver_keeps_waiting_says_so(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bench.rig.guardian_client.START_S", 0.0)
+    with pytest.raises(LinkError, match=r"not ready after 0 s.*plugin:kettle\?url.* is slow: a dri"):
+        GuardianClient(GuardianTarget(f"plugin:kettle?url={lab.url}"), lab.folder, Heartbeat())
 
 
 @pytest.mark.parametrize(("member", "gives", "does", "says", "off"), few(ONE_BY_ONE, 2))
