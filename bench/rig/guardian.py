@@ -111,8 +111,7 @@ class HeartbeatReader:
             if not line:
                 return "died", "its end of the pipe closed without a word", stopwatch_s()
             last_s = stopwatch_s()
-            with contextlib.suppress(OSError):  # a bench that died: the end of the input says so
-                os.write(self._echo, line.encode() + b"\n")
+            _tell_bench(self._echo, line)
 
     def _listen(self, source: int) -> None:
         rest = b""
@@ -191,8 +190,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _apart(source: int, echo: int) -> tuple[int, int]:
     """Both, apart from what a driver may print, read or close: the log, and an empty input."""
     pipes = os.dup(source), os.dup(echo)
-    with Path(os.devnull).open("rb") as nothing:
-        os.dup2(nothing.fileno(), source)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), source)
     os.dup2(sys.stderr.fileno(), echo)
     return pipes
 

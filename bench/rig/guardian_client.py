@@ -190,10 +190,8 @@ class GuardianClient:
     def _end(self, word: str) -> None:
         self._ended.set()
         self._beats.join(END_S)
-        with contextlib.suppress(OSError):  # it has ended before
+        with contextlib.suppress(OSError), self._pipe_in:  # it has ended before
             self._say(word)
-        with contextlib.suppress(OSError):
-            self._pipe_in.close()
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(END_S)
             self._reader.join(END_S)
@@ -214,7 +212,7 @@ class GuardianClient:
         if late:
             what = f"it was not ready after {START_S:g} s, so nothing is heated"
             urls = target.url, target.stage.url if target.stage else ""
-            slow = " and ".join(url for url in urls if url.startswith(PLUGIN)) or "this computer"
+            slow = " or ".join(url for url in urls if url.startswith(PLUGIN)) or "this computer"
             hint = f"{slow} is slow: a driver's import may take part of that time. {hint}"
         raise LinkError("guardian", what, seen=said or "nothing", hint=hint)
 

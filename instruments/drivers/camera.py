@@ -10,7 +10,7 @@ import numpy as np
 from instruments.camera.cameras import CAN_GIVE, Camera, CameraGroup, MakersCalibration, MakersLens
 from instruments.camera.frame import FrameError, FrameFault, RawFrame, no_picture
 from instruments.clock import Clock
-from instruments.drivers.border import PluginBoundary
+from instruments.drivers.border import Plugged, PluginBoundary
 from instruments.drivers.entry_points import Plugin
 from instruments.errors import DeviceError, LimitError
 
@@ -18,7 +18,7 @@ CAPTURE_S = 30.0  # a long exposure, and a slow link
 OFF_S = 2.0  # of its clock, at the most
 
 
-class PluggedCamera:
+class PluggedCamera(Plugged):
     """As `instruments.camera.cameras.Camera`; whatever it raises but a lost link costs a frame."""
 
     def __init__(self, plugged: Plugin, name: str, clock: Clock) -> None:
@@ -45,11 +45,8 @@ class PluggedCamera:
     def _taken(self, camera: Camera) -> RawFrame:
         return checked(self._border, self._name, camera.take(), self._asked_s)
 
-    def close(self) -> None:
-        self._border.forget()
 
-
-class PluggedGroup:
+class PluggedGroup(Plugged):
     """As `instruments.camera.cameras.CameraGroup`."""
 
     def __init__(self, plugged: Plugin, clock: Clock) -> None:
@@ -105,9 +102,6 @@ class PluggedGroup:
             return MakersCalibration(lenses, {str(n): float(sd) for n, sd in given.sd.items()})
         except (TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
             raise self._border.broken(f"its maker's calibration: {what}: {error}", given) from error
-
-    def close(self) -> None:
-        self._border.forget()
 
 
 def _dropped(name: str, error: DeviceError) -> FrameError:

@@ -1,14 +1,7 @@
 """What a driver of another package promises: one Protocol for each kind of instrument.
 
 An entry point gives a class, or a function, that is called with the bench's clock and the keys of
-the rig file's ``plugin:NAME?key=value``, all text. It opens the device, or raises.
-
-- **Clock**: time is ``clock.now()`` and ``clock.sleep()``, never the time module's.
-- **Errors**: `instruments.errors` where one fits. Whatever else is raised becomes a DeviceError.
-- **Time**: a call that has not returned after its limit counts as a lost link.
-- **Safe**: `standby` or `stop` may be called at any time, from any thread, twice, after a fault.
-  The bench reads back what they did.
-- **Close**: twice is no error.
+the rig file's ``plugin:NAME?key=value``, all text. docs/drivers.md says what holds for all kinds.
 """
 
 from __future__ import annotations

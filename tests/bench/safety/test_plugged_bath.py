@@ -28,7 +28,7 @@ from bench.rig.guardian_client import GuardianClient, GuardianTarget, Heartbeat
 from instruments import ArmPoint, StageState
 from instruments.clock import RealClock
 from instruments.drivers.entry_points import PluginUrl, load
-from instruments.errors import InstrumentError, LinkError
+from instruments.errors import InstrumentError, LimitError, LinkError
 from instruments.listener import Listener
 from instruments.world.plant import Plant
 from tests.bench.commands import Said
@@ -165,7 +165,9 @@ def test_a_guardian_stays_with_the_bench_whatever_a_driver_does_as_it_is_loaded(
     code = f"import os, sys\n{does}\nfrom kettle import Kettle\n"
     _install(lab.folder / "site", "loud", "loud", code, "[teatbench.baths]\nloud = loud:Kettle\n")
     lab.plant.run(33.0)
-    with GuardianClient(GuardianTarget(f"plugin:loud?url={lab.url}"), lab.folder, Heartbeat()) as it:
+    with GuardianClient(
+        GuardianTarget(f"plugin:loud?url={lab.url}"), lab.folder, Heartbeat()
+    ) as it:
         assert it.lost is None
     standby_after(lab.plant)  # left without a word, it has put the bath into standby
 
@@ -174,7 +176,9 @@ def test_a_guardian_that_a_driver_keeps_waiting_says_so(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("bench.rig.guardian_client.START_S", 0.0)
-    with pytest.raises(LinkError, match=r"not ready after 0 s.*plugin:kettle\?url.* is slow: a dri"):
+    with pytest.raises(
+        LinkError, match=r"not ready after 0 s.*plugin:kettle\?url.* is slow: a dri"
+    ):
         GuardianClient(GuardianTarget(f"plugin:kettle?url={lab.url}"), lab.folder, Heartbeat())
 
 
@@ -255,40 +259,24 @@ STEPS += [("Slide.move", 1), ("Eyes.capture", 1)]
 OWN = SystemExit("bye"), MemoryError()
 # what a driver does with what it gives, from this call on; the exit code, and what is said
 LOOK = r"Look at the device, then at its driver: the plug-in {} of lab-drivers 1\.0"
+OTHERS = LimitError("x", "no room")  # whose words don't say which instrument it is of
+KELVIN: Callable[[Any], Any] = lambda it: replace(it, set_point_c=1.0)  # noqa: E731
+BACK = f"({LOOK.format('probe')}.*The arm is back.*){{3}}"
 RUNS: list[tuple[str, int, Callable[[Any], Any], int, str]] = [
     ("Tank.read", 9, lambda it: replace(it, alarm="no water:\nfill"), 3, "reports no water: fill"),
-    (
-        "Tank.read",
-        2,
-        lambda it: replace(it, set_point_c=1.0),
-        3,
-        "was told .*" + LOOK.format("tank"),
-    ),
+    ("Tank.read", 2, KELVIN, 3, "was told .*" + LOOK.format("tank")),
     ("Tank.standby", 1, fails(KeyboardInterrupt()), 3, "ITS MAINS: interrupted by Ctrl-C, or"),
     ("Tank.read", 1, lambda it: replace(it, alarm=None), 4, "2 of 2 trials"),
-    (
-        "Probe.read",
-        2,
-        fails(KeyError("no")),
-        3,
-        f"({LOOK.format('probe')}.*The arm is back.*){{3}}",
-    ),
+    ("Slide.move", 1, fails(OTHERS), 3, rf"stage slide \(x\): no room\. {LOOK.format('slide')}"),
+    ("Tank.read", 9, fails(KeyError("no " * 999)), 3, r"KeyError: '(no ){60,70}[no]*\.\.\. \("),
+    ("Probe.read", 2, fails(KeyError("no")), 3, BACK),
     ("Eyes.capture", 2, fails(KeyError("no")), 3, LOOK.format("eyes")),
     ("Eyes.capture", 2, lambda _: None, 3, "no mapping of parts .*Correct the plug-in eyes"),
     ("Eyes.capture", 2, lambda it: it | {"up": it["left"]}, 4, "2 of 2 trials"),
-    (
-        "Eyes.capture",
-        2,
-        lambda it: changed(it, bits=5),
-        3,
-        "its left frame has values beyond its 5",
-    ),
+    ("Eyes.capture", 2, lambda it: changed(it, bits=5), 3, "left frame has values beyond its 5"),
     ("Eyes.capture", 2, lambda it: changed(it, exposed_s=1.0), 3, r"exposed at 1\.000 s of the"),
     ("Probe.read", 2, lambda it: print("hello") or it, 4, f"{__name__} prints: hello"),
-    *(
-        (f"{name}.read", 2, lambda _: None, 3, "is no .*None")
-        for name in ("Slide", "Probe", "Tank")
-    ),
+    *((f"{one}.read", 2, lambda _: None, 3, "is no .*None") for one in ("Slide", "Probe", "Tank")),
     *((name, first, fails(error), 3, "") for (name, first), error in product(STEPS, OWN)),
 ]
 
