@@ -121,6 +121,7 @@ def checked(border: PluginBoundary[Any], name: str, frame: object, asked_s: floa
     exposed_s, now_s = border.number(frame.exposed_s, "exposed_s"), border.clock.now()
     if not asked_s - OFF_S < exposed_s < now_s + OFF_S:
         what = f"exposed at {exposed_s:.3f} s of the bench's clock, asked for at {asked_s:.3f} s"
-        hint = f"Correct {border.plugged}"
-        raise FrameError(FrameFault.LATE, name, border.who, what, hint=hint)
-    return frame
+        raise FrameError(FrameFault.LATE, name, border.who, what, hint=f"Correct {border.plugged}")
+    amplitude = None if frame.amplitude is None else np.array(frame.amplitude)
+    kept = (np.array(frame.pixels), exposed_s, int(frame.bits), frame.ranging)  # not its buffer
+    return RawFrame(*kept, amplitude, int(frame.passed_over))

@@ -39,6 +39,7 @@ from tests.examples import few
 from tests.lab_drivers import _install, importable
 
 pytestmark = pytest.mark.slow
+Act, Patch = Callable[[bench.OpenRig], object], pytest.MonkeyPatch
 
 RIG = """
 name = "lab"
@@ -73,9 +74,9 @@ def touches(rig: bench.OpenRig) -> None:
 MOVES = ArmPoint(np.zeros(3), moving=True)
 PLACE = StageState({"X": 1.0, "Y": 1.0}, moving=True, homed=True)
 BYE, OWN_ERROR, MAKES_SAFE = SystemExit("bye"), KeyError("no"), bench.OpenRig.safe
-ENDS: Callable[[bench.OpenRig], object] = lambda _: None  # noqa: E731
-WAITS: Callable[[bench.OpenRig], object] = lambda rig: rig.wait(700.0)  # noqa: E731
-ONE_BY_ONE: list[tuple[str, object, Callable[[bench.OpenRig], object], str, bool]] = [
+ENDS: Act = lambda _: None  # noqa: E731
+WAITS: Act = lambda rig: rig.wait(700.0)  # noqa: E731
+ONE_BY_ONE: list[tuple[str, object, Act, str, bool]] = [
     ("Probe.stop", BYE, MAKES_SAFE, "robot could not be made safe.*SystemExit: bye", True),
     ("Slide.read", PLACE, MAKES_SAFE, "stage could not .*does not stop", True),
     ("Probe.read", MOVES, MAKES_SAFE, "robot could not .*it does not stand", True),
@@ -89,7 +90,7 @@ ONE_BY_ONE: list[tuple[str, object, Callable[[bench.OpenRig], object], str, bool
     ("Probe.read", OWN_ERROR, touches, "KeyError: 'no'.*probe", True),
 ]
 # what is done, and said then, where a driver's own thread, which asks the device, has died
-REPEATED: dict[str, tuple[Callable[[bench.OpenRig], object], str]] = {
+REPEATED: dict[str, tuple[Act, str]] = {
     "Tank.read": (lambda rig: rig.wait(700.0), "lifeless reading"),
     "Slide.read": (lambda rig: rig.move(x_mm=5.0), r"not at its target, X = 155.*X = 150"),
     "Probe.read": (lambda rig: rig.touch(), "the end of teat 1 once more"),
@@ -140,13 +141,8 @@ def lab(tmp_path: Path) -> Iterator[Lab]:
 
 @pytest.mark.parametrize("mode", few(["", "stays on", "standby hangs", "standby raises"], 2))
 def test_the_guardian_opens_it_by_itself(mode: str, lab: Lab) -> None:
-    ended = subprocess.run(
-        [sys.executable, "-c", HEATS, str(lab.rig(mode)), mode],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    command = [sys.executable, "-c", HEATS, str(lab.rig(mode)), mode]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert ended.stdout == "heats\n", ended.stderr
     standby_after(lab.plant)
     if mode:  # the process itself has said so
@@ -159,38 +155,24 @@ LOADS = "print('a banner')", "os.write(1, b'of C')", "sys.stdout = None", "os.cl
 
 
 @pytest.mark.parametrize("does", few(LOADS, 2))
-def test_a_guardian_stays_with_the_bench_whatever_a_driver_does_as_it_is_loaded(
-    does: str, lab: Lab
+def test_a_guardian_loads_a_driver_that_talks_and_names_one_that_is_slow(
+    does: str, lab: Lab, monkeypatch: Patch
 ) -> None:
     code = f"import os, sys\n{does}\nfrom kettle import Kettle\n"
     _install(lab.folder / "site", "loud", "loud", code, "[teatbench.baths]\nloud = loud:Kettle\n")
     lab.plant.run(33.0)
-    with GuardianClient(
-        GuardianTarget(f"plugin:loud?url={lab.url}"), lab.folder, Heartbeat()
-    ) as it:
+    target = GuardianTarget(f"plugin:loud?url={lab.url}")
+    with GuardianClient(target, lab.folder, Heartbeat()) as it:
         assert it.lost is None
     standby_after(lab.plant)  # left without a word, it has put the bath into standby
-
-
-def test_a_guardian_that_a_driver_keeps_waiting_says_so(
-    lab: Lab, monkeypatch: pytest.MonkeyPatch
-) -> None:
     monkeypatch.setattr("bench.rig.guardian_client.START_S", 0.0)
-    with pytest.raises(
-        LinkError, match=r"not ready after 0 s.*plugin:kettle\?url.* is slow: a dri"
-    ):
-        GuardianClient(GuardianTarget(f"plugin:kettle?url={lab.url}"), lab.folder, Heartbeat())
+    with pytest.raises(LinkError, match=r"not ready after 0 s.*plugin:loud\?url.* is slow: a dri"):
+        GuardianClient(target, lab.folder, Heartbeat())
 
 
 @pytest.mark.parametrize(("member", "gives", "does", "says", "off"), few(ONE_BY_ONE, 2))
 def test_a_promise_broken_outside_of_a_run(
-    member: str,
-    gives: object,
-    does: Callable[[bench.OpenRig], object],
-    says: str,
-    off: bool,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    member: str, gives: object, does: Act, says: str, off: bool, tmp_path: Path, monkeypatch: Patch
 ) -> None:
     write_calibration(tmp_path)
     (tmp_path / "lab.toml").write_text(ALL_PLUGGED, encoding="utf-8")
@@ -224,7 +206,7 @@ def test_a_promise_broken_outside_of_a_run(
 
 @pytest.mark.parametrize("member", REPEATED)
 def test_a_driver_that_repeats_what_it_gave_is_noticed(
-    member: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    member: str, tmp_path: Path, monkeypatch: Patch
 ) -> None:
     write_calibration(tmp_path)
     (tmp_path / "lab.toml").write_text(ALL_PLUGGED, encoding="utf-8")
@@ -254,23 +236,32 @@ def changed(frames: dict[str, Any], **how: Any) -> dict[str, Any]:
     return {part: replace(frame, **how) for part, frame in frames.items()}
 
 
+def refilled(frames: dict[str, Any]) -> dict[str, Any]:
+    """In one buffer for all pictures of a part; when each was exposed is a text."""
+    for part, one in frames.items():
+        BUFFERS.setdefault(part, one.pixels.copy())[:] = one.pixels
+        frames[part] = replace(one, pixels=BUFFERS[part], exposed_s=str(one.exposed_s))
+    return frames
+
+
+BUFFERS: dict[str, Any] = {}
 STEPS = [("Slide.stop", 1), *((f"{name}.read", 3) for name in ("Slide", "Probe", "Tank"))]
 STEPS += [("Slide.move", 1), ("Eyes.capture", 1)]
 OWN = SystemExit("bye"), MemoryError()
 # what a driver does with what it gives, from this call on; the exit code, and what is said
 LOOK = r"Look at the device, then at its driver: the plug-in {} of lab-drivers 1\.0"
 OTHERS = LimitError("x", "no room")  # whose words don't say which instrument it is of
-KELVIN: Callable[[Any], Any] = lambda it: replace(it, set_point_c=1.0)  # noqa: E731
 BACK = f"({LOOK.format('probe')}.*The arm is back.*){{3}}"
 RUNS: list[tuple[str, int, Callable[[Any], Any], int, str]] = [
     ("Tank.read", 9, lambda it: replace(it, alarm="no water:\nfill"), 3, "reports no water: fill"),
-    ("Tank.read", 2, KELVIN, 3, "was told .*" + LOOK.format("tank")),
+    ("Tank.read", 2, lambda it: replace(it, set_point_c=1.0), 3, "told .*" + LOOK.format("tank")),
     ("Tank.standby", 1, fails(KeyboardInterrupt()), 3, "ITS MAINS: interrupted by Ctrl-C, or"),
     ("Tank.read", 1, lambda it: replace(it, alarm=None), 4, "2 of 2 trials"),
     ("Slide.move", 1, fails(OTHERS), 3, rf"stage slide \(x\): no room\. {LOOK.format('slide')}"),
     ("Tank.read", 9, fails(KeyError("no " * 999)), 3, r"KeyError: '(no ){60,70}[no]*\.\.\. \("),
     ("Probe.read", 2, fails(KeyError("no")), 3, BACK),
     ("Eyes.capture", 2, fails(KeyError("no")), 3, LOOK.format("eyes")),
+    ("Eyes.capture", 1, refilled, 4, "2 of 2 trials"),
     ("Eyes.capture", 2, lambda _: None, 3, "no mapping of parts .*Correct the plug-in eyes"),
     ("Eyes.capture", 2, lambda it: it | {"up": it["left"]}, 4, "2 of 2 trials"),
     ("Eyes.capture", 2, lambda it: changed(it, bits=5), 3, "left frame has values beyond its 5"),
