@@ -302,8 +302,7 @@ def test_a_rig_that_is_emulated_in_part_is_marked(lab: Lab, said: Said) -> None:
     shown = said(0, "run {} --rig {} --out {}", script, lab.rig(), out).out
     (folder,) = out.iterdir()
     run = bench.read_run(folder)
-    assert run.ending == "finished"
-    assert run.facts["kind"] == "mixed"
+    assert (run.ending, run.facts["kind"]) == ("finished", "mixed")
     assert run.facts["emulated"] == ["arm", "operator", "cameras"]
     assert "SOME INSTRUMENTS EMULATED: arm, operator, cameras" in shown
     page = (folder / "report" / "index.html").read_text(encoding="utf-8")
