@@ -20,7 +20,6 @@ from thesis_pictures import COUNTS, DISTANCES, by_teat, counted, pictured
 
 import bench
 from detector.calibration import load_calibration
-from detector.geometry import Array
 from instruments.world.situations import spoken
 
 FIGURES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
@@ -29,14 +28,15 @@ LAYOUT, PLANE = "table-5-1", "plane_map"  # whose ends those of test 1 are; the 
 COLUMNS = ("figure", "section", "printed", "by its tables", "this run", "wrong, or to be known")
 ELSEWHERE = ("section", "what", "printed", "where")
 # of errors (n, 3): what is worked out, how, and the name of what the thesis printed of it
-STATISTICS: Sequence[tuple[str, Callable[[Array], Any], str]] = (
+STATISTICS: Sequence[tuple[str, Callable[[Any], Any], str]] = (
     ("mean of the signed components: its “average error”", np.mean, "average_mm"),
     ("mean of the components' amounts: that of test 2", lambda e: np.abs(e).mean(), ""),
     ("largest component: its “maximum error”", lambda e: np.abs(e).max(), "largest_mm"),
     ("mean distance to the teat end", lambda e: np.linalg.norm(e, axis=1).mean(), ""),
     ("largest distance to the teat end", lambda e: np.linalg.norm(e, axis=1).max(), ""),
 )
-Row, Groups = Iterable[object], Mapping[str, Sequence[str]]  # of a table; its situations by title
+Row = Iterable[object]  # of a table
+Groups = Mapping[str, Sequence[str]]  # situations by the title of their row
 
 
 def printed(names: Sequence[str]) -> str:

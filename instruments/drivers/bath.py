@@ -98,8 +98,8 @@ class PluggedBath(Plugged):
             ALARM if state.alarm else 0,
         )
         shown = (state.external_c, state.power_percent, None, code, 0, None)
-        runs = {"running": state.running, "set_point_c": state.set_point_c}
-        reading = BathReading(t_s, state.temp_c, raw, *shown, **runs, alarm_text=state.alarm)
+        runs = state.running, state.set_point_c
+        reading = BathReading(t_s, state.temp_c, raw, *shown, *runs, alarm_text=state.alarm)
         self.on_reading(reading)
         return reading
 

@@ -122,6 +122,6 @@ def checked(border: PluginBoundary[Any], name: str, frame: object, asked_s: floa
     if not asked_s - OFF_S < exposed_s < now_s + OFF_S:
         what = f"exposed at {exposed_s:.3f} s of the bench's clock, asked for at {asked_s:.3f} s"
         raise FrameError(FrameFault.LATE, name, border.who, what, hint=f"Correct {border.plugged}")
-    amplitude = None if frame.amplitude is None else np.array(frame.amplitude)
-    kept = (np.array(frame.pixels), exposed_s, int(frame.bits), frame.ranging)  # not its buffer
+    amplitude = None if frame.amplitude is None else frame.amplitude.copy()
+    kept = (frame.pixels.copy(), exposed_s, int(frame.bits), frame.ranging)  # not its buffer
     return RawFrame(*kept, amplitude, int(frame.passed_over))

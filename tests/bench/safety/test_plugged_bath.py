@@ -39,7 +39,8 @@ from tests.examples import few
 from tests.lab_drivers import _install, importable
 
 pytestmark = pytest.mark.slow
-Act, Patch = Callable[[bench.OpenRig], object], pytest.MonkeyPatch
+Act = Callable[[bench.OpenRig], object]
+Patch = pytest.MonkeyPatch
 
 RIG = """
 name = "lab"
@@ -162,9 +163,8 @@ def test_a_guardian_loads_a_driver_that_talks_and_names_one_that_is_slow(
     _install(lab.folder / "site", "loud", "loud", code, "[teatbench.baths]\nloud = loud:Kettle\n")
     lab.plant.run(33.0)
     target = GuardianTarget(f"plugin:loud?url={lab.url}")
-    with GuardianClient(target, lab.folder, Heartbeat()) as it:
-        assert it.lost is None
-    standby_after(lab.plant)  # left without a word, it has put the bath into standby
+    GuardianClient(target, lab.folder, Heartbeat()).hand_over()
+    standby_after(lab.plant)
     monkeypatch.setattr("bench.rig.guardian_client.START_S", 0.0)
     with pytest.raises(LinkError, match=r"not ready after 0 s.*plugin:loud\?url.* is slow: a dri"):
         GuardianClient(target, lab.folder, Heartbeat())
