@@ -39,6 +39,7 @@ from bench.api.runs import TouchRow as TouchRow
 from bench.api.runs import TrialRow as TrialRow
 from bench.api.runs import TruthOfTeat as TruthOfTeat
 from bench.api.runs import load_script as load_script
+from bench.api.runs import program as program
 from bench.api.runs import read_rows as read_rows
 from bench.api.runs import read_run as read_run
 from bench.api.runs import read_table as read_table

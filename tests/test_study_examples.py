@@ -52,20 +52,29 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def test_every_example_is_short() -> None:
-    lengths = {
-        path.name: len(path.read_text(encoding="utf-8").splitlines())
-        for path in EXAMPLES.iterdir()
-        if path.suffix in (".py", ".ipynb", ".yml")
-    }
+    files = [path for path in EXAMPLES.iterdir() if path.suffix in (".py", ".ipynb", ".yml")]
+    lengths = {path.name: len(path.read_text(encoding="utf-8").splitlines()) for path in files}
     assert {name: count for name, count in lengths.items() if count > MOST_LINES} == {}
+
+
+WRONG = {
+    "coco.py": "4 words needed.*python docs/examples/coco.py ideal 0 20 train",
+    "herd.py ten 12 herd.csv": "invalid literal .*'ten'",
+    "thesis.py nowhere": "nowhere is no run: there is no run.sqlite",
+}
+
+
+@pytest.mark.parametrize("words", WRONG)
+def test_a_wrong_argument_ends_an_example_as_a_command(words: str) -> None:
+    command = [sys.executable, *words.split()]
+    alone = subprocess.run(command, cwd=EXAMPLES, capture_output=True, text=True, check=False)
+    assert re.match(f"2 teatbench: {WRONG[words]}", f"{alone.returncode} {alone.stderr}", re.DOTALL)
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools'
 def test_masks_and_key_points_are_those_of_the_pictures(rig: str, tmp_path: Path) -> None:
     """Read by pycocotools. The apex is on the outline, and teats are unlike what is about them."""
-    alone = subprocess.run([sys.executable, EXAMPLES / "coco.py"], capture_output=True, check=False)
-    assert b"python docs/examples/coco.py ideal 0 20 train" in alone.stderr
     coco = example("coco").main("missing_or_hidden", 1, 2, tmp_path / "seen", rig)
     assert len(bench.Recording(tmp_path / "seen").frames) == 2
     labels = COCO(str(coco))
@@ -101,8 +110,7 @@ def test_masks_and_key_points_are_those_of_the_pictures(rig: str, tmp_path: Path
 @pytest.mark.slow
 def test_a_cows_history_beats_her_last_visit(rig: str, tmp_path: Path) -> None:
     said = example("herd").main(2, 8, tmp_path / "herd.csv", rig=rig)
-    with (tmp_path / "herd.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = [*csv.DictReader((tmp_path / "herd.csv").read_text(encoding="utf-8").splitlines())]
     own, last = (
         np.array([float(row[key]) for row in rows if row[key]]) for key in ("error_mm", "last_mm")
     )
@@ -178,15 +186,10 @@ def test_the_notebook_plots_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def test_the_nightly_jobs_commands_are_commands() -> None:
     """Its lines of teatbench and pytest are read as they would be there."""
     job = yaml.safe_load((EXAMPLES / "nightly.yml").read_text(encoding="utf-8"))
-    lines = [
-        line
-        for step in job["jobs"]["scenes"]["steps"]
-        for line in step.get("run", "").splitlines()
-        if line.startswith(("teatbench", "pytest"))
-    ]
+    runs = [step.get("run", "") for step in job["jobs"]["scenes"]["steps"]]
+    lines = [one for one in "\n".join(runs).splitlines() if one.startswith(("teatbench", "pytest"))]
     assert len(lines) == 3
-    for line in lines:
-        program, *words = shlex.split(line)
+    for program, *words in map(shlex.split, lines):
         if program == "teatbench":
             assert parser().parse_args(words).command
         else:

@@ -230,10 +230,8 @@ def verify_arm(
         what = "`accuracy_mm` is needed: the standard uncertainty of a point of this arm"
         raise ConfigError.plain(what)
     u_mm = accuracy_mm or float(ARM["accuracy_mm"].default)
-    who, long_mm = operator, plan.length_mm
-    with open_session(
-        url, baud, answer_s, capture, homed=homed, operator=who, length_mm=long_mm
-    ) as session:
+    how: dict[str, Any] = {"homed": homed, "operator": operator, "length_mm": plan.length_mm}
+    with open_session(url, baud, answer_s, capture, **how) as session:
         found = verify(session, plan, today())
     stated = stated_fact(ArmTable.model_construct(url=url, accuracy_mm=u_mm))
     lengths: Sequence[LengthTest] = found.lengths

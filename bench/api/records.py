@@ -112,7 +112,6 @@ def pack_run(
 
     with wrong_use():
         licence = licence and canonicalize_license_expression(licence)
-
     with writing(Path(out)), known([Path(run)], damage):
         return packed(Path(run), Path(out), title, licence)
 
@@ -122,8 +121,7 @@ def control_run(run: Path | str, words: str, *, within_s: float = TAKEN_S) -> bo
     ``abort``: `teatbench control`; whether it took that within so many seconds. Raises ConfigError
     for other words, and where the run has ended.
     """
-    status = read_status(Path(run))
-    if not status.under_way:
+    if not (status := read_status(Path(run))).under_way:
         raise ConfigError.plain(f"{run} has ended ({status.state}): it takes no requests any more.")
     leave_request(Path(run), words)
     return was_taken(Path(run), RealClock(), within_s)

@@ -6,16 +6,18 @@ from __future__ import annotations
 
 import importlib
 import sqlite3
+import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar, cast
 
 from bench.api.records import Damage, known
 from bench.api.shots import AnyRig, load_rig
-from bench.config import ConfigError, check_within, several
+from bench.config import ConfigError, check_within, several, wrong_use
 from bench.record.reader import RunRecord, opened
+from bench.record.recording import RecordingError
 from bench.record.schema import tables_of
 from bench.results.status import Reported
 from bench.rig.leaving import to_stderr
@@ -27,7 +29,9 @@ from bench.script.model import TRIALS, LoadedScript, find_script
 from bench.script.model import load_script as load_script_file
 from detector.protocol import Detector
 from instruments.captures.capture import CaptureFile
+from instruments.errors import InstrumentError
 from textfiles.bounds import FROM_0, SPEED
+from textfiles.text import plural
 
 if TYPE_CHECKING:
     from bench.report.growing import TrialParts
@@ -167,8 +171,7 @@ def _timed(found: Reported, rig: LoadedRig, script: LoadedScript) -> Reported:
     """With how long it took, by which the next estimate is better. A run that stopped shows
     nothing, and one on a warm rig did not heat.
     """
-    record = found.record
-    spent = estimate.took(record)
+    spent = estimate.took(record := found.record)
     if found.status.state != "finished" or "total_s" not in spent:
         return found
     expected = estimate.needs(rig, script, estimate.read_durations(record.folder.parent, rig)).time
@@ -185,6 +188,22 @@ def _timed(found: Reported, rig: LoadedRig, script: LoadedScript) -> Reported:
 def rig_of_run(run: Path | str) -> LoadedRig:
     """The rig that a run was begun on. Raises ConfigError where it is gone or was changed since."""
     return files_of(read_run(run))[0]
+
+
+@contextmanager
+def program(usage: str, *kinds: Callable[[str], Any]) -> Iterator[Sequence[Any]]:
+    """The words after a program's name as ``kinds``; without any, you read them. Wrong ones, and
+    errors of ours within, end it as a command: by a sentence, and exit code 2, or 3 (instruments).
+    """
+    try:
+        with wrong_use():
+            if len(words := sys.argv[1:]) != len(kinds) > 0:
+                raise ValueError(f"{plural(len(kinds), 'word')} needed.\n\n{usage.strip()}")
+            given = [kind(word) for kind, word in zip(kinds, words, strict=False)]
+        yield given
+    except (ConfigError, RecordingError, InstrumentError) as error:
+        to_stderr(str(error))
+        sys.exit(3 if isinstance(error, InstrumentError) else 2)
 
 
 def scripts() -> tuple[str, ...]:
@@ -208,8 +227,7 @@ def resume_run(
     from bench.run.start import RunOptions
     from bench.run.start import resume_run as resumed
 
-    shown = progress or Quiet()
-    parts = _Parts(shown)
+    parts = _Parts(shown := progress or Quiet())
     how = RunOptions(capture=capture, typed=typed, begun=begun, between=parts.grow)
     with known([Path(folder)], damage) as there:
         resumed(Path(folder), shown, how)

@@ -33,7 +33,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-from bench.rig.guardian_stage import StageStop, StageTarget, retried
+from bench.rig.guardian_stage import PLUGIN, StageStop, StageTarget, retried
 from bench.rig.hand_over import BathLock, write_note
 from instruments.bath.driver import Bath, PumpAt
 from instruments.bath.interface import Bath as AnyBath
@@ -111,8 +111,7 @@ class HeartbeatReader:
             if not line:
                 return "died", "its end of the pipe closed without a word", stopwatch_s()
             last_s = stopwatch_s()
-            with contextlib.suppress(OSError):  # a bench that died: the end of the input says so
-                os.write(self._echo, line.encode() + b"\n")
+            _tell_bench(self._echo, line)
 
     def _listen(self, source: int) -> None:
         rest = b""
@@ -142,6 +141,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in IGNORED:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
+    source, echo = sys.stdin.fileno(), sys.stdout.fileno()
+    if PLUGIN in f"{given.url} {given.stage}":
+        source, echo = _apart(source, echo)
     clock = RealClock()
     try:
         bath = _bath_of(given, clock) if given.url else None
@@ -153,13 +155,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"guardian: {error}\n")
         return 2
     preferred = _raise_priority()
-    _tell_bench(f"{READY} {taken}")
-    lost = HeartbeatReader(sys.stdin.fileno(), sys.stdout.fileno(), given.bench).wait_for_loss()
+    _tell_bench(echo, f"{READY} {taken}")
+    lost = HeartbeatReader(source, echo, given.bench).wait_for_loss()
     if lost is None:
         lock.release()
         return 0
     cause, why, last_sign_s = lost
-    _tell_bench(ACTS)
+    _tell_bench(echo, ACTS)
     noticed, silent = wall_time(), timedelta(seconds=stopwatch_s() - last_sign_s)
     facts: dict[str, Any] = {"cause": cause, "why": why, "bath": given.url}
     facts |= {"guardian": os.getpid(), **preferred}
@@ -185,10 +187,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if reached and (stage is None or stage["stands"]) else 1
 
 
-def _tell_bench(line: str) -> None:
+def _apart(source: int, echo: int) -> tuple[int, int]:
+    """Both, apart from what a driver may print, read or close: the log, and an empty input."""
+    pipes = os.dup(source), os.dup(echo)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), source)
+    os.dup2(sys.stderr.fileno(), echo)
+    return pipes
+
+
+def _tell_bench(echo: int, line: str) -> None:
     """To a bench that may have died: the end of the input says so."""
     with contextlib.suppress(OSError):
-        os.write(sys.stdout.fileno(), line.encode() + b"\n")
+        os.write(echo, line.encode() + b"\n")
 
 
 @contextlib.contextmanager
@@ -212,7 +222,7 @@ def _handed_over(lock: BathLock, record: Record) -> Iterator[None]:
 
 
 def _bath_of(given: argparse.Namespace, clock: RealClock) -> AnyBath:
-    if given.url.startswith("plugin:"):  # loads numpy: not for a bath that has a profile
+    if given.url.startswith(PLUGIN):  # loads numpy: not for a bath that has a profile
         from instruments.drivers.bath import PluggedBath
         from instruments.drivers.entry_points import load, plugin_url
 

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import IO, cast
 
 from bench.rig.guardian import ACTS, ALIVE, DONE, HUNG, READY, TAKE_OVER
-from bench.rig.guardian_stage import StageTarget
+from bench.rig.guardian_stage import PLUGIN, StageTarget
 from instruments.clock import Clock, RealClock, stopwatch_s
 from instruments.errors import LinkError
 
@@ -145,7 +145,7 @@ class GuardianClient:
         self._pipe_in = cast(IO[bytes], self._process.stdin)
         self._reader = threading.Thread(target=self._listen, name="guardian", daemon=True)
         self._reader.start()
-        self._await_ready()
+        self._await_ready(target)
         self._beats = threading.Thread(target=self._beat, name="guardian-client", daemon=True)
         self._beats.start()
 
@@ -190,19 +190,17 @@ class GuardianClient:
     def _end(self, word: str) -> None:
         self._ended.set()
         self._beats.join(END_S)
-        with contextlib.suppress(OSError):  # it has ended before
+        with contextlib.suppress(OSError), self._pipe_in:  # it has ended before
             self._say(word)
-        with contextlib.suppress(OSError):
-            self._pipe_in.close()
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(END_S)
             self._reader.join(END_S)
         if self._log.is_file() and not self._log.stat().st_size:
             self._log.unlink()
 
-    def _await_ready(self) -> None:
+    def _await_ready(self, target: GuardianTarget) -> None:
         """Its first line. Raises LinkError with its last words where it says anything else."""
-        self._said.wait(START_S)
+        late = not self._said.wait(START_S)
         if self._ready:
             return
         self._process.kill()
@@ -210,12 +208,13 @@ class GuardianClient:
         self._reader.join()
         self._pipe_in.close()
         said = self._log.read_text(encoding="utf-8", errors="replace").strip().rpartition("\n")[2]
-        raise LinkError(
-            "guardian",
-            "it did not start, so nothing is heated",
-            seen=said or "nothing",
-            hint=f"Its log is {self._log}.",
-        )
+        what, hint = "it did not start, so nothing is heated", f"Its log is {self._log}."
+        if late:
+            what = f"it was not ready after {START_S:g} s, so nothing is heated"
+            urls = target.url, target.stage.url if target.stage else ""
+            slow = " or ".join(url for url in urls if url.startswith(PLUGIN)) or "this computer"
+            hint = f"{slow} is slow: a driver's import may take part of that time. {hint}"
+        raise LinkError("guardian", what, seen=said or "nothing", hint=hint)
 
     def _listen(self) -> None:
         """That it is ready, an echo of each beat, that it acts; on a thread, to its end."""

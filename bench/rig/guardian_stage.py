@@ -12,6 +12,7 @@ from instruments.bath.sequence import cause_of
 from instruments.clock import RealClock, stopwatch_s
 from instruments.errors import LinkError
 
+PLUGIN = "plugin:"  # the URLs of drivers that are another package's
 STAGE_S = 60.0  # between the first try and the last: then its move has ended by itself
 PAUSE_S = 1.0  # between attempts, but for the first few
 
@@ -66,13 +67,12 @@ class StageStop:
 
         motors = [Motor(*motor) for motor in at.motors]
         plugged = None
-        if at.url.startswith("plugin:"):
+        if at.url.startswith(PLUGIN):
             from instruments.drivers.entry_points import load, plugin_url
             from instruments.drivers.stage import PluggedStage
 
-            plug = plugin_url(at.url)
-            assert plug  # noqa: S101 - it begins so
-            plugged = load("stage", plug)
+            if plug := plugin_url(at.url):
+                plugged = load("stage", plug)
 
         def stop() -> None:
             if plugged:

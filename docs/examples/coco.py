@@ -8,7 +8,6 @@ columns; pixel centres are at whole numbers.
 """
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -112,7 +111,5 @@ def point(px: Any, seen: bool, shape: tuple[int, ...]) -> list[float]:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 5:
-        sys.exit(__doc__)
-    family, first, count, folder = sys.argv[1:]
-    print(main(family, int(first), int(count), Path(folder)))
+    with bench.program(__doc__, str, int, int, Path) as given:
+        print(main(*given))

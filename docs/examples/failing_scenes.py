@@ -19,6 +19,7 @@ from itertools import count
 
 from hypothesis import HealthCheck, Phase, given, seed, settings, target
 
+import bench
 from bench.testing import Scene, SceneResult, layouts, look, objects, scenes
 
 APART, EXAMPLES = 0.2, 200
@@ -105,4 +106,5 @@ if __name__ == "__main__":
     parser.add_argument("--cpu-s", type=float, default=30.0)
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
-    print(main(asked.detector, asked.things, asked.cpu_s, asked.seed))
+    with bench.program(__doc__):
+        print(main(asked.detector, asked.things, asked.cpu_s, asked.seed))

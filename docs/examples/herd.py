@@ -10,7 +10,6 @@ Only confirmed ends (attached, touched) make the history: what was only detected
 
 import csv
 import math
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -143,6 +142,5 @@ def main(cows: int, visits: int, out: Path, seed: int = 1, rig: str = "emulated"
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 4:
-        sys.exit(__doc__)
-    print(main(int(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3])))
+    with bench.program(__doc__, int, int, Path) as given:
+        print(main(*given))

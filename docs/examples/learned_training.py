@@ -7,7 +7,6 @@ them. Needs: pip install jax onnx onnxruntime
 """
 
 import json
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,8 @@ import numpy as np
 import onnx
 from learned_pictures import Pictures
 from onnx import TensorProto, helper, numpy_helper
+
+import bench
 
 # of each layer: kernel, channels in and out, step, dilation; below 0 is cut off between two layers
 FIND = (
@@ -119,6 +120,5 @@ def main(families: Sequence[str], count: int, out: Path, steps: int, rig: str = 
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 3:
-        sys.exit(__doc__)
-    main(sys.argv[1].split(","), int(sys.argv[2]), Path(__file__).parent, 2500)
+    with bench.program(__doc__, str, int) as (names, count):
+        main(names.split(","), count, Path(__file__).parent, 2500)

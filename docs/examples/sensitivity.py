@@ -143,5 +143,6 @@ if __name__ == "__main__":
     parser.add_argument("--scenes", type=int, default=6)
     parser.add_argument("--out", type=Path, default=Path("sensitivity"))
     given = parser.parse_args()
-    for row in main(given.quantity, given.detectors, given.scenes, given.out):
-        print(*row.values())
+    with bench.program(__doc__):
+        for row in main(given.quantity, given.detectors, given.scenes, given.out):
+            print(*row.values())

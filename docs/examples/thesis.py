@@ -20,15 +20,15 @@ from thesis_pictures import COUNTS, DISTANCES, by_teat, counted, pictured
 
 import bench
 from detector.calibration import load_calibration
-from detector.geometry import Array
 from instruments.world.situations import spoken
 
 FIGURES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 PRINTED = {one["name"]: one for one in FIGURES["situations"]}
 LAYOUT, PLANE = "table-5-1", "plane_map"  # whose ends those of test 1 are; the map's situation
 COLUMNS = ("figure", "section", "printed", "by its tables", "this run", "wrong, or to be known")
+ELSEWHERE = ("section", "what", "printed", "where")
 # of errors (n, 3): what is worked out, how, and the name of what the thesis printed of it
-STATISTICS: Sequence[tuple[str, Callable[[Array], Any], str]] = (
+STATISTICS: Sequence[tuple[str, Callable[[Any], Any], str]] = (
     ("mean of the signed components: its “average error”", np.mean, "average_mm"),
     ("mean of the components' amounts: that of test 2", lambda e: np.abs(e).mean(), ""),
     ("largest component: its “maximum error”", lambda e: np.abs(e).max(), "largest_mm"),
@@ -123,10 +123,12 @@ def table(title: str, columns: Sequence[str], rows: Iterable[Row]) -> None:
 def main(folder: Path) -> None:
     """Print the tables of a run: of each detector, then of the rig, then of what has none."""
     run, calibration = bench.read_run(folder), load_calibration(folder / "calibration.toml")
-    there = {trial.head["situation"] for trial in run.trials}
+    if not run.trials:
+        print(f"{folder} has no trials: nothing was measured.", file=sys.stderr)
+        sys.exit(4)
+    there = {one.head["situation"] for one in run.trials}
     known = [name for name in PRINTED if name in there]
-    groups = {spoken(name): [name] for name in known}
-    groups |= {f"all {len(known)}": known} if known else {}
+    groups = {spoken(one): [one] for one in known} | ({f"all {len(known)}": known} if known else {})
     for detector in run.detectors:
         table(f"## The thesis and {detector}", COLUMNS, figures(run, detector, groups))
         trials = [one for one in run.counted if one.head["situation"] in known]
@@ -140,11 +142,9 @@ def main(folder: Path) -> None:
     table("## The thesis and the rig", COLUMNS, rig(run, calibration, FIGURES))
     shown = {*(["situations"] if known else []), *(["plane"] if PLANE in there else [])}
     rest = [one for one in FIGURES["elsewhere"] if not shown & {*one["shown"]}]
-    columns = ("section", "what", "printed", "where")
-    table("## Without a counterpart here", columns, ([one[k] for k in columns] for one in rest))
+    table("## Without a counterpart here", ELSEWHERE, ([one[k] for k in ELSEWHERE] for one in rest))
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
-        sys.exit(__doc__)
-    main(Path(sys.argv[1]))
+    with bench.program(__doc__, Path) as (folder,):
+        main(folder)

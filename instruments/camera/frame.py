@@ -162,7 +162,7 @@ def no_picture(frame: RawFrame) -> Iterator[tuple[str, object]]:
         known = one.dtype in (np.uint8, np.uint16) or (ranging and one.dtype.kind in "uif")
         if one.ndim not in (2, 3) or not 0 < one.size <= MOST_VALUES or not known:
             yield "is no picture of 8 or 16 bits", (one.shape, one.dtype)
-        elif not ranging and one.max() >= 2**bits:
+        elif not ranging and one.max() >= 2 ** int(bits):
             yield f"has values beyond its {bits} bits", one.max()
 
 

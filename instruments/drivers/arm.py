@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instruments.clock import Clock
-from instruments.drivers.border import PluginBoundary
+from instruments.drivers.border import Plugged, PluginBoundary
 from instruments.drivers.entry_points import Plugin
 from instruments.drivers.plugin import ArmDriver, ArmPoint
 from instruments.errors import DeviceError, LimitError, TouchAgainError
@@ -22,7 +22,7 @@ FARTHEST_MM = 20_000.0  # no arm reaches as far: the unit is wrong
 Floats = NDArray[np.float64]
 
 
-class PluggedArm:
+class PluggedArm(Plugged):
     """As `instruments.microscribe.driver.MicroScribe`. ``moves``: by a call of ours, and no stand
     was read back since.
     """
@@ -146,10 +146,6 @@ class PluggedArm:
         self._border.aside("stop", lambda arm: arm.stop())
         self._until_still(STOP_S, aside=True)
         self.moves = False
-
-    def close(self) -> None:
-        """Close it; once more is no error."""
-        self._border.forget()
 
     def _texts(self) -> Mapping[str, str]:
         return self._border.call("identity", lambda arm: self._border.texts(arm.identity))

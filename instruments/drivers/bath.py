@@ -9,7 +9,7 @@ from instruments.bath.profile import AlarmCode, Capabilities, NumberUnit, Profil
 from instruments.bath.reading import BathReading
 from instruments.bath.rows import Quantity
 from instruments.clock import Clock
-from instruments.drivers.border import PluginBoundary
+from instruments.drivers.border import Plugged, PluginBoundary
 from instruments.drivers.entry_points import Plugin
 from instruments.drivers.plugin import BathDriver, BathState
 from instruments.errors import DeviceError, InstrumentError, LimitError
@@ -56,7 +56,7 @@ def _row(name: str, **more: Any) -> Quantity:
     return Quantity(name=name, evidence="CERTAIN", poll=True, **more)
 
 
-class PluggedBath:
+class PluggedBath(Plugged):
     """As `instruments.bath.driver.Bath`. A link that is lost is opened anew by the next call."""
 
     safe_state = "in standby, as it reads back itself"
@@ -190,10 +190,6 @@ class PluggedBath:
 
     def release_watchdog(self, found_s: float | None = None) -> None:
         """None is known of it."""
-
-    def close(self) -> None:
-        """Close it as it is; once more is no error."""
-        self._border.forget()
 
     def _identify(self) -> None:
         self._identity = self._border.call("identity", lambda it: self._border.texts(it.identity))

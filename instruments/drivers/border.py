@@ -8,13 +8,14 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from instruments.clock import Clock, VirtualClock
 from instruments.drivers.entry_points import Plugin
 from instruments.errors import DriverError, InstrumentError, LinkError, ProtocolError
 
 CALL_S, OPEN_S, CLOSE_S = 10.0, 10.0, 2.0
+SAID = 200  # characters of another's words
 T = TypeVar("T")
 Made = TypeVar("Made")
 
@@ -94,7 +95,10 @@ class PluginBoundary(Generic[Made]):
             if isinstance(job.exception(), KeyboardInterrupt):  # ours comes to the main thread
                 raise DriverError(self.who, "KeyboardInterrupt", asked=what, hint=self.look)
             return job.result()
-        except (InstrumentError, KeyboardInterrupt):
+        except InstrumentError as error:
+            self._name(error)
+            raise
+        except KeyboardInterrupt:
             raise
         except BaseException as error:  # another's code: not every library's errors are Exceptions
             kind, hint = LinkError if isinstance(error, OSError) else DriverError, self.look
@@ -113,10 +117,20 @@ class PluginBoundary(Generic[Made]):
         except BaseException as error:
             job.set_exception(error)
 
+    def _name(self, error: InstrumentError) -> None:
+        """Of an error that the driver raised itself: which instrument has it, by whose driver."""
+        given = {"who": "", "what": _said(error), **vars(error)}  # its class may have none of them
+        if self.who in (by := str(given["who"])):
+            return
+        who = self.who if by.lower() in self.who else f"{self.who} ({by})"
+        facts = {key: given.get(key) for key in ("asked", "seen", "seconds")}
+        hint = given.get("hint") or self.look
+        InstrumentError.__init__(error, who, _short(str(given["what"])), **facts, hint=hint)
+
     def broken(self, what: str, seen: object) -> ProtocolError:
         """What to raise where it gives what no device can show."""
         hint = f"Correct {self.plugged}."
-        return ProtocolError(self.who, what, seen=_said(seen)[:200], hint=hint)
+        return ProtocolError(self.who, what, seen=_said(seen), hint=hint)
 
     def texts(self, given: object) -> dict[str, str]:
         """Its identity as text. Raises ProtocolError."""
@@ -139,8 +153,24 @@ class PluginBoundary(Generic[Made]):
         raise self.broken(f"its {what} is neither True nor False", value)
 
 
+class Plugged:
+    """What each kind of instrument of another package has."""
+
+    _border: PluginBoundary[Any]
+
+    def close(self) -> None:
+        """Close it as it is, without stopping it; once more is no error."""
+        self._border.forget()
+
+
 def _said(what: object) -> str:
     """Its kind and words; its kind alone where its own words fail."""
     with suppress(Exception):
-        return f"{type(what).__name__}: {what}".removesuffix(": ")
+        return _short(f"{type(what).__name__}: {what}".removesuffix(": "))
     return type(what).__name__
+
+
+def _short(said: str) -> str:
+    """Another's words on one line, as far as they have room in a message."""
+    said = " ".join(said.split())
+    return said if len(said) <= SAID else f"{said[: SAID - 3]}..."

@@ -10,7 +10,7 @@ import numpy as np
 from instruments.camera.cameras import CAN_GIVE, Camera, CameraGroup, MakersCalibration, MakersLens
 from instruments.camera.frame import FrameError, FrameFault, RawFrame, no_picture
 from instruments.clock import Clock
-from instruments.drivers.border import PluginBoundary
+from instruments.drivers.border import Plugged, PluginBoundary
 from instruments.drivers.entry_points import Plugin
 from instruments.errors import DeviceError, LimitError
 
@@ -18,7 +18,7 @@ CAPTURE_S = 30.0  # a long exposure, and a slow link
 OFF_S = 2.0  # of its clock, at the most
 
 
-class PluggedCamera:
+class PluggedCamera(Plugged):
     """As `instruments.camera.cameras.Camera`; whatever it raises but a lost link costs a frame."""
 
     def __init__(self, plugged: Plugin, name: str, clock: Clock) -> None:
@@ -45,11 +45,8 @@ class PluggedCamera:
     def _taken(self, camera: Camera) -> RawFrame:
         return checked(self._border, self._name, camera.take(), self._asked_s)
 
-    def close(self) -> None:
-        self._border.forget()
 
-
-class PluggedGroup:
+class PluggedGroup(Plugged):
     """As `instruments.camera.cameras.CameraGroup`."""
 
     def __init__(self, plugged: Plugin, clock: Clock) -> None:
@@ -106,9 +103,6 @@ class PluggedGroup:
         except (TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
             raise self._border.broken(f"its maker's calibration: {what}: {error}", given) from error
 
-    def close(self) -> None:
-        self._border.forget()
-
 
 def _dropped(name: str, error: DeviceError) -> FrameError:
     """No frame of the camera ``name``: the next one may come."""
@@ -127,6 +121,7 @@ def checked(border: PluginBoundary[Any], name: str, frame: object, asked_s: floa
     exposed_s, now_s = border.number(frame.exposed_s, "exposed_s"), border.clock.now()
     if not asked_s - OFF_S < exposed_s < now_s + OFF_S:
         what = f"exposed at {exposed_s:.3f} s of the bench's clock, asked for at {asked_s:.3f} s"
-        hint = f"Correct {border.plugged}"
-        raise FrameError(FrameFault.LATE, name, border.who, what, hint=hint)
-    return frame
+        raise FrameError(FrameFault.LATE, name, border.who, what, hint=f"Correct {border.plugged}")
+    amplitude = None if frame.amplitude is None else frame.amplitude.copy()
+    kept = (frame.pixels.copy(), exposed_s, int(frame.bits), frame.ranging)  # not its buffer
+    return RawFrame(*kept, amplitude, int(frame.passed_over))

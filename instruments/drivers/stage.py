@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instruments.clock import Clock
-from instruments.drivers.border import PluginBoundary
+from instruments.drivers.border import Plugged, PluginBoundary
 from instruments.drivers.entry_points import Plugin
 from instruments.drivers.plugin import StageDriver, StageState
 from instruments.errors import DeviceError, InstrumentError, LimitError
@@ -37,7 +37,7 @@ class _Move(NamedTuple):
     jog: bool
 
 
-class PluggedStage(StageCalls):
+class PluggedStage(Plugged, StageCalls):
     """As `instruments.stage.driver.Stage`."""
 
     safe_state = "at a stand, as it reads back itself"
@@ -161,10 +161,6 @@ class PluggedStage(StageCalls):
         self.reconnect()
         self.stands()
         self.moves = False
-
-    def close(self) -> None:
-        """Close it, without stopping it; once more is no error."""
-        self._border.forget()
 
     def _begin_move(self, target: Target, feed_mm_min: float | None) -> None:
         self._go(target, feed_mm_min, jog=False)
