@@ -82,13 +82,12 @@ def replace_whole(path: Path, data: bytes, *, synced: bool = False) -> None:
 
 @contextmanager
 def new_folders(*folders: Path, each: Callable[..., Iterable[None]] = map) -> Iterator[None]:
-    """``folders`` and those above them, synced after the block; where it fails, what is new and
-    still empty goes again, as on a full disk.
-    """
+    """``folders``, made and synced; where the block fails, new ones that are empty go again."""
     made = [new for folder in folders for new in _made(folder)]
     try:
+        list(each(sync_folder, {new.parent for new in made}))
         yield
-        list(each(sync_folder, {*folders, *(new.parent for new in made)}))
+        list(each(sync_folder, folders))
     except BaseException:
         for new in made:
             with suppress(OSError):  # something is in it
