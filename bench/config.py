@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import re
 import typing
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -187,6 +187,21 @@ def several(name: str, values: Iterable[Item], least: int = 0) -> tuple[Item, ..
     return found
 
 
+def all_of(*reads: Callable[[list[Any]], Any]) -> list[Any]:
+    """What each makes of what those before it made, else None; raises ConfigError for all."""
+    found, faults = list[Any](), dict[str, ConfigError]()
+    for read in reads:
+        try:
+            found.append(read(found))
+        except ConfigError as error:
+            found, faults = [*found, None], faults | {str(error): error}
+    if len(faults) > 1:
+        raise ConfigError.plain("\n".join(faults))
+    for one in faults.values():
+        raise one
+    return found
+
+
 def read_config(path: Path, model: type[Model], *, stored: bool = False) -> Model:
     """The file as ``model``; ``stored`` in a run that was done. Raises ConfigError."""
     return parse_config(path, read_text(path), model, stored=stored)
@@ -194,9 +209,7 @@ def read_config(path: Path, model: type[Model], *, stored: bool = False) -> Mode
 
 def parse_config(path: Path, text: str, model: type[Model], *, stored: bool = False) -> Model:
     """``text`` as ``model``, as if it stood at ``path``; text isn't taken for a number, nor 1 for
-    true.
-
-    Raises ConfigError with all its faults.
+    true. Raises ConfigError with all its faults.
     """
     table = toml_table(path, text)
     try:
@@ -223,9 +236,8 @@ def checked(model: type[Model], table: Any) -> Model:
     try:
         return model.model_validate(table)
     except ValidationError as error:
-        faults = [(_dotted(_key_of(f, table)), f) for f in error.errors()]
-        why = "; ".join(f"{name}: {_message(fault, model)}" for name, fault in faults)
-        raise ConfigError.plain(why) from error
+        faults = (f"{_dotted(_key_of(f, table))}: {_message(f, model)}" for f in error.errors())
+        raise ConfigError.plain("; ".join(faults)) from error
 
 
 def read_text(path: Path) -> str:
@@ -289,15 +301,6 @@ def writing(place: Path) -> Iterator[None]:
         raise ConfigError.plain(f"{place}: can't be written: {error.strerror or error}") from error
 
 
-def is_there(path: Path) -> bool:
-    """Whether there is such a file. Raises ValueError for a name that no file can have."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise ValueError(f"can't be the name of a file: {why}") from error
-
-
 def _rendered(path: Path | None, faults: Sequence[FileFault], lines: Sequence[str]) -> list[str]:
     if path is None:
         return [fault.message for fault in faults]
@@ -356,11 +359,8 @@ def _key_of(detail: ErrorDetails, table: Any) -> KeyPath:
     path: KeyPath = detail["loc"]
     kept: list[str | int] = []
     for index, part in enumerate(path):
-        inside = (
-            isinstance(table, list) and part < len(table)
-            if isinstance(part, int)
-            else isinstance(table, dict) and part in table
-        )
+        there = range(len(table)) if isinstance(table, list) else table
+        inside = isinstance(table, list | dict) and part in there
         if inside:
             table = table[part]
         if inside or index == len(path) - 1:
@@ -372,9 +372,7 @@ def _key_of(detail: ErrorDetails, table: Any) -> KeyPath:
 def _fields_at(model: type[BaseModel], path: Sequence[str | int]) -> set[str]:
     """Names allowed in the table at ``path`` of ``model``; tags of a union are passed over."""
     models = [model]
-    for part in path:
-        if isinstance(part, int):
-            continue
+    for part in (part for part in path if isinstance(part, str)):
         deeper = [
             found
             for one in models
@@ -406,6 +404,5 @@ def read_calibration(path: Path, *, doubtful: bool = False) -> Calibration:
     try:
         return load_calibration(path, doubtful=doubtful)
     except CalibrationError as error:
-        raise located(
-            path, read_text(path), [(fault.key, fault.message, False) for fault in error.faults]
-        ) from error
+        found = [(fault.key, fault.message, False) for fault in error.faults]
+        raise located(path, read_text(path), found) from error

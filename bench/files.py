@@ -11,8 +11,9 @@ import errno
 import hashlib
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import cv2
@@ -45,10 +46,8 @@ def write_pictures(pictures: Mapping[Path, Picture]) -> dict[Path, str]:
     if not pictures:
         return {}
     folders = {path.parent for path in pictures}
-    changed = folders | {new.parent for folder in folders for new in _made(folder)}
-    with ThreadPoolExecutor(AT_ONCE) as threads:
+    with ThreadPoolExecutor(AT_ONCE) as threads, new_folders(*folders, each=threads.map):
         digests = list(threads.map(_write_picture, pictures.keys(), pictures.values()))
-        list(threads.map(sync_folder, changed))
     return dict(zip(pictures, digests, strict=True))
 
 
@@ -59,9 +58,8 @@ def _write_picture(path: Path, image: Picture) -> str:
 
 def write_synced(path: Path, data: bytes) -> None:
     """``data`` at ``path``, durable; after a crash whole or not at all."""
-    make_folder(path.parent)
-    replace_whole(path, data, synced=True)
-    sync_folder(path.parent)
+    with new_folders(path.parent):
+        replace_whole(path, data, synced=True)
 
 
 def replace_whole(path: Path, data: bytes, *, synced: bool = False) -> None:
@@ -82,10 +80,19 @@ def replace_whole(path: Path, data: bytes, *, synced: bool = False) -> None:
     part.replace(path)
 
 
-def make_folder(folder: Path) -> None:
-    """``folder`` and those above it, each new one synced into the one that holds it."""
-    for new in _made(folder):
-        sync_folder(new.parent)
+@contextmanager
+def new_folders(*folders: Path, each: Callable[..., Iterable[None]] = map) -> Iterator[None]:
+    """``folders``, made and synced; where the block fails, new ones that are empty go again."""
+    made = [new for folder in folders for new in _made(folder)]
+    try:
+        list(each(sync_folder, {new.parent for new in made}))
+        yield
+        list(each(sync_folder, folders))
+    except BaseException:
+        for new in made:
+            with suppress(OSError):  # something is in it
+                new.rmdir()
+        raise
 
 
 def _made(folder: Path) -> list[Path]:

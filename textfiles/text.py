@@ -62,6 +62,11 @@ def plural(n: int, thing: str, verb: str = "") -> str:
     return f"{n} {thing} {verb}".rstrip()
 
 
+def range_text(first: object, last: object, form: str = "") -> str:
+    """``2 to 5``; ``5`` where both are it."""
+    return " to ".join(dict.fromkeys((format(first, form), format(last, form))))
+
+
 def full_stop(text: str) -> str:
     """``text`` as a sentence's end."""
     return text if text.endswith((".", "?", "!")) else f"{text}."

@@ -9,7 +9,7 @@ from typing import Any
 
 from bench.api.runs import OUT, AnyScript, load_script
 from bench.api.shots import AnyRig, load_rig
-from bench.config import check_within, wrong_use
+from bench.config import all_of, check_within, wrong_use
 from bench.dry_run.pose_checks import Finding, ScriptCheck, dry_run, stage_settings
 from bench.dry_run.rehearsal import NoTwinError, rehearse
 from bench.run.estimate import (
@@ -53,8 +53,7 @@ def plan_script(script: AnyScript = None, rig: AnyRig = "emulated") -> ScriptPla
     """The poses of a script, and how long it takes on a rig: `teatbench trials show`. Raises
     ConfigError.
     """
-    on = load_rig(rig)
-    loaded = load_script(script, on)
+    on, loaded = all_of(lambda _: load_rig(rig), lambda to: load_script(script, to[0]))
     s = loaded.script
     found = pose_set(s.trials, loaded.planned, seed=s.seed, order=s.order)
     rows = tuple(dict(zip(POSE_KEYS, row, strict=True)) for row in found["poses"])
@@ -77,8 +76,8 @@ def check_script(
     begun, of how many. Raises ConfigError.
     """
     check_within(FROM_0, seed=seed)
-    on, today = load_rig(rig), wall_time().date()
-    loaded = load_script(script, on)
+    on, loaded = all_of(lambda _: load_rig(rig), lambda to: load_script(script, to[0]))
+    today = wall_time().date()
     on.refuse_unfilled()
     refuse_carry(on, loaded)
     refuse_old_calibration(on, loaded, today)

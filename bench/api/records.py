@@ -90,7 +90,6 @@ def export_record(
             raise ConfigError.plain(f"no export {kind!r} (there are: csv, parquet, mcap)")
         if there:  # first: what an export that fails has written is marked too
             head = f"{NOT_AS_WRITTEN}: the files beside this one are made of what is left of it."
-            to.mkdir(parents=True, exist_ok=True)
             write_synced(to / DAMAGED, "\n".join((head, *there, "")).encode())
         try:
             return tuple(write(source, to))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar, cast
 
 from bench.api.records import Damage, known
 from bench.api.shots import AnyRig, load_rig
-from bench.config import ConfigError, check_within, several, wrong_use
+from bench.config import ConfigError, all_of, check_within, several, wrong_use
 from bench.record.reader import RunRecord, opened
 from bench.record.recording import RecordingError
 from bench.record.schema import tables_of
@@ -141,12 +141,15 @@ def run_queue(
     from bench.run.start import RunOptions
     from bench.run.start import run_queue as started
 
-    loaded, shown, tested = load_rig(rig), progress or Quiet(), several("detectors", detectors)
+    shown, tested = progress or Quiet(), several("detectors", detectors)
+    loaded, *found = all_of(
+        lambda _: load_rig(rig),
+        *(lambda to, one=one: load_script(one, to[0]) for one in several("scripts", scripts, 1)),
+    )
     check_within(FROM_0, seed=seed)
     check_within(SPEED, speed=speed)
     if speed is not None and not loaded.rig.simulated:
         raise ConfigError.plain("speed is for an emulated rig: no real instrument is hurried.")
-    found = [load_script(one, loaded) for one in several("scripts", scripts, 1)]
     to = Path(record) if record is not None else None
     if to and len(found) > 1:
         raise ConfigError.plain("`record` is of one script. Give one, or leave `record` out.")

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.config import ConfigError, check_within, read_text, writing
+from bench.files import new_folders
 from bench.record.recording import RecordingWriter
 from bench.rig.loading import AnyRig, any_rig, drawn
 from bench.rig.scenes import BOARD_DEPTHS_MM, named_cameras, rig_renderer, taken
@@ -41,7 +42,7 @@ def record_boards(
         held = [*boards.poses(pattern, watching, BOARD_DEPTHS_MM, seed, poses)]
     except ValueError as error:
         raise ConfigError.plain(f"the board: {error}") from error
-    with writing(Path(folder)):
+    with writing(Path(folder)), new_folders(Path(folder) / "frames"):
         writer = RecordingWriter(folder)
         writer.add_calibration(read_text(rig.calibration_path))
         for number, one in enumerate(held):

@@ -159,5 +159,4 @@ def write_calibration(found: Part | Calibration, out: Path | str, command: str =
     except CalibrationError as error:
         raise ConfigError.plain(f"not written, for it can't be: {error}") from error
     with writing(out):
-        out.resolve().parent.mkdir(parents=True, exist_ok=True)
         write_synced(out, text.encode("utf-8"))

@@ -17,7 +17,7 @@ from pathlib import Path
 from filelock import FileLock
 
 from bench.config import ConfigError
-from bench.files import make_folder, sync_folder, write_synced
+from bench.files import new_folders, write_synced
 
 LEDGER, LOCK = "ledger.txt", "ledger.lock"
 REMOVED = "removed"  # in place of a digest: the file was merged into another, or is not needed
@@ -150,16 +150,14 @@ class Ledger:
 
     def _append(self, lines: Iterable[tuple[str, str]]) -> None:
         text = "".join(f"{digest}  {name}\n" for digest, name in lines)
-        make_folder(self.folder)
+        places = self.folder / LOCK, self.folder / LEDGER
         # jobs of several machines may add at once
-        with FileLock(self.folder / LOCK), (self.folder / LEDGER).open("ab") as file:
+        with new_folders(self.folder), FileLock(places[0]), places[1].open("ab") as file:
             begins = file.tell() == 0
             # after a line that a crash cut, so that this one is whole
             file.write(text.encode() if begins or self._ends_a_line() else b"\n" + text.encode())
             file.flush()
             os.fsync(file.fileno())
-        if begins:
-            sync_folder(self.folder)
 
     def _ends_a_line(self) -> bool:
         with (self.folder / LEDGER).open("rb") as file:

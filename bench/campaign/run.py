@@ -23,9 +23,10 @@ from bench.campaign.plan import CampaignPlan, Chunk, differences, open_plan, pla
 from bench.campaign.pool import Say, executor
 from bench.campaign.shards import SHARDS, Shards, no_campaign
 from bench.config import ConfigError, writing
-from bench.files import write_synced
+from bench.files import new_folders, write_synced
 from bench.scoring.rates import Rate
 from bench.scoring.sequential import tight_enough
+from textfiles.text import range_text
 
 PLAN, LOCK = "plan.toml", "campaign.lock"
 
@@ -112,8 +113,7 @@ class Campaign:
 
     def begin(self) -> None:
         """Write the plan, where it isn't there. Raises ConfigError where it can't be written."""
-        with writing(self.folder):
-            (self.folder / SHARDS).mkdir(parents=True, exist_ok=True)
+        with writing(self.folder), new_folders(self.folder / SHARDS):
             path = self.folder / PLAN
             if not path.exists() or (self._restorable() and path.read_bytes() != self._text):
                 self.shards.ledger.add(PLAN, self._text)
@@ -245,10 +245,8 @@ def run_chunk(
     PoolError.
     """
     if not 0 <= number < plan.chunk_count:
-        last = plan.chunk_count - 1
-        raise ConfigError.plain(
-            f"there is no chunk {number}: there are {last + 1}, from 0 to {last}"
-        )
+        there = range_text(0, plan.chunk_count - 1)
+        raise ConfigError.plain(f"there is no chunk {number}; there is: {there}")
     campaign = Campaign(plan, Path(out))
     campaign.begin()
     with executor(campaign.job, 1, None, say) as made:

@@ -58,7 +58,7 @@ def console(given: argparse.Namespace) -> None:
             print(EXPOSED, file=sys.stderr, flush=True)
         if not given.no_open and on_a_desktop():
             webbrowser.open(f"{origin}/#{token}")
-        served = Console(given.runs.resolve(), Path.cwd(), origin, Pairing(token))
+        served = Console(given.runs, Path.cwd(), origin, Pairing(token))
         if not inside and sys.stdout.isatty():
             print("To pair a phone, once and within 10 min:")
             segno.make(pairing_url(served)).terminal(compact=True)

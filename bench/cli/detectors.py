@@ -58,7 +58,6 @@ def new(given: argparse.Namespace) -> None:
     heading = "A detector of your own; all keys: teatbench help detectors. The command runs here."
     if given.language == "cpp":
         heading += f"\nCompile it first: {COMPILED.format(name=name)}"
-    given.out.mkdir(parents=True, exist_ok=True)
     write_synced(program, (skeletons / f"detector{end}").read_bytes())
     write_synced(file, toml_text(table, heading).encode("utf-8"))
     word = name if name in bench.detectors() else file

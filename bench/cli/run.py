@@ -16,7 +16,7 @@ import bench
 from bench.cli.arguments import CODES, print_json
 from bench.cli.store import undamaged
 from bench.cli.terminal import Terminal, TerminalProgress, working
-from bench.config import ConfigError
+from bench.config import ConfigError, all_of
 from bench.run.events import ENDED, Events, event_lines
 from instruments.operators.console import keyboard_of
 
@@ -28,8 +28,10 @@ WORST = (CODES.met, CODES.inconclusive, CODES.not_met, CODES.fault)  # of severa
 def run(given: argparse.Namespace) -> int:
     if given.json and not given.dry_run:
         raise ConfigError.plain("--json is for --dry-run. A run's JSON is its report/run.json.")
-    rig = bench.load_rig(given.rig)
-    scripts = [bench.load_script(name, rig) for name in given.script or [None]]
+    rig, *scripts = all_of(
+        lambda _: bench.load_rig(given.rig),
+        *(lambda to, one=one: bench.load_script(one, to[0]) for one in given.script or [None]),
+    )
     _summarize(given)  # its file's fault now, not when all is over
     if given.dry_run:
         from bench.cli.dry_run import look_ahead

@@ -24,8 +24,8 @@ def listed(given: argparse.Namespace) -> None:
 
 
 def show(given: argparse.Namespace) -> int:
-    rig = bench.load_rig(given.rig)
-    found = bench.plan_script(given.script, rig)
+    rig = given.rig or "emulated"
+    found, rig = bench.plan_script(given.script, rig), bench.load_rig(rig)
     time, script, rows = found.time, found.script, found.trials
     if given.json:
         shown = {

@@ -247,8 +247,8 @@ def _chain(db: sqlite3.Connection, links: list[tuple[Any, ...]]) -> Iterator[Fin
     for table, end in ends.items():
         (last,) = db.execute(f"SELECT coalesce(max(rowid), 0) FROM {table}").fetchone()  # noqa: S608 - our names
         if last > end:
-            rows = f"rows {end + 1} to {last} are in no link of the chain"
-            yield _damage(f"table {table}, {rows}: they were added later")
+            rows = f"row {last} is" if last == end + 1 else f"rows {end + 1} to {last} are"
+            yield _damage(f"table {table}, {rows} in no link of the chain: added later")
 
 
 def _rows(

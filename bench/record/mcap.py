@@ -43,6 +43,7 @@ from mcap_protobuf.writer import Writer
 from scipy.spatial.transform import Rotation
 
 from bench.config import ConfigError, read_calibration
+from bench.files import new_folders
 from bench.record.reader import ALL, HEADS, opened
 from bench.record.schema import Row
 from detector.calibration.values import Calibration
@@ -204,20 +205,20 @@ def export_mcap(run: Path, out: Path) -> list[Path]:
         facts = dict(db.execute("SELECT key, value FROM facts ORDER BY key").fetchall())
     first_ns = min((message.time_ns for message in found), default=0)
     found = [*_cameras(known, first_ns), *found] if known else found
-    out.mkdir(parents=True, exist_ok=True)
     part = out / f"{NAME}.part"
-    try:
-        with part.open("wb") as to:
-            writer = Writer(to)
-            writer.add_metadata("teatbench", facts)
-            for one in found:
-                seconds, nanos = divmod(one.time_ns, NS)
-                content = one.make(Timestamp(seconds=seconds, nanos=nanos))
-                writer.write_message(one.topic, content, one.time_ns, one.time_ns)
-            writer.finish()  # type: ignore[no-untyped-call]
-        part.replace(out / NAME)
-    finally:
-        part.unlink(missing_ok=True)
+    with new_folders(out):
+        try:
+            with part.open("wb") as to:
+                writer = Writer(to)
+                writer.add_metadata("teatbench", facts)
+                for one in found:
+                    seconds, nanos = divmod(one.time_ns, NS)
+                    content = one.make(Timestamp(seconds=seconds, nanos=nanos))
+                    writer.write_message(one.topic, content, one.time_ns, one.time_ns)
+                writer.finish()  # type: ignore[no-untyped-call]
+            part.replace(out / NAME)
+        finally:
+            part.unlink(missing_ok=True)
     return [out / NAME]
 
 

@@ -24,7 +24,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, ClassVar
 
-from bench.files import Picture, make_folder, sync_folder, write_pictures, write_synced
+from bench.files import Picture, new_folders, sync_folder, write_pictures, write_synced
 from bench.record.chain import add_link
 from bench.record.reader import TrialRecord, check_version, database_in
 from bench.record.schema import DATABASE, LATER_WORD, OF_A_TRIAL, Row, make_tables
@@ -77,14 +77,14 @@ class Store:
         part = folder.with_name(f".{folder.name}.{os.getpid()}-{threading.get_ident()}.part")
         if part.exists():
             shutil.rmtree(part)  # of a process that had our number, and died
-        try:
-            # one floor down: who lists runs doesn't take it for one
-            session = cls._made(part / folder.name, files)
-            (part / folder.name).rename(folder)
-        finally:
-            # why it could not be made says more than why it can't be cleared away
-            shutil.rmtree(part, ignore_errors=True)
-        sync_folder(folder.parent)
+        with new_folders(folder.parent):
+            try:
+                # one floor down: who lists runs doesn't take it for one
+                session = cls._made(part / folder.name, files)
+                (part / folder.name).rename(folder)
+            finally:
+                # why it could not be made says more than why it can't be cleared away
+                shutil.rmtree(part, ignore_errors=True)
         return cls(folder, session)
 
     @classmethod
@@ -105,7 +105,7 @@ class Store:
     @classmethod
     def _made(cls, folder: Path, files: Mapping[str, str]) -> int:
         """Everything that a new run has, closed and synced; gives back its session."""
-        make_folder(folder)
+        folder.mkdir(parents=True)
         for name, text in files.items():
             write_synced(folder / name, text.encode())
         with closing(sqlite3.connect(folder / DATABASE, isolation_level=None)) as db:

@@ -101,7 +101,7 @@ def write_run_report(
         # by another reading of the run: it may not stand beside this one
         (folder / REPORT / PDF).unlink(missing_ok=True)
         path = write_report(page, folder / REPORT)
-        listed = judgements if status.decided else judge(run, rules)  # its requirements, too
+        listed = judgements or judge(run, rules)  # its requirements, where nothing was scored
         write_exports(run, status, listed, folder / REPORT)
         return Reported(folder, path, run, judgements, status)
     except OSError as error:

@@ -26,7 +26,7 @@ from bench.scoring.control_chart import BASE
 from reports.figures.course import control_chart
 from reports.page import Figure, Verdict
 from reports.runs import PAGE, Result, Run, Runs, write_runs
-from textfiles.text import plural
+from textfiles.text import plural, range_text
 
 THUMBNAIL_PX = (200, 150)
 QUALITY = 70
@@ -167,7 +167,7 @@ def counted(found: Runs) -> str:
     """How many there are, and what could not be read."""
     text = plural(len(found.runs), "run")
     if found.runs:
-        text += f", {found.runs[-1].date[:10]} to {found.runs[0].date[:10]}"
+        text += f", {range_text(found.runs[-1].date[:10], found.runs[0].date[:10])}"
     held = sum(bool(run.damage) for run in found.runs)
     text += f"; not as written: {held}" if held else ""
     return text + (f"; {plural(len(found.others), 'other folder')}." if found.others else ".")

@@ -26,7 +26,7 @@ from detector.calibration import Calibration
 from instruments.world.situations import SITUATIONS, member
 from reports.page import Banner, Page, TrialPart
 from reports.render import write_report
-from textfiles.text import plural
+from textfiles.text import plural, range_text
 
 SCENES = "scenes"  # in a campaign's folder: the frames of each scene that was drawn again
 OF_A_RUN = ("repeat", "bath at capture", "teats' surface")  # which a scene has not
@@ -88,7 +88,7 @@ def show_scenes(
         if family not in plan.families or not inside:
             example = Scene(plan.families[0], plan.first).name
             raise ConfigError.plain(
-                f"{folder} has no scene {name!r}; it has members {plan.first} to {last} of"
+                f"{folder} has no scene {name!r}; it has members {range_text(plan.first, last)} of"
                 f" {', '.join(plan.families)}, named as {example}"
             )
         scenes.append(Scene(family, int(number)))

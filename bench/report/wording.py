@@ -16,6 +16,7 @@ import numpy as np
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.rates import percent_apart
 from reports.page import Cell, Column, KeyValues, Table
+from textfiles.text import range_text
 
 LONGEST = 60  # with what stands before it an id has room
 NOT_MEASURED = "not measured"
@@ -63,7 +64,8 @@ def spanned(values: Any, form: str = ".2f", unit: str = "") -> str:
     """``1.00 to 2.00 mm``, the least and the greatest; ``not measured`` where there is none."""
     if not len(values):
         return NOT_MEASURED
-    return f"{formatted(min(values), form)} to {formatted(max(values), form)} {unit}".rstrip()
+    low, high = (formatted(one(values), form) for one in (min, max))
+    return f"{range_text(low, high)} {unit}".rstrip()
 
 
 def shown(value: Any, form: str = "") -> str | Cell:

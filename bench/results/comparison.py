@@ -397,7 +397,7 @@ def _together(runs: Sequence[RunRecord], name: str, rules: Rules) -> tuple[Poole
         )
         decided = _decided_on(runs, name, rule, looks[rule.name])
         decisions.append(_none_left_out(decided, looks[rule.name]))
-    judgement = Judgement(name, held_back(decisions, runs[0].damage))
+    judgement = Judgement(name, held_back(decisions, NOT_AS_WRITTEN if runs[0].damage else ""))
     verdicts = {one.name: one.verdict.value for one in decisions}
     poses = {one.name: one.n for one in decisions}
     after = [one.key for one in before]

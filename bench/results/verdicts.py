@@ -257,15 +257,16 @@ def stored_rules(folder: Path) -> Rules:
 
 
 def judge(run: RunRecord, rules: Rules) -> tuple[Judgement, ...]:
-    """Each detector's judgement. An unfinished run is judged on the trials that it has."""
+    """Each detector's judgement, on the trials that there are; none is met without a verdict."""
     bench = ArmRequirement | BathRequirement | CalibrationRequirement | CamerasRequirement
     of_bench = frozenset(rule.name for rule in rules.requirements if isinstance(rule, bench))
-    found = []
+    nothing = "" if any(trial.scores for trial in run.trials) else "Nothing was scored"
+    unfinished = nothing if run.ending == "finished" else "The run is not finished"
+    why, found = NOT_AS_WRITTEN if run.damage else unfinished, []
     for name in run.detectors:
-        scores = scored(run, name)
-        decisions = (_decide(rule, run, scores, name, rules.looks) for rule in rules.requirements)
-        decided = (_doubted(decision, rules, too_small(run.facts)) for decision in decisions)
-        found.append(Judgement(name, held_back(decided, run.damage), of_bench))
+        made = (_decide(r, run, scored(run, name), name, rules.looks) for r in rules.requirements)
+        decided = (_doubted(decision, rules, too_small(run.facts)) for decision in made)
+        found.append(Judgement(name, held_back(decided, why), of_bench))
     return tuple(found)
 
 
@@ -282,11 +283,11 @@ def _doubted(decision: Decision, rules: Rules, wrong: str) -> Decision:
     return replace(decision, verdict=Verdict.INCONCLUSIVE, sentence=sentence)
 
 
-def held_back(decisions: Iterable[Decision], damage: Sequence[str]) -> tuple[Decision, ...]:
-    """The decisions; where the record is damaged, all of them inconclusive."""
+def held_back(decisions: Iterable[Decision], why: str) -> tuple[Decision, ...]:
+    """The decisions; where there is a reason ``why``, all that was measured is inconclusive."""
     return tuple(
-        replace(d, verdict=Verdict.INCONCLUSIVE, sentence=f"{NOT_AS_WRITTEN}. {d.sentence}")
-        if damage
+        replace(d, verdict=Verdict.INCONCLUSIVE, sentence=f"{why}. {d.sentence}")
+        if why and d.verdict is not Verdict.NOT_MEASURED
         else d
         for d in decisions
     )

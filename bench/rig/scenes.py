@@ -21,7 +21,7 @@ from bench.config import (
     toml_of,
     writing,
 )
-from bench.files import write_synced
+from bench.files import new_folders, write_synced
 from bench.record.recording import RecordingWriter, TruthRow
 from bench.rig.loading import AnyRig, LoadedRig, any_rig
 from bench.rig.model import make_renderer
@@ -148,7 +148,7 @@ def record_scenes(
     text = read_text(rig.calibration_path)
     if stated is not rig.calibration:
         text = dump_calibration(stated, "perturbed: not what the cameras are")
-    with writing(Path(folder)):
+    with writing(Path(folder)), new_folders(Path(folder) / "frames"):
         writer = RecordingWriter(Path(folder))
         writer.add_calibration(text)
         for name in families:

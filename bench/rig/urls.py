@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import ValidationInfo
 
-from bench.config import did_you_mean, is_there
+from bench.config import did_you_mean
 from instruments.bath.connection import ALLOWED, LineError, parse_line
 from instruments.drivers.entry_points import EMULATORS, GROUPS, Kind, available, plugin_url
 from instruments.points import ALLOWED as ALLOWED_POINTS
@@ -97,6 +97,15 @@ def operator_url(url: str, info: ValidationInfo) -> str:
         there = ", ".join(f'"{one}"' for one in (*allowed, f"{ELSEWHERE}host:port"))
         raise ValueError(f"not an operator{near} (allowed: {there})")
     return url
+
+
+def is_there(path: Path) -> bool:
+    """Whether there is such a file. Raises ValueError for a name that no file can have."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise ValueError(f"can't be the name of a file: {why}") from error
 
 
 def beside(name: str, info: ValidationInfo) -> str:

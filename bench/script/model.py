@@ -18,8 +18,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from bench.config import ConfigError, Positive, Section, is_there, located, parse_config, read_text
+from bench.config import ConfigError, Positive, Section, located, parse_config, read_text
 from bench.rig.loading import LoadedRig, find_shipped
+from bench.rig.urls import is_there
 from bench.scoring.looks import Looks
 from bench.script.detectors import check_named
 from bench.script.phantom import Layout, find_layout, load_layout

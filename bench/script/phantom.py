@@ -16,7 +16,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from bench.config import ConfigError, Section, did_you_mean, is_there, read_config
+from bench.config import ConfigError, Section, did_you_mean, read_config
+from bench.rig.urls import is_there
 from instruments.world.phantom import Phantom, Teat, TeatShape
 from instruments.world.solids import clearance_mm
 

@@ -22,7 +22,7 @@ from instruments.world.objects import SceneObject, make_object
 from instruments.world.phantom import Phantom, PlatePose
 from instruments.world.setups import Situation
 from instruments.world.situations import SITUATIONS, situation
-from textfiles.text import plural
+from textfiles.text import plural, range_text
 
 MOST_POSES = 100_000
 RUN_FILES = ("rig.toml", "script.toml", "calibration.toml")  # a run's folder has these already
@@ -393,8 +393,8 @@ def pose_set(
 def chosen(trial: Trial) -> str:
     """A sentence on how a trial's poses were chosen."""
     if grid := trial.grid:
-        (x0, x1), (y0, y1), (dx, dy) = grid.x_mm, grid.y_mm, grid.step_mm
-        spans = f"x {x0:g} to {x1:g} mm by {dx:g}, y {y0:g} to {y1:g} mm by {dy:g}"
+        x, y, dx, dy = *(range_text(*s, "g") for s in (grid.x_mm, grid.y_mm)), *grid.step_mm
+        spans = f"x {x} mm by {dx:g}, y {y} mm by {dy:g}"
         how = (
             f"a grid of {grid.columns} x {grid.rows} poses, {spans}, {grid.order} along"
             f" {grid.along}"
@@ -402,7 +402,7 @@ def chosen(trial: Trial) -> str:
     elif draw := trial.draw:
         drawn = {"x": draw.x_mm, "y": draw.y_mm, "z": draw.z_mm, "yaw": draw.yaw_deg}
         within = ", ".join(
-            f"{k} {a:g} to {b:g} {'deg' if k == 'yaw' else 'mm'}"
+            f"{k} {range_text(a, b, 'g')} {'deg' if k == 'yaw' else 'mm'}"
             for k, (a, b) in drawn.items()
             if (a, b) != (0.0, 0.0)
         )

@@ -41,7 +41,6 @@ def write_found(error: SceneFailedError, folder: Path) -> Path:
         "neighbours_failing": near.failing,
         "scene": TypeAdapter(Scene).dump_python(error.scene, mode="json", exclude_defaults=True),
     }
-    folder.mkdir(parents=True, exist_ok=True)
     _, png = cv2.imencode(".png", error.picture())
     for name, data in (
         (SCENE, toml_text(table, HEADING).encode()),

@@ -17,6 +17,7 @@ from typing import Any, Literal, Protocol
 from instruments.world.boards import Pattern
 from instruments.world.phantom import Phantom, PlatePose
 from instruments.world.setups import Situation
+from textfiles.text import range_text
 
 
 class OperatorAbort(Exception):  # noqa: N818 - a request, not a fault
@@ -271,7 +272,7 @@ class Prompt:
         if self.press:
             return f"{go} ({'s, r, ' * self.in_trial}? or a as before): "
         if self.hidden_to:
-            ends = f"first the numbers of hidden teat ends (1 to {self.hidden_to})"
+            ends = f"first the numbers of hidden teat ends ({range_text(1, self.hidden_to)})"
             go = f"Enter when it stands; {ends}"
         trial = "s REASON = skip the trial, r = repeat it, " * self.in_trial
         enough = "e = enough, go on with what there is, " * self.enough

@@ -490,7 +490,7 @@ function listed(one) {
     make("div", { className: "about" },
       make("h3", {}, make("a", { href: `#/${encodeURIComponent(one.name)}` }, one.name)),
       make("p", { className: "soft" }, `${one.title}; on ${one.rig || "a recording"}`),
-      make("p", { className: one.status.state === "running" ? "good" : "" }, one.status.headline),
+      make("p", { className: one.status.state === "running" && !one.status.unsafe.length ? "good" : "" }, one.status.headline),
       ...one.status.unsafe.map((line) => make("p", { className: "bad" }, line)),
       make("ul", { className: "chips" }, ...verdicts(one.status))),
     place,

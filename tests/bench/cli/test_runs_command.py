@@ -45,7 +45,7 @@ def test_each_run_is_listed_and_each_other_folder_named(said: Said, runs: Path) 
 
 def test_the_page_stands_alone(said: Said, runs: Path) -> None:
     seen = said(0, "runs {}", runs).out
-    assert "not a run: foreign" in seen
+    assert re.search(r"3 runs, \d{4}-\d\d-\d\d; (?s:.*)not a run: foreign", seen), "one day, once"
     page = (runs / "index.html").read_text(encoding="utf-8")
     assert f"Page: {runs / 'index.html'}" in seen
     assert page.count("data:image/jpeg;base64,") >= 3

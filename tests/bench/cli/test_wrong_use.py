@@ -34,10 +34,7 @@ WRONG_USE = TABLE["wrong_use"] | {
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "code", "message"),
-    [
-        *((command, 2, message) for command, message in WRONG_USE.items()),
-        *((command, 3, message) for command, message in TABLE["no_answer"].items()),
-    ],
+    [(c, n, m) for n, of in ((2, WRONG_USE), (3, TABLE["no_answer"])) for c, m in of.items()],
 )
 def test_wrong_use_gets_a_sentence_and_leaves_nothing_behind(
     command: str,
@@ -130,15 +127,20 @@ def test_a_limit_of_memory_ends_with_a_sentence(
     assert "out of memory: give the machine" in said(3, "runs").err
 
 
-def test_a_full_disk_is_a_fault_and_leaves_no_half_of_a_file(said: Said, tmp_path: Path) -> None:
+def test_a_full_disk_leaves_no_half_of_a_file_and_no_empty_folder(
+    said: Said, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     resource = pytest.importorskip("resource", reason="Windows limits no file's size")
     file, before = tmp_path / "scene.png", resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))  # as a quota
+    resource.setrlimit(resource.RLIMIT_FSIZE, (512, before[1]))  # as a quota
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # else half a module stays in its cache
     try:
         text = said(3, "scene sheet --situation ideal --out {}", file).err
+        new = said(3, "detectors new python --out {}", tmp_path / "a" / "b").err
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert text.endswith(f"{file}: can't be written: File too large\n")
+    assert "b/my_detector.py: File too large" in new
     assert not [*tmp_path.iterdir()]
 
 

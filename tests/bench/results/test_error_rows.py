@@ -49,7 +49,7 @@ def trial(
 
 
 def record(folder: Path, trials: list[TrialRecord]) -> RunRecord:
-    return RunRecord(folder, {"detectors": ["fused"]}, tuple(trials))
+    return RunRecord(folder, {"detectors": ["fused"], "ending": "finished"}, tuple(trials))
 
 
 @pytest.fixture

@@ -59,6 +59,7 @@ def test_a_run_of_which_all_was_skipped_has_no_verdict(tmp_path: Path) -> None:
     code, record = answered(tmp_path, answers)
     assert (code, len(record.skipped)) == (4, 3)
     assert "All 3 trials were left out, so nothing was scored" in page_of(record)
+    assert 'name="bath"' in (record.folder / "report" / "junit.xml").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
