@@ -135,9 +135,10 @@ def test_arguments_of_a_wrong_kind_are_refused_by_name(name: str) -> None:
     function = FUNCTIONS[name]
     for one, hint in _hints(vars(function)["__wrapped__"]).items():
         for wrong in (object(), math.nan, *([] if type(None) in get_args(hint) else [None])):
-            many = inspect.signature(function).parameters[one].kind == 2  # *arguments
+            parameters = inspect.signature(function).parameters
+            many, ahead = parameters[one].kind == 2, [""] * [*parameters].index(one)  # *arguments
             with pytest.raises(bench.ConfigError, match=rf"^{one} is .*, not \S"):
-                function(wrong) if many else function(**{one: wrong})
+                function(*ahead, wrong) if many else function(**{one: wrong})
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
