@@ -234,6 +234,7 @@ function stands() {
   byId("done").max = now.planned || 1;
   byId("done").value = now.done;
   byId("pause").textContent = now.paused ? "Go on" : "Pause";
+  byId("pause").hidden = byId("abort").hidden = now.step === "going to safe"; // the run ends by itself
   byId("health").hidden = !now.instruments.length;
   byId("instruments").replaceChildren(...now.instruments.map((one) => make("li", { className: one.trouble ? "bad" : "" }, one.text)));
 }

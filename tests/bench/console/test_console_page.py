@@ -279,5 +279,8 @@ def test_each_state_of_a_run_has_its_lines(tmp_path: Path) -> None:
                 status = replace(LIVES, **{"wall_time": soon, **how})
                 said_by(running, status, bath=BATH, interlocks=[], tip=None, ends=[], frames=0)
                 says(*lines)
+                ends = status.step == GOING_TO_SAFE  # by itself: nothing is to be paused or aborted
+                for button in ("#pause", "#abort"):
+                    expect(page.locator(button)).to_be_visible(visible=not ends)
             assert not violations(page)
             assert not weak_texts(page)
