@@ -20,7 +20,8 @@ PAGE = "index.html"
 @dataclass(frozen=True, slots=True)
 class Result:
     """One detector in one run. ``verdict`` is the run's state where it is unfinished, "no verdict"
-    where nothing was scored or the record is damaged; errors are None where nothing was found.
+    where nothing was scored or the record is damaged; errors are None where nothing was found;
+    ``answered``: frame sets with an answer, without which nothing else was measured.
     """
 
     detector: str
@@ -31,15 +32,16 @@ class Result:
     false: int
     median_error_mm: float | None
     max_error_mm: float | None
+    answered: int
 
     @property
     def share(self) -> str:
-        """``97 %`` of the visible teats found; empty where none was visible."""
-        return f"{100 * self.found // self.visible} %" if self.visible else ""
+        """``97 %`` of the visible teats found; empty where none was visible, or no answer came."""
+        return f"{100 * self.found // self.visible} %" if self.visible and self.answered else ""
 
     @property
     def brief(self) -> str:
-        """``met (97 % found)``; the verdict alone where no teat was visible."""
+        """``met (97 % found)``; the verdict alone where nothing was measured."""
         return f"{self.verdict} ({self.share} found)" if self.share else self.verdict
 
     @property
@@ -47,6 +49,8 @@ class Result:
         """Its figures in a sentence."""
         if not self.visible:
             return "No visible teat was scored."
+        if not self.answered:
+            return "It gave no answer: nothing was measured."
         text = f"{self.found} of {self.visible} visible teats found, {self.false} false"
         if self.median_error_mm is None or self.max_error_mm is None:
             return f"{text}."

@@ -105,10 +105,10 @@ def _results(run: RunRecord, status: RunStatus) -> Iterator[Result]:
     for name in run.detectors:
         pool, item = scored(run, name), run.facts["items"].get(name, {})
         radial, counts = np.linalg.norm(pool.errors_mm, axis=1), pool.counts
-        errors_mm = (float(of(radial)) if len(radial) else None for of in (np.median, np.max))
+        middle, largest = (float(f(radial)) if len(radial) else None for f in (np.median, np.max))
         verdict, version = cast(Verdict, status.verdicts[name]), str(item.get("version", ""))
         numbers = (counts.visible, counts.matched, counts.false)
-        yield Result(name, version, verdict, *numbers, *errors_mm)
+        yield Result(name, version, verdict, *numbers, middle, largest, pool.answered)
 
 
 def run_thumbnails(run: RunRecord) -> Iterator[tuple[str, str]]:

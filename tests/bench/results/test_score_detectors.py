@@ -19,6 +19,7 @@ from pathlib import Path
 
 import pytest
 
+import bench
 from bench.record.reader import RunRecord, read_run
 from bench.report.tables import score_table
 from bench.results.verdicts import Latency, failures_text, judge, latency_of, stored_rules
@@ -194,6 +195,12 @@ def test_a_detector_that_crashes_is_no_bad_detector(
     assert {decision.verdict for decision in judgement.decisions} == {Verdict.NOT_MEASURED}
     page = html.unescape((run / "report" / "index.html").read_text(encoding="utf-8"))
     assert page.index("did not answer on 5 of 5 frame sets") < page.index('id="results"')
+    listed = said(0, "runs {}", runs).out
+    (row,) = (line for line in listed.splitlines() if "exec-crasher" in line and "│" in line)
+    assert row.count("not measured") == 3, "found, false, largest error"
+    assert "%" not in listed
+    (one,) = bench.list_runs(runs).runs
+    assert one.results[-1].text == "It gave no answer: nothing was measured."
 
 
 def test_of_several_reasons_the_one_that_came_most_is_told(
