@@ -20,8 +20,8 @@ PAGE = "index.html"
 @dataclass(frozen=True, slots=True)
 class Result:
     """One detector in one run. ``verdict`` is the run's state where it is unfinished, "no verdict"
-    where nothing was scored or the record is damaged; errors are None where nothing was found;
-    ``answered``: frame sets with an answer, without which nothing else was measured.
+    where nothing was scored or the record is damaged; errors are None where nothing was found,
+    counts are 0 where no answer came.
     """
 
     detector: str
@@ -32,12 +32,11 @@ class Result:
     false: int
     median_error_mm: float | None
     max_error_mm: float | None
-    answered: int
 
     @property
     def share(self) -> str:
         """``97 %`` of the visible teats found; empty where none was visible, or no answer came."""
-        return f"{100 * self.found // self.visible} %" if self.visible and self.answered else ""
+        return f"{100 * self.found // self.visible} %" if self.visible else ""
 
     @property
     def brief(self) -> str:
@@ -48,9 +47,7 @@ class Result:
     def text(self) -> str:
         """Its figures in a sentence."""
         if not self.visible:
-            return "No visible teat was scored."
-        if not self.answered:
-            return "It gave no answer: nothing was measured."
+            return "No visible teat was scored, or no answer came."
         text = f"{self.found} of {self.visible} visible teats found, {self.false} false"
         if self.median_error_mm is None or self.max_error_mm is None:
             return f"{text}."

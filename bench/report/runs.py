@@ -108,7 +108,7 @@ def _results(run: RunRecord, status: RunStatus) -> Iterator[Result]:
         middle, largest = (float(f(radial)) if len(radial) else None for f in (np.median, np.max))
         verdict, version = cast(Verdict, status.verdicts[name]), str(item.get("version", ""))
         numbers = (counts.visible, counts.matched, counts.false)
-        yield Result(name, version, verdict, *numbers, middle, largest, pool.answered)
+        yield Result(name, version, verdict, *numbers, middle, largest)
 
 
 def run_thumbnails(run: RunRecord) -> Iterator[tuple[str, str]]:

@@ -118,8 +118,10 @@ def found_by_situation(
         false = Cell(str(counts.false), tone="bad" if counts.false else "plain")
         found = f"{counts.matched} of {counts.visible}"
         scenes = f"{pool.frames.successes} of {pool.frames.trials}"
+        ours: tuple[object, ...] = (found, counts.missed, false, counts.hidden, scenes)
+        ours = ours if pool.answered else (None,) * len(ours)
         thesis = f"{theirs.found} of {theirs.present}" if theirs else "no figure"
-        row = (len(pool.scores), found, counts.missed, false, counts.hidden, scenes, thesis)
+        row = (len(pool.scores), *ours, thesis)
         rows.append((spoken(situation), *row))
     return table("found_by_situation", rows, detector=detector)
 
@@ -227,8 +229,8 @@ def _row(run: RunRecord, situation: str | None, detector: str) -> tuple[str, ...
         (spoken(situation) if situation else ALL).replace("|", "\\|"),
         detector,
         str(len(pool.scores)),
-        f"{counts.matched} of {counts.visible}",
-        str(counts.false),
+        f"{counts.matched} of {counts.visible}" if pool.answered else NOT_MEASURED,
+        str(counts.false) if pool.answered else NOT_MEASURED,
         listed([mm for mm in errors if mm is not None]) or NOT_MEASURED,
         listed([1e3 * s for s in seconds if s is not None], ".0f") or NOT_MEASURED,
         failures_text(times),

@@ -193,7 +193,9 @@ def _frozen(errors: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Pool:
-    """Scenes, and the pose of each; ``silent``: which of them have no answer."""
+    """Scenes, and the pose of each; ``silent``: which of them have no answer. One without is no
+    success. Where none has one nothing was measured: all counts and rates are of nothing.
+    """
 
     scores: tuple[SceneScore, ...] = ()
     poses: tuple[Hashable, ...] = ()
@@ -207,12 +209,16 @@ class Pool:
     @property
     def counts(self) -> Counts:
         """All teats and findings counted."""
-        return added(s.counts for s in self.scores)
+        return added(s.counts for s in self._measured)
 
     @property
     def frames(self) -> Rate:
         """Scenes that succeeded, of the scenes; for an interval use `success`."""
-        return Rate(sum(s.success for s in self.scores), len(self.scores))
+        return Rate(sum(s.success for s in self._measured), len(self._measured))
+
+    @property
+    def _measured(self) -> tuple[SceneScore, ...]:
+        return self.scores if self.answered else ()
 
     @property
     def success(self) -> Rate:
@@ -226,7 +232,7 @@ class Pool:
 
     def _poses_where(self, holds: Callable[[SceneScore], bool | None]) -> Rate:
         """Poses that hold in all repeats, of the poses; scenes with None are left out."""
-        held = [(pose, holds(s)) for pose, s in zip(self.poses, self.scores, strict=True)]
+        held = [(pose, holds(s)) for pose, s in zip(self.poses, self._measured, strict=False)]
         known = [(pose, of) for pose, of in held if of is not None]
         return pose_successes([pose for pose, _ in known], [of for _, of in known])
 

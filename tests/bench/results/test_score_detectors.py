@@ -200,7 +200,9 @@ def test_a_detector_that_crashes_is_no_bad_detector(
     assert row.count("not measured") == 3, "found, false, largest error"
     assert "%" not in listed
     (one,) = bench.list_runs(runs).runs
-    assert one.results[-1].text == "It gave no answer: nothing was measured."
+    assert one.results[-1].text == "No visible teat was scored, or no answer came."
+    rates = page[page.index("Rates, detector exec-crasher") :][:4000]
+    assert "100 %" not in rates.partition("no time-out")[0]
 
 
 def test_of_several_reasons_the_one_that_came_most_is_told(
