@@ -21,7 +21,7 @@ PAGE = "index.html"
 class Result:
     """One detector in one run. ``verdict`` is the run's state where it is unfinished, "no verdict"
     where nothing was scored or the record is damaged; errors are None where nothing was found,
-    counts are 0 where no answer came.
+    ``false`` where no answer came.
     """
 
     detector: str
@@ -29,7 +29,7 @@ class Result:
     verdict: Verdict
     visible: int
     found: int
-    false: int
+    false: int | None
     median_error_mm: float | None
     max_error_mm: float | None
 
@@ -46,8 +46,10 @@ class Result:
     @property
     def text(self) -> str:
         """Its figures in a sentence."""
+        if self.false is None:
+            return "It gave no answer that was scored."
         if not self.visible:
-            return "No visible teat was scored, or no answer came."
+            return "No visible teat was scored."
         text = f"{self.found} of {self.visible} visible teats found, {self.false} false"
         if self.median_error_mm is None or self.max_error_mm is None:
             return f"{text}."

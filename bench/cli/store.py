@@ -196,7 +196,7 @@ def _show_runs(found: Runs) -> None:
     for run in found.runs:
         for at, one in enumerate(run.results):
             share = f"{one.found} of {one.visible}" if one.share else NOT_MEASURED
-            false = str(one.false) if one.share else NOT_MEASURED
+            false = NOT_MEASURED if one.false is None else str(one.false)
             name, largest = "" if at else run.folder.name, number(one.max_error_mm, "mm")
             table.add_row(name, one.detector, one.verdict, share, false, largest)
         table.add_section()

@@ -107,7 +107,7 @@ def _results(run: RunRecord, status: RunStatus) -> Iterator[Result]:
         radial, counts = np.linalg.norm(pool.errors_mm, axis=1), pool.counts
         middle, largest = (float(f(radial)) if len(radial) else None for f in (np.median, np.max))
         verdict, version = cast(Verdict, status.verdicts[name]), str(item.get("version", ""))
-        numbers = (counts.visible, counts.matched, counts.false)
+        numbers = (counts.visible, counts.matched, counts.false if pool.answered else None)
         yield Result(name, version, verdict, *numbers, middle, largest)
 
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+import bench
 from tests.bench.commands import Said
 from tests.bench.small_run import KEPT
 
@@ -41,6 +43,17 @@ def test_each_run_is_listed_and_each_other_folder_named(said: Said, runs: Path) 
     assert set(others) == {"cut", "foreign"}
     assert "no run.sqlite" in others["foreign"]
     assert sum(len(one["runs"]) for one in text["history"]) == 3
+
+
+def test_false_ends_are_counted_where_no_teat_is_visible(
+    said: Said, runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = bench.list_runs(runs)
+    (one,) = found.runs[0].results
+    only_false = replace(one, visible=0, found=0, false=2, max_error_mm=None)
+    first = replace(found.runs[0], results=(only_false,))
+    monkeypatch.setattr(bench, "list_runs", lambda _: replace(found, runs=(first,)))
+    assert re.search(r"│ not measured │ +2 │ +not measured │", said(0, "runs {}", runs).out)
 
 
 def test_the_page_stands_alone(said: Said, runs: Path) -> None:

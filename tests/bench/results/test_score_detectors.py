@@ -200,7 +200,7 @@ def test_a_detector_that_crashes_is_no_bad_detector(
     assert row.count("not measured") == 3, "found, false, largest error"
     assert "%" not in listed
     (one,) = bench.list_runs(runs).runs
-    assert one.results[-1].text == "No visible teat was scored, or no answer came."
+    assert one.results[-1].text == "It gave no answer that was scored."
     rates = page[page.index("Rates, detector exec-crasher") :][:4000]
     assert "100 %" not in rates.partition("no time-out")[0]
 
