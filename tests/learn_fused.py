@@ -38,11 +38,11 @@ from bench.scoring.matching import gate_mm, match
 from detector.calibration import Calibration, ParameterCovariance
 from detector.external.serve import Pictures
 from detector.fused.covariances import TERMS, variance_terms
-from detector.fused.decide import MEASURES, NEAR_MM, Fits, means, measures, pass_through
+from detector.fused.decide import MEASURES, NEAR_MM, Fits, exclude, means, measures
 from detector.fused.evidence import Evidence
 from detector.fused.learned import FILE, in_order
 from detector.outline.model import apexes
-from detector.outline.prior import Prior, world_from_teats
+from detector.outline.prior import Prior, eyes_mm, world_from_teats
 from instruments.world.scene import Renderer
 from instruments.world.situations import SITUATIONS, member
 from tests.detector.fused.difficult import DIFFICULT, Rendered, rendered
@@ -157,7 +157,7 @@ def shown_of(family: str, calibration: Calibration, data: Any) -> Shown | None:
         terms = variance_terms(fits, given.data["held"], calibration)[which] @ world.R.T
     return Shown(
         family, ends, visible, measures(teats, evidence, prior), places,
-        pass_through(teats, teats), errors, own, rest, terms,
+        exclude(teats, eyes_mm(calibration)), errors, own, rest, terms,
     )  # fmt: skip
 
 

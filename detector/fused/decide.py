@@ -189,7 +189,7 @@ MEASURES: dict[str, Measure] = {
     "lines unlike in warmth, K": Measure(0, 3, COLD, lambda f: np.ptp(f.of.warmth, axis=1)),
     "radius outside of the range, mm": Measure(0, 5, SIZE, lambda f: f.off_size),
     "radius off the usual, mm": Measure(0, 5, SIZE, lambda f: f.off_usual),
-    "from the nearest whole end, mm": Measure(150, 450, APART, lambda f: f.apart_mm),
+    "from the nearest whole end, mm": Measure(150, 250, APART, lambda f: f.apart_mm),
     "lean beyond the range": Measure(0, 0.5, LEANS, lambda f: f.too_steep),
     "ln of the end's height": Measure(
         0, 0.5, OUTLINE, lambda f: np.abs(np.log(f.teats[:, HEIGHT]))
@@ -228,8 +228,12 @@ class Decision:
         return sorted(rows, key=lambda i: -self.odds[i])
 
 
-def decide(teats: Array, evidence: Evidence, learned: Learned, prior: Prior) -> Decision:
-    """The best of teats (m, 8) that don't overlap."""
+def decide(
+    teats: Array, evidence: Evidence, learned: Learned, prior: Prior, eyes: Array
+) -> Decision:
+    """The best of teats (m, 8) that don't overlap, nor hide each other's ends from both ``eyes``
+    (2, 3), the optical cameras' centres.
+    """
     seen, kinds = measures(teats, evidence, prior), MEASURES.values()
     weights = in_order(learned.weights, MEASURES)
     best = np.array(
@@ -242,7 +246,7 @@ def decide(teats: Array, evidence: Evidence, learned: Learned, prior: Prior) -> 
     witness = lack[:, [kind.witness for kind in kinds]].sum(axis=1)
     order = np.argsort(-odds, kind="stable")
     order = order[odds[order] > learned.least]
-    through, kept = pass_through(teats[order], teats[order]), list[int]()
+    through, kept = exclude(teats[order], eyes), list[int]()
     for place, i in enumerate(order.tolist()):
         if through[place, kept].any():
             reasons[i] = WORSE
@@ -291,3 +295,28 @@ def pass_through(first: Array, second: Array) -> NDArray[np.bool_]:
     apart = ((one[:, None, :, None] - other[None, :, None]) ** 2).sum(axis=4)
     least = _OVERLAP * (first[:, None, RADIUS] + second[None, :, RADIUS])
     return np.asarray(apart.min(axis=(2, 3), initial=np.inf) < least**2)
+
+
+def exclude(teats: Array, eyes: Array) -> NDArray[np.bool_]:
+    """Which of teats (m, 8) can't both be given, (m, m): they would pass through each other, or one
+    hides the other's end from both ``eyes`` (2, 3), the optical cameras' centres.
+    """
+    hidden = hidden_by(teats, eyes)
+    return pass_through(teats, teats) | hidden | hidden.T
+
+
+def hidden_by(teats: Array, eyes: Array) -> NDArray[np.bool_]:
+    """Whether the end of each of teats (m, 8) is behind each of them from all ``eyes`` (n, 3),
+    (m, m): the middle half of its width, where it is widest.
+    """
+    half = np.array([[-0.5], [0.5]]) * teats[:, None, RADIUS, None]
+    points = teats[:, None, :3] + half * np.array([1.0, 0.0, 0.0])
+    sights = points - eyes[:, None, None]
+    far = np.linalg.norm(sights, axis=3)[..., None, None]
+    solid = teats[:, None, :3] + _AXIS_MM[:, None] * axes(teats)[:, None]
+    out = solid - eyes[:, None, None]
+    along = np.einsum("empi,ekqi->empkq", sights / far[..., 0], out)
+    aside2 = (out**2).sum(axis=3)[:, None, None] - along**2
+    radii = _OVERLAP * teats[:, RADIUS, None]
+    before = (along < far - radii) & (aside2 < radii**2)
+    return np.asarray(before.any(axis=4).all(axis=(0, 2)))

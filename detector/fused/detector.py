@@ -69,6 +69,7 @@ from detector.outline.prior import (
     OutOfDomainError,
     Prior,
     depths_seen_mm,
+    eyes_mm,
     right_from_teats,
     world_from_teats,
 )
@@ -89,7 +90,7 @@ class FusedDetector:
 
     settings: Parameters = field(default_factory=Parameters)
     name: str = "fused"  # in the registry
-    version: str = "23"  # counted up when an answer on any frame set changes
+    version: str = "24"  # counted up when an answer on any frame set changes
 
     covariance_leaves_out: ClassVar[str] = (
         "what the ends of one frame have in common (each end has its own covariance); where the"
@@ -214,7 +215,8 @@ class _Scene:
         evidence = weigh(fitted, sds, warmth, thermal.levels, self.views, prior)
         if known:
             fitted, evidence = known.fitted + fitted, known.evidence + evidence
-        return _Judged(fitted, evidence, decide(fitted.teats, evidence, LEARNED, prior))
+        eyes = eyes_mm(self.calibration)
+        return _Judged(fitted, evidence, decide(fitted.teats, evidence, LEARNED, prior, eyes))
 
     def unexplained(self, teats: Array, least: float) -> Array:
         """The ends (k, 2) sensor px of the thermal picture that are of none of teats (m, 8)."""

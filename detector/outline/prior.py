@@ -61,6 +61,12 @@ def world_from_teats(calibration: Calibration) -> Motion:
     return calibration.world_from_right @ right_from_teats(calibration)
 
 
+def eyes_mm(calibration: Calibration) -> Array:
+    """The left and the right camera's centre (2, 3), the fits' frame."""
+    left = right_from_teats(calibration).R.T @ calibration.right_from_left.T
+    return np.array([left, np.zeros(3)])
+
+
 def disparities_px(points_mm: Array, calibration: Calibration) -> Array:
     """Focal length times baseline by depth (k,), of points (k, 3), the fits' frame."""
     depth = right_from_teats(calibration).apply(points_mm)[:, 2]
