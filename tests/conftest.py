@@ -26,6 +26,7 @@ from bench.script.model import TRIALS
 from instruments.clock import RealClock
 from tests.examples import examples
 from tests.undrawn import bare, undrawn, without_figures
+from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
@@ -137,7 +138,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 def no_leaked_threads() -> Iterator[None]:
     before = set(threading.enumerate())
     yield
-    deadline = time.monotonic() + 30.0
+    deadline = time.monotonic() + PATIENCE_S
     while (leaked := set(threading.enumerate()) - before) and time.monotonic() < deadline:
         time.sleep(0.01)
     assert not leaked, f"leaked threads: {[thread.name for thread in leaked]}"

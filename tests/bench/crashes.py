@@ -34,9 +34,9 @@ from tests.bench import operated_runs
 from tests.bench.killed_runs import rows_of
 from tests.bench.marked_bench import MARK, marked_bench
 from tests.bench.real_rig import CHECK, RELAY, RIG, STAGE, RealRig
-from tests.bench.safety.guards import alive, guardians_of
+from tests.bench.safety.guards import guardians_of
 from tests.bench.small_cameras import write_calibration
-from tests.waiting import within
+from tests.waiting import PATIENCE_S, alive, within
 
 SCRIPT = operated_runs.SCRIPT.replace(", yaw_deg = 4.0 }, {}]", " }]")
 STREAMS = """
@@ -189,7 +189,7 @@ class Outcome:
 
 def undisturbed(folder: Path) -> dict[str, list[Any]]:
     with lasting_rig(folder) as rig, marked_bench(rig, "none") as running:
-        running.process.join(240)
+        running.process.join(PATIENCE_S)
         assert running.process.exitcode == 0, running.said
         return trials_of(rig.run_folder())
 
@@ -210,7 +210,7 @@ def crash(folder: Path, state: str, bath: str, how: str, **more: Any) -> Outcome
         seconds = time.monotonic() - start_s
         with suppress(psutil.NoSuchProcess):  # one that was frozen before it had the bath
             psutil.Process(guardian).resume()
-        within(60.0, lambda: not alive(guardian), "the old guardian has ended")
+        within(lambda: not alive(guardian), "the old guardian has ended")
         assert not rig.twin.world.plant.running
         assert check_record(run).whole
         record = read_run(run)
@@ -247,25 +247,25 @@ def killed_in(rig: RealRig, state: str, *, silent: bool, with_guardian: str) -> 
         elif with_guardian == "frozen":
             guardian.suspend()
         running.signal("SIGKILL")
-        running.process.join(60)
+        running.process.join(PATIENCE_S)
         assert running.process.exitcode == -signal.SIGKILL
     return int(guardian.pid)
 
 
 def wait_for_the_guardian(rig: RealRig, guardian: int, how: str) -> None:
     if how == PUMP_ON:
-        within(60.0, lambda: "pump" in acted(rig), "the pump runs on")
+        within(lambda: "pump" in acted(rig), "the pump runs on")
         assert rig.twin.world.plant.pump == "on"
     if how == "acted later":
-        within(60.0, lambda: tries(rig) > 0, "a try that failed")
+        within(lambda: tries(rig) > 0, "a try that failed")
         silence(rig, on=False)
     if how in ("acted", "acted later"):
-        within(60.0, lambda: not alive(guardian), "the guardian has acted and gone")
+        within(lambda: not alive(guardian), "the guardian has acted and gone")
         assert acted(rig)["standby"] is True
     elif how == "trying":
-        within(60.0, lambda: tries(rig) > 0, "a try that failed")
+        within(lambda: tries(rig) > 0, "a try that failed")
     elif how == "gone":
-        within(60.0, lambda: not alive(guardian), "the guardian has died")
+        within(lambda: not alive(guardian), "the guardian has died")
 
 
 def acted(rig: RealRig) -> Mapping[str, Any]:
@@ -302,7 +302,7 @@ def another_run(folder: Path) -> tuple[Mapping[str, Any], dict[str, list[Any]]]:
 def resumed(rig: RealRig, run: Path | None, code: int) -> str:
     """What the bench said that resumed ``run``, or began one, and ended with ``code``."""
     with marked_bench(rig, "none", run) as running:
-        running.process.join(240)
+        running.process.join(PATIENCE_S)
         assert running.process.exitcode == code, running.said
     return running.said
 

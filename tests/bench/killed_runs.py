@@ -22,6 +22,7 @@ from bench.run.events import Progress, RunState
 from bench.run.start import RunOptions, resume_run, run_queue
 from bench.script.model import load_script
 from instruments.clock import VirtualClock
+from tests.waiting import PATIENCE_S
 
 TABLES = (
     *("trials", "skipped", "frames", "touches", "truth", "checks", "detections", "found"),
@@ -128,7 +129,7 @@ def _killed(
 
     process = multiprocessing.get_context("fork").Process(target=dying)
     process.start()
-    process.join(240)
+    process.join(PATIENCE_S)
     return process.exitcode == -signal.SIGKILL
 
 

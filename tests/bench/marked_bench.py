@@ -44,7 +44,7 @@ from instruments.operators.operator import CheckPoint, Touch
 from instruments.stage.driver import Stage
 from tests.bench.forked import as_in_a_shell, context, take
 from tests.bench.real_rig import RealRig
-from tests.waiting import within
+from tests.waiting import PATIENCE_S, within
 
 MARK = "@@ "
 LINGER_S = 0.6
@@ -238,12 +238,12 @@ class MarkedBench:
     def signal(self, name: str) -> None:
         os.kill(self.process.pid or 0, getattr(signal, name))
 
-    def until(self, there: Callable[[], bool], what: str, within_s: float = 240.0) -> None:
-        within(within_s, there, what, said=lambda: self.said, code=lambda: self.process.exitcode)
+    def until(self, there: Callable[[], bool], what: str) -> None:
+        within(there, what, said=lambda: self.said, code=lambda: self.process.exitcode)
 
-    def wait_for(self, words: str, within_s: float = 240.0) -> None:
+    def wait_for(self, words: str) -> None:
         """Until the bench has said ``words`` behind what was waited for before."""
-        self.until(lambda: words in self.said[self._read_to :], f"said {words!r}", within_s)
+        self.until(lambda: words in self.said[self._read_to :], f"said {words!r}")
         self._read_to = self.said.index(words, self._read_to) + len(words)
 
     def attended(self, there: Callable[[], bool], words: str = "", nth: int = 1) -> float:
@@ -284,7 +284,7 @@ class MarkedBench:
         if self.process.is_alive():
             self.process.kill()
         self.process.join()
-        self._reader.join(60)
+        self._reader.join(PATIENCE_S)
         for end in (self._answers, self._out):
             end.close()
         self.process.close()

@@ -24,6 +24,7 @@ from tests.conftest import ROOT
 from tests.detector.conftest import Draw
 from tests.detector.thesis_fits import thesis_published
 from tests.examples import few
+from tests.waiting import PATIENCE_S
 
 NAMES = list(available([]))
 
@@ -167,7 +168,7 @@ def test_it_needs_little_memory(
         cv2.imwrite(str(tmp_path / f"{what}.png"), getattr(frames, what))
     command = [sys.executable, "-c", PROGRAM, name, str(rig_file), str(tmp_path)]
     done = subprocess.run(
-        command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=300
+        command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=PATIENCE_S
     )
     *found, peak_mib = (int(line) for line in done.stdout.split())
     assert found == [4, 4, 4]

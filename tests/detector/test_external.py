@@ -38,6 +38,7 @@ from tests.detector.children import (
     start,
 )
 from tests.detector.conftest import Draw
+from tests.waiting import PATIENCE_S
 
 __all__ = ["start"]
 
@@ -294,7 +295,7 @@ def test_serving_without_a_detector_is_a_sentence(capsys: pytest.CaptureFixture[
     assert main([]) == 2
     assert "needs the name of one detector" in capsys.readouterr().err
     done = subprocess.run(
-        [*SERVE, "fusde"], cwd=ROOT, capture_output=True, text=True, check=False, timeout=60
+        [*SERVE, "fusde"], cwd=ROOT, capture_output=True, text=True, check=False, timeout=PATIENCE_S
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert "did you mean 'fused'" in done.stderr

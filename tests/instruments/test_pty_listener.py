@@ -49,7 +49,7 @@ def test_a_link_opens_it_as_it_opens_an_adapter(
     link.write(every)
     assert link.read(len(every), 5.0) == every.upper()
     link.close()
-    within(60.0, lambda: echo.gone == 1, "noticed")
+    within(lambda: echo.gone == 1, "noticed")
 
 
 def test_a_host_that_closes_has_unplugged_and_may_plug_in_again(
@@ -62,7 +62,7 @@ def test_a_host_that_closes_has_unplugged_and_may_plug_in_again(
         link.write(b"abc")
         assert link.read(3, 5.0) == b"ABC"
         link.close()
-        within(60.0, lambda: echo.gone == turn + 1, "noticed")  # noqa: B023 - called within its turn
+        within(lambda: echo.gone == turn + 1, "noticed")  # noqa: B023 - called within its turn
         link.reopen()
     assert link.read_until(b"\n", 5.0) == b"hello\n"
     assert not echo.connections[0].open
@@ -99,7 +99,7 @@ def test_what_a_host_sends_before_it_is_noticed_is_received(
     end = os.open(listener.url, os.O_RDWR | os.O_NOCTTY)
     os.write(end, b"x")  # the device hangs up, so that nothing is left to read but the end
     os.close(end)
-    within(60.0, lambda: echo.gone == 1, "noticed")
+    within(lambda: echo.gone == 1, "noticed")
 
 
 def test_a_device_that_hangs_up_breaks_the_link_and_comes_back_elsewhere(
@@ -112,7 +112,7 @@ def test_a_device_that_hangs_up_breaks_the_link_and_comes_back_elsewhere(
         link.write(b"x")
         while True:
             link.receive(5.0)
-    within(60.0, lambda: listener.url != before, "noticed")
+    within(lambda: listener.url != before, "noticed")
     link.close()
     again = Link(listener.url, clock, who="echo")
     assert again.read_until(b"\n", 5.0) == b"hello\n"
@@ -129,7 +129,7 @@ def test_a_device_learns_the_rate_that_the_host_set(
         link.set_baud(19200)
         assert echo.connections[-1].baud() == 19200
         link.close()
-        within(60.0, lambda: not echo.connections[-1].open, "noticed")
+        within(lambda: not echo.connections[-1].open, "noticed")
 
 
 def test_a_paced_terminal_is_as_fast_as_its_wire(echo: Echo, clock: RealClock) -> None:

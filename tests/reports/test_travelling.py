@@ -17,6 +17,7 @@ from reports.render import write_report
 from reports.trust import PageError
 from tests.chromium import chromium, window
 from tests.reports.sample import sample_page
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.slow
 
@@ -26,7 +27,6 @@ INFO = (
     b"<</Title (Six)\n/Creator (Mozilla/5.0 \\(X11; Linux x86_64\\)"
     b" HeadlessChrome/156.0.0.0)\n/Producer (Skia/PDF m156)>>"
 )
-PATIENCE_S = 280.0  # a busy machine's browser; the suite's own limit comes after it
 
 
 @pytest.fixture(scope="module")

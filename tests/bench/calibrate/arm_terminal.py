@@ -15,8 +15,8 @@ import pytest
 
 from tests.bench.forked import Running, begin
 from tests.conftest import ROOT
+from tests.waiting import PATIENCE_S
 
-PATIENCE_S = 240.0
 COLUMNS, ROWS = 200, 24
 
 

@@ -20,6 +20,7 @@ from instruments.clock import RealClock
 from instruments.link import Link
 from tests.bench.commands import NO_CAMERA, Said, lab_rig, teatbench
 from tests.bench.forked import Running, begin
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.slow
 
@@ -84,7 +85,7 @@ def test_a_mismatch_gives_1_and_its_place(tmp_path: Path) -> None:
         with closing(Link(urls["arm"], RealClock(), who="arm")) as link:
             link.write(b"\xc2")
             assert link.receive(0.3) == b""
-        output, _ = child.communicate(timeout=60)
+        output, _ = child.communicate(timeout=PATIENCE_S)
     assert child.returncode == 1
     why = "byte 0 of it is another than recorded (expected 03, got C2)"
     assert f"{path}:3: arm: connection 1, request 1: {why}" in output
@@ -104,7 +105,7 @@ def test_it_plays_again_and_again_until_ctrl_c(tmp_path: Path) -> None:
                 assert link.read(2, 5.0) == b"\x83\x00"
             time.sleep(0.2)  # for the other process to see that we have gone
         child.send_signal(signal.SIGINT)
-        output, _ = child.communicate(timeout=60)
+        output, _ = child.communicate(timeout=PATIENCE_S)
     assert child.returncode == 0
     assert "Traceback" not in output
 

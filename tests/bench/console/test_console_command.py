@@ -18,6 +18,7 @@ from tests.bench.console import served
 from tests.bench.forked import begin
 from tests.bench.operated_runs import files, folder_with_runs
 from tests.bench.small_run import KEPT, SCRIPT
+from tests.waiting import PATIENCE_S
 
 
 def test_without_its_libraries_it_says_what_to_install(
@@ -106,7 +107,7 @@ def test_half_a_request_is_shed_and_pages_that_are_open_leave_no_traceback(tmp_p
 def test_a_run_of_a_rig_in_virtual_time_takes_its_real_time_beside_a_console(
     tmp_path: Path,
 ) -> None:
-    said, _ = begin([*files(tmp_path, script=SCRIPT), "--console"]).communicate(timeout=280)
+    said, _ = begin([*files(tmp_path, script=SCRIPT), "--console"]).communicate(timeout=PATIENCE_S)
     assert "console http://127.0.0.1:" in said
     (run,) = folder_with_runs(tmp_path)
     assert read_run(run).facts["asked"]["realtime"] is True

@@ -18,7 +18,7 @@ from instruments.stage.driver import Spoken, Stage
 from instruments.stage.emulator.board import StageEmulator
 from instruments.stage.emulator.store import CLASSIC, MARLIN, ZABER, Dialect
 from instruments.stage.zaber import Motor
-from tests.waiting import within
+from tests.waiting import PATIENCE_S, within
 
 pytestmark = pytest.mark.slow
 
@@ -51,12 +51,12 @@ def test_it_stops_a_stage_of_each_firmware(dialect: Dialect, spoken: Spoken, hom
             stage.connect()
             owner = threading.Thread(target=_homes if homes else _moves, args=(stage,))
             owner.start()
-            within(120.0, lambda: _moving(device) and (homes or stage.homed), "moves")
+            within(lambda: _moving(device) and (homes or stage.homed), "moves")
             target = StageTarget(listener.url, 115200, spoken, "XY", motors)
             found = stopped(target, clock)
             assert not _moving(device)
             assert found["stands"] is True
-            owner.join(120.0)
+            owner.join(PATIENCE_S)
 
 
 def _moving(device: StageEmulator) -> bool:

@@ -28,7 +28,7 @@ from instruments.errors import LimitError, LinkError
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.safety.guards import HotBath, guardian, guardian_record, standby_after
 from tests.conftest import ROOT
-from tests.waiting import within
+from tests.waiting import PATIENCE_S, within
 
 ENDED = 1 << 22  # more than any system gives a process
 
@@ -127,7 +127,7 @@ def test_whoever_has_taken_a_hot_bath_over_stands_for_it(hot: HotBath, baths: Pa
         with of_bench(hot, ENDED, "guardian-2") as second:
             hot.emulator.fault("silence", on=False)
             standby_after(hot.plant)
-            second.wait(60)
+            second.wait(PATIENCE_S)
     record = json.loads((hot.folder / "guardian-2.json").read_text(encoding="utf-8"))
     assert (record["cause"], record["standby"]) == ("died", True)
     assert "handed_over" not in record
@@ -142,7 +142,7 @@ def test_one_that_does_not_answer_is_ended(hot: HotBath, baths: Path) -> None:
         guardian_record(hot.folder, lambda record: record["tries"] > 0)
         psutil.Process(old.pid).suspend()
         with next_of(hot) as line:
-            assert old.wait(60) != 0
+            assert old.wait(PATIENCE_S) != 0
             assert line.taken_from.endswith(f"did not answer for {HAND_OVER_S:g} s and was ended")
             line.done()
 
@@ -157,7 +157,7 @@ def test_one_whose_bench_lives_keeps_the_bath(hot: HotBath, baths: Path) -> None
         assert old.poll() is None
         old.stdin.write(DONE.encode() + b"\n")
         old.stdin.flush()
-        assert old.wait(60) == 0
+        assert old.wait(PATIENCE_S) == 0
         with next_of(hot) as line:
             assert line.taken_from == "", "nobody acted"
             line.done()
@@ -250,7 +250,7 @@ def test_of_two_that_ask_at_once_one_gets_the_bath(hot: HotBath, baths: Path) ->
             for name in ("a", "b")
         ]
         try:
-            within(60.0, lambda: any(one.poll() == 2 for one in asking), "one is refused")
+            within(lambda: any(one.poll() == 2 for one in asking), "one is refused")
             assert old.poll() == 0
             assert sorted(one.poll() is None for one in asking) == [False, True]
         finally:

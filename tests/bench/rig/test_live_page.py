@@ -10,6 +10,7 @@ import pytest
 
 from bench.rig.live_page import live_page
 from instruments.camera.frame import Grey
+from tests.waiting import PATIENCE_S
 
 
 @pytest.mark.parametrize("names", [("left", "right", "thermal"), ("single",)])
@@ -17,11 +18,11 @@ def test_each_camera_is_shown_with_a_cross_and_its_figures(names: tuple[str, ...
     pictures = {name: np.full((120, 160), 100, np.uint8) for name in names}
     with live_page(pictures, 0.02) as page:
         page.show(pictures, [f"{name} no edge" for name in names])
-        with urllib.request.urlopen(page.url, timeout=20) as answer:
+        with urllib.request.urlopen(page.url, timeout=PATIENCE_S) as answer:
             text = answer.read().decode("utf-8")
         assert text.count("<img") == len(names)
         assert all(f"{name} camera, live" in text for name in names)
-        with urllib.request.urlopen(f"{page.url}left.mjpg", timeout=20) as stream:
+        with urllib.request.urlopen(f"{page.url}left.mjpg", timeout=PATIENCE_S) as stream:
             seen = _first(stream.read(6000))
     assert (abs(seen.astype(int) - 100) > 60)[55:65, 70:90].any(), "the cross"
     assert (abs(seen.astype(int) - 100) > 60)[:20].any(), "the figures"

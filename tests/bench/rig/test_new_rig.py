@@ -20,6 +20,7 @@ from detector.calibration import load_part
 from tests.bench.calibrate.small_rig import small_calibration, write_rig
 from tests.bench.forked import begin
 from tests.bench.real_rig import real_rig, record_one, script_of
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.slow
 
@@ -65,7 +66,7 @@ def written_rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
             yield path
         finally:
             child.send_signal(signal.SIGINT)
-            child.communicate(timeout=60)
+            child.communicate(timeout=PATIENCE_S)
         assert child.returncode == 0
 
 

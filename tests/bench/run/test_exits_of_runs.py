@@ -29,6 +29,7 @@ if sys.platform == "win32":
     pytest.skip("sends POSIX signals to the bench", allow_module_level=True)
 
 from tests.bench.marked_bench import CLOSED_CODE, MARK, MarkedBench, marked_bench
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.slow
 
@@ -61,7 +62,7 @@ def leave(way: str, folder: Path, recording: Path) -> Outcome:
         while plant.running and time.monotonic() - start < 60.0:
             time.sleep(0.002)
         standby_s = time.monotonic() - start
-        running.process.join(60)
+        running.process.join(PATIENCE_S)
         return Outcome(
             way,
             standby_s,
@@ -164,7 +165,7 @@ def test_what_drops_out_while_the_bath_settles_is_said_then_and_when_it_is_back(
             running.wait_for(f"The {name} is back after")
             running.wait_for("homed again")
         running.signal("SIGINT")
-        running.process.join(120)
+        running.process.join(PATIENCE_S)
         assert read_status(rig.run_folder()).why.endswith("All instruments are safe.")
 
 
@@ -192,7 +193,7 @@ def test_instruments_that_are_gone_do_not_keep_the_others_from_safe(
             bath.close()
         running.signal(asked)
         running.wait_for("NOT SAFE")
-        running.process.join(120)
+        running.process.join(PATIENCE_S)
         assert running.process.exitcode == 3, running.said
         said = " ".join(running.said.split())
         assert f"NOT SAFE: {'bath, ' * bath_too}stage. " in said

@@ -23,7 +23,7 @@ from bench.run.lock import RigInUseError, lock_path, locked
 from tests.bench.commands import Said
 from tests.bench.operated_runs import files
 from tests.conftest import ROOT
-from tests.waiting import within
+from tests.waiting import PATIENCE_S, within
 
 HOLDER = """
 import sys, time
@@ -79,7 +79,7 @@ def test_the_lock_of_a_bench_that_was_killed_is_taken_over_and_that_is_reported(
     path = tmp_path / "lab.lock.json"
     first = holder(path)
     first.kill()
-    first.communicate(timeout=60)
+    first.communicate(timeout=PATIENCE_S)
     (note,) = taken_over(path)
     assert f"the lock of a bench that died (pid {first.pid}" in note
 
@@ -92,7 +92,7 @@ def test_who_has_ended_or_has_a_dead_bench_s_number_is_no_bench_that_lives() -> 
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as child:
         assert lives({"pid": child.pid})
         child.kill()
-        within(60.0, lambda: not lives({"pid": child.pid}), "it has ended, unwaited for")
+        within(lambda: not lives({"pid": child.pid}), "it has ended, unwaited for")
 
 
 def test_a_lock_of_another_machine_is_believed(tmp_path: Path) -> None:

@@ -51,6 +51,7 @@ from tests.bench.killed_runs import (
     steps_of,
 )
 from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files, texts
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.slow
 
@@ -219,7 +220,7 @@ def test_a_run_that_is_under_way_is_left_alone(undisturbed: tuple[Path, int]) ->
     before = read_run(run)
     with locked(run_lock(run), "", print):
         refused = begin(["resume", run])
-        said, _ = refused.communicate(timeout=60)
+        said, _ = refused.communicate(timeout=PATIENCE_S)
     assert refused.returncode == 3
     assert re.search(r"run: another bench has it: pid \d+, host [^,]+, since [^,]+\. Wait", said)
     assert read_run(run).facts == before.facts

@@ -24,12 +24,11 @@ import psutil
 from bench.rig.loading import RIGS
 from tests.bench.forked import Running, begin
 from tests.bench.operated_runs import ONE
-from tests.bench.safety.guards import alive, guardians_of
+from tests.bench.safety.guards import guardians_of
 from tests.bench.small_cameras import write_calibration
 from tests.conftest import ROOT
-from tests.waiting import within
+from tests.waiting import PATIENCE_S, alive, within
 
-PATIENCE_S = 240.0  # for an event that comes by itself, on a machine with ten times too much to do
 BASE = (
     (RIGS / "emulated.toml")
     .read_text(encoding="utf-8")
@@ -75,7 +74,7 @@ class Elsewhere:
 
     def heats(self) -> bool:
         """Whether the controller says that it is started."""
-        with socket.create_connection(("127.0.0.1", self.port("bath")), timeout=60.0) as wire:
+        with socket.create_connection(("127.0.0.1", self.port("bath")), timeout=PATIENCE_S) as wire:
             wire.sendall(ASK_RUN)
             answer = b""
             while len(answer) < 11:
@@ -86,14 +85,16 @@ class Elsewhere:
 
     def start_heating(self) -> None:
         """Somebody else has left it on: function 6, register 0, 1."""
-        with socket.create_connection(("127.0.0.1", self.port("bath")), timeout=60.0) as wire:
+        with socket.create_connection(("127.0.0.1", self.port("bath")), timeout=PATIENCE_S) as wire:
             wire.sendall(bytes.fromhex("0001 0000 0006 01 06 0000 0001"))
             assert len(wire.recv(64)) == 12
 
     def moves(self) -> bool:
         """Whether an axis says that it is busy. The newest host has the stage's port."""
         busy = False
-        with socket.create_connection(("127.0.0.1", self.port("stage")), timeout=60.0) as wire:
+        with socket.create_connection(
+            ("127.0.0.1", self.port("stage")), timeout=PATIENCE_S
+        ) as wire:
             for device in (1, 2):
                 wire.sendall(ASK_STAGE % device)
                 answer = b""
@@ -215,7 +216,7 @@ class Dying:
         return b"".join(self.pieces).decode("utf-8", "replace")
 
     def until(self, there: Callable[[], bool], what: str) -> None:
-        within(PATIENCE_S, there, what, said=lambda: self.said, code=self.process.poll)
+        within(there, what, said=lambda: self.said, code=self.process.poll)
 
     def sent(self, word: str) -> bool:
         """Whether its capture has a command that begins a motion."""
@@ -256,7 +257,7 @@ def on_a_terminal(
     finally:
         with suppress(ProcessLookupError, PermissionError):
             os.kill(process.pid, signal.SIGKILL)
-        process.wait(60)
+        process.wait(PATIENCE_S)
         with suppress(OSError):
             os.close(master)
 
@@ -361,7 +362,7 @@ def _end_hung(pid: int) -> None:
     with suppress(psutil.NoSuchProcess):
         guardians = [one.pid for one in guardians_of(pid)]
         psutil.Process(pid).kill()
-        within(PATIENCE_S, lambda: not any(map(alive, guardians)), "the guardian's end")
+        within(lambda: not any(map(alive, guardians)), "the guardian's end")
 
 
 def begun(there: Elsewhere, dying: Dying, way: Way) -> None:

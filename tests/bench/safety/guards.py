@@ -22,9 +22,8 @@ from instruments.listener import Listener
 from instruments.world.plant import Plant
 from tests.conftest import ROOT
 from tests.instruments.bath.devices import load_register_profile
-from tests.waiting import within
+from tests.waiting import PATIENCE_S, within
 
-PATIENCE_S = 60.0
 # what docs/safety.md promises; standby takes milliseconds
 STANDBY_S, STOPPED_S, HANG_S = 3.0, 2.0, 10.0
 
@@ -57,7 +56,7 @@ def hot_bath(folder: Path) -> Iterator[HotBath]:
         yield HotBath(plant, emulator, clock, url, folder)
         for thread in threading.enumerate():
             if thread.name == "guardian":  # it goes once it has read back that the bath is safe
-                thread.join(30.0)
+                thread.join(PATIENCE_S)
     finally:
         listener.close()
         clock.close()
@@ -70,13 +69,6 @@ def guardians_of(pid: int) -> list[psutil.Process]:
         with suppress(psutil.NoSuchProcess):
             found += [child] if "bench.rig.guardian" in child.cmdline() else []
     return found
-
-
-def alive(pid: int) -> bool:
-    """Whether a process has not ended."""
-    with suppress(psutil.NoSuchProcess):
-        return bool(psutil.Process(pid).status() != psutil.STATUS_ZOMBIE)
-    return False
 
 
 @contextmanager
@@ -102,12 +94,12 @@ def abandoned(*arguments: object) -> Iterator[None]:
         assert process.stdin is not None
         process.stdin.close()
         yield
-        assert process.wait(60) == 0
+        assert process.wait(PATIENCE_S) == 0
 
 
 def standby_after(plant: Plant) -> float:
     """How long the bath still heats."""
-    return within(PATIENCE_S, lambda: not plant.running, "standby")
+    return within(lambda: not plant.running, "standby")
 
 
 def guardian_record(
@@ -122,5 +114,5 @@ def guardian_record(
             text.update(json.loads(path.read_text(encoding="utf-8")))
         return bool(text) and done(text)
 
-    within(PATIENCE_S, there, "the guardian's record")
+    within(there, "the guardian's record")
     return text

@@ -30,6 +30,7 @@ from instruments.stage.protocol import HOLD
 from tests.bench.commands import served
 from tests.bench.real_rig import real_rig
 from tests.bench.safety.guards import HotBath, standby_after
+from tests.waiting import PATIENCE_S
 
 # ---- a stage, asked by another thread than its owner's
 
@@ -91,11 +92,11 @@ def test_amid_a_question_of_its_owner_the_brake_is_sent_and_not_acknowledged() -
         def own() -> None:
             with stage._dialogue.turns.taken():
                 asking.set()
-                asked.wait(60.0)
+                asked.wait(PATIENCE_S)
 
         owner = threading.Thread(target=own)
         owner.start()
-        assert asking.wait(60.0)
+        assert asking.wait(PATIENCE_S)
         stage.brake()
         found = held(stage)
         asked.set()
@@ -158,7 +159,7 @@ def test_a_trip_with_the_stage_unplugged_never_says_that_it_is_held(
         rig.twin._listeners["stage"].close()
         with rig.twin.world.lock:
             rig.twin.bath.fault("low level")
-        running.process.join(120)
+        running.process.join(PATIENCE_S)
         assert running.process.exitcode == 3, running.said
         run = read_run(rig.run_folder())
     done = run.facts["trip"]["done"]

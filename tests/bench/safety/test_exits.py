@@ -42,6 +42,7 @@ from instruments.listener import Connection
 from tests.bench.safety.guards import HotBath
 from tests.conftest import ROOT
 from tests.instruments.listening_in import Echo, linked
+from tests.waiting import PATIENCE_S
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
 
@@ -194,7 +195,7 @@ def test_requests_that_follow_a_first_one_cut_nothing_off(gap_s: float, tmp_path
         for number in (signal.SIGHUP, signal.SIGTERM, signal.SIGINT):
             child.send_signal(number)
             time.sleep(gap_s)
-        child.wait(60)
+        child.wait(PATIENCE_S)
     *lines, why = log.read_text(encoding="utf-8").strip().split("\n")
     assert lines == SAFE
     assert "SIGHUP" in why or not gap_s
@@ -216,7 +217,7 @@ def test_a_storm_of_signals_from_the_end_of_the_work_on_cuts_nothing_off(tmp_pat
             while time.monotonic() < deadline and child.poll() is None:
                 child.send_signal(signal.SIGINT)
                 time.sleep(0.0005)
-            child.wait(60)
+            child.wait(PATIENCE_S)
         assert log.read_text(encoding="utf-8").split("\n")[:3] == SAFE
 
 
@@ -273,7 +274,7 @@ class System:
         start = time.monotonic()
         thread = threading.Thread(target=lambda: answers.append(self.handlers[-1](event)))
         thread.start()
-        thread.join(60.0)
+        thread.join(PATIENCE_S)
         return answers[0], time.monotonic() - start
 
 
@@ -336,7 +337,7 @@ def test_a_bath_that_does_not_answer_takes_no_longer_than_windows_grants(
     hot.emulator.fault("silence", on=False)
     for thread in threading.enumerate():
         if thread.name == "console closed":
-            thread.join(60.0)
+            thread.join(PATIENCE_S)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="says what other systems do")

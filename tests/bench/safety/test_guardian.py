@@ -31,6 +31,7 @@ if sys.platform == "win32":
     pytest.skip("sends POSIX signals to the bench", allow_module_level=True)
 
 from tests.bench.marked_bench import MARK, MarkedBench, marked_bench
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.slow
 
@@ -61,7 +62,7 @@ def test_a_bench_that_is_stopped_is_taken_for_dead_within_seconds(
             seconds = standby_after(rig.twin.world.plant)
             guardian_record(rig.run_folder())
             running.signal("SIGCONT")
-            running.process.join(60)
+            running.process.join(PATIENCE_S)
             assert running.process.exitcode == 3
         measured("SIGSTOP while settling", seconds)
         assert seconds < STOPPED_S + STANDBY_S
@@ -119,7 +120,7 @@ def test_a_frozen_guardian_ends_the_run_with_the_bath_in_standby(
         guardian.suspend()
         try:
             standby_after(rig.twin.world.plant)
-            running.process.join(60)
+            running.process.join(PATIENCE_S)
             assert running.process.exitcode == 3
         finally:
             guardian.resume()

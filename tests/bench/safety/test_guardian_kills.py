@@ -33,6 +33,7 @@ if sys.platform == "win32":
     pytest.skip("sends POSIX signals to the bench", allow_module_level=True)
 
 from tests.bench.marked_bench import MARK, MarkedBench, marked_bench
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.slow
 
@@ -119,7 +120,7 @@ def kill_in(name: str, kill: str, folder: Path, recording: Path) -> Outcome:
         running.signal(kill)
         seconds = standby_after(plant)
         state = run_state(rig.twin.urls["bath"])
-        running.process.join(60)
+        running.process.join(PATIENCE_S)
         if kill == "SIGKILL":
             guardian_record(rig.run_folder())
         code, run = running.process.exitcode, read_run(rig.run_folder())

@@ -30,7 +30,6 @@ from tests.bench.real_rig import at_set_point
 from tests.bench.safety.deaths import (
     DEATHS,
     ENDINGS,
-    PATIENCE_S,
     WAYS,
     Elsewhere,
     die,
@@ -39,7 +38,7 @@ from tests.bench.safety.deaths import (
 )
 from tests.bench.safety.guards import HotBath, Measured, guardians_of, standby_after
 from tests.bench.small_cameras import write_calibration
-from tests.waiting import within
+from tests.waiting import PATIENCE_S, within
 
 pytestmark = pytest.mark.slow
 
@@ -149,7 +148,7 @@ def test_a_guardian_that_has_gone_is_noticed_before_the_next_order(hot: HotBath)
         devices.bath.start(33.0)
         (guardian,) = guardians_of(os.getpid())
         guardian.kill()
-        within(PATIENCE_S, lambda: not psutil.pid_exists(guardian.pid), "gone")
+        within(lambda: not psutil.pid_exists(guardian.pid), "gone")
         devices.bath.read()  # reading needs none
         with pytest.raises(LinkError, match="nothing is heated or moved: it ended by itself"):
             devices.bath.set_point(34.0)

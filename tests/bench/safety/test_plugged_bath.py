@@ -39,6 +39,7 @@ from tests.bench.safety.guards import standby_after
 from tests.bench.small_cameras import write_calibration
 from tests.examples import few
 from tests.lab_drivers import _install, importable
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.slow
 Act = Callable[[bench.OpenRig], object]
@@ -145,7 +146,7 @@ def lab(tmp_path: Path) -> Iterator[Lab]:
 @pytest.mark.parametrize("mode", few(["", "stays on", "standby hangs", "standby raises"], 2))
 def test_the_guardian_opens_it_by_itself(mode: str, lab: Lab) -> None:
     command = [sys.executable, "-c", HEATS, str(lab.rig(mode)), mode]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert ended.stdout == "heats\n", ended.stderr
     standby_after(lab.plant)
     if mode:  # the process itself has said so

@@ -22,6 +22,7 @@ from instruments.clock import RealClock
 from instruments.listener import Connection, Listener
 from instruments.pty_listener import PtyListener
 from tests.instruments.bath.devices import calm_plant
+from tests.waiting import PATIENCE_S
 
 EXAMPLES = Path("/usr/share/doc/libmodbus-dev/examples")
 # addresses in the examples' sources, and where a test's own come from
@@ -75,7 +76,7 @@ def built(example: str, folder: Path, *, over_rtu: bool = False) -> Path:
     target = folder / example
     folders = ["-I/usr/include/modbus", f"-I{EXAMPLES}"]
     command = [program("gcc"), "-w", *folders, str(copy), "-lmodbus", "-o", str(target)]
-    subprocess.run(command, check=True, capture_output=True, timeout=60)
+    subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE_S)
     return target
 
 

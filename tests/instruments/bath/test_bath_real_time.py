@@ -6,8 +6,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 
 import pytest
@@ -22,6 +21,7 @@ from instruments.world.plant import Plant
 from tests.instruments.bath.devices import Stand, Watched, load_register_profile
 from tests.instruments.bath.far_end import FarEnd, rtu, served
 from tests.instruments.listening_in import Heard
+from tests.waiting import within
 
 pty = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals: POSIX only")
 
@@ -32,14 +32,6 @@ def terminal(family: str) -> Iterator[tuple[PtyListener, Watched, RealClock]]:
         emulator = Watched(Plant(1), load_register_profile(family), clock, "rtu")
         with closing(PtyListener(emulator, clock, lock=threading.RLock(), name="bath")) as listener:
             yield listener, emulator, clock
-
-
-def until(so: Callable[[], bool]) -> None:
-    """Wait for what a thread of the listener does in real time."""
-    deadline_s = time.monotonic() + 60.0
-    while not so():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.001)
 
 
 @pytest.mark.slow
@@ -63,11 +55,11 @@ def test_an_adapter_that_is_unplugged_is_reported_and_the_next_one_is_found() ->
     with terminal("eurotherm-2400") as (listener, emulator, clock):
         profile = load_register_profile("eurotherm-2400")
         bath = Bath(listener.url, profile, clock)
-        until(lambda: bool(emulator.hosts))
+        within(lambda: emulator.hosts, "a host is there")
         # as long as it is open, the name goes to no other program's terminal
         kept = os.open(listener.url, os.O_RDWR | os.O_NOCTTY)
         emulator.pull_the_cable()
-        until(lambda: not emulator.hosts)
+        within(lambda: not emulator.hosts, "it has gone")
         with pytest.raises(LinkError, match=r"the port can't be opened in 6 tries: .*list_ports"):
             bath.read()
         bath.close()

@@ -29,10 +29,9 @@ from instruments.listener import Connection, Listener
 from instruments.world.plant import Plant
 from tests.instruments.bath.devices import calm_plant, load_register_profile
 from tests.instruments.bath.peers import Device, absent, real_time
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.slow
-
-PATIENCE_S = 30.0  # for a machine with ten times too much to do
 
 
 def foreign(module: str, package: str) -> Any:

@@ -43,6 +43,7 @@ from tests.instruments.bath.peers import (
     program,
     real_time,
 )
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.slow
 
@@ -63,7 +64,7 @@ AS_KNOWN_S, SLOWER_S = 4.0, 0.5
 def passes(client: Path, **address: str) -> bool:
     environment = {**os.environ, **address}
     said = subprocess.run(
-        [client], capture_output=True, text=True, timeout=280, check=True, env=environment
+        [client], capture_output=True, text=True, timeout=PATIENCE_S, check=True, env=environment
     ).stdout
     return said.splitlines()[-1] == "Test: SUCCESS" and "ERROR" not in said
 
@@ -172,7 +173,7 @@ def test_whatever_is_asked_no_wrong_value_gets_through(link: Transactions) -> No
 
 
 def until_it_answers(link: Transactions) -> None:
-    deadline = time.monotonic() + 60.0
+    deadline = time.monotonic() + PATIENCE_S
     while True:
         try:
             return link.write(16, REGISTERS, VALUES)
@@ -252,7 +253,7 @@ class Polled:
             [program("mbpoll"), *place, *order, *once, *self.where, *values],
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=PATIENCE_S,
         )
 
     def read(self, kind: str, address: int, *, high: bool = True) -> str:

@@ -27,6 +27,7 @@ from instruments.camera.opencv import LONGEST_WAIT_S, LiveReader, OpenCvCamera, 
 from instruments.camera.settings import Settings, apply, same
 from instruments.clock import RealClock, VirtualClock
 from instruments.errors import DeviceError, LinkError, ProtocolError
+from tests.waiting import PATIENCE_S
 
 
 def video(path: Path, level: int, frames: int = 3, codec: str = "MJPG") -> str:
@@ -147,7 +148,7 @@ def test_a_source_is_waited_for_by_the_interval_that_it_shows(
     reader.close()
     assert not source.released.is_set()
     source.times.put(None)
-    assert source.released.wait(60)
+    assert source.released.wait(PATIENCE_S)
 
 
 def test_frames_of_a_stream_that_can_not_be_decoded_are_passed_over(tmp_path: Path) -> None:
@@ -186,7 +187,7 @@ def test_cameras_are_closed_side_by_side_and_errors_are_told() -> None:
 
     class Waiting(Still):
         def close(self) -> None:
-            both.wait(60)
+            both.wait(PATIENCE_S)
 
     CameraSet(of(left=Waiting(), right=Waiting()), {}).close()
 

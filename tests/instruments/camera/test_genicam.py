@@ -35,6 +35,7 @@ from instruments.camera.settings import Settings, Trigger
 from instruments.clock import RealClock
 from instruments.errors import DeviceError, InstrumentError, LinkError
 from tests.instruments.camera.peers import ADDRESS, gige_camera, need_aravis
+from tests.waiting import PATIENCE_S
 
 IN_PROCESS = "Fake_1"
 
@@ -241,7 +242,7 @@ def test_a_dead_camera_is_let_go_in_bounded_time(
     with pytest.raises(LinkError, match="is closed"):
         camera.begin()
     answers.set()
-    assert gone.wait(60)
+    assert gone.wait(PATIENCE_S)
 
 
 @pytest.mark.slow

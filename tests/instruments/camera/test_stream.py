@@ -20,6 +20,7 @@ from instruments.camera.opencv import OpenCvCamera
 from instruments.camera.stream import StreamServer
 from instruments.clock import RealClock, VirtualClock
 from instruments.errors import LinkError
+from tests.waiting import PATIENCE_S
 
 SIZES = {"left": (96, 128), "right": (96, 128), "thermal": (48, 64)}
 
@@ -148,7 +149,7 @@ def test_a_size_that_changes_within_a_stream_is_reported_until_it_is_the_old_one
 
 def test_what_is_sent(served: StreamServer) -> None:
     host, port = served.urls["left"].removeprefix("http://").split("/")[0].split(":")
-    connection = http.client.HTTPConnection(host, int(port), timeout=60)
+    connection = http.client.HTTPConnection(host, int(port), timeout=PATIENCE_S)
     connection.request("GET", "/right.mjpg")
     answer = connection.getresponse()
     assert answer.getheader("Content-Type") == "multipart/x-mixed-replace; boundary=frame"

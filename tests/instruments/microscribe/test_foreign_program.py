@@ -23,6 +23,7 @@ from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.unit import ArmIdentity
 from tests.instruments.bath.peers import absent
 from tests.instruments.microscribe.rigs import POINT, UNIT, Hand, renamed
+from tests.waiting import PATIENCE_S
 
 RESOLUTION_MM = 0.3  # a step of each encoder, added up over the arm's reach
 
@@ -53,7 +54,7 @@ def test_it_reads_where_the_tip_is_held(microcmm: Any, unit: ArmIdentity) -> Non
         with closing(Listener(arm, clock, lock=threading.RLock(), name="arm")) as listener:
             port = serial.serial_for_url(listener.url)
             host = microcmm.MicroScribe(
-                port, allow_untested_models=unit.names.model != "D", timeout=60.0
+                port, allow_untested_models=unit.names.model != "D", timeout=PATIENCE_S
             )
             with host:
                 assert host.info.serial_number == unit.names.serial_number
@@ -82,7 +83,9 @@ def test_it_is_not_homed_until_it_is_told(microcmm: Any) -> None:
         with closing(Listener(arm, clock, lock=threading.RLock(), name="arm")) as listener:
             for _ in range(2):
                 port = serial.serial_for_url(listener.url)
-                with microcmm.MicroScribe(port, allow_untested_models=True, timeout=60.0) as host:
+                with microcmm.MicroScribe(
+                    port, allow_untested_models=True, timeout=PATIENCE_S
+                ) as host:
                     with pytest.raises(Exception, match="not homed"):
                         host.pose()
                     host.assume_homed()

@@ -22,7 +22,8 @@ if sys.platform == "win32":
     pytest.skip("needs a pseudo-terminal, which Windows has not", allow_module_level=True)
 import pty
 
-PATIENCE_S = 60.0
+from tests.waiting import PATIENCE_S
+
 TOUCH = op.Touch(2, 4)
 KEYS = "(s REASON = skip the trial, r = repeat it, ? = explain, a = abort the run): "
 

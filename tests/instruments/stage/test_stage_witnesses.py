@@ -34,6 +34,7 @@ from instruments.stage.emulator.store import CLASSIC, EMULATED, GRBL_HAL, MARLIN
 from instruments.stage.protocol import Alarm, MalformedLine, Reply, Status
 from tests.examples import examples
 from tests.instruments.stage.board import Board
+from tests.waiting import PATIENCE_S
 
 WITNESSES = Path(__file__).parent / "witnesses"
 MARKS = ("CERTAIN", "FIELD", "INFERRED")
@@ -317,7 +318,7 @@ def test_the_makers_library_drives_the_emulated_zaber() -> None:
         emulator = StageEmulator(clock, settings=QUICK, dialect=ZABER)
         with closing(Listener(emulator, clock, lock=threading.RLock(), name="stage")) as listener:
             command = [sys.executable, "-c", MAKERS_LIBRARY, str(listener.port)]
-            ended = subprocess.run(command, capture_output=True, text=True, timeout=120)
+            ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert ended.returncode == 0, ended.stderr
     parked, yes, *failed, device, serial, steps = ended.stdout.split()
     assert (parked, yes) == ("PARKED", "True")
