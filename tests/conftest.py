@@ -46,6 +46,8 @@ DRAWN = tuple(
 )
 ROOMS = ("cli", "console", "record", "rig", "run", "safety", "script", "truth")
 KEEPING = ("tests.", "instruments.world.", "bench.campaign.")
+# what a camera sees of an empty scene: most files open the same rigs, and it takes half a second
+STAYS = ("instruments.world.optics._rays", "instruments.world.optical_camera._empty")
 BARE = (
     *(f"tests.bench.{room}." for room in ROOMS),
     *("tests.test_thesis_example", "tests.test_docs", "tests.detector.test_depth"),
@@ -147,7 +149,7 @@ def no_leaked_threads() -> Iterator[None]:
 @pytest.fixture(scope="module", autouse=True)
 def caches_end_with_their_module() -> Iterator[None]:
     yield
-    _forget_what_is_kept()
+    _forget_what_is_kept(STAYS)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -189,13 +191,14 @@ def bounded_memory(trimmed_mib: list[float]) -> Iterator[None]:
     assert mib < MOST_MIB, f"this worker holds {mib:.0f} MiB"
 
 
-def _forget_what_is_kept() -> None:
+def _forget_what_is_kept(stays: tuple[str, ...] = ()) -> None:
     """What tests draw once and keep (`functools.cache`) is some 200 MB a renderer, and what the
     renderer and campaigns keep of their last rigs is as much.
     """
     for name in [one for one in sys.modules if one.startswith(KEEPING)]:
         for kept in _caches_of(name):
-            kept.cache_clear()
+            if f"{name}.{getattr(kept, '__name__', '')}" not in stays:
+                kept.cache_clear()
 
 
 @cache

@@ -85,18 +85,18 @@ def merge_columns(columns: Sequence[int], reach: int) -> list[int]:
 
 def _draw(runs: list[Run], at: int, offset: int, reach: int) -> list[Run]:
     """One turn of the outer loop, for the point `offset` points into run `at`."""
-    here, count = runs[at]
-    mine = here
-    before: list[Run] = []
-    after: list[Run] = []
-    for column, many in [*runs[:at], (here, offset)]:
-        mine = _meet(before, mine, column, many, reach)
-    for column, many in [(here, count - offset - 1), *runs[at + 1 :]]:
-        mine = _meet(after, mine, column, many, reach)
-    result: list[Run] = []
-    for column, many in [*before, (mine, 1), *after]:
-        _append(result, column, many)
-    return result
+    mine = here = runs[at][0]
+    before, after = list[Run](), list[Run]()
+    later = [(here, runs[at][1] - offset - 1), *runs[at + 1 :]]
+    for part, side in ((before, [*runs[:at], (here, offset)]), (after, later)):
+        for column, many in side:
+            if many and abs(column - mine) > reach and not (part and part[-1][0] == column):
+                part.append((column, many))  # as `_meet` does; most are out of reach
+            else:
+                mine = _meet(part, mine, column, many, reach)
+    for column, many in [(mine, 1), *after[:1]]:
+        _append(before, column, many)
+    return before + after[1:]
 
 
 def _meet(result: list[Run], mine: int, column: int, many: int, reach: int) -> int:
