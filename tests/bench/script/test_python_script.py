@@ -75,7 +75,6 @@ def test_a_run_keeps_the_file_and_what_it_gave(tmp_path: Path) -> None:
 
 
 KINDS = ["syntax", "nothing in it", "an error of its own", "no table", "endless", "a wrong key"]
-KINDS += ["leaves", "no generator", "no value"]
 
 
 @pytest.mark.slow
@@ -101,7 +100,7 @@ KINDS += ["leaves", "no generator", "no value"]
             r"trials\[1\]\.poses\[1\]\.x_mm is a object; it has to be text, a number",
         ),
     ],
-    ids=KINDS,
+    ids=[*KINDS, "leaves", "no generator", "no value"],
 )
 def test_what_is_wrong_is_reported_with_its_place(text: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=words):
