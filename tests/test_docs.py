@@ -54,13 +54,8 @@ from tests.conftest import ROOT
 
 pytestmark = pytest.mark.slow
 
-MAY_JUDGE = {
-    "run",
-    "resume",
-    "score",
-    "compare",
-    "calibrate cameras",
-}  # their exit code may be a verdict
+# their exit code may be a verdict
+MAY_JUDGE = {"run", "resume", "score", "compare", "calibrate cameras"}
 AT_A_TERMINAL = {"arm home", "arm frame", "arm read", "arm verify"}
 # pages whose commands take the longest run weekly; the program knows their words in each run
 LONG = ("calibration.md", "campaigns.md", "detectors.md", "index.md", "record.md")

@@ -128,13 +128,15 @@ def open_arm(
     answer_s: float = ANSWER_S,
     homed: bool = False,
     ask: bool = False,
+    on_peg: bool | None = None,
     capture: CaptureFile | None = None,
 ) -> Iterator[Arm]:
     """The arm at ``url``, as in a rig file's [arm], signed on, in real time. ``homed``: its stylus
     was on its peg when it was switched on, or it was homed since; before, there is no position.
-    ``ask`` the person at the terminal, where it isn't said. Raises ConfigError, InstrumentError.
+    ``ask`` the person at the terminal, where it isn't said. ``on_peg`` homes a MicroScribe: True
+    where its stylus is there, False asks for that. Raises ConfigError, InstrumentError.
     """
-    opened = open_session(url, baud, answer_s, capture, homed=homed, ask=ask)
+    opened = open_session(url, baud, answer_s, capture, homed=homed, ask=ask, on_peg=on_peg)
     with opened as session, lent(session.arm, "arm") as arm:
         yield arm
 

@@ -204,7 +204,7 @@ def program(usage: str, *kinds: Callable[[str], Any]) -> Iterator[Sequence[Any]]
                 raise ValueError(f"{plural(len(kinds), 'word')} needed.\n\n{usage.strip()}")
             given = [kind(word) for kind, word in zip(kinds, words, strict=False)]
         yield given
-    except (ConfigError, RecordingError, InstrumentError) as error:
+    except (ConfigError, RecordingError, InstrumentError, OSError) as error:
         to_stderr(str(error))
         sys.exit(3 if isinstance(error, InstrumentError) else 2)
 

@@ -54,6 +54,7 @@ HOMED = (
     "Was the stylus on its peg when the arm was last switched on, or the arm homed since"
     " ('teatbench arm home')?"
 )
+PEG = "Put the arm's stylus on its peg and let go of it. Homed elsewhere, positions are wrong."
 DISTANCES = Bounds("1, 2 or 3", least=1, below=4, whole=True)
 SEVERAL = Bounds("a whole number of 2 or more", least=2, whole=True)
 SD = Bounds("a number of 0 or more", least=0.0)
@@ -106,14 +107,20 @@ def open_arm(
     *,
     homed: bool,
     ask: bool = True,
+    on_peg: bool | None = None,
     length_mm: float | None = None,
     operator: Operator | None = None,
 ) -> Iterator[ArmSession]:
     """The arm at ``port``, signed on; ``homed``, or the ``operator`` is asked (None: whoever is at
-    the terminal); ``length_mm``: an emulated arm's bar. Raises ConfigError.
+    the terminal). ``on_peg``: it is homed, and False asks for the stylus before. ``length_mm``: an
+    emulated arm's bar. Raises ConfigError.
     """
     check_within(ABOVE_0, answer_s=answer_s)
-    if ask and not (homed or operator or (sys.stdin and sys.stdin.isatty())):
+    asks = bool(operator or (sys.stdin and sys.stdin.isatty()))
+    if on_peg is False and not asks:
+        what = "homing with the stylus off its peg ruins every position"
+        raise ConfigError.plain(f"{what}. Put it there, and give `on_peg` to say so.")
+    if ask and not (homed or asks):
         raise ConfigError.plain(
             "no positions before homing is confirmed, and there is no terminal to confirm it at."
             " Give `homed` where the stylus was on its peg when the arm was last switched on, or"
@@ -138,8 +145,14 @@ def open_arm(
                 operator = console = Console(sys.stdin, sys.stdout, clock, watch=watch)
                 console.in_run = False
             arm.asked_of(operator)
-            if ask and not homed:
-                operator.ask(Task(HOMED if arm.pedals else arm.homing))
+            if on_peg is not None and not arm.pedals:
+                what = "only a MicroScribe can be homed: another arm's software does that"
+                raise ConfigError.plain(what)
+            text = PEG if on_peg is False else HOMED if arm.pedals else arm.homing
+            if on_peg is False or (ask and not homed):
+                operator.ask(Task(text))
+            if on_peg is not None:
+                arm.home()
             if ask or homed:
                 arm.confirm_homed()
             yield ArmSession(arm, clock, operator, trying)
@@ -156,10 +169,8 @@ def limits_of(script: str | None) -> ArmRequirement:
     for rule in loaded.script.requirements:
         if isinstance(rule, ArmRequirement):
             return rule
-    raise ConfigError.plain(
-        f"{loaded.path} has no requirement of the kind arm_verified, so it has no limits for an"
-        " arm. Name another one."
-    )
+    what = f"{loaded.path} has no requirement of the kind arm_verified"
+    raise ConfigError.plain(f"{what}, so it has no limits for an arm. Name another one.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,10 +250,8 @@ def verify(session: ArmSession, plan: VerificationPlan, made: datetime) -> Verif
     names = {1: ("middle",), 2: ("near", "far"), 3: ("near", "middle", "far")}[plan.distances]
     locations = []
     for name in names:
-        session.ask(
-            f"Fix the divot {DIVOTS[name]}. It must not move until its {plan.touches} touches are"
-            " done."
-        )
+        fast = f"It must not move until its {plan.touches} touches are done."
+        session.ask(f"Fix the divot {DIVOTS[name]}. {fast}")
         test = _divot(session, name, plan.touches)
         locations.append(test)
         session.say(
@@ -254,9 +263,8 @@ def verify(session: ArmSession, plan: VerificationPlan, made: datetime) -> Verif
         if plan.length_mm is None:
             break
         where = DIRECTIONS[number % len(DIRECTIONS)]
-        session.ask(
-            f"Fix the calibrated length {where}. It must not move until both its ends are touched."
-        )
+        fast = "It must not move until both its ends are touched."
+        session.ask(f"Fix the calibrated length {where}. {fast}")
         (a, own_a), (b, own_b) = (
             _end(session, f"length {end}", number, f"Length {where}: touch its {nth} end", plan)
             for end, nth in (("a", "first"), ("b", "second"))

@@ -12,14 +12,7 @@ from typing import Any
 
 import bench
 from bench.cli.arguments import CODES, code_of, complain, in_switches, print_json
-from instruments import Arm, RealClock
-from instruments.operators.console import Console
-from instruments.operators.operator import Task
-
-PEG = (
-    "Put the arm's stylus on its peg and let go of it. Anywhere else, homing makes every position"
-    " wrong."
-)
+from instruments import RealClock
 
 
 def _link(given: argparse.Namespace) -> dict[str, Any]:
@@ -52,18 +45,13 @@ def read(given: argparse.Namespace) -> None:
         print(f"    {_mm(found.world_mm)} in the world (frame of {found.frame.made:%Y-%m-%d})")
 
 
-def _refuse_other(arm: Arm) -> None:
-    """Raises ConfigError for an arm that is no MicroScribe."""
-    if not arm.pedals:
-        does = "the software of another arm does that"
-        raise bench.ConfigError.plain(f"only a MicroScribe can be watched and homed: {does}")
-
-
 def watch(given: argparse.Namespace) -> None:
     live, clock = sys.stdout.isatty(), RealClock()
     opened = bench.open_arm(given.port, homed=given.homed, ask=True, **_link(given))
     with closing(clock), opened as arm:
-        _refuse_other(arm)
+        if not arm.pedals:
+            what = "only a MicroScribe can be watched: another arm's software does that"
+            raise bench.ConfigError.plain(what)
         end_s = clock.now() + (given.seconds or math.inf)
         with suppress(KeyboardInterrupt), closing(bench.watch_arm(arm)) as views:
             for seen in views:
@@ -82,18 +70,7 @@ def watch(given: argparse.Namespace) -> None:
 
 
 def home(given: argparse.Namespace) -> None:
-    if not given.on_peg and not sys.stdin.isatty():
-        raise bench.ConfigError.plain(
-            "homing with the stylus off its peg ruins every position. Put it there, and give"
-            " --on-peg to say so."
-        )
-    with bench.open_arm(given.port, **_link(given)) as arm, closing(RealClock()) as clock:
-        _refuse_other(arm)
-        if not given.on_peg:
-            console = Console(sys.stdin, sys.stdout, clock)
-            console.in_run = False
-            console.ask(Task(PEG))
-        arm.home()
+    with bench.open_arm(given.port, on_peg=given.on_peg, **_link(given)) as arm:
         found = arm.read()
     print(
         f"Homed. The tip stands at {_mm(found.tip_mm)} in the arm's frame. Leave the arm"

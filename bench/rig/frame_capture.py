@@ -301,7 +301,7 @@ class FrameTaker:
             self._report(EVENT, f"{what}. {more if left else 'Refused'}.")
             if left:
                 self._wait(self._retry_s)
-        raise _refused(noticed, self._retries + 1)
+        raise _refused(noticed, self._retries + 1, self._cameras.identity)
 
     def look(self) -> None:
         """Check that the cameras give a usable set now, but not a recording. Raises as ``take``."""
@@ -309,7 +309,7 @@ class FrameTaker:
             return
         frames, noticed = self._try()
         if frames is None or noticed:
-            raise _refused(noticed, 1)
+            raise _refused(noticed, 1, self._cameras.identity)
 
     def _try(self) -> tuple[FrameSet | None, Sequence[FrameProblem]]:
         try:
@@ -324,10 +324,9 @@ class FrameTaker:
         return frames, self._checks.notice(frames)
 
 
-def _refused(noticed: Sequence[FrameProblem], tries: int) -> DeviceError:
+def _refused(noticed: Sequence[FrameProblem], tries: int, known: Mapping[str, str]) -> DeviceError:
     hints = dict.fromkeys(HINTS[one.fault] for one in noticed)
-    what = (
-        f"no usable frame set in {tries} {'try' if tries == 1 else 'tries'}:"
-        f" {'; '.join(str(one) for one in noticed)}"
-    )
+    seen = (f"{one} ({known.get(one.camera, 'unknown')})" for one in noticed)
+    counted = "1 try" if tries == 1 else f"{tries} tries"
+    what = f"no usable frame set in {counted}: {'; '.join(seen)}"
     return DeviceError("cameras", what, hint=" ".join(hints))

@@ -543,6 +543,7 @@ class ScoredFrames:
         under_test: Sequence[Detector],
     ) -> None:
         self._rules, self._count = parse_config(rules, text, Rules), 0
+        self.early = ""  # why it is left before its end
         self._store = _new_store(out, name, {RULES: text}, calibration)
         try:
             write_facts(self._store, dict(facts), under_test, calibration)
@@ -596,10 +597,10 @@ class ScoredFrames:
             self._drop()  # a frame that can't be read: half a run is of no use
             return False
         try:
-            if error is None:
-                _end(self._store, RunState.FINISHED)
+            if why := INTERRUPTED if error else self.early:
+                _end(self._store, RunState.ABORTED, why)
             else:
-                _end(self._store, RunState.ABORTED, INTERRUPTED)
+                _end(self._store, RunState.FINISHED)
         finally:
             self._store.close()
         return error is not None

@@ -161,9 +161,8 @@ def _fails(work: Callable[[], object], what: str) -> LinkError:
     except LinkError as error:
         return error
     except InstrumentError as error:
-        raise AssertionError(
-            f"{what}: not a LinkError but {type(error).__name__}: {error}"
-        ) from error
+        came = f"not a LinkError but {type(error).__name__}: {error}"
+        raise AssertionError(f"{what}: {came}") from error
     raise AssertionError(f"{what}: no error")
 
 

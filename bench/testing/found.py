@@ -42,12 +42,9 @@ def write_found(error: SceneFailedError, folder: Path) -> Path:
         "scene": TypeAdapter(Scene).dump_python(error.scene, mode="json", exclude_defaults=True),
     }
     _, png = cv2.imencode(".png", error.picture())
-    for name, data in (
-        (SCENE, toml_text(table, HEADING).encode()),
-        (PICTURE, png.tobytes()),
-        (TEST, error.lines().encode()),
-    ):
-        write_synced(folder / name, data)
+    data = {SCENE: toml_text(table, HEADING).encode(), PICTURE: png.tobytes()}
+    for name, one in {**data, TEST: error.lines().encode()}.items():
+        write_synced(folder / name, one)
     return folder
 
 
@@ -70,9 +67,8 @@ def keep(folder: Path | str, into: Path | str, name: str | None = None) -> str:
     folder, recording = Path(folder), Path(into)
     path = folder if folder.is_file() else folder / SCENE
     if not path.exists():
-        raise ConfigError.plain(
-            f"{folder}: no scene is there; name a folder that a failing test has written ({SCENE})"
-        )
+        what = f"no scene is there; name a folder that a failing test has written ({SCENE})"
+        raise ConfigError.plain(f"{folder}: {what}")
     scene, facts = read_scene(path)
     rig = load_rig(str(facts.get("rig", "emulated")))
     frame = name or path.resolve().parent.name
@@ -81,17 +77,15 @@ def keep(folder: Path | str, into: Path | str, name: str | None = None) -> str:
     except ConfigError as error:
         raise ConfigError.plain(f"{path}: {error}") from error
     if digest_of_frames(shot.frames) != facts.get("frames"):
-        raise ConfigError.plain(
-            f"{path}: this version of the program draws the scene differently: run its test again"
-        )
+        what = "this version of the program draws the scene differently: run its test again"
+        raise ConfigError.plain(f"{path}: {what}")
     stated = read_text(rig.calibration_path)
     if shot.calibration is not rig.calibration:
         stated = dump_calibration(shot.calibration, "perturbed: not what the cameras are")
     there = recording / "calibration.toml"
     if there.exists() and read_text(there) != stated:
-        raise ConfigError.plain(
-            f"{recording} has another calibration than {path}: name another `into`"
-        )
+        what = f"{recording} has another calibration than {path}"
+        raise ConfigError.plain(f"{what}: name another `into`")
     new = not recording.exists()
     try:
         with writing(recording):

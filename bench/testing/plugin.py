@@ -44,7 +44,9 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("norecursedirs", glob.escape(str(config.option.found_scenes.resolve())))
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Of the tests that will run: others may be deselected until now."""
+    config, items = session.config, session.items
     _give_time(items)
     try:
         _require(config, items)
@@ -157,9 +159,8 @@ def _opened(request: pytest.FixtureRequest) -> Iterator[Callable[[], bench.OpenR
             if kept:
                 return kept[0]
             try:
-                with (
-                    ExitStack() as fresh
-                ):  # of what can't be opened nothing stays, its lock neither
+                # of what can't be opened nothing stays, its lock neither
+                with ExitStack() as fresh:
                     fresh.enter_context(locked(lock_path(loaded), "pytest", lambda _: None))
                     rig = fresh.enter_context(bench.open_rig(loaded))
                     rig.home()
@@ -239,7 +240,8 @@ def record_trial(request: pytest.FixtureRequest) -> Callable[..., bench.SceneSco
     def record(shot: bench.Shot, name: str = "") -> bench.SceneScore:
         done[0] += 1
         number = f"-{done[0]}" if done[0] > 1 and not name else ""
-        return trials.add(folder_name(name or f"{request.node.name}{number}"), shot)
+        known = folder_name(name or f"{request.node.name}{number}")
+        return trials.add(known, shot, request.node.funcargs.get("detector"))
 
     return guarded(record, __name__)  # type: ignore[no-any-return]
 
@@ -265,13 +267,20 @@ def pytest_runtest_makereport(
     return report
 
 
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Ends the run of recorded trials; a requirement that is not met fails the session."""
-    trials = session.config.stash.get(_TRIALS, None)
-    if trials and (reported := trials.end()):
-        session.config.stash[_TEXT] = f"{reported.verdict}. Report: {reported.page}"
-        if reported.verdict == "not met" and session.exitstatus == pytest.ExitCode.OK:
-            session.exitstatus = pytest.ExitCode.TESTS_FAILED
+@pytest.hookimpl(wrapper=True, trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> Generator[None, None, None]:
+    """Ends the run of recorded trials, once the rig is safe where a test was interrupted; a
+    requirement that is not met fails the session.
+    """
+    try:
+        return (yield)
+    finally:
+        trials = session.config.stash.get(_TRIALS, None)
+        early = session.shouldfail or session.shouldstop or "interrupted" * (session.exitstatus > 1)
+        if trials and (reported := trials.end(str(early or ""))):
+            session.config.stash[_TEXT] = f"{reported.verdict}. Report: {reported.page}"
+            if reported.verdict == "not met" and session.exitstatus == pytest.ExitCode.OK:
+                session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
 _TEXT = pytest.StashKey[str]()

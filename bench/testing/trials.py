@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from functools import cached_property
 from pathlib import Path
 
 from bench.api.runs import write_report
 from bench.api.shots import Shot, load_rig, open_detector
 from bench.config import ConfigError, did_you_mean, parse_config, read_config, read_text
-from bench.results.answers import Examiner, score_answer
+from bench.results.answers import Examiner, name_of, score_answer
 from bench.results.status import Reported
 from bench.run.start import ScoredFrames
 from bench.scoring.scene import SceneScore
 from bench.script.model import RECORDING_RULES, Rules
 from bench.toml import toml_text
 from bench.truth.touching import truth_row
+from detector.protocol import Detector
 
-ABOUT = "Trials that tests did. "
+ABOUT = "Trials that tests did."
 
 
 class TrialsOfTests:
@@ -37,52 +39,51 @@ class TrialsOfTests:
         known = [one.name for one in read_config(path, Rules).requirements]
         for name in required:
             if name not in known:
-                raise ConfigError.plain(
-                    f"no requirement {name!r}{did_you_mean(name, known)} ({path} has:"
-                    f" {', '.join(known)})"
-                )
+                what = f"no requirement {name!r}{did_you_mean(name, known)}"
+                raise ConfigError.plain(f"{what} ({path} has: {', '.join(known)})")
         self._rig, self._rules, self._required = load_rig(rig), path, required
         self._out, self._name = out, detector
         self._open = ExitStack()
         self._run: ScoredFrames | None = None
 
-    def add(self, name: str, shot: Shot, situation: str = "test") -> SceneScore:
-        """Ask the detector about a shot and write the trial. Raises ConfigError without truth."""
+    def add(self, name: str, shot: Shot, given: Detector | None = None) -> SceneScore:
+        """Ask, and write the trial. ConfigError: no truth, or another detector is ``given``."""
         if not shot.truth:
-            raise ConfigError.plain(
-                "a trial needs the truth of its shot: rig.with_truth(shot, rows)"
-            )
+            what = "a trial needs the truth of its shot: rig.with_truth(shot, rows)"
+            raise ConfigError.plain(what)
+        if given is not None and name_of(given) != (ours := name_of(self._detector)):
+            what = f"the test's `detector` is {name_of(given)}, but trials are of {ours}"
+            raise ConfigError.plain(f"{what}: have a session with --detector for each")
         run = self._begun()
         answer = self._examiner.ask(self._detector, shot.frames)
         rows = [truth_row("", row) for row in shot.truth]
-        run.add(name, name, situation, shot.frames, [answer], shot.truth, rows)
+        run.add(name, name, "test", shot.frames, [answer], shot.truth, rows)
         limits = {"limit_mm": self._limits.visible_within_mm}
         return score_answer(answer, shot.truth, **limits, time_limit_s=self._limits.time_limit_s)
 
-    def end(self) -> Reported | None:
-        """Close the run, and write its report; None where no test has a trial."""
-        run = self._run
+    def end(self, early: str) -> Reported | None:
+        """Close the run, with why it ended ``early``, and report it; None without a trial."""
+        if run := self._run:
+            run.early = early
         self._open.close()
         return write_report(run.folder) if run else None
+
+    @cached_property
+    def _detector(self) -> Detector:
+        return self._open.enter_context(open_detector(self._name))
 
     def _begun(self) -> ScoredFrames:
         if self._run is not None:
             return self._run
-        self._detector = self._open.enter_context(open_detector(self._name))
         text = self._decided()
         self._limits = parse_config(self._rules, text, Rules)
         self._examiner = Examiner(self._rig.calibration, self._rig.rig.limits.detection_timeout_s)
-        by = [f"{name}: {', '.join(tests)}." for name, tests in self._required.items()]
-        facts = {
-            "kind": "emulated" if self._rig.rig.all_emulated else "real",
-            "title": "Tests",
-            "about": " ".join([ABOUT.strip(), *by]),
-            "rig": self._rig.rig.name,
-        }
-        path = self._rig.calibration_path
-        given = self._out, "tests", self._rules, text, path, facts, [self._detector]
+        by = [ABOUT, *(f"{name}: {', '.join(tests)}." for name, tests in self._required.items())]
+        kind = "emulated" if self._rig.rig.all_emulated else "real"
+        facts = {"kind": kind, "title": "Tests", "about": " ".join(by), "rig": self._rig.rig.name}
+        given = self._rules, text, self._rig.calibration_path, facts, [self._detector]
         try:
-            self._run = self._open.enter_context(ScoredFrames(*given))
+            self._run = self._open.enter_context(ScoredFrames(self._out, "tests", *given))
         except ConfigError as error:
             raise ConfigError.plain(str(error).replace("`out`", "--trial-runs")) from error
         return self._run

@@ -126,8 +126,8 @@ def guesses(seed: int, number: int, visits: int, rig: Any) -> Iterator[dict[str,
 
 def main(cows: int, visits: int, out: Path, seed: int = 1, rig: str = "emulated") -> str:
     """Write a row an unseen end; gives back the summary."""
-    rows = [row for number in range(cows) for row in guesses(seed, number, visits, rig)]
     with out.open("w", encoding="utf-8", newline="") as file:
+        rows = [row for number in range(cows) for row in guesses(seed, number, visits, rig)]
         writer = csv.DictWriter(file, ["cow", "visit", "teat", "error_mm", "last_mm", "inside_95"])
         writer.writeheader()
         writer.writerows(rows)

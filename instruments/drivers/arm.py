@@ -115,7 +115,9 @@ class PluggedArm(Plugged):
         axis = None
         if len(axes) == len(points):
             axis = np.median(np.array(axes, dtype=np.float64), axis=0)
-            axis = axis / np.linalg.norm(axis)
+            if not (length := np.linalg.norm(axis)):
+                raise self._border.broken("its axes are opposite", axes[-1])
+            axis = axis / length
         written = " ".join(f"{value:.4f}" for value in middle)
         return Reading(middle, spread_mm, axis, len(points), written=written)
 
@@ -154,7 +156,8 @@ class PluggedArm(Plugged):
         end_s = self._clock.now() + limit_s
         while self._point(aside=aside).moving:
             if self._clock.now() > end_s:
-                raise DeviceError(self.who, "it does not stand", seen="moving", hint="STOP IT.")
+                what, hint = "it does not stand", f"STOP IT. {self._border.look}"
+                raise DeviceError(self.who, what, seen="moving", hint=hint)
             self._clock.sleep(INTERVAL_S)
 
     def _point(self, *, aside: bool = False) -> ArmPoint:

@@ -10,7 +10,7 @@ from instruments.bath.reading import BathReading
 from instruments.bath.rows import Quantity
 from instruments.clock import Clock
 from instruments.drivers.border import Plugged, PluginBoundary
-from instruments.drivers.entry_points import Plugin
+from instruments.drivers.entry_points import Plugin, short
 from instruments.drivers.plugin import BathDriver, BathState
 from instruments.errors import DeviceError, InstrumentError, LimitError
 
@@ -112,15 +112,9 @@ class PluggedBath(Plugged):
     def get(self, name: str) -> float:
         """A value by the name of its row. Raises KeyError for another."""
         state, row = self._state(), self.profile.row(name)
-        values = {
-            "temperature": state.temp_c,
-            "set_point": state.set_point_c,
-            "run": float(state.running),
-            "power": state.power_percent,
-            "external": state.external_c,
-            "alarm": float(bool(state.alarm)),
-        }
-        value = values[row.name]
+        seen = {"temperature": state.temp_c, "power": state.power_percent}
+        seen |= {"set_point": state.set_point_c, "external": state.external_c}
+        value = {**seen, "run": float(state.running), "alarm": float(bool(state.alarm))}[row.name]
         return float("nan") if value is None else value
 
     def set(self, name: str, value: float | str) -> None:
@@ -181,12 +175,11 @@ class PluggedBath(Plugged):
             try:  # beside a call that hangs
                 self._border.aside("standby", lambda bath: bath.standby())
                 self._stands_by(aside=True)
+                return
             except InstrumentError:
                 self._border.forget()
                 if not tries_left:
                     raise
-            else:
-                return
 
     def release_watchdog(self, found_s: float | None = None) -> None:
         """None is known of it."""
@@ -196,7 +189,8 @@ class PluggedBath(Plugged):
 
     def _stands_by(self, *, aside: bool = False) -> None:
         if self._state(aside=aside).running:
-            what, hint = "it goes on heating after standby", "SWITCH IT OFF AT ITS MAINS."
+            hint = f"SWITCH IT OFF AT ITS MAINS. {self._border.look}"
+            what = "it goes on heating after standby"
             raise DeviceError(self.who, what, asked="standby", seen="running", hint=hint)
         self.heats = False
 
@@ -218,5 +212,5 @@ class PluggedBath(Plugged):
             for name, value in (("external_c", given.external_c), ("power", given.power_percent))
         )
         set_point_c = border.number(given.set_point_c, "set point")
-        alarm = " ".join(str(given.alarm or "").split())
+        alarm = short(str(given.alarm or ""))
         return BathState(temp_c, running, set_point_c, external_c, power, alarm)

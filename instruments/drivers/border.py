@@ -11,11 +11,10 @@ from contextlib import contextmanager, suppress
 from typing import Any, Generic, TypeVar
 
 from instruments.clock import Clock, VirtualClock
-from instruments.drivers.entry_points import Plugin
+from instruments.drivers.entry_points import Plugin, by_ctrl_c, in_our_folder, short
 from instruments.errors import DriverError, InstrumentError, LinkError, ProtocolError
 
 CALL_S, OPEN_S, CLOSE_S = 10.0, 10.0, 2.0
-SAID = 200  # characters of another's words
 T = TypeVar("T")
 Made = TypeVar("Made")
 
@@ -27,12 +26,10 @@ class PluginBoundary(Generic[Made]):
     """
 
     def __init__(self, plugged: Plugin, who: str, clock: Clock) -> None:
-        self.who, self.plugged = who, plugged
-        self.clock = clock
+        self.who, self.plugged, self.clock = who, plugged, clock
         self._made: Made | None = None
         self.locked = threading.RLock()  # so that several calls aren't parted
-        self._owner = threading.local()
-        self.opened = 0
+        self._owner, self.opened = threading.local(), 0
         self.look = f"Look at the device, then at its driver: {plugged}."
 
     def call(self, what: str, work: Callable[[Made], T], limit_s: float | None = None) -> T:
@@ -49,8 +46,7 @@ class PluginBoundary(Generic[Made]):
         """The plug-in, opened where it is not. Raises InstrumentError."""
         with self.locked:
             if self._made is None:
-                make: Callable[[], Made] = lambda: self.plugged.make(self.clock)  # noqa: E731
-                self._made = self._within("open", make, OPEN_S)
+                self._made = self._within("open", lambda: self.plugged.make(self.clock), OPEN_S)
                 self.opened += 1
             return self._made
 
@@ -75,8 +71,10 @@ class PluginBoundary(Generic[Made]):
             self.forget()
             raise
 
+    @in_our_folder()
     def _within(self, what: str, work: Callable[[], T], limit_s: float | None) -> T:
-        limit_s = CALL_S if limit_s is None else limit_s
+        limit_s, by = CALL_S if limit_s is None else limit_s, f"{self.who}: {what}"
+        job: Future[T] = Future()
         try:
             if getattr(self._owner, "is_us", False):
                 return work()
@@ -85,22 +83,18 @@ class PluginBoundary(Generic[Made]):
                 if self.clock.now() > late_s:
                     raise self._late(what, limit_s)
                 return given
-            job: Future[T] = Future()
-            thread = threading.Thread(target=self._run, args=(job, work), daemon=True)
-            thread.name = f"{self.who}: {what}"
+            thread = threading.Thread(None, self._run, by, (job, work), daemon=True)
             thread.start()
             thread.join(limit_s)
             if thread.is_alive():
                 raise self._late(what, limit_s)
-            if isinstance(job.exception(), KeyboardInterrupt):  # ours comes to the main thread
-                raise DriverError(self.who, "KeyboardInterrupt", asked=what, hint=self.look)
             return job.result()
         except InstrumentError as error:
             self._name(error)
             raise
-        except KeyboardInterrupt:
-            raise
         except BaseException as error:  # another's code: not every library's errors are Exceptions
+            if by_ctrl_c(error) and not (job.done() and job.exception() is error):
+                raise
             kind, hint = LinkError if isinstance(error, OSError) else DriverError, self.look
             if what == "open" and isinstance(error, ValueError):  # a key is no number
                 hint = f"Correct the keys of {self.plugged.url}; they are of {self.plugged}."
@@ -125,18 +119,17 @@ class PluginBoundary(Generic[Made]):
         who = self.who if by.lower() in self.who else f"{self.who} ({by})"
         facts = {key: given.get(key) for key in ("asked", "seen", "seconds")}
         hint = given.get("hint") or self.look
-        InstrumentError.__init__(error, who, _short(str(given["what"])), **facts, hint=hint)
+        InstrumentError.__init__(error, who, short(str(given["what"])), **facts, hint=hint)
 
     def broken(self, what: str, seen: object) -> ProtocolError:
         """What to raise where it gives what no device can show."""
-        hint = f"Correct {self.plugged}."
-        return ProtocolError(self.who, what, seen=_said(seen), hint=hint)
+        return ProtocolError(self.who, what, seen=_said(seen), hint=f"Correct {self.plugged}.")
 
     def texts(self, given: object) -> dict[str, str]:
         """Its identity as text. Raises ProtocolError."""
         if not isinstance(given, Mapping) or not given:
             raise self.broken("its identity is no mapping with something in it", given)
-        return {str(key): str(value) for key, value in given.items()}
+        return {short(str(key)): short(str(value)) for key, value in given.items()}
 
     def number(self, value: object, what: str) -> float:
         """A finite number. Raises ProtocolError."""
@@ -166,11 +159,5 @@ class Plugged:
 def _said(what: object) -> str:
     """Its kind and words; its kind alone where its own words fail."""
     with suppress(Exception):
-        return _short(f"{type(what).__name__}: {what}".removesuffix(": "))
+        return short(f"{type(what).__name__}: {what}".removesuffix(": "))
     return type(what).__name__
-
-
-def _short(said: str) -> str:
-    """Another's words on one line, as far as they have room in a message."""
-    said = " ".join(said.split())
-    return said if len(said) <= SAID else f"{said[: SAID - 3]}..."

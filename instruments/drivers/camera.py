@@ -11,7 +11,7 @@ from instruments.camera.cameras import CAN_GIVE, Camera, CameraGroup, MakersCali
 from instruments.camera.frame import FrameError, FrameFault, RawFrame, no_picture
 from instruments.clock import Clock
 from instruments.drivers.border import Plugged, PluginBoundary
-from instruments.drivers.entry_points import Plugin
+from instruments.drivers.entry_points import Plugin, short
 from instruments.errors import DeviceError, LimitError
 
 CAPTURE_S = 30.0  # a long exposure, and a slow link
@@ -25,7 +25,7 @@ class PluggedCamera(Plugged):
         self.who, self._name = f"{name} camera {plugged.name}", name
         self._border: PluginBoundary[Camera] = PluginBoundary(plugged, self.who, clock)
         with self._border.opening():
-            who = self._border.call("identity", lambda camera: str(camera.identity))
+            who = self._border.call("identity", lambda camera: short(str(camera.identity)))
         self.identity, self._asked_s = f"{who} ({plugged})", clock.now()
 
     def prepare(self) -> None:
@@ -57,7 +57,7 @@ class PluggedGroup(Plugged):
             if not given or not set(given) <= set(CAN_GIVE):
                 what = f"its parts are {given}; a group gives some of {', '.join(CAN_GIVE)}"
                 raise LimitError(self.who, what, hint=f"Correct {plugged}.")
-            who = self._border.call("identity", lambda group: str(group.identity))
+            who = self._border.call("identity", lambda group: short(str(group.identity)))
         self.parts: tuple[str, ...] = given
         self.identity = f"{who} ({plugged})"
 
@@ -91,13 +91,10 @@ class PluggedGroup(Plugged):
         try:
             lenses = {}
             for what, one in given.lenses.items():
-                lenses[str(what)] = MakersLens(
-                    (int(one.size_px[0]), int(one.size_px[1])),
-                    np.asarray(one.matrix, dtype=np.float64),
-                    tuple(map(float, one.distortion)),
-                    np.asarray(one.R, dtype=np.float64),
-                    tuple(map(float, one.T_mm)),
-                )
+                size = int(one.size_px[0]), int(one.size_px[1])
+                matrix, R = (np.asarray(it, dtype=np.float64) for it in (one.matrix, one.R))
+                distortion, T_mm = (tuple(map(float, it)) for it in (one.distortion, one.T_mm))
+                lenses[str(what)] = MakersLens(size, matrix, distortion, R, T_mm)
             what = "sd"
             return MakersCalibration(lenses, {str(n): float(sd) for n, sd in given.sd.items()})
         except (TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:

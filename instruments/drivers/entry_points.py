@@ -8,18 +8,22 @@ port of this machine. The driver gets the port as its key ``url``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from contextlib import suppress
+import os
+import signal
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
 from inspect import signature
+from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import parse_qsl, urlencode
 
 from instruments.errors import LimitError
 
 PLUGIN, EMULATOR = "plugin:", "emulator:"
+SAID = 200  # characters of another's words
 Kind = Literal["arm", "bath", "camera", "stage"]
 KINDS: tuple[Kind, ...] = ("arm", "bath", "camera", "stage")
 GROUPS: Mapping[Kind, str] = {kind: f"teatbench.{kind}s" for kind in KINDS}
@@ -113,11 +117,12 @@ def load(kind: Kind, url: PluginUrl, *, emulator: bool = False) -> Plugin:
     try:
         if not plug.pattern.match(plug.value):
             raise ValueError("no module:name")
-        maker = plug.load()
-    except KeyboardInterrupt:
-        raise
+        with in_our_folder():
+            maker = plug.load()
     except BaseException as error:  # another's code
-        said = " ".join(f"{type(error).__name__}: {error}".split()).rstrip(":")
+        if by_ctrl_c(error):
+            raise
+        said = short(f"{type(error).__name__}: {error}").rstrip(":")
         hint = "Install what it needs, or correct it."
         raise LimitError(kind, f"{_source(plug)} can't be loaded: {said}", hint=hint) from error
     if not callable(maker):
@@ -129,3 +134,28 @@ def load(kind: Kind, url: PluginUrl, *, emulator: bool = False) -> Plugin:
 def _source(plug: EntryPoint) -> str:
     package = f"{plug.dist.name} {plug.dist.version}" if plug.dist else "an unknown package"
     return f"{package} ({plug.value})"
+
+
+def short(said: str) -> str:
+    """Another's words on one line, as far as they have room in a message, and can be printed."""
+    said = "".join(filter(str.isprintable, " ".join(said.split())))
+    return said if len(said) <= SAID else f"{said[: SAID - 3]}..."
+
+
+def by_ctrl_c(error: BaseException) -> bool:
+    """Whether a signal may have raised it: that of the bench's own handler is a subclass."""
+    plain = type(error) is KeyboardInterrupt and signal.getsignal(signal.SIGINT)
+    return isinstance(error, KeyboardInterrupt) and plain in (False, signal.default_int_handler)
+
+
+@contextmanager
+def in_our_folder() -> Iterator[None]:
+    """Some libraries change the working folder, by which files of a run are named."""
+    folder = Path()
+    with suppress(OSError):  # it may be gone
+        folder = Path.cwd()
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            os.chdir(folder)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from instruments.clock import Clock
 from instruments.drivers.border import Plugged, PluginBoundary
-from instruments.drivers.entry_points import Plugin
+from instruments.drivers.entry_points import Plugin, short
 from instruments.drivers.plugin import StageDriver, StageState
 from instruments.errors import DeviceError, InstrumentError, LimitError
 from instruments.stage.calls import StageCalls
@@ -63,15 +63,9 @@ class PluggedStage(Plugged, StageCalls):
         lows, highs = border.call("limits", lambda stage: self._ends(stage.limits))
         version, plugged = ", ".join(f"{key} {value}" for key, value in who.items()), border.plugged
         identity = StageIdentity(plugged.name, version, plugged.source, "")
-        settings = StageSettings(
-            travel_mm=tuple(np.subtract(highs, lows).tolist()),
-            rate_mm_min=(feed,) * len(self._letters),
-            accel_mm_s2=tuple(math.inf for _ in self._letters),
-            steps_per_mm=tuple(1000.0 for _ in self._letters),
-            homing_seek_mm_min=feed,
-            homing_feed_mm_min=feed,
-            low_mm=lows,
-        )
+        travel, each = tuple(np.subtract(highs, lows).tolist()), len(self._letters)
+        most = (feed,) * each, (math.inf,) * each, (1000.0,) * each  # rate, acceleration, steps
+        settings = StageSettings(travel, *most, feed, feed, low_mm=lows)
         self._identified = identity, settings
         return identity
 
@@ -106,7 +100,7 @@ class PluggedStage(Plugged, StageCalls):
         self._border.call("home", lambda stage: stage.home(), HOMING_S)
         state = self._until_still(self._clock.now() + HOMING_S, "homing takes too long")
         if not state.homed:
-            raise DeviceError(self.who, "it is not homed after homing", hint="See its controller.")
+            raise DeviceError(self.who, "it is not homed after homing", hint=self._border.look)
         self._homed_at, self.moves = self._border.opened, False
 
     def cancel_jog(self) -> None:
@@ -187,8 +181,9 @@ class PluggedStage(Plugged, StageCalls):
 
     def _until_still(self, deadline_s: float, late: str, *, aside: bool = False) -> StageState:
         while (state := self._state(aside=aside)).moving:
+            hint = f"Cut its power. {self._border.look}"
             if self._clock.now() > deadline_s:
-                raise DeviceError(self.who, late, seen="moving", hint="Cut its power.")
+                raise DeviceError(self.who, late, seen="moving", hint=hint)
             self._clock.sleep(POLL_S)
         return state
 
@@ -201,7 +196,8 @@ class PluggedStage(Plugged, StageCalls):
         if state.fault or not state.homed:
             self._homed_at = 0
         if state.fault and not aside:
-            raise DeviceError(self.who, state.fault, hint="Cure it; a run then homes it.")
+            hint = f"Cure it; a run then homes it. {self._border.look}"
+            raise DeviceError(self.who, state.fault, hint=hint)
         return state
 
     def _checked(self, given: object) -> StageState:
@@ -213,4 +209,4 @@ class PluggedStage(Plugged, StageCalls):
         moving, homed = border.flag(given.moving, "moving"), border.flag(given.homed, "homed")
         place = {axis: given.place.get(axis, None if axis in self.axes else 0.0) for axis in AXES}
         numbers = {axis: border.number(at, f"place of axis {axis}") for axis, at in place.items()}
-        return StageState(numbers, moving, homed, str(given.fault or ""))
+        return StageState(numbers, moving, homed, short(str(given.fault or "")))

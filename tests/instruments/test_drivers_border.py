@@ -4,15 +4,19 @@ members gives or raises; and what comes out of it is a value that the bench can 
 
 from __future__ import annotations
 
+import itertools
+import os
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
 from decimal import Decimal
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from bench.safety.signals import installed
 from instruments import (
     ArmPoint,
     BathState,
@@ -158,6 +162,7 @@ ODD: list[tuple[str, str, Any, str]] = [
     ("stage", "read()", StageState(AT, NONE, False), "moving is neither"),
     ("stage", "read()", StageState(np.zeros(2), False, False), "place is no mapping by axis"),  # type: ignore[arg-type]
     ("stage", "limits", {"x": (0, 300), "y": (0, 300)}, "limits are no pairs of numbers by axis"),
+    ("stage", "read()", StageState(PLACE, False, True, "\x1b[31mlid\nopen"), r": \[31mlid open.*pkg 1"),
     ("stage", "axes", "xy", "axes are none of XY, XYZ, XYA, XYZA"),
     ("arm", "read()", ArmPoint(np.zeros(3), moving=TEXT), "moving is neither"),
     ("camera", "take()", GREY, r"no RawFrame \(got ndarray"),
@@ -179,6 +184,31 @@ def test_an_odd_value_is_taken_or_called_by_its_name(
         device = MAKES[kind](Plugin("d", "pkg 1", driver(kind, member, given)), VirtualClock())
         for number in ASKED[kind]:
             CALLS[kind](device)[number]()
+
+
+def test_a_driver_does_not_interrupt_the_bench_nor_change_its_folder(tmp_path: Path) -> None:
+    """In virtual time, where the bench handles signals; its words are cut, and can be printed."""
+    made, here = driver("bath", "read()", None), Path.cwd()
+
+    def odd(_: object) -> None:
+        os.chdir(tmp_path)
+        raise KeyboardInterrupt("\x1b[31m" + "x" * 999)
+
+    made.read = odd  # type: ignore[attr-defined]
+    said = r"^bath d: KeyboardInterrupt: \[31mx{100,180}\.\.\. .*the plug-in d of pkg 1"
+    with installed(), pytest.raises(InstrumentError, match=said):
+        PluggedBath(Plugin("d", "pkg 1", made), VirtualClock()).read()
+    assert Path.cwd() == here
+
+
+def test_axes_that_cancel_out_are_no_direction() -> None:
+    made, axes = driver("arm", "", None), itertools.cycle((UP, -UP))
+    made.read = lambda _: ArmPoint(np.zeros(3), next(axes))  # type: ignore[attr-defined]
+    arm = PluggedArm(Plugin("d", "pkg 1", made), VirtualClock())
+    arm.sign_on()
+    arm.confirm_homed()
+    with pytest.raises(InstrumentError, match=r"its axes are opposite.*pkg 1"):
+        arm.read()
 
 
 def test_a_key_that_is_no_number_is_said_as_a_key() -> None:

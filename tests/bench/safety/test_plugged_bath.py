@@ -98,7 +98,10 @@ REPEATED: dict[str, tuple[Act, str]] = {
     "Tank.read": (lambda rig: rig.wait(700.0), "lifeless reading"),
     "Slide.read": (lambda rig: rig.move(x_mm=5.0), r"not at its target, X = 155.*X = 150"),
     "Probe.read": (lambda rig: rig.touch(), "the end of teat 1 once more"),
-    "Eyes.capture": (lambda rig: [rig.capture(), rig.capture()], "identical to the last frame"),
+    "Eyes.capture": (
+        lambda rig: [rig.capture(), rig.capture()],
+        r"last frame.*\(the plug-in eyes of lab",
+    ),
 }
 EXPECTED = (InstrumentError, bench.InterlockTrip, bench.NotSafeError)
 

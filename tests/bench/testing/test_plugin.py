@@ -7,6 +7,7 @@ import re
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -233,8 +234,46 @@ def test_an_unknown_requirement_rig_or_detector_is_wrong_use(pytester: pytest.Py
 def test_trials_that_cannot_be_kept_are_said_by_the_option(tmp_path: Path, rig: str) -> None:
     (tmp_path / "a-file").touch()
     trials = TrialsOfTests(rig, "thesis", tmp_path / "a-file", None, {})
+    shot: Any = SimpleNamespace(truth=[None])
     with pytest.raises(bench.ConfigError, match="Name another folder as --trial-runs"):
-        trials.add("one", SimpleNamespace(truth=[None]))  # type: ignore[arg-type]
+        trials.add("one", shot)
+    with pytest.raises(
+        bench.ConfigError, match="`detector` is SimpleNamespace, but trials are of thesis"
+    ):
+        trials.add("one", shot, shot)
+
+
+def test_a_session_that_ends_early_leaves_an_aborted_run(
+    tmp_path: Path, rig: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bench.testing.trials.write_report", lambda folder: folder)
+    for early, ending in (("stopping after 1 failures", "aborted"), ("", "finished")):
+        trials = TrialsOfTests(rig, "thesis", tmp_path, None, {})
+        trials._begun()
+        run = bench.read_run(trials.end(early))  # type: ignore[arg-type]
+        assert run.facts["ending"] == ending
+        assert any(early in event.text for event in run.events)
+
+
+def test_an_interrupted_session_ends_its_run_once_fixtures_are_down(
+    pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the tests that were selected."""
+    end = lambda self, early: print(f"END {early} {[*self._required]}")  # noqa: E731
+    monkeypatch.setattr(TrialsOfTests, "end", end)
+    program = """
+        import pytest
+        @pytest.fixture
+        def hot():
+            yield
+            print("COLD")
+        @pytest.mark.requirement("no false teat")
+        def test_one(hot): pytest.exit("enough")
+        @pytest.mark.requirement("reliability")
+        def test_other(): pass
+    """
+    result = run(pytester, program, "-s", "-k", "test_one")
+    result.stdout.fnmatch_lines(["*COLD", "END interrupted [[]'no false teat']"])
 
 
 @pytest.mark.slow

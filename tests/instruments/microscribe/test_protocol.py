@@ -148,15 +148,8 @@ def test_cutting_changes_nothing(data: bytes, cuts: list[int]) -> None:
 def test_names_in_the_makers_order() -> None:
     replies = {code: reply for code, reply in rigs.REPLIES.items() if code in conf.NAMES}
     names = [conf.decode_name(code, reply) for code, reply in replies.items()]
-    assert names == [
-        "MicroScribe3D",
-        "MSCR",
-        "DX",
-        "40937",
-        "Standard+Beta",
-        "Format DH0.5",
-        "HCI 2.0",
-    ]
+    known = "MicroScribe3D, MSCR, DX, 40937, Standard+Beta, Format DH0.5, HCI 2.0"
+    assert ", ".join(names) == known
     assert list(replies) == list(conf.NAMES)
     assert list(map(conf.encode_name, conf.NAMES, names)) == list(replies.values())
 
