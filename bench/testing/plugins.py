@@ -79,13 +79,16 @@ class PluginSubject(Subject):
         self.driver.begin_move(limits["X"].high_mm - 1.0, limits["Y"].high_mm - 1.0)
 
     def recover(self) -> None:
-        if self.kind == "camera":
+        if self.kind == "stage":
+            self.driver.reconnect()
+        elif self.kind == "arm":
+            self.driver.recover()
+        elif self.kind == "camera":
             with suppress(InstrumentError):
                 self.driver.close()
             self.open()
-            return
-        again = {"stage": "reconnect", "arm": "recover"}.get(self.kind, "read")
-        getattr(self.driver, again)()
+        else:
+            self.driver.read()
 
     def safe(self) -> None:
         if self.kind != "camera":

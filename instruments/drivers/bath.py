@@ -112,9 +112,15 @@ class PluggedBath(Plugged):
     def get(self, name: str) -> float:
         """A value by the name of its row. Raises KeyError for another."""
         state, row = self._state(), self.profile.row(name)
-        seen = {"temperature": state.temp_c, "power": state.power_percent}
-        seen |= {"set_point": state.set_point_c, "external": state.external_c}
-        value = {**seen, "run": float(state.running), "alarm": float(bool(state.alarm))}[row.name]
+        values = {
+            "temperature": state.temp_c,
+            "set_point": state.set_point_c,
+            "run": float(state.running),
+            "power": state.power_percent,
+            "external": state.external_c,
+            "alarm": float(bool(state.alarm)),
+        }
+        value = values[row.name]
         return float("nan") if value is None else value
 
     def set(self, name: str, value: float | str) -> None:

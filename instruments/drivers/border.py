@@ -26,10 +26,12 @@ class PluginBoundary(Generic[Made]):
     """
 
     def __init__(self, plugged: Plugin, who: str, clock: Clock) -> None:
-        self.who, self.plugged, self.clock = who, plugged, clock
+        self.who, self.plugged = who, plugged
+        self.clock = clock
         self._made: Made | None = None
         self.locked = threading.RLock()  # so that several calls aren't parted
-        self._owner, self.opened = threading.local(), 0
+        self._owner = threading.local()
+        self.opened = 0
         self.look = f"Look at the device, then at its driver: {plugged}."
 
     def call(self, what: str, work: Callable[[Made], T], limit_s: float | None = None) -> T:

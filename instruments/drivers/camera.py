@@ -91,10 +91,13 @@ class PluggedGroup(Plugged):
         try:
             lenses = {}
             for what, one in given.lenses.items():
-                size = int(one.size_px[0]), int(one.size_px[1])
-                matrix, R = (np.asarray(it, dtype=np.float64) for it in (one.matrix, one.R))
-                distortion, T_mm = (tuple(map(float, it)) for it in (one.distortion, one.T_mm))
-                lenses[str(what)] = MakersLens(size, matrix, distortion, R, T_mm)
+                lenses[str(what)] = MakersLens(
+                    (int(one.size_px[0]), int(one.size_px[1])),
+                    np.asarray(one.matrix, dtype=np.float64),
+                    tuple(map(float, one.distortion)),
+                    np.asarray(one.R, dtype=np.float64),
+                    tuple(map(float, one.T_mm)),
+                )
             what = "sd"
             return MakersCalibration(lenses, {str(n): float(sd) for n, sd in given.sd.items()})
         except (TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:

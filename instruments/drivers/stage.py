@@ -63,9 +63,15 @@ class PluggedStage(Plugged, StageCalls):
         lows, highs = border.call("limits", lambda stage: self._ends(stage.limits))
         version, plugged = ", ".join(f"{key} {value}" for key, value in who.items()), border.plugged
         identity = StageIdentity(plugged.name, version, plugged.source, "")
-        travel, each = tuple(np.subtract(highs, lows).tolist()), len(self._letters)
-        most = (feed,) * each, (math.inf,) * each, (1000.0,) * each  # rate, acceleration, steps
-        settings = StageSettings(travel, *most, feed, feed, low_mm=lows)
+        settings = StageSettings(
+            travel_mm=tuple(np.subtract(highs, lows).tolist()),
+            rate_mm_min=(feed,) * len(self._letters),
+            accel_mm_s2=tuple(math.inf for _ in self._letters),
+            steps_per_mm=tuple(1000.0 for _ in self._letters),
+            homing_seek_mm_min=feed,
+            homing_feed_mm_min=feed,
+            low_mm=lows,
+        )
         self._identified = identity, settings
         return identity
 
