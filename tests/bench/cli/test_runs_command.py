@@ -64,6 +64,9 @@ def test_the_page_stands_alone(said: Said, runs: Path) -> None:
     assert page.count("data:image/jpeg;base64,") >= 3
     assert all(src.startswith("data:") for src in re.findall(r'src="([^"]+)"', page))
     assert 'id="health"' in page
+    started = re.findall(r">([-\d]{10} [:\d]{8})</text>", page)[0]
+    assert f">{started[11:]}</text>" in page, "a chart of one day: the times of its two ends"
+    assert f">{started[:10]}</text>" not in page
     assert "http" not in re.sub(r'http-equiv|xmlns="http://www.w3.org/2000/svg"', "", page)
     said(0, "runs {}", runs)  # its own page is no foreign folder
     assert (runs / "index.html").read_text(encoding="utf-8") == page
