@@ -6,11 +6,14 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from errno import ENOSPC
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 
 import bench
+from reports.figures.course import control_chart
 from tests.bench.commands import Said
 from tests.bench.small_run import KEPT
 
@@ -57,19 +60,24 @@ def test_false_ends_are_counted_where_no_teat_is_visible(
 
 
 def test_the_page_stands_alone(said: Said, runs: Path) -> None:
-    seen = said(0, "runs {}", runs).out
+    with patch("bench.report.runs.control_chart", wraps=control_chart) as drawn:
+        seen = said(0, "runs {}", runs).out
+    day, of_last = drawn.call_args.args[4]
+    assert day == f"{day[:10]} {of_last}", "a chart of one day: the times of its two ends"
     assert re.search(r"3 runs, \d{4}-\d\d-\d\d; (?s:.*)not a run: foreign", seen), "one day, once"
     page = (runs / "index.html").read_text(encoding="utf-8")
     assert f"Page: {runs / 'index.html'}" in seen
     assert page.count("data:image/jpeg;base64,") >= 3
     assert all(src.startswith("data:") for src in re.findall(r'src="([^"]+)"', page))
     assert 'id="health"' in page
-    started = re.findall(r">([-\d]{10} [:\d]{8})</text>", page)[0]
-    assert f">{started[11:]}</text>" in page, "a chart of one day: the times of its two ends"
-    assert f">{started[:10]}</text>" not in page
     assert "http" not in re.sub(r'http-equiv|xmlns="http://www.w3.org/2000/svg"', "", page)
     said(0, "runs {}", runs)  # its own page is no foreign folder
     assert (runs / "index.html").read_text(encoding="utf-8") == page
+
+
+def test_a_report_that_has_no_room_says_so_once(said: Said, runs: Path) -> None:
+    with patch("bench.report.page.write_report", side_effect=OSError(ENOSPC, "full")):
+        assert said(3, "report {}", runs / "first").err.count("Make room") == 1
 
 
 def test_a_folder_without_runs_stays_as_it_was(said: Said, tmp_path: Path) -> None:
