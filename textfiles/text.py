@@ -55,8 +55,9 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 def plural(n: int, thing: str, verb: str = "") -> str:
-    """``1 pose``, ``59 poses``, ``3 touches``; with a verb ``1 pose was``, ``59 poses were``."""
+    """``1 pose``, ``59 poses``, ``2 tries``; with a verb ``1 pose was``, ``59 poses were``."""
     if n != 1:
+        thing = f"{thing[:-1]}ie" if thing.endswith("ry") else thing
         thing += "es" if thing.endswith("ch") else "s"
         verb = {"has": "have", "is": "are", "was": "were"}.get(verb, verb)
     return f"{n} {thing} {verb}".rstrip()

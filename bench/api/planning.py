@@ -12,6 +12,7 @@ from bench.api.shots import AnyRig, load_rig
 from bench.config import all_of, check_within, wrong_use
 from bench.dry_run.pose_checks import Finding, ScriptCheck, dry_run, stage_settings
 from bench.dry_run.rehearsal import NoTwinError, rehearse
+from bench.rig.loading import LoadedRig
 from bench.run.estimate import (
     ASSUMED,
     UNITS,
@@ -47,6 +48,7 @@ class ScriptPlan:
     seed: int
     time: TimeEstimate
     assumed: Mapping[str, tuple[float, str]]
+    rig: LoadedRig
 
 
 def plan_script(script: AnyScript = None, rig: AnyRig = "emulated") -> ScriptPlan:
@@ -59,7 +61,7 @@ def plan_script(script: AnyScript = None, rig: AnyRig = "emulated") -> ScriptPla
     rows = tuple(dict(zip(POSE_KEYS, row, strict=True)) for row in found["poses"])
     assumed = {name: (value, UNITS.get(name, "s")) for name, value in ASSUMED.items()}
     time = estimate(on, loaded)
-    return ScriptPlan(loaded, rows, tuple(found["chosen"]), s.order, s.seed, time, assumed)
+    return ScriptPlan(loaded, rows, tuple(found["chosen"]), s.order, s.seed, time, assumed, on)
 
 
 def check_script(

@@ -208,8 +208,8 @@ def _unforeseen(error: Exception) -> int:
         if is_unreadable(error):
             return complain(f"{error.filename} can't be read: {error.strerror}", CODES.wrong_use)
         text = ": ".join(str(part) for part in (error.filename, error.strerror) if part)
-        hint = "Make room." if is_full(error) else HINT
-        return complain(f"{text}. {hint}" if error.errno else str(error), CODES.fault)
+        hint = "" if "Make room" in text else " Make room." if is_full(error) else f" {HINT}"
+        return complain(f"{text}.{hint}" if error.errno else str(error), CODES.fault)
     traceback.print_exception(error)
     return complain("internal error; please report the traceback above", CODES.fault)
 

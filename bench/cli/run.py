@@ -143,7 +143,7 @@ def resume(given: argparse.Namespace) -> int:
     console = Terminal()
     with undamaged([given.run], given) as damage:
         if bench.read_run(given.run).ending == "finished" and not _is_reported(given.run):
-            print(f"{given.run}: every trial is done, the bench died before it wrote the report")
+            print(f"{given.run}: every trial is done; the report was not written yet")
             return show_verdict(console, bench.write_report(given.run, damage=damage))
         rig = bench.rig_of_run(given.run)
         with _followed(given, console, rig) as (progress, begun, word):

@@ -24,14 +24,13 @@ def listed(given: argparse.Namespace) -> None:
 
 
 def show(given: argparse.Namespace) -> int:
-    rig = given.rig or "emulated"
-    found, rig = bench.plan_script(given.script, rig), bench.load_rig(rig)
+    found = bench.plan_script(given.script, given.rig or "emulated")
     time, script, rows = found.time, found.script, found.trials
     if given.json:
         shown = {
             "script": script.name,
             "title": script.script.title,
-            "rig": rig.rig.name,
+            "rig": found.rig.rig.name,
             **{key: getattr(found, key) for key in ("chosen", "order", "seed", "trials")},
             "estimate": {**asdict(time), "total_s": time.total_s},
             "assumed": {f"{key} [{unit}]": value for key, (value, unit) in found.assumed.items()},

@@ -184,14 +184,14 @@ def guardian_text(record: Mapping[str, Any]) -> str:
             more = f" {BY_HAND['stage']}: IT COULD NOT BE STOPPED ({stage['error']})."
     if not record["standby"] and "handed_over" in record:
         return (
-            f"{what}; the guardian had not reached the bath in {record['tries']} tries"
+            f"{what}; the guardian had not reached the bath in {plural(record['tries'], 'try')}"
             f" ({record['error']}) when it handed it over to a later session at"
             f" {record['handed_over']}.{more}"
         )
     if not record["standby"]:
         return (
             f"{what}. {BY_HAND['bath']}: THE GUARDIAN COULD NOT REACH THE BATH in"
-            f" {record['tries']} tries ({record['error']}).{more}"
+            f" {plural(record['tries'], 'try')} ({record['error']}).{more}"
         )
     more += " The hung bench kept the port and was ended." if record.get("killed") else ""
     more += f" The pump {record['pump']}." if "pump" in record else ""

@@ -428,7 +428,7 @@ def _orphaned(
         found = guardian.get("stage") or {"stands": False}
         safe, error = found["stands"], "not stopped" if "error" in found else "nobody has asked it"
     else:
-        safe, error = guardian["standby"], f"not reached in {guardian['tries']} tries"
+        safe, error = guardian["standby"], f"not reached in {plural(guardian['tries'], 'try')}"
     if safe:
         return replace(one, safe=Safe.READ_BACK)
     return replace(one, safe=Safe.FAILED, how=error, by_hand=BY_HAND[one.name])

@@ -237,23 +237,24 @@ class Events:
             return
         with self._lock:
             self._number += 1
-            line = {
-                "number": self._number,
-                "wall_time": wall_time().isoformat(timespec="milliseconds"),
-                "t_s": self.now_s(),
-                "what": what,
-                **more,
-            }
+            now, number = wall_time().isoformat(timespec="milliseconds"), self._number
+            line = {"number": number, "wall_time": now, "t_s": self.now_s(), "what": what, **more}
             whole = json.dumps(line, ensure_ascii=False).encode() + b"\n"
-            for name, file in list(self._files.items()):
+            failed: dict[str, Exception] = {}
+            for name, file in self._files.items():
                 try:
-                    if file.write(whole) != len(whole):
+                    if (wrote := file.write(whole) or 0) != len(whole):
+                        with suppress(OSError):  # a pipe has no half line to take back
+                            file.truncate(file.tell() - wrote)
                         raise OSError("the disk is full")
                 except Exception as error:  # whatever it is, it only listened
-                    self._file_failed(name, error)
+                    failed[name] = error
+            for name in failed:
+                del self._files[name]  # before any warning, which is a line of the others
+            for name, error in failed.items():
+                self._file_failed(name, error)
 
     def _file_failed(self, name: str, error: Exception) -> None:
-        self._files.pop(name, None)
         why = f"{name}: no further lines: {error}"
         self.warn(why)
         self.not_shown(why)

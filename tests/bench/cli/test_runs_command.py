@@ -6,7 +6,9 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from errno import ENOSPC
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 
@@ -67,6 +69,11 @@ def test_the_page_stands_alone(said: Said, runs: Path) -> None:
     assert "http" not in re.sub(r'http-equiv|xmlns="http://www.w3.org/2000/svg"', "", page)
     said(0, "runs {}", runs)  # its own page is no foreign folder
     assert (runs / "index.html").read_text(encoding="utf-8") == page
+
+
+def test_a_report_that_has_no_room_says_so_once(said: Said, runs: Path) -> None:
+    with patch("bench.report.page.write_report", side_effect=OSError(ENOSPC, "full")):
+        assert said(3, "report {}", runs / "first").err.count("Make room") == 1
 
 
 def test_a_folder_without_runs_stays_as_it_was(said: Said, tmp_path: Path) -> None:

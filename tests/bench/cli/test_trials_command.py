@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from unittest.mock import patch
 
 import pytest
 
+from bench.config import read_config
 from bench.rig.loading import find_rig, load_rig, shipped
 from bench.run.estimate import ASSUMED, estimate, move_s
 from bench.scoring.decisions import decide_error
@@ -41,18 +43,12 @@ def test_show_cuts_no_name(columns: str, monkeypatch: pytest.MonkeyPatch, said: 
 
 
 def test_show_as_json(said: Said) -> None:
-    text = json.loads(said(0, "trials show repeatability --json").out)
+    with patch("bench.rig.loading.read_config", wraps=read_config) as read:
+        text = json.loads(said(0, "trials show repeatability --json").out)
+    assert sum(call.args[0] == find_rig("emulated") for call in read.call_args_list) == 1
     assert len(text["trials"]) == 150
-    assert text["trials"][1] == {
-        "id": "002-p-2-1",
-        "pose": "p-2",
-        "repeat": 1,
-        "x_mm": 104.0,
-        "y_mm": 96.0,
-        "z_mm": 0.0,
-        "yaw_deg": 0.0,
-        "from": None,
-    }
+    place = {"x_mm": 104.0, "y_mm": 96.0, "z_mm": 0.0, "yaw_deg": 0.0, "from": None}
+    assert text["trials"][1] == {"id": "002-p-2-1", "pose": "p-2", "repeat": 1, **place}
     parts = {key: value for key, value in text["estimate"].items() if key != "total_s"}
     assert text["estimate"]["total_s"] == pytest.approx(sum(parts.values()))
     assert text["assumed"]["touch [s]"] == ASSUMED["touch"]

@@ -23,7 +23,7 @@ from bench.record.reader import read_run
 from bench.record.schema import DATABASE
 from bench.record.writer import FolderGoneError, Store
 from bench.results.status import read_status
-from bench.run.events import Events, RunState, event_lines
+from bench.run.events import EVENTS_FILE, Events, RunState, event_lines, read_events
 from instruments.clock import stopwatch_s
 from instruments.operators.emulated import EmulatedOperator
 from instruments.operators.operator import Arrangement
@@ -234,14 +234,21 @@ def test_a_busy_computer_is_no_clock_that_is_set(
     assert texts(run, "clock") == []
 
 
-def test_a_file_for_lines_that_fails_ends_nothing(tmp_path: Path) -> None:
+def test_a_file_for_lines_that_fails_ends_nothing_and_has_no_half_line(tmp_path: Path) -> None:
+    class Full(FileIO):
+        def write(self, data: Any) -> int:
+            return super().write(bytes(data)[:40])  # what still had room
+
     with FileIO(tmp_path / "e", "a") as closed:
         pass
+    (tmp_path / EVENTS_FILE).write_bytes(b'{"number": 7}\n')
     events = Events(shown := Silent(), closed)
-    for text in ("preparing", "capturing"):
-        events.state(text)
-    assert len(shown.warned) == 1, "it is told once"
-    assert "--events: no further lines" in shown.warned[0]
+    with patch("bench.run.events.FileIO", Full), events.kept_in(tmp_path):
+        for text in ("preparing", "capturing"):
+            events.state(text)
+    told = [f"{name}: no further lines" for name in ("--events", EVENTS_FILE)]
+    assert [": ".join(said.split(": ")[:2]) for said in shown.warned] == told, "each once"
+    assert [line["number"] for line in read_events(tmp_path)] == [7]
 
 
 def test_a_file_for_lines_that_cannot_be_opened_is_wrong_use(tmp_path: Path) -> None:

@@ -206,7 +206,7 @@ def test_of_a_finished_run_a_report_may_be_left_and_its_states_are_in_its_record
     run = read_run(only_run(undisturbed[0], "whole"))
     assert not (run.folder / "report").exists()
     assert main(["resume", str(run.folder)]) in (0, 1, 4)
-    assert "the bench died before it wrote the report" in capsys.readouterr().out
+    assert "the report was not written yet" in capsys.readouterr().out
     assert (run.folder / "report" / "index.html").is_file()
     assert "is finished: nothing is left to do" in said(2, "resume {}", run.folder).err
     assert texts(run, EVENT) == ["preparing", "settling", "running", "safing", "finished"]
