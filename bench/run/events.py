@@ -251,8 +251,8 @@ class Events:
                     failed[name] = error
             for name in failed:
                 del self._files[name]  # before any warning, which is a line of the others
-            for name, error in failed.items():
-                self._file_failed(name, error)
+            for name, why in failed.items():
+                self._file_failed(name, why)
 
     def _file_failed(self, name: str, error: Exception) -> None:
         why = f"{name}: no further lines: {error}"

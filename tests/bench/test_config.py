@@ -129,8 +129,14 @@ def test_a_fault_in_the_calibration_is_shown_in_the_calibration(tmp_path: Path) 
 def test_shipped_scripts_load() -> None:
     loaded = load_script(find_script(None))
     script = loaded.script
-    named = "non_vertical overlapping spurious_teat hot_body_at_base hot_body_at_ends cooler_bodies"
-    assert [trial.situation for trial in script.trials] == named.split()
+    assert [trial.situation for trial in script.trials] == [
+        "non_vertical",
+        "overlapping",
+        "spurious_teat",
+        "hot_body_at_base",
+        "hot_body_at_ends",
+        "cooler_bodies",
+    ]
     published = [trial.published.found for trial in script.trials if trial.published]
     assert published == [4, 3, 4, 4, 0, 3]
     assert len(loaded.planned) == 18

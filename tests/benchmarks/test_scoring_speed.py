@@ -33,9 +33,19 @@ def drawn() -> tuple[Floats, Floats]:
 
 
 def scored(truth: Floats, found: Floats) -> list[SceneScore]:
-    how = {"u_mm": 0.3, "seconds": 0.2, "limit_mm": 5.0, "time_limit_s": 2.0}
-    each = zip(truth, found, strict=True)
-    return [score_scene(seen, ends, VISIBLE, **how, hidden_claimed=0) for ends, seen in each]
+    return [
+        score_scene(
+            seen,
+            ends,
+            VISIBLE,
+            u_mm=0.3,
+            seconds=0.2,
+            limit_mm=5.0,
+            time_limit_s=2.0,
+            hidden_claimed=0,
+        )
+        for ends, seen in zip(truth, found, strict=True)
+    ]
 
 
 def whole(truth: Floats, found: Floats) -> tuple[ErrorSummary, list[Decision], Trend]:

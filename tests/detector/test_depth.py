@@ -24,8 +24,14 @@ from instruments.world.situations import situation
 from tests.bench.commands import teatbench
 
 Array = NDArray[np.float64]
-FAMILIES = ["ideal", "non_vertical", "hot_body_at_ends", "cooler_bodies"]
-FAMILIES += ["anywhere", "low_contrast"]
+FAMILIES = [
+    "ideal",
+    "non_vertical",
+    "hot_body_at_ends",
+    "cooler_bodies",
+    "anywhere",
+    "low_contrast",
+]
 NOTHING = np.zeros((2, 2), np.uint8)
 USUAL = DepthSensor()
 PERFECT = DepthSensor(noise_mm=0.0, cyclic_mm=0.0, second_path=0.0, blur_px=0.0)

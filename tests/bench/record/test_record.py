@@ -516,6 +516,12 @@ def test_all_that_was_said_is_durable_before_the_next_physical_action(
     spoken = Spoken(monkeypatch)
     assert start(tmp_path)[1] is RunState.FINISHED
     assert spoken.said["trials"] == 3
-    steps = "Stage.home Stage.move_to Bath.start Bath.safe EmulatedOperator._set_up EmulatedOperator._touch"
-    assert set(steps.split()) <= set(spoken.looked)
+    assert {
+        "Stage.home",
+        "Stage.move_to",
+        "Bath.start",
+        "Bath.safe",
+        "EmulatedOperator._set_up",
+        "EmulatedOperator._touch",
+    } <= set(spoken.looked)
     assert spoken.looked["Stage.move_to"] >= 3

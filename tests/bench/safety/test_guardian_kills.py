@@ -75,8 +75,14 @@ KILLED = (
     "homing",
     "preparing",
 )
-ASKED = ("going to safe", "detecting", "capturing", "setting up", "heating")
-ASKED = (*ASKED, "checking the arm before")
+ASKED = (
+    "going to safe",
+    "detecting",
+    "capturing",
+    "setting up",
+    "heating",
+    "checking the arm before",
+)
 NOT_YET_HEATING = ("preparing", "checking the arm before", "homing")
 PAST_ENDING = ("going to safe",)  # what is asked there is noted: the run has ended already
 

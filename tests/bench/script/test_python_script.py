@@ -74,9 +74,6 @@ def test_a_run_keeps_the_file_and_what_it_gave(tmp_path: Path) -> None:
     assert load_script(run.folder / "script.toml").planned == load_script(path).planned
 
 
-KINDS = ["syntax", "nothing in it", "an error of its own", "no table", "endless", "a wrong key"]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "words"),
@@ -100,7 +97,17 @@ KINDS = ["syntax", "nothing in it", "an error of its own", "no table", "endless"
             r"trials\[1\]\.poses\[1\]\.x_mm is a object; it has to be text, a number",
         ),
     ],
-    ids=[*KINDS, "leaves", "no generator", "no value"],
+    ids=[
+        "syntax",
+        "nothing in it",
+        "an error of its own",
+        "no table",
+        "endless",
+        "a wrong key",
+        "leaves",
+        "no generator",
+        "no value",
+    ],
 )
 def test_what_is_wrong_is_reported_with_its_place(text: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=words):

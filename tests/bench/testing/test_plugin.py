@@ -252,7 +252,7 @@ def test_a_session_that_ends_early_leaves_an_aborted_run(
         trials._begun()
         run = bench.read_run(trials.end(early))  # type: ignore[arg-type]
         assert run.facts["ending"] == ending
-        assert any(early in event.text for event in run.events)
+        assert any(early in str(event) for event in run.events)
 
 
 def test_an_interrupted_session_ends_its_run_once_fixtures_are_down(

@@ -382,8 +382,17 @@ def test_another_programs_parser_reads_what_the_emulated_grbl_says(
 
 
 EXTREMES = ("0", "0.001", "9" * 60)
-MOVES = ("$J=G91X-1F1000", "G91G1X-1Y-2F1000", "G0Z-0.001", "G2X1Y1I1F500", "G38.3Z-1F100")
-AFTERWARDS = (*MOVES, "G90G53G0X0", "$H", "G20X1", "$#")
+AFTERWARDS = (
+    "$J=G91X-1F1000",
+    "G91G1X-1Y-2F1000",
+    "G0Z-0.001",
+    "G2X1Y1I1F500",
+    "G38.3Z-1F100",
+    "G90G53G0X0",
+    "$H",
+    "G20X1",
+    "$#",
+)
 
 
 @pytest.mark.slow
