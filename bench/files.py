@@ -1,5 +1,4 @@
-"""Files that are on the disk whole or not at all: written beside their place, synced, renamed, and
-their folder synced.
+"""A record's files, which are on the disk whole or not at all, in folders that are synced too.
 
 Pictures are PNG: 8 bits a pixel compressed, 16 bits of a sensor stored, since their lower half is
 noise (docs/record.md has the figures).
@@ -10,7 +9,6 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
@@ -19,6 +17,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from textfiles.whole import replace_whole, sync_folder
 
 Picture = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -62,24 +62,6 @@ def write_synced(path: Path, data: bytes) -> None:
         replace_whole(path, data, synced=True)
 
 
-def replace_whole(path: Path, data: bytes, *, synced: bool = False) -> None:
-    """``data`` at ``path``: who reads it finds all of it, or what was there."""
-    if path.is_dir():  # before anything is left beside it
-        raise IsADirectoryError(f"{path} is a folder")
-    part = path.with_name(path.name + ".part")
-    try:
-        with part.open("wb") as file:
-            file.write(data)
-            if synced:
-                file.flush()
-                _sync(file.fileno())
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        error.filename = error.filename or str(path)  # a full disk names none
-        raise
-    part.replace(path)
-
-
 @contextmanager
 def new_folders(*folders: Path, each: Callable[..., Iterable[None]] = map) -> Iterator[None]:
     """``folders``, made and synced; where the block fails, new ones that are empty go again."""
@@ -101,27 +83,6 @@ def _made(folder: Path) -> list[Path]:
     missing = missing[: next((k for k, one in enumerate(missing) if one.is_dir()), 0)]
     folder.mkdir(parents=True, exist_ok=True)
     return missing
-
-
-def sync_folder(folder: Path) -> None:
-    """Make the names in ``folder`` durable; Windows does it with the rename."""
-    if os.name == "nt":
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        _sync(handle)
-    finally:
-        os.close(handle)
-
-
-def _sync(handle: int) -> None:
-    """Down to the platter: macOS's fsync stops at the drive's cache (fsync(2) there)."""
-    if sys.platform == "darwin":
-        import fcntl
-
-        fcntl.fcntl(handle, fcntl.F_FULLFSYNC)
-    else:
-        os.fsync(handle)
 
 
 def sha256_of(path: Path) -> str:

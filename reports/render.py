@@ -8,7 +8,6 @@ in the page; many get a file each.
 
 import base64
 import hashlib
-import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -37,6 +36,7 @@ from reports.glossary import GlossaryLinks, Term, style_rules
 from reports.page import WORDS, Cell, Column, Drawn, Figure, Page, Part, Section, Table, TrialPart
 from reports.sanitize import sanitized
 from reports.trust import PageError, address
+from textfiles.whole import replace_whole
 
 IN_PAGE = 40  # trials, each counted once a detector: more get a file each
 TRIALS = "trials"  # their folder
@@ -272,12 +272,7 @@ def _apart(page: Page) -> dict[str, str]:
 
 def write_whole(target: Path, html: str) -> Path:
     """Writes `html` to `target`, whole or not at all."""
-    draft = target.with_name(target.name + ".part")
-    with draft.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(html)
-        file.flush()
-        os.fsync(file.fileno())
-    draft.replace(target)
+    replace_whole(target, html.encode(), synced=True)
     return target
 
 

@@ -18,6 +18,7 @@ from filelock import FileLock
 
 from bench.config import ConfigError
 from bench.files import new_folders, write_synced
+from textfiles.whole import sync
 
 LEDGER, LOCK = "ledger.txt", "ledger.lock"
 REMOVED = "removed"  # in place of a digest: the file was merged into another, or is not needed
@@ -157,7 +158,7 @@ class Ledger:
             # after a line that a crash cut, so that this one is whole
             file.write(text.encode() if begins or self._ends_a_line() else b"\n" + text.encode())
             file.flush()
-            os.fsync(file.fileno())
+            sync(file.fileno())
 
     def _ends_a_line(self) -> bool:
         with (self.folder / LEDGER).open("rb") as file:

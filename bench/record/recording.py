@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.config import beside
-from bench.files import replace_whole
 from bench.record.schema import DATABASE
 from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import FrameSet, grey8, no_temperatures
 from instruments.errors import DeviceError
 from textfiles.tables import Row, TableError, read_table
 from textfiles.text import TextError, text_of
+from textfiles.whole import replace_whole
 
 PNG = b"\x89PNG\r\n\x1a\n"
 PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)

@@ -25,6 +25,7 @@ from filelock import FileLock, Timeout
 from bench.record.state import lives
 from instruments.bath.connection import LineError, parse_line
 from instruments.errors import LimitError
+from textfiles.whole import replace_whole
 
 HAND_OVER_S = 5.0  # a guardian that acts answers within a tenth of a second
 POLL_S = 0.05
@@ -34,13 +35,8 @@ HANDED_OVER = "handed_over"
 
 def write_note(path: Path, note: Mapping[str, Any]) -> None:
     """Whole or not at all; a disk that is full or gone doesn't keep a guardian from acting."""
-    part = path.with_name(path.name + ".part")
     with suppress(OSError):
-        with part.open("w", encoding="utf-8") as file:
-            json.dump(note, file, indent=1)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
+        replace_whole(path, json.dumps(note, indent=1).encode(), synced=True)
 
 
 def bath_name(url: str) -> str:

@@ -14,13 +14,13 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from bench.files import replace_whole
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import LoadedRig
 from bench.toml import toml_text
 from instruments.camera.cameras import KNOWN
 from instruments.clock import Clock, wall_time
 from instruments.stage.emulator.board import StageFault
+from textfiles.whole import replace_whole
 
 REQUESTS = "practice.jsonl"
 SHOWN = "practice.json"  # in the run's folder, while the emulators are up

@@ -18,7 +18,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.files import replace_whole
 from bench.results.status import LIVE, RunStatus
 from bench.safety.bath_monitor import BathMonitor
 from bench.safety.interlocks import RULES
@@ -26,6 +25,7 @@ from bench.truth.touching import Ends
 from instruments.camera.frame import FrameSet
 from instruments.clock import stopwatch_s
 from instruments.operators.mailbox import FOLDER
+from textfiles.whole import replace_whole
 
 EVERY_S = 0.1
 WIDE_PX = 480  # of the pictures

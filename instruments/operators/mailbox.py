@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter
 
 from instruments.clock import wall_time
 from instruments.operators import operator as op
+from textfiles.whole import sync
 
 FOLDER, PROMPT, ANSWERS = "console", "prompt.json", "answers"
 LONGEST, LONGEST_NUMBER = 1 << 20, 16  # bytes of a file, digits of a number
@@ -165,7 +166,7 @@ def _create(folder: Path, number: int, words: str, by: str) -> Reply:
         with part.open("xb") as file:
             file.write(data)
             file.flush()
-            os.fsync(file.fileno())
+            sync(file.fileno())
         os.link(part, place)
     except FileExistsError:
         there = read_answer(folder, number)

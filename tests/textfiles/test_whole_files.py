@@ -1,0 +1,44 @@
+"""A file is whole, or as it was, whoever writes it; a disk that is full leaves nothing beside it."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+from collections.abc import Callable
+from contextlib import nullcontext
+from pathlib import Path
+
+import pytest
+
+from bench.files import write_synced
+from bench.rig.hand_over import write_note
+from reports.render import write_whole
+from textfiles.whole import replace_whole
+
+WRITERS: dict[str, Callable[[Path], object]] = {
+    "any file": lambda path: replace_whole(path, b"new", synced=True),
+    "a record's": lambda path: write_synced(path, b"new"),
+    "a page": lambda path: write_whole(path, "new"),
+    "a guardian's note": lambda path: write_note(path, {"new": True}),
+}
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_on_a_full_disk_it_is_as_it_was(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    monkeypatch.setattr("sys.platform", "linux")  # where it is fsync that syncs
+    (path := tmp_path / "a file").write_text("old", encoding="utf-8")
+    goes_on = kind == "a guardian's note"
+    with nullcontext() if goes_on else pytest.raises(OSError, match=re.escape(str(path))):
+        WRITERS[kind](path)
+    assert [one.name for one in tmp_path.iterdir()] == ["a file"]
+    assert path.read_text(encoding="utf-8") == "old"
+    monkeypatch.undo()
+    WRITERS[kind](path)
+    assert "new" in path.read_text(encoding="utf-8")
