@@ -281,6 +281,9 @@ def pytest_sessionfinish(session: pytest.Session) -> Generator[None, None, None]
             session.config.stash[_TEXT] = f"{reported.verdict}. Report: {reported.page}"
             if reported.verdict == "not met" and session.exitstatus == pytest.ExitCode.OK:
                 session.exitstatus = pytest.ExitCode.TESTS_FAILED
+        elif trials and session.config.stash[_REQUIRED] and not session.config.option.collectonly:
+            names = ", ".join(session.config.stash[_REQUIRED])
+            session.config.stash[_TEXT] = f"Not decided, no trial was recorded: {names}"
 
 
 _TEXT = pytest.StashKey[str]()

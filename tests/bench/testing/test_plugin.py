@@ -159,6 +159,24 @@ def test_what_is_not_safe_ends_the_session(pytester: pytest.Pytester) -> None:
     result.stdout.fnmatch_lines("*NOT SAFE: its relay sticks*")
 
 
+def test_a_requirement_without_a_trial_is_said_not_to_be_decided(
+    pytester: pytest.Pytester, rig: str
+) -> None:
+    program = """
+        import pytest
+
+        @pytest.mark.requirement("no false teat")
+        def test_one():
+            pass
+    """
+    says = "Not decided, no trial was recorded: no false teat"
+    result = run(pytester, program, "--rig", rig, "--detector", "thesis")
+    assert says in result.stdout.str()
+    assert not (pytester.path / "runs").exists()
+    listed = run(pytester, program, "--rig", rig, "--detector", "thesis", "--collect-only")
+    assert says not in listed.stdout.str()
+
+
 @pytest.mark.slow
 def test_trials_of_tests_are_a_run_with_a_verdict(pytester: pytest.Pytester, rig: str) -> None:
     program = f"""{SCENE}
