@@ -146,7 +146,7 @@ def open_arm(
                 console.in_run = False
             arm.asked_of(operator)
             if on_peg is not None and not arm.pedals:
-                what = "only a MicroScribe can be homed: another arm's software does that"
+                what = "only a MicroScribe can be homed: the software of another arm does that"
                 raise ConfigError.plain(what)
             text = PEG if on_peg is False else HOMED if arm.pedals else arm.homing
             if on_peg is False or (ask and not homed):

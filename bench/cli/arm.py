@@ -50,7 +50,7 @@ def watch(given: argparse.Namespace) -> None:
     opened = bench.open_arm(given.port, homed=given.homed, ask=True, **_link(given))
     with closing(clock), opened as arm:
         if not arm.pedals:
-            what = "only a MicroScribe can be watched: another arm's software does that"
+            what = "only a MicroScribe can be watched: the software of another arm does that"
             raise bench.ConfigError.plain(what)
         end_s = clock.now() + (given.seconds or math.inf)
         with suppress(KeyboardInterrupt), closing(bench.watch_arm(arm)) as views:
