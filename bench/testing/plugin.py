@@ -276,13 +276,14 @@ def pytest_sessionfinish(session: pytest.Session) -> Generator[None, None, None]
         return (yield)
     finally:
         trials = session.config.stash.get(_TRIALS, None)
+        required = session.config.stash.get(_REQUIRED, None)
         early = session.shouldfail or session.shouldstop or "interrupted" * (session.exitstatus > 1)
         if trials and (reported := trials.end(str(early or ""))):
             session.config.stash[_TEXT] = f"{reported.verdict}. Report: {reported.page}"
             if reported.verdict == "not met" and session.exitstatus == pytest.ExitCode.OK:
                 session.exitstatus = pytest.ExitCode.TESTS_FAILED
-        elif trials and session.config.stash[_REQUIRED] and not session.config.option.collectonly:
-            names = ", ".join(session.config.stash[_REQUIRED])
+        elif trials and required and not session.config.option.collectonly:
+            names = ", ".join(required)
             session.config.stash[_TEXT] = f"Not decided, no trial was recorded: {names}"
 
 
