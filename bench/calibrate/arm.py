@@ -250,8 +250,8 @@ def verify(session: ArmSession, plan: VerificationPlan, made: datetime) -> Verif
     names = {1: ("middle",), 2: ("near", "far"), 3: ("near", "middle", "far")}[plan.distances]
     locations = []
     for name in names:
-        fast = f"It must not move until its {plan.touches} touches are done."
-        session.ask(f"Fix the divot {DIVOTS[name]}. {fast}")
+        still = f"It must not move until its {plan.touches} touches are done."
+        session.ask(f"Fix the divot {DIVOTS[name]}. {still}")
         test = _divot(session, name, plan.touches)
         locations.append(test)
         session.say(
@@ -263,8 +263,8 @@ def verify(session: ArmSession, plan: VerificationPlan, made: datetime) -> Verif
         if plan.length_mm is None:
             break
         where = DIRECTIONS[number % len(DIRECTIONS)]
-        fast = "It must not move until both its ends are touched."
-        session.ask(f"Fix the calibrated length {where}. {fast}")
+        still = "It must not move until both its ends are touched."
+        session.ask(f"Fix the calibrated length {where}. {still}")
         (a, own_a), (b, own_b) = (
             _end(session, f"length {end}", number, f"Length {where}: touch its {nth} end", plan)
             for end, nth in (("a", "first"), ("b", "second"))

@@ -86,7 +86,7 @@ _ROOM_ABOVE_MM = 110.0  # how far above a bar's visible part its end may be
 
 @dataclass(frozen=True, slots=True)
 class FusedDetector:
-    """Classical vision, no learning; all it knows is in `Parameters` and the calibration."""
+    """Classical vision; what is learned are the weights of its decision and of its covariances."""
 
     settings: Parameters = field(default_factory=Parameters)
     name: str = "fused"  # in the registry
