@@ -171,7 +171,9 @@ def _say_next(given: argparse.Namespace, code: int) -> None:
         one = value[0] if isinstance(value, list) and value else value
         return shlex.quote(str(one)) if one else found[1].upper()
 
-    following = commands.table("following")[given.called]
+    following = commands.table("following").get(given.called)
+    if not following:
+        return
     then = (re.sub(r"\{(\w+)\}", given_or_named, text) for text in following)
     print("Then, for instance:", *(f"teatbench {text}" for text in then), sep="\n  ")
 

@@ -52,6 +52,7 @@ def test_each_ending_is_of_a_command_and_in_one_row() -> None:
     for rows in (table("endings")["codes"], table("endings")["interrupted"]):
         named = [name for row in rows for name in row["of"]]
         assert len(named) == len({*named}) == len({*named} & {*COMMANDS})
+    assert {*named} == {*COMMANDS}  # each says what Ctrl-C leaves
 
 
 @pytest.mark.slow
