@@ -65,7 +65,7 @@ NAN = float("nan")
 LENS = MakersLens((4, 4), np.eye(3))
 PLACE, UP = {"X": 0.0, "Y": 0.0}, np.array([0.0, 0.0, 1.0])
 GIVEN: tuple[Any, ...] = (
-    *(None, object(), EVIL, True, -1, NAN, 10**400, "x", b"", [], (), {}, {"a": EVIL}),
+    *(None, object(), EVIL, True, 0, -1, NAN, 10**400, "x", b"", [], (), {}, {"a": EVIL}),
     *(np.array([]), np.full(3, np.nan), ("left", EVIL), {"X": ("a", 1)}, {"X": EVIL}),
     *({"X": (300.0, 0.0), "Y": (0.0, 300.0)}, {"X": (0.0, NAN), "Y": (0.0, 1.0)}),
     *(BathState(EVIL, True, 1.0), BathState(20.0, NONE, 30.0), BathState(20.0, False, 10**400)),
@@ -163,6 +163,7 @@ ODD: list[tuple[str, str, Any, str]] = [
     ("stage", "read()", StageState(np.zeros(2), False, False), "place is no mapping by axis"),  # type: ignore[arg-type]
     ("stage", "limits", {"x": (0, 300), "y": (0, 300)}, "limits are no pairs of numbers by axis"),
     ("stage", "read()", StageState(PLACE, False, True, "\x1b[31mlid\nopen"), r": \[31mlid open.*pkg 1"),
+    ("stage", "feed_mm_min", -5.0, "feed is not above 0 mm/min"),
     ("stage", "axes", "xy", "axes are none of XY, XYZ, XYA, XYZA"),
     ("arm", "read()", ArmPoint(np.zeros(3), moving=TEXT), "moving is neither"),
     ("camera", "take()", GREY, r"no RawFrame \(got ndarray"),
