@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import itertools
 import os
+import signal
+import sys
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
@@ -187,19 +189,47 @@ def test_an_odd_value_is_taken_or_called_by_its_name(
             CALLS[kind](device)[number]()
 
 
-def test_a_driver_does_not_interrupt_the_bench_nor_change_its_folder(tmp_path: Path) -> None:
+def test_a_driver_does_not_interrupt_the_bench_nor_change_its_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """In virtual time, where the bench handles signals; its words are cut, and can be printed."""
-    made, here = driver("bath", "read()", None), Path.cwd()
+    made, here, path = driver("bath", "read()", None), Path.cwd(), [*dict.fromkeys(sys.path)]
+    monkeypatch.setattr(sys, "path", [*path])
 
     def odd(_: object) -> None:
         os.chdir(tmp_path)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        np.seterr(all="raise")
+        sys.path.clear()
         raise KeyboardInterrupt("\x1b[31m" + "x" * 999)
 
     made.read = odd  # type: ignore[attr-defined]
     said = r"^bath d: KeyboardInterrupt: \[31mx{100,180}\.\.\. .*the plug-in d of pkg 1"
-    with installed(), pytest.raises(InstrumentError, match=said):
-        PluggedBath(Plugin("d", "pkg 1", made), VirtualClock()).read()
+    with np.errstate(), installed():
+        before = _of_the_process()
+        with pytest.raises(InstrumentError, match=said):
+            PluggedBath(Plugin("d", "pkg 1", made), VirtualClock()).read()
+        assert _of_the_process() == before
     assert Path.cwd() == here
+    assert sys.path == path
+
+
+def _of_the_process() -> tuple[object, ...]:
+    return signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM), np.geterr()
+
+
+@pytest.mark.parametrize("seconds", [float("inf"), 61.0])
+def test_a_driver_that_sleeps_for_ever_is_named(seconds: float) -> None:
+    clock, made = VirtualClock(), driver("bath", "read()", None)
+
+    def again() -> None:
+        clock.call_at(clock.now() + 1.0, again)
+
+    again()
+    made.read = lambda _: clock.sleep(seconds)  # type: ignore[attr-defined]
+    with pytest.raises(InstrumentError, match="the plug-in d of pkg 1"):
+        PluggedBath(Plugin("d", "pkg 1", made), clock).read()
 
 
 def test_axes_that_cancel_out_are_no_direction() -> None:
