@@ -12,7 +12,7 @@ import os
 import signal
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
@@ -121,7 +121,7 @@ def load(kind: Kind, url: PluginUrl, *, emulator: bool = False) -> Plugin:
     try:
         if not plug.pattern.match(plug.value):
             raise ValueError("no module:name")
-        with undisturbed():
+        with undisturbed(), redirect_stdout(sys.stdout), redirect_stderr(sys.stderr):
             maker = plug.load()
     except BaseException as error:  # another's code
         if by_ctrl_c(error):
