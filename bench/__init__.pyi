@@ -1,4 +1,5 @@
 # The names of this package, once: type checkers read them here, and so does textfiles/lazy.py.
+from bench import testing as testing
 from bench.api.arms import ArmReading as ArmReading
 from bench.api.arms import ArmView as ArmView
 from bench.api.arms import VerifiedArm as VerifiedArm

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import heapq
 import itertools
+import math
 import os
 import queue
 import threading
@@ -161,6 +162,8 @@ class VirtualClock:
 
     def sleep(self, seconds: float) -> None:
         end = self._now + max(0.0, seconds)
+        if end == math.inf:  # as `time.sleep`
+            raise OverflowError("it can't sleep for ever")
         while self.step(end):
             pass
 

@@ -29,6 +29,8 @@ def lazily(package: str, guard: str = "") -> "tuple[Callable[[str], Any], Callab
             return [one for one in known if one[0] != "_"]
         if name not in known:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        if known[name] == package:  # a package within it
+            return import_module(f"{package}.{name}")
         found = getattr(import_module(known[name]), name)
         if guard:
             found = import_module(guard).guarded(found, package)

@@ -3,6 +3,10 @@
 import os
 import signal
 import sys
+import threading
+import time
+
+THREADS_S = 5.0  # how long threads of others' drivers and detectors may outlive a command
 
 
 def main() -> int:
@@ -22,7 +26,20 @@ def main() -> int:
         code, words = run(), b""
     except SystemExit as ended:  # argparse's
         code, words = int(ended.code or 0), b""
+    main_thread = threading.main_thread()
+    if left := [one for one in threading.enumerate() if not (one.daemon or one is main_thread)]:
+        threading.Thread(target=_wait_no_longer, args=(left, code), daemon=True).start()
     return code
+
+
+def _wait_no_longer(left: list[threading.Thread], code: int) -> None:
+    """Python waits at its end for each thread, also for one that never ends."""
+    time.sleep(THREADS_S)
+    if names := ", ".join(one.name for one in left if one.is_alive()):
+        sys.stdout.flush()
+        words = f"teatbench: ended beside what a driver or a detector left running: {names}.\n"
+        os.write(2, words.encode())
+        os._exit(code)
 
 
 if __name__ == "__main__":

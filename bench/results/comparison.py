@@ -35,6 +35,7 @@ from bench.record.schema import SCRIPT
 from bench.results.verdicts import (
     DetectorRequirement,
     Judgement,
+    beside_tests,
     calls_of,
     decide_detector,
     has_answer,
@@ -395,7 +396,7 @@ def _together(runs: Sequence[RunRecord], name: str, rules: Rules) -> tuple[Poole
             left_out=tuple(sorted(left_out.values())),
             apart=max(1, len(series)),
         )
-        decided = _decided_on(runs, name, rule, looks[rule.name])
+        decided = beside_tests(_decided_on(runs, name, rule, looks[rule.name]), runs)
         decisions.append(_none_left_out(decided, looks[rule.name]))
     judgement = Judgement(name, held_back(decisions, NOT_AS_WRITTEN if runs[0].damage else ""))
     verdicts = {one.name: one.verdict.value for one in decisions}

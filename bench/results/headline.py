@@ -12,7 +12,7 @@ from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord
 from bench.record.state import State
 from bench.results.doubts import AGAIN, DOUBTS_FACT
-from bench.results.verdicts import Judgement, calls_of, run_verdict
+from bench.results.verdicts import TESTS_FACT, Judgement, calls_of, run_verdict
 from bench.rig.by_hand import BY_HAND
 from bench.safety.latch import latch_beside
 from bench.scoring.decisions import Decision, Verdict
@@ -166,6 +166,8 @@ def _one(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[Verdict, str,
     truth = [row for trial in run.trials for row in trial.truth]
     if truth and verdict is not Verdict.NOT_MET and not any(row["visible"] for row in truth):
         return verdict, why, "No teat end can be seen in any trial: score some in which one can."
+    if not run.facts.get(TESTS_FACT, {}).keys().isdisjoint(d.name for _, d in worst):
+        return verdict, why, "See why the named tests did not pass, then run them again."
     return verdict, why, _next_action(verdict, [d for _, d in worst], judgements[0].of_bench)
 
 

@@ -71,6 +71,7 @@ from bench.truth.arm_check import (
 from detector.protocol import Outcome
 
 _CHECKS = {when: CHECK_FACT.format(when) for when in (BEFORE, AFTER)}
+TESTS_FACT = "tests_not_passed"  # requirement -> test -> "failed", "error" or "failed as expected"
 
 
 def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
@@ -265,7 +266,8 @@ def judge(run: RunRecord, rules: Rules) -> tuple[Judgement, ...]:
     why, found = NOT_AS_WRITTEN if run.damage else unfinished, []
     for name in run.detectors:
         made = (_decide(r, run, scored(run, name), name, rules.looks) for r in rules.requirements)
-        decided = (_doubted(decision, rules, too_small(run.facts)) for decision in made)
+        sure = (_doubted(decision, rules, too_small(run.facts)) for decision in made)
+        decided = (beside_tests(decision, [run]) for decision in sure)
         found.append(Judgement(name, held_back(decided, why), of_bench))
     return tuple(found)
 
@@ -281,6 +283,21 @@ def _doubted(decision: Decision, rules: Rules, wrong: str) -> Decision:
         return decision
     sentence = f"The guard band is too narrow: {wrong}. {decision.sentence}"
     return replace(decision, verdict=Verdict.INCONCLUSIVE, sentence=sentence)
+
+
+def beside_tests(decision: Decision, runs: Iterable[RunRecord]) -> Decision:
+    """The decision; not met where one of its tests failed, inconclusive where one ended otherwise
+    than by passing.
+    """
+    facts = (run.facts.get(TESTS_FACT, {}).get(decision.name, {}) for run in runs)
+    ended = {test: how for tests in facts for test, how in tests.items()}
+    if not ended:
+        return decision
+    said, verdict = ", ".join(f"{test} ({how})" for test, how in ended.items()), decision.verdict
+    if verdict in (Verdict.MET, Verdict.INCONCLUSIVE):
+        verdict = Verdict.NOT_MET if "failed" in ended.values() else Verdict.INCONCLUSIVE
+    sentence = f"Not all its tests passed: {said}. {decision.sentence}"
+    return replace(decision, verdict=verdict, sentence=sentence)
 
 
 def held_back(decisions: Iterable[Decision], why: str) -> tuple[Decision, ...]:

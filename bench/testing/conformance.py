@@ -127,12 +127,16 @@ class Wired(Subject):
         self.listener.close()
 
 
+class AbortedError(KeyboardInterrupt):
+    """Ctrl-C as the bench's own handler raises it; a plain one would be a fault of the driver."""
+
+
 @contextmanager
 def abort_in(clock: Clock, seconds: float) -> Iterator[None]:
     """Ctrl-C in so many seconds of ``clock``; in real time in the main thread alone."""
 
     def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
+        raise AbortedError
 
     if isinstance(clock, VirtualClock):
         clock.call_at(clock.now() + seconds, interrupt)

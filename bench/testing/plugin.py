@@ -117,6 +117,7 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
 
 
 _REQUIRED = pytest.StashKey[Mapping[str, Sequence[str]]]()
+_UNPASSED = pytest.StashKey[dict[pytest.Item, str]]()
 _TRIALS, _WRONG = pytest.StashKey["TrialsOfTests"](), pytest.StashKey[str]()
 
 
@@ -250,8 +251,15 @@ def record_trial(request: pytest.FixtureRequest) -> Callable[..., bench.SceneSco
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[Any]
 ) -> Generator[None, Any, Any]:
-    """Write the scene that a test failed on, and say where."""
+    """Keep how a test of a requirement ended; write the scene that it failed on, and say where."""
     report = yield
+    ended = item.config.stash.setdefault(_UNPASSED, {})
+    if call.when == "setup":  # a test that is run again counts as it ends
+        ended.pop(item, None)
+    if report.failed:
+        ended.setdefault(item, "failed" if call.when == "call" else "error")
+    elif report.skipped and hasattr(report, "wasxfail"):
+        ended[item] = "failed as expected"
     own = sys.modules.get("bench.testing.checking")
     if own and call.excinfo and isinstance(error := call.excinfo.value, own.SceneFailedError):
         from bench.testing.found import folder_name, write_found
@@ -278,8 +286,14 @@ def pytest_sessionfinish(session: pytest.Session) -> Generator[None, None, None]
         trials = session.config.stash.get(_TRIALS, None)
         required = session.config.stash.get(_REQUIRED, None)
         early = session.shouldfail or session.shouldstop or "interrupted" * (session.exitstatus > 1)
-        if trials and (reported := trials.end(str(early or ""))):
-            session.config.stash[_TEXT] = f"{reported.verdict}. Report: {reported.page}"
+        unpassed: dict[str, dict[str, str]] = {}
+        for item, how in session.config.stash.get(_UNPASSED, {}).items():
+            for mark in item.iter_markers(MARK):
+                for name in mark.args:
+                    unpassed.setdefault(name, {})[item.name] = how
+        if trials and (reported := trials.end(str(early or ""), unpassed)):
+            why = f"\n{reported.status.why}".rstrip()
+            session.config.stash[_TEXT] = f"{reported.verdict}. Report: {reported.page}{why}"
             if reported.verdict == "not met" and session.exitstatus == pytest.ExitCode.OK:
                 session.exitstatus = pytest.ExitCode.TESTS_FAILED
         elif trials and required and not session.config.option.collectonly:

@@ -12,6 +12,7 @@ from bench.api.shots import Shot, load_rig, open_detector
 from bench.config import ConfigError, did_you_mean, parse_config, read_config, read_text
 from bench.results.answers import Examiner, name_of, score_answer
 from bench.results.status import Reported
+from bench.results.verdicts import TESTS_FACT
 from bench.run.start import ScoredFrames
 from bench.scoring.scene import SceneScore
 from bench.script.model import RECORDING_RULES, Rules
@@ -61,10 +62,14 @@ class TrialsOfTests:
         limits = {"limit_mm": self._limits.visible_within_mm}
         return score_answer(answer, shot.truth, **limits, time_limit_s=self._limits.time_limit_s)
 
-    def end(self, early: str) -> Reported | None:
-        """Close the run, with why it ended ``early``, and report it; None without a trial."""
+    def end(self, early: str, unpassed: Mapping[str, Mapping[str, str]]) -> Reported | None:
+        """Close the run, with why it ended ``early`` and which tests of a requirement did not pass,
+        and report it; None without a trial.
+        """
         if run := self._run:
             run.early = early
+            if unpassed:
+                run.fact(TESTS_FACT, unpassed)
         self._open.close()
         return write_report(run.folder) if run else None
 

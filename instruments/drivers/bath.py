@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any, Literal
 
 from instruments.bath.profile import AlarmCode, Capabilities, NumberUnit, Profile
@@ -175,7 +176,9 @@ class PluggedBath(Plugged):
         self._stands_by()
 
     def safe(self) -> None:
-        """Standby at once, in any state, read back; tried 3 times, each on a link of its own."""
+        """Standby at once, in any state, read back; tried 3 times, each on a link of its own. One
+        that heats all the same is set as cold as it goes, and its error is raised.
+        """
         self._times_made_safe += 1
         for tries_left in reversed(range(SAFE_TRIES)):
             try:  # beside a call that hangs
@@ -185,7 +188,15 @@ class PluggedBath(Plugged):
             except InstrumentError:
                 self._border.forget()
                 if not tries_left:
+                    self._set_cold()
                     raise
+
+    def _set_cold(self) -> None:
+        """Its lowest set point, where it says that it heats."""
+        low_c, _ = self._border.plugged.maker.range_c
+        with suppress(InstrumentError):
+            if self._state(aside=True).running:
+                self._border.aside("start", lambda bath: bath.start(low_c))
 
     def release_watchdog(self, found_s: float | None = None) -> None:
         """None is known of it."""

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from typing import Any, Generic, TypeVar
 
 from instruments.clock import Clock, VirtualClock
-from instruments.drivers.entry_points import Plugin, by_ctrl_c, in_our_folder, short
+from instruments.drivers.entry_points import Plugin, by_ctrl_c, short, undisturbed
 from instruments.errors import DriverError, InstrumentError, LinkError, ProtocolError
 
 CALL_S, OPEN_S, CLOSE_S = 10.0, 10.0, 2.0
@@ -73,7 +73,7 @@ class PluginBoundary(Generic[Made]):
             self.forget()
             raise
 
-    @in_our_folder()
+    @undisturbed()
     def _within(self, what: str, work: Callable[[], T], limit_s: float | None) -> T:
         limit_s, by = CALL_S if limit_s is None else limit_s, f"{self.who}: {what}"
         job: Future[T] = Future()

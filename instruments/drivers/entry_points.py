@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
@@ -20,10 +21,13 @@ from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import parse_qsl, urlencode
 
+import numpy as np
+
 from instruments.errors import LimitError
 
 PLUGIN, EMULATOR = "plugin:", "emulator:"
 SAID = 200  # characters of another's words
+ENDING = [one for one in signal.Signals if one.name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")]
 Kind = Literal["arm", "bath", "camera", "stage"]
 KINDS: tuple[Kind, ...] = ("arm", "bath", "camera", "stage")
 GROUPS: Mapping[Kind, str] = {kind: f"teatbench.{kind}s" for kind in KINDS}
@@ -117,7 +121,7 @@ def load(kind: Kind, url: PluginUrl, *, emulator: bool = False) -> Plugin:
     try:
         if not plug.pattern.match(plug.value):
             raise ValueError("no module:name")
-        with in_our_folder():
+        with undisturbed(), redirect_stdout(sys.stdout), redirect_stderr(sys.stderr):
             maker = plug.load()
     except BaseException as error:  # another's code
         if by_ctrl_c(error):
@@ -149,13 +153,22 @@ def by_ctrl_c(error: BaseException) -> bool:
 
 
 @contextmanager
-def in_our_folder() -> Iterator[None]:
-    """Some libraries change the working folder, by which files of a run are named."""
-    folder = Path()
+def undisturbed() -> Iterator[None]:
+    """Some libraries change what the whole process has: the working folder, by which files of a run
+    are named, what Ctrl-C does, where modules are found, and what is an error to NumPy.
+    """
+    folder, path = Path(), [*sys.path]
     with suppress(OSError):  # it may be gone
         folder = Path.cwd()
+    handlers = {one: signal.getsignal(one) for one in ENDING}
     try:
-        yield
+        with np.errstate():
+            yield
     finally:
         with suppress(OSError):
             os.chdir(folder)
+        sys.path.extend(one for one in path if one not in sys.path)
+        for one, handler in handlers.items():
+            if handler is not None and signal.getsignal(one) is not handler:
+                with suppress(ValueError):  # the main thread alone has them
+                    signal.signal(one, handler)

@@ -60,6 +60,8 @@ class PluggedStage(Plugged, StageCalls):
             what = f"it has the axes {axes}, the rig file declares {self.axes}"
             raise LimitError(self.who, what, hint="Correct axes under [stage].")
         feed = border.call("feed", lambda stage: border.number(stage.feed_mm_min, "feed"))
+        if feed <= 0.0:
+            raise border.broken("its feed is not above 0 mm/min", feed)
         lows, highs = border.call("limits", lambda stage: self._ends(stage.limits))
         version, plugged = ", ".join(f"{key} {value}" for key, value in who.items()), border.plugged
         identity = StageIdentity(plugged.name, version, plugged.source, "")

@@ -7,6 +7,7 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ import bench
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.urls import bath_url
+from bench.safety.signals import installed
 from bench.testing.conformance import conform
 from bench.testing.plugins import OnEmulator, check_driver, drivers
 from detector.calibration import load_part
@@ -51,8 +53,11 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[World, Vir
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_the_pages_drivers_conform(name: str) -> None:
-    found = check_driver(name, clock=VirtualClock())
+@pytest.mark.parametrize("handled", [False, True])
+def test_the_pages_drivers_conform(name: str, handled: bool) -> None:
+    """Also where the bench handles Ctrl-C, as in `teatbench plugin check`."""
+    with installed() if handled else nullcontext():
+        found = list(check_driver(name, clock=VirtualClock()))
     assert [one for one in found if one.outcome != "passed"] == []
 
 

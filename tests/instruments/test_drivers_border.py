@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import itertools
 import os
+import signal
+import sys
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
@@ -65,7 +67,7 @@ NAN = float("nan")
 LENS = MakersLens((4, 4), np.eye(3))
 PLACE, UP = {"X": 0.0, "Y": 0.0}, np.array([0.0, 0.0, 1.0])
 GIVEN: tuple[Any, ...] = (
-    *(None, object(), EVIL, True, -1, NAN, 10**400, "x", b"", [], (), {}, {"a": EVIL}),
+    *(None, object(), EVIL, True, 0, -1, NAN, 10**400, "x", b"", [], (), {}, {"a": EVIL}),
     *(np.array([]), np.full(3, np.nan), ("left", EVIL), {"X": ("a", 1)}, {"X": EVIL}),
     *({"X": (300.0, 0.0), "Y": (0.0, 300.0)}, {"X": (0.0, NAN), "Y": (0.0, 1.0)}),
     *(BathState(EVIL, True, 1.0), BathState(20.0, NONE, 30.0), BathState(20.0, False, 10**400)),
@@ -163,6 +165,7 @@ ODD: list[tuple[str, str, Any, str]] = [
     ("stage", "read()", StageState(np.zeros(2), False, False), "place is no mapping by axis"),  # type: ignore[arg-type]
     ("stage", "limits", {"x": (0, 300), "y": (0, 300)}, "limits are no pairs of numbers by axis"),
     ("stage", "read()", StageState(PLACE, False, True, "\x1b[31mlid\nopen"), r": \[31mlid open.*pkg 1"),
+    ("stage", "feed_mm_min", -5.0, "feed is not above 0 mm/min"),
     ("stage", "axes", "xy", "axes are none of XY, XYZ, XYA, XYZA"),
     ("arm", "read()", ArmPoint(np.zeros(3), moving=TEXT), "moving is neither"),
     ("camera", "take()", GREY, r"no RawFrame \(got ndarray"),
@@ -186,19 +189,47 @@ def test_an_odd_value_is_taken_or_called_by_its_name(
             CALLS[kind](device)[number]()
 
 
-def test_a_driver_does_not_interrupt_the_bench_nor_change_its_folder(tmp_path: Path) -> None:
+def test_a_driver_does_not_interrupt_the_bench_nor_change_its_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """In virtual time, where the bench handles signals; its words are cut, and can be printed."""
-    made, here = driver("bath", "read()", None), Path.cwd()
+    made, here, path = driver("bath", "read()", None), Path.cwd(), [*dict.fromkeys(sys.path)]
+    monkeypatch.setattr(sys, "path", [*path])
 
     def odd(_: object) -> None:
         os.chdir(tmp_path)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        np.seterr(all="raise")
+        sys.path.clear()
         raise KeyboardInterrupt("\x1b[31m" + "x" * 999)
 
     made.read = odd  # type: ignore[attr-defined]
     said = r"^bath d: KeyboardInterrupt: \[31mx{100,180}\.\.\. .*the plug-in d of pkg 1"
-    with installed(), pytest.raises(InstrumentError, match=said):
-        PluggedBath(Plugin("d", "pkg 1", made), VirtualClock()).read()
+    with np.errstate(), installed():
+        before = _of_the_process()
+        with pytest.raises(InstrumentError, match=said):
+            PluggedBath(Plugin("d", "pkg 1", made), VirtualClock()).read()
+        assert _of_the_process() == before
     assert Path.cwd() == here
+    assert sys.path == path
+
+
+def _of_the_process() -> tuple[object, ...]:
+    return signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM), np.geterr()
+
+
+@pytest.mark.parametrize("seconds", [float("inf"), 61.0])
+def test_a_driver_that_sleeps_for_ever_is_named(seconds: float) -> None:
+    clock, made = VirtualClock(), driver("bath", "read()", None)
+
+    def again() -> None:
+        clock.call_at(clock.now() + 1.0, again)
+
+    again()
+    made.read = lambda _: clock.sleep(seconds)  # type: ignore[attr-defined]
+    with pytest.raises(InstrumentError, match="the plug-in d of pkg 1"):
+        PluggedBath(Plugin("d", "pkg 1", made), clock).read()
 
 
 def test_axes_that_cancel_out_are_no_direction() -> None:

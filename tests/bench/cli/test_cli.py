@@ -16,6 +16,7 @@ import pytest
 from bench.rig.loading import RIGS
 from tests.bench.commands import NO_CAMERA, Said, lab_rig, teatbench
 from tests.conftest import ROOT
+from tests.waiting import PATIENCE_S
 
 SOME = 4
 
@@ -153,6 +154,30 @@ sys.exit(main())
     assert ended.returncode == code, ended.stderr
     assert ended.stderr.endswith(text)
     assert "Traceback" not in ended.stderr
+
+
+@pytest.mark.parametrize(("seconds", "says"), [(0.5, ""), (3600.0, "left running: reader")])
+def test_a_thread_that_a_driver_left_keeps_no_command_from_its_end(
+    seconds: float, says: str
+) -> None:
+    program = f"""
+import sys, threading, time
+import bench.cli.__main__ as command
+threading.Thread(target=time.sleep, args=({seconds},), name="reader").start()
+sys.argv[1:] = ["help", "no-such-page"]
+sys.exit(command.main())
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        check=False,
+        timeout=PATIENCE_S,
+    )
+    assert ended.returncode == 2, ended.stderr
+    assert ("left running" in ended.stderr) is bool(says)
+    assert says in ended.stderr
 
 
 def test_rigs_lists_what_can_be_run_and_says_what_to_copy(said: Said) -> None:

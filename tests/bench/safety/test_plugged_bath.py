@@ -207,7 +207,9 @@ def test_a_promise_broken_outside_of_a_run(
             raised = str(error)
     assert asked
     assert re.search(says, " ".join(f"{raised} {' '.join(warned)}".split()))
-    assert tanks[0].world.plant.running is not off
+    plant = tanks[0].world.plant
+    assert plant.running is not off
+    assert off or plant.set_point_c == 15.0, "as cold as it goes"
 
 
 @pytest.mark.parametrize("member", REPEATED)

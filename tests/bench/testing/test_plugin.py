@@ -21,6 +21,7 @@ import bench.run.start
 import bench.testing.checking
 import bench.testing.found
 import bench.testing.trials
+from bench.results.verdicts import judge, stored_rules
 from bench.rig.loading import load_rig
 from bench.run.lock import lock_path, locked
 from bench.testing.trials import TrialsOfTests
@@ -217,6 +218,62 @@ def test_named(record_trial):
 
 
 @pytest.mark.slow
+def test_no_requirement_is_met_beside_a_test_of_it_that_did_not_pass(
+    pytester: pytest.Pytester, rig: str
+) -> None:
+    """A time that each answer keeps, so that the tests alone decide."""
+    rule = '[[requirements]]\nkind = "time"\nname = "{}"\nlimit_s = 1000.0\nstatistic = "max"\n'
+    rules = 'title = "t"\ndetectors = ["thesis"]\n' + "".join(map(rule.format, "abcd"))
+    (pytester.path / "rules.toml").write_text(rules, encoding="utf-8")
+    program = f"""{SCENE}
+import pytest
+
+@pytest.fixture
+def broken():
+    yield
+    raise RuntimeError("its teardown")
+
+@pytest.mark.requirement("a", "d")
+def test_passes(record_trial):
+    for _ in range(2):  # the first answer is not timed
+        record_trial(FOUR.draw({rig!r}))
+
+@pytest.mark.requirement("b")
+def test_fails():
+    raise AssertionError
+
+@pytest.mark.requirement("c")
+def test_ends_wrong(broken):
+    pass
+
+@pytest.mark.requirement("d")
+@pytest.mark.xfail
+def test_known():
+    raise AssertionError
+"""
+    words = "--rig", rig, "--detector", "thesis", "--trial-rules", "rules.toml"
+    result = run(pytester, program, *words)
+    result.assert_outcomes(passed=2, failed=1, errors=1, xfailed=1)
+    result.stdout.fnmatch_lines(["not met. Report: *", "B: Not all its *test_fails (failed). *"])
+    (folder,) = (pytester.path / "runs").iterdir()
+    (judged,) = judge(bench.read_run(folder), stored_rules(folder))
+    assert {one.name: one.verdict.value for one in judged.decisions} == {
+        "a": "met",
+        "b": "not met",
+        "c": "inconclusive",
+        "d": "inconclusive",
+    }
+    said = [one.sentence.split(". ")[0].partition("passed: ")[2] for one in judged.decisions]
+    assert said == [
+        "",
+        "test_fails (failed)",
+        "test_ends_wrong (error)",
+        "test_known (failed as expected)",
+    ]
+    assert bench.read_run(folder).facts["command"].split()[0] != "teatbench"
+
+
+@pytest.mark.slow
 def test_an_unknown_requirement_rig_or_detector_is_wrong_use(pytester: pytest.Pytester) -> None:
     program = """
         import pytest
@@ -268,7 +325,7 @@ def test_a_session_that_ends_early_leaves_an_aborted_run(
     for early, ending in (("stopping after 1 failures", "aborted"), ("", "finished")):
         trials = TrialsOfTests(rig, "thesis", tmp_path, None, {})
         trials._begun()
-        run = bench.read_run(trials.end(early))  # type: ignore[arg-type]
+        run = bench.read_run(trials.end(early, {}))  # type: ignore[arg-type]
         assert run.facts["ending"] == ending
         assert any(early in str(event) for event in run.events)
 
@@ -277,7 +334,7 @@ def test_an_interrupted_session_ends_its_run_once_fixtures_are_down(
     pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of the tests that were selected."""
-    end = lambda self, early: print(f"END {early} {[*self._required]}")  # noqa: E731
+    end = lambda self, early, unpassed: print(f"END {early} {[*self._required]}")  # noqa: E731
     monkeypatch.setattr(TrialsOfTests, "end", end)
     program = """
         import pytest
