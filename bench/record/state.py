@@ -66,7 +66,7 @@ def holder_in(path: Path) -> dict[str, Any]:
 
 
 def left_in(folder: Path, session: int) -> dict[str, Any]:
-    """How ``session`` ended whose record had no room for it: ``facts`` and ``events``; else empty."""
+    """``facts`` and ``events`` of ``session``'s end that its record had no room for; else empty."""
     with suppress(OSError, ValueError):
         found = json.loads((folder / RESERVE).read_bytes())
         if isinstance(found, dict) and found.get("session") == session:

@@ -378,23 +378,26 @@ class Engine:
                 self._not_kept.append((EVENT, state.value))
         self._write_down("end", word.value)
         self._kept(ctx.store.fact, "retries", dict(self._recovery.counts))
-        session, facts = ctx.store.session, dict[str, Any]()
-        if left:
-            facts[INSTRUMENTS_FACT] = {"session": session, "instruments": left}
         if any(self._trials.frames_looked_at.values()):
             self._kept(self._fact, FRAMES_FACT, dict(self._trials.frames_looked_at))
-        facts |= {"ending": ending.value, "wall_ended": wall_time().isoformat(timespec="seconds")}
-        for key, value in facts.items():
-            self._kept(ctx.store.fact, key, value)
-        if self._kept(ctx.store.flush):
-            self._reserve.end()
-        else:
-            ending = self._leave(ending, session, facts)
+        ending = self._write_end(ending, left)
         ctx.live.end()
         return ending
 
-    def _leave(self, ending: RunState, session: int, facts: Mapping[str, Any]) -> RunState:
-        """The end of a run whose record takes nothing more: faulted, if it was not before."""
+    def _write_end(self, ending: RunState, left: Sequence[Mapping[str, Any]]) -> RunState:
+        """Into the record, or into the reserve where that takes nothing more: then it is faulted,
+        if it was not before. ``left``: the instruments.
+        """
+        store, session = self._ctx.store, self._ctx.store.session
+        facts = dict[str, Any]()
+        if left:
+            facts[INSTRUMENTS_FACT] = {"session": session, "instruments": left}
+        facts |= {"ending": ending.value, "wall_ended": wall_time().isoformat(timespec="seconds")}
+        for key, value in facts.items():
+            self._kept(store.fact, key, value)
+        if self._kept(store.flush):
+            self._reserve.end()
+            return ending
         texts = [*self._not_kept]
         if ending is RunState.FINISHED:
             ending = RunState.FAULTED

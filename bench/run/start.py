@@ -346,11 +346,16 @@ def _run(
             return store.folder, _end(store, RunState.ABORTED, INTERRUPTED)
         return store.folder, _end(store, RunState.FAULTED, str(error))
     finally:
-        try:
-            store.close()
-        except sqlite3.OperationalError:
-            if not left_in(store.folder, store.session):  # else what it had no room for is there
-                raise
+        _close(store)
+
+
+def _close(store: Store) -> None:
+    """Raises sqlite3.Error where what it had no room for isn't kept either."""
+    try:
+        store.close()
+    except sqlite3.OperationalError:
+        if not left_in(store.folder, store.session):
+            raise
 
 
 class OpenRig:
