@@ -163,6 +163,7 @@ class Recovery:
                     devices.cameras.reopen()
                 ctx.long("looking at the cameras", CAPTURE_S, silent=True)
                 self._look()
+                devices.heard[name] = ctx.clock.now()
             else:
                 devices.bath.read()  # its driver connects again by itself
         except InstrumentError:

@@ -548,7 +548,8 @@ def test_cameras_that_hang_while_they_are_opened_again_are_no_hung_bench(
     cameras = CameraSet(dict.fromkeys(CAN_GIVE, opened), {})
     ctx: Any = SimpleNamespace(
         _heartbeat=heartbeat,
-        devices=SimpleNamespace(cameras=cameras),
+        devices=SimpleNamespace(cameras=cameras, heard={}),
+        clock=VirtualClock(5.0),
         events=SimpleNamespace(state=print),
         rig=SimpleNamespace(rig=SimpleNamespace(limits=SimpleNamespace(away_s=600.0))),
         wait=hang,
@@ -556,3 +557,4 @@ def test_cameras_that_hang_while_they_are_opened_again_are_no_hung_bench(
     ctx.long = partial(RunContext.long, ctx)
     look_s = len(CAN_GIVE) * (CLOSE_S + OPEN_S + LONGEST_WAIT_S)
     assert Recovery(ctx, lambda: hang(look_s))._back("cameras")
+    assert ctx.devices.heard == {"cameras": 5.0}
