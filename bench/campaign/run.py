@@ -10,15 +10,16 @@ import hashlib
 import uuid
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
 from filelock import FileLock, Timeout
 
 from bench.campaign.chunk import ASIDE, Rows, Scene
-from bench.campaign.ledger import Ledger
+from bench.campaign.ledger import LEDGER, Ledger
+from bench.campaign.ledger import LOCK as LEDGER_LOCK
 from bench.campaign.plan import CampaignPlan, Chunk, differences, open_plan, plan_text, read_plan
 from bench.campaign.pool import Say, executor
 from bench.campaign.shards import SHARDS, Shards, no_campaign
@@ -130,7 +131,11 @@ class Campaign:
     ) -> Status:
         """Do what is not done, or is damaged; ``report`` gets the progress after each chunk."""
         if damage := self.shards.remove_damaged():
-            say(f"{self.folder}: rows are damaged ({damage}); these chunks are done again")
+            how = f"damaged ({damage})"
+            if damage == replace(damage, changed=(), unknown=()):
+                # their lines in the ledger came first
+                how = f"{damage} (no room for them, killed as they were written, or deleted)"
+            say(f"{self.folder}: rows are {how}; these chunks are done again")
         families = self._known()
         done = self.shards.done()
         report(self._status(families))
@@ -218,7 +223,10 @@ class Campaign:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keep other campaign commands off the folder. Raises ConfigError where one has it."""
+    """Keep other campaign commands off the folder; of a new one without a plan at the end nothing
+    stays. Raises ConfigError where one has it.
+    """
+    is_new = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -235,6 +243,11 @@ def locked(folder: Path) -> Iterator[None]:
         yield
     finally:
         lock.release()
+        if is_new and not (folder / PLAN).exists():
+            for name in (LOCK, LEDGER, LEDGER_LOCK):
+                (folder / name).unlink(missing_ok=True)
+            with suppress(OSError):  # something else is in it
+                folder.rmdir()
 
 
 def run_chunk(

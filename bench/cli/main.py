@@ -227,9 +227,11 @@ class Parser(argparse.ArgumentParser):
         return found, odd
 
     def error(self, message: str) -> NoReturn:
-        """Without a command of its group, those that there are; all are too many."""
+        """Without a command, those of its group; all are too many."""
         groups = [one for one in self._actions if isinstance(one, argparse._SubParsersAction)]
-        if message.endswith(": COMMAND") and self.prog.count(" "):
+        if message.endswith(": COMMAND") and not self.prog.count(" "):
+            message = f"no command is named; '{self.prog} --help' lists them by task"
+        elif message.endswith(": COMMAND"):
             rows = ((one.dest, one.help) for group in groups for one in group._choices_actions)
             message += "".join(f"\n  {self.prog} {name}: {what}" for name, what in rows)
         super().error(message)

@@ -28,7 +28,7 @@ from bench.record.schema import (
     Row,
     version_of,
 )
-from bench.record.state import NO_ENDING, TRIP, holder_of
+from bench.record.state import NO_ENDING, TRIP, holder_of, left_in
 from bench.scoring.scene import SceneScore, scene_from_dict
 
 HEADS = (
@@ -230,17 +230,20 @@ def read_run(folder: Path, damage: tuple[str, ...] = (), *, whole: bool = True) 
         with opened(folder) as db:
             db.row_factory = sqlite3.Row
             holder = holder_of(folder)  # first: a run that ends from here on has its ending
-            facts = _facts(db)
+            facts, events = _facts(db), db.execute("SELECT * FROM events ORDER BY number")
             (done,) = db.execute("SELECT COUNT(*) FROM trials").fetchone()
             sessions = [number for (number,) in db.execute("SELECT number FROM sessions")]
+            at_end = {}
+            if not holder and facts.get("ending", NO_ENDING) == NO_ENDING:
+                at_end = left_in(folder, max(sessions, default=1))
             record = RunRecord(
                 folder=folder,
-                facts=facts,
+                facts=facts | at_end.get("facts", {}),
                 trials=tuple(_trials(db, *ALL)) if whole else (),
                 counted_trials=None if whole else done,
                 skipped=tuple(map(dict, db.execute("SELECT * FROM skipped ORDER BY number"))),
                 checks=tuple(map(dict, db.execute("SELECT * FROM checks ORDER BY number, teat"))),
-                events=tuple(map(dict, db.execute("SELECT * FROM events ORDER BY number"))),
+                events=(*map(dict, events), *at_end.get("events", ())),
                 **_readings(db, -math.inf if whole else math.inf),
                 sessions=max(sessions, default=1),
                 guardians=_guardians(folder, sessions, facts),

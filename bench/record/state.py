@@ -10,11 +10,12 @@ import json
 import os
 import platform
 from collections.abc import Mapping
+from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-RUN_LOCK = "bench.lock.json"
+RUN_LOCK, RESERVE = "bench.lock.json", "reserve.bin"
 TRIP = "trip"  # the kind of the event
 CREATED_WITHIN_S = 5.0  # what a system's clock that is set moves when a process began
 NO_ENDING = "interrupted"  # in the record: of a run that goes on, too
@@ -62,6 +63,15 @@ def holder_in(path: Path) -> dict[str, Any]:
     except ValueError:
         return {"host": platform.node(), "run": "what it wrote can't be read"}
     return holder if isinstance(holder, dict) else {}
+
+
+def left_in(folder: Path, session: int) -> dict[str, Any]:
+    """``facts`` and ``events`` of ``session``'s end that its record had no room for; else empty."""
+    with suppress(OSError, ValueError):
+        found = json.loads((folder / RESERVE).read_bytes())
+        if isinstance(found, dict) and found.get("session") == session:
+            return found
+    return {}
 
 
 def this_process() -> dict[str, Any]:

@@ -58,7 +58,9 @@ def list_runs(folder: Path | str = "runs") -> Runs:
     health: dict[str, list[Figure]] = {}
     for number, chart in enumerate(drawn, 1):
         limits = (chart.limits.centre, chart.limits.sigma) if chart.limits else None
-        broken, dates = [bool(rule) for rule in chart.rules], (chart.dates[0], chart.dates[-1])
+        first, last, broken = chart.dates[0], chart.dates[-1], [bool(rule) for rule in chart.rules]
+        one_day = first[:10] == last[:10]  # named once, with the time at both ends
+        dates = (first, last[11:]) if one_day else (first[:10], last[:10])
         svg = control_chart(chart.values, limits, broken, BASE, dates, name=f"health-{number}")
         many = plural(len(chart.values), "run")
         health.setdefault(chart.rig, []).append(

@@ -216,7 +216,7 @@ def charts(runs: Sequence[RunHealth]) -> Iterator[Chart]:
                 name=quantity.what or key,
                 unit=quantity.unit,
                 digits=quantity.digits,
-                dates=tuple(one.started[:10] for one in having),
+                dates=tuple(one.started[:19].replace("T", " ") for one in having),
                 values=values,
                 limits=limits,
                 rules=tuple(broken(values, limits)) if limits else (),

@@ -88,11 +88,18 @@ class InstrumentStatus:
 
     @property
     def text(self) -> str:
-        """``bath: no answer for 12 s (last 20.04 degC)``; ``bath 20.04 degC, heating``."""
+        """``bath: no answer for 12 s (last 20.04 degC)``; ``bath 20.04 degC, heating``; ``arm:
+        answered 36 s ago``, where it was not asked for so long.
+        """
         if self.by_hand:
             return ": ".join(filter(None, (self.by_hand, silent(self.how, self.age_s))))
         if self.link is Link.ANSWERS:
-            return f"{self.name} {self.last}" if self.last else f"{self.name}: {self.link}"
+            old = self.age_s is not None and self.age_s >= SILENT_S
+            ago = f"{self.age_s:.0f} s ago" if old else ""
+            if self.last:
+                return f"{self.name} {self.last}" + (f" ({ago})" if ago else "")
+            known = "connected" if self.age_s is None else "answers"
+            return f"{self.name}: {f'answered {ago}' if ago else known}"
         last = f" (last {self.last})" if self.last else ""
         if self.link in (Link.SILENT, Link.AWAY):
             # a bath is asked every second, the others when they are needed

@@ -18,12 +18,17 @@ from bench.rig.model import Cameras as CamerasTable
 from bench.rig.model import Checks
 from detector.calibration import Calibration
 from detector.geometry import Array
+from instruments.camera.cameras import CAN_GIVE
+from instruments.camera.closing import CLOSE_S
 from instruments.camera.frame import FrameError, FrameFault, FrameSet, Grey
+from instruments.camera.opencv import LONGEST_WAIT_S, OPEN_S
 from instruments.camera.quality import edge_blur_px, level_dn, missing_rows, saturated_share, spread
 from instruments.drivers.protocols import Cameras
 from instruments.errors import DeviceError
-from textfiles.text import plural
+from textfiles.text import full_stop, plural
 
+# the longest that a frame set takes: each camera hangs, is closed and opened again
+CAPTURE_S = len(CAN_GIVE) * (CLOSE_S + OPEN_S + LONGEST_WAIT_S)
 NEAREST_MM, FARTHEST_MM = 300.0, 8000.0
 REDUCED = 4  # rows and columns are compared at a fourth of the resolution
 SIGMA_PX = 1.0  # of the reduced picture: noise goes, edges stay
@@ -298,7 +303,7 @@ class FrameTaker:
             self.counts.update(f"{one.camera}: {one.fault}" for one in noticed)
             what = "; ".join(str(one) for one in noticed)
             more = f"Taken again; {left} {'try is' if left == 1 else 'tries are'} left"
-            self._report(EVENT, f"{what}. {more if left else 'Refused'}.")
+            self._report(EVENT, f"{full_stop(what)} {more if left else 'Refused'}.")
             if left:
                 self._wait(self._retry_s)
         raise _refused(noticed, self._retries + 1, self._cameras.identity)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.files import unwritten
+from bench.files import UNWRITTEN, unwritten
 from bench.record.state import TRIP
 from bench.record.writer import FolderGoneError
 from bench.results.headline import cure_of
@@ -101,6 +101,7 @@ class Engine:
         )
         self._attempts.done = len(left.done) if left and goes_on else 0
         self._reserve = Reserve(store.folder)
+        self._not_kept: list[tuple[str, str]] = []  # events that the record had no room for
         self._ended = False
         self._checked: dict[str, Any] | None = None  # the arm, before the trials of this session
         self.bath_is_safe = False  # until the run has ended and made it so
@@ -325,7 +326,8 @@ class Engine:
             raise cause
         if isinstance(cause, RECORD_FAULTS):
             reason = unwritten(cause)
-            self._kept(self._ctx.event, "fault", reason)
+            if not self._kept(self._ctx.event, "fault", reason):
+                self._not_kept.append(("fault", reason))
             self._ctx.events.warn(f"{reason}. {cure_of(reason, self._ctx.store.folder)}")
         elif isinstance(cause, InstrumentError | InterlockTrip):
             self._write_down("fault", str(cause))
@@ -372,18 +374,38 @@ class Engine:
         tripped = ending is RunState.FAULTED and isinstance(ctx.watch.tripped, InterlockTrip)
         word = RunState.TRIPPED if tripped else ending
         for state in (RunState.SAFING, word):
-            self._kept(ctx.states.to, state)
+            if not self._kept(ctx.states.to, state):
+                self._not_kept.append((EVENT, state.value))
         self._write_down("end", word.value)
         self._kept(ctx.store.fact, "retries", dict(self._recovery.counts))
-        session = ctx.store.session
-        if left:
-            self._kept(ctx.store.fact, INSTRUMENTS_FACT, {"session": session, "instruments": left})
         if any(self._trials.frames_looked_at.values()):
             self._kept(self._fact, FRAMES_FACT, dict(self._trials.frames_looked_at))
-        self._kept(ctx.store.fact, "ending", ending.value)
-        self._kept(ctx.store.fact, "wall_ended", wall_time().isoformat(timespec="seconds"))
-        self._kept(ctx.store.flush)
+        ending = self._write_end(ending, left)
         ctx.live.end()
+        return ending
+
+    def _write_end(self, ending: RunState, left: Sequence[Mapping[str, Any]]) -> RunState:
+        """Into the record, or into the reserve where that takes nothing more: then it is faulted,
+        if it was not before. ``left``: the instruments.
+        """
+        store, session = self._ctx.store, self._ctx.store.session
+        facts = dict[str, Any]()
+        if left:
+            facts[INSTRUMENTS_FACT] = {"session": session, "instruments": left}
+        facts |= {"ending": ending.value, "wall_ended": wall_time().isoformat(timespec="seconds")}
+        for key, value in facts.items():
+            self._kept(store.fact, key, value)
+        if self._kept(store.flush):
+            self._reserve.end()
+            return ending
+        texts = [*self._not_kept]
+        if ending is RunState.FINISHED:
+            ending = RunState.FAULTED
+            texts.append(("fault", f"{UNWRITTEN}: its end"))
+        at = {"session": session, "t_s": None, "wall_time": facts["wall_ended"]}
+        events = [{"kind": kind, "text": text} | at for kind, text in texts]
+        end = {"facts": {**facts, "ending": ending.value}, "events": events}
+        self._reserve.leave({"session": session, **end})
         return ending
 
     def _show_safing(self) -> None:
@@ -397,6 +419,7 @@ class Engine:
     def _write_down(self, kind: str, text: str) -> None:
         """An event, of which the run's end doesn't depend on whether it can be written."""
         if not self._kept(self._ctx.event, kind, text):
+            self._not_kept.append((kind, text))
             self._ctx.events.warn(text)
 
     def _kept(self, write: Callable[..., object], *what: object) -> bool:

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from bench.config import ConfigError
 from bench.files import write_synced
+from bench.rig.frame_capture import CAPTURE_S
 from bench.run.context import RunContext
 from bench.run.events import BACK, RunState
 from instruments.camera.cameras import CameraSet
@@ -157,10 +158,12 @@ class Recovery:
                 devices.stage.home()
             elif name == "cameras":
                 ctx.wait(SETTLED_S)
-                ctx.long("opening the cameras again", 60.0, silent=True)
+                ctx.long("opening the cameras again", CAPTURE_S, silent=True)
                 if isinstance(devices.cameras, CameraSet):
                     devices.cameras.reopen()
+                ctx.long("looking at the cameras", CAPTURE_S, silent=True)
                 self._look()
+                devices.heard[name] = ctx.clock.now()
             else:
                 devices.bath.read()  # its driver connects again by itself
         except InstrumentError:

@@ -1,5 +1,5 @@
 """Keeps two benches off one rig or run: a file lock that a running bench holds, and its name beside
-it; and the room on the disk that a run keeps for its last entries.
+it; and the room on the disk that a run keeps for its last entries (`RESERVE`).
 
 What counts is the system's lock (`filelock`), which goes with the process, however it died. The
 text is for people, and for a folder shared with another machine, which the lock may not reach. An
@@ -9,8 +9,9 @@ emulated rig has no lock. Two rig files for one rig have two.
 from __future__ import annotations
 
 import json
+import os
 import platform
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -18,20 +19,21 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from bench.config import ConfigError
-from bench.record.state import holder_in, this_process
+from bench.record.state import RESERVE, holder_in, this_process
 from bench.rig.loading import LoadedRig
 from instruments.clock import wall_time
 from instruments.errors import LimitError
 
-FILE = "reserve.bin"
-BYTES = 1 << 19
+BYTES, BLOCK = 1 << 19, 1 << 12
 
 
 class Reserve:
-    """A file of BYTES in ``folder``, while a run lasts."""
+    """A file of BYTES in ``folder``, while a run lasts; its first BLOCK until the run has its end
+    on record. Where others fill the disk at once, the end is written into that.
+    """
 
     def __init__(self, folder: Path) -> None:
-        self._path = folder / FILE
+        self._path = folder / RESERVE
 
     def keep(self) -> None:
         """Take the room; where there is none left, there is none to keep."""
@@ -39,9 +41,21 @@ class Reserve:
             self._path.write_bytes(b"\1" * BYTES)
 
     def give_back(self) -> None:
-        """Let it go; once more is no error."""
+        """Let it go but for its first block; once more is no error."""
+        with suppress(OSError):
+            os.truncate(self._path, min(BLOCK, self._path.stat().st_size))
+
+    def end(self) -> None:
+        """Nothing is left of it; once more is no error."""
         with suppress(OSError):
             self._path.unlink(missing_ok=True)
+
+    def leave(self, end: Mapping[str, Any]) -> None:
+        """What the record has no room for, as `left_in` reads it."""
+        data = json.dumps(end).encode()
+        with suppress(OSError), self._path.open("r+b") as file:  # a new file has no room
+            if len(data) <= BLOCK:
+                file.write(data.ljust(BLOCK))
 
 
 ENDING = ".lock.json"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sqlite3
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
@@ -19,7 +20,7 @@ from bench.config import ConfigError, parse_config, read_calibration, read_text
 from bench.record.reader import guardian_files, read_run
 from bench.record.recording import Recording, TruthRow
 from bench.record.schema import GUARDIAN, RULES, SCRIPT, Row
-from bench.record.state import run_lock
+from bench.record.state import left_in, run_lock
 from bench.record.writer import Store
 from bench.results import health
 from bench.results.answers import Answer, Examiner
@@ -345,7 +346,16 @@ def _run(
             return store.folder, _end(store, RunState.ABORTED, INTERRUPTED)
         return store.folder, _end(store, RunState.FAULTED, str(error))
     finally:
+        _close(store)
+
+
+def _close(store: Store) -> None:
+    """Raises sqlite3.Error where what it had no room for isn't kept either."""
+    try:
         store.close()
+    except sqlite3.OperationalError:
+        if not left_in(store.folder, store.session):
+            raise
 
 
 class OpenRig:

@@ -21,7 +21,7 @@ from bench.results.answers import Answer, Examiner, score_answers
 from bench.results.cameras_agree import where_seen
 from bench.results.doubts import out_of_sight
 from bench.results.teats_seen import TEATS_FACT, teats_seen
-from bench.rig.frame_capture import FrameTaker
+from bench.rig.frame_capture import CAPTURE_S, FrameTaker
 from bench.rig.model import Stage as StageSettings
 from bench.rig.move_check import MoveCheck
 from bench.run.cameras_so_far import CamerasSoFar
@@ -280,7 +280,7 @@ class TrialRun:
 
         def before_another_try(seconds: float) -> None:
             ctx.wait(seconds)
-            ctx.long("capturing again", 60.0, silent=True)
+            ctx.long("capturing again", CAPTURE_S, silent=True)
 
         cameras = ctx.devices.cameras
         self._taker = FrameTaker(
@@ -483,7 +483,7 @@ class TrialRun:
             ctx.states.to(RunState.RUNNING)
             ctx.check()
             ctx.events.state("capturing")
-            ctx.long("capturing", 60.0, silent=True)
+            ctx.long("capturing", CAPTURE_S, silent=True)
             try:
                 frames = self._taker.take()
             finally:

@@ -211,9 +211,9 @@ class Console(PromptedOperator):
                 reason = self._line(WHY, check).strip()
                 if self._mailbox and (given := self._mailbox.answer()):
                     return given.words
+                key = reason  # a key does what it does at the question
                 if reason and reason.lower() not in op.KEYS:
-                    return f"skip {reason}"
-                key = reason  # it does what it does at the question
+                    key = f"skip {reason}"
             except REQUESTS:
                 return words
             else:

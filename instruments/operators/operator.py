@@ -273,6 +273,7 @@ class Prompt:
             return f"{go} ({'s, r, ' * self.in_trial}? or a as before): "
         if self.hidden_to:
             ends = f"first the numbers of hidden teat ends ({range_text(1, self.hidden_to)})"
+            ends = "first 1 where the teat's end is hidden" if self.hidden_to == 1 else ends
             go = f"Enter when it stands; {ends}"
         trial = "s REASON = skip the trial, r = repeat it, " * self.in_trial
         enough = "e = enough, go on with what there is, " * self.enough
@@ -283,9 +284,10 @@ class Prompt:
         """What may be answered, in a sentence."""
         if self.kind == "coordinates":
             return 'Three or six numbers are wanted: "-110.20 284.20 134.20".'
-        ends = (
-            [f'the hidden ends\' numbers, 1 to {self.hidden_to}: "2 4"'] if self.hidden_to else []
-        )
+        ends = [f"the hidden ends' numbers, 1 to {self.hidden_to}"] if self.hidden_to else []
+        if self.hidden_to:
+            such = " ".join(n for n in "24" if int(n) <= self.hidden_to)
+            ends = [f'{ends[0]}: "{such}"' if such else '1 where the end is hidden: "1"']
         trial = ["s REASON", "r"] if self.in_trial else []
         keys = ["Enter", *ends, *trial, *(["e"] if self.enough else []), "?"]
         return f"There are {', '.join(keys)} and a."
@@ -323,6 +325,9 @@ def understood(answer: str, prompt: Prompt) -> frozenset[int]:
     """The numbers of hidden teat ends in ``answer``. Raises OperatorAbort, OperatorRepeat,
     OperatorEnough, OperatorSkip (the reason may be empty), NotUnderstoodError.
     """
+    if not " ".join(answer.split()).isprintable():
+        why = f"Not understood: {answer.strip()!r}. Arrow keys edit nothing here; backspace does."
+        raise NotUnderstoodError(why, prompt.allowed)
     words = [word for word in re.split(r"[\s,;+&]+", answer.lower()) if word]
     first, *more = words or (GO if not answer.strip() else ("",))
     reason = " ".join(answer.split()[1:])

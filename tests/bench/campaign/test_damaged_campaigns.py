@@ -7,7 +7,9 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import Iterator
+from errno import ENOSPC
 from pathlib import Path
+from unittest.mock import patch
 
 import duckdb
 import pytest
@@ -18,7 +20,7 @@ from bench.campaign import ledger
 from bench.campaign.chunk import CallTime, Rows, SceneRow, TeatRow
 from bench.campaign.ledger import LEDGER
 from bench.campaign.plan import Chunk
-from bench.campaign.run import Campaign, plan_of
+from bench.campaign.run import Campaign, locked, plan_of
 from bench.campaign.shards import SHARDS, Shards
 from bench.campaign.shards import query_campaign as query
 from bench.config import ConfigError
@@ -199,3 +201,25 @@ def test_a_query_may_ask_for_the_time(sound: Path) -> None:
     _, ((year,),) = query(sound, "SELECT year(now())")
     assert year > 2000
     query(sound, "SELECT now()")
+
+
+def test_rows_that_a_full_disk_did_not_take_are_missing_not_damaged(
+    sound: Path, tmp_path: Path
+) -> None:
+    folder = shutil.copytree(sound, tmp_path / "campaign")
+    gone = next((folder / SHARDS).glob("*.parquet"))
+    gone.unlink()  # its line in the ledger comes first
+    (said,) = run(folder)[1]
+    assert f"rows are missing: {SHARDS}/{gone.name} (no room for them, killed " in said
+
+
+def test_a_campaign_that_has_no_room_for_its_plan_leaves_nothing(tmp_path: Path) -> None:
+    plan, folder = small_plan(tmp_path, scenes=12), tmp_path / "campaign"
+    full = OSError(ENOSPC, "No space left on device")
+    with (
+        patch("bench.campaign.run.write_synced", side_effect=full),
+        pytest.raises(ConfigError, match="No space left"),
+        locked(folder),
+    ):
+        Campaign(plan, folder).begin()
+    assert not folder.exists()

@@ -24,15 +24,9 @@ BEGAN = datetime(2026, 9, 1, 8, tzinfo=UTC)
 def runs_of(
     values: list[float], key: str = "check_offset_mm", days: float = 2.0
 ) -> list[RunHealth]:
+    began = [(BEGAN + timedelta(days=days * k)).isoformat() for k in range(len(values))]
     return [
-        RunHealth(
-            f"run-{k:02d}",
-            (BEGAN + timedelta(days=days * k)).isoformat(),
-            "lab",
-            "real",
-            {key: v},
-            k,
-        )
+        RunHealth(f"run-{k:02d}", began[k], "lab", "real", {key: v}, k)
         for k, v in enumerate(values)
     ]
 

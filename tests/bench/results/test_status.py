@@ -151,6 +151,20 @@ def test_a_bench_that_hangs_has_its_last_words_with_their_age(tmp_path: Path) ->
     assert bath.age_s >= 40.0
 
 
+@pytest.mark.parametrize(
+    ("of", "words"),
+    [
+        (BATH, "bath 33.00 degC, stable"),
+        (replace(BATH, age_s=12.0), "bath 33.00 degC, stable (12 s ago)"),
+        (replace(BATH, name="arm", last="", age_s=1.0), "arm: answers"),
+        (replace(BATH, name="arm", last="", age_s=36.0), "arm: answered 36 s ago"),
+        (replace(BATH, name="cameras", last="", age_s=None), "cameras: connected"),
+    ],
+)
+def test_an_answer_that_is_old_shows_its_age(of: InstrumentStatus, words: str) -> None:
+    assert of.text == words
+
+
 def test_an_open_prompt_says_for_how_long() -> None:
     for number, waited_s, more in ((3, 59.0, ""), (3, 200.0, " for 3 min"), (None, 60.0, HERE)):
         asked = OpenPrompt("touch", number=number, waited_s=waited_s)

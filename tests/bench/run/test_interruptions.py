@@ -7,7 +7,10 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -16,6 +19,7 @@ from bench.config import ConfigError
 from bench.record.reader import RunRecord, read_run
 from bench.results.verdicts import latency_of
 from bench.rig.frame_capture import FrameTaker
+from bench.rig.guardian_client import Heartbeat
 from bench.rig.model import EmulatedFault
 from bench.run.context import RunContext
 from bench.run.events import EVENT, Events
@@ -25,6 +29,7 @@ from bench.run.interruptions import (
     GONE,
     POLICIES,
     REFUSES,
+    Recovery,
     Requests,
     diagnosis,
     leave_request,
@@ -35,7 +40,10 @@ from bench.run.start import RunOptions
 from bench.run.trial import TrialRun
 from bench.script.planned_trials import PlannedTrial
 from bench.truth.touching import ExpectedScene, TouchedTruth
+from instruments.camera.cameras import CAN_GIVE, CameraSet
+from instruments.camera.closing import CLOSE_S
 from instruments.camera.frame import FrameSet
+from instruments.camera.opencv import LONGEST_WAIT_S, OPEN_S
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.microscribe.errors import AnotherArmError, SilentArmError
@@ -521,3 +529,32 @@ def test_a_camera_that_drops_out_while_the_bench_waits_is_noticed_then(
     ]
     states = [one["text"] for one in read_run(folder).events if one["kind"] == EVENT]
     assert states[:5] == ["preparing", "settling", "paused", "settling", "running"]
+
+
+def test_cameras_that_hang_while_they_are_opened_again_are_no_hung_bench(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now_s, heartbeat = [0.0], Heartbeat()
+    monkeypatch.setattr("bench.rig.guardian_client.stopwatch_s", lambda: now_s[0])
+
+    def hang(seconds: float) -> None:
+        now_s[0] += seconds
+        assert heartbeat.overdue() is None
+
+    def opened() -> Any:
+        hang(OPEN_S)
+        return SimpleNamespace(close=lambda: hang(CLOSE_S / len(CAN_GIVE)))
+
+    cameras = CameraSet(dict.fromkeys(CAN_GIVE, opened), {})
+    ctx: Any = SimpleNamespace(
+        _heartbeat=heartbeat,
+        devices=SimpleNamespace(cameras=cameras, heard={}),
+        clock=VirtualClock(5.0),
+        events=SimpleNamespace(state=print),
+        rig=SimpleNamespace(rig=SimpleNamespace(limits=SimpleNamespace(away_s=600.0))),
+        wait=hang,
+    )
+    ctx.long = partial(RunContext.long, ctx)
+    look_s = len(CAN_GIVE) * (CLOSE_S + OPEN_S + LONGEST_WAIT_S)
+    assert Recovery(ctx, lambda: hang(look_s))._back("cameras")
+    assert ctx.devices.heard == {"cameras": 5.0}

@@ -141,6 +141,30 @@ def test_nonsense_is_asked_again(wrong: str) -> None:
     assert f"Not understood: '{wrong}'. {allowed}" in out.getvalue()
 
 
+@pytest.mark.parametrize(
+    ("teats", "words"),
+    [
+        (1, '1 where the end is hidden: "1"'),
+        (2, 'the hidden ends\' numbers, 1 to 2: "2"'),
+        (5, 'the hidden ends\' numbers, 1 to 5: "2 4"'),
+    ],
+)
+def test_what_may_be_answered_is_an_example_of_this_phantom(teats: int, words: str) -> None:
+    prompt = op.Prompt("set up", "", hidden_to=teats)
+    assert prompt.allowed.startswith(f"There are Enter, {words}, ")
+    example = re.findall('"(.*)"', words)[0]
+    assert op.understood(example, prompt) == frozenset(map(int, example.split()))
+
+
+@pytest.mark.parametrize("typed", ["s hose\x1b[Dleaks\n", "s\nhose\x1b[Dleaks\n"])
+def test_arrow_keys_put_nothing_into_the_record(typed: str) -> None:
+    who, out = asked(f"{typed}s the hose leaks\n")
+    with pytest.raises(op.OperatorSkip) as skip:
+        who.ask(ASKED)
+    assert skip.value.reason == "the hose leaks"
+    assert "Arrow keys edit nothing here; backspace does." in out.getvalue()
+
+
 @pytest.mark.parametrize("answer", ["a\n", "abort\n", " Q \n", ""])
 @pytest.mark.parametrize("prompt", PROMPTS)
 def test_every_prompt_can_abort_and_says_how(prompt: str, answer: str) -> None:
