@@ -59,7 +59,8 @@ def list_runs(folder: Path | str = "runs") -> Runs:
     for number, chart in enumerate(drawn, 1):
         limits = (chart.limits.centre, chart.limits.sigma) if chart.limits else None
         broken, dates = [bool(rule) for rule in chart.rules], (chart.dates[0], chart.dates[-1])
-        svg = control_chart(chart.values, limits, broken, BASE, dates, name=f"health-{number}")
+        of = {"unit": chart.unit, "name": f"health-{number}"}
+        svg = control_chart(chart.values, limits, broken, BASE, dates, **of)
         many = plural(len(chart.values), "run")
         health.setdefault(chart.rig, []).append(
             Figure(svg, chart.warning or chart.last, f"{chart.name}, {many}: {chart.last}")
