@@ -73,11 +73,14 @@ class Polyline:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A short text whose baseline starts at (x, y); its size follows the view, not the pixels."""
+    """A short text on the baseline y, `gap_px` right of x, or left of it where the view ends; its
+    size follows the view, not the pixels.
+    """
 
     x_px: float
     y_px: float
     text: str
+    gap_px: float = 0.0
 
 
 Shape = Circle | Ellipse | Cross | Rect | Polyline | Label

@@ -8,6 +8,7 @@ in the page; many get a file each.
 
 import base64
 import hashlib
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -201,7 +202,9 @@ def _context(
         "places": places,
         "alone": next(iter(places.values())) if len(places) == 1 else 0,
         # in Python, not in the template: the shapes of 1 000 trials are most of a report's text
-        "shapes": lambda layer: Markup("".join(map(_shape, layer.shapes))),  # noqa: S704 escaped
+        "shapes": lambda layer, *view: Markup(  # noqa: S704 escaped
+            "".join(_shape(one, *view) for one in layer.shapes)
+        ),
         "cell": lambda value: _cell(value, link),
         "cells": lambda row, columns: _cells(row, columns, link),
         "look": _look,
@@ -360,7 +363,7 @@ def _escaped(text: str) -> str:
 def _cell(value: str | Cell, link: Callable[[str], str]) -> Markup:
     """What stands in a cell; its link leads through `link`."""
     if isinstance(value, str):
-        return Markup(_escaped(value))  # noqa: S704 escaped
+        return Markup(_escaped(value).replace("&lt; ", "&lt;&nbsp;"))  # noqa: S704 escaped
     text, href = _escaped(value.text), link(value.href) if value.href else ""
     if href:
         mono = ' class="mono"' if value.mono else ""
@@ -390,10 +393,14 @@ def _cells(
     return Markup("".join(drawn))  # noqa: S704 each is escaped
 
 
-def _shape(it: Shape) -> str:
+def _shape(it: Shape, right_px: float = math.inf, letter_px: float = 0.0) -> str:
+    """In a view that ends at `right_px`, with letters of this size."""
     n = _number
     if isinstance(it, Label):
-        return f'<text x="{n(it.x_px)}" y="{n(it.y_px)}">{_escaped(it.text)}</text>'
+        x_px, anchor = it.x_px + it.gap_px, ""
+        if x_px + 0.7 * letter_px * len(it.text) > right_px:
+            x_px, anchor = it.x_px - it.gap_px, ' text-anchor="end"'
+        return f'<text x="{n(x_px)}" y="{n(it.y_px)}"{anchor}>{_escaped(it.text)}</text>'
     if isinstance(it, Circle):
         drawn = f'<circle cx="{n(it.x_px)}" cy="{n(it.y_px)}" r="{n(it.radius_px)}"'
     elif isinstance(it, Ellipse):

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 TAKEN_S = 10.0  # that a capture or a detection may take, before a request is read
 WIDE = 110  # columns that a comparison's axes need; page and JSON have them always
+MOST_STEPS = 8  # of a detector's runs: the page has more
 
 
 @contextmanager
@@ -204,7 +205,8 @@ def _show_runs(found: Runs) -> None:
     if found.runs:
         print_table(console, table)
     for (detector, script), of in found.histories().items():
-        steps = " → ".join(one.brief for _, one in of)
+        earlier = [f"{len(of) - MOST_STEPS} earlier"] if len(of) > MOST_STEPS else []
+        steps = " → ".join([*earlier, *(one.brief for _, one in of[-MOST_STEPS:])])
         print_wrapped(console, f"{detector}, {script}: {steps}")
     for run in found.runs:
         if run.note:

@@ -14,7 +14,16 @@ from bench.calibrate.cameras import PAIR, WORKING_MM, CamerasResult, PairsResult
 from bench.calibrate.views import BoardViews
 from bench.calibrate.world import PointsAgain, WorldResult
 from bench.report.chapters import Chapters, page_of
-from bench.report.wording import NOT_MEASURED, Heading, hints, key_values, listed, spanned, table
+from bench.report.wording import (
+    NOT_MEASURED,
+    Heading,
+    hints,
+    key_values,
+    listed,
+    number,
+    spanned,
+    table,
+)
 from bench.results.cameras_agree import NEXT_UNSEEN, CamerasCheck
 from bench.scoring.decisions import Decision, Verdict
 from detector.calibration import Record
@@ -299,14 +308,14 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
     touched = spanned(fit.target_error_mm(fit.touched_mm), ".2f", "mm")
     worst = float(there.max())
     verdict, said = good(result.findings, worst)
-    left_out = NOT_MEASURED if held_out["rigid"] is None else f"{held_out['rigid']} mm"
+    left_out = number(out_mm["rigid"], "mm rms")
     where = f"{touched} at the touched places"
     scores = (
         _enough("Anywhere in the working volume", worst, f"up to {worst:.2f} mm", where),
-        _figure_only("Points miss the arm's by", f"{comparison.rigid.fre_mm:.3f} mm"),
+        _figure_only("Points miss the arm's by", f"{comparison.rigid.fre_mm:.2f} mm rms"),
         _figure_only("A point left out is missed by", left_out),
     )
-    alt = f"{plural(len(fit.touched_mm), 'point')}, {comparison.rigid.fre_mm:.3f} mm rms"
+    alt = f"{plural(len(fit.touched_mm), 'point')}, {comparison.rigid.fre_mm:.2f} mm rms"
     caption = "Where the arm touched, less where the cameras see it, along the world's axes"
     rigid_mm = comparison.rigid.residuals_mm
     shown = _touched(rigid_mm, ENOUGH_MM, "good enough", "residuals", caption, alt)
@@ -325,8 +334,8 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
         verdict=verdict,
         tested=f"World from {plural(len(fit.touched_mm), 'point')} that the arm touched.",
         sentence=(
-            f"{said} Mapped points miss the arm's by {comparison.rigid.fre_mm:.3f} mm rms, a point"
-            f" left out by {held_out['rigid'] or NOT_MEASURED} mm rms."
+            f"{said} The cameras' points miss the arm's by {comparison.rigid.fre_mm:.2f} mm rms;"
+            f" a point left out of the fit: {left_out}."
         ),
         confidence=(
             f"A point is expected to be {touched} off at the touched places, and up to"
@@ -510,7 +519,7 @@ def _residuals(fits: Mapping[str, CameraFit], views: BoardViews) -> Iterator[Par
         svg = residual_field(x, y, dx, dy, size, name=f"residuals-{camera}")
         rms, mean = np.sqrt(np.mean(np.sum(miss**2, axis=1))), listed(miss.mean(axis=0), "+.3f")
         alt = f"{plural(len(miss), 'point')}, rms {rms:.3f} px, mean {mean} px"
-        yield Figure(svg, f"Corners of the {camera} camera: seen less predicted", alt)
+        yield Figure(svg, f"Points of the {camera} camera: seen less predicted", alt)
 
 
 def _held_out(result: CamerasResult) -> Iterator[Part]:
@@ -570,15 +579,15 @@ def _worth(result: CamerasResult, seen_m: tuple[float, float]) -> Iterator[Part]
 
 
 def _coverage(shown: Mapping[str, Coverage]) -> Iterator[Part]:
-    """Corners by part of the picture, tilts and distances."""
+    """Points by part of the picture, tilts and distances."""
     for camera, coverage in shown.items():
         sides = [side.split(" edge")[0].removeprefix("its ") for side in SIDES]
         tilts = ", ".join(f"{n} {side}" for side, n in zip(sides, coverage.tilted, strict=True))
         span = coverage.distances_mm
         far = "unknown" if span is None else spanned(span, ".0f", "mm")
-        yield table(
-            "coverage", coverage.corners, camera=camera, views=coverage.views, far=far, tilts=tilts
-        )
+        rows = zip(("top", "middle", "bottom"), *zip(*coverage.corners, strict=True), strict=True)
+        seen = coverage.views
+        yield table("coverage", rows, camera=camera, views=seen, far=far, tilts=tilts)
 
 
 def _pictures(views: BoardViews, fit: CameraFit) -> Iterator[Part]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, fields, is_dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -264,14 +264,20 @@ def comparison_page(found: Sequence[Comparison]) -> Page:
     kinds: set[Kind] = {run.facts["kind"] for run in runs}
     mixed: Kind = "mixed" if kinds & {"emulated", "mixed"} else "recorded"
     each = tuple((_matter(one), GATE[one.compared.gate.verdict][0]) for one in found)
-    then = dict.fromkeys(map(_next, found))
+
+    def lines(of: Callable[[Comparison], str]) -> str:
+        """Each comparison's, with its name where they differ."""
+        said = [of(one) for one in found]
+        named = [f"{_matter(one)}: {text}" for one, text in zip(found, said, strict=True)]
+        return said[0] if len(set(said)) == 1 else "\n".join(named)
+
     banner = Banner(
         kind=kinds.pop() if len(kinds) == 1 else mixed,
         verdict=GATE[gate][0],
         tested="\n".join(dict.fromkeys(map(_tested, found))),
         sentence="\n".join(map(_outcome, found)),
-        confidence="\n".join(dict.fromkeys(map(_sure, found))),
-        next_action="\n".join(then),
+        confidence=lines(_sure),
+        next_action=lines(_next),
         each=each if len(each) > 1 else (),
     )
     # what came out of all comparisons comes before what folds
@@ -292,7 +298,7 @@ def comparison_page(found: Sequence[Comparison]) -> Page:
         }
     damaged = any(run.damage for run in runs)
     page = page_of(
-        "Comparison of detectors",
+        f"Comparison of {_compared(found)}",
         "Paired differences on the same scenes",
         banner,
         shown,
@@ -352,6 +358,13 @@ def _called(one: Comparison) -> tuple[str, str]:
 def _short(one: Comparison) -> tuple[str, str]:
     old, new = _called(one)
     return old.removeprefix("the "), new.removeprefix("the ")
+
+
+def _compared(found: Sequence[Comparison]) -> str:
+    """What stands beside each other: detectors, or their runs or campaigns."""
+    if all(one.old.run.folder.resolve() == one.new.run.folder.resolve() for one in found):
+        return "detectors"
+    return "runs" if found[0].compared.gate.margin_rate is None else "campaigns"
 
 
 def _matter(one: Comparison) -> str:

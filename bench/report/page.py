@@ -429,6 +429,7 @@ BESIDE = {
 
 def _configured(title: str, entries: Mapping[str, object]) -> Iterator[Part]:
     """Names and values; what is a program's configuration rather than a word is folded."""
+    entries = {key.replace("_", " "): value for key, value in entries.items()}
     texts = {key: value if isinstance(value, str) else str(value) for key, value in entries.items()}
     raw = {key: text for key, text in texts.items() if len(text) > LONGEST_VALUE}
     yield key_values(title, {key: entries[key] for key in texts if key not in raw})
@@ -455,7 +456,7 @@ def provenance_parts(run: RunRecord, status: RunStatus) -> Iterator[Part]:
             },
             **{name: facts.get(name) for name in ("seed", "rig", "script")},
             **{f"version, {name}": version for name, version in facts["versions"].items()},
-            "bench's commit": facts.get("commit"),
+            "bench's commit": facts.get("commit") or "not known",
             **chain,
         },
     )
@@ -469,9 +470,9 @@ def provenance_parts(run: RunRecord, status: RunStatus) -> Iterator[Part]:
     ]
     frames = sum(len(trial.frames) for trial in run.trials)
     note = (
-        f"The calibration's at the start was {run.facts['calibration_sha256']}. {frames} pictures"
+        f"At the start that of the calibration was {run.facts['calibration_sha256']}. The record"
+        f" has the SHA-256 of every picture of frames and stages ({frames})."
     )
-    note += " of frames and stages: each one's SHA-256 is in the record."
     yield table("files", rows, note=note)
     links = {
         what: Cell(path.removeprefix("../"), href=path)

@@ -61,7 +61,8 @@ def list_runs(folder: Path | str = "runs") -> Runs:
         first, last, broken = chart.dates[0], chart.dates[-1], [bool(rule) for rule in chart.rules]
         one_day = first[:10] == last[:10]  # named once, with the time at both ends
         dates = (first, last[11:]) if one_day else (first[:10], last[:10])
-        svg = control_chart(chart.values, limits, broken, BASE, dates, name=f"health-{number}")
+        of = {"unit": chart.unit, "name": f"health-{number}"}
+        svg = control_chart(chart.values, limits, broken, BASE, dates, **of)
         many = plural(len(chart.values), "run")
         health.setdefault(chart.rig, []).append(
             Figure(svg, chart.warning or chart.last, f"{chart.name}, {many}: {chart.last}")

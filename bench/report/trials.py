@@ -102,12 +102,13 @@ def undecided_of(judgements: Sequence[Judgement]) -> frozenset[str]:
     return frozenset(one.detector for one in judgements if one.verdict not in DECIDED)
 
 
-def _fault(trial: TrialRecord, name: str) -> tuple[int, float]:
-    """How wrong a detector was: by missed and false, then by its largest error."""
+def _fault(trial: TrialRecord, name: str) -> tuple[bool, int, float]:
+    """How wrong a detector was: failed at all, then by missed and false, by its largest error."""
     score = trial.scores.get(name)
     if score is None:
-        return -1, 0.0
-    return score.counts.missed + score.counts.false, max(score.radial_mm, default=0.0)
+        return False, -1, 0.0
+    wrong = score.counts.missed + score.counts.false
+    return not score.success, wrong, max(score.radial_mm, default=0.0)
 
 
 def failures_in_turn(
@@ -433,7 +434,7 @@ def overlays(
             if np.isfinite([x, y]).all():
                 hidden = "" if row["visible"] else " (hidden)"
                 shapes["truth", 0].append(Circle(x, y, 7, f"truth {row['teat']}{hidden}"))
-                shapes["truth", 0].append(Label(x + 9, y - 5, str(row["teat"])))
+                shapes["truth", 0].append(Label(x, y - 5, str(row["teat"]), 9))
     places, spreads = _places(trial), _spreads(trial.found, camera, calibration)
     for detection in trial.detections:
         trace, name = _trace(detection["trace"]), str(detection["detector"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,14 +14,14 @@ from typing import Any, cast
 
 import numpy as np
 
-from bench.scoring.decisions import Decision, Verdict
+from bench.scoring.decisions import TIMES, Decision, Verdict
 from bench.scoring.rates import percent_apart
 from reports.page import Cell, Column, KeyValues, Table
-from textfiles.text import range_text
+from textfiles.text import plural, range_text
 
 LONGEST = 60  # with what stands before it an id has room
 NOT_MEASURED = "not measured"
-DIGITS = {"s": 3, "%": 1, "": 0}  # of a decision's figures by unit; 2 of the others
+DIGITS = {"s": 3, "%": 1, "": 0, TIMES: 0}  # of a decision's figures by unit; 2 of the others
 
 
 def id_of(name: str) -> str:
@@ -151,6 +152,8 @@ def measured(decision: Decision) -> str:
     """The decided figure and the one-sided bound decided on: ``100.0 % (at least 60.7 %)``."""
     value, unit, digits = decision.measured, decision.unit, DIGITS.get(decision.unit, 2)
     text = number(value, unit, digits)
+    if unit == TIMES and value is not None:
+        return f"{value:.0f} of {plural(decision.n, 'time')}"
     if value is None or not decision.uncertainty:
         return text
     above = (decision.verdict is Verdict.NOT_MET) == (unit == "%")
@@ -162,8 +165,13 @@ def measured(decision: Decision) -> str:
 
 
 def limit(decision: Decision) -> str:
-    """The limit with its unit."""
-    return number(decision.limit, decision.unit, DIGITS.get(decision.unit, 2))
+    """The limit with its unit, and with the digits that it was stated with: ``5 mm``."""
+    if decision.unit == TIMES:
+        return "each time"
+    text = f"{decision.limit:.4g}"
+    if not math.isclose(float(text), decision.limit):  # it was worked out, as an arm's
+        return number(decision.limit, decision.unit, DIGITS.get(decision.unit, 2))
+    return f"{text} {decision.unit}".rstrip()
 
 
 def margin(decision: Decision) -> str:

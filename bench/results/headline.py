@@ -12,7 +12,7 @@ from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord
 from bench.record.state import State
 from bench.results.doubts import AGAIN, DOUBTS_FACT
-from bench.results.verdicts import TESTS_FACT, Judgement, calls_of, run_verdict
+from bench.results.verdicts import BUSY, TESTS_FACT, Judgement, calls_of, run_verdict
 from bench.rig.by_hand import BY_HAND
 from bench.safety.latch import latch_beside
 from bench.scoring.decisions import Decision, Verdict
@@ -208,10 +208,11 @@ def guardian_text(record: Mapping[str, Any]) -> str:
 def _next_action(verdict: Verdict, which: Sequence[Decision], of_bench: frozenset[str]) -> str:
     if verdict is Verdict.MET:
         return "Keep the run's folder as evidence."
-    bench = ", ".join(dict.fromkeys(one.name for one in which if one.name in of_bench))
+    bench = "; ".join(dict.fromkeys(one.name for one in which if one.name in of_bench))
     own = [one for one in which if one.name not in of_bench]
     empty = [one.name for one in own if one.verdict is Verdict.NOT_MEASURED]
-    names = ", ".join(dict.fromkeys(one.name for one in own if one.name not in empty))
+    busy = [one.name for one in own if one.missing is None and BUSY in one.sentence]
+    names = "; ".join(dict.fromkeys(o.name for o in own if o.name not in (*empty, *busy)))
     if verdict is Verdict.NOT_MET:
         first = f"Put the bench right before all else: {bench}; what it measured may be wrong."
         then = "The detector has to become better." if names else "Then run the script again."
@@ -220,6 +221,8 @@ def _next_action(verdict: Verdict, which: Sequence[Decision], of_bench: frozense
         most = max((one.missing for one in own if one.missing is not None), default=None)
         many = "Run more poses" if most is None else f"Run {plural(most, 'more pose')}"
         then = f"{many} to decide: {names}." if names else ""
+        idle = "Run it again on an idle machine to decide"
+        then += f" {idle}: {'; '.join(dict.fromkeys(busy))}." if busy else ""
         look = "Look at the trials: poses such as these measure nothing of"
-        then += f" {look}: {', '.join(dict.fromkeys(empty))}." if empty else ""
+        then += f" {look}: {'; '.join(dict.fromkeys(empty))}." if empty else ""
     return f"{first} {then.strip()}".strip() if bench else then.strip()

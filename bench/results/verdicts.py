@@ -484,6 +484,7 @@ LATENCY_RULE = (
     " apart, failures have no time. Percentiles are observed values."
 )
 STARVED_BELOW = 0.7  # share of a processor
+BUSY = "THE MACHINE WAS TOO BUSY FOR THESE TIMES TO HOLD"
 LEAST_TIMED_S = 0.2  # in all: a system may count a process's time in steps of 16 ms
 _TIMED = (Outcome.ANSWERED.value, Outcome.TIMEOUT.value)
 
@@ -534,10 +535,7 @@ class Latency:
             why = f"half of the time {load:.1f} or more processes wanted each processor"
         else:
             return ""
-        return (
-            f"THE MACHINE WAS TOO BUSY FOR THESE TIMES TO HOLD: {why}. On an idle machine they may"
-            " be shorter."
-        )
+        return f"{BUSY}: {why}. On an idle machine they may be shorter."
 
 
 def latency_of(run: RunRecord, detector: str, situation: str | None = None) -> Latency:

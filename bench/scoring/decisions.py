@@ -42,6 +42,9 @@ class Verdict(StrEnum):
     NOT_MEASURED = "not measured"
 
 
+TIMES = "times"  # the unit of a condition that held at so many looks
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decision:
     """One requirement decided; by default not measured. ``margin`` is positive on the good side,
@@ -229,11 +232,12 @@ def decide_condition(name: str, rule: str, *, held: int, of: int) -> Decision:
     failures = Rate(held, of).failures
     if not of:
         sentence = "The condition was never looked at."
-        return Decision(name=name, rule=rule, limit=0.0, sentence=sentence)
+        return Decision(name=name, rule=rule, unit=TIMES, limit=0.0, sentence=sentence)
     return Decision(
         name=name,
         rule=rule,
         n=of,
+        unit=TIMES,
         measured=float(held),
         limit=float(of),
         margin=float(-failures),

@@ -406,8 +406,8 @@ def chosen(trial: Trial) -> str:
             for k, (a, b) in drawn.items()
             if (a, b) != (0.0, 0.0)
         )
-        how = f"{plural(draw.count, 'pose')} drawn evenly within"
-        how += f" {within or 'the reference place alone'}"
+        how = plural(draw.count, "pose")
+        how += f" drawn evenly within {within}" if within else " at the reference place"
     else:
         how = f"{plural(len(trial.poses or (1,)), 'pose')} as written"
     more = [f"layout {trial.layout}{', another udder for each pose' if trial.redraw else ''}"]

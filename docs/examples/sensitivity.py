@@ -118,7 +118,7 @@ def drawn(name: str, rows: Sequence[dict[str, Any]], path: Path) -> None:
         below.plot([row["value"] for row in own], shares, **look)
     above.set(yscale="log", ylabel="3-D error (mm)")
     above.legend()
-    below.set(ylim=(-0.05, 1.05), ylabel="found", xlabel=QUANTITIES[name].label)
+    below.set(ylim=(-0.05, 1.05), ylabel="share found", xlabel=QUANTITIES[name].label)
     figure.savefig(path)
 
 

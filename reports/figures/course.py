@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from reports.figures.drawing import (
     COLOURS,
     HALF_INCHES,
+    THIRD_INCHES,
     WIDE_INCHES,
     LegendEntry,
     Marker,
@@ -33,6 +34,7 @@ from reports.figures.drawing import (
 
 _MOST_CAPTURES = 250  # more marks than that stand on each other
 _TIMES = (HALF_INCHES, 3.6)
+_THIRD = (THIRD_INCHES, 1.6)
 _THESIS_PRESENT = 4  # teats in each of the thesis's pictures
 
 
@@ -87,7 +89,7 @@ def bath_sparkline(
     """Bath temperature (n,) over time (n,) as a line on its band, ± band_k."""
     times, temps = together("bath_sparkline", times_s=times_s, temps_c=temps_c)
     shown = envelope(temps)
-    figure = yield "bath-sparkline", (HALF_INCHES, 1.6), ""
+    figure = yield "bath-sparkline", (THIRD_INCHES, 1.6), ""
     axes = figure.add_subplot()
     axes.axhspan(-band_k, band_k, facecolor=COLOURS["band"], linewidth=0)
     single = "o" if shown.size == 1 else ""
@@ -107,14 +109,15 @@ def control_chart(
     base: int,
     dates: tuple[str, str],
     *,
+    unit: str = "",
     name: str,
 ) -> Plot:
     """Values (n,) in the order of their runs, with mean and three standard deviations (``limits``)
     of the first ``base``; a diamond where a rule is ``broken``; ``dates`` of the first and last.
     """
     shown = finite("control_chart", "values", values)
-    figure = yield name, (HALF_INCHES, 1.9), ""
-    axes = figure.add_subplot()
+    figure = yield name, _THIRD, ""
+    axes = figure.add_subplot(ylabel=unit)
     order = np.arange(1, shown.size + 1)
     if limits:
         centre, sigma = limits

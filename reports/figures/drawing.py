@@ -67,6 +67,7 @@ COLOURS = {
     "paper": "#fdfdfe",
 }
 HALF_INCHES, WIDE_INCHES = 4.7, 9.4
+THIRD_INCHES = 3.6  # three beside each other, whose text is then no smaller than that of halves
 NO_PAIR = "no teat end was paired with a truth"
 Marker = Literal["o", "s", "^", "D", "v", "P", "X"]
 # each detector has a colour and a mark by its place, as over the frames (reports.frames.places_of)

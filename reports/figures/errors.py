@@ -18,6 +18,7 @@ from reports.figures.drawing import (
     MOST_POINTS,
     MOST_STEPS,
     NO_PAIR,
+    THIRD_INCHES,
     WIDE_INCHES,
     Floats,
     LegendEntry,
@@ -40,6 +41,7 @@ from reports.figures.drawing import (
 
 _SQUARE = (HALF_INCHES, 4.2)
 _FLAT = (HALF_INCHES, 3.6)
+_THIRD = (THIRD_INCHES, 3.5)
 _MOST_BEYOND = 60  # points beyond the whiskers of a box
 
 
@@ -129,7 +131,7 @@ def error_scatter(
     as circles. `links` open on a click; `who`: the detector's place.
     """
     across, along = together("error_scatter", lateral_mm=lateral_mm, depth_mm=depth_mm)
-    figure = yield name, _SQUARE, "" if across.size else NO_PAIR
+    figure = yield name, _THIRD, "" if across.size else NO_PAIR
     axes = figure.add_subplot(aspect="equal")
     reach = 1.12 * max(limit_mm, float(np.abs(across).max()), float(np.abs(along).max()))
     axes.set(xlabel="lateral error (mm)", ylabel="depth error (mm)")

@@ -15,6 +15,7 @@ import pytest
 
 from reports.figures.course import bath_curve
 from reports.figures.errors import error_histogram
+from reports.frames import Label, Overlay
 from reports.page import VERDICTS, Banner, Figure, KeyValues, Page, Paragraph, Part, Section
 from reports.render import render, write_report
 from reports.trust import PageError
@@ -100,6 +101,20 @@ def test_overlays_are_drawn_on_pixel_centres(document: Document) -> None:
     rings = [ring.attributes for ring in document.all("circle")]
     truth = [ring for ring in rings if ring["r"] == "9"]
     assert (truth[0]["cx"], truth[0]["cy"]) == ("190", "250")
+
+
+def test_a_number_by_the_right_edge_of_a_view_stands_on_the_other_side_of_its_mark(
+    sample: tuple[Page, Path],
+) -> None:
+    """The sample's view ends at column 540."""
+    (first, *more) = sample[0].trials
+    numbers = Overlay("truth", "truth", (Label(300, 50, "1", 9), Label(525, 50, "2", 9)))
+    image = dataclasses.replace(first.images[0], overlays=(numbers,))
+    trial = dataclasses.replace(first, images=(image,))
+    page = read(render(dataclasses.replace(sample[0], trials=(trial, *more))))
+    texts = [one for one in page.all("text") if one.attributes.get("y") == "50"][:2]
+    assert [(one.text, one.attributes["x"]) for one in texts] == [("1", "309"), ("2", "516")]
+    assert texts[1].attributes["text-anchor"] == "end"
 
 
 def test_policy_allows_exactly_this_style_and_script(html: str, document: Document) -> None:

@@ -82,15 +82,16 @@ def test_its_page_says_what_it_is_good_for(lab: Path) -> None:
     for section, said in {
         "findings": "No fault left a mark",
         "parameters": "Lens of the left camera",
-        "residuals": "Corners of the right camera",
+        "residuals": "Points of the right camera",
         "held-out": "lengths against the print",
         "worth": "What one triangulated point is good to",
-        "coverage": "Corners by part of the left picture",
+        "coverage": "Points by part of the left picture",
         "pictures": "Views used",
         "provenance": "board.toml",
     }.items():
         assert said in page.by_id(section).text, section
     assert text.count("<figure") == 3, "residuals of both cameras, precision by distance"
+    assert all(f">{row}</th>" in text for row in ("top", "middle", "bottom"))
     first = page.by_id("findings").text
     assert "One point is good to" in first
     assert "at most 1.25 mm" in first

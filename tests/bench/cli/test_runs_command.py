@@ -75,6 +75,21 @@ def test_the_page_stands_alone(said: Said, runs: Path) -> None:
     assert (runs / "index.html").read_text(encoding="utf-8") == page
 
 
+def test_of_many_runs_the_last_are_shown_one_by_one(
+    said: Said, runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = bench.list_runs(runs)
+    many = replace(found, runs=(found.runs[0],) * 25)
+    monkeypatch.setattr(bench, "list_runs", lambda _: many)
+    text = said(0, "runs {}", runs).out
+    assert "fused, small: 17 earlier → " in re.sub(r"script: ", "small: ", text)
+    assert text.count("→") == 8
+    page = (runs / "index.html").read_text(encoding="utf-8")
+    (steps,) = re.findall(r'<td class="steps">(.*?)</td>', page, re.DOTALL)
+    assert "5 earlier" in steps
+    assert steps.count('class="chip ') == 20
+
+
 def test_a_report_that_has_no_room_says_so_once(said: Said, runs: Path) -> None:
     with patch("bench.report.page.write_report", side_effect=OSError(ENOSPC, "full")):
         assert said(3, "report {}", runs / "first").err.count("Make room") == 1

@@ -59,6 +59,13 @@ def test_the_cards_begin_with_the_same_detector_as_the_line_above_them() -> None
     assert second == f"Worst of {BASELINE}"
 
 
+def test_the_first_card_is_a_failure_where_there_is_one() -> None:
+    """Also one that was only too slow, beside a success that is further off."""
+    run = run_with({BASELINE: range(1, 7), UNDER_TEST: [2]})
+    (first, _), *_ = first_trials(run, {UNDER_TEST}).values()
+    assert [first.head["number"]] == numbers(run, {UNDER_TEST})[:1] == [2]
+
+
 @pytest.mark.parametrize(
     ("verdict", "undecided"),
     [(Verdict.INCONCLUSIVE, True), (Verdict.NOT_MEASURED, True), (Verdict.NOT_MET, False)],

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from bench.report.wording import measured
+from bench.report.wording import limit, measured
 from bench.rig.model import Arm
 from bench.scoring.decisions import (
     Decision,
@@ -63,10 +63,28 @@ bath = partial(decide_condition, "bath", "in band")
         (error95([6.0] * 59), "6.00 mm (at least 5.62 mm)"),
         (error95([3.0] * 59, u_mm=0.0), "3.00 mm"),
         (false(0, scenes=3), "0"),
+        (bath(held=5, of=6), "5 of 6 times"),
+        (bath(held=0, of=0), "not measured"),
     ],
 )
 def test_a_bound_is_reported_its_side(decision: Decision, text: str) -> None:
     assert measured(decision) == text
+
+
+@pytest.mark.parametrize(
+    ("decision", "text"),
+    [
+        (error95([3.0]), "5 mm"),
+        (error95([3.0], limit_mm=0.592345), "0.59 mm"),  # worked out, not stated
+        (rate95(Rate(6, 6)), "95 %"),
+        (decide_rate("r", Rate(6, 6), required=0.9995, confidence=0.95), "99.95 %"),
+        (p95([0.5]), "1 s"),
+        (false(0, scenes=3), "0"),
+        (bath(held=5, of=6), "each time"),
+    ],
+)
+def test_a_limit_has_the_digits_that_were_stated(decision: Decision, text: str) -> None:
+    assert limit(decision) == text
 
 
 def thirds(poses: int) -> list[int]:

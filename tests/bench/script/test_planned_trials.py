@@ -206,7 +206,7 @@ def test_the_prompt_says_what_no_motor_does() -> None:
     assert "left front (LF): x " in udder.arrangement("XY").details
 
 
-def test_the_record_tells_how_the_poses_were_chosen() -> None:
+def test_the_record_tells_how_the_poses_were_chosen(tmp_path: Path) -> None:
     script = load_script(find_script("random-udder"))
     said = script.script
     kept = pose_set(said.trials, script.planned, seed=said.seed, order=said.order)
@@ -215,6 +215,9 @@ def test_the_record_tells_how_the_poses_were_chosen() -> None:
         "udder: 59 poses drawn evenly within x -25 to 25 mm, y -30 to 30 mm, yaw -8 to 8 deg;"
         " layout random-udder, another udder for each pose."
     )
+    still = script_of(tmp_path, f"{SINGLE}draw = {{ count = 3 }}")
+    told = pose_set(still.script.trials, still.planned, seed=1, order="")["chosen"]
+    assert told == ["one: 3 poses at the reference place; layout single."]
     first = dict(zip(POSE_KEYS, kept["poses"][0], strict=True))
     assert first["id"] == script.planned[0].id
     assert first["x_mm"] == script.planned[0].pose.x_mm
