@@ -149,10 +149,6 @@ FLOATS = [name for name in NAMES if load_register_profile(name).row("temperature
 LEARNT = "julabo-presto"  # it tells its order, and the driver follows
 
 
-def test_who_has_words_to_turn() -> None:
-    assert set(NAMES) - set(FLOATS) == {"omega-cn7"}
-
-
 @pytest.mark.parametrize("name", FLOATS)
 def test_words_the_other_way_round_are_refused_or_found(name: str) -> None:
     with met(name, fault="word order") as (emulator, url, profile, clock):
@@ -180,22 +176,6 @@ def test_words_the_other_way_round_are_refused_or_found(name: str) -> None:
 # ---- what a family can do
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_pump_that_the_family_lacks_is_never_made_up(name: str) -> None:
-    with (
-        met(name) as (emulator, url, profile, clock),
-        closing(Bath(url, profile, clock, unit_confirmed=True)) as bath,
-    ):
-        bath.start(33.0)
-        clock.sleep(5.0)
-        emulator.plant.advance_to(clock.now())
-        assert emulator.plant.pump_on == (bath.pump == "with run") == ("julabo" in name)
-        if bath.pump == "none":
-            for row in ("pump", "pump_stage"):
-                with pytest.raises(LimitError, match=f"has no '{row}'"):
-                    bath.set(row, 1.0)
-
-
 MAP_2 = {30: 138, 360: 0, 361: 0x41A0, 362: 61, 1896: 61, 2360: 62, 2408: 61}
 MAP_2 |= {2640: 0, 2641: 0x41A0}
 
@@ -211,7 +191,6 @@ IN_F = r"does not speak degC \(asked its unit, got f\)"
         ("eurotherm-2400", {122: 0x3216}, "no Eurotherm 2400 .*hexadecimal 3216.*Is it a 3200"),
         ("eurotherm-3200", {}, "no Eurotherm 3200 .*hexadecimal 2416.*Is it a 2400"),
         ("eurotherm-2400", {516: 1}, IN_F),
-        ("watlow-pm-map1", {2490: 30}, IN_F),
         ("watlow-pm-map1", {1880: 0, 1881: 0x4296}, "no Watlow EZ-ZONE PM map 1 .*Is it map 2"),
         ("watlow-pm-map2", {}, "no Watlow EZ-ZONE PM map 2 .*Is it map 1"),
         ("omega-cn7", {0x1005: 0x1234}, "it is no Omega CN7 .*1234"),
@@ -242,10 +221,18 @@ def test_another_controller_or_a_broken_sensor_is_refused_before_anything_is_wri
         ("watlow-pm-map2", {1896: 88}, 0, ""),
         ("watlow-pm-map2", {2408: 1274}, 1274, "alarm 1274, open loop"),
         ("watlow-pm-map2", {362: 99}, 99, "alarm 99, see the controller's manual"),
+        ("omega-cn7", {0x102E: 1}, 0, ""),
+        ("omega-cn7", {0x102E: 5}, 5, "alarm 5, over the range of its input"),
+        (
+            "eurotherm-2400",
+            {75: 0x0420},
+            0x0420,
+            "alarm 1056, sensor break and process value out of range",
+        ),
     ],
 )
 def test_alarms_of_each_kind(name: str, changes: dict[int, int], alarm: int, text: str) -> None:
-    memory = (MAP_2 if "map2" in name else EUROTHERM_MEMORY) | changes
+    memory = (MAP_2 if "map2" in name else BROWSED[name]) | changes
     with bath_on(name, memory) as (_, bath):
         reading = bath.read()
         assert reading.alarm == alarm
