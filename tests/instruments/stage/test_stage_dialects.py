@@ -123,16 +123,6 @@ def test_after_a_lost_or_late_answer_it_is_recovered(newer: Bench, fault: StageF
     assert newer.emulator.position_mm()[:2] == pytest.approx([x, y], abs=0.006)
 
 
-@pytest.mark.parametrize("fault", [StageFault.NO_SWITCH, StageFault.STUCK_SWITCH])
-def test_homing_that_fails_is_told(each: Bench, fault: StageFault) -> None:
-    each.stage.connect()
-    each.emulator.inject(fault)
-    with pytest.raises(DeviceError):
-        each.stage.home()
-    assert not each.stage.homed
-    each.stage.safe()
-
-
 def test_a_stage_that_homes_is_stopped(each: Bench) -> None:
     stage = each.stage
     stage.connect()
