@@ -123,6 +123,15 @@ def test_after_a_lost_or_late_answer_it_is_recovered(newer: Bench, fault: StageF
     assert newer.emulator.position_mm()[:2] == pytest.approx([x, y], abs=0.006)
 
 
+def test_homing_that_fails_is_told(each: Bench) -> None:
+    each.stage.connect()
+    each.emulator.inject(StageFault.NO_SWITCH)
+    with pytest.raises(DeviceError):
+        each.stage.home()
+    assert not each.stage.homed
+    each.stage.safe()
+
+
 def test_a_stage_that_homes_is_stopped(each: Bench) -> None:
     stage = each.stage
     stage.connect()
