@@ -131,19 +131,7 @@ def test_where_no_file_can_be_is_reported(tmp_path: Path) -> None:
         CaptureFile(tmp_path, FACTS)
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows allows few of these in a file's name")
-@pytest.mark.parametrize(
-    "name", ["-rf", "two\nlines", "a b;c'd\"e", "ü\u202e", "%s{0}$HOME", "\x1b[2J", "*"]
-)
-def test_a_file_may_be_called_anything(tmp_path: Path, name: str) -> None:
-    with opened(tmp_path / name):
-        pass
-    assert list(read_capture(tmp_path / name).links) == ["arm"]
-
-
-@pytest.mark.parametrize(
-    "name", ["", "two words", "a\nb", "../up", "1", "ä", "x" * 33, "\x1b[2J", 'a"b']
-)
+@pytest.mark.parametrize("name", ["", "two words", "../up", "1", "ä", "x" * 33])
 def test_a_link_may_not(tmp_path: Path, name: str) -> None:
     with (
         CaptureFile(tmp_path / "c", FACTS) as capture,

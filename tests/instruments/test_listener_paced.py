@@ -17,7 +17,6 @@ from instruments.link import Link
 from instruments.listener import Listener
 from instruments.pacing import Line
 from tests.instruments.listening_in import Echo, linked
-from tests.waiting import within
 
 Paced = Callable[..., tuple[Link, Echo]]
 
@@ -46,13 +45,6 @@ def lasts(least_s: float) -> Iterator[None]:
     start = time.monotonic()
     yield
     assert time.monotonic() - start >= least_s - 0.001
-
-
-def test_bytes_follow_one_another_on_a_line() -> None:
-    line = Line(0.001)
-    assert line.carry(5, from_s=1.0) == pytest.approx(1.005)
-    assert line.carry(2, from_s=1.001) == pytest.approx(1.007), "behind what is on the line already"
-    assert line.carry(1, from_s=9.0) == pytest.approx(9.001), "a free line starts at once"
 
 
 def test_a_thousand_late_wakes_do_not_add_up() -> None:
@@ -122,15 +114,6 @@ def test_closing_does_not_wait_for_the_line() -> None:
         start = time.monotonic()
     clock.close()
     assert time.monotonic() - start < 60.0, "what is on the line would take 100 s"
-
-
-def test_a_host_that_goes_is_noticed(paced: Paced) -> None:
-    link, echo = paced(115200)
-    link.close()
-    within(lambda: echo.gone == 1, "noticed")
-    link.reopen()
-    link.write(b"B")
-    assert link.read(1, 5.0) == b"B"
 
 
 def test_an_unpaced_line_has_no_wait(paced: Paced) -> None:

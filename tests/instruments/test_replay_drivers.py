@@ -200,7 +200,9 @@ def failing(session: Session) -> Session:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", ArmFault, ids=str)
+@pytest.mark.parametrize(
+    "fault", [ArmFault.SILENT, ArmFault.FLIPPED_BIT, ArmFault.DISCONNECT], ids=str
+)
 def test_an_arm_with_a_fault_has_it_again(fault: ArmFault, tmp_path: Path) -> None:
     """The driver does the same, byte for byte, and says the same, whether it finds its way."""
 

@@ -122,6 +122,3 @@ def test_no_answer_is_an_error_after_some_tries(stand: Stand) -> None:
         Bath("tcp://127.0.0.1:1", stand.profile, stand.clock)
     with pytest.raises(LinkError, match="nothing took the connection"):
         Bath("tcp://no-such-host.invalid:502", stand.profile, stand.clock)
-
-
-# ---- refusals to start

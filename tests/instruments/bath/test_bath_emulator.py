@@ -107,9 +107,6 @@ def test_pump_stage_and_heating_limit_reach_the_plant(tcp: Asked) -> None:
 @pytest.mark.parametrize(
     ("fault", "request_", "answer"),
     [
-        ("silence", "0001 0000 0006 01 04 000A 0002", ""),
-        ("busy", "0001 0000 0006 01 04 000A 0002", "00 01 00 00 00 03 01 84 06"),
-        ("wrong length", "0001 0000 0006 01 04 000A 0002", "00 01 00 00 00 05 01 04 02 41 A0"),
         ("gaps refused", "0001 0000 0006 01 04 0005 000D", "00 01 00 00 00 03 01 84 02"),
         # 68
         ("fahrenheit", "0001 0000 0006 01 04 000A 0002", "00 01 00 00 00 07 01 04 04 42 88 00 00"),

@@ -4,9 +4,8 @@ never written; what its alarms say, and which profiles are refused."""
 from __future__ import annotations
 
 import re
-import threading
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -14,40 +13,35 @@ import pytest
 from instruments.bath.driver import Bath
 from instruments.bath.profile import SHIPPED, RegisterProfile
 from instruments.bath.rows import Row
-from instruments.clock import VirtualClock
 from instruments.device_file import DeviceFileError
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
-from instruments.listener import Listener
 from tests.instruments.bath.devices import (
     REGISTER_FAMILIES,
-    Watched,
-    calm_plant,
+    Stand,
     load_register_profile,
 )
 from tests.instruments.bath.far_end import bath_on, shown_by
 from tests.instruments.bath.test_bath_profile import BROWSED, EUROTHERM_MEMORY
 
 NAMES = REGISTER_FAMILIES
-BOTH = {"transports": ("tcp", "rtu")}  # so that any driver can meet any controller
 ALIKE = {  # nothing that may be read for certain tells them apart
     ("julabo-magio", "julabo-presto")
 }
 
 
+def on_either(name: str) -> RegisterProfile:
+    return load_register_profile(name).model_copy(update={"transports": ("tcp", "rtu")})
+
+
 @contextmanager
-def met(
-    name: str, other: str | None = None, *, fault: str = ""
-) -> Iterator[tuple[Watched, str, RegisterProfile, VirtualClock]]:
+def met(name: str, other: str | None = None, *, fault: str = "") -> Iterator[Stand]:
     """A controller of the family ``other``, and the profile ``name`` to meet it with, by TCP."""
-    clock, plant = VirtualClock(), calm_plant()
-    served = load_register_profile(other or name).model_copy(update=BOTH)
-    emulator = Watched(plant, served, clock)
-    plant.set_point_c = 25.0
-    if fault:
-        emulator.fault(fault)
-    with closing(Listener(emulator, clock, lock=threading.RLock(), name="bath")) as listener:
-        profile = load_register_profile(name).model_copy(update=BOTH)
-        yield emulator, f"tcp://127.0.0.1:{listener.port}", profile, clock
+    with Stand(profile=on_either(other or name)) as stand:
+        stand.profile = on_either(name)  # so that any driver can meet any controller
+        stand.plant.set_point_c = 25.0
+        if fault:
+            stand.emulator.fault(fault)
+        yield stand
 
 
 # ---- evidence
@@ -61,10 +55,8 @@ def doubtful(name: str) -> list[Row]:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_no_inferred_row_is_written_or_polled_unless_the_rig_says_so(name: str) -> None:
-    with (
-        met(name) as (emulator, url, profile, clock),
-        closing(Bath(url, profile, clock, unit_confirmed=True)) as bath,
-    ):
+    with met(name) as stand:
+        bath, emulator, profile = stand.bath(), stand.emulator, stand.profile
         for row in doubtful(name):
             value = float(next(iter((*row.values.values(), *(row.range or (0.0,))))))
             with pytest.raises(
@@ -85,46 +77,41 @@ def test_no_inferred_row_is_written_or_polled_unless_the_rig_says_so(name: str) 
 
 def test_an_inferred_row_is_written_where_the_rig_says_so() -> None:
     (name,) = {name for name in NAMES if doubtful(name)}
-    with (
-        met(name) as (emulator, url, profile, clock),
-        closing(Bath(url, profile, clock, allow_inferred=True)) as bath,
-    ):
+    with met(name) as stand:
+        bath = stand.bath(allow_inferred=True)
         for row in doubtful(name):
             if row.values:
                 bath.set(row.name, float(max(row.values.values())))
             elif row.range and row.range[1] < 1e6:
                 bath.set(row.name, float(round(min(row.range[1], 30.0))))
-        assert emulator.writes()
+        assert stand.emulator.writes()
 
 
 # ---- who is there
 
 
-@pytest.mark.parametrize("other", NAMES)
 @pytest.mark.parametrize("name", NAMES)
-def test_a_controller_of_another_family_is_refused_before_the_first_write(
-    name: str, other: str
-) -> None:
-    with met(name, other) as (emulator, url, profile, clock):
-        if name == other or (name, other) in ALIKE:
-            with closing(Bath(url, profile, clock, unit_confirmed=True)) as bath:
-                assert bath.read().temp_c == pytest.approx(20.0, abs=0.1)
-        else:
-            with pytest.raises(InstrumentError) as caught:
-                Bath(url, profile, clock)
-            assert str(caught.value).startswith("bath at tcp://"), "it says who"
-        assert emulator.writes() == []
+def test_a_controller_of_another_family_is_refused_before_the_first_write(name: str) -> None:
+    for other in NAMES:
+        with met(name, other) as stand:
+            if name == other or (name, other) in ALIKE:
+                assert stand.bath().read().temp_c == pytest.approx(20.0, abs=0.1)
+            else:
+                with pytest.raises(InstrumentError) as caught:
+                    stand.bath(unit_confirmed=False)
+                assert str(caught.value).startswith("bath at "), "it says who"
+            assert stand.emulator.writes() == [], other
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_another_unit_is_silence(name: str) -> None:
-    with met(name) as (emulator, url, profile, clock):
+    with met(name) as stand:
+        stand.url += "?unit=2"
         with pytest.raises(LinkError, match="no answer"):
-            Bath(f"{url}?unit=2", profile, clock)
-        assert emulator.writes() == []
-        emulator.unit_id = 2
-        with closing(Bath(f"{url}?unit=2", profile, clock)) as bath:
-            assert bath.read().temp_c == pytest.approx(20.0)
+            stand.bath()
+        assert stand.emulator.writes() == []
+        stand.emulator.unit_id = 2
+        assert stand.bath().read().temp_c == pytest.approx(20.0)
 
 
 # ---- unit
@@ -132,15 +119,15 @@ def test_another_unit_is_silence(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_controller_in_fahrenheit_is_refused(name: str) -> None:
-    with met(name, fault="fahrenheit") as (emulator, url, profile, clock):
+    with met(name, fault="fahrenheit") as stand:
         error, what = (
             (DeviceError, "does not speak degC")
-            if profile.find("unit")
+            if stand.profile.find("unit")
             else (ProtocolError, "In degF it would be 20")
         )
         with pytest.raises(error, match=what):
-            Bath(url, profile, clock)
-        assert emulator.writes() == []
+            stand.bath(unit_confirmed=False)
+        assert stand.emulator.writes() == []
 
 
 # ---- order of words
@@ -149,32 +136,27 @@ FLOATS = [name for name in NAMES if load_register_profile(name).row("temperature
 LEARNT = "julabo-presto"  # it tells its order, and the driver follows
 
 
-def test_who_has_words_to_turn() -> None:
-    assert set(NAMES) - set(FLOATS) == {"omega-cn7"}
-
-
 @pytest.mark.parametrize("name", FLOATS)
 def test_words_the_other_way_round_are_refused_or_found(name: str) -> None:
-    with met(name, fault="word order") as (emulator, url, profile, clock):
+    with met(name, fault="word order") as stand:
         if name == LEARNT:
-            with closing(Bath(url, profile, clock, unit_confirmed=True)) as bath:
-                assert bath.read().temp_c == pytest.approx(20.0)
-                assert bath.identity["order"] == "CDAB"
-                assert emulator.writes() == []
-                bath.start(33.0)
-                assert emulator.plant.set_point_c == 33.0
-                return
-        else:
-            turned = "ABCD" if profile.order == "CDAB" else "CDAB"
-            with pytest.raises(
-                ProtocolError,
-                match=(
-                    rf"can't be: not within -5 to 60 degC.*In the order {turned} it would be 20\.0"
-                    r" degC"
-                ),
-            ):
-                Bath(url, profile, clock)
-        assert emulator.writes() == []
+            bath = stand.bath()
+            assert bath.read().temp_c == pytest.approx(20.0)
+            assert bath.identity["order"] == "CDAB"
+            assert stand.emulator.writes() == []
+            bath.start(33.0)
+            assert stand.plant.set_point_c == 33.0
+            return
+        turned = "ABCD" if stand.profile.order == "CDAB" else "CDAB"
+        with pytest.raises(
+            ProtocolError,
+            match=(
+                rf"can't be: not within -5 to 60 degC.*In the order {turned} it would be 20\.0"
+                r" degC"
+            ),
+        ):
+            stand.bath(unit_confirmed=False)
+        assert stand.emulator.writes() == []
 
 
 # ---- what a family can do
@@ -182,18 +164,11 @@ def test_words_the_other_way_round_are_refused_or_found(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_pump_that_the_family_lacks_is_never_made_up(name: str) -> None:
-    with (
-        met(name) as (emulator, url, profile, clock),
-        closing(Bath(url, profile, clock, unit_confirmed=True)) as bath,
-    ):
+    with met(name) as stand:
+        bath = stand.bath()
         bath.start(33.0)
-        clock.sleep(5.0)
-        emulator.plant.advance_to(clock.now())
-        assert emulator.plant.pump_on == (bath.pump == "with run") == ("julabo" in name)
-        if bath.pump == "none":
-            for row in ("pump", "pump_stage"):
-                with pytest.raises(LimitError, match=f"has no '{row}'"):
-                    bath.set(row, 1.0)
+        stand.plant.advance_to(5.0)
+        assert stand.plant.pump_on == (bath.pump == "with run") == ("julabo" in name)
 
 
 MAP_2 = {30: 138, 360: 0, 361: 0x41A0, 362: 61, 1896: 61, 2360: 62, 2408: 61}
@@ -211,7 +186,6 @@ IN_F = r"does not speak degC \(asked its unit, got f\)"
         ("eurotherm-2400", {122: 0x3216}, "no Eurotherm 2400 .*hexadecimal 3216.*Is it a 3200"),
         ("eurotherm-3200", {}, "no Eurotherm 3200 .*hexadecimal 2416.*Is it a 2400"),
         ("eurotherm-2400", {516: 1}, IN_F),
-        ("watlow-pm-map1", {2490: 30}, IN_F),
         ("watlow-pm-map1", {1880: 0, 1881: 0x4296}, "no Watlow EZ-ZONE PM map 1 .*Is it map 2"),
         ("watlow-pm-map2", {}, "no Watlow EZ-ZONE PM map 2 .*Is it map 1"),
         ("omega-cn7", {0x1005: 0x1234}, "it is no Omega CN7 .*1234"),
@@ -242,10 +216,18 @@ def test_another_controller_or_a_broken_sensor_is_refused_before_anything_is_wri
         ("watlow-pm-map2", {1896: 88}, 0, ""),
         ("watlow-pm-map2", {2408: 1274}, 1274, "alarm 1274, open loop"),
         ("watlow-pm-map2", {362: 99}, 99, "alarm 99, see the controller's manual"),
+        ("omega-cn7", {0x102E: 1}, 0, ""),
+        ("omega-cn7", {0x102E: 5}, 5, "alarm 5, over the range of its input"),
+        (
+            "eurotherm-2400",
+            {75: 0x0420},
+            0x0420,
+            "alarm 1056, sensor break and process value out of range",
+        ),
     ],
 )
 def test_alarms_of_each_kind(name: str, changes: dict[int, int], alarm: int, text: str) -> None:
-    memory = (MAP_2 if "map2" in name else EUROTHERM_MEMORY) | changes
+    memory = (MAP_2 if "map2" in name else BROWSED[name]) | changes
     with bath_on(name, memory) as (_, bath):
         reading = bath.read()
         assert reading.alarm == alarm

@@ -277,17 +277,3 @@ def test_any_request_gets_one_whole_answer_or_none(profile: str, pdu: bytes) -> 
     assert not answer or answer[0] & 0x7F == pdu[0] & 0x7F
     if profile in EUROTHERMS and answer and answer[0] & 0x80:
         assert answer[1] in (2, 3)
-
-
-@pytest.mark.parametrize("profile", NO_PUMP)
-def test_a_controller_does_not_see_the_float_switch_but_the_heater_is_cut(profile: str) -> None:
-    controller = Asked(profile)
-    controller.plant.run(33.0)
-    controller.emulator.fault("low level")
-    controller.plant.advance_to(controller.plant.t_s + 400.0)
-    assert controller.plant.power_percent > 0.0
-    assert controller.plant.heat_w == 0.0
-    assert controller.plant.loop_broken
-    controller.emulator.fault("low level", on=False)
-    controller.plant.advance_to(controller.plant.t_s + 10.0)
-    assert controller.plant.heat_w > 0.0

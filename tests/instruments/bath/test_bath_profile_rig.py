@@ -79,12 +79,6 @@ def test_a_profile_that_is_not_there_or_no_toml(rig: Path) -> None:
     assert 'did you mean "eurotherm-3200"?' in fault_of(rig)
 
 
-@pytest.mark.parametrize("url", ["tcp://10.0.0.7:502", "/dev/ttyUSB0?unit=3&baud=9600&parity=E"])
-def test_links_that_a_rig_may_name(rig: Path, url: str) -> None:
-    change(rig, 'url = "emulator:"\nprofile', f'url = "{url}"\nprofile')
-    assert load_rig(rig).rig.bath.url == url
-
-
 @pytest.mark.parametrize(
     ("url", "message"),
     [

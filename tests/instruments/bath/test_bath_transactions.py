@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import suppress
 from dataclasses import replace
 
 import pytest
@@ -17,14 +16,12 @@ from instruments.bath.connection import Line, LineError, parse_line
 from instruments.bath.driver import Bath
 from instruments.bath.session import BrokenError
 from instruments.bath.transactions import FORGET_S, Transactions
-from instruments.clock import Clock, RealClock
 from instruments.errors import InstrumentError, LinkError, ProtocolError
 from instruments.listener import Listener
 from instruments.port_settings import PortSettings
 from tests.examples import examples
 from tests.instruments.bath.devices import Stand, load_register_profile
-from tests.instruments.bath.far_end import MARKERS, FarEnd, crc, linked, right, rtu, served, virtual
-from tests.waiting import within
+from tests.instruments.bath.far_end import MARKERS, FarEnd, linked, right, rtu, virtual
 
 # ---- P1, P5: late answers
 
@@ -192,20 +189,6 @@ def test_an_urgent_write_does_not_wait_for_what_is_owed() -> None:
 # ---- P4: other numbers over TCP
 
 
-@pytest.mark.parametrize("number", ["FF FF 01", "00 00 01", "00 01 02", "00 02 02"])
-def test_p4_over_tcp_only_the_right_number_and_unit_count(number: str) -> None:
-    with linked("tcp") as (far_end, link):
-        other = bytes.fromhex(number)
-
-        def damaged(frame: bytes) -> bytes:
-            return other[:2] + frame[2:6] + other[2:] + frame[7:]
-
-        far_end.spoils = [damaged, damaged]
-        with pytest.raises(ProtocolError, match="what came is no answer to this"):
-            link.read(3, 0, 1)
-        assert link.read(3, 1, 1) == right(1)
-
-
 # ---- P6: garbage
 
 
@@ -328,46 +311,7 @@ def test_p7_a_first_connect_that_fails_is_tried_again() -> None:
     listeners[0].close()
 
 
-def test_a_port_that_is_not_there_is_said_with_the_systems_words() -> None:
-    with virtual() as (far_end, _):
-        link = Transactions(parse_line("/dev/no-such-port"), far_end.clock, who="bath")
-        with pytest.raises(
-            LinkError, match=r"can't be opened in 6 tries: .*no-such-port.*list_ports"
-        ):
-            link.connect()
-
-
-def test_p8_a_link_that_breaks_raises_and_opens_once_more() -> None:
-    with linked() as (far_end, link):
-        for _ in range(5):
-            far_end.hosts[0].hang_up()
-            with pytest.raises(BrokenError):
-                link.read(3, 0, 1)
-            link.connect()
-            assert link.read(3, 1, 1) == right(1)
-            within(lambda: len(far_end.hosts) == 1, "a thread of the listener notices it")
-
-
 # ---- P9, P10: real time
-
-
-@contextmanager
-def real(framing: str) -> Iterator[tuple[FarEnd, Transactions]]:
-    with ExitStack() as stack:
-        clock: Clock = RealClock()
-        stack.callback(clock.close)  # type: ignore[attr-defined]
-        far_end = FarEnd(clock, framing=framing)
-        far_end.memory = {address: 100 * (address + 1) for address in range(16)}
-        url = stack.enter_context(served(far_end))
-        link = Transactions(parse_line(url), clock, who="bath", quiet_s=0.1)
-        link.connect()
-        stack.callback(link.close)
-        yield far_end, link
-
-
-def test_the_far_end_of_these_tests_speaks_rtu_as_printed() -> None:
-    assert crc(bytes.fromhex("02 07")) == bytes.fromhex("41 12")  # Modbus over serial line 1.02
-    assert rtu("11 03 00 6B 00 03") == bytes.fromhex("11 03 00 6B 00 03 76 87")
 
 
 BY_ID = "/dev/serial/by-id/usb-FTDI"

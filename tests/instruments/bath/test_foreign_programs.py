@@ -28,7 +28,7 @@ from instruments.errors import DeviceError
 from instruments.listener import Connection, Listener
 from instruments.world.plant import Plant
 from tests.instruments.bath.devices import calm_plant, load_register_profile
-from tests.instruments.bath.peers import Device, absent, real_time
+from tests.instruments.bath.peers import absent, real_time
 from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.slow
@@ -51,14 +51,6 @@ def circulator(name: str) -> Iterator[tuple[LineEmulator, Plant, int]]:
         device = LineEmulator(plant, profile, clock)
         with closing(Listener(device, clock, lock=threading.RLock(), name="bath")) as listener:
             yield device, plant, listener.port
-
-
-@contextmanager
-def on_tcp(name: str) -> Iterator[tuple[Device, int]]:
-    """An emulated controller in real time, and its port on loopback."""
-    with real_time(load_register_profile(name), "tcp") as (emulator, listener):
-        assert isinstance(listener, Listener)
-        yield emulator, listener.port
 
 
 # ---- they drive
@@ -162,29 +154,6 @@ def words(value: float) -> list[int]:
     return list(struct.unpack(">HH", struct.pack(">f", value)))
 
 
-def number(pair: list[int]) -> float:
-    value: float = struct.unpack(">f", struct.pack(">HH", *pair))[0]
-    return value
-
-
-def test_pymodbustcp_drives_an_emulated_presto() -> None:
-    """By the manual's registers: safety sensor 30016, cut-out 30020 (15 and 19 on the wire)."""
-    library: Any = foreign("pyModbusTCP.client", "pyModbusTCP")
-    with on_tcp("julabo-presto") as (emulator, port):
-        client = library.ModbusClient("127.0.0.1", port, timeout=PATIENCE_S)
-        with closing(client):
-            assert number(client.read_input_registers(10, 2)) == 20.0
-            assert number(client.read_input_registers(15, 2)) == 20.0
-            assert number(client.read_input_registers(19, 2)) == 40.0
-            assert client.write_multiple_registers(2, words(33.5))
-            assert client.write_single_register(0, 1)
-            assert (emulator.plant.set_point_c, emulator.plant.running) == (33.5, True)
-            assert client.read_holding_registers(0, 4) == [1, 0, *words(33.5)]
-            assert client.write_single_register(0, 0)
-            assert client.read_input_registers(1000, 2) is None
-            assert client.last_except == 2
-
-
 # ---- the driver drives theirs
 
 
@@ -249,12 +218,7 @@ class Simulated:
                 connection.send(answer)
 
 
-@pytest.mark.parametrize(
-    ("kind", "power", "external"), [("JulaboCF", 3.0, 28.22), ("JulaboMS", 3.0, 28.22)]
-)
-def test_the_driver_on_julabos_simulators(
-    monkeypatch: pytest.MonkeyPatch, kind: str, power: float | None, external: float | None
-) -> None:
+def test_the_driver_on_julabos_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
     """Their base class is sinstruments' (gevent): a stand-in here has its name and its log."""
     foreign("julabo", "julabo")
 
@@ -268,7 +232,7 @@ def test_the_driver_on_julabos_simulators(
     monkeypatch.setitem(sys.modules, "sinstruments.simulator", module)
     monkeypatch.delitem(sys.modules, "julabo.simulator", raising=False)
     simulator: Any = importlib.import_module("julabo.simulator")
-    device = getattr(simulator, kind)("bath")
+    device = simulator.JulaboCF("bath")
     with (
         closing(RealClock()) as clock,
         closing(
@@ -278,7 +242,7 @@ def test_the_driver_on_julabos_simulators(
     ):
         reading = on.read()
         assert (reading.temp_c, reading.set_point_c, reading.safety_c) == (29.45, 30.0, 29.69)
-        assert (reading.power_percent, reading.external_c) == (power, external)
+        assert (reading.power_percent, reading.external_c) == (3.0, 28.22)
         assert reading.remote is False
         on.confirm_unit(29.5)
         on.set_point(33.5)

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, get_args
 
@@ -149,30 +150,20 @@ def profile_of(folder: Path, text: str) -> LineProfile:
     return profile
 
 
-class On:
+@contextmanager
+def bath_on(device: Device, profile: LineProfile) -> Iterator[Bath]:
     """A driver on a device under virtual time."""
-
-    def __init__(self, device: Device, profile: LineProfile) -> None:
-        self.clock = VirtualClock()
-        self.listener = Listener(device, self.clock, lock=threading.RLock(), name="bath")
-        self.url, self.profile = f"tcp://127.0.0.1:{self.listener.port}", profile
-
-    def __enter__(self) -> Bath:
-        try:
-            self.bath = Bath(self.url, self.profile, self.clock)
-        except BaseException:
-            self.listener.close()
-            raise
-        return self.bath
-
-    def __exit__(self, *_: object) -> None:
-        self.bath.close()
-        self.listener.close()
+    clock = VirtualClock()
+    with (
+        closing(Listener(device, clock, lock=threading.RLock(), name="bath")) as listener,
+        closing(Bath(f"tcp://127.0.0.1:{listener.port}", profile, clock)) as bath,
+    ):
+        yield bath
 
 
 def test_numbers_of_fixed_width_a_relay_and_a_version_that_counts_hours(tmp_path: Path) -> None:
     device = fixed_device()
-    with On(device, profile_of(tmp_path, FIXED)) as bath:
+    with bath_on(device, profile_of(tmp_path, FIXED)) as bath:
         assert bath.identity["version"] == "TC-9"
         bath.start(33.0)
         reading = bath.read()
@@ -186,7 +177,7 @@ def test_numbers_of_fixed_width_a_relay_and_a_version_that_counts_hours(tmp_path
 
 def test_scaled_numbers_with_a_check_sum_and_a_set_point_for_standby(tmp_path: Path) -> None:
     device, profile = scaled_device(), profile_of(tmp_path, SCALED)
-    with On(device, profile) as bath:
+    with bath_on(device, profile) as bath:
         assert bath.read().running is False
         bath.start(33.25)
         assert (bath.read().running, bath.read().set_point_c) == (True, 33.25)
@@ -196,8 +187,9 @@ def test_scaled_numbers_with_a_check_sum_and_a_set_point_for_standby(tmp_path: P
             bath.set_point(5.0)
     written = [line for line in device.told if line.startswith("$S") and len(line) > 4]
     assert written == [xor("$S03325"), xor("$S00500")]
-    with pytest.raises(LinkError, match="check sum of its answer is wrong"):
-        On(scaled_device({"V"}), profile).__enter__()
+    wrong = pytest.raises(LinkError, match="check sum of its answer is wrong")
+    with wrong, bath_on(scaled_device({"V"}), profile):
+        pass
 
 
 @pytest.mark.parametrize(
@@ -212,7 +204,7 @@ def test_bytes_models_and_a_check_sum_of_16_bits(
     tmp_path: Path, model: str, external: float | None, missing: str
 ) -> None:
     device = bytes_device(model)
-    with On(device, profile_of(tmp_path, BYTES)) as bath:
+    with bath_on(device, profile_of(tmp_path, BYTES)) as bath:
         reading = bath.read()
         assert (reading.external_c, reading.power_percent, reading.alarm) == (external, None, 0)
         assert bath.identity["not offered by this model"] == missing

@@ -75,14 +75,6 @@ def test_a_second_host_takes_over_a_session_that_was_left_streaming(rig: Rig) ->
     assert rig.signed_on().poll().counts == UNIT.home
 
 
-def test_an_arm_without_beta_is_not_asked_for_it(make: Callable[..., Rig]) -> None:
-    rig = make(renamed(comment="Standard"))
-    driver = rig.driver()
-    driver.sign_on()
-    assert driver.info.beta == 0
-    assert b"\xd3" not in rig.ear.heard
-
-
 def test_a_joint_that_loses_count_is_reported(make: Callable[..., Rig]) -> None:
     maxima = dataclasses.replace(UNIT.maxima, encoders=(0x3FFF, 0x3FFF, 0x1FFF, 4999, 0x0FFF, 0))
     driver = make(dataclasses.replace(UNIT, maxima=maxima)).driver()

@@ -1,11 +1,11 @@
-"""The emulated stage on a link: with raw bytes out and back, or with its driver; and devices that
+"""The emulated stage: with raw bytes out and back, or on a link with its driver; and devices that
 only pretend to be a stage.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, cast
 
 from instruments.clock import VirtualClock
@@ -31,56 +31,59 @@ def motors_of(axes: str) -> list[Motor]:
     return [Motor(1 + "XYZA".index(axis), 1, 100.0 if axis == "A" else 250.0) for axis in axes]
 
 
-class OnLink:
-    """An emulator with the arguments of `StageEmulator`, on loopback under virtual time."""
+class Board:
+    """An emulator with the arguments of `StageEmulator` under virtual time, with nothing between:
+    raw bytes out, raw bytes back. It is the emulator's connection.
+    """
 
     def __init__(self, settings: Mapping[int, float] | None = None, **more: Any) -> None:
         self.clock = VirtualClock()
         self.emulator = StageEmulator(self.clock, settings=settings, **more)
-        self.listener = Listener(self.emulator, self.clock, lock=threading.RLock(), name="stage")
-        self.links: list[Link] = []
-
-    def link(self) -> Link:
-        self.links.append(Link(self.listener.url, self.clock, who="stage"))
-        return self.links[-1]
-
-    def close(self) -> None:
-        for link in self.links:
-            link.close()
-        self.listener.close()
-
-
-class Board(OnLink):
-    """Raw bytes out, raw bytes back."""
-
-    def __init__(self, settings: Mapping[int, float] | None = None, **more: Any) -> None:
-        super().__init__(settings, **more)
         self.greeting = self.plug_in()
 
     def plug_in(self) -> bytes:
-        self.link()
+        self._said, self._said_s = b"", 0.0
+        self.emulator.connect(cast(Connection, self))
         return self.hear(0.0)
+
+    def unplug(self) -> None:
+        self.emulator.disconnect(cast(Connection, self))
+
+    def send(self, data: bytes) -> None:
+        self._said += data
+        self._said_s = self.clock.now()
+
+    def after(self, seconds: float, action: Callable[[], None]) -> None:
+        self.clock.call_at(self.clock.now() + seconds, action)
+
+    def write(self, data: bytes) -> None:
+        self.emulator.receive(cast(Connection, self), data)
 
     def hear(self, seconds: float) -> bytes:
         """All that comes within ``seconds`` of virtual time, all of which passes."""
-        until, got = self.clock.now() + seconds, b""
-        while data := self.links[-1].receive(max(0.0, until - self.clock.now())):
-            got += data
-        return got
+        self.clock.sleep(seconds)
+        said, self._said = self._said, b""
+        return said
 
     def say(self, data: bytes, seconds: float = 0.0) -> bytes:
-        self.links[-1].write(data)
+        self.write(data)
         return self.hear(seconds)
+
+    def lines(self, data: bytes, seconds: float) -> list[str]:
+        """What it says, by line."""
+        return [line for line in self.say(data, seconds).decode("ascii").split("\r\n") if line]
 
     def unlock(self) -> None:
         assert self.say(b"$X\n") == UNLOCKED
 
     def answered_at(self, data: bytes) -> float:
         """Seconds until the one answer to ``data`` comes."""
-        start = self.clock.now()
-        self.links[-1].write(data)
-        assert self.links[-1].read_until(b"ok\r\n", 3600) == b"ok\r\n"
-        return self.clock.now() - start
+        start_s = self.clock.now()
+        said = self.say(data)
+        while not said:
+            said = self.hear(0.05)
+        assert said == b"ok\r\n"
+        return self._said_s - start_s
 
     def state(self) -> bytes:
         return self.say(b"?")[1:].split(b"|")[0]
@@ -90,16 +93,29 @@ class Board(OnLink):
 QUICK_HOMING = {24: 1200, 25: 12000, 26: 10}
 
 
-class Bench(OnLink):
-    """A driver for ``axes``, its emulator that homes quickly, and their clock."""
+class Bench:
+    """A driver for ``axes``, its emulator that homes quickly, on loopback under virtual time."""
 
     def __init__(
         self, settings: Mapping[int, float] | None = None, *, axes: str = "XYZ", **more: Any
     ) -> None:
         settings = QUICK_HOMING | dict(settings or {})
-        super().__init__(settings, axes=4 if "A" in axes else 3, **more)
+        self.clock = VirtualClock()
+        count = 4 if "A" in axes else 3
+        self.emulator = StageEmulator(self.clock, settings=settings, axes=count, **more)
+        self.listener = Listener(self.emulator, self.clock, lock=threading.RLock(), name="stage")
+        self.links: list[Link] = []
         self.axes = axes
         self.stage = self.plug_in()
+
+    def link(self) -> Link:
+        self.links.append(Link(self.listener.url, self.clock, who="stage"))
+        return self.links[-1]
+
+    def close(self) -> None:
+        for link in self.links:
+            link.close()
+        self.listener.close()
 
     def plug_in(self) -> Stage:
         return Stage(

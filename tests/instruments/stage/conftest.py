@@ -32,10 +32,9 @@ def make() -> Iterator[Callable[..., Bench]]:
 
 
 @pytest.fixture
-def make_board() -> Iterator[Callable[..., Board]]:
+def make_board() -> Callable[..., Board]:
     """Boards with the arguments of `Board`."""
-    with ExitStack() as stack:
-        yield lambda *given, **more: stack.enter_context(closing(Board(*given, **more)))
+    return Board
 
 
 @pytest.fixture(params=[CLASSIC, GRBL_HAL], ids=["grbl", "grblHAL"])
@@ -44,13 +43,13 @@ def bench(make: Callable[..., Bench], request: pytest.FixtureRequest) -> Bench:
 
 
 @pytest.fixture
-def board(make_board: Callable[..., Board]) -> Board:
-    return make_board()
+def board() -> Board:
+    return Board()
 
 
 @pytest.fixture
-def free(make_board: Callable[..., Board]) -> Board:
+def free() -> Board:
     """Unlocked without homing, soft limits off, count 0 in the middle of the table."""
-    board = make_board({20: 0})
+    board = Board({20: 0})
     board.unlock()
     return board

@@ -30,7 +30,7 @@ from instruments.listener import Connection, Listener
 from instruments.stage import marlin, protocol, zaber
 from instruments.stage.driver import Stage
 from instruments.stage.emulator.board import StageEmulator
-from instruments.stage.emulator.store import CLASSIC, EMULATED, GRBL_HAL, MARLIN, ZABER, Dialect
+from instruments.stage.emulator.store import EMULATED, GRBL_HAL, MARLIN, ZABER, Dialect
 from instruments.stage.protocol import Alarm, MalformedLine, Reply, Status
 from tests.examples import examples
 from tests.instruments.stage.board import Board
@@ -58,42 +58,19 @@ def typed(name: str) -> list[tuple[str, list[str]]]:
     return lines
 
 
-class Port:
-    """A board without a link: what it says within some seconds of virtual time."""
-
-    def __init__(self, settings: Mapping[int, float], dialect: Dialect = CLASSIC) -> None:
-        self.clock = VirtualClock()
-        self.emulator = StageEmulator(self.clock, settings=settings, dialect=dialect)
-        self._said = bytearray()
-        self.emulator.connect(self)  # type: ignore[arg-type]
-        self._said.clear()
-
-    def send(self, data: bytes) -> None:
-        self._said += data
-
-    def after(self, seconds: float, action: Callable[[], None]) -> None:
-        self.clock.call_at(self.clock.now() + seconds, action)
-
-    def say(self, data: bytes, seconds: float) -> list[str]:
-        self.emulator.receive(self, data)  # type: ignore[arg-type]
-        self.clock.sleep(seconds)
-        said, self._said = self._said.decode("ascii"), bytearray()
-        return [line for line in said.split("\r\n") if line]
-
-
 def test_a_new_grbl_board_answers_each_line_as_the_firmware_does() -> None:
     table = typed("grbl-lines")
     assert len(table) >= 148
     for sent, answers in table:
-        assert Port(OPEN).say(sent.encode("ascii") + b"\n", 60.0) == answers, sent
+        assert Board(OPEN).lines(sent.encode("ascii") + b"\n", 60.0) == answers, sent
 
 
 def test_a_grbl_board_remembers_between_lines_as_the_firmware_does() -> None:
-    port, table = Port(OPEN), typed("grbl-session")
+    board, table = Board(OPEN), typed("grbl-session")
     assert len(table) >= 107
     for sent, answers in table:
         data = b"?" if sent == "?" else sent.encode("ascii") + b"\n"
-        assert port.say(data, 60.0) == answers, sent
+        assert board.lines(data, 60.0) == answers, sent
 
 
 @pytest.mark.parametrize("name", BOARDS)
@@ -220,7 +197,7 @@ class Typed:
         self._lines = [one.decode("ascii") for one in board.greeting.split(b"\r\n") if one]
 
     def write_line(self, line: str) -> None:
-        self._board.links[-1].write(f"{line}\n".encode("ascii"))
+        self._board.write(f"{line}\n".encode("ascii"))
 
     def read_line(self, timeout: float | None = None) -> str | None:
         waits = iter(cycle([1.0])) if timeout is None else iter([1.0] * int(timeout + 1))
@@ -347,7 +324,7 @@ class Wire:
         return line + end
 
     def write(self, data: bytes) -> None:
-        self._board.links[-1].write(data)
+        self._board.write(data)
 
 
 def test_another_programs_sender_streams_to_the_emulated_grbl(
@@ -398,23 +375,15 @@ AFTERWARDS = (
 @pytest.mark.slow
 def test_no_setting_that_a_board_takes_ends_it() -> None:
     """Whatever it makes of the lines, it can be reset and asked."""
-    numbers = Port({}, GRBL_HAL).emulator._controller.settings.lines()
+    numbers = Board(dialect=GRBL_HAL).emulator._controller.settings.lines()
     for number in (line.partition("=")[0] for line in numbers):
         for value in EXTREMES:
-            port = Port({20: 0}, GRBL_HAL)
-            port.say(f"$X\n{number}={value}\n".encode("ascii"), 1.0)
+            board = Board({20: 0}, dialect=GRBL_HAL)
+            board.say(f"$X\n{number}={value}\n".encode("ascii"), 1.0)
             for line in AFTERWARDS:
-                port.say(line.encode("ascii") + b"\n?", 900.0)
-            assert port.say(b"\x18", 1.0)
-            assert port.say(b"$G\n?", 1.0)[-1].startswith(("<", "ok"))
-
-
-@pytest.mark.parametrize("number", [*range(110, 113), *range(120, 123), 100, 101, 102])
-def test_a_rate_or_acceleration_of_nought_is_slow(number: int) -> None:
-    port = Port(OPEN)
-    assert port.say(f"${number}=0\n$J=G91X-1Y-1Z-1F1000\n".encode("ascii"), 0.1) == ["ok", "ok"]
-    port.clock.sleep(600.0)
-    assert port.say(b"?", 0.0)[0].startswith("<Idle|MPos:")
+                board.say(line.encode("ascii") + b"\n?", 900.0)
+            assert board.say(b"\x18", 1.0)
+            assert board.lines(b"$G\n?", 1.0)[-1].startswith(("<", "ok"))
 
 
 PIECES = [
@@ -448,6 +417,6 @@ PIECES = [
 def test_nothing_on_the_wire_ends_an_emulator(
     dialect: Dialect, said: list[tuple[bytes, float]]
 ) -> None:
-    port = Port({}, dialect)
+    board = Board(dialect=dialect)
     for data, seconds in said:
-        port.say(data, seconds)
+        board.say(data, seconds)
