@@ -1,8 +1,7 @@
 """Peers that are no instrument: what each sends, whatever it is asked, and how long a command at
 them may last.
 
-``python -m tests.bench.hostile_peers`` runs every command at every link against each of them, and
-prints the table; ``tests/bench/cli/test_hostile_peers.py`` holds it.
+``tests/bench/cli/test_hostile_peers.py`` runs every command at every link against each of them.
 """
 
 from __future__ import annotations
@@ -11,15 +10,15 @@ import os
 import re
 import socket
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+
+import psutil
 
 from instruments.bath import protocol
 from instruments.bath.emulator import BathEmulator
@@ -27,7 +26,6 @@ from instruments.world.plant import Plant
 from tests.bench.commands import served
 from tests.bench.forked import begin
 from tests.bench.operated_runs import ONE
-from tests.bench.real_rig import record_one
 from tests.instruments.bath.devices import load_register_profile
 
 # a process that has loaded the bench, but nothing else, takes 110 MB
@@ -394,26 +392,6 @@ def _outcome(link: str, kind: str, arguments: list[str], peer: HostilePeer) -> O
 
 
 def _resident_kb(pid: int) -> int:
-    with suppress(OSError):
-        for line in Path(f"/proc/{pid}/status").read_text(encoding="ascii").splitlines():
-            if line.startswith("VmRSS:"):
-                return int(line.split()[1])
+    with suppress(psutil.Error):
+        return int(psutil.Process(pid).memory_info().rss / 1024)
     return 0
-
-
-def main() -> None:
-    only = sys.argv[1:]
-    cells = [cell for cell in CELLS if not only or any(word in " ".join(cell) for word in only)]
-    with ThreadPoolExecutor(6) as pool, TemporaryDirectory() as made:
-        recording = record_one(Path(made) / "recording")
-        for found in pool.map(lambda cell: outcomes(cell[0], cell[1], recording), cells):
-            for one in found:
-                last = [line for line in one.said.splitlines() if "127.0.0.1" in line][-3:]
-                wrong = f" WRONG: {'; '.join(one.faults)}" if one.faults else ""
-                print(f"{one.name}: exit {one.code}, {one.seconds:.1f} s, +{one.mb:.0f} MB{wrong}")
-                print("".join(f"    {line[:240]}\n" for line in last), end="", flush=True)
-                print(f"    sent: {one.received[:100]!r}", flush=True)
-
-
-if __name__ == "__main__":
-    main()

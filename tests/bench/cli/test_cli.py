@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -17,8 +15,6 @@ from bench.rig.loading import RIGS
 from tests.bench.commands import NO_CAMERA, Said, lab_rig, teatbench
 from tests.conftest import ROOT
 from tests.waiting import PATIENCE_S
-
-SOME = 4
 
 
 def damaged_recording(folder: Path) -> None:
@@ -95,36 +91,6 @@ def test_check_names_every_instrument_that_does_not_answer(tmp_path: Path, said:
     for name in ("arm", "bath", "stage", "cameras"):
         assert f"{name}: FAULT" in seen
     assert "Traceback" not in seen
-
-
-@pytest.mark.slow
-def test_detect_and_score_take_frames_that_another_program_rendered(
-    tmp_path: Path, said: Said
-) -> None:
-    """The first of them: what detectors find in all is for their own tests."""
-    whole, some = ROOT / "tests" / "data" / "path_traced", tmp_path / "some"
-    (some / "frames").mkdir(parents=True)
-    for path in [*whole.glob("*.*"), *sorted((whole / "frames").iterdir())[:SOME]]:
-        copy = some / path.relative_to(whole)
-        shutil.copytree(path, copy) if path.is_dir() else shutil.copy(path, copy)
-    head, *rows = (some / "truth.csv").read_text(encoding="utf-8").splitlines(keepends=True)
-    kept = [row for row in rows if (some / "frames" / row.partition(",")[0]).is_dir()]
-    (some / "truth.csv").write_text("".join([head, *kept]), encoding="utf-8")
-    lines = [json.loads(line) for line in said(0, "detect {} --json", some).out.splitlines()]
-    assert len(lines) == SOME
-    for line in lines:
-        assert line["detector"] == "thesis"
-        assert line["seconds"] > 0
-        assert all(len(teat["world_mm"]) == 3 for teat in line["teats"])
-    assert any(line["teats"] for line in lines)
-    assert teatbench("score {} --out {}", some, tmp_path / "runs") in (0, 1, 4)
-    (folder,) = (tmp_path / "runs").iterdir()
-    table = json.loads((folder / "report" / "run.json").read_text(encoding="utf-8"))
-    assert len(table["trials"]) == SOME
-    visible = sum(row["visible"] for trial in table["trials"] for row in trial["truth"])
-    scores = [trial["scores"]["thesis"] for trial in table["trials"]]
-    assert sum(len(one["pairs"]) + len(one["missed"]) for one in scores) == visible == len(kept)
-    assert "RECORDED FRAMES" in (folder / "report" / "index.html").read_text(encoding="utf-8")
 
 
 INTERRUPTED = "teatbench: interrupted: nothing was begun.\n"

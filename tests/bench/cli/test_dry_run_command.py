@@ -63,16 +63,6 @@ def one(folder: Path, pose: str = "") -> tuple[Path, Path]:
 
 
 @pytest.mark.slow
-def test_a_script_in_python_on_a_rig_whose_stage_does_not_answer(
-    tmp_path: Path, said: Said
-) -> None:
-    seen = said(0, f"{DRY} --rig {{}}", *one(tmp_path), lab_rig(tmp_path, ELSEWHERE)).out
-    assert "not checked: the stage's travel: its controller doesn't answer" in seen
-    assert "1 trial at 1 pose: nothing wrong." in seen
-    assert "; the operator's by assumed times, see 'teatbench trials show'" in seen
-
-
-@pytest.mark.slow
 def test_what_a_run_is_refused_for_is_reported_by_its_dry_run(tmp_path: Path, said: Said) -> None:
     rig = lab_rig(tmp_path, ELSEWHERE)
     (tmp_path / "lab.tripped.json").write_text(
@@ -80,6 +70,7 @@ def test_what_a_run_is_refused_for_is_reported_by_its_dry_run(tmp_path: Path, sa
     )
     seen = said(2, f"{DRY} --rig {{}}", *one(tmp_path), rig).out
     assert "the rig: latched: interlock bath too hot at an unknown time: 38 degC" in seen
+    assert "not checked: the stage's travel: its controller doesn't answer" in seen
     text = rig.read_text(encoding="utf-8")
     rig.write_text(
         text[: text.index("[stage]")] + text[text.index("[cameras]") :], encoding="utf-8"
@@ -91,6 +82,8 @@ def test_what_a_run_is_refused_for_is_reported_by_its_dry_run(tmp_path: Path, sa
     (tmp_path / "lab.lock.json").write_text(json.dumps(held), encoding="utf-8")
     seen = said(0, f"{DRY} --rig {{}}", *one(tmp_path), rig).out
     assert "not checked: the stage's travel: another bench has the rig" in seen
+    assert "1 trial at 1 pose: nothing wrong." in seen
+    assert "; the operator's by assumed times, see 'teatbench trials show'" in seen
 
 
 @pytest.mark.weekly

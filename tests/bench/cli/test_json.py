@@ -17,6 +17,8 @@ from bench.cli.commands import COMMANDS as COMMAND_LINE
 from bench.record.state import State
 from bench.results.queue import QueueEntry, QueueStatus
 from bench.results.status import InstrumentStatus, Link, RunStatus, Safe
+from bench.rig.loading import shipped
+from bench.script.model import TRIALS
 from bench.testing.conformance import Finding
 from tests.bench.commands import Said
 from tests.bench.small_run import KEPT
@@ -107,6 +109,9 @@ def test_a_command_prints_the_keys_of_the_page(command: str, tmp_path: Path, sai
     found: Any = json.loads(said(0, words).out)
     assert next(iter(found)) == "schema_version"
     assert set(found) - {"schema_version"} == set(table("command")[f"`{command}`"]), command
+    if command == "trials":
+        assert list(found["scripts"]) == shipped(TRIALS)
+        assert all(len(about) > 20 for about in found["scripts"].values())
     for rows, wanted in table("rows of").items():
         name, of = re.findall(r"`([^`]+)`", rows)
         if of == command:

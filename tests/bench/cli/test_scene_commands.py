@@ -82,17 +82,6 @@ def test_a_recording_is_perturbed_in_scene_pictures_and_calibration(
     assert not (tmp_path / "none").exists()
 
 
-@pytest.mark.weekly
-@pytest.mark.slow
-def test_a_sheet_has_a_row_for_each_member(tmp_path: Path, said: Said) -> None:
-    out = tmp_path / "sheet.png"
-    assert str(out) in said(0, "scene sheet --situation ideal --seeds 2 --out {}", out).out
-    picture = cv2.imread(str(out), cv2.IMREAD_UNCHANGED)
-    assert picture is not None
-    assert picture.shape[0] == 2 * (340 + 22)
-    assert 20 < picture.std() < 120
-
-
 @pytest.mark.slow
 def test_a_place_that_cannot_be_written_is_reported(tmp_path: Path, said: Said) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")

@@ -17,7 +17,7 @@ from bench.config import ConfigError
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import LoadedRig, load_rig
 from bench.rig.model import Cameras as CamerasTable
-from bench.rig.model import Checks, OneCamera, camera_url
+from bench.rig.model import Checks, OneCamera
 from bench.rig.opening import conversion_of
 from instruments.camera.cameras import CameraSet
 from instruments.camera.frame import Conversion, Radiometry, Ranging
@@ -181,14 +181,6 @@ def test_each_fault_is_shown_in_its_place(tmp_path: Path, old: str, new: str, me
     with pytest.raises(ConfigError) as caught:
         rig_of(tmp_path, TABLES.replace(old, new))
     assert message in str(caught.value)
-
-
-ONE = "opencv:0 opencv:/dev/video2 opencv:a.avi opencv:rtsp://user:word@h:554/a"
-
-
-@pytest.mark.parametrize("url", [*ONE.split(), "genicam:Aravis-Fake-GV01", "genicam:"])
-def test_addresses_of_one_camera(url: str) -> None:
-    assert OneCamera(url=url).url == camera_url(url)
 
 
 @pytest.mark.parametrize(

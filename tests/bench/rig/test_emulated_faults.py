@@ -11,11 +11,9 @@ from pathlib import Path
 import pytest
 
 import bench
-from bench.cli.main import main
 from bench.config import ConfigError
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import load_rig
-from bench.rig.model import emulated_faults
 from instruments.clock import RealClock, VirtualClock
 from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
@@ -82,19 +80,6 @@ def test_a_fault_that_cannot_be_is_shown_in_its_place(
     assert f"rig.toml:{line}: emulation.faults[1]" in str(caught.value)
 
 
-@pytest.mark.parametrize("instrument", ["arm", "bath", "stage", "cameras"])
-def test_every_fault_of_every_instrument_can_be_put_into_a_rig(
-    tmp_path: Path, instrument: str
-) -> None:
-    names = emulated_faults(instrument)[0]
-    assert len(names) == len({*names}) > 5
-    faults = ", ".join(
-        f'{{ instrument = "{instrument}", name = "{name}", at_s = 1.0 }}' for name in names
-    )
-    loaded = load_rig(with_emulation(tmp_path, f"faults = [{faults}]"))
-    assert len(loaded.rig.emulation.faults) == len(names)
-
-
 def test_another_arm_by_its_file(tmp_path: Path) -> None:
     text = (SHIPPED / "40937.toml").read_text(encoding="utf-8")
     (tmp_path / "other.toml").write_text(text.replace('"40937"', '"50001"'), encoding="utf-8")
@@ -137,20 +122,3 @@ def test_serial_instruments_on_pseudo_terminals(tmp_path: Path) -> None:
             assert arm.sign_on().serial_number == "40937"
         with closing(Stage(Link(rig.urls["stage"], clock, who="stage"), clock)) as stage:
             stage.connect()
-
-
-@pytest.mark.slow
-def test_pseudo_terminals_where_there_are_none(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.delattr(os, "openpty", raising=False)
-    assert main(["emulate", "--pty"]) == 2
-    why = "can't listen on pseudo-terminals: arm: this system has no pseudo-terminals"
-    assert why in capsys.readouterr().err
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("options", [{"paced": True}, {"pty": True}])
-def test_neither_goes_with_virtual_time(tmp_path: Path, options: dict[str, bool]) -> None:
-    with pytest.raises(ValueError, match="under virtual time"):
-        EmulatedRig(load_rig(shipped_rig(tmp_path)), VirtualClock(), 1, **options)  # type: ignore[arg-type]

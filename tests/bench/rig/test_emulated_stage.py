@@ -106,20 +106,6 @@ def test_a_real_zaber_stage_needs_its_motors() -> None:
     assert known.motors == [(1, 1, 20997.4), (2, 1, 20997.4)]
 
 
-def test_errors_of_geometry_are_in_the_teat_ends(tmp_path: Path) -> None:
-    errors = "scale_errors = [0.002, -0.001, 0.0, 0.0]\nsquareness_rad = 0.003\nyaw_rad = 0.01"
-    rig = rig_with(tmp_path, "", f"[emulation.stage]\n{errors}")
-    with homed(rig) as (twin, stage):
-        stage.move_to(-200.0, -200.0)
-        ends = twin.world.ends_mm()
-        stage.move_to(-100.0, -200.0)
-        along_x = twin.world.ends_mm() - ends
-        stage.move_to(-200.0, -100.0)
-        along_y = twin.world.ends_mm() - ends
-    assert np.allclose(along_x, [100.2 * math.cos(0.01), 100.2 * math.sin(0.01), 0.0], atol=1e-6)
-    assert np.allclose(along_y, [-99.9 * math.sin(0.013), 99.9 * math.cos(0.013), 0.0], atol=1e-6)
-
-
 def test_play_depends_on_the_side_from_which_a_place_is_reached(tmp_path: Path) -> None:
     with homed(rig_with(tmp_path, "", "[emulation.stage]\nbacklash_mm = [0.2, 0.0, 0.0]")) as (
         twin,
@@ -130,22 +116,6 @@ def test_play_depends_on_the_side_from_which_a_place_is_reached(tmp_path: Path) 
         stage.move_to(-160.0, -100.0)
         stage.move_to(-150.0, -100.0)
         assert np.allclose(twin.world.ends_mm() - from_above, [-0.2, 0.0, 0.0], atol=1e-9)
-
-
-def test_a_lost_step_of_a_rig_file_is_seen_by_the_world_only(tmp_path: Path) -> None:
-    faults = (
-        '[emulation]\nfaults = [{ instrument = "stage", name = "lost step", at_s = 60.0, amount ='
-        " 1.5 }]"
-    )
-    with homed(rig_with(tmp_path, "", faults)) as (twin, stage):
-        stage.move_to(-150.0, -100.0)
-        before = twin.world.ends_mm()
-        twin.world.clock.sleep(60.0)
-        stage.move_to(-170.0, -100.0)
-        stage.move_to(-150.0, -100.0)
-        assert stage.homed
-        assert stage.position()[:2] == pytest.approx([-150, -100])
-        assert np.allclose(twin.world.ends_mm() - before, [1.5, 0.0, 0.0], atol=1e-9)
 
 
 def test_the_world_moves_as_fast_as_the_stage(tmp_path: Path) -> None:

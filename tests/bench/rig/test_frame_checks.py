@@ -1,5 +1,5 @@
 """Frame sets with faults are noticed by name; good ones of every situation give no false alarm, nor
-do dim ones, nor a path tracer's.
+do drawn dim ones, nor a path tracer's.
 """
 
 from __future__ import annotations
@@ -56,23 +56,6 @@ def test_no_false_alarm_in_scenes_that_are_hard_to_see(name: str, seed: int) -> 
     drawn = drawn_situation(name, seed)
     state = drawn.state((32.5,) * len(drawn.phantom.teats), 31.5, 21.0)
     assert checks().notice(EmulatedCameras(SmallWorld(state)).capture()) == []
-
-
-def dimmed(picture: NDArray[np.uint8], light: float, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """As a sensor sees it by that share of the light: the signal left, and its own noise."""
-    return np.clip(
-        np.rint(4.0 + (picture - 4.0) * light + 1.0 * rng.standard_normal(picture.shape)), 0, 255
-    ).astype(np.uint8)
-
-
-@pytest.mark.slow
-def test_no_false_alarm_in_the_dim() -> None:
-    frames, rng = EmulatedCameras(GalleryWorld()).capture(), np.random.default_rng(3)
-    looks = checks()
-    for light in (0.3, 0.15):
-        left, right = (dimmed(one, light, rng) for one in (frames.left, frames.right))
-        dim = replace(frames, left=left, right=right, thermal=None, thermal_ck=None)
-        assert looks.notice(dim) == []
 
 
 @pytest.mark.slow

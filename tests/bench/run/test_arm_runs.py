@@ -27,7 +27,7 @@ from detector.geometry import Motion
 from instruments.clock import wall_time
 from instruments.operators.operator import CheckPoint, Request
 from tests.bench.calibrate.arm_rig import Follower, emulated
-from tests.bench.commands import Said, teatbench
+from tests.bench.commands import teatbench
 from tests.bench.operated_runs import shipped_rig, texts
 
 pytestmark = pytest.mark.slow
@@ -180,23 +180,6 @@ def test_the_frame_of_another_arm_ends_the_run_before_anything_is_heated(
     (fault,) = texts(run.run, "fault")
     assert "table frame is of the arm 40938, but the arm that answers is 40937" in fault
     assert not any("heating" in event["text"] for event in run.run.events)
-
-
-@pytest.mark.parametrize(
-    ("lines", "message"),
-    [
-        ('frame = "none.toml"\n', "arm.frame: no such file beside the rig file"),
-        ('verification = "none.toml"\n', "arm.verification: no such file beside the rig file"),
-        ('frme = "none.toml"\n', 'did you mean "frame"?'),
-        ("check_touches = 1\n", "greater than or equal to 2"),
-    ],
-)
-def test_wrong_keys_of_a_rig_are_shown(
-    lines: str, message: str, script: Path, tmp_path: Path, said: Said
-) -> None:
-    rig = shipped_rig(tmp_path, lines)
-    assert message in said(2, "run {} --rig {} --out {}", script, rig, tmp_path / "runs").err
-    assert not (tmp_path / "runs").exists()
 
 
 class Checker:

@@ -26,9 +26,7 @@ from tests.bench.fault_catalogue import (
 
 ALL = tuple((*fault, state) for fault, state in product(FAULTS, STATES))
 SOME = (
-    ("arm", "power loss", "running"),
     ("bath", "sensor break", "settling"),
-    ("cameras", "black", "running"),
     ("stage", "stall", "running"),
     ("arm", "disconnect", "safing"),
 )

@@ -59,20 +59,6 @@ def taken_over(path: Path) -> list[str]:
 
 
 @pytest.mark.slow
-def test_the_second_bench_names_who_has_the_rig_and_gets_it_when_that_one_ends(
-    tmp_path: Path,
-) -> None:
-    path, note = tmp_path / "lab.lock.json", list[str]()
-    first = holder(path)
-    refused(path, rf"another bench has it: pid {first.pid}, host {platform.node()}.*runs/here")
-    first.communicate("\n", 60)
-    with locked(path, "x", note.append):
-        assert json.loads(path.read_text(encoding="utf-8"))["pid"] == os.getpid()
-    assert note == [], "it was given back in order"
-    assert path.read_bytes() == b""
-
-
-@pytest.mark.slow
 def test_the_lock_of_a_bench_that_was_killed_is_taken_over_and_that_is_reported(
     tmp_path: Path,
 ) -> None:
@@ -118,7 +104,9 @@ def test_an_emulated_rig_needs_none_and_a_folder_that_is_not_there_is_reported(
 
 
 @pytest.mark.slow
-def test_a_run_is_refused_before_anything_is_opened(tmp_path: Path, said: Said) -> None:
+def test_a_second_run_names_who_has_the_rig_opens_nothing_and_gets_it_when_that_one_ends(
+    tmp_path: Path, said: Said
+) -> None:
     arguments, rig = files(tmp_path, operator="console:"), tmp_path / "rig.toml"
     # nobody is there, and nobody is asked
     urls = iter(["socket://127.0.0.1:9", "tcp://127.0.0.1:9", "recording:frames"])
@@ -126,10 +114,15 @@ def test_a_run_is_refused_before_anything_is_opened(tmp_path: Path, said: Said) 
     text = text.replace("[bath]", '[bath]\ncut_out_tested = "2024-03-01"')
     text = text.replace("bath_start_c = 33.0", "").replace("[emulation]", "")
     rig.write_text(text, encoding="utf-8")
-    first = holder(rig.with_name("rig.lock.json"))
+    first, note = holder(path := rig.with_name("rig.lock.json")), list[str]()
     assert f"rig: another bench has it: pid {first.pid}" in said(3, "{}", arguments).err
     assert not (tmp_path / "runs").exists()
+    refused(path, rf"another bench has it: pid {first.pid}, host {platform.node()}.*runs/here")
     first.communicate("\n", 60)
+    with locked(path, "x", note.append):
+        assert json.loads(path.read_text(encoding="utf-8"))["pid"] == os.getpid()
+    assert note == [], "it was given back in order"
+    assert path.read_bytes() == b""
 
 
 def test_a_folder_that_knows_no_locks_is_no_bench_that_has_it(

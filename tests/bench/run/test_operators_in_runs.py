@@ -5,20 +5,15 @@ his, or faults his script.
 from __future__ import annotations
 
 import json
-from collections import Counter
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bench.record.reader import RunRecord, read_run
-from bench.run.events import RunState
-from bench.run.start import RunOptions
+from bench.record.reader import RunRecord
 from bench.script.phantom import shipped_phantom
 from instruments.world.phantom import PlatePose
-from tests.bench.killed_runs import start
-from tests.bench.operated_runs import CHECK_POINT, ONE, files, record_of, run, texts
+from tests.bench.operated_runs import CHECK_POINT, files, record_of, run, texts
 from tests.plain_text import plain_text
 
 WILLING = (
@@ -63,39 +58,11 @@ def test_a_run_of_which_all_was_skipped_has_no_verdict(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("answers", "words"),
-    [
-        (
-            "homing: go\ntouch: go\n",
-            "answers.txt has no answer to this prompt (asked set up: [trial 1 of 3; less than a minute left]",
-        ),
-        (
-            WILLING + "touch (teat 5): go x3\n",
-            "3 answers of answers.txt were never asked for; the first is 'go'",
-        ),
-    ],
-)
-def test_a_script_that_does_not_fit_the_run_faults_it(
-    answers: str, words: str, tmp_path: Path
-) -> None:
-    code, record = answered(tmp_path, answers)
+def test_a_script_that_does_not_fit_the_run_faults_it(tmp_path: Path) -> None:
+    code, record = answered(tmp_path, "homing: go\ntouch: go\n")
     assert (code, record.ending) == (3, "faulted")
-    assert words in texts(record, "fault")[0]
-
-
-@pytest.mark.slow
-def test_in_real_time_the_clock_of_the_bench_is_that_of_the_wall(tmp_path: Path) -> None:
-    """Under virtual time the wall's passes by a second or two."""
-    files(tmp_path, emulation="prompt_s = 1.0", script=ONE)
-    folder, ending = start(tmp_path, how=RunOptions(realtime=True))
-    record = read_run(folder)
-    assert ending is RunState.FINISHED
-    ends = (record.events[0], record.events[-1])
-    bench_s = np.ptp([event["t_s"] for event in ends])
-    wall_s = np.ptp([datetime.fromisoformat(event["wall_time"]).timestamp() for event in ends])
-    assert bench_s > 4.0
-    assert wall_s == pytest.approx(bench_s, abs=2.0)
+    why = "no answer to this prompt (asked set up: [trial 1 of 3; less than a minute left]"
+    assert f"answers.txt has {why}" in texts(record, "fault")[0]
 
 
 POSES = (PlatePose(12.0, -8.0), PlatePose(-15.0, 0.0, 6.0, float(np.radians(4.0))), PlatePose())
@@ -128,14 +95,3 @@ def test_without_a_stage_a_script_of_answers_is_asked_for_every_pose(
     at = "[trial 2 of 3, teat 4 of 4, 1 of 4 touches left; less than a minute left]"
     assert f"{at} Touch the end of teat 4, left front (LF), with" in capsys.readouterr().out
     assert record.folder.joinpath("answers.txt").read_text(encoding="utf-8") == answers
-
-
-@pytest.mark.slow
-def test_what_a_person_is_asked_in_three_trials(tmp_path: Path) -> None:
-    """Five arm checks before, one after where nothing has moved, and nothing twice."""
-    record = record_of(tmp_path, check_point=CHECK_POINT.replace("= 2", "= 5"), touches=2)
-    assert (record.ending, len(record.trials)) == ("finished", 3), texts(record, "fault")
-    lines = (record.folder / "events.jsonl").read_text(encoding="utf-8").splitlines()
-    asked = Counter(one["kind"] for one in map(json.loads, lines) if one["what"] == "asked")
-    del asked[""], asked["release"]
-    assert asked == {"homing": 1, "check point": 6, "set up": 3, "touch": 24}

@@ -16,7 +16,7 @@ import pytest
 
 from bench.record.reader import RunRecord, read_run
 from bench.record.writer import Store
-from bench.rig.loading import RIGS, LoadedRig, load_rig
+from bench.rig.loading import LoadedRig, load_rig
 from bench.run.context import RunContext
 from bench.run.events import RunState
 from bench.run.start import run_queue
@@ -29,8 +29,7 @@ from instruments.operators.operator import DONE, Answer, NextTrial, Request
 from instruments.stage.driver import Stage
 from instruments.world.phantom import PIVOT_MM
 from tests.bench.killed_runs import Silent, start
-from tests.bench.operated_runs import files
-from tests.bench.small_cameras import write_calibration
+from tests.bench.operated_runs import files, shipped_rig
 
 PLANNED = load_script(find_script(None)).planned[:5]
 
@@ -140,17 +139,9 @@ def script(folder: Path, more: str = "") -> LoadedScript:
     return load_script(folder / "poses.toml")
 
 
-def rig(folder: Path, axes: str) -> LoadedRig:
-    """The emulated rig with a stage of these axes."""
-    text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
-    part = '[stage]\nurl = "emulator:"\n'
-    assert part in text
-    text = text.replace(part, f'{part}axes = "{axes}"\n')
-    dialect = '\n[emulation.stage]\ndialect = "grblHAL"\n' if "A" in axes else ""
-    text += f"\n[emulation]\nbath_start_c = 33.0\n{dialect}"
-    (folder / "rig.toml").write_text(text, encoding="utf-8")
-    write_calibration(folder)
-    return load_rig(folder / "rig.toml")
+def rig(folder: Path) -> LoadedRig:
+    """The emulated rig, its bath warm."""
+    return load_rig(shipped_rig(folder, emulation="bath_start_c = 33.0"))
 
 
 def run(rig: LoadedRig, loaded: LoadedScript, out: Path) -> RunRecord:
@@ -173,27 +164,10 @@ def turned(points_mm: np.ndarray, deg: float) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("axes", ["XY", "XYZA"])
-def test_the_phantom_stands_where_the_script_says(tmp_path: Path, axes: str) -> None:
-    """A stage of two axes leaves height and turn to the operator."""
-    record = run(rig(tmp_path, axes), script(tmp_path), tmp_path / "runs")
-    first, second = exact_mm(record)
-    assert first == pytest.approx(STANDING_MM + np.array([10.0, -5.0, 0.0]), abs=0.05)
-    moved = turned(STANDING_MM, 20.0) + np.array([-3.0, 0.0, 12.0])
-    assert second == pytest.approx(moved, abs=0.05)
-    assert [trial.pose for trial in record.trials] == ["one-1", "one-2"]
-    assert "stage" in record.facts["identities"]
-    assert (record.folder / "mine.toml").read_text(encoding="utf-8") == LAYOUT
-    kept = record.facts["pose set"]
-    assert kept["chosen"] == ["one: 2 poses as written; layout mine.toml."]
-    pose = ["002-one-2-1", "one-2", 1, -3.0, 0.0, 12.0, pytest.approx(20.0), None]
-    assert kept["poses"][1] == pose
-
-
-@pytest.mark.slow
-def test_a_pose_is_reached_from_the_sides_that_are_asked_for(
+def test_the_phantom_stands_where_the_script_says_reached_from_the_sides_that_are_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The stage of two axes leaves height and turn to the operator."""
     went: list[tuple[float, float]] = []
     begin = Stage.begin_move
 
@@ -203,10 +177,21 @@ def test_a_pose_is_reached_from_the_sides_that_are_asked_for(
 
     monkeypatch.setattr(Stage, "begin_move", noted)
     loaded = script(tmp_path, 'approach = ["+x", "-y"]\napproach_mm = 4.0\n')
-    run(rig(tmp_path, "XY"), loaded, tmp_path / "runs")
+    record = run(rig(tmp_path), loaded, tmp_path / "runs")
     to = [(-140.0, -142.5), (-153.0, -137.5)]  # the reference place is (-150, -137.5)
     expected = [place for x, y in to for place in ((x + 4.0, y), (x, y), (x, y - 4.0), (x, y))]
     assert went == expected
+    moved = turned(STANDING_MM, 20.0) + np.array([-3.0, 0.0, 12.0])
+    wanted = [STANDING_MM + np.array([10.0, -5.0, 0.0])] * 2 + [moved] * 2
+    assert np.array(exact_mm(record)) == pytest.approx(np.array(wanted), abs=0.05)
+    assert [trial.pose for trial in record.trials] == ["one-1", "one-1", "one-2", "one-2"]
+    assert "stage" in record.facts["identities"]
+    assert (record.folder / "mine.toml").read_text(encoding="utf-8") == LAYOUT
+    kept = record.facts["pose set"]
+    sides = "each reached from +x, -y (4 mm away)"
+    assert kept["chosen"] == [f"one: 2 poses as written; layout mine.toml; {sides}."]
+    pose = ["003-one-2-1", "one-2", 1, -3.0, 0.0, 12.0, pytest.approx(20.0), "+x"]
+    assert kept["poses"][2] == pose
 
 
 def test_a_new_installation_compiles_before_anything_is_opened(
