@@ -1,4 +1,4 @@
-"""How fast the arm's wire, driver and kinematics are. Figures beside their aims; nothing is
+"""How fast the arm's wire and driver are. Figures beside their aims; nothing is
 asserted about them.
 """
 
@@ -19,13 +19,8 @@ from instruments.listener import Listener
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.kinematics import Floats
-from instruments.microscribe.protocol import PacketDecoder
-from instruments.microscribe.unit import shipped_unit
 from tests.benchmarks.figures import figure, taken_s
 
-AT_REST = bytes.fromhex("83 00 6C 4F 30 5E 35 54 20 02 18 79 41 60")
-UNIT = shipped_unit("40937")
-ARM = UNIT.geometry()
 LATENCY_S = 0.001  # what the sheet's highest rates reckon with
 
 
@@ -74,17 +69,3 @@ def test_samples_a_second_streamed_on_a_paced_link(
     share = 200 / taken_s(benchmark, "mean") / highest_hz
     what = f"samples streamed at {baud} baud, share of the sheet's highest rate"
     figure(benchmark, what, share, "at least 0.95")
-
-
-def test_packets_decoded_in_bulk(benchmark: BenchmarkFixture) -> None:
-    stream = AT_REST * 100_000
-    packets = benchmark(lambda: PacketDecoder(0x03).feed(stream))
-    decoded_hz = len(packets) / taken_s(benchmark, "min")
-    figure(benchmark, "packets decoded a second", decoded_hz, "at least 100 000")
-
-
-def test_kinematics_vectorised(benchmark: BenchmarkFixture) -> None:
-    counts = np.random.default_rng(0).integers(0, 16384, (10_000, 6))
-    tips, _ = benchmark(lambda: ARM.forward(counts))
-    poses_hz = len(tips) / taken_s(benchmark, "min")
-    figure(benchmark, "poses of the kinematics a second", poses_hz, "at least 1 000 000")

@@ -75,19 +75,6 @@ def test_frame_set_at_a_new_pose(benchmark: BenchmarkFixture, name: str) -> None
     figure(benchmark, f"{name}, new pose, median ms", 1e3 * taken_s(benchmark), "at most 60")
 
 
-@pytest.mark.parametrize("name", sorted(FAMILIES))
-def test_frame_set_with_fresh_noise(benchmark: BenchmarkFixture, name: str) -> None:
-    """The same scene again, as for the repeats of a trial."""
-    renderer, seeds, state = make_renderer(), count(), warm(member(name, 0))
-    renderer.render(state, np.random.default_rng(0))
-    benchmark.pedantic(
-        lambda: renderer.render(state, np.random.default_rng(next(seeds))),
-        rounds=15,
-        warmup_rounds=1,
-    )
-    figure(benchmark, f"{name}, fresh noise, median ms", 1e3 * taken_s(benchmark), "at most 60")
-
-
 def test_frame_set_of_a_new_scene(benchmark: BenchmarkFixture) -> None:
     """Everything new each time: background, light, paint, things, phantom. In CPU seconds, and as
     the ratio to the fixed work between, which is the same on a busy machine and on another.

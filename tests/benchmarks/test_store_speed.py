@@ -1,14 +1,12 @@
-"""What the record costs: events, steps in a long run, frames."""
+"""What the record costs: events, and steps in a long run."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from statistics import median, quantiles
 from time import thread_time
 
-import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
@@ -19,7 +17,6 @@ from tests.benchmarks.figures import figure, taken_s
 
 EVENTS, A_STEP = 3000, 50
 LONG, BLOCKS, A_BLOCK = 100_000, 40, 200
-FRAMES, A_TRIAL = 96, 4
 
 
 @pytest.fixture
@@ -104,30 +101,3 @@ def steps_s(store: Store, first: int, count: int) -> float:
         store.finished(done)
         taken.append(thread_time() - start_s)
     return median(taken)
-
-
-@pytest.mark.parametrize("bits", [16, 8])
-def test_frames(benchmark: BenchmarkFixture, store: Store, bits: int) -> None:
-    """640 x 480, a smooth scene with a sensor's noise on it."""
-    chance = np.random.default_rng(1)
-    y, x = np.mgrid[:480, :640]
-    scene = 29_500 + 300 * np.exp(-((y - 200.0) ** 2 + (x - 300.0) ** 2) / 8000)
-    raw = [(scene + chance.normal(0.0, 5.0, scene.shape)).astype(np.uint16) for _ in range(A_TRIAL)]
-    images = {
-        f"camera-{k}": image if bits == 16 else (image // 118).astype(np.uint8)
-        for k, image in enumerate(raw)
-    }
-    trials = itertools.count()
-
-    def frames() -> None:
-        for _ in range(FRAMES // A_TRIAL):
-            store.frames(str(next(trials)), images, {})
-
-    benchmark.pedantic(frames, rounds=5, warmup_rounds=1)
-    aim = "at least 300" if bits == 16 else "-"
-    figure(
-        benchmark,
-        f"frames of {bits} bits a second, hashed and synced, {A_TRIAL} a trial",
-        FRAMES / taken_s(benchmark),
-        aim,
-    )
