@@ -58,10 +58,12 @@ class RealSense:
             config.enable_stream(rs.stream.infrared, number, *size, rs.format.y8, int(fps))
         config.enable_stream(rs.stream.depth, *size, rs.format.z16, int(fps))
         self._pipeline = rs.pipeline()
+        hint = "Is it at a USB 3 port, and in no other program?"
+        if serial not in _connected():  # the pipeline would wait for it for 15 s
+            raise LinkError("RealSense", f"{serial} is not connected", hint=hint)
         try:
             self._profile = self._pipeline.start(config)
         except RuntimeError as error:
-            hint = "Is it at a USB 3 port, and in no other program?"
             raise LinkError("RealSense", f"{serial}: {error}", hint=hint) from error
         self._open = True
         try:
@@ -129,7 +131,7 @@ class RealSense:
         try:
             return self._pipeline.wait_for_frames(TIMEOUT_MS)
         except RuntimeError as error:  # its word for no frame, and for a camera that has gone
-            if self._serial in (one.get_info(rs.camera_info.serial_number) for one in _devices()):
+            if self._serial in _connected():
                 what = "no frame came"
                 raise FrameError(FrameFault.DROPPED, "left", "RealSense", what) from error
             raise LinkError("RealSense", str(error), hint="Check cable and power.") from error
@@ -141,5 +143,6 @@ class RealSense:
         return RawFrame(pixels, exposed_s, bits=bits, ranging=ranging)
 
 
-def _devices() -> list[rs.device]:
-    return list(rs.context().query_devices())
+def _connected() -> list[str]:
+    found = rs.context().query_devices()
+    return [one.get_info(rs.camera_info.serial_number) for one in found]

@@ -246,6 +246,8 @@ def test_a_group_of_a_realsense(driver: Drivers) -> None:
     devices.clear()
     with pytest.raises(LinkError):
         cameras.capture()
+    with pytest.raises(LinkError, match="0123 is not connected"):
+        PluggedGroup(plugged, clock)
 
 
 class Robot:
