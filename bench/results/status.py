@@ -407,6 +407,8 @@ def _left(run: RunRecord, state: State, live: RunStatus | None) -> tuple[Instrum
         left: tuple[InstrumentStatus, ...] = _reader(tuple[InstrumentStatus, ...]).validate_python(
             stored["instruments"]
         )
+        if not left and run.guardian:  # it got the bath, heated by another run, before the end
+            left = (InstrumentStatus("bath", Link.CLOSED, Safe.UNKNOWN),)
         return tuple(_since(one, run.guardian) for one in left)
     guardian, alone = run.guardian, run.facts.get("guardian") == NO_GUARDIAN
     known = live.instruments if live else ()
@@ -416,9 +418,12 @@ def _left(run: RunRecord, state: State, live: RunStatus | None) -> tuple[Instrum
 
 
 def _since(one: InstrumentStatus, guardian: Mapping[str, Any] | None) -> InstrumentStatus:
-    """An instrument as its run left it; safe where the run's guardian has made it so since."""
-    found = _orphaned(one, guardian, alone=False) if one.by_hand and guardian else one
-    return replace(found, link=one.link) if found.safe is Safe.READ_BACK else one
+    """An instrument as its run left it, or as the run's guardian has found it since."""
+    if not guardian or not (one.by_hand or one.safe is Safe.UNKNOWN):
+        return one
+    found = _orphaned(one, guardian, alone=False)
+    known = found.safe is Safe.READ_BACK or not one.by_hand
+    return replace(found, link=one.link) if known else one
 
 
 def _orphaned(

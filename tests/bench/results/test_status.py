@@ -226,6 +226,25 @@ def test_what_its_guardian_made_safe_after_a_run_had_ended_is_safe(tmp_path: Pat
     assert status.why.endswith(" All instruments are safe.")
 
 
+@pytest.mark.parametrize(
+    ("found", "unsafe", "end"),
+    [(UNREACHED, (BY_HAND,), "no answer)."), (SAFED, (), "All instruments are safe.")],
+)
+def test_a_run_that_took_over_a_hot_bath_and_opened_nothing_says_how_that_is(
+    found: Mapping[str, Any], unsafe: tuple[str, ...], end: str, tmp_path: Path
+) -> None:
+    run = stopped(State.FAULTED, tmp_path)
+    store = Store(run)
+    store.fact(INSTRUMENTS_FACT, {"session": store.session, "instruments": []})
+    name = GUARDIAN.format(store.session)
+    store.close()
+    assert read_status(run).why.endswith("Nothing was switched on.")
+    (run / f"{name}.json").write_text(json.dumps({**GUARDED, **found}), encoding="utf-8")
+    status = read_status(run)
+    assert (status.unsafe, status.next[: len(unsafe)]) == (unsafe, unsafe)
+    assert status.why.endswith(end)
+
+
 def test_only_the_last_session_s_trip_counts(tmp_path: Path) -> None:
     run = stopped(State.TRIPPED, tmp_path)
     store = Store(run)
