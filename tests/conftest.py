@@ -42,7 +42,8 @@ UNDRAWN = (
     *("tests.bench.report.test_detector_errors", "tests.bench.campaign.test_campaign"),
 )
 DRAWN = tuple(
-    f"tests.bench.report.test_{name}" for name in ("report_points", "report_spread", "summary")
+    f"tests.bench.report.test_{name}"
+    for name in ("report_points", "report_spread", "summary", "pages_in_a_browser")
 )
 ROOMS = ("cli", "console", "record", "rig", "run", "safety", "script", "truth")
 KEEPING = ("tests.", "instruments.world.", "bench.campaign.")

@@ -76,3 +76,10 @@ def full_stop(text: str) -> str:
 def short(text: str) -> str:
     """``text`` as far as it has room in a message."""
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+def time_text(seconds: float) -> str:
+    """``40 s``, ``12 min``, ``64.5 h``."""
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"

@@ -31,7 +31,7 @@ from bench.safety.bath_monitor import NO_GUARDIAN
 from instruments.clock import wall_time as now
 from instruments.operators.mailbox import FOLDER, read_prompt
 from instruments.operators.operator import time_left
-from textfiles.text import plural
+from textfiles.text import plural, time_text
 
 VERSION = 1  # of `RunStatus.as_dict`
 LIVE, RUN_JSON = "live.json", "report/run.json"
@@ -253,7 +253,8 @@ class RunStatus:
         older = replace(self, age_s=age_s, instruments=instruments, asked=asked)
         if age_s < SILENT_S:
             return older
-        doing = f"the bench has said nothing for {age_s:.0f} s; last: {self.doing or self.step}"
+        last = self.doing or self.step
+        doing = f"the bench has said nothing for {time_text(age_s)}; last: {last}"
         return replace(older, doing=doing, left_s=None)
 
     def as_dict(self) -> dict[str, Any]:

@@ -149,6 +149,10 @@ def test_a_bench_that_hangs_has_its_last_words_with_their_age(tmp_path: Path) ->
     (bath,) = status.instruments
     assert bath.age_s is not None
     assert bath.age_s >= 40.0
+    then = wall_time() - timedelta(hours=30)
+    said_by(run, replace(LIVES, wall_time=then.isoformat()))
+    with locked(run_lock(run), "a run", print, "run"):
+        assert "nothing for 30.0 h; last: " in read_status(run).doing
 
 
 @pytest.mark.parametrize(
