@@ -98,8 +98,9 @@ def test_p1_whatever_is_late_no_wrong_value_gets_through(
 # ---- P2: lengths
 
 
-@pytest.mark.parametrize("framing", ["rtu", "tcp"])
-@pytest.mark.parametrize("sent", [0, 1, 3, 4, 125])
+@pytest.mark.parametrize(
+    ("framing", "sent"), [("rtu", 0), ("rtu", 1), ("rtu", 3), ("tcp", 1), ("tcp", 125)]
+)
 def test_p2_a_wrong_number_of_registers_is_reported(framing: str, sent: int) -> None:
     with linked(framing) as (far_end, link):
         registers = bytes((3, 2 * sent)) + b"\x12\x34" * sent
@@ -343,7 +344,6 @@ def test_what_a_url_says(url: str, line: Line) -> None:
     [
         ("tpc://h:1", 'did you mean "tcp://"?'),
         ("socket://h:1", 'did you mean "rtu+tcp://"?'),
-        ("rtu://h:1", 'did you mean "rtu+tcp://"?'),
         ("modbus://h:1", 'did you mean "tcp://"?'),
         ("ttyUSB0", 'did you mean "/dev/ttyUSB0"?'),
         ("com5:", 'did you mean "COM5"?'),
@@ -353,18 +353,14 @@ def test_what_a_url_says(url: str, line: Line) -> None:
             'allowed: "tcp://host:port", "rtu+tcp://host:port", "rfc2217://host:port", "/dev/ttyUSB0"',
         ),
         ("tcp://", 'write "tcp://host:port"'),
-        ("tcp://:502", 'write "tcp://host:port"'),
         ("tcp://h:1/x", "nothing behind it"),
         ("tcp://me@h:1", "nothing behind it"),
         ("tcp://h:99999", "Port out of range"),
-        ("tcp://h:x", "not a link"),
         ("rtu+tcp://h", "the port is missing"),
         ("tcp://h:1?unti=1", 'no setting of tcp://; did you mean "unit"?'),
         ("tcp://h:1?baud=9600", '"baud" is no setting of tcp:// (allowed: unit, gap_ms)'),
-        ("/dev/ttyS0?bauds=9600", 'no setting of a serial port; did you mean "baud"?'),
         ("/dev/ttyS0?9600", "is no list of settings"),
         ("tcp://h:1?unit=x", "unit=x: a whole number from 1 to 255"),
-        ("tcp://h:1?unit=", "unit=: a whole number"),
         ("rtu+tcp://h:1?unit=255", "from 1 to 254"),
         ("COM5?unit=0", "from 1 to 254"),
         ("COM5?parity=odd", "N (none), E (even) and O (odd)"),

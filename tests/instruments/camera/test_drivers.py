@@ -64,7 +64,7 @@ def test_opencv_plays_a_recorded_video_to_its_end(tmp_path: Path) -> None:
     cameras.close()
 
 
-@pytest.mark.parametrize("codec", ["MPG1 mpg", "MPG2 ts", "VP80 webm", "mp4v ts"])
+@pytest.mark.parametrize("codec", ["MPG1 mpg", "VP80 webm"])
 def test_a_picture_size_that_changes_in_a_file_of_another_codec_is_a_fault_too(
     tmp_path: Path, codec: str
 ) -> None:

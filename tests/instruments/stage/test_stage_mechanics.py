@@ -16,11 +16,27 @@ from hypothesis import strategies as st
 from instruments.stage.emulator.board import StageFault
 from instruments.stage.emulator.carriage import AxisDrive, Mounting
 from instruments.stage.emulator.gcode import GCode, Move
-from instruments.stage.emulator.motion import AxisRates, Motion, Vector
+from instruments.stage.emulator.motion import AxisRates, LinearMove, Motion, MoveSegment, Vector
 from tests.instruments.stage.board import LOCK, WELCOME, Board
 
 RATES = AxisRates((50.0, 50.0, 50.0), (200.0, 200.0, 200.0))
 PLACES = st.tuples(st.floats(-300, 0), st.floats(-275, 0), st.floats(-50, 0))
+
+
+@given(st.floats(1e-3, 500), st.floats(0, 1), st.floats(1, 80), st.floats(10, 1000))
+def test_a_run_covers_its_length_and_ends_at_rest(
+    length: float, entry: float, speed: float, accel: float
+) -> None:
+    entry *= math.sqrt(2 * accel * length)  # from which it can still stop
+    move = LinearMove((0.0,), (length,), length, None, speed, accel)
+    run = MoveSegment(move, 0.0, length, 0.0, speed, entry)
+    assert run.at(0.0) == pytest.approx((0.0, entry))
+    almost = run.at(run.end_s - 1e-6)
+    assert almost == pytest.approx((length, 0.0), abs=1e-6 * (accel + entry + 1))
+    steps = [run.at(run.end_s * n / 50) for n in range(51)]
+    for (place, fast), (further, _) in itertools.pairwise(steps):
+        assert further >= place - 1e-9
+        assert fast <= max(speed, entry) + 1e-9
 
 
 @given(
