@@ -282,25 +282,8 @@ def silence(rig: RealRig, *, on: bool = True) -> None:
         rig.twin.bath.fault("silence", on=on)
 
 
-def another_run(folder: Path) -> tuple[Mapping[str, Any], dict[str, list[Any]]]:
-    """A run is begun on a rig where the guardian of another one still tries, and again once the
-    bath answers: what that guardian wrote, and the last run's trials.
-    """
-    with lasting_rig(folder) as rig, ended_at_last() as left:
-        guardian = killed_in(rig, "settling", silent=True, with_guardian="trying")
-        left.append(guardian)
-        wait_for_the_guardian(rig, guardian, "trying")
-        run = rig.run_folder()
-        resumed(rig, None, 3)
-        assert not alive(guardian), "it had ended before the next one was ready"
-        silence(rig, on=False)
-        resumed(rig, None, 0)
-        assert check_record(run).whole
-        return read_run(run).guardians[1], trials_of(max(rig.out.iterdir()))
-
-
-def resumed(rig: RealRig, run: Path | None, code: int) -> str:
-    """What the bench said that resumed ``run``, or began one, and ended with ``code``."""
+def resumed(rig: RealRig, run: Path, code: int) -> str:
+    """What the bench said that resumed ``run``, and ended with ``code``."""
     with marked_bench(rig, "none", run) as running:
         running.process.join(PATIENCE_S)
         assert running.process.exitcode == code, running.said

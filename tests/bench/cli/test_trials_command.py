@@ -25,9 +25,8 @@ def test_show_lists_every_trial_and_the_time(said: Said) -> None:
     assert "settling 36 min" in seen
 
 
-@pytest.mark.parametrize("columns", ["200", "80", "40"])
-def test_show_cuts_no_name(columns: str, monkeypatch: pytest.MonkeyPatch, said: Said) -> None:
-    monkeypatch.setenv("COLUMNS", columns)
+def test_show_cuts_no_name(monkeypatch: pytest.MonkeyPatch, said: Said) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
     seen = said(0, "trials show six-situations").out
     for name in ("001-non-vertical-1", "spurious", "overlapping", "table-5-1"):
         assert name in seen

@@ -88,21 +88,6 @@ def flipped(data: bytes, at: int, bits: int) -> bytes:
     return data[:at] + bytes([data[at] ^ bits]) + data[at + 1 :]
 
 
-def test_what_was_written_is_read(tmp_path: Path) -> None:
-    store = Store.create(tmp_path / "run", {"script.toml": "x = 1"})
-    facts(store)
-    store.event(None, "state", "preparing", wall_time())
-    store.finished(trial(store, 7))
-    store.close()
-    run = read_run(tmp_path / "run")
-    assert run.ending == "interrupted"
-    assert [t.id for t in run.trials] == ["007-x-1"]
-    assert run.trials[0].found[0]["z_mm"] == 3.0
-    assert run.bath.tolist() == [[7.0, 33.0, 2.0]]
-    (frame,) = run.trials[0].frames
-    assert (np.asarray(cv2.imread(str(run.folder / frame["path"]), -1)) == 7).all()
-
-
 def test_sixteen_runs_of_one_second_get_sixteen_folders(tmp_path: Path) -> None:
     now, start = wall_time(), threading.Barrier(16)
     made: list[Path] = []

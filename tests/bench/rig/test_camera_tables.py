@@ -183,13 +183,6 @@ def test_each_fault_is_shown_in_its_place(tmp_path: Path, old: str, new: str, me
     assert message in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    "url", ["opencv:0,1,2", "opencv:http://h/l,http://h/r", "recording:folder"]
-)
-def test_all_cameras_by_one_url(tmp_path: Path, url: str) -> None:
-    assert rig_of(tmp_path, f'[cameras]\nurl = "{url}"\n').rig.cameras.note == url
-
-
 @pytest.mark.slow
 def test_lost_packets_are_passed_over_and_counted(clock: RealClock) -> None:
     """About one frame in six of the left camera has holes; every set given out is whole."""

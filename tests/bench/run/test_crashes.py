@@ -25,7 +25,6 @@ from tests.bench.crashes import (
     REACHED,
     SILENT,
     STATES,
-    another_run,
     crash,
     undisturbed,
 )
@@ -110,14 +109,3 @@ def test_a_port_or_a_pump_that_an_old_guardian_holds_goes_to_the_next_session(
     cells = [(state, *kind) for state in ("settling", "touch") for kind in kinds]
     took = cells_end_as(whole, cells, tmp_path, profile="eurotherm-2400", **more)
     request.node.user_properties.extend((f"s to the end, {cell}", round(s, 1)) for cell, s in took)
-
-
-@pytest.mark.weekly
-@pytest.mark.timeout(600)
-def test_another_run_takes_the_bath_from_the_guardian_of_one_that_died(
-    whole: Trials, tmp_path: Path
-) -> None:
-    old, trials = another_run(tmp_path)
-    assert old["standby"] is False
-    assert "handed_over" in old
-    assert trials == whole

@@ -187,28 +187,19 @@ def test_a_pump_alone_is_switched_off_and_one_behind_a_heater_runs_on(tmp_path: 
 def test_a_controller_with_a_watchdog_stops_when_bench_and_guardian_are_killed(
     tmp_path: Path,
 ) -> None:
-    """LAUDA's, by a profile that sets it to the least; `weekly` has the one that ships."""
+    """LAUDA's, by a profile that sets it to the least; the one that ships: `test_line_baths`."""
     shipped = (SHIPPED / "lauda-ascii.toml").read_text(encoding="utf-8")
     assert "watchdog_s = 30.0" in shipped
     mine = tmp_path / "lauda.toml"
     mine.write_text(shipped.replace("watchdog_s = 30.0", "watchdog_s = 10.0"), encoding="utf-8")
-    both_killed(mine, tmp_path)
-
-
-@pytest.mark.weekly
-def test_the_watchdog_as_it_ships_stops_it_too(tmp_path: Path) -> None:
-    both_killed(SHIPPED / "lauda-ascii.toml", tmp_path)
-
-
-def both_killed(profile: Path, folder: Path) -> None:
     plant, lauda = Plant(1, start_c=30.0), load_profile("lauda-ascii")
     assert isinstance(lauda, LineProfile)
     with served(lambda clock: LineEmulator(plant, lauda, clock)) as (device, at):
-        table = {"url": at.replace("socket", "tcp"), "profile": str(profile)}
+        table = {"url": at.replace("socket", "tcp"), "profile": str(mine)}
         table["unit_confirmed"] = "2026-11-20"  # by a person at its display
-        script = folder / "script.py"
+        script = tmp_path / "script.py"
         script.write_text(HEATER.format(table=table), encoding="utf-8")
-        with on_a_terminal([script], folder / "none", script=True) as dying:
+        with on_a_terminal([script], tmp_path / "none", script=True) as dying:
             dying.until(lambda: "@@ under way" in dying.said, "began")
             assert plant.running
             (guardian,) = guardians_of(dying.pid)
