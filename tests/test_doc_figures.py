@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from bench.report.tables import ALL
-from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said
 from tests.conftest import ROOT
 from tests.doc_figures import (
@@ -23,7 +22,6 @@ from tests.doc_figures import (
     TABLES,
     campaign_caption,
     families,
-    family_rows,
     read,
     rendered,
     standing,
@@ -103,20 +101,3 @@ def test_the_readmes_command_shows_the_readmes_figures(
     assert middle == pytest.approx(float(claim["mean"]), abs=0.05)
     assert most == pytest.approx(float(claim["most"]), abs=0.05)
     assert [theirs[1].split()[0], theirs[2]] == [claim["theirs"], claim["false"]]
-
-
-@pytest.mark.slow
-def test_rows_of_families_are_made_from_a_run(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    said = Said(capsys)
-    recording, runs, rig = tmp_path / "own", tmp_path / "runs", write_small_rig(tmp_path)
-    said(0, "scene record --situation ideal --seeds 1 --rig {} --out {}", rig, recording)
-    note = said(4, "score {} --detector fused --out {}", recording, runs).out
-    (run,) = runs.iterdir()
-    one, every = family_rows("here", run)
-    assert {**one, "situation": ALL} == every
-    assert list(one) == list(read("families.csv")[0])
-    cells = next(line for line in note.splitlines() if line.startswith("| ideal")).split("|")
-    assert f"{one['found']} of {one['visible']}" in cells[4]
-    assert cells[6].strip() == ", ".join(one[key] for key in ("mean_mm", "p95_mm", "max_mm"))

@@ -56,10 +56,9 @@ from instruments.stage import marlin, zaber
 from instruments.stage import protocol as grbl
 from tests.conftest import ROOT
 from tests.examples import examples
-from tests.mutants import mutant, mutants
+from tests.mutants import mutant
 
 MUTANTS = 25  # of each of some samples, by each example that hypothesis draws
-WEEKLY = 10**6
 LONGEST_CPU_S = 5.0  # of one input; the usual one takes microseconds
 MOST_BYTES = 16 << 20
 FLOODS = (
@@ -371,12 +370,6 @@ def codec(all_codecs: dict[str, Codec], request: pytest.FixtureRequest) -> Codec
 every = pytest.mark.parametrize("codec", NAMES, indirect=True)
 
 
-@every
-def test_samples_are_read_whole(codec: Codec) -> None:
-    for sample in codec.samples:
-        codec.check(sample)
-
-
 @pytest.mark.slow
 @every
 def test_only_named_errors_leave_a_reader(codec: Codec) -> None:
@@ -390,16 +383,6 @@ def test_only_named_errors_leave_a_reader(codec: Codec) -> None:
             codec.check(mutant(rng.choice(codec.samples), rng))
 
     damaged()
-
-
-@pytest.mark.weekly
-@pytest.mark.timeout(7200)
-@every
-def test_only_named_errors_leave_a_reader_in_a_million_inputs(codec: Codec) -> None:
-    each = round(WEEKLY * codec.share / len(codec.samples))
-    for number, sample in enumerate(codec.samples):
-        for data in mutants(sample, each, seed=number):
-            codec.check(data)
 
 
 @pytest.mark.slow

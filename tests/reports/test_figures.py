@@ -133,15 +133,6 @@ def test_any_amount_of_data_makes_a_sound_drawing_that_turns_for_the_dark(
             assert f"{key}-{role}" in tag
 
 
-@pytest.mark.slow
-def test_two_drawings_share_no_id() -> None:
-    first = svg_facts(error_histogram([1.0, 2.0], 5.0), "first").ids
-    second = svg_facts(error_histogram([1.0, 2.0], 5.0, name="second"), "second").ids
-    assert first
-    assert len(first) == len(second)
-    assert set(first).isdisjoint(second)
-
-
 def test_a_user_s_matplotlib_settings_change_nothing_and_are_kept() -> None:
     before = DRAWINGS["latency"](9)
     with matplotlib.rc_context({"lines.linewidth": 9, "font.size": 30, "svg.fonttype": "path"}):
@@ -171,15 +162,6 @@ def test_counts_are_written_beside_the_bars() -> None:
     texts = texts_of(svg)
     assert {"9 of 12", "3 of 4", "not measured", "Overlapping"} <= set(texts)
     assert sum(text.endswith(" of 4") for text in texts) == 1
-
-
-@pytest.mark.slow
-def test_each_teat_has_a_panel_with_its_own_counts() -> None:
-    missed = TeatPlaces("2", np.zeros((0, 3)), [], [[1.0, 2.0, 3.0]])
-    texts = texts_of(error_maps([_places("1", 12), missed], 5.0))
-    note = [text for text in texts if text.startswith("teat") or text.endswith("missed")]
-    assert note == ["teat 1", "12 found, 6 missed", "teat 2", "0 found, 1 missed"]
-    assert {"x (mm)", "y (mm)", "z (mm)"} <= set(texts)
 
 
 def test_a_plane_has_no_view_from_the_front() -> None:

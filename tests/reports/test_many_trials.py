@@ -53,12 +53,6 @@ def test_the_page_has_the_list_and_no_trial(document: Document) -> None:
     assert links == [f"trials/{name}.html" for name in rows]
 
 
-def test_every_fragment_leads_to_a_row_or_a_chapter(document: Document) -> None:
-    fragments = {value[1:] for value in document.values("href") if value.startswith("#")}
-    assert any(name.startswith("trial-0") for name in fragments)
-    assert fragments - set(document.values("id")) == set()
-
-
 def test_each_trial_has_a_file_whose_pictures_and_neighbours_are_there(
     page: tuple[Page, Path],
 ) -> None:

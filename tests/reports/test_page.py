@@ -10,7 +10,7 @@ from typing import Any
 from unittest.mock import patch
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from reports.figures.course import found_bars, latency_strip
@@ -85,16 +85,10 @@ def shape(html: str) -> list[tuple[str, tuple[str, ...]]]:
     return [(element.tag, tuple(element.attributes)) for element in read(html).elements]
 
 
-def test_hostile_text_changes_no_element_and_no_attribute() -> None:
-    hostile = render(page_of(HOSTILE))
-    assert shape(hostile) == shape(render(page_of("calm")))
-    assert read(hostile).misplaced == []
-    assert "\x00" not in hostile
-    assert "49" not in read(hostile).by_id("one").text
-
-
 def test_hostile_text_reaches_the_reader_without_what_would_steer_it() -> None:
-    document = read(render(page_of(HOSTILE)))
+    document = read(html := render(page_of(HOSTILE)))
+    assert "\x00" not in html
+    assert "49" not in document.by_id("one").text
     seen = HOSTILE.replace("\x00", "\ufffd").replace("\u202e", "\ufffd")
     assert document.all("h1")[0].text == seen
     assert document.all("img")[0].attributes["alt"] == seen
@@ -124,6 +118,7 @@ def test_every_text_field_was_tried() -> None:
 
 @pytest.mark.slow
 @given(st.text(st.characters(exclude_categories=[]), max_size=40))
+@example(HOSTILE)
 def test_any_text_leaves_the_structure_alone(text: str) -> None:
     marks = patch.dict(KNOWN_PLACES, {text: 3, "calm": 3})  # a detector has its mark by its name
     with marks:

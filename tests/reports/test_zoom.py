@@ -84,8 +84,15 @@ def views(page: Page) -> list[View]:
     return [view(page, number) for number in range(3)]
 
 
-def test_the_wheel_zooms_a_clicked_frame_where_the_pointer_is(seen: Seen) -> None:
+def test_the_wheel_zooms_a_clicked_frame_where_the_pointer_is_and_else_scrolls_the_page(
+    seen: Seen,
+) -> None:
     page = seen.page
+    page.mouse.move(*on_screen(page, TEAT_2))
+    before = page.evaluate("() => scrollY")
+    page.mouse.wheel(0, 20)
+    page.wait_for_function("before => scrollY > before", arg=before)
+    assert view(page) == PART
     x, y = on_screen(page, TEAT_2)
     page.mouse.click(x, y)
     assert view(page) == PART
@@ -94,15 +101,6 @@ def test_the_wheel_zooms_a_clicked_frame_where_the_pointer_is(seen: Seen) -> Non
     assert shown[2] == pytest.approx(400 / 1.35, rel=0.01)
     assert shown[3] / shown[2] == pytest.approx(240 / 400)
     assert on_screen(page, TEAT_2) == pytest.approx((x, y), abs=BY_POINTER)
-
-
-def test_the_wheel_scrolls_the_page_over_a_frame_that_was_not_clicked(seen: Seen) -> None:
-    page = seen.page
-    page.mouse.move(*on_screen(page, TEAT_2))
-    before = page.evaluate("() => scrollY")
-    page.mouse.wheel(0, 200)
-    page.wait_for_function("before => scrollY > before", arg=before)
-    assert view(page) == PART
 
 
 def test_keys_zoom_and_move_the_frame_with_the_focus(seen: Seen) -> None:
@@ -124,27 +122,46 @@ def test_keys_zoom_and_move_the_frame_with_the_focus(seen: Seen) -> None:
     assert view(page)[2:] == pytest.approx([640, 384])  # no more than there is
     press(page, "0")
     assert view(page) == PART
-
-
-def test_keys_without_a_focus_are_for_the_trial_that_is_read(seen: Seen) -> None:
-    page = seen.page
-    page.keyboard.press("j")
+    page.evaluate("() => document.activeElement.blur()")
+    press(page, "j", "+")  # without a focus, for the trial that is read
     expect(page).to_have_url(re.compile("#trial-002$"))
-    page.keyboard.press("+")
     assert view(page, trial="trial-002")[2] == pytest.approx(400 / 1.5)
     assert view(page) == PART
 
 
-def test_a_double_click_goes_nearer_and_with_shift_back_out(seen: Seen) -> None:
+def test_a_double_click_takes_all_frames_of_a_trial_nearer_and_with_shift_back_out(
+    seen: Seen,
+) -> None:
     page = seen.page
     x, y = on_screen(page, TEAT_2)
     page.mouse.dblclick(x, y)
     assert changed(page, PART)[2] == pytest.approx(160)
     assert on_screen(page, TEAT_2) == pytest.approx((x, y), abs=BY_POINTER)
+    page.mouse.dblclick(*on_screen(page, TEAT_2))
+    left, right, thermal = views(page)
+    assert left[2] == pytest.approx(64)
+    assert right == pytest.approx(left, abs=0.5)
+    assert thermal[2] == pytest.approx(640 / 6.25)
+    parts = []
+    for number in (0, 2):
+        (across, down), at = on_screen(page, TEAT_2, number), box(page, number)
+        parts.append(((across - at["x"]) / at["width"], (down - at["y"]) / at["height"]))
+    assert parts[1] == pytest.approx(parts[0], abs=0.06)
+    assert view(page, trial="trial-002") == PART
+    gaps = page.evaluate(
+        """([x, y]) => [...document.querySelectorAll('#trial-001 .pane')].map((pane) => {
+        const image = pane.querySelector('img').getBoundingClientRect();
+        const mark = pane.querySelectorAll('.layer-truth circle')[1].getBoundingClientRect();
+        return Math.hypot(mark.left + mark.width / 2 - image.left - (x + .5) / 640 * image.width,
+          mark.top + mark.height / 2 - image.top - (y + .5) / 480 * image.height); })""",
+        list(TEAT_2),
+    )
+    assert gaps == pytest.approx([0, 0, 0], abs=0.5), "what is drawn stays over its pixel"
     page.keyboard.down("Shift")
-    page.mouse.dblclick(x, y)
+    for _ in range(2):
+        page.mouse.dblclick(x, y)
     page.keyboard.up("Shift")
-    assert view(page) == PART
+    assert view(page) == pytest.approx(PART)
 
 
 def test_a_drag_moves_the_picture_with_the_pointer_and_no_further_than_its_edge(seen: Seen) -> None:
@@ -182,22 +199,6 @@ def test_two_fingers_pinch(seen: Seen) -> None:
     assert on_screen(page, TEAT_2) == pytest.approx((x, y), abs=1.0)
 
 
-def test_the_frames_of_a_trial_go_together_to_the_same_teat(seen: Seen) -> None:
-    page = seen.page
-    page.mouse.dblclick(*on_screen(page, TEAT_2))
-    page.mouse.dblclick(*on_screen(page, TEAT_2))
-    left, right, thermal = views(page)
-    assert left[2] == pytest.approx(64)
-    assert right == pytest.approx(left, abs=0.5)
-    assert thermal[2] == pytest.approx(640 / 6.25)
-    parts = []
-    for number in (0, 2):
-        (x, y), at = on_screen(page, TEAT_2, number), box(page, number)
-        parts.append(((x - at["x"]) / at["width"], (y - at["y"]) / at["height"]))
-    assert parts[1] == pytest.approx(parts[0], abs=0.06)
-    assert view(page, trial="trial-002") == PART
-
-
 def test_switching_overlays_keeps_the_view_and_z_begins_anew(seen: Seen) -> None:
     page = seen.page
     pane(page).focus()
@@ -233,21 +234,6 @@ def test_strokes_and_letters_keep_their_size_and_pixels_become_squares(seen: See
     assert zoomed == pytest.approx(height, rel=0.05)
     page.keyboard.press("0")
     expect(image).to_have_css("image-rendering", "auto")
-
-
-def test_what_is_drawn_stays_over_its_pixel(seen: Seen) -> None:
-    page = seen.page
-    for _ in range(3):
-        page.mouse.dblclick(*on_screen(page, TEAT_2))
-    gaps = page.evaluate(
-        """([x, y]) => [...document.querySelectorAll('#trial-001 .pane')].map((pane) => {
-        const image = pane.querySelector('img').getBoundingClientRect();
-        const mark = pane.querySelectorAll('.layer-truth circle')[1].getBoundingClientRect();
-        return Math.hypot(mark.left + mark.width / 2 - image.left - (x + .5) / 640 * image.width,
-          mark.top + mark.height / 2 - image.top - (y + .5) / 480 * image.height); })""",
-        list(TEAT_2),
-    )
-    assert gaps == pytest.approx([0, 0, 0], abs=0.5)
 
 
 def test_buttons_do_the_same_and_are_large_enough_for_a_finger(seen: Seen) -> None:

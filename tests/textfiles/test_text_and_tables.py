@@ -200,10 +200,3 @@ def test_mutants_of_files_are_read_or_named(name: str, tmp_path: Path) -> None:
     said = of_mutants(name, examples(25), tmp_path)
     assert said
     assert all(f"mutant-{name}" in each for each in said)
-
-
-@pytest.mark.weekly
-@pytest.mark.parametrize("name", FILES)
-def test_a_hundred_thousand_mutants_are_read_or_named(name: str, tmp_path: Path) -> None:
-    said = of_mutants(name, 25_000, tmp_path)
-    assert all(f"mutant-{name}" in each for each in said)

@@ -35,7 +35,7 @@ def touched(seed: int, count: int = 18) -> TouchedPoints:
     )
 
 
-@pytest.mark.parametrize("count", [1, 2, 18])
+@pytest.mark.parametrize("count", [1, 18])
 def test_what_holds_is_not_accused(count: int) -> None:
     for seed in range(40):
         again, findings = check_points(WHOLE, touched(seed, count), **NOISE)

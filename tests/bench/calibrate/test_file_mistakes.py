@@ -144,16 +144,13 @@ def test_a_board_counted_otherwise_is_named(
         find_views(few, Board("chessboard", columns, rows, 40.0))
 
 
-@pytest.mark.parametrize("name", ["left/00.png", "left/04.png"])
-def test_a_picture_of_another_size_is_named_not_those_of_most(
-    drawn: Path, tmp_path: Path, name: str
-) -> None:
-    day = shutil.copytree(drawn, tmp_path / "day")
+def test_a_picture_of_another_size_is_named_not_those_of_most(drawn: Path, tmp_path: Path) -> None:
+    day, name = shutil.copytree(drawn, tmp_path / "day"), "left/00.png"
     image = cv2.imread(str(day / name))
     assert image is not None
     cv2.imwrite(str(day / name), cv2.resize(image, (320, 240)))
     why = r"png: 320 x 240 px, but 6 of the 7 left pictures have 480 x 360: .*Take it out"
-    with pytest.raises(ConfigError, match=name[-6:-4] + r"\." + why):
+    with pytest.raises(ConfigError, match=r"00\." + why):
         find_views(find_pictures([day], ("left", "right")), BOARD)
 
 

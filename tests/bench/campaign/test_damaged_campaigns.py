@@ -11,7 +11,6 @@ from errno import ENOSPC
 from pathlib import Path
 from unittest.mock import patch
 
-import duckdb
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -113,29 +112,6 @@ def test_no_damage_is_used_in_silence(
         assert query(folder, SQL) == wanted
 
 
-@pytest.mark.weekly
-@pytest.mark.slow
-def test_an_edited_row_a_cut_shard_and_an_empty_one_are_done_again(
-    sound: Path, tmp_path: Path
-) -> None:
-    digest = Shards(sound).digest()
-    folder = tmp_path / "campaign"
-    shutil.copytree(sound, folder)
-    (shard, *_) = sorted((folder / SHARDS).glob("*.parquet"))
-    with duckdb.connect() as db:
-        db.execute(f"CREATE TABLE rows AS SELECT * FROM read_parquet('{shard}')")
-        db.execute("UPDATE rows SET failure = NULL WHERE member = 0")
-        db.execute(f"COPY rows TO '{shard}' (FORMAT parquet)")
-    for change in (lambda: None, lambda: shard.write_bytes(b""), shard.unlink):
-        change()
-        with pytest.raises(ConfigError, match=shard.name):
-            query(folder, SQL)
-        campaign, said = run(folder)
-        assert shard.name in " ".join(said)
-        assert campaign.shards.digest() == digest
-        assert query(folder, SQL) == query(sound, SQL)
-
-
 def test_rows_that_come_out_otherwise_are_told(sound: Path) -> None:
     campaign, _ = run(sound)
     book, digest = campaign.shards.ledger, campaign.shards.digest()
@@ -165,22 +141,13 @@ def test_a_file_that_the_ledger_does_not_name_is_refused(sound: Path, tmp_path: 
         "COPY scenes TO '{0}/out.csv'",
         "COPY (SELECT 1) TO '{0}/campaign/shards/ideal-000000.parquet' (FORMAT parquet)",
         "SELECT * FROM read_text('{0}/secret.txt')",
-        "SELECT * FROM '{0}/secret.csv'",
-        "SELECT * FROM glob('{0}/*')",
         "ATTACH '{0}/other.db'",
-        "EXPORT DATABASE '{0}/all'",
-        "IMPORT DATABASE '{0}/all'",
         "INSTALL httpfs",
-        "LOAD httpfs",
-        "SELECT * FROM read_parquet('https://example.org/a.parquet')",
         "SET enable_external_access = true",
-        "SET temp_directory = '{0}'",
         "PRAGMA enable_profiling = 'json'; SET profiling_output = '{0}/p.json'; SELECT 1",
         "SELECT '\ud800'",
-        "SELECT * FROM nothing",
         "SELEC",
         "",
-        "SELECT error('mine')",
         "SELECT * FROM range(2000000)",
     ],
 )

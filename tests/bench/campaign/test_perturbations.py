@@ -16,7 +16,6 @@ from bench.rig.scenes import warm
 from instruments.camera.frame import FrameSet
 from instruments.world.situations import situation
 from tests.bench.campaign.small_campaign import run_chunk, small_plan
-from tests.bench.commands import Said
 
 SEEDS = (1, 2, 3)
 CALIBRATION = load_rig(find_rig(None)).calibration
@@ -143,22 +142,6 @@ def test_no_amount_changes_no_byte(name: str) -> None:
     assert applied.frames(frames, SEEDS) is frames
     assert applied.state(state, SEEDS) is state
     assert applied.stated(CALIBRATION) is CALIBRATION
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("vergnce=0.1", 'did you mean "vergence"?'),
-        ("vergence=90", "from -5 to 5 deg"),
-        ("vergence", "NAME=AMOUNT"),
-        ("jpeg=nan", "NAME=AMOUNT"),
-    ],
-)
-def test_wrong_perturbations_are_refused_with_what_there_is(
-    text: str, words: str, said: Said, tmp_path: Path
-) -> None:
-    assert words in said(2, "campaign run --out {} --perturb {}", tmp_path / "c", text).err
-    assert not (tmp_path / "c").exists()
 
 
 @pytest.mark.slow

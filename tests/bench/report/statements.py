@@ -95,7 +95,6 @@ def always(*_: object) -> bool:
 
 IN_WORDS = (ROOT / "tests/data/statements.toml").read_text(encoding="utf-8")
 REQUIREMENTS = r"^Requirements, detector null"
-ACCUSED, ACCEPTED = "accuses", "accepts"
 
 KINDS = (
     # what is decided
@@ -180,11 +179,6 @@ KINDS = (
         r" that was seen\.",
         lambda m, s, d: _rms(d) > float(m[1]) + 0.005,
     ),
-    Kind(  # older pages
-        "rms without the truth's noise",
-        r"The truth's noise alone would show .* along an axis\): (without it the rms is ([\d.]+) mm|"
-        r"the noise explains all that was seen)\.",
-    ),
     # what is known of the truth
     Kind(
         "the truth is known to",
@@ -196,9 +190,6 @@ KINDS = (
         rf"Every decision's guard band is that of .*: u = {N} mm along an axis; in space, an end is"
         rf" known to {N} mm in 95 %\.",
         lambda m, s, d: _first_truth(d) > float(m[2]),
-    ),
-    Kind(  # older pages
-        "guard band", r"Every decision's guard band is that of .*: u = [\d.]+ mm along an axis\."
     ),
     Kind("the arm's stated u", "too small", always, "^The arm's stated uncertainty"),
     Kind("the arm's stated u holds", "not refuted", None, "^The arm's stated uncertainty"),

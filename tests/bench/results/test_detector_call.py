@@ -169,10 +169,6 @@ def raising(error: BaseException) -> Callable[[], Detection]:
 crash = raising(RuntimeError("out of\ncheese"))
 
 
-class PanicException(BaseException):
-    """As a library in Rust raises it."""
-
-
 class SpeechlessError(Exception):
     def __str__(self) -> str:
         raise ZeroDivisionError
@@ -187,12 +183,7 @@ LEANING = np.eye(3) + np.array([[0, 1.0, 0], [0, 0, 0], [0, 0, 0]])
     [
         (crash, "the detector failed: RuntimeError: out of cheese"),
         (raising(SystemExit(3)), "the detector failed: SystemExit: 3"),
-        (
-            raising(PanicException("index out of bounds")),
-            "the detector failed: PanicException: index out of bounds",
-        ),
         (raising(asyncio.CancelledError()), "the detector failed: CancelledError"),
-        (raising(GeneratorExit()), "the detector failed: GeneratorExit"),
         (raising(SpeechlessError()), "the detector failed: SpeechlessError"),
         (
             raising(RuntimeError("no \ud800 such\x1b[31m")),
@@ -203,15 +194,9 @@ LEANING = np.eye(3) + np.array([[0, 1.0, 0], [0, 0, 0], [0, 0, 0]])
             "the teats of its answer are a NoneType, not a tuple of Teat",
         ),
         (
-            lambda: Detection(iter(())),  # type: ignore[arg-type]
-            "the teats of its answer are a tuple_iterator",
-        ),
-        (
             answered(Teat(np.array(["1", "2", "3"]))),
             "teat 1 of its answer is ['1', '2', '3'], not three finite numbers",
         ),
-        (answered(Teat(np.array([True, False, True]))), "not three finite numbers"),
-        (answered(Teat(HERE + 1j)), "not three finite numbers"),  # type: ignore[arg-type]
         (
             answered(Teat(np.ma.masked_array(HERE, [True, False, False]))),
             "not three finite numbers",
@@ -229,18 +214,14 @@ LEANING = np.eye(3) + np.array([[0, 1.0, 0], [0, 0, 0], [0, 0, 0]])
             "left_px of teat 1 is [nan, 1.0]",
         ),
         (lambda: None, "its answer is a NoneType, not a Detection"),
-        (lambda: [[1, 2, 3]], "its answer is a list, not a Detection"),
         (answered([1, 2, 3]), "teat 1 of its answer is a list, not a Teat"),
         (answered(teat(1, 2)), "not three finite numbers"),
-        (answered(teat(1, 2, np.nan)), "not three finite numbers"),
         (answered(teat(1, 2, 3), teat(1, np.inf, 3)), "teat 2 of its answer is [1.0, inf, 3.0]"),
-        (answered(Teat("here")), "'here', not three finite numbers"),  # type: ignore[arg-type]
         (answered(*[teat(i, 0, 0) for i in range(17)]), "17 teats; 16 are taken at most"),
         (answered(hidden=-1), "counts -1 teats as hidden"),
         (answered(hidden=99), "counts 99 teats as hidden"),
         (answered(hidden=1.5), "counts 1.5 teats as hidden"),
         (answered(hidden=True), "counts True teats as hidden"),
-        (answered(teat(1, 2, 3, covariance_mm2=np.eye(2))), "the covariance of teat 1"),
         (
             answered(teat(1, 2, 3, covariance_mm2=np.full((3, 3), np.nan))),
             "not 3 x 3 finite numbers",
@@ -252,11 +233,6 @@ LEANING = np.eye(3) + np.array([[0, 1.0, 0], [0, 0, 0], [0, 0, 0]])
         (
             answered(teat(1, 2, 3, covariance_mm2=np.diag([1.0, 1, 0]))),
             "the covariance of teat 1 is not positive definite",
-        ),
-        (answered(teat(1, 2, 3, covariance_mm2=-np.eye(3))), "not positive definite"),
-        (
-            answered(teat(1, 2, 3, left_px=np.array([1.0]))),
-            "left_px of teat 1 is [1.0], not two finite numbers",
         ),
     ],
 )

@@ -32,19 +32,13 @@ Change = Callable[[Table, st.DataObject], None]
 
 
 def written(table: Table) -> str:
-    """TOML of a calibration's tables; not-a-number as TOML has it."""
-
-    def value(one: Any) -> str:
-        if isinstance(one, list):
-            return f"[{', '.join(map(value, one))}]"
-        return json.dumps(one).replace("NaN", "nan").replace("Infinity", "inf")
-
+    """TOML of a calibration's tables."""
     lines = []
     for name, block in table.items():
         blocks = block if name == "cameras" else {"": block}
         for own, keys in blocks.items():
             lines += [f"[{name}{f'.{own}' if own else ''}]"]
-            lines += [f"{key} = {value(one)}" for key, one in keys.items()]
+            lines += [f"{key} = {json.dumps(one)}" for key, one in keys.items()]
     return "\n".join(lines)
 
 
@@ -55,35 +49,8 @@ def of(camera: Callable[[Table, st.DataObject], None]) -> Change:
     )
 
 
-def times(key: str, low: float, high: float, at: int | None = None) -> Change:
-    """A value, or all of them, that much larger, or smaller where ``low`` is below 1."""
-
-    def change(block: Table, draw: st.DataObject) -> None:
-        by = draw.draw(st.floats(low, high))
-        places = range(len(block[key])) if at is None else [at]
-        for place in places:
-            block[key][place] *= by
-
-    return change
-
-
-def _not_finite(table: Table, draw: st.DataObject) -> None:
-    blocks = [table["cameras"][name] for name in ("left", "right", "thermal")]
-    block = draw.draw(st.sampled_from([*blocks, table["stereo"], table["world"], table["thermal"]]))
-    key = draw.draw(st.sampled_from([k for k in ("fc", "cc", "kc", "om", "T") if k in block]))
-    at = draw.draw(st.integers(0, len(block[key]) - 1))
-    block[key][at] = draw.draw(st.sampled_from([math.nan, math.inf, -math.inf]))
-
-
-def _counted(block: Table, draw: st.DataObject) -> None:
-    count = draw.draw(st.sampled_from([0, 1, 2, 3, 4, 6, 8, 12, 14]))
-    block["kc"] = (block["kc"] + [0.0] * 14)[:count]
-
-
-def _away(block: Table, draw: st.DataObject) -> None:
-    at = draw.draw(st.integers(0, 1))
-    far = block["image_size"][at] * draw.draw(st.floats(0.3, 30.0))
-    block["cc"][at] = draw.draw(st.sampled_from([-far, block["image_size"][at] + far]))
+def _oblong(block: Table, draw: st.DataObject) -> None:
+    block["fc"][0] *= draw.draw(st.floats(1.3, 40.0))
 
 
 def _folded(block: Table, draw: st.DataObject) -> None:
@@ -103,8 +70,9 @@ def _sized(block: Table, draw: st.DataObject) -> None:
     )
 
 
-def _exchanged(table: Table, draw: st.DataObject) -> None:
-    table["stereo"]["T"][0] *= -1.0
+def _metres(table: Table, draw: st.DataObject) -> None:
+    by = draw.draw(st.floats(0.001, 0.02))
+    table["stereo"]["T"] = [by * one for one in table["stereo"]["T"]]
 
 
 def _world(table: Table, draw: st.DataObject) -> None:
@@ -117,21 +85,15 @@ def _mirrored(table: Table, draw: st.DataObject) -> None:
     table["world"]["om"][at] += draw.draw(st.sampled_from([-1.0, 1.0])) * math.pi / 2
 
 
+# each figure of a lens or a pair that can't be has its test beside the gate: tests/detector
 IMPOSSIBLE: dict[str, Change] = {
-    "not finite": _not_finite,
-    "fx and fy apart": of(times("fc", 1.3, 40.0, 0)),
-    "fx and fy apart, the other way": of(times("fc", 0.02, 0.75, 1)),
-    "focal lengths in mm": of(times("fc", 0.001, 0.05)),
-    "a centre far outside": of(_away),
+    "fx and fy apart": of(_oblong),
     "a distortion that folds": of(_folded),
-    "another number of coefficients": of(_counted),
     "pictures of another size": of(_sized),
-    "a baseline in metres": lambda table, draw: times("T", 0.001, 0.02)(table["stereo"], draw),
-    "a baseline in micrometres": lambda table, draw: times("T", 100.0, 2000.0)(table["stereo"], draw),
-    "left and right exchanged": _exchanged,
+    "a baseline in metres": _metres,
     "a world in another unit": _world,
     "a world on its side": _mirrored,
-}  # fmt: skip
+}
 
 
 @cache
@@ -157,31 +119,13 @@ def shipped() -> Table:
     return table
 
 
-def test_the_shipped_calibration_can_be() -> None:
-    assert refused(shipped()) == []
-
-
-def check_impossible(kind: str, draw: st.DataObject) -> None:
+@pytest.mark.parametrize("kind", IMPOSSIBLE)
+@settings(max_examples=examples(1), phases=DRAWN)
+@given(draw=st.data())
+def test_each_kind_of_calibration_that_cannot_be_is_found(kind: str, draw: st.DataObject) -> None:
     table = shipped()
     IMPOSSIBLE[kind](table, draw)
     assert refused(table), (kind, table)
-
-
-@pytest.mark.weekly
-@pytest.mark.timeout(3600)  # the pictures are looked at in each
-@settings(max_examples=2000, phases=DRAWN)
-@given(st.sampled_from(sorted(IMPOSSIBLE)), st.data())
-def test_a_calibration_that_cannot_be_is_charged_to_no_detector(
-    kind: str, draw: st.DataObject
-) -> None:
-    check_impossible(kind, draw)
-
-
-@pytest.mark.parametrize("kind", IMPOSSIBLE)
-@settings(max_examples=1, phases=DRAWN)
-@given(draw=st.data())
-def test_each_kind_of_calibration_that_cannot_be_is_found(kind: str, draw: st.DataObject) -> None:
-    check_impossible(kind, draw)
 
 
 def sound(draw: st.DataObject) -> Table:
@@ -204,14 +148,6 @@ def sound(draw: st.DataObject) -> Table:
 @settings(max_examples=examples(10), phases=DRAWN)
 @given(st.data())
 def test_no_sound_calibration_is_doubted(draw: st.DataObject) -> None:
-    assert refused(sound(draw)) == []
-
-
-@pytest.mark.weekly
-@pytest.mark.timeout(3600)  # the pictures are looked at in each
-@settings(max_examples=2000, phases=DRAWN)
-@given(st.data())
-def test_none_of_two_thousand_sound_ones_is_doubted(draw: st.DataObject) -> None:
     assert refused(sound(draw)) == []
 
 
@@ -247,16 +183,16 @@ def test_a_baseline_in_metres_is_not_the_detectors_fault(
 
 
 @pytest.mark.slow
-def test_exchanged_pictures_are_not_the_detectors_fault(tmp_path: Path, said: Said) -> None:
+def test_exchanged_pictures_are_not_the_detectors_fault(tmp_path: Path) -> None:
     folder = Path(shutil.copytree(ROOT / "tests" / "data" / "path_traced", tmp_path / "rec"))
     assert doubts_of(Recording(folder), load_calibration(folder / "calibration.toml")) == ()
     for frame in (one := sorted((folder / "frames").iterdir()))[-1:]:
         (frame / "left.png").rename(frame / "kept.png")
         (frame / "right.png").rename(frame / "left.png")
         (frame / "kept.png").rename(frame / "right.png")
-    found = said(4, "score {} --detector thesis --out {}", folder, tmp_path / "runs").out
+    found = doubts_of(Recording(folder), load_calibration(folder / "calibration.toml"))
     why = f"frames/{one[-1].name}/left.png is exchanged with the right one: the calibration fits"
-    assert why in " ".join(found.split())
+    assert why in "; ".join(found)
 
 
 @pytest.mark.slow

@@ -18,7 +18,6 @@ from bench.results.error_rows import (
     ErrorRows,
     error_rows,
     run_bias,
-    run_precision,
     run_trends,
     truth_gage,
 )
@@ -93,24 +92,6 @@ def test_a_drift_and_a_tilted_plane_are_found_and_nothing_else(drifting: RunReco
     assert {("time_s", "y"), ("x_mm", "z")} <= significant
 
 
-def test_the_bias_is_over_poses(drifting: RunRecord) -> None:
-    rows = error_rows(drifting, "fused")
-    found = run_bias(rows)
-    assert found.next_error is not None
-    assert found.test.p_value is not None
-    assert found.test.p_value < 1e-6
-    assert found.test.n == found.next_error.n == 30
-
-
-def test_repeats_tell_the_spread_within_a_pose_from_that_between(drifting: RunRecord) -> None:
-    x, y, z = run_precision(error_rows(drifting, "fused"))
-    assert (x.n, x.groups) == (118, 59)  # the second teat was missed at pose 3, both times
-    assert x.s_r == pytest.approx(0.05, rel=0.3)
-    # half an hour's drift lies between the two visits
-    assert y.s_r == pytest.approx(0.3 / np.sqrt(2), rel=0.15)
-    assert z.s_between == pytest.approx(float(np.std(0.04 * np.arange(30), ddof=1)), rel=0.1)
-
-
 def test_tilts_come_from_the_scripts_own_phantom(tmp_path: Path) -> None:
     script = Path(shutil.copy(TRIALS / "six-situations.toml", tmp_path / "script.toml"))
     planned = load_script(script).planned[0]
@@ -168,16 +149,6 @@ def set_ups(folder: Path, poses: int = 40, repeats: int = 6, touches: int = 3) -
             points = ENDS[0] + [5.0 * pose, 0.0, 0.0] + again + rng.normal(0, 0.10, (touches, 3))
             made.append(touched(f"p{pose}", len(made) + 1, repeat + 1, points))
     return record(folder, made)
-
-
-@pytest.mark.slow
-def test_the_gage_study_finds_touch_and_set_up(tmp_path: Path) -> None:
-    found = truth_gage([set_ups(tmp_path)])
-    assert found.studies is not None
-    for study in found.studies:
-        assert (study.parts, study.appraisers, study.repeats) == (40, 6, 3)
-        assert study.repeatability == pytest.approx(0.10, rel=0.15)
-        assert study.reproducibility == pytest.approx(0.30, rel=0.2)
 
 
 def test_a_comparison_of_two_runs_tells_how_well_their_truths_agree(tmp_path: Path) -> None:

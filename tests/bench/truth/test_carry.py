@@ -4,7 +4,6 @@ region holds the exact truth, also of a stage that is worse than the rig file st
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 import scipy
 
 from bench.rig.model import ROUNDING_MM
-from bench.truth.carrying import Reference, carried, fixed_key, moved, reference_from_dict
+from bench.truth.carrying import Reference, carried, fixed_key, moved
 from bench.truth.touching import end_u_mm, reading_u_mm, tip_radius_u_mm, touched
 from bench.truth.uncertainty import CARRY, CHI2_95, Component, TrueEnd, TruthMethod, triple
 from instruments.world.phantom import PlatePose
@@ -131,15 +130,6 @@ def test_the_table_frame_s_part_is_asked_for_at_the_new_place() -> None:
     )
     assert np.allclose(asked[0], there.xyz_mm)
     assert {c.name: c.u_mm for c in there.uncertainty.components}["registration"] == 0.4
-
-
-def test_a_reference_outlives_the_bench() -> None:
-    rng = np.random.default_rng(4)
-    points = tuple(touch(rng, end) for end in ENDS_MM)
-    reference = Reference(
-        "001-map-1", "abc", (1.0, 2.0, 3.0), points, tuple((0.0, 0.0, 1.0) for _ in ENDS_MM)
-    )
-    assert reference_from_dict(json.loads(json.dumps(reference.as_dict()))) == reference
 
 
 def test_what_is_carried_together_has_one_key() -> None:

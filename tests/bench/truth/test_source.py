@@ -17,7 +17,7 @@ from bench.record.schema import Row
 from bench.record.writer import Store
 from bench.truth.carrying import REFERENCE_FACT, UNCONFIRMED_FACT, CarriedTruth, CarryState, resumed
 from bench.truth.registration import Registration
-from bench.truth.touching import ExpectedScene, NoTruthError, TouchedTruth, Toucher, TrialTruth
+from bench.truth.touching import ExpectedScene, NoTruthError, Toucher, TrialTruth
 from bench.truth.uncertainty import Triple, TruthMethod, triple
 from instruments.operators.operator import Arrangement, Prompt
 from instruments.operators.prompted import PromptedOperator
@@ -102,22 +102,6 @@ class Bench:
         return truth
 
 
-def test_touched_once_then_carried() -> None:
-    bench = Bench()
-    truths = [bench.trial(number, 20.0 * number) for number in (0, 1, 2)]
-    assert [t.how for t in truths] == [
-        TruthMethod.TOUCHED,
-        TruthMethod.CARRIED,
-        TruthMethod.CARRIED,
-    ]
-    assert len(bench.hand.asked) == 4, "the four ends, once"
-    assert [len(t.touches) for t in truths] == [4, 0, 0]
-    for number, truth in enumerate(truths):
-        there = ENDS_MM + np.array([20.0 * number, 0.0, 0.0])
-        assert np.allclose([p.xyz_mm for p in truth.points], there, atol=0.01)
-        assert truth.stage_mm == (-150.0 + 20.0 * number, -137.5, -1.0)
-
-
 def test_good_checks_confirm_every_n_carried_trials_and_at_the_end() -> None:
     bench = Bench()
     for number in range(6):
@@ -130,24 +114,6 @@ def test_good_checks_confirm_every_n_carried_trials_and_at_the_end() -> None:
     assert bench.invalid == {}
     bench.source.end()
     assert len(bench.checks) == 8, "nothing is left to check"
-
-
-def test_a_lost_step_costs_the_trials_since_the_last_good_check_and_no_other() -> None:
-    bench = Bench()
-    for number in range(5):  # the check before trial 4 confirms 1 to 3
-        bench.trial(number, 10.0 * number)
-    bench.slip_mm = np.array([2.0, 0.0, 0.0])
-    for number in (5, 6):
-        bench.trial(number, 10.0 * number)
-    after = bench.trial(7, 70.0)  # before it the check that finds out
-    assert list(bench.invalid) == ["004", "005", "006"]
-    assert "2.00 mm" in bench.invalid["005"]
-    assert bench.confirmed == ["001", "002", "003"]
-    assert [text for kind, text in bench.note if kind == "invalid" and "004, 005, 006" in text]
-    assert after.how is TruthMethod.CARRIED, "what was touched in the check is the new reference"
-    assert np.allclose([p.xyz_mm for p in after.points], bench.hand.ends, atol=0.05)
-    bench.source.end()
-    assert bench.confirmed[-1] == "007"
 
 
 def test_a_slip_so_wide_that_teats_are_mistaken_invalidates_too() -> None:
@@ -234,21 +200,6 @@ def test_what_speaks_against_the_registration_is_reported_at_once() -> None:
     bench.new_source().begin()
     assert bench.note[-1][0] == "registration"
     assert "scale x" in bench.note[-1][1]
-
-
-def test_touching_every_trial_needs_neither_stage_nor_checks() -> None:
-    hand = Hand(ENDS_MM)
-    source = TouchedTruth(toucher(hand, readings=1), lambda: None)
-    source.begin()
-    for name in ("001", "002"):
-        shown = ExpectedScene(name, table_5_1(), "one")
-        source.before(shown)
-        truth = source.of_trial(shown)
-        source.stored(name, truth)
-        assert truth.how is TruthMethod.TOUCHED
-        assert {row["trial"] for row in truth.touches} == {name}
-    source.end()
-    assert len(hand.asked) == 8
 
 
 def record(bench: Bench, hows: dict[str, TruthMethod]) -> RunRecord:
