@@ -23,7 +23,7 @@ from detector.calibration import Calibration, dump_calibration
 from detector.fused.detector import FusedDetector
 from detector.geometry import Camera, Motion
 from detector.protocol import Detection
-from tests.detector.fused.conftest import Body, Draw, drawer
+from tests.detector.fused.conftest import Body, Draw, Find, drawer
 
 Array = NDArray[np.float64]
 M = np.diag([-1.0, 1.0, 1.0])
@@ -87,7 +87,7 @@ def test_a_mirrored_scene_mirrors_answers(frames: Any, plain: Detection, rig: Ca
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("gain", "offset"), [(0.5, 0.0), (1.2, 10.0)])
+@pytest.mark.parametrize(("gain", "offset"), [(0.5, 0.0), (0.8, 40.0), (1.2, 10.0)])
 def test_brightness_and_gain_hardly_move_the_ends(
     frames: Any, plain: Detection, rig: Calibration, gain: float, offset: float
 ) -> None:
@@ -115,15 +115,48 @@ def test_a_world_upside_down_has_hanging_teats(
         assert np.allclose(over.apply(before.world_mm), after.world_mm, atol=1e-6)
 
 
+def test_frames_turned_over_give_the_same_ends(
+    frames: Any, plain: Detection, rig: Calibration
+) -> None:
+    """The rig hangs upside down: its right camera is on the left of its pictures."""
+    half = Motion(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+
+    def turned(camera: Camera) -> Camera:
+        (columns, rows), (k1, k2, p1, p2, k3) = camera.image_size, camera.kc
+        cc = columns - 1 - camera.cc[0], rows - 1 - camera.cc[1]
+        return replace(camera, cc=cc, kc=(k1, k2, -p1, -p2, k3))
+
+    assert rig.thermal.lens is not None
+    assert rig.thermal_from_left is not None
+    right_from_left = half @ rig.right_from_left @ half
+    over = replace(
+        rig,
+        left=turned(rig.right),
+        right=turned(rig.left),
+        thermal=replace(rig.thermal, lens=turned(rig.thermal.lens)),
+        right_from_left=right_from_left.inverse(),
+        thermal_from_left=half @ rig.thermal_from_left @ half @ right_from_left.inverse(),
+        world_from_right=rig.world_from_right @ rig.right_from_left @ half,
+    )
+    left, right, kelvin = (
+        np.ascontiguousarray(one[::-1, ::-1])
+        for one in (frames.right, frames.left, frames.thermal_k)
+    )
+    found = FusedDetector().detect(replace(frames, left=left, right=right, thermal_k=kelvin), over)
+    assert np.linalg.norm(places(found) - places(plain), axis=1).max() < 0.05
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "amount"),
     [
         ("tilt", 30.0),
+        ("tilt", -30.0),
         ("roll", -90.0),
         ("roll", 180.0),
         ("away", 1600.0),
         ("baseline", 60.0),
+        ("baseline", 240.0),
         ("pixels", 0.5),
         ("thermal-pixels", 0.5),
         ("distortion", -0.1),
@@ -194,3 +227,11 @@ def test_another_world_turns_the_answers(frames: Any, plain: Detection, rig: Cal
         assert np.allclose(
             turn.R @ before.covariance_mm2 @ turn.R.T, after.covariance_mm2, atol=1e-9
         )
+
+
+@pytest.mark.slow
+def test_shifted_teats_shift_the_answers(find: Find, udder: list[Body]) -> None:
+    by = np.array([7.3, -11.7, 4.1])
+    shifted = [replace(b, end_mm=tuple(np.add(b.end_mm, by))) for b in udder]
+    found, before = (find(bodies, noise=0.5) for bodies in (shifted, udder))
+    assert np.linalg.norm(places(found) - places(before) - by, axis=1).max() < 0.4

@@ -25,9 +25,11 @@ def frames(draw_scene: Draw) -> Pictures:
     ("change", "says"),
     [
         ("vergence=0.1", "thermal against optical"),
+        ("vergence=-0.1", "thermal against optical"),
         ("column=2", "thermal against optical"),
         ("row=1", "rows of left and right"),
         ("thermal-pose=0.3", "thermal against optical"),
+        ("thermal-pose=-0.5", "thermal against optical"),
     ],
 )
 def test_cameras_that_disagree_are_a_reason(
@@ -38,6 +40,8 @@ def test_cameras_that_disagree_are_a_reason(
     assert found.reason is not None
     assert found.reason.startswith("cameras disagree by ")
     assert says in found.reason
+    exact = replace(rig, covariance=ParameterCovariance((), np.zeros((0, 0))))
+    assert says in str(FusedDetector().detect(frames, Applied.parse(change).stated(exact)).reason)
 
 
 @pytest.mark.slow
@@ -50,7 +54,7 @@ def test_a_calibration_that_states_so_much_may_be_off_by_it(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("change", ["column=0", "column=0.5", "focal=0.2"])
+@pytest.mark.parametrize("change", ["column=0", "column=0.5", "column=-0.5", "focal=0.2"])
 def test_a_small_fault_is_covered_by_what_is_stated(
     frames: Pictures, rig: Calibration, change: str
 ) -> None:
