@@ -33,6 +33,7 @@ from bench.run.start import score_recording
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.scene import score_scene
 from bench.script.model import CamerasRequirement
+from bench.truth.joint import joint_truth
 from detector.geometry import Array
 from tests.bench.commands import Said, teatbench
 from tests.bench.report.null_world import WORLDS, Off, done, table_frame
@@ -144,6 +145,32 @@ def framed(run: RunRecord, folder: Path) -> RunRecord:
 def excluded(check: CamerasCheck) -> set[str]:
     """The figures whose interval leaves out that the rig is sound."""
     return {one.name for one in check.offsets if one.exceeds(0.0)}
+
+
+@pytest.mark.slow
+@pytest.mark.weekly
+@pytest.mark.parametrize("world", ["carried", "touched"])
+def test_what_the_truths_share_accuses_no_sound_rig_and_hides_no_knock(
+    world: str, tmp_path: Path
+) -> None:
+    run = framed(done(WORLDS[world], Off(), 5).run, tmp_path)
+    ends = [(trial, row) for trial in run.counted for row in trial.truth]
+    joint, truth_mm = joint_truth(run, ends), points_mm(row for _, row in ends)
+    own = np.linalg.cholesky(joint.fresh + 1e-12 * np.eye(3))
+    rng = np.random.default_rng(2)
+    wrong: Counter[str] = Counter()
+    noticed: Counter[str] = Counter()
+    n, knocked = 80, 10
+    for number in range(n):
+        error_mm = joint.common @ rng.normal(size=joint.common.shape[2])
+        error_mm += np.einsum("nab,nb->na", own, rng.normal(size=truth_mm.shape))
+        for shift in SHIFTS if number < knocked else ("sound",):
+            check = checked(run, truth_mm - error_mm, shift, rng)
+            noticed[shift] += decide_cameras(RULE, check).verdict is Verdict.NOT_MET
+            wrong.update(excluded(check) if shift == "sound" else ())
+    assert noticed == {shift: knocked for shift in SHIFTS if shift != "sound"} | {"sound": 0}
+    # 5 % are claimed of each: by chance more than 10 of 80 in 0.3 %
+    assert max(wrong.values(), default=0) <= 10, wrong
 
 
 @pytest.mark.weekly
