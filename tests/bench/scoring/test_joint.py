@@ -20,6 +20,7 @@ from bench.scoring.spread import (
     trend,
     trends,
 )
+from tests.examples import examples
 
 U = 0.23
 N = 30
@@ -81,6 +82,48 @@ def test_the_radial_figure_is_exceeded_in_5_percent(sds: tuple[float, ...]) -> N
     assert share == pytest.approx(0.05, abs=0.006)
     assert radial_95_mm(0.284**2 * np.eye(3)) == pytest.approx(0.794, abs=0.001)
     assert radial_95_mm(np.zeros((3, 3))) == 0.0
+
+
+def accused(runs: int, *, with_truth: bool) -> dict[str, float]:
+    """Of an unbiased detector of 0.5 mm: in which share of runs each statistic accuses."""
+    rng, counts = np.random.default_rng(4), dict.fromkeys(("bias", "squares", "trend"), 0)
+    for _ in range(runs):
+        at = places(rng)
+        truth = turned(at, turn=2e-3)
+        errors = rng.normal(0.0, 0.5, (N, 3)) - drawn(truth, rng)
+        own = truth if with_truth else None
+        common = truth.of_mean(np.full(N, 1.0 / N)) if with_truth else None
+        p_value = bias_test(errors, common).p_value
+        counts["bias"] += p_value is not None and p_value < 0.05
+        region = bias_ellipsoid(errors, common_mm2=common)
+        assert region is not None
+        off = region.directions @ region.centre_mm / region.half_axes_mm
+        assert (float(off @ off) > 1.0) is bool(p_value is not None and p_value < 0.05)
+        stated = 0.25 * np.eye(3) + truth.covariances_mm2
+        held = consistency(errors, stated, truth=own)
+        assert held.ratio is not None
+        counts["squares"] += not (held.low or 0.0) <= held.ratio <= (held.high or 0.0)
+        named = dict(zip(("x_mm", "y_mm", "z_mm"), at.T, strict=True))
+        found = trends(named, errors, range(N), truth=own)
+        counts["trend"] += any(one.significant for one in found)
+    return {kind: count / runs for kind, count in counts.items()}
+
+
+@pytest.mark.weekly
+@pytest.mark.slow
+def test_an_unbiased_detector_is_accused_no_more_often_than_is_claimed() -> None:
+    runs = examples(120)
+    found = accused(runs, with_truth=True)
+    assert max(found.values()) <= 0.05 + 3 * np.sqrt(0.05 * 0.95 / runs), found
+
+
+@pytest.mark.weekly
+@pytest.mark.slow
+def test_without_the_truth_it_is_accused() -> None:
+    found = accused(examples(120), with_truth=False)
+    assert found["bias"] > 0.5, found
+    assert found["squares"] > 0.08, found
+    assert found["trend"] > 0.12, found
 
 
 def test_a_truth_that_shares_nothing_moves_no_figure() -> None:
