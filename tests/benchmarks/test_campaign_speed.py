@@ -1,6 +1,4 @@
-"""What a campaign takes beside its chunks, in seconds of processors: they don't depend on what else
-the machine does. `pytest tests/benchmarks --benchmark-only`.
-"""
+"""A campaign of two workers against one of one. `pytest tests/benchmarks --benchmark-only`."""
 
 from __future__ import annotations
 

@@ -55,10 +55,6 @@ def test_text_is_read_as_each_program_saves_it(program: str, tmp_path: Path) -> 
         load(there)
 
 
-def test_the_case_of_a_mark_that_nobody_sees() -> None:
-    assert load_board(CASES / "bom.toml").columns == 9
-
-
 @pytest.mark.parametrize(
     ("data", "why"),
     [

@@ -99,25 +99,12 @@ def test_a_board_that_is_none(lab: Path, three_pairs: Path, said: Said) -> None:
     assert re.search(r"board\.toml(.|\n)*pitch_mm", seen)
 
 
-@pytest.mark.parametrize(
-    ("text", "wanted"),
-    [
-        ("a,b\n1,2\n", "are missing; the first line must name left_x"),
-        (
-            "left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm\n1,2,3,4,5,six,7\n",
-            "y_mm must be a number, is 'six'",
-        ),
-        (
-            "left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm\n1,2,3,4,5,6,7\n",
-            "1 touched points are too few: at least 4",
-        ),
-    ],
-)
-def test_tables_of_touched_points(lab: Path, text: str, wanted: str, in_lab: Said) -> None:
+def test_one_touched_point_is_too_few(lab: Path, in_lab: Said) -> None:
+    text = "left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm\n1,2,3,4,5,6,7\n"
     (lab / "points.csv").write_text(text, encoding="utf-8")
     cameras = RIGS / "thesis-calibration.toml"
     why = in_lab(2, "calibrate world points.csv --cameras {} --out w.toml", cameras).err
-    assert wanted in why
+    assert "1 touched points are too few: at least 4" in why
 
 
 def test_tables_of_pairs_need_the_pictures_size(lab: Path, in_lab: Said) -> None:

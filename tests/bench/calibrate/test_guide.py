@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 
 from bench.calibrate.views import (
     GUIDE,
-    Guide,
     ViewsRequest,
     find_pictures,
-    free_folder,
     gather,
     pattern_of,
 )
@@ -153,17 +151,6 @@ def test_a_camera_that_comes_back_costs_no_view(tmp_path: Path) -> None:
 def test_a_camera_that_delivers_nothing_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="the rig has no thermal camera: left delivered pictures"):
         Room().gather(tmp_path, ViewsRequest(("left", "thermal"), ("thermal",)))
-
-
-def test_the_same_instruction_for_two_cameras_is_reported_once() -> None:
-    guide = Guide(SMALL, ("left", "right"))
-    assert all(text.startswith("left and right: ") for text in guide.missing)
-
-
-def test_a_folder_that_is_there_is_left_alone(tmp_path: Path) -> None:
-    for name in ("cameras.pictures", "cameras.pictures-2"):
-        (tmp_path / name).mkdir()
-    assert free_folder(tmp_path / "cameras.toml").name == "cameras.pictures-3"
 
 
 def test_both_sides_mean_the_same_board() -> None:

@@ -53,19 +53,12 @@ def test_a_page_of_a_null_world_says_nothing_that_is_false_or_new(name: str) -> 
     assert {"bias", "trend", "squared error outside of chance", "tolerance limit"} <= said.keys()
 
 
-@pytest.mark.weekly
-@pytest.mark.slow
-def test_a_detector_that_is_off_is_noticed_and_a_new_statement_as_well() -> None:
-    page = done(FINE[0], WORSE, 0)
-    said = counted(page)
-    assert said["bias"]
-    assert said["bias, in words"]
-    assert said["trend"]
+def test_a_new_statement_is_noticed() -> None:
     new = "<p class='part prose box box-bad'>The detector is crooked.</p>"
     in_words = "<p class='note'>Its errors are larger than chance explains.</p>"
     for text in (new, in_words):
-        assert [one.text for one in unknown(page.page + text)]
-    assert unknown(page.page + "<p class='note'>Made of paper.</p>") == []
+        assert [one.text for one in unknown(text)]
+    assert unknown("<p class='note'>Made of paper.</p>") == []
 
 
 @pytest.mark.slow

@@ -1,5 +1,5 @@
 """The truth's joint covariance against draws of it: moments of squares, the mean's covariance, the
-radial figure; and that tests which take it keep their level where those that don't lose it.
+radial figure. That tests which take it keep their level is the null world's.
 """
 
 from __future__ import annotations

@@ -86,11 +86,6 @@ def test_errors_are_found_minus_truth_in_the_order_of_the_teats() -> None:
         s.errors_mm[0, 0] = 1.0
 
 
-@pytest.mark.parametrize(("off", "doubtful"), [(4.60, ()), (4.62, (1,)), (5.37, (1,)), (5.39, ())])
-def test_doubtful_are_the_teats_in_the_guard_band(off: float, doubtful: tuple[int, ...]) -> None:
-    assert score(moved(1, off)).doubtful == doubtful
-
-
 @given(
     st.lists(st.tuples(*[st.floats(-300, 300)] * 3), max_size=6),
     st.tuples(*[st.booleans()] * 4),
