@@ -64,7 +64,7 @@ def test_ctrl_c_after_a_run_says_that_it_is_kept(
         raise KeyboardInterrupt
 
     monkeypatch.setattr("bench.run_queue", reporting, raising=False)
-    seen = said(3, "run demo")
+    seen = said(3, "run six-situations")
     assert "Run folder" in seen.out
     assert "the run is kept, and its report may be missing" in seen.err
 

@@ -48,10 +48,7 @@ def test_no_false_alarm_in_any_situation(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "seed"),
-    [("dim_light", 2), ("low_contrast", 1), ("hot_body_at_base", 1), ("anywhere", 1)],
-)
+@pytest.mark.parametrize(("name", "seed"), [("dim_light", 2), ("low_contrast", 1)])
 def test_no_false_alarm_in_scenes_that_are_hard_to_see(name: str, seed: int) -> None:
     drawn = drawn_situation(name, seed)
     state = drawn.state((32.5,) * len(drawn.phantom.teats), 31.5, 21.0)

@@ -31,7 +31,7 @@ from bench.run import trial as run_trial
 from bench.run.events import EVENT, Events, RunState, read_events
 from bench.run.interruptions import leave_request
 from bench.run.lock import locked
-from bench.run.recordings import RECORDED, Recorder
+from bench.run.recordings import Recorder
 from bench.run.resume import what_is_left
 from bench.run.start import RunOptions
 from bench.truth.carrying import REFERENCE_FACT, CarriedTruth
@@ -462,8 +462,3 @@ def test_a_recording_that_cannot_be_written_is_reported_once_and_ends_no_run(
     assert "ends here: [Errno 28] No space left on device. The run goes on" in note[0]
     assert len(read_run(only_run(tmp_path, "runs")).trials) == 2
     assert len(Recording(recording(tmp_path, "runs")).frames) == 1
-
-
-def test_where_it_is_recorded_is_in_the_record(carried: Path) -> None:
-    place = str(recording(carried, "whole").resolve())
-    assert read_run(only_run(carried, "whole")).facts[RECORDED] == place
