@@ -65,8 +65,8 @@ def test_every_situation_arrives_as_it_was_sent(twin: EmulatedRig, port: Listene
             assert twin.world._phantom == sent.phantom
             assert twin.world._situation == sent
             assert len(twin.world._objects) == 1
-        seen = twin.world.renderer.visible_ends(twin.world.scene())
-        assert placed.visible == tuple(bool(row.all()) for row in np.asarray(seen))
+            seen = twin.world.renderer.visible_ends(twin.world.scene())
+            assert placed.visible == tuple(bool(row.all()) for row in np.asarray(seen))
 
 
 def test_the_hand_and_the_boards_do_as_they_are_asked(twin: EmulatedRig, port: Listener) -> None:
