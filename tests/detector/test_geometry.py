@@ -21,6 +21,7 @@ from detector.geometry import (
     Motion,
     apply_homography,
     homogeneous,
+    rigid_fit,
     rotation_from_vector,
     triangulate,
     vector_from_rotation,
@@ -72,6 +73,12 @@ def test_a_mirror_image_or_a_scale_is_no_motion() -> None:
     for R in (np.diag([1.0, 1.0, -1.0]), 0.92 * np.eye(3)):
         with pytest.raises(ValueError, match="not a rotation matrix"):
             Motion(R, np.zeros(3))
+
+
+@pytest.mark.parametrize("points", [np.zeros((2, 3)), np.outer(np.arange(5.0), [1, 2, 3])])
+def test_rigid_fit_refuses_what_fixes_no_rotation(points: Array) -> None:
+    with pytest.raises(ValueError, match="rigid fit needs"):
+        rigid_fit(points, points)
 
 
 @cameras
