@@ -15,6 +15,7 @@ from detector.calibration.corners import (
     DetectedBoard,
     Gray,
     ViewRefusedError,
+    between_neighbours,
     find_board,
     order_alike,
     strays,
@@ -196,3 +197,13 @@ def wide_grid(om: list[float]) -> Array:
 )
 def test_a_wide_lens_and_a_strong_tilt_make_none(om: list[float]) -> None:
     assert not strays(wide_grid(om)).any()
+
+
+@pytest.mark.parametrize("at", [(0, 0), (0, 4), (3, 8), (2, 5), (5, 0)])
+def test_one_beside_its_place_is_reported_and_its_neighbours_are_not(at: tuple[int, int]) -> None:
+    grid = wide_grid([0.3, -0.3, 0.1])
+    beside = grid.copy()
+    beside[at] += (15.0, -21.0)
+    assert np.argwhere(strays(beside)).tolist() == [list(at)]
+    # near enough for a sub-pixel window
+    assert np.linalg.norm(between_neighbours(beside)[at] - grid[at]) < 6.0
