@@ -157,7 +157,7 @@ def test_a_covariance_and_a_record_come_back_from_the_file(tmp_path: Path) -> No
 
 @pytest.mark.slow
 def test_noise_is_told_apart_from_reprojection_error() -> None:
-    fit = joined(3).fit
+    fit = joined(1).fit
     assert fit.sigma_px == pytest.approx(0.1, rel=0.03)
     assert fit.rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.03)
 

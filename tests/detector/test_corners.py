@@ -94,7 +94,7 @@ def test_every_board_is_found_to_a_twentieth_of_a_pixel(board: Board, inverted: 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("inverted", [False, True], ids=["dark on bright", "bright on dark"])
-@pytest.mark.parametrize("around", [20, 90, 140, 230])
+@pytest.mark.parametrize("around", [20, 140])
 def test_a_boards_first_corner_is_told_by_its_rim(inverted: bool, around: int) -> None:
     """Of a rim a square wide, before anything."""
     inner = CHESS.points_mm[[0, CHESS.columns - 1, -1, -CHESS.columns], :2]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from detector.thesis import thermal
-from detector.thesis.thermal import automatic_threshold, kernels, ridges, thin_once
+from detector.thesis.thermal import automatic_threshold, kernels, thin_once
 
 
 def edges(picture: NDArray[np.uint8], sigma: float = 12.0) -> thermal.Edges:
@@ -49,15 +49,6 @@ def test_edges_do_not_hang_on_gain_offset_or_polarity() -> None:
     assert np.count_nonzero(base ^ edges(220 - picture * 100).mask) < 0.01 * np.count_nonzero(base)
 
 
-def test_gradient_is_two_gaussians_and_a_slope() -> None:
-    picture = np.zeros((201, 201), dtype=np.uint8)
-    picture[:, 100:] = 200
-    gx, gy = thermal.gradient(picture, 6.0, 30)
-    # a step through two Gaussians of sigma 6 has the slope 200 / (sqrt(2 pi) sqrt(72)) at the step
-    assert gx[100, 99:101].mean() == pytest.approx(200 / np.sqrt(2 * np.pi * 72), rel=0.01)
-    assert np.abs(gy).max() < 1e-3
-
-
 def test_kernels_end_at_30_px_or_where_the_gaussian_dies() -> None:
     assert len(kernels(12.0, 30)[0]) == 61
     assert len(kernels(1.0, 30)[0]) == 9  # exp(-t^2 / 2) > 1e-4 up to t = 4
@@ -74,19 +65,6 @@ def test_threshold_is_where_seventy_in_a_hundred_lie_below() -> None:
     assert automatic_threshold(length, 0.7, 64) == 1.0
     middle = np.full((10, 10), 10 / 63, dtype=np.float32)
     assert automatic_threshold(middle, 0.7, 64) == 11 / 64
-
-
-def test_ridges_are_the_maxima_along_the_gradient() -> None:
-    y, x = np.mgrid[:40, :60].astype(np.float32)
-    length = np.exp(-(((x - 30.2) / 5) ** 2)).astype(np.float32)
-    keep = ridges(np.ones_like(length), np.zeros_like(length), length, 0.1)
-    assert set(np.nonzero(keep)[1]) == {30}
-    diagonal = np.exp(-(((x - y - 8.4) / 5) ** 2)).astype(np.float32)
-    keep = ridges(np.ones_like(length), -np.ones_like(length), diagonal, 0.1)
-    rows, columns = np.nonzero(keep)
-    # a step along the diagonal passes over every other one of them
-    assert set(columns - rows) == {8, 9}
-    assert not keep[[0, -1]].any()
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -16,7 +16,7 @@ from detector.geometry import Motion
 from detector.protocol import Detection, Detector
 from detector.thesis.detector import ThesisDetector
 from detector.thesis.parameters import Parameters
-from detector.thesis.thermal import eight_bit, picture_from_kelvin, unmirror
+from detector.thesis.thermal import unmirror
 
 Array = NDArray[np.float64]
 STAGES = [
@@ -144,16 +144,3 @@ def test_a_nomination_outside_of_a_picture_is_left_out(frames: Any, rig: Calibra
 def test_a_homography_that_leads_nowhere_is_survived(frames: Any, rig: Calibration) -> None:
     nowhere = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 1]])
     assert refused(frames, replace(rig, homographies=replace(rig.homographies, left=nowhere)))
-
-
-def test_kelvin_becomes_grey_with_the_hottest_black() -> None:
-    picture = picture_from_kelvin(np.array([[300.0, 310.0], [305.0, 300.0]]), (2, 2))
-    assert picture.tolist() == [[255, 0], [128, 255]]
-    assert not picture_from_kelvin(np.full((3, 3), 300.0), (6, 6)).any()
-
-
-def test_unmirror_undoes_itself_and_eight_bit_keeps_the_upper_byte() -> None:
-    picture = np.arange(35, dtype=np.uint8).reshape(5, 7)
-    assert np.array_equal(unmirror(unmirror(picture)), picture)
-    assert np.array_equal(unmirror(picture)[:, 0], picture[:, -1])
-    assert eight_bit(np.array([[0x1234, 0xFFFF]], dtype=np.uint16)).tolist() == [[0x12, 0xFF]]

@@ -46,14 +46,6 @@ def test_dilations_are_matlabs() -> None:
     assert np.array_equal(binary_dilation(bright, P), expected.astype(np.bool_))
 
 
-def test_one_bright_pixel_dilates_to_figure_4_12() -> None:
-    image = np.zeros((41, 41), dtype=np.uint8)
-    image[20, 20] = 200
-    grown = grey_dilation(image, P)
-    assert np.array_equal(grown[16:25, 16:26], FIGURE_4_12 * 200)
-    assert np.count_nonzero(grown) == FIGURE_4_12.sum()
-
-
 def dark_region(*lines: tuple[int, int, int]) -> NDArray[np.bool_]:
     """A bright region (41, 41) with dark lines (row, first column, last column)."""
     dark = np.zeros((41, 41), dtype=np.bool_)

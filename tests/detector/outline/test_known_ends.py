@@ -25,7 +25,6 @@ def frames(draw_scene: Draw, udder: list[Body]) -> Pictures:
     [
         (None, (0.0, 0.0, 0.0)),
         ("column=0.5", (0.5, 0.0, 0.0)),
-        ("column=-5", (-5.0, 0.0, 0.0)),
         ("row=0.5", (0.0, -0.5, 0.0)),
         ("thermal-pose=0.1", (0.0, 0.0, -0.95)),
         ("row=-8", (0.0, 8.0, 0.0)),

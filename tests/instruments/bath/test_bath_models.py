@@ -13,7 +13,7 @@ import pytest
 from instruments.bath.driver import Bath
 from instruments.bath.line_dialects import Julabo
 from instruments.bath.line_emulator import LineEmulator
-from instruments.bath.profile import LineProfile, load_profile
+from instruments.bath.profile import LineProfile, load_profile, profile_names
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, LimitError, ProtocolError
 from instruments.listener import Listener
@@ -205,6 +205,23 @@ def test_a_huber_that_was_without_power_and_runs_on_is_noticed() -> None:
 
 
 # ---- the unit of the numbers
+
+
+def test_every_profile_says_where_the_unit_of_its_numbers_stands() -> None:
+    known = {name: load_profile(name).number_unit for name in profile_names()}
+    told = {name: unit.rows or unit.fixed for name, unit in known.items() if unit.note == ""}
+    assert told == {
+        "eurotherm-2400": ("unit",),
+        "eurotherm-3200": ("unit",),
+        "huber-pb": "degC",
+        "julabo-magio": ("unit",),
+        "julabo-presto": ("unit",),
+        "omega-cn7": ("unit",),
+        "polyscience": ("unit",),
+        "thermo-arctic": ("unit",),
+        "watlow-pm-map1": ("unit", "unit_2"),
+    }
+    assert {*known} - {*told} == {"haake", "julabo-ascii", "lauda-ascii", "watlow-pm-map2"}
 
 
 def test_an_omega_that_takes_no_writes_says_why() -> None:

@@ -10,6 +10,7 @@ from contextlib import suppress
 import pytest
 
 from instruments.bath.driver import Bath
+from instruments.bath.session import BrokenError
 from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
 from tests.instruments.bath.devices import Stand, load_register_profile
 from tests.instruments.bath.far_end import Spoil, virtual
@@ -146,6 +147,18 @@ def test_standby_within_another_call_while_nothing_answers(
             stand.clock.sleep(after_s + 8.0)
         assert made_safe == [True]
         assert not stand.plant.running
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_session_that_is_closed_while_it_waits_is_reported_as_a_broken_link(family: str) -> None:
+    with stand_of(family) as stand:
+        bath = stand.bath()
+        stand.emulator.fault("silence")
+        stand.clock.call_at(stand.clock.now() + 0.5, bath.close)
+        with pytest.raises(BrokenError, match="the link broke"):
+            bath._wire.read(3, 0, 1)  # type: ignore[union-attr]
+        stand.emulator.fault("silence", on=False)
+        assert bath.read().temp_c == pytest.approx(20.0, abs=0.05)
 
 
 @pytest.mark.parametrize("family", FAMILIES)

@@ -111,15 +111,6 @@ def _dark_at(board: Board, pixels: Floats) -> Floats:
 
 
 @pytest.mark.slow
-def test_opencv_finds_the_chessboard_and_its_order() -> None:
-    picture = renderer().left.expected(with_board(UPRIGHT))
-    found, corners = cv2.findChessboardCorners(grey(picture), (9, 6))
-    assert found
-    expected = by_opencv(renderer().cameras[0], UPRIGHT.corners_mm)
-    assert np.abs(corners.reshape(-1, 2) - expected).max() < 1.0
-
-
-@pytest.mark.slow
 def test_opencv_reads_the_charuco_board() -> None:
     """Markers, their numbers and the corners between them, as OpenCV lays such a board out."""
     pattern = Pattern("charuco", 8, 6, 40.0, 15.0)

@@ -86,9 +86,8 @@ def test_a_sphere_is_within_half_a_millimetre_without_noise(blur_px: float) -> N
     assert amplitude[at] == pytest.approx(1.0 / away_m**2, rel=0.01)
 
 
-@pytest.mark.parametrize("noise_mm", [0.2, 1.0])
-def test_the_stated_noise_comes_back_and_goes_with_amplitude(noise_mm: float) -> None:
-    off = on_ball()[1]
+def test_the_stated_noise_comes_back_and_goes_with_amplitude() -> None:
+    off, noise_mm = on_ball()[1], 1.0
     frames = [depth_mm(ball(), seed, noise_mm=noise_mm)[0] for seed in range(12)]
     strength = depth_mm(ball())[1]
     sd_mm = np.std(frames, axis=0, ddof=1) * np.linalg.norm(rays(), axis=-1)

@@ -66,7 +66,7 @@ def test_small_balls_lie_where_opencv_projects_them(which: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("angle_deg", [0.0, 17.0, 45.0, 73.0, 90.0])
+@pytest.mark.parametrize("angle_deg", [0.0, 17.0, 45.0, 90.0])
 def test_edges_of_every_orientation(angle_deg: float) -> None:
     """Both edges of a turned post: their mean place over each stretch, below 0.01 px."""
     camera = eye("left").view.camera
@@ -140,8 +140,7 @@ def test_nothing_seen_beside_the_outline() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("turned", [False, True])
-@pytest.mark.parametrize("blur_px", [0.5, 0.9])
+@pytest.mark.parametrize(("blur_px", "turned"), [(0.5, False), (0.9, True)])
 def test_a_slanted_edge_has_the_declared_mtf(blur_px: float, turned: bool) -> None:
     """ISO 12233: the edge spread along the normal, finely binned; its derivative's spectrum."""
     eye = renderer(blur_px=blur_px, prnu=0.0, dsnu_e=0.0, vignetting=0.0).left

@@ -75,15 +75,6 @@ def test_distortion_as_opencv_and_back(kc: tuple[float, ...], alpha_c: float) ->
     assert np.abs(camera.plane_from_pixels(pixels) - plane).max() < 1e-12
 
 
-@pytest.mark.slow
-def test_rays_of_every_pixel_return_to_it() -> None:
-    camera = cameras_from_calibration(calibration_table())[1]
-    x, y = camera.rays()
-    u, v = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
-    back = camera.pixels_from_plane(np.column_stack([x.ravel(), y.ravel()]))
-    assert np.abs(back - np.column_stack([u.ravel(), v.ravel()])).max() < 1e-9
-
-
 def test_another_grid_over_the_same_sensor() -> None:
     camera = cameras_from_calibration(calibration_table())[2]
     small = camera.resized(160, 120)

@@ -16,7 +16,6 @@ from instruments.world.phantom import (
     Teat,
     TeatForm,
     TeatShape,
-    upright,
 )
 
 LAYOUTS = [name for name in layout_names() if name != "random-udder"]
@@ -103,12 +102,6 @@ def test_a_form_s_radii_are_those_of_its_solids() -> None:
     assert (top.b_mm, top.radius_b_mm, top.flat_b) == ((0.0, 0.0, 150.0), 5.0, True)
 
 
-def test_upright_teats_end_where_they_are_said_to() -> None:
-    phantom = upright([(1.0, 2.0, 100.0), (30.0, 4.0, 90.0)], name="two")
-    assert phantom.ends_mm == pytest.approx(np.array([[1.0, 2.0, 100.0], [30.0, 4.0, 90.0]]))
-    assert phantom.name == "two"
-
-
 @pytest.mark.parametrize(
     "make",
     [
@@ -125,9 +118,3 @@ def test_nonsense_is_refused(make: object) -> None:
     assert callable(make)
     with pytest.raises(ValueError, match=r"must|needs|may lean|can't stand"):
         make()
-
-
-def test_a_phantom_without_teats_is_empty() -> None:
-    empty = Phantom(())
-    assert empty.ends_mm.shape == (0, 3)
-    assert not [*empty.hose_hulls(), *empty.teat_hulls(), *empty.flange_hulls()]

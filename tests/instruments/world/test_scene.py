@@ -25,16 +25,8 @@ def warm(
     return SceneState(phantom, (teat_c,) * len(phantom.teats), teat_c - 0.5, ambient_c, **more)
 
 
-@pytest.mark.slow
-def test_the_thermal_picture_follows_the_rig_file() -> None:
+def test_the_thermal_sensor_is_that_of_the_rig_file() -> None:
     table = calibration_table()
-    table["cameras"]["thermal"]["mirrored"] = False
-    table["cameras"]["thermal"]["polarity"] = "hot_is_white"
-    white = Renderer.from_calibration(table, 1).thermal
-    frame = white.expose(warm(), np.random.default_rng(1))[0]
-    below = warm().phantom.ends_mm - [0.0, 0.0, 30.0]
-    u, v = renderer().cameras[2].project(below)[0].round().astype(int)
-    assert frame[v, u] > 200
     table["cameras"]["thermal"]["polarity"] = "hot"
     with pytest.raises(ValueError, match=r"polarity must be"):
         Renderer.from_calibration(table, 1)
