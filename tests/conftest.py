@@ -19,7 +19,7 @@ from typing import Any
 
 import cv2
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from bench.record.writer import release_memory
 from bench.script.model import TRIALS
@@ -67,7 +67,11 @@ def pytest_configure(config: pytest.Config) -> None:
     fixed = settings().derandomize and config.getoption("hypothesis_seed") is None
     # how fast the machine is says nothing of the code
     settings.register_profile(
-        "teatbench", deadline=None, derandomize=fixed, max_examples=examples(12)
+        "teatbench",
+        deadline=None,
+        derandomize=fixed,
+        max_examples=examples(12),
+        suppress_health_check=[HealthCheck.too_slow],
     )
     settings.load_profile("teatbench")
     # compiled once, not in each of some hundred processes

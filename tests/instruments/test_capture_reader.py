@@ -34,7 +34,7 @@ CLOSED = '{"t_s": 2, "link": "arm", "event": "closed"}\n'
 
 ONE_FOLDER = settings(
     max_examples=examples(40),
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
     deadline=None,
 )
 

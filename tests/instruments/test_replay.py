@@ -134,7 +134,9 @@ def test_what_a_driver_read_at_the_end_of_a_wait_is_there_again(play: Play) -> N
 @pytest.mark.slow
 @given(cuts=st.sets(st.integers(1, 8)))
 @settings(
-    max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
+    max_examples=30,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+    deadline=None,
 )
 def test_requests_may_be_cut_anywhere(tmp_path: Path, cuts: set[int]) -> None:
     with closing(Bench(tmp_path / "c", *TALK)) as bench:

@@ -85,7 +85,10 @@ def damaged(data: bytes, how: str, place: int, bit: int) -> bytes:
 
 
 @pytest.mark.slow
-@settings(max_examples=examples(8), suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=examples(8),
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)
 @given(
     st.integers(0, 99), st.sampled_from(["flip", "cut", "edit"]), st.integers(0), st.integers(0, 7)
 )
