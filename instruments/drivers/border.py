@@ -14,7 +14,7 @@ from instruments.clock import Clock, VirtualClock
 from instruments.drivers.entry_points import Plugin, by_ctrl_c, short, undisturbed
 from instruments.errors import DriverError, InstrumentError, LinkError, ProtocolError
 
-CALL_S, OPEN_S, CLOSE_S = 10.0, 10.0, 2.0
+CALL_S, OPEN_S, CLOSE_S, BEAT_S = 10.0, 10.0, 2.0, 1.0
 T = TypeVar("T")
 Made = TypeVar("Made")
 
@@ -87,7 +87,9 @@ class PluginBoundary(Generic[Made]):
                 return given
             thread = threading.Thread(None, self._run, by, (job, work), daemon=True)
             thread.start()
-            thread.join(limit_s)
+            late_s = self.clock.now() + limit_s
+            while thread.is_alive() and (left_s := late_s - self.clock.now()) > 0.0:
+                thread.join(min(left_s, BEAT_S))  # each look at the clock is a heartbeat
             if thread.is_alive():
                 raise self._late(what, limit_s)
             return job.result()

@@ -39,6 +39,7 @@ from instruments.drivers.camera import PluggedCamera, PluggedGroup
 from instruments.drivers.entry_points import Plugin
 from instruments.drivers.stage import PluggedStage
 from instruments.errors import InstrumentError
+from tests.waiting import PATIENCE_S
 
 
 class OwnError(BaseException):
@@ -288,6 +289,28 @@ def test_a_call_that_is_late_by_a_virtual_clock_is_a_lost_link(kind: str) -> Non
     setattr(made, member, late)
     with pytest.raises(InstrumentError, match=r"no answer .*the plug-in d of pkg 1 hangs"):
         _ = [call() for call in calls]
+
+
+def test_a_long_call_has_a_heartbeat(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Homing takes a minute, and a guardian takes a bench without one for hung after 10 s."""
+    monkeypatch.setattr(border, "BEAT_S", 0.01)
+    clock, beats, made = RealClock(), threading.Semaphore(0), driver("stage", "", None)
+    stage = MAKES["stage"](Plugin("d", "pkg 1", made), clock)
+    stage.connect()
+
+    def beat(_: float) -> None:
+        if threading.current_thread() is threading.main_thread():
+            beats.release()
+
+    def home(_: object) -> None:
+        clock.subscribe(beat)
+        for _beat in range(9):
+            assert beats.acquire(timeout=PATIENCE_S)
+
+    made.home = home  # type: ignore[attr-defined]
+    stage.home()
+    assert stage.homed
+    clock.close()
 
 
 @pytest.mark.parametrize("kind", MAKES)
