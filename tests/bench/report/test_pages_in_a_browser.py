@@ -16,11 +16,12 @@ from tests.bench.calibrate.touched import write_touched
 from tests.bench.campaign.test_campaigns_compared import written
 from tests.bench.commands import teatbench
 from tests.bench.small_run import KEPT
-from tests.chromium import browser_page, violations, weak_texts
+from tests.chromium import Scheme, browser_page, violations, weak_texts
 from tests.examples import few
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
+SCHEMES: tuple[Scheme, ...] = ("light", "dark")
 ALL_LAID_OUT = """() => {
  for (const one of document.querySelectorAll('details')) one.open = true;
  for (const one of document.querySelectorAll('.trial')) one.style.contentVisibility = 'visible'; }"""
@@ -101,7 +102,7 @@ def test_a_page_of_each_kind_can_be_read_by_everybody(kind: str, tmp_path: Path)
             assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), width
             assert page.evaluate(OVERLAPS) == [], width
         assert violations(page, contrast=False) == []
-        for scheme in ("light", "dark"):
-            page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+        for scheme in SCHEMES:
+            page.emulate_media(color_scheme=scheme)
             assert weak_texts(page) == []
         assert seen.complaints == []
