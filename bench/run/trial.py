@@ -88,7 +88,13 @@ def choose_truth(
     (True) or invalidated; ``before``: the stopped run.
     """
     table, stage, settings = ctx.script.script.truth, ctx.devices.stage, ctx.rig.rig.stage
-    toucher = Toucher(ctx.ask, ctx.tip, ctx.rig.rig.arm, ctx.clock, ctx.check, table.readings)
+
+    def look() -> None:
+        ctx.check()
+        if ctx.devices.arm.touches:
+            ctx.long("touching by itself", 600.0)
+
+    toucher = Toucher(ctx.ask, ctx.tip, ctx.rig.rig.arm, ctx.clock, look, table.readings)
     if table.mode == "touch":
         return TouchedTruth(toucher, lambda: None if stage is None else stands_at(stage))
     if stage is None or settings is None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ from bench.rig.loading import LoadedRig, load_rig
 from bench.run.context import RunContext
 from bench.run.events import RunState
 from bench.run.start import run_queue
-from bench.run.trial import Attempts
+from bench.run.trial import Attempts, choose_truth
 from bench.script.model import LoadedScript, find_script, load_script
 from bench.script.planned_trials import PlannedTrial
 from instruments.clock import VirtualClock
@@ -209,3 +209,20 @@ def test_a_new_installation_compiles_before_anything_is_opened(
     files(tmp_path)
     assert start(tmp_path)[1] is RunState.FAULTED
     assert done == ["detector.outline.kernels", "opened"]
+
+
+def test_an_arm_that_touches_by_itself_has_its_time() -> None:
+    """A guardian takes a bench that is "going on" for 10 s for hung."""
+    said = list[object]()
+    ctx: Any = SimpleNamespace(
+        check=lambda: said.append("checked"),
+        long=lambda what, at_most_s: said.append((what, at_most_s)),
+        script=SimpleNamespace(
+            script=SimpleNamespace(truth=SimpleNamespace(mode="touch", readings=1))
+        ),
+        devices=SimpleNamespace(arm=SimpleNamespace(touches=True), stage=None),
+        rig=SimpleNamespace(rig=SimpleNamespace(arm=None, stage=None)),
+        **dict.fromkeys(("ask", "tip", "clock")),
+    )
+    choose_truth(ctx, lambda *_: None).toucher.check()
+    assert said == ["checked", ("touching by itself", 600.0)]
