@@ -66,8 +66,8 @@ class FullDisk:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("error", "for_good"),
-    few([(FULL[0], False), (FULL[1], False), (FULL[1], True)], 3),
-    ids=["frames, once", "bath's row, once", "database, for good"],
+    few([(FULL[1], True), (FULL[0], False), (FULL[1], False)], 3),
+    ids=["database, for good", "frames, once", "bath's row, once"],
 )
 def test_a_full_disk_ends_safely_and_the_run_goes_on_where_there_is_room_again(
     error: Exception, for_good: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
