@@ -397,10 +397,11 @@ def _shape(it: Shape, right_px: float = math.inf, letter_px: float = 0.0) -> str
     """In a view that ends at `right_px`, with letters of this size."""
     n = _number
     if isinstance(it, Label):
-        x_px, anchor = it.x_px + it.gap_px, ""
+        x_px, anchor = it.x_px + it.gap_px, "start"
         if x_px + 0.7 * letter_px * len(it.text) > right_px:
-            x_px, anchor = it.x_px - it.gap_px, ' text-anchor="end"'
-        return f'<text x="{n(x_px)}" y="{n(it.y_px)}"{anchor}>{_escaped(it.text)}</text>'
+            x_px, anchor = it.x_px - it.gap_px, "end"
+        at = f'x="{n(x_px)}" y="{n(it.y_px)}" text-anchor="{anchor}"'
+        return f"<text {at}>{_escaped(it.text)}</text>"
     if isinstance(it, Circle):
         drawn = f'<circle cx="{n(it.x_px)}" cy="{n(it.y_px)}" r="{n(it.radius_px)}"'
     elif isinstance(it, Ellipse):

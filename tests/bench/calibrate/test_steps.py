@@ -125,7 +125,7 @@ def test_all_steps_make_one_calibration(lab: Path, in_lab: Said) -> None:
     assert there(found.record).by == who
     assert "world.toml: points.csv" in there(found.record).inputs
     page = (lab / "world.page" / "index.html").read_text(encoding="utf-8")
-    assert "Good enough. The cameras' points miss the arm" in page
+    assert "Good enough. The cameras&#39; points miss the arm" in page
 
 
 @pytest.mark.weekly

@@ -121,7 +121,7 @@ def test_the_main_job_is_done_and_the_exit_code_is_the_verdict(done: Done) -> No
     assert "Verdict: " not in done.said
     found = (scored(done.run, name).success for name in ("thesis", "fused"))
     first, second = (f"{100.0 * one.successes / one.trials:.1f} %" for one in found)
-    row = rf"reliability +\W +95\.0 % \W \S+ +{first} +\W \S+ +{second}"
+    row = rf"reliability +\W +95 % \W \S+ +{first} +\W \S+ +{second}"
     assert first < second
     assert re.search(row, done.said)
     with (done.run.folder / "report" / "trials.csv").open(encoding="utf-8", newline="") as file:
