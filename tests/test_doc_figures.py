@@ -63,8 +63,8 @@ def test_sentences_on_the_path_traced_frames() -> None:
     ours = families(PATH_TRACED, "fused")[ALL]
     assert ours["false"] == "0"
     note = (
-        f"{ours['found']} of {ours['visible']}, nothing false, {ours['mean_mm']} in the mean,"
-        f" p95 {ours['p95_mm']}, {ours['max_mm']} at most"
+        f"{ours['found']} of {ours['visible']}, nothing false, off by {ours['mean_mm']} mm in the"
+        f" mean, p95 {ours['p95_mm']} mm, {ours['max_mm']} mm at most"
     )
     assert note in page("docs/detectors.md")
 
