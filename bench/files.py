@@ -92,7 +92,7 @@ def sha256_of(path: Path) -> str:
 
 
 def is_unreadable(error: OSError) -> bool:
-    """Whether ``error`` refused a file or folder that is there, and that nobody here may read."""
+    """Whether ``error`` refused a file or folder that is there, and that this user may not read."""
     if not isinstance(error, PermissionError) or not isinstance(error.filename, str | Path):
         return False
     path = Path(error.filename)

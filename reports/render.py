@@ -363,7 +363,7 @@ def _escaped(text: str) -> str:
 def _cell(value: str | Cell, link: Callable[[str], str]) -> Markup:
     """What stands in a cell; its link leads through `link`."""
     if isinstance(value, str):
-        return Markup(_escaped(value).replace("&lt; ", "&lt;&nbsp;"))  # noqa: S704 escaped
+        return Markup(_escaped(value))  # noqa: S704 escaped
     text, href = _escaped(value.text), link(value.href) if value.href else ""
     if href:
         mono = ' class="mono"' if value.mono else ""

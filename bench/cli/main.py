@@ -221,7 +221,7 @@ class Parser(argparse.ArgumentParser):
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         found, odd = super().parse_known_args(args, namespace)
-        if odd:  # told with the usage of the command that they were given to
+        if odd:  # reported with the usage of the command that they were given to
             meant = did_you_mean(odd[0].partition("=")[0], self._option_string_actions)
             self.error(f"unrecognized arguments: {' '.join(odd)}{meant}")
         return found, odd

@@ -53,7 +53,7 @@ def listed(values: Iterable[float], form: str = ".2f") -> str:
 
 def p_text(p: float | None) -> str:
     """A p-value to three digits; empty for None."""
-    return "" if p is None else "< 0.001" if p < 0.001 else f"{p:.3f}"
+    return "" if p is None else "<\u00a00.001" if p < 0.001 else f"{p:.3f}"
 
 
 def xyz(row: Mapping[str, Any], prefix: str = "") -> str:

@@ -218,7 +218,7 @@ class RunStatus:
 
     @property
     def parts(self) -> dict[str, str]:
-        """What stands beside what is done: the bath, what else is in trouble, time and error."""
+        """What stands beside what is done: the bath, instruments with a fault, time and error."""
         there = (one for one in self.instruments if one.trouble or one.name == "bath")
         shown = {one.name: one.text for one in there}
         shown |= {} if self.left_s is None else {"left": time_left(self.left_s)}
@@ -245,7 +245,7 @@ class RunStatus:
         return "; ".join(part for part in (self.pose, doing, *parts.values()) if part)
 
     def later(self) -> RunStatus:
-        """As somebody reads it who has only what was said at ``wall_time``."""
+        """As it reads now where the last word of the bench is of ``wall_time``."""
         said_s = (now() - datetime.fromisoformat(self.wall_time)).total_seconds()
         age_s = float(max(0, int(said_s)))  # a computer's clock may have been set back
         instruments = tuple(one.later(age_s) for one in self.instruments)
@@ -285,7 +285,7 @@ class Reported:
 
     @property
     def unchecked(self) -> str:
-        """Why nobody knows whether a recording's cameras agree; empty where it was looked at."""
+        """Why it is not known whether a recording's cameras agree; empty where it was checked."""
         from bench.results.cameras_agree import UNCHECKED_FACT
 
         return str(self.record.facts.get(UNCHECKED_FACT, ""))
@@ -448,7 +448,7 @@ def _orphaned(
 
 
 def _safety(run: RunRecord, status: RunStatus) -> str:
-    """That nothing is left to be made safe; empty where something is, or nobody knows."""
+    """That nothing is left to be made safe; empty where something is, or it is not known."""
     known = status.state is not State.INTERRUPTED
     if known and not status.instruments:
         never_on = run.facts.get(INSTRUMENTS_FACT, {}).get("session") == run.sessions
@@ -458,7 +458,7 @@ def _safety(run: RunRecord, status: RunStatus) -> str:
 
 
 def _look(status: RunStatus) -> tuple[str, ...]:
-    """What a person has to look at, since nobody knows."""
+    """What a person has to look at, since it is not known."""
     names = [one.name for one in status.instruments if one.safe is Safe.UNKNOWN]
     names = names if status.instruments else ["bath"]  # an older record says nothing of them
     at = [LOOK[name] for name in names if name in LOOK]

@@ -116,7 +116,7 @@ class BathLock:
 
     @property
     def wanted(self) -> bool:
-        """Whether somebody waits for the bath."""
+        """Whether another process waits for the bath."""
         try:
             with self._next.acquire(timeout=0):
                 return False

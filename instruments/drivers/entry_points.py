@@ -121,6 +121,7 @@ def load(kind: Kind, url: PluginUrl, *, emulator: bool = False) -> Plugin:
     try:
         if not plug.pattern.match(plug.value):
             raise ValueError("no module:name")
+        # a module may put other streams in place of these as it is loaded
         with undisturbed(), redirect_stdout(sys.stdout), redirect_stderr(sys.stderr):
             maker = plug.load()
     except BaseException as error:  # another's code

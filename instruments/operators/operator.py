@@ -284,10 +284,12 @@ class Prompt:
         """What may be answered, in a sentence."""
         if self.kind == "coordinates":
             return 'Three or six numbers are wanted: "-110.20 284.20 134.20".'
-        ends = [f"the hidden ends' numbers, 1 to {self.hidden_to}"] if self.hidden_to else []
-        if self.hidden_to:
-            such = " ".join(n for n in "24" if int(n) <= self.hidden_to)
-            ends = [f'{ends[0]}: "{such}"' if such else '1 where the end is hidden: "1"']
+        ends = list[str]()
+        if self.hidden_to == 1:
+            ends = ['1 where the end is hidden: "1"']
+        elif self.hidden_to:
+            such = "2 4" if self.hidden_to >= 4 else "2"
+            ends = [f'the hidden ends\' numbers, 1 to {self.hidden_to}: "{such}"']
         trial = ["s REASON", "r"] if self.in_trial else []
         keys = ["Enter", *ends, *trial, *(["e"] if self.enough else []), "?"]
         return f"There are {', '.join(keys)} and a."
