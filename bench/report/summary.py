@@ -40,7 +40,7 @@ def of_run(found: Reported) -> str:
             for row in zip(*(one.decisions for one in judgements), strict=True)
         ]
         lines += _table(["requirement", "limit", *(one.detector for one in judgements)], rows)
-    said = [status.why, *status.next[len(status.unsafe) :], f"Run: {record.folder.name}"]
+    said = [status.why, *status.then, f"Run: {record.folder.name}"]
     return "\n\n".join(["\n".join(lines), *(_plain(line) for line in said if line)]) + "\n"
 
 

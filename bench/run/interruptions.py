@@ -47,6 +47,7 @@ class Policy:
 
 PICTURES = ("cameras", REFUSES)  # they answer, and none of their pictures is of use
 HOMES = "keep your hands off it, it will home."
+HOMING = "Keep your hands off the stage, it homes. The run then goes on by itself."
 POLICIES: Mapping[tuple[str, str], Policy] = {
     ("arm", GONE): Policy(3, "Check the arm's power and its cable."),
     ("arm", GARBLED): Policy(3, "Check the arm's cable and plugs, and what disturbs it."),
@@ -153,7 +154,7 @@ class Recovery:
                 ctx.long("homing the stage again", 600.0)
                 devices.stage.reconnect()
                 ctx.look()  # a stage that a trip has braked meanwhile is not to move
-                ctx.away = ""
+                ctx.away, ctx.readied = "", HOMING
                 ctx.events.state("homing the stage again")
                 devices.stage.home()
             elif name == "cameras":
@@ -169,6 +170,8 @@ class Recovery:
         except InstrumentError:
             ctx.away = name
             return False
+        finally:
+            ctx.readied = ""
         return True
 
 

@@ -284,6 +284,7 @@ def _begun(
             "realtime": how.realtime,
             "speed": how.speed,
             "warm": warm,  # the rig as the run before left it
+            **({"recorded": True} if recorded else {}),  # cameras: it can't be resumed
         },
     }
     with undisturbed():  # a run that is there at all says what it is, and how it ended
