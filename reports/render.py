@@ -37,7 +37,7 @@ from reports.glossary import GlossaryLinks, Term, style_rules
 from reports.page import WORDS, Cell, Column, Drawn, Figure, Page, Part, Section, Table, TrialPart
 from reports.sanitize import sanitized
 from reports.trust import PageError, address
-from textfiles.whole import replace_whole
+from textfiles.whole import new_folders, replace_whole
 
 IN_PAGE = 40  # trials, each counted once a detector: more get a file each
 TRIALS = "trials"  # their folder
@@ -234,7 +234,11 @@ def write_report(page: Page, folder: Path) -> Path:
     """Write `folder/index.html` whole or not at all; many trials get files of their own before.
     Raises PageError for images that are not there, OSError.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    with new_folders(folder):
+        return _written(page, folder)
+
+
+def _written(page: Page, folder: Path) -> Path:
     refuse_missing(page.files(), folder)
     press = Press(page)
     place = _own(page)

@@ -24,14 +24,14 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, ClassVar
 
-from bench.files import Picture, new_folders, write_pictures, write_synced
+from bench.files import Picture, write_pictures, write_synced
 from bench.record.chain import add_link
 from bench.record.reader import TrialRecord, check_version, database_in
 from bench.record.schema import DATABASE, LATER_WORD, OF_A_TRIAL, Row, make_tables
 from bench.record.state import NO_ENDING, left_in
 from bench.version import __version__
 from instruments.clock import wall_time as time_of_day
-from textfiles.whole import sync_folder
+from textfiles.whole import new_folders, sync_folder
 
 Tables = Sequence[tuple[str, Sequence[Row]]]
 FLUSH_EVERY = 60  # rows that may wait: one sync a minute of run time for the bath's readings

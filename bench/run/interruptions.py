@@ -31,6 +31,7 @@ from instruments.operators.operator import (
     OperatorSkip,
     Release,
 )
+from textfiles.whole import refusal
 
 INSTRUMENTS = ("arm", "stage", "bath", "cameras")
 GONE, GARBLED, REFUSES = "gone", "garbled", "refuses"
@@ -207,7 +208,7 @@ def leave_request(folder: Path, words: str) -> None:
     except ValueError as error:
         raise ConfigError.plain(str(error)) from error
     except OSError as error:
-        why = f"{folder / FILE} can't be written: {error.strerror or error}"
+        why = f"{folder / FILE} can't be written: {refusal(error)}"
         raise ConfigError.plain(why) from error
 
 

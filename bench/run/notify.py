@@ -55,7 +55,9 @@ class Notifier:
         self._failed: set[int] = set()
         self._closing = False
         self._changed = threading.Condition()
-        self._thread = threading.Thread(target=self._work, name="notifications", daemon=True)
+        # no daemon, which apprise's own threads would become: Python waits for those without end,
+        # and the command (bench/cli/__main__.py) sees only the others
+        self._thread = threading.Thread(target=self._work, name="messages")
         self._thread.start()
 
     def word(self, kind: str, message: Message) -> None:
@@ -79,7 +81,7 @@ class Notifier:
             for number, server in enumerate(self._servers if found else ()):
                 if not self._is_sent(server, *(found or ("", ""))) and number not in self._failed:
                     self._failed.add(number)
-                    self._warn(f"no message can be sent to {server[0].url(privacy=True)}")
+                    self._warn(f"no message can be sent to {_named(server)}")
 
     def _next(self) -> Message | None:
         """The next message that may be sent, waited for; None at the end."""
@@ -122,6 +124,11 @@ def _server(url: str) -> Any:
             " ntfy://ntfy.sh/TOPIC or mailto://NAME:PASSWORD@example.com."
         )
     return server
+
+
+def _named(server: Any) -> str:
+    """Its address without secrets, and without apprise's own settings."""
+    return str(server[0].url(privacy=True)).partition("?")[0]
 
 
 @contextmanager

@@ -86,6 +86,7 @@ from instruments.errors import InstrumentError
 from instruments.operators.console import Console
 from instruments.operators.operator import time_left
 from textfiles.text import plural
+from textfiles.whole import refusal
 
 EMULATED_FACT = "emulated"  # of a run: which of its instruments are, where others are real
 BETWEEN_S = 1.0  # of the bench's time, between two sessions of a run
@@ -659,8 +660,8 @@ def _new_store(out: Path, name: str, files: dict[str, str], calibration: Path) -
         files = {**files, "calibration.toml": read_text(calibration)}
         return Store.create_next(out, name, wall_time(), files)
     except OSError as error:
-        why = f"a run can't be kept in {out}: {error.strerror or error}"
-        raise ConfigError.plain(f"{why}. Name another folder as `out`.") from error
+        why = refusal(error, "Name another folder as `out`.")
+        raise ConfigError.plain(f"a run can't be kept in {out}: {why}") from error
 
 
 def _end(store: Store, ending: RunState, why: str = "") -> RunState:
