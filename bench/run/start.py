@@ -64,6 +64,7 @@ from bench.safety.signals import current, undisturbed
 from bench.script.calibration_age import (
     CALIBRATION_FACT,
     calibration_fact,
+    not_fresh,
     refuse_old_calibration,
     refuse_other_cameras,
 )
@@ -143,7 +144,7 @@ def run_queue(
         note = QueueNote.begin(out, rig.rig.name, [one.name for one in scripts])
         for number, (script, detectors) in enumerate(zip(scripts, under_test, strict=True), 1):
             held.more = number < len(scripts)
-            for text in _contradicted(rig, script):
+            for text in (*_contradicted(rig, script), *not_fresh(rig, script, wall_time().date())):
                 events.warn(text)
             recorded = None
             if how.record:
