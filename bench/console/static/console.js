@@ -354,7 +354,7 @@ function events() {
 }
 const resumed = (name) => started(ask(`/runs/${encodeURIComponent(name)}/resume`, {}));
 const verdicts = (status) => Object.entries(status.verdicts).map(([name, verdict]) => make("li", { className: { met: "good", "not met": "bad" }[verdict] || "warn" }, `${name}: ${verdict}`));
-const resumable = (known) => !["running", "finished"].includes(known.status.state) && known.kind !== "recorded";
+const resumable = (known) => known.status.state !== "running" && known.status.next.some((line) => line.includes("teatbench resume "));
 function ended() {
   const known = { ...run.run, status: run.status };
   controls.hidden = !under();

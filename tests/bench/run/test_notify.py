@@ -120,6 +120,17 @@ def test_one_of_a_kind_at_a_time_and_a_dead_address_is_said_once() -> None:
     assert "secret" not in said
 
 
+def test_a_prompt_that_was_answered_at_once_delays_no_other_s_word() -> None:
+    looked = threading.Event()
+    with phone() as (url, came):
+        notifier = Notifier([url], pytest.fail)
+        notifier.word(PROMPTED, lambda: looked.set())
+        assert looked.wait(SOON_S)
+        notifier.word(PROMPTED, lambda: ("asked", "touch"))
+        assert came.get(timeout=SOON_S)["message"] == "touch"
+        notifier.close()
+
+
 def test_an_address_that_never_ends_its_answer_is_left_to_who_ends_the_command() -> None:
     """Of apprise's threads those of a daemon are daemons, for which Python waits without end."""
     asked, over = threading.Event(), threading.Event()
