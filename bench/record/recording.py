@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import rmtree
@@ -24,7 +24,7 @@ from instruments.camera.frame import FrameSet, grey8, no_temperatures
 from instruments.errors import DeviceError
 from textfiles.tables import Row, TableError, read_table
 from textfiles.text import TextError, text_of
-from textfiles.whole import new_folders, replace_whole
+from textfiles.whole import replace_whole
 
 PNG = b"\x89PNG\r\n\x1a\n"
 PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
@@ -220,14 +220,20 @@ class RecordingWriter:
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
+        (self.path / "frames").mkdir(parents=True, exist_ok=True)
         self._truth: dict[str, tuple[TruthRow, ...]] = {}
         if (self.path / "truth.csv").exists():
             self._truth = Recording(self.path).truth
 
     def add_calibration(self, text: str) -> None:
         """Write calibration.toml, as the text that it was read from."""
-        with new_folders(self.path / "frames"):
+        try:
             replace_whole(self.path / "calibration.toml", text.encode())
+        except OSError:
+            for empty in (self.path / "frames", self.path):
+                with suppress(OSError):  # something is in it
+                    empty.rmdir()
+            raise
 
     def add(self, frame_id: str, frames: FrameSet) -> None:
         """Write a frame's images as PNG; the folder appears when all of them are there."""
@@ -258,7 +264,6 @@ class RecordingWriter:
             what = "a frame's id must be a name that any file system takes"
             raise RecordingError(f"{what}, is {frame_id!r}")
         folder = self.path / "frames" / frame_id
-        folder.parent.mkdir(parents=True, exist_ok=True)
         if folder.exists():
             raise RecordingError(f"{folder}: there is such a frame already")
         # beside frames/, not in it: a reader must not take it for a frame
