@@ -37,10 +37,14 @@ FILES = ("calibration.toml", "rig.toml", "script.toml")
 KINDS = ("emulated", "mixed", "real", "recorded")
 ENDINGS = ("finished", "faulted", "aborted", "interrupted")
 # written in one step, as a run opens its instruments
-OF_BATH = ("interlocks asleep", "pump", "comms loss", "cut-out tested", "safe states", "guardian")
-OF_BATH += ("bath figures",)
-OPTIONAL = ("calibration record", "arm uncertainty", "arm check before", "arm check after")
-OPTIONAL += ("identities", "arm record", "frame checks", "instruments at the end", "retries")
+OF_BATH = (
+    *("interlocks asleep", "pump", "comms loss", "cut-out tested", "safe states", "guardian"),
+    "bath figures",
+)
+OPTIONAL = (
+    *("calibration record", "arm uncertainty", "arm check before", "arm check after"),
+    *("identities", "arm record", "frame checks", "instruments at the end", "retries"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,16 +105,13 @@ def written(store: Store, trials: Sequence[Drawn], detectors: Sequence[str], rul
         head = {key: kept.head[key] for key in kept.head if key not in ("invalid", "session")}
         head |= {"id": id_, "number": number, "repeat": number}
         if one.skipped:
-            names = ("number", "name", "situation", "repeat")
-            named = {key: head[key] for key in names}
+            named = {key: head[key] for key in ("number", "name", "situation", "repeat")}
             store.skipped({"trial": id_, **named, "t_s": 1.0, "reason": "the hose leaks"})
             continue
         rows = one.truth(id_)
-        names = ("x_mm", "y_mm", "z_mm")
+        situation, seen = head["situation"], not one.hidden
         truth = [
-            TruthRow(
-                head["situation"], r["teat"], tuple(r[n] for n in names), not one.hidden, r["u_mm"]
-            )
+            TruthRow(situation, r["teat"], (r["x_mm"], r["y_mm"], r["z_mm"]), seen, r["u_mm"])
             for r in rows
         ]
         answers = [one.answer(name, truth) for name in detectors]

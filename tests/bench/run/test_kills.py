@@ -299,9 +299,8 @@ def compare_the_surfaces(run: Path, status: RunStatus, watch: Watch) -> None:
     if not status.decided:
         assert status.next
     for words in (" ".join(line.split()) for line in "\n".join(status.next).splitlines()):
-        texts = (said, page, sent[1], in_ci)
-        texts += () if status.decided else (junit, listed.note, queued)
-        for where in (" ".join(text.split()) for text in texts):
+        undecided = () if status.decided else (junit, listed.note, queued)
+        for where in (" ".join(text.split()) for text in (said, page, sent[1], in_ci, *undecided)):
             assert words in where, (words, where[:2000])
     warned = "\n".join(watch.warned)
     for line in status.unsafe:
