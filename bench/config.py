@@ -26,6 +26,7 @@ from textfiles.documents import DocumentError, read_toml
 from textfiles.text import TextError, plural, text_of
 from textfiles.text import did_you_mean as did_you_mean
 from textfiles.text import short as short
+from textfiles.whole import refusal
 
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\[\]=]+?)\s*\]\]?\s*(#.*)?$")
 _KEY = re.compile(
@@ -298,7 +299,7 @@ def writing(place: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise ConfigError.plain(f"{place}: can't be written: {error.strerror or error}") from error
+        raise ConfigError.plain(f"{place}: can't be written: {refusal(error)}") from error
 
 
 def _rendered(path: Path | None, faults: Sequence[FileFault], lines: Sequence[str]) -> list[str]:

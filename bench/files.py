@@ -6,19 +6,17 @@ noise (docs/record.md has the figures).
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from textfiles.whole import replace_whole, sync_folder
+from textfiles.whole import is_full, new_folders, replace_whole
 
 Picture = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -62,29 +60,6 @@ def write_synced(path: Path, data: bytes) -> None:
         replace_whole(path, data, synced=True)
 
 
-@contextmanager
-def new_folders(*folders: Path, each: Callable[..., Iterable[None]] = map) -> Iterator[None]:
-    """``folders``, made and synced; where the block fails, new ones that are empty go again."""
-    made = [new for folder in folders for new in _made(folder)]
-    try:
-        list(each(sync_folder, {new.parent for new in made}))
-        yield
-        list(each(sync_folder, folders))
-    except BaseException:
-        for new in made:
-            with suppress(OSError):  # something is in it
-                new.rmdir()
-        raise
-
-
-def _made(folder: Path) -> list[Path]:
-    """Make ``folder``; gives back which are new, itself first."""
-    missing = [folder, *folder.parents]
-    missing = missing[: next((k for k, one in enumerate(missing) if one.is_dir()), 0)]
-    folder.mkdir(parents=True, exist_ok=True)
-    return missing
-
-
 def sha256_of(path: Path) -> str:
     """SHA-256 of a file's bytes. Raises OSError."""
     with path.open("rb") as file:
@@ -105,10 +80,3 @@ def is_unreadable(error: OSError) -> bool:
 def unwritten(error: Exception) -> str:
     """Why a record, SQLite's too, could not be written: in a sentence without its stop."""
     return f"{UNWRITTEN}: {FULL if is_full(error) else getattr(error, 'strerror', None) or error}"
-
-
-def is_full(error: BaseException | None) -> bool:
-    """Whether it comes of a full disk, or a quota."""
-    no_room = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
-    full = getattr(error, "errno", None) in no_room or "disk is full" in str(error)
-    return full or (error is not None and is_full(error.__cause__))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup, escape
 
-from reports.sanitize import sanitized
+from reports.sanitize import page_text, sanitized
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class GlossaryLinks:
         if text in self._known:
             return self._known[text]
         parts, done, at, given = [], set(), 0, text
-        text = sanitized(text)
+        text = page_text(text)
         for found in self._pattern.finditer(text) if self._pattern else ():
             name = self._ids[found[0]]
             if name in done:

@@ -35,9 +35,9 @@ from reports.frames import (
 )
 from reports.glossary import GlossaryLinks, Term, style_rules
 from reports.page import WORDS, Cell, Column, Drawn, Figure, Page, Part, Section, Table, TrialPart
-from reports.sanitize import sanitized
+from reports.sanitize import page_text, sanitized
 from reports.trust import PageError, address
-from textfiles.whole import replace_whole
+from textfiles.whole import new_folders, replace_whole
 
 IN_PAGE = 40  # trials, each counted once a detector: more get a file each
 TRIALS = "trials"  # their folder
@@ -234,7 +234,11 @@ def write_report(page: Page, folder: Path) -> Path:
     """Write `folder/index.html` whole or not at all; many trials get files of their own before.
     Raises PageError for images that are not there, OSError.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    with new_folders(folder):
+        return _written(page, folder)
+
+
+def _written(page: Page, folder: Path) -> Path:
     refuse_missing(page.files(), folder)
     press = Press(page)
     place = _own(page)
@@ -321,13 +325,15 @@ def environment() -> Environment:
         loader=FileSystemLoader(_TEMPLATES, encoding="utf-8"),
         autoescape=True,
         undefined=StrictUndefined,
-        finalize=lambda x: sanitized(x) if isinstance(x, str) and not isinstance(x, Markup) else x,
+        finalize=lambda x: page_text(x) if isinstance(x, str) and not isinstance(x, Markup) else x,
         auto_reload=False,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     made.globals.update(WORDS)
     made.filters.update(number=_number, slug=lambda word: word.replace(" ", "-"))
+    # a file's own words
+    made.filters["verbatim"] = lambda text: Markup(escape(sanitized(text)))  # noqa: S704 escaped
     return made
 
 
@@ -357,7 +363,7 @@ def _drawing(figure: Figure, link: Callable[[str], str] | None) -> Markup:
 @lru_cache(maxsize=1 << 12)
 def _escaped(text: str) -> str:
     """Others' text, as plain as HTML takes it."""
-    return str(escape(sanitized(text)))
+    return str(escape(page_text(text)))
 
 
 def _cell(value: str | Cell, link: Callable[[str], str]) -> Markup:

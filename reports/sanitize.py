@@ -21,6 +21,7 @@ _UNSAFE = re.compile(
     r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"
     r"\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff\U000e0000-\U000e007f]|\r(?!\n)"
 )
+_DEGREES = re.compile(r"(?<=\d )degC\b")
 # what a spreadsheet takes for the beginning of one (OWASP, CSV Injection)
 _FORMULA = tuple("=+-@\t\r\n\uff1d\uff0b\uff0d\uff20")
 # the program's own, to write over a line and to rub out a letter: as a whole write, never within
@@ -31,6 +32,11 @@ _OWN = ("\r", "\b \b")
 def sanitized(text: str) -> str:
     """``text`` as it may be shown anywhere; lines and tabs stay."""
     return _UNSAFE.sub(REPLACED, text)
+
+
+def page_text(text: str) -> str:
+    """``text``, sanitized; values in °C, where messages have degC, which any terminal can show."""
+    return _DEGREES.sub("°C", sanitized(text))
 
 
 def csv_text(rows: Iterable[Sequence[object]]) -> str:

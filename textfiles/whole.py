@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from textfiles.text import full_stop
 
 
 def replace_whole(path: Path, data: bytes, *, synced: bool = False) -> None:
@@ -25,6 +30,43 @@ def replace_whole(path: Path, data: bytes, *, synced: bool = False) -> None:
         error.filename = error.filename or str(path)  # a full disk names none
         raise
     part.replace(path)
+
+
+@contextmanager
+def new_folders(*folders: Path, each: Callable[..., Iterable[None]] = map) -> Iterator[None]:
+    """``folders``, made and synced; where the block fails, new ones that are empty go again."""
+    made = [new for folder in folders for new in _made(folder)]
+    try:
+        list(each(sync_folder, {new.parent for new in made}))
+        yield
+        list(each(sync_folder, folders))
+    except BaseException:
+        for new in made:
+            with suppress(OSError):  # something is in it
+                new.rmdir()
+        raise
+
+
+def _made(folder: Path) -> list[Path]:
+    """Make ``folder``; gives back which are new, itself first."""
+    missing = [folder, *folder.parents]
+    missing = missing[: next((k for k, one in enumerate(missing) if one.is_dir()), 0)]
+    folder.mkdir(parents=True, exist_ok=True)
+    return missing
+
+
+def is_full(error: BaseException | None) -> bool:
+    """Whether it comes of a full disk, or a quota."""
+    no_room = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
+    full = getattr(error, "errno", None) in no_room or "disk is full" in str(error)
+    return full or (error is not None and is_full(error.__cause__))
+
+
+def refusal(error: Exception, otherwise: str = "") -> str:
+    """Why the system would not write. What to do: make room on a full disk, or ``otherwise``."""
+    cure = "Make room." if is_full(error) else otherwise
+    why = full_stop(str(getattr(error, "strerror", None) or error))
+    return f"{why} {cure}".strip()
 
 
 def sync_folder(folder: Path) -> None:

@@ -24,7 +24,7 @@ from bench.run.estimate import (
 )
 from bench.safety.latch import latch_path, read_latch, unconfirmed
 from bench.scoring import sample_size
-from bench.script.calibration_age import refuse_old_calibration
+from bench.script.calibration_age import not_fresh, refuse_old_calibration
 from bench.script.detectors import introduced, make_detectors
 from bench.script.model import LoadedScript, refuse_carry
 from bench.script.planned_trials import POSE_KEYS, pose_set
@@ -109,6 +109,7 @@ def check_script(
     findings = (
         *([Finding("the rig", "latched", str(latch))] if latch else []),
         *(Finding("the rig", "refused", why) for why in unconfirmed(on, today)),
+        *(Finding("the rig", "calibration", why) for why in not_fresh(on, loaded, today)),
         *of_poses,
         *(one for one in again if (one.trial, one.kind) not in known),
     )

@@ -32,6 +32,7 @@ from instruments.captures.capture import CaptureFile
 from instruments.errors import InstrumentError
 from textfiles.bounds import FROM_0, SPEED
 from textfiles.text import plural
+from textfiles.whole import refusal
 
 if TYPE_CHECKING:
     from bench.report.growing import TrialParts
@@ -166,7 +167,7 @@ def run_queue(
             if len(found) == 1:
                 raise
             at = getattr(error, "filename", None) or folder
-            shown.warn(f"{at}: {getattr(error, 'strerror', None) or error}")
+            shown.warn(f"{at}: {refusal(error)}")
     return tuple(reports)
 
 

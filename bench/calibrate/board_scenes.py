@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from bench.config import ConfigError, check_within, read_text, writing
-from bench.files import new_folders
 from bench.record.recording import RecordingWriter
 from bench.rig.loading import AnyRig, any_rig, drawn
 from bench.rig.scenes import BOARD_DEPTHS_MM, named_cameras, rig_renderer, taken
@@ -18,6 +17,7 @@ from instruments.world import boards
 from instruments.world.phantom import Phantom
 from instruments.world.state import SceneState
 from textfiles.bounds import COUNT, FROM_0
+from textfiles.whole import new_folders
 
 
 def record_boards(

@@ -12,6 +12,7 @@ Kalibr, "YAML formats" (T_cn_cnm1 in metres); MATLAB, toStruct of stereoParamete
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from detector.calibration import ParameterCovariance, Part
 from detector.calibration.gate import lens_faults
 from detector.geometry import Array, Camera, Motion
 from instruments.camera.cameras import MakersCalibration
+from textfiles.whole import replace_whole
 
 PLUMB_BOB = "plumb_bob"
 ONLY = f"only {PLUMB_BOB} (k1 k2 p1 p2 k3) can be taken over"
@@ -85,9 +87,8 @@ def _storage_size(found: Foreign) -> tuple[int, int]:
 def write_opencv(part: Part, path: Path | str) -> None:
     """OpenCV's YAML, keys as `read_opencv` wants them. Raises ConfigError."""
     left, right, motion = _pair(part)
-    with writing(Path(path)):  # OpenCV doesn't say
-        Path(path).touch()
-    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    # in memory: OpenCV doesn't say where it can't write
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     storage.write("image_size", np.array(left.image_size, dtype=np.int32).reshape(1, 2))
     for number, camera in ((1, left), (2, right)):
         storage.write(f"M{number}", camera.matrix)
@@ -95,7 +96,7 @@ def write_opencv(part: Part, path: Path | str) -> None:
     if motion:
         storage.write("R", np.array(motion.R))
         storage.write("T", np.array(motion.T).reshape(3, 1))
-    storage.release()
+    _write(path, storage.releaseAndGetString().encode())
 
 
 def read_maker(given: MakersCalibration, sizes: Mapping[str, tuple[int, int]], source: str) -> Part:
@@ -171,8 +172,8 @@ def write_bouguet(part: Part, path: Path | str) -> None:
             for key in ("fc", "cc", "kc")
         }
         values |= {f"alpha_c_{side}": camera.alpha_c, f"KK_{side}": camera.matrix}
-    with writing(Path(path)), Path(path).open("wb") as file:
-        savemat(file, values)
+    savemat(data := BytesIO(), values)
+    _write(path, data.getvalue())
 
 
 def read_ros(left: Path, right: Path | None = None) -> Part:
@@ -328,9 +329,13 @@ def write_ros(part: Part, path: Path | str, camera: str) -> None:
         "rectification_matrix": matrix(np.eye(3)),
         "projection_matrix": matrix(np.column_stack([K, np.zeros(3)])),
     }
-    text = yaml.safe_dump(read, sort_keys=False)
+    _write(path, yaml.safe_dump(read, sort_keys=False).encode())
+
+
+def _write(path: Path | str, data: bytes) -> None:
+    """The whole file or none. Raises ConfigError."""
     with writing(Path(path)):
-        Path(path).write_text(text, encoding="utf-8", newline="\n")
+        replace_whole(Path(path), data)
 
 
 def _refuse_other_model(found: Foreign) -> None:

@@ -46,6 +46,7 @@ from instruments.errors import InstrumentError
 from instruments.operators.operator import BoardPose, Operator, OperatorEnough
 from instruments.world.boards import Pattern
 from textfiles.bounds import COUNT
+from textfiles.text import plural
 
 CAMERAS = ("left", "right", "thermal")
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
@@ -355,6 +356,9 @@ def gather(
             return number - 1
         except InstrumentError as error:
             if (lost := lost + 1) == TRIES:
+                if number > 1:
+                    kept = plural(number - 1, "view")
+                    report(f"Taken so far: {kept}, in {folder}, to be given with further ones.")
                 raise
             report(f"view {number}: {error} The view is asked for again.")
             continue

@@ -17,8 +17,8 @@ from pathlib import Path
 from filelock import FileLock
 
 from bench.config import ConfigError
-from bench.files import new_folders, write_synced
-from textfiles.whole import sync
+from bench.files import write_synced
+from textfiles.whole import new_folders, sync
 
 LEDGER, LOCK = "ledger.txt", "ledger.lock"
 REMOVED = "removed"  # in place of a digest: the file was merged into another, or is not needed

@@ -24,10 +24,11 @@ from bench.campaign.plan import CampaignPlan, Chunk, differences, open_plan, pla
 from bench.campaign.pool import Say, executor
 from bench.campaign.shards import SHARDS, Shards, no_campaign
 from bench.config import ConfigError, writing
-from bench.files import new_folders, write_synced
+from bench.files import write_synced
 from bench.scoring.rates import Rate
 from bench.scoring.sequential import tight_enough
 from textfiles.text import range_text
+from textfiles.whole import new_folders
 
 PLAN, LOCK = "plan.toml", "campaign.lock"
 

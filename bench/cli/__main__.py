@@ -37,7 +37,8 @@ def _wait_no_longer(left: list[threading.Thread], code: int) -> None:
     time.sleep(THREADS_S)
     if names := ", ".join(one.name for one in left if one.is_alive()):
         sys.stdout.flush()
-        words = f"teatbench: ended beside what a driver or a detector left running: {names}.\n"
+        left_by = "a driver, a detector or a server"
+        words = f"teatbench: ended beside what {left_by} left running: {names}.\n"
         os.write(2, words.encode())
         os._exit(code)
 

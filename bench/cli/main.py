@@ -25,7 +25,8 @@ from bench.cli.arguments import CODES, EXIT_CODES, call, complain, in_switches, 
 from bench.safety.signals import installed
 from bench.version import __version__
 from reports.sanitize import keep_writing, sanitizing
-from textfiles.text import did_you_mean
+from textfiles.text import did_you_mean, full_stop
+from textfiles.whole import is_full
 
 if TYPE_CHECKING:
     SubParsers = argparse._SubParsersAction[argparse.ArgumentParser]
@@ -144,17 +145,16 @@ def _run(given: argparse.Namespace) -> int:
         sys.stdout.flush()
         return code
     except (ConfigError, RecordingError, CaptureError) as error:
-        from bench.files import is_full
-
         code = CODES.fault if is_full(error) else CODES.wrong_use
-        return complain(in_switches(error, given), code)
+        return complain(_with_cure(in_switches(error, given), error), code)
     except InstrumentError as error:
         return complain(in_switches(error, given), CODES.fault)
     except (OperatorAbort, OperatorSkip) as stop:
         return complain(f"{stop}; {given.left.partition('. ')[0]}", CODES.fault)
     except sqlite3.Error as error:
-        why = f"the run's record can't be written or read: {error}. {HINT}"
-        return complain(why, CODES.fault)
+        hint = "" if is_full(error) else f" {HINT}"
+        why = f"the run's record can't be written or read: {error}.{hint}"
+        return complain(_with_cure(why, error), CODES.fault)
     except BrokenPipeError:  # the reader of our output has gone (`| head`)
         return CODES.met
 
@@ -176,6 +176,12 @@ def _say_next(given: argparse.Namespace, code: int) -> None:
         return
     then = (re.sub(r"\{(\w+)\}", given_or_named, text) for text in following)
     print("Then, for instance:", *(f"teatbench {text}" for text in then), sep="\n  ")
+
+
+def _with_cure(text: str, error: Exception) -> str:
+    """What a full disk needs is said with whatever could not be written."""
+    cured = "Make room" in text or not is_full(error)
+    return text if cured else f"{full_stop(text)} Make room."
 
 
 HINT = "Is the disk full, or the folder read-only?"
@@ -202,7 +208,7 @@ def _unforeseen(error: Exception) -> int:
     if _is_of_memory(error):
         return complain(f"out of memory: {LIMIT}, or ask for less at once ({error})", CODES.fault)
     if isinstance(error, OSError):
-        from bench.files import is_full, is_unreadable
+        from bench.files import is_unreadable
 
         windows_says = getattr(error, "winerror", 0) == FILENAME_EXCED_RANGE
         if error.errno == errno.ENAMETOOLONG or windows_says:
@@ -210,8 +216,9 @@ def _unforeseen(error: Exception) -> int:
         if is_unreadable(error):
             return complain(f"{error.filename} can't be read: {error.strerror}", CODES.wrong_use)
         text = ": ".join(str(part) for part in (error.filename, error.strerror) if part)
-        hint = "" if "Make room" in text else " Make room." if is_full(error) else f" {HINT}"
-        return complain(f"{text}.{hint}" if error.errno else str(error), CODES.fault)
+        hint = "" if is_full(error) else f" {HINT}"
+        said = f"{text}.{hint}" if error.errno else str(error)
+        return complain(_with_cure(said, error), CODES.fault)
     traceback.print_exception(error)
     return complain("internal error; please report the traceback above", CODES.fault)
 

@@ -19,6 +19,7 @@ from bench.cli.terminal import Terminal, TerminalProgress, working
 from bench.config import ConfigError, all_of
 from bench.run.events import ENDED, Events, event_lines
 from instruments.operators.console import keyboard_of
+from textfiles.whole import refusal
 
 # once a run has begun, Ctrl-C ends it by way of safe; later only a report can be missing
 REPORTING = "the run is kept, and its report may be missing: 'teatbench report latest' writes it"
@@ -51,7 +52,7 @@ def run(given: argparse.Namespace) -> int:
     return _run(given, rig, scripts)
 
 
-Word = Callable[[Sequence["bench.RunStatus"]], None]
+Word = Callable[[Sequence["bench.RunStatus"], str], None]
 
 
 @contextmanager
@@ -89,9 +90,13 @@ def _run(
             progress=progress,
             begun=begun,
         )
-        word([one.status for one in reports])
+        queued = ""
+        if len(scripts) > 1:
+            from bench.report.runs import queue_headline
+
+            queued = f"Queue: {queue_headline(given.out, [one.folder.name for one in reports])}"
+        word([one.status for one in reports], queued)
     from bench.cli.verdict import open_report, show_verdict
-    from bench.report.runs import queue_headline
 
     codes = []
     for found in reports:
@@ -100,14 +105,14 @@ def _run(
         if found.took:
             print(found.took)
     page = reports[-1].page if reports else None
-    if len(scripts) > 1:
-        print(said := f"Queue: {queue_headline(given.out, [one.folder.name for one in reports])}")
-        _summarize(given, said)
+    if queued:
+        print(queued)
+        _summarize(given, queued)
         try:
             _, page = bench.write_queue_page(given.out)
             print(f"Page: {page}")
         except OSError as error:
-            print(f"Page: not written: {error.strerror or error}")
+            print(f"Page: not written: {refusal(error)}")
         codes += [CODES.fault] * (len(scripts) - len(reports))
     if given.open and page:
         open_report(page)
@@ -123,15 +128,20 @@ def _summarize(given: argparse.Namespace, found: bench.Reported | str = "") -> N
 
 @contextmanager
 def _words(given: argparse.Namespace, rig: bench.LoadedRig, events: Events) -> Iterator[Word]:
-    """Sends word of what happens; gives what sends the last one, of all runs as they ended."""
+    """Sends word of what happens; gives what sends the last one, of all runs as they ended, and
+    how their queue did, where they are one.
+    """
     from bench.run.notify import notifying, text_of
 
     with notifying(given.notify or rig.rig.notify.urls, events.warn) as send:
 
-        def ended(runs: Sequence[bench.RunStatus]) -> None:
-            said = [text_of(ENDED, status) or ("", "") for status in runs]
-            title = said[0][0] if len(said) == 1 else f"{len(runs)} runs: {ENDED}"
-            send(ENDED, lambda: (title, "\n\n".join(text for _, text in said)))
+        def ended(runs: Sequence[bench.RunStatus], queued: str) -> None:
+            title, texts = f"Queue: {ENDED}", list[str]()
+            for status in runs:
+                own, text = text_of(ENDED, status) or ("", "")
+                title = title if queued else own
+                texts.append(f"{status.run}: {text}" if queued else text)
+            send(ENDED, lambda: (title, "\n\n".join(filter(None, [queued, *texts]))))
 
         events.notify = lambda kind: send(kind, lambda: text_of(kind, events.status()))
         yield ended
@@ -155,7 +165,7 @@ def resume(given: argparse.Namespace) -> int:
                 begun=begun,
                 damage=damage,
             )
-            word([found.status])
+            word([found.status], "")
         _summarize(given, found)
         return show_verdict(console, found)
 

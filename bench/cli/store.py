@@ -17,6 +17,7 @@ from bench.cli.arguments import CODES, code_of, complain, print_json
 from bench.cli.terminal import working
 from bench.config import ConfigError
 from textfiles.text import plural
+from textfiles.whole import refusal
 
 if TYPE_CHECKING:
     from reports.runs import Runs
@@ -163,7 +164,7 @@ def runs(given: argparse.Namespace) -> None:
     try:
         page = str(bench.write_runs_page(found)) if found.runs else None
     except OSError as error:  # a folder to look at, and no more
-        why = f"not written: {error.strerror or error}"
+        why = f"not written: {refusal(error)}"
     if given.json:
         text = {
             "runs": [run.as_dict() for run in found.runs],

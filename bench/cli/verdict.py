@@ -62,8 +62,8 @@ def show_verdict(console: Terminal, found: Reported) -> int:
                 print_wrapped(console, status.why)
             for line in status.unsafe:
                 console.print(f"NOT SAFE: {line}", style="bold red", markup=False)
-            then = " ".join(status.next[len(status.unsafe) :])
-            print_wrapped(console, f"Next: {then}")
+        for line in "\n".join(status.then).splitlines():
+            print_wrapped(console, f"Next: {line}")
         console.print(f"Report: {report.resolve().as_uri()}", markup=False, soft_wrap=True)
     finished = status.state == "finished"
     return code_of(found.verdict) if finished else CODES.fault

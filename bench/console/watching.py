@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from bench.config import ConfigError, read_calibration
-from bench.record.reader import opened, points_mm, read_run
+from bench.record.reader import opened, points_mm, read_facts, read_run
 from bench.record.schema import DATABASE, GUARDIAN_FILES
 from bench.report.runs import run_thumbnails
 from bench.report.trials import project_all
@@ -60,8 +60,7 @@ def listed(runs: Path) -> list[dict[str, Any]]:
 
 
 def _card(folder: Path) -> dict[str, Any]:
-    with opened(folder) as db:
-        facts = {k: json.loads(v) for k, v in db.execute("SELECT key, value FROM facts")}
+    facts = read_facts(folder)
     return {
         "name": folder.name,
         **{key: facts.get(key, "") for key in ("title", "script", "rig", "kind", "set_point_c")},
@@ -89,9 +88,8 @@ def _read(folder: Path, *_: float) -> RunStatus:
 @lru_cache(maxsize=512)
 def _latch(folder: Path) -> Path:
     """That of the rig on which the run was begun."""
-    with opened(folder) as db:
-        (asked,) = db.execute("SELECT value FROM facts WHERE key = 'asked'").fetchone() or ("{}",)
-    return latch_beside(Path(json.loads(asked).get("rig") or folder))
+    asked = read_facts(folder).get("asked") or {}
+    return latch_beside(Path(asked.get("rig") or folder))
 
 
 def _mark(path: Path) -> float:

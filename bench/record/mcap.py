@@ -43,11 +43,11 @@ from mcap_protobuf.writer import Writer
 from scipy.spatial.transform import Rotation
 
 from bench.config import ConfigError, read_calibration
-from bench.files import new_folders
 from bench.record.reader import ALL, HEADS, opened
 from bench.record.schema import Row
 from detector.calibration.values import Calibration
 from detector.geometry import Camera
+from textfiles.whole import new_folders
 
 NAME, CALIBRATION = "run.mcap", "calibration.toml"
 SIXTEEN_BITS = {"thermal_radiometric", "depth", "depth_amplitude"}

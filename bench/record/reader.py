@@ -224,41 +224,61 @@ class RunRecord:
         return tuple(self.facts["detectors"])
 
 
-def read_run(folder: Path, damage: tuple[str, ...] = (), *, whole: bool = True) -> RunRecord:
-    """The run in ``folder``; unless ``whole`` without trials and readings. Raises ConfigError."""
+@contextmanager
+def understood(folder: Path) -> Iterator[sqlite3.Connection]:
+    """As `opened`; raises ConfigError for what can't be read in it, too."""
     try:
         with opened(folder) as db:
-            db.row_factory = sqlite3.Row
-            holder = holder_of(folder)  # first: a run that ends from here on has its ending
-            facts, events = _facts(db), db.execute("SELECT * FROM events ORDER BY number")
-            (done,) = db.execute("SELECT COUNT(*) FROM trials").fetchone()
-            sessions = [number for (number,) in db.execute("SELECT number FROM sessions")]
-            at_end = {}
-            if not holder and facts.get("ending", NO_ENDING) == NO_ENDING:
-                at_end = left_in(folder, max(sessions, default=1))
-            record = RunRecord(
-                folder=folder,
-                facts=facts | at_end.get("facts", {}),
-                trials=tuple(_trials(db, *ALL)) if whole else (),
-                counted_trials=None if whole else done,
-                skipped=tuple(map(dict, db.execute("SELECT * FROM skipped ORDER BY number"))),
-                checks=tuple(map(dict, db.execute("SELECT * FROM checks ORDER BY number, teat"))),
-                events=(*map(dict, events), *at_end.get("events", ())),
-                **_readings(db, -math.inf if whole else math.inf),
-                sessions=max(sessions, default=1),
-                guardians=_guardians(folder, sessions, facts),
-                head=head_of(db),
-                damage=damage,
-                holder=holder,
-                first_link=str(row[0]) if (row := db.execute(FIRST_LINK).fetchone()) else "",
-            )
+            yield db
     except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
         hint = f"'teatbench store check {folder}' says what is damaged."
         why = f"{type(error).__name__}: {error}. {hint}"
         raise ConfigError.plain(f"the record in {folder} can't be read: {why}") from error
-    if "detectors" not in record.facts:
+
+
+def read_facts(folder: Path) -> dict[str, Any]:
+    """What holds for the whole run in ``folder``. Raises ConfigError, also where it never began."""
+    with understood(folder) as db:
+        facts = _facts(db)
+    refuse_begun_by_halves(folder, facts)
+    return facts
+
+
+def refuse_begun_by_halves(folder: Path, facts: Mapping[str, Any]) -> None:
+    """Raises ConfigError where what a run is was not written down."""
+    if "detectors" not in facts:
         why = "the bench died before it wrote down what is under test. Delete the folder."
         raise ConfigError.plain(f"{folder} is a run that never began: {why}")
+
+
+def read_run(folder: Path, damage: tuple[str, ...] = (), *, whole: bool = True) -> RunRecord:
+    """The run in ``folder``; unless ``whole`` without trials and readings. Raises ConfigError."""
+    with understood(folder) as db:
+        db.row_factory = sqlite3.Row
+        holder = holder_of(folder)  # first: a run that ends from here on has its ending
+        facts, events = _facts(db), db.execute("SELECT * FROM events ORDER BY number")
+        (done,) = db.execute("SELECT COUNT(*) FROM trials").fetchone()
+        sessions = [number for (number,) in db.execute("SELECT number FROM sessions")]
+        at_end = {}
+        if not holder and facts.get("ending", NO_ENDING) == NO_ENDING:
+            at_end = left_in(folder, max(sessions, default=1))
+        record = RunRecord(
+            folder=folder,
+            facts=facts | at_end.get("facts", {}),
+            trials=tuple(_trials(db, *ALL)) if whole else (),
+            counted_trials=None if whole else done,
+            skipped=tuple(map(dict, db.execute("SELECT * FROM skipped ORDER BY number"))),
+            checks=tuple(map(dict, db.execute("SELECT * FROM checks ORDER BY number, teat"))),
+            events=(*map(dict, events), *at_end.get("events", ())),
+            **_readings(db, -math.inf if whole else math.inf),
+            sessions=max(sessions, default=1),
+            guardians=_guardians(folder, sessions, facts),
+            head=head_of(db),
+            damage=damage,
+            holder=holder,
+            first_link=str(row[0]) if (row := db.execute(FIRST_LINK).fetchone()) else "",
+        )
+    refuse_begun_by_halves(folder, record.facts)
     return record
 
 

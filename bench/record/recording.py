@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import rmtree
@@ -227,7 +227,13 @@ class RecordingWriter:
 
     def add_calibration(self, text: str) -> None:
         """Write calibration.toml, as the text that it was read from."""
-        replace_whole(self.path / "calibration.toml", text.encode())
+        try:
+            replace_whole(self.path / "calibration.toml", text.encode())
+        except OSError:
+            for empty in (self.path / "frames", self.path):
+                with suppress(OSError):  # something is in it
+                    empty.rmdir()
+            raise
 
     def add(self, frame_id: str, frames: FrameSet) -> None:
         """Write a frame's images as PNG; the folder appears when all of them are there."""

@@ -24,19 +24,22 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, ClassVar
 
-from bench.files import Picture, new_folders, write_pictures, write_synced
+from bench.files import Picture, write_pictures, write_synced
 from bench.record.chain import add_link
 from bench.record.reader import TrialRecord, check_version, database_in
 from bench.record.schema import DATABASE, LATER_WORD, OF_A_TRIAL, Row, make_tables
+from bench.record.state import NO_ENDING, left_in
 from bench.version import __version__
 from instruments.clock import wall_time as time_of_day
-from textfiles.whole import sync_folder
+from textfiles.whole import new_folders, sync_folder
 
 Tables = Sequence[tuple[str, Sequence[Row]]]
 FLUSH_EVERY = 60  # rows that may wait: one sync a minute of run time for the bath's readings
 MOST_TRIES = 1000  # of a free name
 LONGEST_NAME = 60  # bytes of the name of a script or recording in that of a run's folder
 URGENT = frozenset({"trip", "fault", "aborted", "safe", "end"})
+# what SQLite raises of a disk or database that takes nothing more, not of a wrong row
+UNWRITABLE = (sqlite3.OperationalError, sqlite3.DatabaseError)
 PRAGMAS = ("journal_mode = WAL", "synchronous = FULL", "fullfsync = ON", "foreign_keys = ON")
 
 
@@ -155,6 +158,12 @@ class Store:
             if self._waiting:
                 self._write([])
 
+    @property
+    def unwritten(self) -> list[Row]:
+        """The events that were said and are not on the disk yet."""
+        with self._lock:
+            return [row for table, row in self._waiting if table == "events"]
+
     def refuse_gone(self) -> None:
         """Raise FolderGoneError where folder or database isn't the one that was opened."""
         try:
@@ -218,13 +227,20 @@ class Store:
         query = "SELECT coalesce(max(number), 0) + 1 FROM sessions"
         number = int(self._db.execute(query).fetchone()[0])
         row = {"number": number, "bench": __version__, "wall_time": self._now()}
-        self._write([("sessions", [row])])
+        self._write([("events", self._left(number - 1)), ("sessions", [row])])
         # a trial that died in flight is done again, and may leave other pictures then
         finished = {row[0] for row in self._db.execute("SELECT id FROM trials")}
         for folder in (self.folder / "frames").glob("*"):
             if folder.name not in finished:
                 shutil.rmtree(folder)
         return number
+
+    def _left(self, session: int) -> list[Row]:
+        """The events of its end for which there was no room then."""
+        query = "SELECT value FROM facts WHERE key = 'ending'"
+        (ending,) = self._db.execute(query).fetchone() or (None,)
+        no_end = ending is None or json.loads(ending) == NO_ENDING
+        return list(left_in(self.folder, session).get("events", ())) if no_end else []
 
     def _now(self) -> str:
         return time_of_day().isoformat(timespec="milliseconds")
@@ -237,7 +253,7 @@ class Store:
 
     def _write(self, tables: Tables) -> None:
         """Write what waits and ``tables``, all or nothing, durable on return. Raises sqlite3.Error;
-        on OperationalError the rows go on waiting.
+        what was said goes on waiting, unless a row is wrong.
         """
         with self._lock:
             waiting: dict[str, list[Row]] = {}
@@ -245,9 +261,9 @@ class Store:
                 waiting.setdefault(table, []).append(row)
             try:
                 self._transaction([*waiting.items(), *tables])
-            except sqlite3.OperationalError:
-                raise
-            except Exception:  # a row is wrong
+            except Exception as error:
+                if type(error) in UNWRITABLE:
+                    raise
                 if tables and waiting:
                     self._write([])
                 self._waiting = []

@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 
 from bench.config import read_calibration
-from bench.files import is_full, sha256_of
+from bench.files import sha256_of
 from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord, read_run
 from bench.record.schema import RULES, SCRIPT
@@ -76,6 +76,7 @@ from reports.page import (
 )
 from reports.render import in_page, write_report
 from textfiles.text import plural
+from textfiles.whole import is_full
 
 PDF = "report.pdf"
 

@@ -99,7 +99,7 @@ def _listed(folder: Path) -> Run:
             results=tuple(_results(run, status)),
             damage=damage,
             report=f"{folder.name}/{report}" if (folder / report).is_file() else "",
-            note="" if status.decided else "\n".join((*status.unsafe, how)),
+            note="" if status.decided else "\n".join((*status.unsafe, how, *status.then)),
             thumbnails=tuple(run_thumbnails(run)),
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -13,6 +14,7 @@ from bench.results.comparison import Comparison
 from bench.results.status import Reported
 from reports.page import SIGNS
 from reports.sanitize import sanitized
+from textfiles.whole import refusal
 
 MARKS = {str(word): sign for word, sign in SIGNS.items()}
 SPECIAL = re.compile(r"([\\`*_\[\]<>|#])")
@@ -21,10 +23,16 @@ SPECIAL = re.compile(r"([\\`*_\[\]<>|#])")
 def append(path: Path, text: str) -> None:
     """Behind what is there already, as CI services want it; nothing for "". Raises ConfigError."""
     try:
-        with path.open("a", encoding="utf-8") as file:
-            file.write(f"{text}\n" if text else "")
+        with path.open("ab", buffering=0) as file:
+            before, rest = os.fstat(file.fileno()).st_size, f"{text}\n".encode() if text else b""
+            try:
+                while rest:
+                    rest = rest[file.write(rest) :]
+            except OSError:
+                file.truncate(before)
+                raise
     except OSError as error:
-        why = f"--summary {path}: it can't be written: {error.strerror or error}"
+        why = f"--summary {path}: it can't be written: {refusal(error)}"
         raise ConfigError.plain(why) from error
 
 
@@ -40,7 +48,7 @@ def of_run(found: Reported) -> str:
             for row in zip(*(one.decisions for one in judgements), strict=True)
         ]
         lines += _table(["requirement", "limit", *(one.detector for one in judgements)], rows)
-    said = [status.why, *status.next[len(status.unsafe) :], f"Run: {record.folder.name}"]
+    said = [status.why, *status.then, f"Run: {record.folder.name}"]
     return "\n\n".join(["\n".join(lines), *(_plain(line) for line in said if line)]) + "\n"
 
 

@@ -147,7 +147,8 @@ def _junit_xml(run: RunRecord, status: RunStatus, judgements: Sequence[Judgement
         why = "\n".join((status.why, *status.unsafe))
         ended = "the run has a verdict"
         cases = [(who, name, "skipped", why, "") for who, name, *_ in cases]
-        cases = [*((who, ended, "error", why, "") for who in run.detectors), *cases]
+        then = "\n".join(status.next)
+        cases = [*((who, ended, "error", why, then) for who in run.detectors), *cases]
     elif not cases:
         nothing = "nothing was scored, so no requirement was decided"
         cases = [(who, "requirements", "skipped", nothing, "") for who in run.detectors]

@@ -21,15 +21,25 @@ from textfiles.text import full_stop, plural
 
 LONGEST_WORDS = 200
 AFTER_FAULT = (
-    "See the events, remove the cause, check the instruments with 'teatbench check', then go on"
-    " with 'teatbench resume {}'."
+    "See the events, remove the cause, check the instruments with 'teatbench check {rig}', then go"
+    " on with 'teatbench resume {run}'."
 )
 AFTER_LATCH = (
-    "See the events, remove the cause, check the instruments with 'teatbench check', acknowledge it"
-    " with 'teatbench bath acknowledge {}', then go on with 'teatbench resume {}'."
+    "See the events, remove the cause, check the instruments with 'teatbench check {rig}',"
+    " acknowledge it with 'teatbench bath acknowledge {rig}', then go on with"
+    " 'teatbench resume {run}'."
 )
-AFTER_END = "It is unfinished. Go on with 'teatbench resume {}'."
-AFTER_RUN = "Wait for its end, which writes the report anew."
+AFTER_MISTAKE = (
+    "Report it, with the run's folder; its events name it. Go on with 'teatbench resume {run}'."
+)
+AFTER_END = "It is unfinished. Go on with 'teatbench resume {run}'."
+BEGIN_ANEW = "It is unfinished and can't be resumed. Give its command again."
+AFTER_RUN = "Wait for its end, which writes the report."
+AFTER_SILENCE = (
+    "Look at its terminal. Where it stays silent, end it there, then go on with"
+    " 'teatbench resume {run}'."
+)
+MISTAKE = "a mistake of the bench"
 THEN: Mapping[State, str] = {
     State.RUNNING: AFTER_RUN,
     State.FAULTED: AFTER_FAULT,
@@ -64,11 +74,16 @@ def stopped_next(run: RunRecord, state: State) -> str:
     if run.damage:
         then = "Put back the run's folder from a copy; 'teatbench store check' lists all that is"
         return f"{then} damaged."
-    cure = cure_of(_last_reason(run), run.folder) if state is State.FAULTED else ""
-    rig = Path(run.facts.get("asked", {}).get("rig") or run.folder)
-    if not cure and THEN[state] is AFTER_FAULT and latch_beside(rig).exists():
-        return AFTER_LATCH.format(rig, run.folder)
-    return cure or THEN[state].format(run.folder)
+    asked, reason = run.facts.get("asked") or {}, _last_reason(run)
+    if state is not State.RUNNING and (not asked or asked.get("recorded")):
+        return BEGIN_ANEW
+    if state is State.FAULTED and (cure := cure_of(reason, run.folder)):
+        return cure
+    rig, then = Path(asked.get("rig") or run.folder), THEN[state]
+    if then is AFTER_FAULT:
+        then = AFTER_LATCH if latch_beside(rig).exists() else then
+        then = AFTER_MISTAKE if reason.startswith(MISTAKE) else then
+    return then.format(rig=rig, run=run.folder)
 
 
 def cure_of(reason: str, folder: Path) -> str:

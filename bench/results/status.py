@@ -23,7 +23,7 @@ from pydantic import TypeAdapter
 from bench.record.reader import RunRecord, read_run
 from bench.record.state import NO_ENDING, TRIP, State, holder_of, state_of
 from bench.results.doubts import DOUBTS_FACT
-from bench.results.headline import judged, stopped_next, stopped_why
+from bench.results.headline import AFTER_SILENCE, judged, stopped_next, stopped_why
 from bench.results.verdicts import Judgement, judge, run_verdict, stored_rules
 from bench.rig.by_hand import BY_HAND, silent
 from bench.rig.devices import Evidence
@@ -184,6 +184,11 @@ class RunStatus:
         return tuple(one.text for one in found)
 
     @property
+    def then(self) -> tuple[str, ...]:
+        """What to do next beside making safe what is not."""
+        return self.next[len(self.unsafe) :]
+
+    @property
     def at_end(self) -> tuple[InstrumentStatus, ...]:
         """The instruments once they are let go."""
         return tuple(replace(one, link=Link.CLOSED) for one in self.instruments)
@@ -244,8 +249,8 @@ class RunStatus:
             parts["error"] = f"last error: {shorten(error, LONGEST_ERROR, placeholder=' …')}"
         return "; ".join(part for part in (self.pose, doing, *parts.values()) if part)
 
-    def later(self) -> RunStatus:
-        """As it reads now where the last word of the bench is of ``wall_time``."""
+    def later(self, folder: Path) -> RunStatus:
+        """As it reads now where the last word of the bench in ``folder`` is of ``wall_time``."""
         said_s = (now() - datetime.fromisoformat(self.wall_time)).total_seconds()
         age_s = float(max(0, int(said_s)))  # a computer's clock may have been set back
         instruments = tuple(one.later(age_s) for one in self.instruments)
@@ -255,7 +260,8 @@ class RunStatus:
             return older
         last = self.doing or self.step
         doing = f"the bench has said nothing for {time_text(age_s)}; last: {last}"
-        return replace(older, doing=doing, left_s=None)
+        then = AFTER_SILENCE.format(run=folder)
+        return replace(older, doing=doing, left_s=None, next=(*older.unsafe, then))
 
     def as_dict(self) -> dict[str, Any]:
         """As JSON, with its version; units in the keys."""
@@ -314,7 +320,7 @@ def status_of(run: RunRecord, judgements: Sequence[Judgement] = ()) -> RunStatus
         wall_time=str(run.facts.get("wall_ended") or run.facts.get("wall_started", "")),
     )
     if state is State.RUNNING and live:
-        status = replace(_as_asked(live.later(), run.folder), damage=run.damage)
+        status = replace(_as_asked(live.later(run.folder), run.folder), damage=run.damage)
     elif state is not State.FINISHED or run.damage:
         trip = [event["text"] for event in run.events if event["kind"] == TRIP]
         status = replace(
@@ -360,7 +366,7 @@ def under_way(folder: Path) -> bool:
 
 def live_status(folder: Path) -> RunStatus | None:
     """Of a run that is under way, as it said last; None where it has said nothing yet."""
-    return _as_asked(live.later(), folder) if (live := _live(folder)) else None
+    return _as_asked(live.later(folder), folder) if (live := _live(folder)) else None
 
 
 def _reported(run: RunRecord) -> dict[str, Any] | None:

@@ -36,6 +36,7 @@ from bench.files import write_synced
 from bench.toml import toml_text
 from detector.geometry import Motion
 from textfiles.text import plural
+from textfiles.whole import refusal
 
 Floats = Annotated[
     NDArray[np.float64],
@@ -519,9 +520,8 @@ def write_file(path: Path, text: str) -> None:
     try:
         write_synced(path, text.encode("utf-8"))
     except OSError as error:
-        raise ConfigError.plain(
-            f"{path} can't be written: {error.strerror or error}. Name another place as `out`."
-        ) from error
+        why = refusal(error, "Name another place as `out`.")
+        raise ConfigError.plain(f"{path} can't be written: {why}") from error
 
 
 def refuse_changed(path: Path, file: Section, follows: Mapping[str, Any]) -> None:

@@ -21,7 +21,7 @@ from bench.config import (
     toml_of,
     writing,
 )
-from bench.files import new_folders, write_synced
+from bench.files import write_synced
 from bench.record.recording import RecordingWriter, TruthRow
 from bench.rig.loading import AnyRig, LoadedRig, any_rig
 from bench.rig.model import make_renderer
@@ -36,6 +36,7 @@ from instruments.world.situations import SITUATIONS, situation, spoken
 from instruments.world.state import SceneState
 from textfiles.bounds import FROM_0
 from textfiles.documents import read_toml
+from textfiles.whole import new_folders
 
 BOARD_DEPTHS_MM = (450.0, 1300.0)
 

@@ -39,6 +39,7 @@ from instruments.stage.driver import TOLERANCE_MM
 LOOK_S = 1.0
 STEPPED_S = 5.0  # time servers nudge a clock by less
 STAGE_S = 2.0  # between two looks at stage and arm while they have nothing to do
+SAFING = "Wait until all is safe, and for its report."
 READ_S = 1.0  # both clocks are read within microseconds
 
 
@@ -70,8 +71,9 @@ class RunContext:
         self.live = Live(store.folder)
         self.progress: Callable[[], Mapping[str, Any]] = dict
         self.safing = self.made_safe = False  # the run is on its way to safe; it was gone
-        # the instrument that dropped out, in what way, and what a person does about it
-        self.away = self.away_how = self.check_away = ""
+        # the instrument that dropped out, in what way, what a person does about it, and what once
+        # it is back and is made ready
+        self.away = self.away_how = self.check_away = self.readied = ""
         self.last: dict[str, str] = {}  # an instrument's last value, in words
         self.under_test: Sequence[str] = ()
         self._asked, self._asked_s = "", 0.0
@@ -233,7 +235,9 @@ class RunContext:
     def _next(self, status: RunStatus) -> Iterator[str]:
         """What a person does beside making safe what is not."""
         if status.step == GOING_TO_SAFE:
-            yield "The run ends; an open question needs no answer any more."
+            yield SAFING
+            if self._asked:
+                yield "The open question needs no answer any more."
         elif self.away:
             yield self.check_away
         elif any(one.trouble and one.name == "bath" for one in status.instruments):
@@ -244,6 +248,8 @@ class RunContext:
             yield f"Answer what is asked: {status.asked.kind}."
         elif status.paused:
             yield f"Go on with: teatbench control {self.store.folder} go on"
+        elif self.readied:
+            yield self.readied
         else:
             yield AFTER_RUN
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bench.files import UNWRITTEN, unwritten
 from bench.record.state import TRIP
 from bench.record.writer import FolderGoneError
-from bench.results.headline import cure_of
+from bench.results.headline import MISTAKE, cure_of
 from bench.results.stated_arm import unmoved_mm
 from bench.results.status import ALL_SAFE, INSTRUMENTS_FACT
 from bench.rig.by_hand import not_safe_text
@@ -101,7 +101,6 @@ class Engine:
         )
         self._attempts.done = len(left.done) if left and goes_on else 0
         self._reserve = Reserve(store.folder)
-        self._not_kept: list[tuple[str, str]] = []  # events that the record had no room for
         self._ended = False
         self._checked: dict[str, Any] | None = None  # the arm, before the trials of this session
         self.bath_is_safe = False  # until the run has ended and made it so
@@ -326,14 +325,13 @@ class Engine:
             raise cause
         if isinstance(cause, RECORD_FAULTS):
             reason = unwritten(cause)
-            if not self._kept(self._ctx.event, "fault", reason):
-                self._not_kept.append(("fault", reason))
+            self._kept(self._ctx.event, "fault", reason)
             self._ctx.events.warn(f"{reason}. {cure_of(reason, self._ctx.store.folder)}")
         elif isinstance(cause, InstrumentError | InterlockTrip):
             self._write_down("fault", str(cause))
         else:
             named = f"{type(cause).__name__}: {cause}"
-            self._write_down("fault", f"a mistake of the bench: {named}")
+            self._write_down("fault", f"{MISTAKE}: {named}")
             raise cause
         return RunState.FAULTED
 
@@ -374,8 +372,7 @@ class Engine:
         tripped = ending is RunState.FAULTED and isinstance(ctx.watch.tripped, InterlockTrip)
         word = RunState.TRIPPED if tripped else ending
         for state in (RunState.SAFING, word):
-            if not self._kept(ctx.states.to, state):
-                self._not_kept.append((EVENT, state.value))
+            self._kept(ctx.states.to, state)
         self._write_down("end", word.value)
         self._kept(ctx.store.fact, "retries", dict(self._recovery.counts))
         if any(self._trials.frames_looked_at.values()):
@@ -398,14 +395,12 @@ class Engine:
         if self._kept(store.flush):
             self._reserve.end()
             return ending
-        texts = [*self._not_kept]
         if ending is RunState.FINISHED:
             ending = RunState.FAULTED
-            texts.append(("fault", f"{UNWRITTEN}: its end"))
-        at = {"session": session, "t_s": None, "wall_time": facts["wall_ended"]}
-        events = [{"kind": kind, "text": text} | at for kind, text in texts]
-        end = {"facts": {**facts, "ending": ending.value}, "events": events}
-        self._reserve.leave({"session": session, **end})
+            self._kept(self._ctx.event, "fault", f"{UNWRITTEN}: its end")
+            self._kept(store.fact, "ending", ending.value)
+        end = {"session": session, "facts": {**facts, "ending": ending.value}}
+        self._reserve.leave(end, store.unwritten)
         return ending
 
     def _show_safing(self) -> None:
@@ -419,7 +414,6 @@ class Engine:
     def _write_down(self, kind: str, text: str) -> None:
         """An event, of which the run's end doesn't depend on whether it can be written."""
         if not self._kept(self._ctx.event, kind, text):
-            self._not_kept.append((kind, text))
             self._ctx.events.warn(text)
 
     def _kept(self, write: Callable[..., object], *what: object) -> bool:

@@ -255,7 +255,7 @@ def no_room(wanted_mb: float, folder: Path) -> str:
     if (free_mb := disk_usage(there).free / 1e6) >= wanted_mb:
         return ""
     free = f"{free_mb:.0f} MB are free in {there}"
-    return f"NOT ENOUGH ROOM: {free}, and up to {wanted_mb:.0f} MB are needed"
+    return f"NOT ENOUGH ROOM: {free}, and up to {wanted_mb:.0f} MB are needed. Make room."
 
 
 def refuse_no_room(rig: LoadedRig, trials: int, folder: Path) -> None:

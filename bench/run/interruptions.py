@@ -31,6 +31,7 @@ from instruments.operators.operator import (
     OperatorSkip,
     Release,
 )
+from textfiles.whole import refusal
 
 INSTRUMENTS = ("arm", "stage", "bath", "cameras")
 GONE, GARBLED, REFUSES = "gone", "garbled", "refuses"
@@ -47,6 +48,7 @@ class Policy:
 
 PICTURES = ("cameras", REFUSES)  # they answer, and none of their pictures is of use
 HOMES = "keep your hands off it, it will home."
+HOMING = "Keep your hands off the stage, it homes. The run then goes on by itself."
 POLICIES: Mapping[tuple[str, str], Policy] = {
     ("arm", GONE): Policy(3, "Check the arm's power and its cable."),
     ("arm", GARBLED): Policy(3, "Check the arm's cable and plugs, and what disturbs it."),
@@ -153,7 +155,7 @@ class Recovery:
                 ctx.long("homing the stage again", 600.0)
                 devices.stage.reconnect()
                 ctx.look()  # a stage that a trip has braked meanwhile is not to move
-                ctx.away = ""
+                ctx.away, ctx.readied = "", HOMING
                 ctx.events.state("homing the stage again")
                 devices.stage.home()
             elif name == "cameras":
@@ -169,6 +171,8 @@ class Recovery:
         except InstrumentError:
             ctx.away = name
             return False
+        finally:
+            ctx.readied = ""
         return True
 
 
@@ -204,7 +208,7 @@ def leave_request(folder: Path, words: str) -> None:
     except ValueError as error:
         raise ConfigError.plain(str(error)) from error
     except OSError as error:
-        why = f"{folder / FILE} can't be written: {error.strerror or error}"
+        why = f"{folder / FILE} can't be written: {refusal(error)}"
         raise ConfigError.plain(why) from error
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 import platform
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from bench.rig.loading import LoadedRig
 from instruments.clock import wall_time
 from instruments.errors import LimitError
 
-BYTES, BLOCK = 1 << 19, 1 << 12
+BYTES, BLOCK = 1 << 19, 1 << 14
 
 
 class Reserve:
@@ -50,12 +50,12 @@ class Reserve:
         with suppress(OSError):
             self._path.unlink(missing_ok=True)
 
-    def leave(self, end: Mapping[str, Any]) -> None:
-        """What the record has no room for, as `left_in` reads it."""
-        data = json.dumps(end).encode()
+    def leave(self, end: Mapping[str, Any], events: Sequence[Mapping[str, Any]]) -> None:
+        """What the record has no room for, as `left_in` reads it: of many events the last."""
+        while len(data := json.dumps({**end, "events": events}).encode()) > BLOCK and events:
+            events = events[1:]
         with suppress(OSError), self._path.open("r+b") as file:  # a new file has no room
-            if len(data) <= BLOCK:
-                file.write(data.ljust(BLOCK))
+            file.write(data.ljust(BLOCK))
 
 
 ENDING = ".lock.json"

@@ -55,7 +55,9 @@ class Notifier:
         self._failed: set[int] = set()
         self._closing = False
         self._changed = threading.Condition()
-        self._thread = threading.Thread(target=self._work, name="notifications", daemon=True)
+        # no daemon, which apprise's own threads would become: Python waits for those without end,
+        # and the command (bench/cli/__main__.py) sees only the others
+        self._thread = threading.Thread(target=self._work, name="messages")
         self._thread.start()
 
     def word(self, kind: str, message: Message) -> None:
@@ -72,24 +74,26 @@ class Notifier:
         self._thread.join(LAST_S)
 
     def _work(self) -> None:
-        while message := self._next():
+        while following := self._next():
+            kind, message = following
             found = None
             with suppress(Exception):  # of a run that is just ending
                 found = message()
+            if found:
+                self._sent_s[kind] = stopwatch_s()
             for number, server in enumerate(self._servers if found else ()):
                 if not self._is_sent(server, *(found or ("", ""))) and number not in self._failed:
                     self._failed.add(number)
-                    self._warn(f"no message can be sent to {server[0].url(privacy=True)}")
+                    self._warn(f"no message can be sent to {_named(server)}")
 
-    def _next(self) -> Message | None:
-        """The next message that may be sent, waited for; None at the end."""
+    def _next(self) -> tuple[str, Message] | None:
+        """The next message that may be sent, with its kind, waited for; None at the end."""
         with self._changed:
             while True:
                 left_s = {kind: self._left_s(kind) for kind in self._waiting}
                 kind = min(left_s, key=left_s.__getitem__, default=None)
                 if kind is not None and left_s[kind] <= 0.0:
-                    self._sent_s[kind] = stopwatch_s()
-                    return self._waiting.pop(kind)
+                    return kind, self._waiting.pop(kind)
                 if self._closing:
                     return None
                 self._changed.wait(None if kind is None else left_s[kind])
@@ -122,6 +126,11 @@ def _server(url: str) -> Any:
             " ntfy://ntfy.sh/TOPIC or mailto://NAME:PASSWORD@example.com."
         )
     return server
+
+
+def _named(server: Any) -> str:
+    """Its address without secrets, and without apprise's own settings."""
+    return str(server[0].url(privacy=True)).partition("?")[0]
 
 
 @contextmanager

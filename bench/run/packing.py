@@ -41,6 +41,7 @@ NUMBERS = ("x_mm", "y_mm", "z_mm", "u_mm")
 KINDS = {
     "emulated": "Rendered by the emulators of teatbench: no real camera, arm or animal was there."
     " Good for developing and comparing; figures made on it say nothing of a real cow.",
+    "mixed": "Some of the instruments were emulators of teatbench: its figures are no measurement.",
     "real": "Measured with the instruments named below.",
     "recorded": "The pictures come from another recording, whose licence and card hold for them.",
 }

@@ -18,6 +18,7 @@ from bench.results.cameras_agree import truth_rows
 from bench.truth.carrying import resumed
 from bench.truth.uncertainty import TruthMethod
 from instruments.camera.frame import FrameSet
+from textfiles.whole import refusal
 
 RECORDED = "recorded to"  # fact: the recording's folder
 
@@ -53,7 +54,7 @@ class Recorder:
             if before:
                 self._catch_up(before)
         except (OSError, RecordingError) as error:
-            raise ConfigError.plain(f"`record` {folder}: {error}.") from error
+            raise ConfigError.plain(f"`record` {folder}: {refusal(error)}") from error
 
     def trial(
         self, trial_id: str, frames: FrameSet, truth: Sequence[TruthRow], *, confirmed: bool
@@ -81,8 +82,8 @@ class Recorder:
             yield
         except (OSError, RecordingError) as error:
             self._broken = True
-            text = f"the recording in {self._folder} ends here: {error}"
-            self._warn(f"{text}. The run goes on, and its own folder has all")
+            text = f"the recording in {self._folder} ends here: {refusal(error)}"
+            self._warn(f"{text} The run goes on, and its own folder has all.")
 
     def _catch_up(self, run: RunRecord) -> None:
         """Put in what was written down but not yet recorded, and remember whose truth is open."""

@@ -64,6 +64,7 @@ from bench.safety.signals import current, undisturbed
 from bench.script.calibration_age import (
     CALIBRATION_FACT,
     calibration_fact,
+    not_fresh,
     refuse_old_calibration,
     refuse_other_cameras,
 )
@@ -86,6 +87,7 @@ from instruments.errors import InstrumentError
 from instruments.operators.console import Console
 from instruments.operators.operator import time_left
 from textfiles.text import plural
+from textfiles.whole import refusal
 
 EMULATED_FACT = "emulated"  # of a run: which of its instruments are, where others are real
 BETWEEN_S = 1.0  # of the bench's time, between two sessions of a run
@@ -142,7 +144,7 @@ def run_queue(
         note = QueueNote.begin(out, rig.rig.name, [one.name for one in scripts])
         for number, (script, detectors) in enumerate(zip(scripts, under_test, strict=True), 1):
             held.more = number < len(scripts)
-            for text in _contradicted(rig, script):
+            for text in (*_contradicted(rig, script), *not_fresh(rig, script, wall_time().date())):
                 events.warn(text)
             recorded = None
             if how.record:
@@ -284,6 +286,7 @@ def _begun(
             "realtime": how.realtime,
             "speed": how.speed,
             "warm": warm,  # the rig as the run before left it
+            **({"recorded": True} if recorded else {}),  # cameras: it can't be resumed
         },
     }
     with undisturbed():  # a run that is there at all says what it is, and how it ended
@@ -658,8 +661,8 @@ def _new_store(out: Path, name: str, files: dict[str, str], calibration: Path) -
         files = {**files, "calibration.toml": read_text(calibration)}
         return Store.create_next(out, name, wall_time(), files)
     except OSError as error:
-        why = f"a run can't be kept in {out}: {error.strerror or error}"
-        raise ConfigError.plain(f"{why}. Name another folder as `out`.") from error
+        why = refusal(error, "Name another folder as `out`.")
+        raise ConfigError.plain(f"a run can't be kept in {out}: {why}") from error
 
 
 def _end(store: Store, ending: RunState, why: str = "") -> RunState:

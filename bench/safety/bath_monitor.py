@@ -32,6 +32,7 @@ from instruments.drivers.protocols import Stage
 from instruments.errors import InstrumentError, LinkError
 from instruments.stage.protocol import Status
 from textfiles.text import full_stop
+from textfiles.whole import refusal
 
 PERIOD_S = 1.0
 LATE_S = 3.0  # without a reading: shown as silent
@@ -350,8 +351,8 @@ class TripHandler:
             if self._latch is not None:
                 set_latch(self._latch, trip, str(self._store.folder.resolve()))
         except OSError as error:
-            what = f"the trip could not be latched in {self._latch}: {error.strerror or error}"
-            self._warn(f"{what}. Nothing but you keeps the next run from starting.")
+            what = f"the trip could not be latched in {self._latch}: {refusal(error)}"
+            self._warn(f"{what} Nothing but you keeps the next run from starting.")
 
 
 def held(stage: Stage) -> Safing:

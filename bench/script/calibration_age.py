@@ -4,7 +4,7 @@ it. An emulated rig's cameras are made from its calibration, which can't be too 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from datetime import date
 from typing import TYPE_CHECKING, Any
@@ -24,20 +24,39 @@ AGAIN = "Calibrate again (teatbench calibrate cameras, thermal, world, merge; he
 
 def refuse_old_calibration(rig: LoadedRig, script: LoadedScript, today: date) -> None:
     """Raises ConfigError for a calibration too old for the script, of unknown age, or missing."""
-    record = rig.calibration.record
     most = script.script.calibration.max_age_days
     if most is None or rig.rig.all_emulated:
         return
+    fact = calibration_fact(rig.calibration, today, emulated=False)
     allowed = f"{script.path} allows {most:g} days ([calibration] max_age_days)"
-    if record is None:
-        why = f"has no [record] that says when it was made; {allowed}. {AGAIN}."
-    elif (age := _age_days(record.made, today)) > most:
-        why = f"was made on {record.made}, {age} days ago; {allowed}. {AGAIN}."
-    elif age < -1:  # a day's grace: it may be tomorrow already where it was made
-        why = f"was made on {record.made}, which is still to come: is this machine's clock right?"
-    else:
-        return
-    raise ConfigError.plain(f"{rig.calibration_path} {why}")
+    if why := _doubt(fact, most, allowed) or _unknown(fact, allowed):
+        raise ConfigError.plain(f"{rig.calibration_path} {why}")
+
+
+def not_fresh(rig: LoadedRig, script: LoadedScript, today: date) -> Iterator[str]:
+    """Of each requirement that the rig's calibration will not meet: why."""
+    fact = calibration_fact(rig.calibration, today, emulated=rig.rig.all_emulated)
+    for rule in script.script.requirements:
+        if rule.kind == "calibration_fresh" and not fact["emulated"]:
+            allowed = f"{script.path} requires {rule.max_age_days:g} days ({rule.name})"
+            if why := _doubt(fact, rule.max_age_days, allowed):
+                yield f"{rig.calibration_path} {why}"
+
+
+def _doubt(fact: Mapping[str, Any], most: float, allowed: str) -> str:
+    """Why the calibration of ``fact`` is not fresh; "" where it is, or its age is not known."""
+    made, age = fact["made"], fact["age_days"]
+    if age is not None and age > most:
+        return f"was made on {made}, {age} days ago; {allowed}. {AGAIN}."
+    if age is not None and age < -1:  # a day's grace: it may be tomorrow already where it was made
+        return f"was made on {made}, which is still to come: is this machine's clock right?"
+    return ""
+
+
+def _unknown(fact: Mapping[str, Any], allowed: str) -> str:
+    if fact["age_days"] is not None:
+        return ""
+    return f"has no [record] that says when it was made; {allowed}. {AGAIN}."
 
 
 def refuse_other_cameras(record: Record | None, identity: Mapping[str, str]) -> None:
@@ -77,8 +96,9 @@ def decide_calibration(rule: CalibrationRequirement, facts: Mapping[str, Any]) -
     if fact is None or fact["age_days"] is None:
         unknown = "Not checked: the calibration has no [record] that says when it was made."
         return replace(decide_condition(rule.name, said, held=0, of=0), sentence=unknown)
-    fresh = -1 <= fact["age_days"] <= rule.max_age_days
-    return decide_condition(rule.name, said, held=int(fresh), of=1)
+    why = _doubt(fact, rule.max_age_days, f"{rule.max_age_days:g} days are allowed")
+    decision = decide_condition(rule.name, said, held=int(not why), of=1)
+    return replace(decision, sentence=f"The calibration {why}") if why else decision
 
 
 def _age_days(made: str, today: date) -> int:

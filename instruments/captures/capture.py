@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError,
 
 from instruments.clock import Clock, wall_time
 from instruments.link import Tap
+from textfiles.whole import refusal
 
 FORMAT = "teatbench capture"
 VERSION = 1
@@ -68,9 +69,7 @@ class CaptureFile:
                 [(0, "is there already, and a capture is never written over. Name another file.")],
             ) from None
         except (OSError, ValueError) as error:
-            raise CaptureError(
-                path, [(0, f"can't be written: {getattr(error, 'strerror', None) or error}")]
-            ) from error
+            raise CaptureError(path, [(0, f"can't be written: {refusal(error)}")]) from error
         self._write(header)
 
     def tap(self, link: str, clock: Clock) -> Tap:
@@ -113,8 +112,7 @@ class CaptureFile:
                 rest = rest[self._file.write(rest) :]
         except OSError as error:
             self.fault = (
-                f"{self.path} ends early, after {max(0, self.events - 1)} events:"
-                f" {error.strerror or error}"
+                f"{self.path} ends early, after {max(0, self.events - 1)} events: {refusal(error)}"
             )
 
 

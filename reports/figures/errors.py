@@ -268,6 +268,7 @@ def teat_boxes(
     axes.set_xticks(range(len(teats)), counted)
     axes.grid(visible=False, axis="x")
     boxed: list[LegendEntry] = [("middle half", "span", "patch"), ("median", "ink", "-")]
+    boxed.append(("within 1.5 times that", role, "-"))
     legend(figure, [*boxed, ("far from it", role, form), *limits(limit_mm)])
 
 

@@ -12,6 +12,7 @@ from unittest.mock import patch
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from markupsafe import escape
 
 from reports.figures.course import found_bars, latency_strip
 from reports.figures.errors import error_histogram, error_scatter
@@ -35,7 +36,8 @@ from reports.page import (
     Table,
     TrialPart,
 )
-from reports.render import render
+from reports.render import environment, render
+from reports.sanitize import page_text
 from reports.trust import PageError
 from tests.reports.markup import read
 
@@ -277,3 +279,10 @@ def test_shapes_have_finite_coordinates_and_layers_one_name() -> None:
     said = "layer 'truth' is called 'touch' here and 'truth' elsewhere"
     with pytest.raises(PageError, match=said):
         layers(views)
+
+
+def test_a_message_s_temperatures_are_written_as_a_page_does_and_a_file_s_own_are_not() -> None:
+    said, file = "the bath is at 36.10 degC, above 36 degC", 'unit = "degC"  # 33 degC'
+    assert page_text(said) == "the bath is at 36.10 °C, above 36 °C"
+    made = environment().from_string("{{ said }} {{ file | verbatim }}")
+    assert made.render(said=said, file=file) == f"{page_text(said)} {escape(file)}"

@@ -41,12 +41,14 @@ function draw(tag, given = {}, ...children) {
   return node;
 }
 const headers = (more = {}) => ({ Authorization: `Bearer ${TOKEN}`, "X-Client": CLIENT, ...more });
+// values as pages write them: messages have degC, which any terminal can show
+const read = (text) => JSON.parse(text.replace(/(\d) degC\b/g, "$1 °C"));
 async function ask(path, body) {
   const options = body === undefined
     ? { headers: headers() }
     : { method: "POST", headers: headers({ "Content-Type": "application/json" }), body: JSON.stringify(body) };
   const answer = await fetch(`/api${path}`, options).catch(() => { throw new Error("The console can't be reached. The page says when it can again."); });
-  const found = await answer.json().catch(() => ({ error: answer.statusText }));
+  const found = await answer.text().then(read).catch(() => ({ error: answer.statusText }));
   if (!answer.ok) throw Object.assign(new Error(found.error), { status: answer.status });
   return found;
 }
@@ -90,7 +92,7 @@ async function follow(name) {
         for (const message of whole) {
           const fields = Object.fromEntries(message.split("\n").filter((line) => line[0] !== ":").map((line) => [line.slice(0, line.indexOf(":")), line.slice(line.indexOf(":") + 2)]));
           if (fields.id) last = fields.id;
-          if (fields.event) received(fields.event, JSON.parse(fields.data));
+          if (fields.event) received(fields.event, read(fields.data));
         }
       }
     } catch (error) {
@@ -352,7 +354,7 @@ function events() {
 }
 const resumed = (name) => started(ask(`/runs/${encodeURIComponent(name)}/resume`, {}));
 const verdicts = (status) => Object.entries(status.verdicts).map(([name, verdict]) => make("li", { className: { met: "good", "not met": "bad" }[verdict] || "warn" }, `${name}: ${verdict}`));
-const resumable = (known) => !["running", "finished"].includes(known.status.state) && known.kind !== "recorded";
+const resumable = (known) => known.status.state !== "running" && known.status.next.some((line) => line.includes("teatbench resume "));
 function ended() {
   const known = { ...run.run, status: run.status };
   controls.hidden = !under();

@@ -60,11 +60,18 @@ def held_picture(number: int) -> NDArray[np.uint8]:
 class Room:
     """An operator with the board in each cell in turn; now and then it is not there."""
 
-    def __init__(self, *, empty: tuple[int, ...] = (), enough_at: int | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        empty: tuple[int, ...] = (),
+        enough_at: int | None = None,
+        gone_after: int | None = None,
+    ) -> None:
         self.asked: list[BoardPose] = []
         self.note: list[str] = []
         self.lost: list[InstrumentError] = []
         self._empty, self._enough_at, self._shown = empty, enough_at, 0
+        self._gone_after = gone_after
 
     def ask(self, asked: Request, check: Callable[[], None] = no_check) -> Answer:
         assert isinstance(asked, BoardPose)
@@ -76,6 +83,8 @@ class Room:
     def look(self) -> Mapping[str, NDArray[np.uint8]]:
         if self.lost:
             raise self.lost.pop()
+        if self._shown == self._gone_after:
+            raise LinkError("left camera", "can't be opened")
         if self.asked[-1].number in self._empty:
             return {"left": NOTHING}
         self._shown += 1
@@ -145,6 +154,14 @@ def test_a_camera_that_comes_back_costs_no_view(tmp_path: Path) -> None:
     room.lost = [fault] * 3
     with pytest.raises(LinkError):
         room.gather(tmp_path, LEFT_ALONE)
+
+
+def test_a_camera_that_stays_away_leaves_what_was_taken_and_says_where(tmp_path: Path) -> None:
+    room = Room(gone_after=1)
+    with pytest.raises(LinkError):
+        room.gather(tmp_path, ViewsRequest(("left",), (), most=3))
+    assert room.note[-1] == f"Taken so far: 1 view, in {tmp_path}, to be given with further ones."
+    assert (tmp_path / "left" / "01.png").is_file()
 
 
 @pytest.mark.slow

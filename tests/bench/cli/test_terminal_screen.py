@@ -143,8 +143,8 @@ def test_an_enter_beside_the_bar_leaves_no_second_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        AFTER_FAULT.format(FOLDER),
-        AFTER_END.format(FOLDER),
+        AFTER_FAULT.format(rig="my-rig.toml", run=FOLDER),
+        AFTER_END.format(run=FOLDER),
         f"Paused, as asked. Type 'go on' here, or: teatbench resume {FOLDER}",
     ],
 )

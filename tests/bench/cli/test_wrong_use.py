@@ -139,7 +139,7 @@ def test_a_full_disk_leaves_no_half_of_a_file_and_no_empty_folder(
         new = said(3, "detectors new python --out {}", tmp_path / "a" / "b").err
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert text.endswith(f"{file}: can't be written: File too large\n")
+    assert text.endswith(f"{file}: can't be written: File too large. Make room.\n")
     assert "b/my_detector.py: File too large" in new
     assert not [*tmp_path.iterdir()]
 

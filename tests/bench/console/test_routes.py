@@ -15,12 +15,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from starlette.routing import Mount, Route
 
+from bench.config import ConfigError
 from bench.console import guard
 from bench.console.app import Console, make_app
 from bench.console.guard import PAIR_S, Pairing
-from bench.console.watching import curve, listed
+from bench.console.watching import curve, listed, snapshot
 from bench.record.reader import read_run
 from bench.record.state import run_lock
+from bench.record.writer import Store
 from bench.report.page import write_run_report
 from bench.results.status import LIVE, RUN_JSON
 from bench.run.lock import locked
@@ -255,3 +257,15 @@ def test_a_verdict_of_an_earlier_session_is_not_the_run_s(tmp_path: Path) -> Non
         (card,) = listed(tmp_path / "runs")
         wanted = dict.fromkeys(right["verdicts"], verdict) if verdict else right["verdicts"]
         assert card["status"]["verdicts"] == wanted
+
+
+def test_a_run_that_never_began_or_can_t_be_read_hides_no_other(tmp_path: Path) -> None:
+    shutil.copytree(KEPT, tmp_path / "whole")
+    Store.create(tmp_path / "never-began", {}).close()
+    torn = Store(Path(shutil.copytree(KEPT, tmp_path / "torn")))
+    torn._db.execute("UPDATE facts SET value = '{' WHERE key = 'items'")
+    torn.close()
+    assert [card["name"] for card in listed(tmp_path)] == ["whole"]
+    for name in ("never-began", "torn"):
+        with pytest.raises(ConfigError):
+            snapshot(tmp_path / name)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import html
 import json
+import re
 import shutil
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -18,7 +20,7 @@ from bench.console.watching import listed
 from bench.record.schema import GUARDIAN
 from bench.record.state import State, run_lock, state_of
 from bench.record.writer import Store
-from bench.results.headline import missing_text
+from bench.results.headline import AFTER_SILENCE, BEGIN_ANEW, MISTAKE, missing_text
 from bench.results.queue import QueueNote, queues
 from bench.results.status import (
     GOING_TO_SAFE,
@@ -85,7 +87,8 @@ def test_every_surface_has_the_same_word(state: State, tmp_path: Path, said: Sai
     summary = (tmp_path / "summary.md").read_text(encoding="utf-8")
     assert state in summary
     assert not {"✓", "✕"} & {*summary}, "JUnit skips each of them"
-    assert f'verdict-{state}"' in (run.parent / "index.html").read_text(encoding="utf-8")
+    index = (run.parent / "index.html").read_text(encoding="utf-8")
+    assert f'verdict-{state}"' in index
     written = json.loads((run / "report" / "run.json").read_text(encoding="utf-8"))
     junit = (run / "report" / "junit.xml").read_text(encoding="utf-8")
     page = (run / "report" / "index.html").read_text(encoding="utf-8")
@@ -96,6 +99,10 @@ def test_every_surface_has_the_same_word(state: State, tmp_path: Path, said: Sai
     for one in (found["status"], card["status"], written["status"]):
         assert json.loads(json.dumps(one)) == as_json
     assert f'<span class="word-text">{state}</span>' in page
+    noted = " ".join(table.split())
+    for line in status.next:
+        for where in (noted, " ".join(shown.split()), page, junit, summary, index):
+            assert line in html.unescape(re.sub(r"\\(.)", r"\1", where)), where
     if state is State.RUNNING:
         assert "running: trial 3 of 18" in shown
         assert "trial 3 of 18" in junit
@@ -105,6 +112,31 @@ def test_every_surface_has_the_same_word(state: State, tmp_path: Path, said: Sai
     else:
         assert f"Verdict: {state}" in shown
         assert "2 of 18 trials" in junit
+
+
+@pytest.mark.slow
+def test_what_to_do_next_can_be_done(tmp_path: Path, said: Said) -> None:
+    """On the run's own rig; neither a scored recording nor cameras that play one go on."""
+    run = stopped(State.FAULTED, tmp_path)
+    store, rig = Store(run), tmp_path / "my-rig.toml"
+    store.fact("asked", {"rig": str(rig)})
+    assert f"'teatbench check {rig}'" in read_status(run).then[-1]
+    store.fact("asked", {"rig": str(rig), "recorded": True})
+    assert read_status(run).then[-1] == BEGIN_ANEW
+    store.fact("asked", None)  # nobody asked for a script on a rig
+    assert read_status(run).then[-1] == BEGIN_ANEW
+    store.close()
+    assert "can't be resumed" in said(2, "resume {}", run).err
+
+
+def test_a_mistake_of_the_bench_is_no_fault_of_an_instrument(tmp_path: Path) -> None:
+    run = stopped(State.FAULTED, tmp_path)
+    store = Store(run)
+    store.event(None, "fault", f"{MISTAKE}: KeyError: 'left'", wall_time())
+    store.close()
+    *_, then = read_status(run).then
+    assert then.startswith("Report it, with the run's folder")
+    assert "teatbench check" not in then
 
 
 def said_by(folder: Path, status: RunStatus, **more: object) -> None:
@@ -146,6 +178,7 @@ def test_a_bench_that_hangs_has_its_last_words_with_their_age(tmp_path: Path) ->
     assert status.asked.waited_s >= 70.0
     assert status.left_s is None
     assert status.doing.startswith("the bench has said nothing for 4")
+    assert status.next == (AFTER_SILENCE.format(run=run),), "its question is no longer asked"
     (bath,) = status.instruments
     assert bath.age_s is not None
     assert bath.age_s >= 40.0

@@ -296,6 +296,12 @@ def compare_the_surfaces(run: Path, status: RunStatus, watch: Watch) -> None:
         assert status.headline in where
         assert " ".join(status.why.split()) in " ".join(where.split())
     assert all(in_ci.index(line) < in_ci.find("requirement") % 10**6 for line in status.unsafe)
+    if not status.decided:
+        assert status.next
+    for words in (" ".join(line.split()) for line in "\n".join(status.next).splitlines()):
+        undecided = () if status.decided else (junit, listed.note, queued)
+        for where in (" ".join(text.split()) for text in (said, page, sent[1], in_ci, *undecided)):
+            assert words in where, (words, where[:2000])
     warned = "\n".join(watch.warned)
     for line in status.unsafe:
         words = " ".join(line.split())

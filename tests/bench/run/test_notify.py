@@ -116,8 +116,43 @@ def test_one_of_a_kind_at_a_time_and_a_dead_address_is_said_once() -> None:
         assert came.get(timeout=SOON_S)["message"] == "last"
         assert came.empty()
     (said,) = warned
-    assert "no message can be sent to json://" in said
+    assert said == "no message can be sent to json://user:****@127.0.0.1:1/"
     assert "secret" not in said
+
+
+def test_a_prompt_that_was_answered_at_once_delays_no_other_s_word() -> None:
+    looked = threading.Event()
+    with phone() as (url, came):
+        notifier = Notifier([url], pytest.fail)
+        notifier.word(PROMPTED, lambda: looked.set())
+        assert looked.wait(SOON_S)
+        notifier.word(PROMPTED, lambda: ("asked", "touch"))
+        assert came.get(timeout=SOON_S)["message"] == "touch"
+        notifier.close()
+
+
+def test_an_address_that_never_ends_its_answer_is_left_to_who_ends_the_command() -> None:
+    """Of apprise's threads those of a daemon are daemons, for which Python waits without end."""
+    asked, over = threading.Event(), threading.Event()
+
+    class Slow(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            asked.set()
+            over.wait(SOON_S)
+
+    with HTTPServer(("127.0.0.1", 0), Slow) as server:
+        serving = threading.Thread(target=server.handle_request)
+        serving.start()
+        notifier = Notifier([f"json://127.0.0.1:{server.server_port}"], lambda _: None)
+        notifier.word(ENDED, lambda: ("ended", "last"))
+        assert asked.wait(SOON_S)
+        names = ("messages", "ThreadPoolExecutor")
+        waiting = [one for one in threading.enumerate() if one.name.startswith(names)]
+        over.set()
+        notifier.close()
+        serving.join()
+    assert {one.name for one in waiting} > {"messages"}
+    assert not any(one.daemon for one in waiting)
 
 
 def test_nothing_is_loaded_without_an_address_and_a_wrong_one_is_refused() -> None:
@@ -157,3 +192,19 @@ def test_a_run_says_how_it_ended_whatever_an_address_does(
     (folder,) = out.glob("*/run.sqlite")
     assert read_run(folder.parent).ending == "finished"
     assert url not in (folder.parent / "rig.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_the_last_word_of_a_queue_names_each_run(tmp_path: Path) -> None:
+    scripts = [tmp_path / name for name in ("a.toml", "b.toml")]
+    for script in scripts:
+        script.write_text(SCRIPT.replace("fused", "thesis"), encoding="utf-8")
+    how = ["--rig", str(write_small_rig(tmp_path)), "--out", str(tmp_path / "runs")]
+    with phone() as (url, came):
+        assert main(["run", *map(str, scripts), *how, "--notify", url]) == 4
+        (ended,) = came.queue
+    assert ended["title"] == "Queue: ended"
+    queue, *runs = ended["message"].split("\n\n")
+    assert queue == "Queue: ended: 2 of 2 scripts finished"
+    for text, script in zip(runs, scripts, strict=True):
+        assert f"-{script.stem}: inconclusive: 2 of 2 trials\n" in text

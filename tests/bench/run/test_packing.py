@@ -12,6 +12,8 @@ import pytest
 
 from bench.files import sha256_of
 from bench.record.reader import read_run
+from bench.record.writer import Store
+from bench.run.packing import KINDS
 from tests.bench.commands import Said
 from tests.bench.forked import begin
 from tests.bench.small_run import KEPT
@@ -29,6 +31,16 @@ def kept(tmp_path: Path) -> Path:
 def packed(tmp_path: Path, kept: Path, said: Said) -> Path:
     said(0, PACK, kept, tmp_path / "pack")
     return tmp_path / "pack"
+
+
+@pytest.mark.parametrize("kind", ["emulated", "mixed", "real", "recorded"])
+def test_a_run_of_each_kind_has_its_card(kind: str, kept: Path, tmp_path: Path, said: Said) -> None:
+    store = Store(kept)
+    store.fact("kind", kind)
+    store.fact("ending", "finished")
+    store.close()
+    said(0, PACK, kept, tmp_path / "pack")
+    assert KINDS[kind] in (tmp_path / "pack" / "README.md").read_text(encoding="utf-8")
 
 
 def test_all_of_the_run_is_in_it_byte_for_byte_with_digests_budgets_and_card(

@@ -160,7 +160,7 @@ def test_a_disk_that_is_full_amid_one_script_ends_it_alone_and_without_room_none
     assert queue.ended == NO_ROOM
     said = capsys.readouterr().out
     assert f"c and what follows are not begun. {NO_ROOM}" in said
-    last = f"Queue: {queue.headline}\nPage: not written: No space left on device\n"
+    last = f"Queue: {queue.headline}\nPage: not written: No space left on device. Make room.\n"
     assert said.endswith(last)
     then = f"No space left on device. Make room, then: teatbench report {runs[0].folder}"
     assert f"{runs[0].folder / 'report'}: {then}" in said

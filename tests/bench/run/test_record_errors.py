@@ -19,6 +19,7 @@ from unittest.mock import patch
 import pytest
 
 from bench.config import ConfigError
+from bench.record.check import check_record
 from bench.record.reader import read_run
 from bench.record.schema import DATABASE
 from bench.record.state import RESERVE
@@ -90,8 +91,16 @@ def test_a_full_disk_ends_safely_and_the_run_goes_on_where_there_is_room_again(
     assert status.why.endswith(f"{why} All instruments are safe.")
     assert status.next[-1].startswith(f"Make room in {run.folder}, then resume: teatbench res")
     assert (run.folder / RESERVE).exists() == for_good, "its end is there, for want of room"
+    said = [(event["session"], event["kind"], event["text"]) for event in run.events]
+    reason = "the record could not be written: the disk is full"
+    assert said.count((1, "fault", reason)) == 1
+    assert said[-1] == (1, "end", "faulted")
     assert resume(tmp_path, "runs")[1] is RunState.FINISHED
     whole = read_run(only_run(tmp_path, "runs"))
+    of_both = [(event["session"], event["kind"], event["text"]) for event in whole.events]
+    assert of_both[: len(said)] == said, "what there was no room for is in the record, once"
+    assert {session for session, *_ in of_both[len(said) :]} == {2}
+    assert check_record(run.folder).whole
     assert [trial.id for trial in whole.trials][: len(kept)] == kept
     assert len(whole.trials) == 3
     assert not (run.folder / RESERVE).exists()

@@ -459,6 +459,6 @@ def test_a_recording_that_cannot_be_written_is_reported_once_and_ends_no_run(
     assert record(tmp_path, "runs", progress) is RunState.FINISHED
     note = [text for text in progress.warned if "the recording in" in text]
     assert len(note) == 1
-    assert "ends here: [Errno 28] No space left on device. The run goes on" in note[0]
+    assert "ends here: No space left on device. Make room. The run goes on" in note[0]
     assert len(read_run(only_run(tmp_path, "runs")).trials) == 2
     assert len(Recording(recording(tmp_path, "runs")).frames) == 1

@@ -16,6 +16,7 @@ from bench.script.calibration_age import (
     CALIBRATION_FACT,
     calibration_fact,
     decide_calibration,
+    not_fresh,
     refuse_old_calibration,
     refuse_other_cameras,
 )
@@ -57,6 +58,24 @@ def test_the_age_that_a_script_allows(day: str | None, said: str, script: Loaded
     rig = replace(real, made_calibration=made(day)) if day else real
     with pytest.raises(ConfigError, match=said) if said else nullcontext():
         refuse_old_calibration(rig, script, TODAY)
+
+
+@pytest.mark.parametrize("day", ["2026-10-20", "2026-11-27", "2026-10-21", None])
+def test_what_a_requirement_will_say_is_said_before_the_run_in_the_same_words(
+    day: str | None, script: LoadedScript
+) -> None:
+    rig = load_rig(find_rig("lab.example"))
+    rig = replace(rig, made_calibration=made(day)) if day else rig
+    facts = {CALIBRATION_FACT: calibration_fact(rig.calibration, TODAY, emulated=False)}
+    decision = decide_calibration(RULE, facts)
+    said = [*not_fresh(rig, script, TODAY)]
+    assert bool(said) == (decision.verdict == "not met")
+    for text in said:
+        words = decision.sentence.removeprefix("The calibration ").partition(";")[0]
+        assert words in text
+        with pytest.raises(ConfigError, match=words.replace("?", "")):
+            refuse_old_calibration(rig, script, TODAY)
+    assert not [*not_fresh(load_rig(find_rig(None)), script, TODAY)]
 
 
 def test_who_asks_for_nothing_gets_any_and_emulated_cameras_are_made_from_theirs(

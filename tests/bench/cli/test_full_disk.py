@@ -1,0 +1,54 @@
+"""A disk that is full: whoever writes says what could not be written and that room is needed, and
+leaves nothing by halves.
+"""
+
+from __future__ import annotations
+
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.bench.small_run import KEPT
+
+CALIBRATION = KEPT / "calibration.toml"
+COMMANDS = {
+    "a run": "run six-situations --out {there}/runs",
+    "a recording scored": "score {recording} --detector thesis --out {there}/runs",
+    "a comparison": "compare {run} {run} --out {there}/compared",
+    "a summary": "compare {run} {run} --summary {there}/summary.md",
+    "tables": "store export {run} --format csv --out {there}/tables",
+    "a recording": "recording pack {run} --out {there}/packed",
+    "a picture": "scene sheet --situation ideal --out {there}/scene.png",
+    "for OpenCV": "calibrate export {calibration} --format opencv --out {there}/of.yaml",
+    "for Bouguet": "calibrate export {calibration} --format bouguet --out {there}/of.mat",
+    "for ROS": "calibrate export {calibration} --format ros --camera left --out {there}/of.yaml",
+    "a board": "calibrate board chessboard-9x6-40 --pdf {there}/board.pdf",
+    "a detector": "detectors new python --name mine --out {there}/detectors",
+    "a rig": "init --yes --port socket://127.0.0.1:1 --out {there}/rig.toml",
+}
+
+
+def full() -> None:
+    """No file may grow in this process: the system refuses each write as on a full disk."""
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limit of a process's files")
+@pytest.mark.parametrize("what", COMMANDS)
+def test_a_command_on_a_full_disk_says_so_and_leaves_nothing(what: str, tmp_path: Path) -> None:
+    (there := tmp_path / "there").mkdir()
+    places = {"run": KEPT, "recording": KEPT, "calibration": CALIBRATION, "there": there}
+    words = shlex.split(COMMANDS[what].format(**places))
+    command = [sys.executable, "-m", "bench.cli", *words]
+    done = subprocess.run(command, capture_output=True, text=True, preexec_fn=full, check=False)
+    assert done.returncode == 3, done
+    assert "written:" not in done.stdout
+    assert "Make room." in done.stderr, done.stderr
+    left = [one for one in there.rglob("*") if one.is_dir() or one.stat().st_size]
+    assert not left
