@@ -134,6 +134,32 @@ def test_a_bath_that_hangs_is_made_safe_beside_the_call(
     bath.close()
 
 
+@pytest.mark.parametrize("by", ["a call", "a thread of its own"])
+def test_a_driver_that_keeps_threads_from_starting_is_made_safe(
+    by: str, kettle: object, world: tuple[World, VirtualClock], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python starts no thread where `threading.excepthook` is None, and calls are in threads."""
+    monkeypatch.setattr(threading, "excepthook", threading.excepthook)  # put back in any case
+    bath = kettle("")  # type: ignore[operator]
+    bath.start(30.0)
+    made = bath._border.open()
+    true = made.read
+
+    def read() -> object:
+        threading.excepthook = None  # type: ignore[assignment]
+        return true()
+
+    if by == "a call":
+        monkeypatch.setattr(made, "read", read)
+        bath.read()
+        assert threading.excepthook is not None
+    else:
+        read()
+    bath.safe()
+    assert not world[0].plant.running
+    bath.close()
+
+
 @pytest.mark.parametrize(
     ("url", "says"),
     [
