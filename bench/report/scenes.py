@@ -76,7 +76,7 @@ def scene_parts(run: RunRecord, stated: Calibration, folder: Path) -> Iterator[T
 def show_scenes(
     folder: Path | str, names: Sequence[str]
 ) -> tuple[Path, list[tuple[str, str, str]]]:
-    """Write a page of scenes of a campaign, ``names`` as ideal-0003; gives back its path, and scene,
+    """Write a page of scenes of a campaign, named as ideal-0003; gives back its path, and scene,
     detector and outcome of each answer. Raises ConfigError, also where this version draws other
     pictures.
     """
