@@ -90,6 +90,10 @@ class SanitizedStream:
         if not self.goes_on:
             raise BrokenPipeError
 
+    def close(self) -> None:
+        """As `flush`: what a program goes on to say needs its streams to the end."""
+        self.flush()
+
     def writelines(self, lines: Iterable[str]) -> None:
         """As `write`, each."""
         for line in lines:

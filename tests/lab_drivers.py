@@ -22,9 +22,11 @@ KETTLE = """
 import os
 import threading
 
+import numpy as np
+
 import bench
-from instruments import BathState, MakersCalibration, MakersLens
-from lab_drivers import Eyes, EyesEmulator, Tank, TankEmulator
+from instruments import ArmPoint, MakersCalibration, MakersLens
+from lab_drivers import Eyes, EyesEmulator, Probe, ProbeEmulator, Tank, TankEmulator
 
 OVER = threading.Event()  # ends what hangs
 
@@ -33,26 +35,6 @@ class Kettle(Tank):
     def __init__(self, clock, url, mode=""):
         self.mode = mode if os.environ.get("BROKEN_IN", str(os.getpid())) == str(os.getpid()) else ""
         super().__init__(clock, url)
-        if self.mode == "empty identity":
-            self.identity = {}
-
-    def ask(self, *words):
-        try:
-            return super().ask(*words)
-        except Exception as error:
-            if self.mode == "own exceptions":
-                raise KeyError("gone") from error
-            raise
-
-    def read(self):
-        state = super().read()
-        if self.mode == "reads at random":
-            self.n = getattr(self, "n", 0) + 1
-            return BathState(20.0 + 2.0 * self.n, state.running, state.set_point_c)
-        return state
-
-    def start(self, set_point_c):
-        super().start(set_point_c - 1.0 if self.mode == "another set point" else set_point_c)
 
     def standby(self):
         if self.mode == "stays on":
@@ -62,6 +44,36 @@ class Kettle(Tank):
         if self.mode == "standby hangs":
             OVER.wait(60.0)
         super().standby()
+
+
+class Robot(Probe):
+    touches = True
+
+    def read(self):
+        (tip_mm, axis), moving = self.ask("read"), self.ask("moves")
+        return ArmPoint(np.array(tip_mm), np.array(axis), moving)
+
+    def touch(self, point_mm, axis):
+        self.ask("touch", *point_mm.tolist())
+
+    def stop(self):
+        self.ask("stop")
+
+
+class RobotEmulator(ProbeEmulator):
+    until_s = 0.0
+
+    def moves(self):
+        return not self.is_safe()
+
+    def touch(self, *point_mm):
+        self.until_s = self.clock.now() + 60.0
+
+    def stop(self):
+        self.until_s = 0.0
+
+    def is_safe(self):
+        return self.clock.now() >= self.until_s
 
 
 class Calibrated(Eyes):

@@ -181,7 +181,8 @@ WRONG: list[tuple[str, dict[str, Any]]] = [
     ("record_boards", {**DRAWN, "board": BOARD, "poses": 1, "cameras": ["middle"]}),
     ("record_scenes", {**DRAWN, "names": ["ideal"], "seeds": [-1]}), ("calibrate_stage", {"rig": "emulated", "teat": 0}),
     *((f"compare_{key}", {name: ["D"], **wrong}) for key, name in (("runs", "runs"), ("campaigns", "folders"))
-      for wrong in cast(list[dict[str, Any]], [{name: []}, {"confidence": 2}, {"confidence": 0}])),
+      for wrong in cast(list[dict[str, Any]], [{name: []}, {"confidence": 2}, {"confidence": 0}, {"margin_mm": -1}])),
+    ("compare_campaigns", {"folders": ["D"], "margin_rate": 2}), ("show_scenes", {"folder": "D", "names": []}),
     ("judge_together", {"runs": []}), ("write_comparison", {"folder": "o", "found": []}),
     ("write_opencv", {"part": PART, "path": "no/a"}), ("write_bouguet", {"part": PART, "path": "no/a"}),
     ("write_calibration", {"found": PART, "out": "D"}), ("open_stage", {"url": "socket://h:1", "axes": "XQ"}),

@@ -198,8 +198,9 @@ def touch_frame(
     operator: Operator | None = None,
 ) -> TableFrame:
     """Where the arm stands on the table, by three touches (origin, on x, in the plane) and a check
-    point for each of ``checks``: its place, world mm, or None for any in the plane. Its
-    ``residual_mm`` says how far off they are. Raises as `read_arm`.
+    point for each of ``checks``: its place (3,), world mm, or None for any in the plane. Its
+    ``residuals_mm`` say how far off each is, ``residual_mm`` the farthest, None without one. A
+    person at the terminal is asked, or ``operator``. Raises as `read_arm`.
     """
     wanted = several("checks", checks)
     with open_session(url, baud, answer_s, capture, homed=homed, operator=operator) as session:
@@ -219,9 +220,10 @@ def verify_arm(
     operator: Operator | None = None,
     warn: Callable[[str], None] = to_stderr,
 ) -> VerifiedArm:
-    """Have the person do what ``plan`` says, and hold the touches against the requirement
-    ``arm_verified`` of ``script`` (the shipped one) and the stated standard uncertainty of a point,
-    ``accuracy_mm`` (a MicroScribe 3DX's). Raises as `read_arm`.
+    """Have the person do what ``plan`` says (divots at three distances for None), and hold the
+    touches against the requirement ``arm_verified`` of ``script`` (the shipped one) and the stated
+    standard uncertainty of a point, ``accuracy_mm`` (a MicroScribe 3DX's 0.23 mm for None; a file
+    of points needs its own). What can't be shown then is said to ``warn``. Raises as `read_arm`.
     """
     check_within(ABOVE_0, accuracy_mm=accuracy_mm)
     plan, rule = plan or VerificationPlan(), limits_of(None if script is None else str(script))

@@ -66,9 +66,10 @@ def take_views(
     capture: CaptureFile | None = None,
     say: Say = lambda _: None,
 ) -> tuple[Path, dict[str, str]]:
-    """Have the operator show a board to a rig's cameras until nothing is missing: the new folder of
-    pictures beside ``out``, and the cameras' identities. Raises as `open_cameras_of`, and
-    OperatorAbort, NoPlaceError.
+    """Have the operator show a board to a rig's cameras until it was everywhere in the pictures, or
+    has been shown ``wanted.most`` times, or the operator has enough: the new folder of pictures,
+    ``out`` with the ending ``.pictures``, numbered where that is there, and the identities of the
+    cameras. Raises as `open_cameras_of`, and OperatorAbort, NoPlaceError.
     """
     folder = free_folder(Path(out))
     with open_cameras_of(rig, known=known, seed=seed, capture=capture) as (opened, look):

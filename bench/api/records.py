@@ -16,7 +16,7 @@ from bench.results.comparison import Comparison, PooledRuns, compare_folders, ju
 from bench.results.status import read_status
 from bench.run.interruptions import leave_request, was_taken
 from instruments.clock import RealClock
-from textfiles.bounds import SHARE
+from textfiles.bounds import MARGIN, SHARE
 
 DAMAGED = "NOT-AS-WRITTEN.txt"  # beside what was exported of a damaged record
 TAKEN_S = 10.0  # a run looks once a second; a capture or a detection may take longer
@@ -50,6 +50,7 @@ def compare_runs(
     """
     folders, detectors = [*map(Path, several("runs", runs, 1))], several("detectors", detectors)
     check_within(SHARE, confidence=confidence)
+    check_within(MARGIN, margin_mm=margin_mm)
     with known(folders, damage) as there:
         return compare_folders(
             folders, detectors, margin_mm=margin_mm, confidence=confidence, damage=there

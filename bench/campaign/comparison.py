@@ -26,7 +26,7 @@ from bench.results.comparison import Comparison, Side, sides, unwritten
 from bench.scoring.comparison import ScenePair, compare
 from bench.scoring.matching import GATE_CEILING_MM, Match
 from bench.scoring.scene import SceneScore
-from textfiles.bounds import SHARE
+from textfiles.bounds import MARGIN, MARGIN_OF_RATE, SHARE
 
 MARGIN_RATE = 0.01  # of right scenes
 SCORES = """
@@ -45,8 +45,14 @@ def compare_campaigns(
     margin_rate: float = MARGIN_RATE,
     confidence: float = 0.95,
 ) -> tuple[Comparison, ...]:
-    """Each later campaign with the first, or the detectors of one. Raises ConfigError."""
+    """Each later campaign with the first, or each detector of one with its first, on the scenes
+    that both have. ``margin_mm``, ``margin_rate``: how much larger an error (5 % of the limit for
+    None) and the share of failures may be, at this ``confidence``. The look is written into the
+    folders. Raises ConfigError where nothing can be compared.
+    """
     check_within(SHARE, confidence=confidence)
+    check_within(MARGIN, margin_mm=margin_mm)
+    check_within(MARGIN_OF_RATE, margin_rate=margin_rate)
     detectors = several("detectors", detectors)
     plans = {folder: plan_of(folder) for folder in map(Path, several("folders", folders, 1))}
     runs = [_as_run(folder, plan) for folder, plan in plans.items()]

@@ -254,9 +254,9 @@ def locked(folder: Path) -> Iterator[None]:
 def run_chunk(
     plan: CampaignPlan, number: int, out: Path | str, *, say: Say = lambda _: None
 ) -> dict[str, str] | None:
-    """Do one chunk of a campaign, as a batch system gives them out: `teatbench campaign chunk`. The
-    scenes set aside, each with the reason; None where it was done before. Raises ConfigError,
-    PoolError.
+    """Do chunk ``number``, from 0, of a campaign in ``out``, as a batch system gives them out:
+    `teatbench campaign chunk`; `run_campaign` then has what is left. The scenes set aside, each
+    with the reason; None where it was done before. Raises ConfigError, PoolError.
     """
     if not 0 <= number < plan.chunk_count:
         there = range_text(0, plan.chunk_count - 1)

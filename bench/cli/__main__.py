@@ -26,6 +26,8 @@ def main() -> int:
         code, words = run(), b""
     except SystemExit as ended:  # argparse's
         code, words = int(ended.code or 0), b""
+    except Exception:  # no stream takes words any more
+        words = b""
     main_thread = threading.main_thread()
     if left := [one for one in threading.enumerate() if not (one.daemon or one is main_thread)]:
         threading.Thread(target=_wait_no_longer, args=(left, code), daemon=True).start()

@@ -13,7 +13,7 @@ from bench.campaign.chunk import Bench, Scene, digest_of_frames, draw_scene
 from bench.campaign.plan import CampaignPlan, differences, open_plan
 from bench.campaign.run import plan_of
 from bench.campaign.shards import Shards
-from bench.config import ConfigError, writing
+from bench.config import ConfigError, several, writing
 from bench.files import write_pictures
 from bench.record.reader import RunRecord, TrialRecord
 from bench.report.chapters import page_of
@@ -76,10 +76,11 @@ def scene_parts(run: RunRecord, stated: Calibration, folder: Path) -> Iterator[T
 def show_scenes(
     folder: Path | str, names: Sequence[str]
 ) -> tuple[Path, list[tuple[str, str, str]]]:
-    """Write a page of scenes of a campaign; gives back its path, and scene, detector and outcome of
-    each answer. Raises ConfigError, also where this version draws other pictures.
+    """Write a page of scenes of a campaign, named as ideal-0003; gives back its path, and scene,
+    detector and outcome of each answer. Raises ConfigError, also where this version draws other
+    pictures.
     """
-    folder = Path(folder)
+    folder, names = Path(folder), several("names", names, 1)
     plan, scenes = plan_of(folder), []
     for name in dict.fromkeys(names):
         family, _, number = name.rpartition("-")

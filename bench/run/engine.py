@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
@@ -48,6 +49,7 @@ from instruments.operators.operator import (
 from textfiles.text import plural
 
 RECORD_FAULTS = (sqlite3.Error, OSError)
+TRACEBACK = "mistake.txt"
 BETWEEN_S = 120.0  # between two scripts of a queue, before the guardian takes the bench for hung
 STAYS_WARM = "nothing was made safe: the rig stays open, heated and watched for the next script"
 REQUESTS = (KeyboardInterrupt, OperatorAbort, OperatorSkip, OperatorRepeat)
@@ -311,7 +313,7 @@ class Engine:
         }
 
     def _ended_by(self, why: BaseException) -> RunState:
-        """The ending that ``why`` means, recorded; raises a mistake of the bench again."""
+        """The ending that ``why`` means, recorded; raises again what leaves no run to show."""
         self._reserve.give_back()
         self._end_replay()
         tripped = self._ctx.watch.tripped
@@ -330,10 +332,18 @@ class Engine:
         elif isinstance(cause, InstrumentError | InterlockTrip):
             self._write_down("fault", str(cause))
         else:
-            named = f"{type(cause).__name__}: {cause}"
+            named = f"{type(cause).__name__}: {cause}".removesuffix(": ")
             self._write_down("fault", f"{MISTAKE}: {named}")
-            raise cause
+            if isinstance(cause, MemoryError) or not isinstance(cause, FAILURES):
+                raise cause
+            self._keep_traceback(named, cause)
         return RunState.FAULTED
+
+    def _keep_traceback(self, named: str, mistake: BaseException) -> None:
+        """Or what else came to this thread: a driver may raise in it from one of its own."""
+        path = self._ctx.store.folder / TRACEBACK
+        self._kept(path.write_text, "".join(traceback.format_exception(mistake)), "utf-8")
+        self._ctx.events.warn(f"A mistake of the bench: {named}. Please report it with {path}.")
 
     def _finish(self, ending: RunState) -> RunState:
         """To safe first, whatever disk, terminal and watch do; not where the rig stays warm."""

@@ -1,6 +1,6 @@
-"""What every driver keeps to: open, identify, read, lose the link, come back, make safe twice,
-close twice, an abort. The bench's own drivers pass it on their emulators, and `teatbench plugin
-check` runs it on a driver of another package.
+"""What every driver keeps to: open, identify, read what is there now, lose the link, come back,
+make safe twice and over a link that was lost, close twice, an abort. The bench's own drivers pass
+it on their emulators, and `teatbench plugin check` runs it on a driver of another package.
 
 A `Subject` is an instrument with what a check needs to do to it. `CHECKS` are functions of one;
 they raise AssertionError, and NotCheckedError where the subject can't be put into that state.
@@ -22,6 +22,8 @@ from instruments.errors import InstrumentError, LinkError
 from instruments.link import Link
 from instruments.listener import Connection, Device, Listener
 
+CLOSED_S = 5.0  # until the other end has noticed
+
 
 class NotCheckedError(Exception):
     """This subject can't be put into the state that a check needs; the text says why."""
@@ -29,8 +31,10 @@ class NotCheckedError(Exception):
 
 class Subject:
     """One instrument, not opened yet. `read`: something that it measures, the same while nothing
-    happens; `work` has it do what `safe` ends; `is_safe` asks the device, not the driver; `cut` and
-    `mend`: its link; `recover`: what the bench calls to come back.
+    happens; `change`: have the device show something else, and what `read` has to give then;
+    `work` has it do what `safe` ends; `is_safe` asks the device, not the driver; `cut` and `mend`:
+    its link; `recover`: what the bench calls to come back; `forgiven`: what the bench has got over
+    in what the driver did, and a driver may not do.
     """
 
     clock: Clock
@@ -44,6 +48,10 @@ class Subject:
 
     def read(self) -> object:
         raise NotImplementedError
+
+    def change(self) -> object:
+        """Raises LinkError where that needs a link, and it is cut."""
+        raise NotCheckedError("nothing here can change what it measures")
 
     def work(self) -> None:
         raise NotImplementedError
@@ -59,6 +67,14 @@ class Subject:
 
     def close(self) -> None:
         self.driver.close()
+
+    def is_closed(self) -> bool:
+        """Whether its port is free, as far as that can be seen from outside."""
+        return True
+
+    def forgiven(self) -> str:
+        """In words; empty for nothing."""
+        return ""
 
     def cut(self) -> None:
         raise NotCheckedError("nothing here can cut its link")
@@ -80,8 +96,10 @@ class Cable:
     def __init__(self, device: Device) -> None:
         self.device = device
         self.late_s = 0.0
+        self.hosts = 0
 
     def connect(self, connection: Connection) -> None:
+        self.hosts += 1
         self.device.connect(connection)
 
     def receive(self, connection: Connection, data: bytes) -> None:
@@ -91,6 +109,7 @@ class Cable:
             self.device.receive(connection, data)
 
     def disconnect(self, connection: Connection) -> None:
+        self.hosts -= 1
         self.device.disconnect(connection)
 
 
@@ -108,6 +127,12 @@ class Wired(Subject):
 
     def link(self, who: str) -> Link:
         return Link(self.listener.url, self.clock, who=who)
+
+    def is_closed(self) -> bool:
+        until_s = self.clock.now() + CLOSED_S
+        while self.cable.hosts and self.clock.now() < until_s:
+            self.clock.sleep(0.05)
+        return not self.cable.hosts
 
     def cut(self) -> None:
         self.listener.close()
@@ -135,12 +160,18 @@ class AbortedError(KeyboardInterrupt):
 def abort_in(clock: Clock, seconds: float) -> Iterator[None]:
     """Ctrl-C in so many seconds of ``clock``; in real time in the main thread alone."""
 
+    waits = True
+
     def interrupt(*_: object) -> None:
-        raise AbortedError
+        if waits:
+            raise AbortedError
 
     if isinstance(clock, VirtualClock):
         clock.call_at(clock.now() + seconds, interrupt)
-        yield
+        try:
+            yield
+        finally:
+            waits = False
         return
     if not hasattr(signal, "setitimer"):
         raise NotCheckedError("this system has no interval timers")
@@ -176,6 +207,26 @@ def says_who_it_is_and_measures(subject: Subject) -> None:
     _need(subject.read() == subject.read(), "two readings differ though nothing happened")
 
 
+def reads_what_the_device_shows_now(subject: Subject) -> None:
+    """What changes is read, also what changed while the link was lost."""
+    subject.identify()
+    subject.read()
+    shown = subject.change()
+    _need((read := subject.read()) == shown, f"it reads {read} where the device shows {shown}")
+    subject.cut()
+    _fails(subject.read, "reading over a cut link")
+    try:
+        shown = subject.change()
+    except LinkError:
+        shown = None
+    subject.mend()
+    subject.recover()
+    shown = shown or subject.change()
+    _need(
+        (read := subject.read()) == shown, f"{read} where the device shows {shown}, on a new link"
+    )
+
+
 def lost_link_is_an_error_and_comes_back(subject: Subject) -> None:
     """A link that breaks is a LinkError, also on the way back, until it is mended."""
     who, seen = subject.identify(), subject.read()
@@ -200,11 +251,26 @@ def safe_twice_is_safe_and_usable(subject: Subject) -> None:
     _need(subject.read() is not None, "it reads nothing after it was made safe")
 
 
+def safe_over_a_link_lost_is_safe(subject: Subject) -> None:
+    """What it works at ends over another link, whether or not the driver noticed the loss."""
+    subject.identify()
+    for noticed in (True, False):
+        subject.work()
+        subject.cut()
+        if noticed:
+            _fails(subject.read, "reading over a cut link")
+        subject.mend()
+        subject.safe()
+        _need(subject.is_safe(), "it is not safe after it was made safe over a new link")
+        subject.recover()
+
+
 def closes_twice_and_opens_again(subject: Subject) -> None:
-    """Closing twice is no error, and it opens again as the same device."""
+    """Closing twice is no error and frees its port, and it opens again as the same device."""
     who = subject.identify()
     subject.close()
     subject.close()
+    _need(subject.is_closed(), "its port is open though it was closed")
     subject.open()
     _need(subject.identify() == who, "it identifies itself otherwise after it was opened again")
 
@@ -228,8 +294,10 @@ def abort_leaves_it_able_to_be_safe(subject: Subject) -> None:
 Check = Callable[[Subject], None]
 CHECKS: tuple[Check, ...] = (
     says_who_it_is_and_measures,
+    reads_what_the_device_shows_now,
     lost_link_is_an_error_and_comes_back,
     safe_twice_is_safe_and_usable,
+    safe_over_a_link_lost_is_safe,
     closes_twice_and_opens_again,
     abort_leaves_it_able_to_be_safe,
 )
@@ -257,6 +325,7 @@ def conform(make: Callable[[], Subject], checks: tuple[Check, ...] = CHECKS) -> 
             subject = make()
             subject.open()
             check(subject)
+            _need(not (why := subject.forgiven()), why)
         except NotCheckedError as reason:
             yield Finding(name, "not checked", str(reason))
         except (AssertionError, InstrumentError) as error:

@@ -46,12 +46,12 @@ class CaptureError(ValueError):
 
 
 class CaptureFile:
-    """A capture being written to a new file, from any thread. ``facts``: of the header; ``fault``:
-    why it ended early. Raises CaptureError.
+    """A capture being written to a new file, from any thread. ``facts``: of the header, such as
+    the ``command``; ``fault``: why it ended early. Raises CaptureError.
     """
 
-    def __init__(self, path: Path, facts: dict[str, str]) -> None:
-        self.path = path
+    def __init__(self, path: Path | str, facts: Mapping[str, str] | None = None) -> None:
+        self.path = path = Path(path)
         self.fault = ""
         self.events = 0
         self._lock = threading.Lock()
@@ -59,7 +59,7 @@ class CaptureFile:
             "format": FORMAT,
             "version": VERSION,
             "wall_time": wall_time().isoformat(timespec="seconds"),
-            **facts,
+            **(facts or {}),
         }
         try:
             self._file = path.open("xb", buffering=0)
@@ -201,10 +201,10 @@ class _Line(BaseModel):
 class _Header(_Line):
     format: Literal["teatbench capture"]
     version: Literal[1]
-    teatbench: str
     wall_time: str
-    command: str
-    machine: str
+    teatbench: str = ""
+    command: str = ""
+    machine: str = ""
 
 
 class _Event(_Line):

@@ -260,8 +260,9 @@ def replay_wire(
     fast: bool = False,
     again: bool = True,
 ) -> Iterator[Replay]:
-    """Play the instruments' part of a capture in real time, of all ``links`` for none: ``fast``
-    without its pauses, ``again`` from its start. Raises CaptureError.
+    """Play the instruments' part of a capture in real time at ports of ``host``, of all ``links``
+    for none: ``fast`` without its pauses, ``again`` from its start behind its end. Its ``urls`` are
+    by link, ``mismatches`` what was asked otherwise. Raises CaptureError.
     """
     capture = read_capture(Path(file))
     there, wrong = ", ".join(capture.links), [one for one in links if one not in capture.links]

@@ -13,7 +13,7 @@ from instruments.clock import Clock
 from instruments.drivers.border import Plugged, PluginBoundary
 from instruments.drivers.entry_points import Plugin
 from instruments.drivers.plugin import ArmDriver, ArmPoint
-from instruments.errors import DeviceError, LimitError, TouchAgainError
+from instruments.errors import DeviceError, InstrumentError, LimitError, TouchAgainError
 from instruments.microscribe.configuration import Identity
 from instruments.microscribe.driver import Reading
 
@@ -142,12 +142,19 @@ class PluggedArm(Plugged):
         self.moves = False
 
     def safe(self) -> None:
-        """At a stand, as read back. Raises DeviceError where it goes on."""
+        """At a stand, as read back; tried twice, on a link each. Raises DeviceError: it goes on."""
         if not self.touches:
             return
+        try:
+            self._stop()
+        except InstrumentError:
+            self._border.forget()  # another link may be heard
+            self._stop()
+        self.moves = False
+
+    def _stop(self) -> None:
         self._border.aside("stop", lambda arm: arm.stop())
         self._until_still(STOP_S, aside=True)
-        self.moves = False
 
     def _texts(self) -> Mapping[str, str]:
         return self._border.call("identity", lambda arm: self._border.texts(arm.identity))

@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
@@ -156,8 +157,12 @@ def by_ctrl_c(error: BaseException) -> bool:
 @contextmanager
 def undisturbed() -> Iterator[None]:
     """Some libraries change what the whole process has: the working folder, by which files of a run
-    are named, what Ctrl-C does, where modules are found, and what is an error to NumPy.
+    are named, what Ctrl-C does, where modules are found, what is an error to NumPy, and what a
+    thread does with its errors, without which none starts.
     """
+    given: Any = threading.excepthook, sys.excepthook  # None, by a thread of a driver's
+    hooks = given[0] or threading.__excepthook__, given[1] or sys.__excepthook__
+    threading.excepthook, sys.excepthook = hooks
     folder, path = Path(), [*sys.path]
     with suppress(OSError):  # it may be gone
         folder = Path.cwd()
@@ -166,6 +171,7 @@ def undisturbed() -> Iterator[None]:
         with np.errstate():
             yield
     finally:
+        threading.excepthook, sys.excepthook = hooks
         with suppress(OSError):
             os.chdir(folder)
         sys.path.extend(one for one in path if one not in sys.path)

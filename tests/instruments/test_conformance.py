@@ -7,11 +7,22 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import numpy as np
 import pytest
 
-from bench.testing.conformance import CHECKS, Check, Subject, Wired, abort_in, conform
+from bench.testing.conformance import (
+    CHECKS,
+    Check,
+    Subject,
+    Wired,
+    abort_in,
+    closes_twice_and_opens_again,
+    conform,
+    lost_link_is_an_error_and_comes_back,
+    safe_over_a_link_lost_is_safe,
+)
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator
 from instruments.camera.cameras import CameraSet
@@ -20,6 +31,7 @@ from instruments.camera.frame import FrameError, FrameFault, FrameSet
 from instruments.camera.opencv import OpenCvCamera
 from instruments.camera.stream import StreamServer
 from instruments.clock import RealClock, VirtualClock
+from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.protocol import State
@@ -48,7 +60,13 @@ class Arm(Wired):
         return str(self.driver.sign_on().serial_number)
 
     def read(self) -> object:
-        return self.driver.poll().counts
+        packet = self.driver.poll()
+        self.counts = packet.counts
+        return packet.buttons, self.counts
+
+    def change(self) -> object:
+        self.emulator.buttons ^= 1
+        return self.emulator.buttons, self.counts
 
     def work(self) -> None:
         self.driver.confirm_homed()
@@ -75,6 +93,12 @@ class WaterBath(Wired):
 
     def read(self) -> object:
         return round(self.driver.read().temp_c)
+
+    def change(self) -> object:
+        warm_c = 27.0 if self.plant.bath_c < 25.0 else 23.0
+        self.plant.be_at(warm_c)
+        self.clock.sleep(60.0)  # its sensor lags
+        return round(warm_c)
 
     def work(self) -> None:
         self.driver.start(33.0)
@@ -106,7 +130,13 @@ class Table(Wired):
         return str(self.driver.connect())
 
     def read(self) -> object:
-        return tuple(self.driver.position())
+        return tuple(self.driver.position().round(2))
+
+    def change(self) -> object:
+        self.driver.connect()
+        self.driver.home()
+        self.driver.move_to(self.place_mm, self.place_mm)
+        return tuple(self.emulator.position_mm().round(2))
 
     def work(self) -> None:
         self.driver.home()
@@ -163,6 +193,12 @@ class Cameras(Subject):
             except FrameError:
                 continue
 
+    def change(self) -> object:
+        """Each picture is another one."""
+        seen = self.driver.capture().left
+        assert not np.array_equal(self.driver.capture().left, seen)
+        return seen.shape
+
     def work(self) -> None: ...
 
     def cut(self) -> None:
@@ -193,13 +229,61 @@ class Cameras(Subject):
         self.clock.close()
 
 
-@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+KINDS = {
+    "arm": Arm, "bath": WaterBath, "stage": Table, "Marlin": MarlinTable, "Zaber": ZaberTable,
+    "cameras": Cameras,
+}  # fmt: skip
+
+
 @pytest.mark.parametrize(
-    "kind",
-    [Arm, WaterBath, Table, MarlinTable, ZaberTable, Cameras],
-    ids=["arm", "bath", "stage", "Marlin", "Zaber", "cameras"],
+    ("kind", "check"),
+    [
+        pytest.param(kind, check, id=f"{name}-{check.__name__}")
+        for name, kind in KINDS.items()
+        for check in CHECKS
+        # an arm without a motor has nothing that goes on over a lost link
+        if (name, check) != ("arm", safe_over_a_link_lost_is_safe)
+    ],
 )
 def test_our_drivers_conform(kind: Callable[[], Subject], check: Check) -> None:
     [found] = conform(kind, (check,))
     assert found.outcome == "passed", found.why
     assert [t.name for t in threading.enumerate() if t.name.endswith("emulator")] == []
+
+
+def nothing(*_: object) -> None: ...
+
+
+def connects_once(bath: Any) -> None:
+    if "connected_once" not in vars(bath):
+        bath.connected_once = True
+        connect(bath)
+
+
+connect = Bath._connect
+# what our drivers do on a link that was lost, or as they close, left out
+LEFT_OUT: list[tuple[str, type, str, Callable[..., None], Check]] = [
+    ("arm", Link, "reopen", nothing, lost_link_is_an_error_and_comes_back),
+    ("stage", Link, "reopen", nothing, lost_link_is_an_error_and_comes_back),
+    ("bath", Bath, "_connect", connects_once, lost_link_is_an_error_and_comes_back),
+    ("bath", Bath, "safe", lambda bath: bath._rows.stand_by(), safe_over_a_link_lost_is_safe),
+    ("stage", Stage, "stop", nothing, safe_over_a_link_lost_is_safe),
+    ("arm", MicroScribe, "close", nothing, closes_twice_and_opens_again),
+    ("stage", Stage, "close", nothing, closes_twice_and_opens_again),
+    ("bath", Bath, "close", nothing, closes_twice_and_opens_again),
+    ("cameras", CameraSet, "reopen", nothing, lost_link_is_an_error_and_comes_back),
+]
+
+
+@pytest.mark.parametrize(("kind", "driver", "method", "instead", "check"), LEFT_OUT)
+def test_what_a_driver_of_ours_leaves_out_fails(
+    kind: str,
+    driver: type,
+    method: str,
+    instead: Callable[..., None],
+    check: Check,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(driver, method, instead)
+    [found] = conform(KINDS[kind], (check,))
+    assert found.outcome == "failed"

@@ -1,5 +1,5 @@
-"""Drivers of other packages: the page's pass the suite, those that break a promise don't, and none
-gives anything but an InstrumentError.
+"""Drivers of other packages: the page's pass the suite, and none gives anything but an
+InstrumentError.
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.urls import bath_url
 from bench.safety.signals import installed
-from bench.testing.conformance import conform
-from bench.testing.plugins import OnEmulator, check_driver, drivers
+from bench.testing.plugins import check_driver, drivers
 from detector.calibration import load_part
 from instruments.clock import RealClock, VirtualClock
 from instruments.drivers import border
@@ -68,32 +67,6 @@ def test_cameras_have_drawn_before_a_driver_is_checked(monkeypatch: pytest.Monke
     monkeypatch.setattr("bench.rig.emulated_rig.EmulatedCameras.capture", draw)
     for name in ("eyes", "tank"):
         assert [*map(str, check_driver(name, clock=VirtualClock()))] == ["once"]
-
-
-BROKEN = {
-    "empty identity": {"says who it is"},
-    "own exceptions": {"lost link"},
-    "stays on": {"safe twice"},
-    "standby raises": {"safe twice", "abort"},
-    "reads at random": {"says who it is", "lost link", "abort"},
-    "another set point": {"safe twice"},
-}
-
-
-@pytest.mark.parametrize("mode", BROKEN)
-def test_a_broken_promise_is_found(mode: str, world: tuple[World, VirtualClock]) -> None:
-    there, clock = world
-    driver = load("bath", PluginUrl("kettle", {"mode": mode}))
-    emulator = load("bath", PluginUrl("kettle"), emulator=True)
-
-    def made() -> OnEmulator:
-        there.plant.standby()
-        return OnEmulator("bath", driver, clock, emulator.make(there, clock))
-
-    failed = [one.check for one in conform(made) if one.outcome == "failed"]
-    wrong = BROKEN[mode] if mode != "empty identity" else {""}  # which nothing can be asked of
-    assert failed
-    assert all(any(check.startswith(name) for check in failed) for name in wrong), failed
 
 
 def test_wrong_keys_and_what_is_no_emulator_are_said() -> None:
@@ -158,6 +131,32 @@ def test_a_bath_that_hangs_is_made_safe_beside_the_call(
     bath.safe()
     assert not world[0].plant.running
     assert not bath.heats
+    bath.close()
+
+
+@pytest.mark.parametrize("by", ["a call", "a thread of its own"])
+def test_a_driver_that_keeps_threads_from_starting_is_made_safe(
+    by: str, kettle: object, world: tuple[World, VirtualClock], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python starts no thread where `threading.excepthook` is None, and calls are in threads."""
+    monkeypatch.setattr(threading, "excepthook", threading.excepthook)  # put back in any case
+    bath = kettle("")  # type: ignore[operator]
+    bath.start(30.0)
+    made = bath._border.open()
+    true = made.read
+
+    def read() -> object:
+        threading.excepthook = None  # type: ignore[assignment]
+        return true()
+
+    if by == "a call":
+        monkeypatch.setattr(made, "read", read)
+        bath.read()
+        assert threading.excepthook is not None
+    else:
+        read()
+    bath.safe()
+    assert not world[0].plant.running
     bath.close()
 
 

@@ -54,8 +54,10 @@ def passes(kind: Kind, plugged: Plugin) -> None:
     """What the suite can ask of a stand-in: no link that can be cut, no late answer."""
     clock = VirtualClock()
     found = list(conform(lambda: PluginSubject(kind, plugged, clock, works=True), CHECKS))
-    outcomes = [one.outcome for one in found]
-    assert outcomes == ["passed", "not checked", "passed", "passed", "not checked"], found
+    passed = {"says who", "safe twice", "closes twice"}
+    for one in found:
+        beginning = " ".join(one.check.split()[:2])
+        assert one.outcome == ("passed" if beginning in passed else "not checked"), one
 
 
 class MissingError(Exception):
@@ -66,7 +68,7 @@ class Acquirer:
     """A camera of 12 bits; ``lost``: its cable is out."""
 
     lost = silent = False
-    stale = 0
+    stale = fetched = 0
 
     def __init__(self) -> None:
         self.asked: list[str] = []
@@ -91,7 +93,9 @@ class Acquirer:
             raise MissingError
         if self.lost:
             raise sys.modules["genicam.gentl"].GenericException("device lost")
+        self.fetched += 1
         image = np.arange(6, dtype=np.uint16) * 800
+        image[-1] += self.fetched % 2  # noise
         part = SimpleNamespace(data_format="Mono12", height=2, width=3, data=image)
         buffer = SimpleNamespace(payload=SimpleNamespace(components=[part]))
         return _Fetched(buffer)
@@ -147,7 +151,7 @@ def test_a_camera_over_harvesters(driver: Drivers) -> None:
 class Pipeline:
     """Three pictures of one device; ``late_ms``: of its depth picture."""
 
-    there, late_ms, waiting = True, 0.0, 3
+    there, late_ms, waiting, seen = True, 0.0, 3, 0
 
     columns = 6
 
@@ -182,6 +186,8 @@ class Pipeline:
         return self
 
     def frame(self, pixels: Any, late_ms: float = 0.0) -> Any:
+        self.seen += 1
+        pixels[-1, -1] += self.seen % 2  # noise
         return SimpleNamespace(get_data=lambda: pixels, get_timestamp=lambda: 100.0 + late_ms)
 
     def get_infrared_frame(self, number: int) -> Any:
@@ -319,6 +325,7 @@ def test_an_arm_that_touches_by_itself_over_rtde(driver: Drivers) -> None:
     robot.speed[0] = 0.1
     with pytest.raises(DeviceError, match="does not stand"):
         arm.safe()
+    arm.confirm_homed()  # of the link that the second try has opened
     robot.linked = False
     with pytest.raises(LinkError, match="the link is lost"):
         arm.read()

@@ -146,6 +146,18 @@ sys.exit(command.main())
     assert says in ended.stderr
 
 
+# descriptors that a driver has closed, and the streams themselves
+GONE = ("sys.__stdout__.close(); sys.__stderr__.close()", "os.close(1); os.close(2)")
+
+
+@pytest.mark.parametrize("gone", GONE)
+def test_a_command_that_can_say_nothing_more_is_no_requirement_that_is_not_met(gone: str) -> None:
+    code = f"import os, sys, bench.cli.main as main, bench.cli.__main__ as it\ndef _run(_):\n {gone}\n 1 / 0\n"
+    code += "main._run, sys.argv = _run, ['teatbench', 'rigs']\nsys.exit(it.main())"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, cwd=ROOT, check=False)
+    assert ended.returncode == 3
+
+
 def test_rigs_lists_what_can_be_run_and_says_what_to_copy(said: Said) -> None:
     *runs, copy = said(0, "rigs").out.splitlines()
     assert runs == ["emulated", "emulated-browser", "emulated-depth"]

@@ -108,7 +108,7 @@ def close(_: RealRig, running: MarkedBench) -> None:
 # how it is brought about, the run's ending, the exit code
 WAYS: dict[str, tuple[Callable[[RealRig, MarkedBench], float | None], str, int]] = {
     "normal": (to_the_end, "finished", 0),
-    "mistaken": (to_the_mistake, "faulted", 1),
+    "mistaken": (to_the_mistake, "faulted", 3),
     "Ctrl-C": (interrupt, "aborted", 3),
     "Ctrl-C twice": (interrupt_twice, "aborted", 3),
     "closing": (close, "interrupted", CLOSED_CODE),
@@ -141,6 +141,8 @@ def test_every_way_out_of_a_run_leaves_standby_in_bounded_time(
         assert outcome.run.guardian is None, f"{outcome.way}: it was told that all is safe"
         if outcome.way == "mistaken":
             assert any("a mistake of the bench: ZeroDivisionError" in text for text in texts)
+            kept = outcome.run.folder / "mistake.txt"
+            assert kept.read_text(encoding="utf-8").startswith("Traceback")
         if outcome.way.startswith("Ctrl-C"):
             assert any("Ctrl-C" in text for text in texts)
 

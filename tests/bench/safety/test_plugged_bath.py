@@ -245,6 +245,12 @@ def changed(**how: Any) -> dict[str, Any]:
     return {part: replace(frame, **how) for part in ("left", "right")}
 
 
+def closes(gives: Any) -> Any:
+    sys.stdout.close()
+    sys.stderr.close()
+    return gives
+
+
 LOOK = r"Look at the device, then at its driver: the plug-in {} of lab-dr"
 OTHERS = LimitError("x", "no room")  # whose words don't say which instrument it is of
 # what a driver does with what it gives, from this call on; the exit code, and what is said
@@ -257,6 +263,7 @@ RUNS: list[tuple[str, int, Callable[[Any], Any], int, str]] = [
     ("Slide.move", 1, fails(OTHERS), 3, rf"stage slide \(x\): no room\. {LOOK.format('slide')}"),
     ("Probe.read", 2, fails(KeyError("no")), 3, f"({LOOK.format('probe')}.*The arm is back.*){{3}}"),
     ("Probe.read", 2, lambda it: print("hello") or it, 4, f"{__name__} prints: hello"),
+    ("Probe.read", 2, closes, 4, "Verdict"),
     ("Eyes.capture", 1, fails(MemoryError()), 3, LOOK.format("eyes")),
 ]  # fmt: skip
 # what cameras give, and what is said of it; what else they have is left alone
@@ -314,6 +321,32 @@ def test_what_a_driver_does_in_a_run_is_said(
         there = said(code, "run {} --rig {} --out {}", *files)
     assert re.search(says, " ".join((there.out + there.err).split()))
     assert [one.world.plant.running for one in tanks] == [False] * len(tanks) != []
+
+
+@pytest.mark.parametrize("raised", [KeyError("no"), BYE], ids=repr)
+def test_what_a_driver_raises_in_the_benchs_thread_ends_the_run(
+    raised: BaseException, tmp_path: Path, said: Said, monkeypatch: Patch
+) -> None:
+    """As `PyThreadState_SetAsyncExc` does from a thread of the driver's own: between any calls."""
+    write_calibration(tmp_path)
+    (tmp_path / "lab.toml").write_text(ALL_PLUGGED, encoding="utf-8")
+    (tmp_path / "one.toml").write_text(script_of(), encoding="utf-8")
+    monkeypatch.setattr("bench.run.trial.TrialRun._settle", fails(raised))
+    with importable(tmp_path / "site"):
+        files = (tmp_path / one for one in ("one.toml", "lab.toml", "runs"))
+        there = said(3, "run {} --rig {} --out {}", *files)
+    (folder,) = (tmp_path / "runs").iterdir()
+    kept = folder / "mistake.txt"
+    named = f"{type(raised).__name__}: {raised}"
+    shown = " ".join((there.out + there.err).split())
+    assert f"A mistake of the bench: {named}. Please report it with {kept}" in shown
+    assert kept.read_text(encoding="utf-8").rstrip().endswith(named)
+    assert "internal error" not in shown
+    page = (folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert "mistake of the bench" in page
+    run = bench.read_run(folder)
+    assert run.ending == "faulted"
+    assert "bath is safe" in [event["text"] for event in run.events]
 
 
 def test_a_rig_that_is_emulated_in_part_is_marked(lab: Lab, said: Said) -> None:
