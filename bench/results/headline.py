@@ -21,17 +21,16 @@ from textfiles.text import full_stop, plural
 
 LONGEST_WORDS = 200
 AFTER_FAULT = (
-    "See the events, remove the cause, check the instruments with 'teatbench check {rig}', then go"
-    " on with 'teatbench resume {run}'."
+    "See the events, remove the cause, check the instruments with 'teatbench check {rig}', then"
+    " {go_on}."
 )
 AFTER_LATCH = (
     "See the events, remove the cause, check the instruments with 'teatbench check {rig}',"
-    " acknowledge it with 'teatbench bath acknowledge {rig}', then go on with"
-    " 'teatbench resume {run}'."
+    " acknowledge it with 'teatbench bath acknowledge {rig}', then {go_on}."
 )
-AFTER_MISTAKE = (
-    "Report it, with the run's folder; its events name it. Go on with 'teatbench resume {run}'."
-)
+AFTER_MISTAKE = "Report it, with the run's folder; its events name it. Then {go_on}."
+GO_ON = "go on with 'teatbench resume {run}'"
+ANEW = "give its command again, as it can't be resumed"
 AFTER_END = "It is unfinished. Go on with 'teatbench resume {run}'."
 BEGIN_ANEW = "It is unfinished and can't be resumed. Give its command again."
 AFTER_RUN = "Wait for its end, which writes the report."
@@ -74,16 +73,18 @@ def stopped_next(run: RunRecord, state: State) -> str:
     if run.damage:
         then = "Put back the run's folder from a copy; 'teatbench store check' lists all that is"
         return f"{then} damaged."
-    asked, reason = run.facts.get("asked") or {}, _last_reason(run)
-    if state is not State.RUNNING and (not asked or asked.get("recorded")):
-        return BEGIN_ANEW
-    if state is State.FAULTED and (cure := cure_of(reason, run.folder)):
+    asked, reason, then = run.facts.get("asked") or {}, _last_reason(run), THEN[state]
+    ends = not asked or bool(asked.get("recorded"))
+    if ends and (not asked or then is AFTER_END):
+        return AFTER_RUN if state is State.RUNNING else BEGIN_ANEW
+    if state is State.FAULTED and not ends and (cure := cure_of(reason, run.folder)):
         return cure
-    rig, then = Path(asked.get("rig") or run.folder), THEN[state]
+    rig = Path(asked.get("rig") or run.folder)
     if then is AFTER_FAULT:
         then = AFTER_LATCH if latch_beside(rig).exists() else then
         then = AFTER_MISTAKE if reason.startswith(MISTAKE) else then
-    return then.format(rig=rig, run=run.folder)
+    go_on = ANEW if ends else GO_ON.format(run=run.folder)
+    return then.format(rig=rig, run=run.folder, go_on=go_on)
 
 
 def cure_of(reason: str, folder: Path) -> str:

@@ -249,8 +249,10 @@ class RunStatus:
             parts["error"] = f"last error: {shorten(error, LONGEST_ERROR, placeholder=' …')}"
         return "; ".join(part for part in (self.pose, doing, *parts.values()) if part)
 
-    def later(self, folder: Path) -> RunStatus:
-        """As it reads now where the last word of the bench in ``folder`` is of ``wall_time``."""
+    def later(self, folder: Path | None = None) -> RunStatus:
+        """As it reads now where the last word of the bench is of ``wall_time``; ``folder``: the
+        run's, for what to do next.
+        """
         said_s = (now() - datetime.fromisoformat(self.wall_time)).total_seconds()
         age_s = float(max(0, int(said_s)))  # a computer's clock may have been set back
         instruments = tuple(one.later(age_s) for one in self.instruments)
@@ -260,7 +262,7 @@ class RunStatus:
             return older
         last = self.doing or self.step
         doing = f"the bench has said nothing for {time_text(age_s)}; last: {last}"
-        then = AFTER_SILENCE.format(run=folder)
+        then = AFTER_SILENCE.format(run=folder or self.run)
         return replace(older, doing=doing, left_s=None, next=(*older.unsafe, then))
 
     def as_dict(self) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.cli.terminal import Terminal, TerminalProgress, print_table, print_wrapped
-from bench.results.headline import AFTER_END, AFTER_FAULT
+from bench.results.headline import AFTER_END, AFTER_FAULT, GO_ON
 from tests.bench.calibrate.arm_terminal import Rendered, at_terminal
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said
@@ -143,7 +143,7 @@ def test_an_enter_beside_the_bar_leaves_no_second_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        AFTER_FAULT.format(rig="my-rig.toml", run=FOLDER),
+        AFTER_FAULT.format(rig="my-rig.toml", go_on=GO_ON.format(run=FOLDER)),
         AFTER_END.format(run=FOLDER),
         f"Paused, as asked. Type 'go on' here, or: teatbench resume {FOLDER}",
     ],
