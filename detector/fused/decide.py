@@ -31,6 +31,7 @@ UNLIKE = "one picture shows more of it than the other"
 APART = "it is far from the other teats"
 ONE_MORE = "it is one more than an udder has teats, and the worst"
 _ONE_PLACE_MM = 15.0
+_COOL_QUARTER_K = 5.0  # a teat is hardly cooler than the others by more
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,13 +48,6 @@ class Fits:
         return np.sort(self.of.warmth, axis=1)
 
     @cached_property
-    def beside(self) -> Array:
-        """Warmth (m, 2) beside them; what isn't known is as the coolest."""
-        beside = self.of.beside
-        known = beside[np.isfinite(beside)]
-        return np.nan_to_num(beside, nan=float(known.min(initial=np.inf)))
-
-    @cached_property
     def thermal(self) -> Array:
         """Offsets (m, 3) of the thermal outline, 0 where there is none."""
         return np.nan_to_num(self.of.thermal_px)
@@ -66,15 +60,17 @@ class Fits:
 
     @cached_property
     def usual(self) -> float:
-        """How warm fits are that show a whole end in both optical pictures, one a place; or the
-        warmest.
+        """How warm fits are that show a whole end in both optical pictures, one a place: the middle
+        one, of two in the middle the warmer; or the warmest of all.
         """
         middle, places = self.lines[:, 1], list[int]()
         for i in np.flatnonzero(self.whole & np.isfinite(middle)).tolist():
             if (self.away_mm[i, places] > _ONE_PLACE_MM).all():
                 places.append(i)
-        known = middle[places]
-        return float(np.median(known)) if len(known) else float(np.nanmax(middle, initial=-np.inf))
+        known = np.sort(middle[places])
+        if len(known):
+            return float(known[len(known) // 2])
+        return float(np.nanmax(middle, initial=-np.inf))
 
     @cached_property
     def whole(self) -> NDArray[np.bool_]:
@@ -141,20 +137,22 @@ def _all_beyond(f: Fits) -> Array:
     return np.where(known.sum(axis=1) > 1, least, 0.0)
 
 
+def _cool_though_seen(f: Fits) -> Array:
+    """By how much its middle line is cooler than a cool quarter's, K, times the share of it that
+    both optical pictures show: what hides a teat may be as cold as it will.
+    """
+    cooler = np.nan_to_num(f.lines[:, 1] - f.usual, nan=0.0) + _COOL_QUARTER_K
+    shown = np.minimum(f.of.end[:, :2].min(axis=1), f.of.both[:, :2].min(axis=1))
+    return np.asarray(shown * np.clip(cooler, -_COOL_QUARTER_K, 0.0))
+
+
 MEASURES: dict[str, Measure] = {
-    "end, worse picture": Measure(0, 1, END_UNSEEN, lambda f: f.of.end[:, :2].min(axis=1)),
     "end, mean of both": Measure(0, 1, END_UNSEEN, lambda f: f.of.end[:, :2].mean(axis=1)),
     "end, thermal": Measure(0, 1, END_UNSEEN, lambda f: f.of.end[:, 2]),
-    "better side, worse picture": Measure(
-        0, 1, SIDE_UNSEEN, lambda f: f.of.side[:, :2].min(axis=1)
-    ),
     "better side, thermal": Measure(0, 1, SIDE_UNSEEN, lambda f: f.of.side[:, 2]),
-    "other side, worse picture": Measure(0, 1, SIDE_UNSEEN, lambda f: f.of.both[:, :2].min(axis=1)),
     "other side, mean of both": Measure(0, 1, SIDE_UNSEEN, lambda f: f.of.both[:, :2].mean(axis=1)),
     "other side, thermal": Measure(0, 1, SIDE_UNSEEN, lambda f: f.of.both[:, 2]),
     "ends, one less the other": Measure(0, 1, UNLIKE, lambda f: np.ptp(f.of.end[:, :2], axis=1)),
-    "misfit, px": Measure(0, 0.5, OUTLINE, lambda f: f.of.misfit_px),
-    "misfit of the end, px": Measure(0, 0.5, OUTLINE, lambda f: f.of.end_misfit_px),
     "width, one less the other, px": Measure(0, 1, UNLIKE, lambda f: f.of.width_px),
     "rows, right less left, px": Measure(0, 0.5, OUTLINE, lambda f: np.abs(f.of.rows_px)),
     "ln of the end's sd, mm": Measure(-2.5, 3, UNSURE, lambda f: np.log(f.of.sd_mm)),
@@ -173,20 +171,10 @@ MEASURES: dict[str, Measure] = {
     "thermal parts without an outline": Measure(
         0, 3, COLD, lambda f: np.isnan(f.of.thermal_px).sum(axis=1)
     ),
-    "no thermal end": Measure(
-        0, 1, COLD, lambda f: np.isnan(f.of.thermal_px[:, END]).astype(float)
-    ),
-    "warmer than the warmer side, K": Measure(
-        -2, 6, COLD, lambda f: f.lines[:, 1] - f.beside.max(axis=1)
-    ),
-    "warmer than the cooler side, K": Measure(
-        -2, 8, COLD, lambda f: f.lines[:, 1] - f.beside.min(axis=1)
-    ),
     "coolest line, to the usual teat, K": Measure(-6, 0, COLD, lambda f: f.lines[:, 0] - f.usual),
-    "middle line, to the usual teat, K": Measure(-6, 0, COLD, lambda f: f.lines[:, 1] - f.usual),
+    "cooler than the usual teat, though seen, K": Measure(-5, 0, COLD, _cool_though_seen),
     "as cold as the surroundings, of the range": Measure(-0.1, 0.35, COLD, lambda f: f.of.in_range),
     "as warm as the warmest, of the range": Measure(0.35, 0.7, COLD, lambda f: f.of.in_range),
-    "lines unlike in warmth, K": Measure(0, 3, COLD, lambda f: np.ptp(f.of.warmth, axis=1)),
     "radius outside of the range, mm": Measure(0, 5, SIZE, lambda f: f.off_size),
     "radius off the usual, mm": Measure(0, 5, SIZE, lambda f: f.off_usual),
     "from the nearest whole end, mm": Measure(150, 250, APART, lambda f: f.apart_mm),
@@ -194,10 +182,6 @@ MEASURES: dict[str, Measure] = {
     "ln of the end's height": Measure(
         0, 0.5, OUTLINE, lambda f: np.abs(np.log(f.teats[:, HEIGHT]))
     ),
-    "followed to where its sides lead": Measure(
-        0, 1, UNSURE, lambda f: f.of.followed.astype(float)
-    ),
-    "of any shape": Measure(0, 1, OUTLINE, lambda f: f.of.shaped.astype(float)),
 }
 
 

@@ -20,7 +20,7 @@ from detector.outline.prior import Prior
 _CLOSE_PX, _MOST_SD_PX, _LEAST_RANGE_K = 0.6, 1.2, 0.5
 WHOLE_END = 0.9
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
-_ACROSS = (-1.7, -0.6, 0.0, 0.6, 1.7)  # of the radius: two lines beside it
+_ACROSS = (-0.6, 0.0, 0.6)  # of the radius
 # an end with both sides: how many of its points are next to a side, and the share of them that is
 # seen where it bends; how far from a round end's its sides may stop, and are looked for beyond it
 _LEAST_BOTH, _BEND, _BENDS = 0.6, 5, 0.75
@@ -30,7 +30,7 @@ _STOP_MM, _BEYOND_MM = 2.0, 24.0
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence(Rows):
     """For m fitted teats: seen shares of the outline (m, 3 views: left, right, thermal); misfits px
-    (m,); warmth (m, 3 lines), and beside it, or NaN; largest standard deviation mm (m,).
+    (m,); warmth (m, 3 lines), or NaN; largest standard deviation mm (m,).
     """
 
     end: Array
@@ -39,7 +39,6 @@ class Evidence(Rows):
     misfit_px: Array
     end_misfit_px: Array  # of the rounded end
     warmth: Array
-    beside: Array  # (m, 2 lines)
     in_range: Array  # of the middle line, 0: as the picture's surroundings, 1: as its warmest (m,)
     sd_mm: Array
     # whether both sides were followed up to where the last of an end is seen
@@ -64,7 +63,7 @@ def weigh(
     views: tuple[CameraView, ...],
     prior: Prior,
 ) -> Evidence:
-    """Evidence from edges about m teats in views, covariances (m, 3, 3), and warmth (m, 5), by what
+    """Evidence from edges about m teats in views, covariances (m, 3, 3), and warmth (m, 3), by what
     is cold and warm in the picture, ``levels`` (2,).
     """
     seen, part = fitted.seen, FINE_OUTLINE.part
@@ -89,9 +88,8 @@ def weigh(
     thermal, wide = medians[:, 2], medians[:, :2, [SIDE_A, SIDE_B]].sum(axis=2)
     width = np.nan_to_num(np.abs(wide[:, 0] - wide[:, 1]))
     rows, _ = row_offsets(fitted, prior)
-    inside, beside = warmth[:, 1:-1], warmth[:, [0, -1]]
     low, high = levels
-    in_range = (np.sort(inside, axis=1)[:, 1] - low) / max(high - low, _LEAST_RANGE_K)
+    in_range = (np.sort(warmth, axis=1)[:, 1] - low) / max(high - low, _LEAST_RANGE_K)
     stops, goes_on = np.zeros(m, dtype=bool), np.zeros(m)
     at = np.flatnonzero(other[:, :2].min(axis=1) > _LEAST_BOTH)
     if len(at):
@@ -102,7 +100,7 @@ def weigh(
         stops[at] &= (np.minimum(*bends) > _BENDS).all(axis=1)
         goes_on[at] = np.clip(together - ROUND_MM, 0.0, _BEYOND_MM)
     return Evidence(
-        shares[END], better, other, misfit, end_misfit, inside, beside, in_range, largest,
+        shares[END], better, other, misfit, end_misfit, warmth, in_range, largest,
         fitted.followed, fitted.shaped, thermal, stops, goes_on, width, rows,
     )  # fmt: skip
 
@@ -135,9 +133,7 @@ def _offsets(fitted: Fitted) -> Array:
 def warmth_across(
     teats: Array, warm: Field, lens: Camera, thermal_from_right: Motion, px_a_sensor_px: float
 ) -> Array:
-    """Medians (m, 5) of the thermal picture along lines down teats (m, 8): one to the left, three
-    inside, one to the right; NaN outside.
-    """
+    """Medians (m, 3) of the thermal picture along lines down teats (m, 8); NaN outside."""
     axis = axes(teats)
     line = teats[:, None, None, :3] + _ALONG_MM[:, None] * axis[:, None, None]
     across = (axis[:, [1, 0, 2]] * [-1.0, 1.0, 0.0])[:, None, None]  # at right angles to depth too
