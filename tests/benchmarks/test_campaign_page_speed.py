@@ -10,6 +10,7 @@ import duckdb
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
+from bench.campaign.ledger import Ledger
 from bench.campaign.numbers import campaign_numbers
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.shards import SHARDS, TABLE, quoted
@@ -63,11 +64,12 @@ def write_million(folder: Path) -> None:
                 given = {"family": family, "first": first, "names": ",".join(of), "count": len(of)}
                 db.execute(MADE_UP, given)
                 chunk = 64 * number
-                path = folder / SHARDS / f"{family}-{chunk:06d}-{chunk + 63:06d}.parquet"
+                name = f"{SHARDS}/{family}-{chunk:06d}-{chunk + 63:06d}.parquet"
                 db.execute(
-                    f"COPY (FROM rows ORDER BY family, member, detector) TO {quoted(path)}"
+                    f"COPY (FROM rows ORDER BY family, member, detector) TO {quoted(folder / name)}"
                     " (FORMAT parquet, COMPRESSION zstd, PARQUET_VERSION v2)"
                 )
+            Ledger(folder).add(name, (folder / name).read_bytes())
 
 
 def test_page_of_a_million_rows(benchmark: BenchmarkFixture, folder: Path) -> None:
