@@ -172,7 +172,9 @@ MEASURES: dict[str, Measure] = {
         0, 3, COLD, lambda f: np.isnan(f.of.thermal_px).sum(axis=1)
     ),
     "coolest line, to the usual teat, K": Measure(-6, 0, COLD, lambda f: f.lines[:, 0] - f.usual),
-    "cooler than the usual teat, though seen, K": Measure(-5, 0, COLD, _cool_though_seen),
+    "cooler than the usual teat, though seen, K": Measure(
+        -_COOL_QUARTER_K, 0, COLD, _cool_though_seen
+    ),
     "as cold as the surroundings, of the range": Measure(-0.1, 0.35, COLD, lambda f: f.of.in_range),
     "as warm as the warmest, of the range": Measure(0.35, 0.7, COLD, lambda f: f.of.in_range),
     "radius outside of the range, mm": Measure(0, 5, SIZE, lambda f: f.off_size),
